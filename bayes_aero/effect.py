@@ -1,0 +1,84 @@
+"""The effect: the one small contract that a model is made of.
+
+A model is a list of effects. Every effect has, for each of its parameters, the neutral value at which it is absent, so
+any list of effects can live in one compiled function with the absent ones held at neutral.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+from typing import Any
+
+from jaxtyping import Array, Float
+
+from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.parameter import Parameter
+
+Values = Mapping[str, Any]
+"""Parameter values by name."""
+
+Known = Mapping[str, Any]
+"""What the earlier stages have built: `incidence`, `X`, `CL_attached`, `CL`, `CD`, `Cm`."""
+
+Increments = dict[str, Any]
+"""What an effect adds to entries of `Known`."""
+
+
+class Kind(StrEnum):
+    """Where the cause lies."""
+
+    AERODYNAMICS = "aerodynamics"
+    PROPULSION = "propulsion"
+    MASS = "mass"
+    MEASUREMENT = "measurement"
+    ENVIRONMENT = "environment"
+    NOISE = "noise"
+
+
+class Stage(IntEnum):
+    """When an effect acts. Effects of one stage see what the earlier stages built, never each other."""
+
+    INCIDENCE = 1  # the angle of attack that the separation point feels
+    SEPARATION = 2  # the static separation point
+    LAG = 3  # its dynamics
+    ATTACHED = 4  # forces and moments of the attached flow
+    TOTAL = 5  # what depends on separation or on the attached lift
+
+
+NEUTRAL_FLOW = {"X": 1.0, "CL_attached": 0.0, "CL": 0.0, "CD": 0.0, "Cm": 0.0}
+"""Attached flow without forces: what `Known` holds before any effect acts (`incidence` starts as alpha)."""
+
+
+@dataclass(frozen=True)
+class Example:
+    """A worked example: `parameters` and one sample's `signals` give `increments`, worked out by hand or from `source`."""
+
+    parameters: Mapping[str, float]
+    signals: Mapping[str, float]
+    increments: Mapping[str, float]
+    source: str
+    known: Mapping[str, float] | None = None
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One physical cause.
+
+    `claim` is the sentence that a report prints when the effect is found. `increments(values, signals, aircraft,
+    known)` is pure, works on one sample or on arrays of samples alike, and returns what to add to `known`; with every
+    parameter at its neutral value each increment is exactly zero. `uses` names parameters that other effects own.
+    `channels` are the signals it needs; a record without them makes the effect not testable.
+    """
+
+    name: str
+    kind: Kind
+    stage: Stage
+    claim: str
+    parameters: tuple[Parameter, ...]
+    channels: tuple[str, ...]
+    increments: Callable[[Values, Mapping[str, Float[Array, "*n"]], Aircraft, Known], Increments]
+    example: Example
+    source: str
+    uses: tuple[str, ...] = ()

@@ -1,0 +1,34 @@
+"""Attached-flow lift, linear in the angle of attack."""
+
+from bayes_aero.effect import Effect, Example, Kind, Stage
+from bayes_aero.parameter import Parameter, Prior
+
+
+def increments(v, s, a, known):
+    """CL_attached = CL0 + CLa alpha."""
+    return {"CL_attached": v["CL0"] + v["CLa"] * s["alpha"]}
+
+
+EFFECT = Effect(
+    name="attached_lift",
+    kind=Kind.AERODYNAMICS,
+    stage=Stage.ATTACHED,
+    claim="Lift grows linearly with the angle of attack while the flow is attached.",
+    parameters=(
+        Parameter("CL0", "1", 0.0, 0.2, "lift at zero angle of attack", Prior("normal", 0.2, 0.5)),
+        Parameter(
+            "CLa",
+            "1/rad",
+            0.0,
+            4.5,
+            "attached lift-curve slope",
+            Prior("normal", 4.5, 2.0, "2 pi AR/(AR + 2) for AR of 5 to 10; width our choice"),
+        ),
+    ),
+    channels=("alpha",),
+    increments=increments,
+    example=Example(
+        {"CL0": 0.2, "CLa": 4.0}, {"alpha": 0.1}, {"CL_attached": 0.6}, "0.2 + 4.0 x 0.1, by hand"
+    ),
+    source="Jategaonkar 2015, ch. 12, Kirchhoff stall model",
+)

@@ -1,0 +1,42 @@
+"""Induced drag of the attached lift."""
+
+import math
+
+import jax.numpy as jnp
+
+from bayes_aero.effect import Effect, Example, Kind, Stage
+from bayes_aero.parameter import Parameter, Prior
+
+
+def increments(v, s, a, known):
+    """CD += CL_attached^2/(e pi AR): the published model squares the attached lift, not the Kirchhoff lift."""
+    return {"CD": jnp.square(known["CL_attached"]) / (v["e"] * jnp.pi * a.aspect_ratio)}
+
+
+EFFECT = Effect(
+    name="induced_drag",
+    kind=Kind.AERODYNAMICS,
+    stage=Stage.TOTAL,
+    claim="Drag grows with the square of the lift.",
+    parameters=(
+        Parameter(
+            "e",
+            "1",
+            math.inf,
+            0.8,
+            "Oswald efficiency factor",
+            Prior("lognormal", 0.8, 0.5, "0.7 to 0.9 for transports (Raymer, Aircraft Design, 12.6); width our choice"),
+            (0.05, 10.0),
+        ),
+    ),
+    channels=("alpha",),
+    increments=increments,
+    example=Example(
+        {"e": 0.8},
+        {"alpha": 0.1},
+        {"CD": 1.0 / (0.8 * math.pi * 7.0)},
+        "by hand, aspect ratio 7",
+        known={"CL_attached": 1.0},
+    ),
+    source="Jategaonkar 2015, ch. 12, Kirchhoff stall model",
+)

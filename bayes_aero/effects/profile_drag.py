@@ -1,0 +1,22 @@
+"""Drag at zero lift in attached flow."""
+
+from bayes_aero.effect import Effect, Example, Kind, Stage
+from bayes_aero.parameter import Parameter, Prior
+
+
+def increments(v, s, a, known):
+    """CD += CD0."""
+    return {"CD": v["CD0"] + 0.0 * s["alpha"]}
+
+
+EFFECT = Effect(
+    name="profile_drag",
+    kind=Kind.AERODYNAMICS,
+    stage=Stage.ATTACHED,
+    claim="The aircraft has drag at zero lift.",
+    parameters=(Parameter("CD0", "1", 0.0, 0.04, "zero-lift drag", Prior("normal", 0.04, 0.05)),),
+    channels=("alpha",),
+    increments=increments,
+    example=Example({"CD0": 0.04}, {"alpha": 0.1}, {"CD": 0.04}, "by hand"),
+    source="Jategaonkar 2015, ch. 12, Kirchhoff stall model",
+)

@@ -1,0 +1,50 @@
+"""The aircraft as constants: mass, inertia, geometry, positions of sensors and engines."""
+
+from __future__ import annotations
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+Scalar = float | Float[Array, ""]
+Position = tuple[Scalar, Scalar, Scalar]
+
+
+class Aircraft(eqx.Module):
+    """Constants in SI; positions are from the centre of gravity in body axes (x forward, y right, z down).
+
+    `reference_point` is where the pitching moment is referred to; `engine` is the point at which the total net
+    thrust acts, inclined upward by `engine_inclination`; `tail_arm` is the distance from the CG to the tailplane.
+    """
+
+    mass: Scalar  # kg
+    Ix: Scalar  # kg m2
+    Iy: Scalar  # kg m2
+    Iz: Scalar  # kg m2
+    Ixz: Scalar  # kg m2
+    wing_area: Scalar  # m2
+    chord: Scalar  # m
+    half_span: Scalar  # m
+    aspect_ratio: Scalar  # -
+    tail_arm: Scalar  # m
+    reference_point: Position = (0.0, 0.0, 0.0)  # m
+    accelerometer: Position = (0.0, 0.0, 0.0)  # m
+    engine: Position = (0.0, 0.0, 0.0)  # m
+    engine_inclination: Scalar = 0.0  # rad
+
+
+AIRCRAFT_UNITS: dict[str, str] = {
+    "mass": "kg",
+    "Ix": "kg m^2",
+    "Iy": "kg m^2",
+    "Iz": "kg m^2",
+    "Ixz": "kg m^2",
+    "wing_area": "m^2",
+    "chord": "m",
+    "half_span": "m",
+    "aspect_ratio": "1",
+    "tail_arm": "m",
+    "reference_point": "m",
+    "accelerometer": "m",
+    "engine": "m",
+    "engine_inclination": "rad",
+}

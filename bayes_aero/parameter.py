@@ -1,0 +1,123 @@
+"""Parameters and their priors: plain data, and the prior's log-density."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import jax.numpy as jnp
+import jax.scipy.stats as stats
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_aero.errors import InputError
+
+FAMILIES = ("normal", "lognormal", "halfnormal", "uniform")
+
+
+@dataclass(frozen=True)
+class Prior:
+    """One parameter's prior distribution.
+
+    `normal`: mean `location`, standard deviation `scale`. `lognormal`: median `location` (> 0), standard deviation
+    `scale` of the logarithm. `halfnormal`: scale `scale` above `location`. `uniform`: from `location` to
+    `location + scale`. `source` names where the numbers come from, or says "our choice".
+    """
+
+    family: str
+    location: float
+    scale: float
+    source: str = "our choice"
+
+    def __post_init__(self) -> None:
+        if self.family not in FAMILIES:
+            raise InputError(f"a prior has the family {self.family!r}; use one of {', '.join(FAMILIES)}")
+        if not (math.isfinite(self.scale) and self.scale > 0.0 and math.isfinite(self.location)):
+            raise InputError(
+                f"a {self.family} prior has location {self.location} and scale {self.scale}; "
+                "both must be finite and the scale positive"
+            )
+        if self.family == "lognormal" and self.location <= 0.0:
+            raise InputError(f"a lognormal prior has the median {self.location}; it must be positive")
+
+    def log_density(self, x: Float[Array, ""]) -> Float[Array, ""]:
+        """Natural logarithm of the prior density at `x`, in the parameter's own unit."""
+        if self.family == "normal":
+            return stats.norm.logpdf(x, self.location, self.scale)
+        if self.family == "halfnormal":
+            above = stats.norm.logpdf(x, self.location, self.scale) + jnp.log(2.0)
+            return jnp.where(x >= self.location, above, -jnp.inf)
+        if self.family == "uniform":
+            return stats.uniform.logpdf(x, self.location, self.scale)
+        safe = jnp.where(x > 0.0, x, 1.0)
+        density = stats.norm.logpdf(jnp.log(safe), math.log(self.location), self.scale) - jnp.log(safe)
+        return jnp.where(x > 0.0, density, -jnp.inf)
+
+    def sample(self, rng: np.random.Generator, size: int) -> np.ndarray:
+        """`size` independent draws, shape (size,)."""
+        if self.family == "normal":
+            return rng.normal(self.location, self.scale, size)
+        if self.family == "halfnormal":
+            return self.location + np.abs(rng.normal(0.0, self.scale, size))
+        if self.family == "uniform":
+            return rng.uniform(self.location, self.location + self.scale, size)
+        return self.location * np.exp(rng.normal(0.0, self.scale, size))
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One scalar of a model, in SI units and radians.
+
+    `neutral` is the value at which the effect that owns the parameter is absent; `start` is where estimation begins;
+    `bounds` are (lower, upper), infinite where there is none.
+    """
+
+    name: str
+    unit: str
+    neutral: float
+    start: float
+    description: str
+    prior: Prior
+    bounds: tuple[float, float] = field(default=(-math.inf, math.inf))
+
+    def __post_init__(self) -> None:
+        lower, upper = self.bounds
+        if not lower < upper:
+            raise InputError(f"parameter {self.name} has bounds {lower} to {upper}; the lower must be smaller")
+        if not (math.isfinite(self.start) and lower <= self.start <= upper):
+            raise InputError(
+                f"parameter {self.name} starts at {self.start}, outside its bounds {lower} to {upper}; "
+                "move the start or widen the bounds"
+            )
+
+    def changed(self, **changes: object) -> Parameter:
+        """A copy with some fields replaced, as a card does."""
+        return replace(self, **changes)  # type: ignore[arg-type]
+
+
+def to_unbounded(parameter: Parameter, x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """Map the open interval of `parameter.bounds` onto the real line (identity, log or logit)."""
+    lower, upper = parameter.bounds
+    if math.isinf(lower) and math.isinf(upper):
+        return x
+    if math.isinf(upper):
+        return jnp.log(x - lower)
+    if math.isinf(lower):
+        return -jnp.log(upper - x)
+    return jnp.log(x - lower) - jnp.log(upper - x)
+
+
+def from_unbounded(
+    parameter: Parameter, u: Float[Array, "*shape"]
+) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+    """The inverse of `to_unbounded`, and log |dx/du|, which the density of `u` carries."""
+    lower, upper = parameter.bounds
+    if math.isinf(lower) and math.isinf(upper):
+        return u, jnp.zeros_like(u)
+    if math.isinf(upper):
+        return lower + jnp.exp(u), u
+    if math.isinf(lower):
+        return upper - jnp.exp(-u), -u
+    share = 1.0 / (1.0 + jnp.exp(-u))
+    log_slope = -jnp.logaddexp(0.0, -u) - jnp.logaddexp(0.0, u) + math.log(upper - lower)
+    return lower + (upper - lower) * share, log_slope

@@ -1,0 +1,97 @@
+"""From recorded accelerations and rates to lift, drag and pitching-moment coefficients.
+
+Formed exactly as the published ATTAS coefficients were: alpha, beta, V smoothed; alpha-dot the derivative of smoothed
+alpha; p, q, r smoothed and differentiated for the angular accelerations, unsmoothed where they enter kinematics.
+Source: Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, ch. 12 and its companion data set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.physics.filters import SMOOTHED_DERIVATIVE_GAIN, SMOOTHING_GAIN, differentiate, smooth
+from bayes_aero.physics.frames import lift_drag_from_body
+from bayes_aero.physics.kinematics import Rotation, lever_arm
+
+NAMES = ("CL", "CD", "Cm")
+SMOOTHED = ("alpha", "beta", "airspeed")
+REQUIRED = ("ax", "az", "p", "q", "r", "alpha", "airspeed", "density", "thrust")
+
+Signals = dict[str, Float[Array, "*n"]]
+
+
+class Coefficients(NamedTuple):
+    """CL, CD (stability axes, about the CG) and Cm (about the aerodynamic reference point), each of shape (n,)."""
+
+    CL: Float[Array, "*n"]
+    CD: Float[Array, "*n"]
+    Cm: Float[Array, "*n"]
+
+
+def condition(channels: Mapping[str, Float[Array, " n"]], dt: float | Float[Array, ""]) -> Signals:
+    """Smoothed and differentiated signals of one manoeuvre, SI and radians, beside the untouched ones.
+
+    Adds `alpha_dot`, `p_dot`, `q_dot`, `r_dot` (derivatives of the smoothed signals), replacing recorded ones.
+    """
+    signals = {name: jnp.asarray(values) for name, values in channels.items()}
+    for name in SMOOTHED:
+        if name in signals:
+            signals[name] = smooth(signals[name])
+    signals["alpha_dot"] = differentiate(signals["alpha"], dt)
+    for name in ("p", "q", "r"):
+        signals[f"{name}_dot"] = differentiate(smooth(signals[name]), dt)
+    return signals
+
+
+def coefficients(signals: Mapping[str, Float[Array, "*n"]], aircraft: Aircraft) -> Coefficients:
+    """CL, CD, Cm from conditioned signals, sample by sample (so it may be differentiated or mapped sample by sample).
+
+    `thrust` is the total net thrust in N, acting at `aircraft.engine`; it is removed from forces and moment.
+    """
+    s, a = signals, aircraft
+    rotation = Rotation(s["p"], s["q"], s["r"], s["p_dot"], s["q_dot"], s["r_dot"])
+    arm_x, _, arm_z = lever_arm(rotation, a.accelerometer)
+    thrust_x = s["thrust"] * jnp.cos(a.engine_inclination)
+    thrust_z = -s["thrust"] * jnp.sin(a.engine_inclination)
+    qbar_S = 0.5 * s["density"] * jnp.square(s["airspeed"]) * a.wing_area
+    CX = (a.mass * (s["ax"] - arm_x) - thrust_x) / qbar_S
+    CZ = (a.mass * (s["az"] - arm_z) - thrust_z) / qbar_S
+    CL, CD = lift_drag_from_body(CX, CZ, s["alpha"])
+
+    x_engine, _, z_engine = a.engine
+    inertial = a.Iy * rotation.q_dot + (rotation.p**2 - rotation.r**2) * a.Ixz
+    inertial = inertial - rotation.p * rotation.r * (a.Iz - a.Ix)
+    aerodynamic = inertial - (thrust_x * z_engine - thrust_z * x_engine)
+    x_ref, _, z_ref = a.reference_point
+    Cm = aerodynamic / (qbar_S * a.chord) - CX * z_ref / a.chord + CZ * x_ref / a.chord
+    return Coefficients(CL, CD, Cm)
+
+
+def coefficient_noise(
+    signals: Mapping[str, Float[Array, " n"]], aircraft: Aircraft, sensor_sd: Mapping[str, float], dt: float
+) -> Float[np.ndarray, "n 3"]:
+    """Standard deviation of CL, CD, Cm per sample from independent white sensor noise of standard deviation `sensor_sd` (SI).
+
+    First order. Smoothing and differentiation scale the noise by their weights' root sum of squares, which is exact
+    away from the outer eight samples; a raw rate and the derivative of its smoothed self are uncorrelated at one
+    sample because the one filter is even and the other odd.
+    """
+    sd = {name: value * (SMOOTHING_GAIN if name in SMOOTHED else 1.0) for name, value in sensor_sd.items()}
+    for name in ("p", "q", "r"):
+        if name in sensor_sd:
+            sd[f"{name}_dot"] = sensor_sd[name] * SMOOTHED_DERIVATIVE_GAIN / dt
+    variance = 0.0
+    for name, value in sd.items():
+        if name not in signals or value == 0.0:
+            continue
+        perturbed = {k: jnp.ones_like(v) if k == name else jnp.zeros_like(v) for k, v in signals.items()}
+        _, slope = jax.jvp(lambda s: coefficients(s, aircraft), (dict(signals),), (perturbed,))
+        variance = variance + jnp.square(jnp.stack(slope, axis=-1) * value)
+    return np.asarray(jnp.sqrt(jnp.broadcast_to(variance, (signals["alpha"].shape[0], 3))))

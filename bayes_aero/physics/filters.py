@@ -1,0 +1,68 @@
+"""Smoothing and differentiation of evenly sampled signals, as the published coefficients were formed.
+
+Source: R. V. Jategaonkar, *Flight Vehicle System Identification*, 2nd ed., AIAA 2015 (companion data set of the ATTAS
+stall). Both operators are linear, keep the length and act on one manoeuvre at a time, never across a seam.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+SPENCER = np.array([-3, -6, -5, 3, 21, 46, 67, 74, 67, 46, 21, 3, -5, -6, -3]) / 320.0
+SHORT_SMOOTHER = np.array([7, 24, 34, 24, 7]) / 96.0
+EIGHTH_ORDER = np.array(
+    [
+        0.88888888887637,
+        -0.31111111109862,
+        0.11313131312500,
+        -0.03535353535135,
+        0.00870240870185,
+        -0.00155400155390,
+        0.00017760017759,
+        -0.00000971250971,
+    ]
+)
+FOURTH_ORDER = np.array([2.0 / 3.0, -1.0 / 12.0])
+MINIMUM_SAMPLES = 20
+
+# Standard deviation of the filtered noise over that of white noise going in, away from the ends.
+SMOOTHING_GAIN = float(np.sqrt(np.sum(SPENCER**2)))
+_DERIVATIVE_KERNEL = np.concatenate([-EIGHTH_ORDER[::-1], [0.0], EIGHTH_ORDER])
+SMOOTHED_DERIVATIVE_GAIN = float(np.sqrt(np.sum(np.convolve(_DERIVATIVE_KERNEL, SPENCER) ** 2)))
+
+
+def smooth(x: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Fifteen-point Spencer filter; five points in samples 4 to 7 from an end; the outer three stay as they are.
+
+    It passes cubics unchanged. `x` has any unit; n >= 20.
+    """
+    x = jnp.asarray(x)
+    n = x.shape[0]
+    inner = jnp.convolve(x, jnp.asarray(SPENCER), mode="valid")  # samples 7 .. n-8
+    short = jnp.convolve(x, jnp.asarray(SHORT_SMOOTHER), mode="valid")  # sample i at short[i-2]
+    return jnp.concatenate([x[:3], short[1:5], inner, short[n - 9 : n - 5], x[n - 3 :]])
+
+
+def _central(x: Float[Array, " n"], weights: np.ndarray) -> Float[Array, " m"]:
+    """Antisymmetric central difference per sample at the n - 2 len(weights) samples that have all neighbours."""
+    half, n = len(weights), x.shape[0]
+    lags = range(1, half + 1)
+    return sum(
+        (w * (x[half + k : n - half + k] - x[half - k : n - half - k]) for k, w in zip(lags, weights, strict=True)),
+        start=jnp.zeros(n - 2 * half),
+    )
+
+
+def differentiate(x: Float[Array, " n"], dt: float | Float[Array, ""]) -> Float[Array, " n"]:
+    """Time derivative: 8th-order central difference, 4th-order in samples 3 to 8 from an end, constant beyond.
+
+    `x` in any unit, `dt` in seconds; result in that unit per second. Exact for quartics away from the outer two samples.
+    """
+    x = jnp.asarray(x)
+    inner = _central(x, EIGHTH_ORDER)  # samples 8 .. n-9
+    near = _central(x, FOURTH_ORDER)  # samples 2 .. n-3
+    n = near.shape[0]
+    body = jnp.concatenate([near[:6], inner, near[n - 6 :]])
+    return jnp.concatenate([body[:1], body[:1], body, body[-1:], body[-1:]]) / dt

@@ -1,0 +1,23 @@
+"""Rotations between body axes (x forward, y right, z down) and stability axes (lift and drag)."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+Samples = Float[Array, "*n"]
+
+
+def lift_drag_from_body(CX: Samples, CZ: Samples, alpha: Samples) -> tuple[Samples, Samples]:
+    """CL and CD from the body-axis force coefficients; `alpha` in rad.
+
+    CL = CX sin alpha - CZ cos alpha, CD = -CX cos alpha - CZ sin alpha (Jategaonkar 2015, Eq. (11) of chapter 12).
+    """
+    sin, cos = jnp.sin(alpha), jnp.cos(alpha)
+    return CX * sin - CZ * cos, -CX * cos - CZ * sin
+
+
+def body_from_lift_drag(CL: Samples, CD: Samples, alpha: Samples) -> tuple[Samples, Samples]:
+    """CX and CZ from lift and drag; the inverse of `lift_drag_from_body`."""
+    sin, cos = jnp.sin(alpha), jnp.cos(alpha)
+    return CL * sin - CD * cos, -CL * cos - CD * sin

@@ -1,0 +1,35 @@
+"""Rigid-body kinematics: what an accelerometer away from the centre of gravity feels."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from jaxtyping import Array, Float
+
+from bayes_aero.flight.aircraft import Position
+
+Samples = Float[Array, "*n"]
+
+
+class Rotation(NamedTuple):
+    """Body rates (rad/s) and angular accelerations (rad/s2)."""
+
+    p: Samples
+    q: Samples
+    r: Samples
+    p_dot: Samples
+    q_dot: Samples
+    r_dot: Samples
+
+
+def lever_arm(rotation: Rotation, position: Position) -> tuple[Samples, Samples, Samples]:
+    """Acceleration (m/s2) at `position` (m, from the CG) relative to the CG: omega_dot x r + omega x (omega x r).
+
+    Full rigid-body expression, the lateral terms too; Klein and Morelli, *Aircraft System Identification*, 2006, Eq. (10.6).
+    """
+    p, q, r, p_dot, q_dot, r_dot = rotation
+    x, y, z = position
+    ax = -x * (q * q + r * r) + y * (p * q - r_dot) + z * (p * r + q_dot)
+    ay = x * (p * q + r_dot) - y * (p * p + r * r) + z * (q * r - p_dot)
+    az = x * (p * r - q_dot) + y * (q * r + p_dot) - z * (p * p + q * q)
+    return ax, ay, az

@@ -1,0 +1,52 @@
+"""The flow separation point X on the upper surface: 1 attached, 0 separated from the leading edge.
+
+Source: Goman and Khrabrov, J. Aircraft 31 (1994) 1109; Fischenberg and Jategaonkar, RTO MP-11 (1999) paper 17.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+Scalar = Float[Array, ""]
+Samples = Float[Array, "*n"]
+
+
+def separation_point(a1: Scalar, alpha: Samples, alpha_star: Scalar) -> Samples:
+    """Static X = (1 - tanh(a1 (alpha - alpha_star)))/2, with alpha in rad and a1 in 1/rad.
+
+    Written as a logistic so that X and its root keep finite derivatives when the flow is fully separated.
+    """
+    return jax.nn.sigmoid(-2.0 * a1 * (alpha - alpha_star))
+
+
+def root(X: Samples) -> Samples:
+    """sqrt X with a finite derivative at X = 0 (Kirchhoff's lift uses the root)."""
+    return jnp.sqrt(jnp.maximum(X, 1e-30))
+
+
+def kirchhoff_factor(X: Samples) -> Samples:
+    """((1 + sqrt X)/2)^2: share of the attached lift-curve slope that Kirchhoff's flow keeps."""
+    return jnp.square((1.0 + root(X)) / 2.0)
+
+
+def lagged(X_static: Float[Array, " n"], tau: Float[Array, " n"], dt: Float[Array, " n"], start: Bool[Array, " n"]):
+    """Solve tau dX/dt + X = X_static over manoeuvres laid end to end; the state restarts where `start` is true.
+
+    `tau` and `dt` (time since the previous sample) in s. Exact for an input linear between samples and tau constant
+    over a step; tau = 0 gives X_static exactly, with the correct derivative there: dX/dtau = -dX_static/dt.
+    """
+    ratio = tau / dt
+    safe = jnp.where(ratio > 1e-3, ratio, 1.0)
+    decay = jnp.where(ratio > 1e-3, jnp.exp(-1.0 / safe), 0.0)
+    new = 1.0 - ratio * (1.0 - decay)
+    old = 1.0 - decay - new
+    previous = jnp.concatenate([X_static[:1], X_static[:-1]])
+    drive = jnp.where(start, X_static, new * X_static + old * previous)
+    keep = jnp.where(start, 0.0, decay)
+
+    def combine(first, second):
+        return first[0] * second[0], second[0] * first[1] + second[1]
+
+    return jax.lax.associative_scan(combine, (keep, drive))[1]
