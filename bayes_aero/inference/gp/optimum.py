@@ -1,0 +1,212 @@
+"""The most probable hyperparameters: many cheap starts on thinned data, the best few polished at all n points.
+
+Only u = (log l, log g) is searched at n x n cost. For each u the other d + 2 hyperparameters are brought to their own
+optimum, which costs no factorisation, and the derivative of the profile is the partial derivative there
+(envelope theorem; variable projection). DPSE has poor local optima (on ATTAS, CD has several), hence the starts.
+"""
+
+import enum
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import minimize
+
+from bayes_aero.inference.gp.density import compiled_posterior
+from bayes_aero.inference.gp.kernel import length_slice, noise_to_signal
+from bayes_aero.inference.gp.priors import HyperPrior, Priors
+from bayes_aero.inference.gp.reduced import ReducedData, ReducedStats, stats_and_gradient
+
+__all__ = ["MapStatus", "Optimum", "find_map", "maximise"]
+
+SD_BOUNDS = (-10.0, 6.0)  # log of scaled sds: 5e-5 to 400 times the output's rms
+LENGTH_BOUNDS = (-4.6, 6.9)  # log of scaled length scales: 0.01 to 1000 sd of the input
+NOISE_BOUNDS = (-20.0, 16.0)  # log sn^2/sf^2; the lower end keeps R factorisable in double precision
+SCREEN_SIZE, MIDDLE_SIZE = 300, 1000
+SAME_OPTIMUM = 0.5  # two optima closer than this in every log l and log g are one
+
+
+class MapStatus(enum.Enum):
+    """How the search for the most probable hyperparameters ended; the value says what to do."""
+
+    converged = "Converged to the best optimum of all starts."
+    at_bound = (
+        "Converged, but a hyperparameter sits on its search bound: the data do not determine it; "
+        "give it a proper prior or leave that input out."
+    )
+    iteration_limit = "Stopped at the iteration limit; raise max_iterations or look for a redundant input."
+    not_positive_definite = (
+        "The covariance matrix could not be factorised: the noise is too small for the data's duplicates; "
+        "give the noise a prior with a larger median."
+    )
+
+
+class Optimum(NamedTuple):
+    """A local optimum: theta (2d + 3,), its log posterior and the largest gradient component left in u."""
+
+    theta: Float[np.ndarray, " p"]
+    value: float
+    gradient: float
+    status: MapStatus
+    evaluations: int
+
+    @property
+    def u(self) -> Float[np.ndarray, " u"]:
+        """(log l, log g) of the optimum."""
+        return noise_to_signal(self.theta)
+
+
+class _NotPositiveDefiniteError(Exception):
+    """R has no Cholesky factor at this u."""
+
+
+def assemble(w: Float[np.ndarray, " w"], u: Float[np.ndarray, " u"]) -> Float[np.ndarray, " p"]:
+    """theta from w = log (s0, s_i, sf) and u = (log l, log g)."""
+    return np.concatenate([w, u[:-1], [w[-1] + 0.5 * u[-1]]])
+
+
+class Profile:
+    """max over w of log q + log p(y | w, u), remembering the last w as the next start."""
+
+    def __init__(self, data: ReducedData, priors: Priors, w: Float[np.ndarray, " w"] | None = None):
+        self.data, self.n = data, float(data.n)
+        self.small = compiled_posterior(priors)
+        self.w = np.zeros(data.x.shape[1] + 2) if w is None else w
+        self.evaluations = 0
+
+    def inner(self, u: Float[np.ndarray, " u"], stats: ReducedStats) -> tuple[Float[np.ndarray, " p"], float]:
+        """Best theta at this u, and its log posterior."""
+
+        def negative(w):
+            value, (by_theta, _, _) = self.small(assemble(w, u), stats.logdet, stats.gram, self.n)
+            by_theta = np.asarray(by_theta)
+            by_w = by_theta[: w.size].copy()
+            by_w[-1] += by_theta[-1]
+            return -float(value), -by_w
+
+        options = {"maxiter": 300, "ftol": 1e-15, "gtol": 1e-7}
+        best = minimize(
+            negative, self.w, jac=True, method="L-BFGS-B", bounds=[SD_BOUNDS] * self.w.size, options=options
+        )
+        self.w = best.x
+        return assemble(best.x, u), -float(best.fun)
+
+    def __call__(
+        self, u: Float[np.ndarray, " u"]
+    ) -> tuple[float, Float[np.ndarray, " u"], Float[np.ndarray, " p"]]:
+        """Profile value at u, its gradient in u, and the theta that attains it."""
+        self.evaluations += 1
+        stats, du = stats_and_gradient(u, self.data)
+        if not stats.ok:
+            raise _NotPositiveDefiniteError
+        theta, value = self.inner(u, stats)
+        _, (by_theta, by_logdet, by_gram) = self.small(theta, stats.logdet, stats.gram, self.n)
+        gradient = float(by_logdet) * du.logdet + np.tensordot(du.gram, np.asarray(by_gram), 2)
+        gradient[:-1] += np.asarray(by_theta)[length_slice(u.size - 1)]
+        gradient[-1] += 0.5 * float(by_theta[-1])
+        return value, gradient, theta
+
+
+def maximise(
+    u: Float[np.ndarray, " u"],
+    data: ReducedData,
+    priors: Priors,
+    *,
+    w: Float[np.ndarray, " w"] | None = None,
+    scale: Float[np.ndarray, " u"] | None = None,
+    max_iterations: int = 60,
+    tolerance: float = 1e-9,
+) -> Optimum:
+    """Local optimum from u (and w) by L-BFGS-B over u / `scale`; `tolerance` is relative in the log posterior."""
+    profile = Profile(data, priors, w)
+    step = np.ones(u.size) if scale is None else scale
+    box = np.array([LENGTH_BOUNDS] * (u.size - 1) + [NOISE_BOUNDS])
+    best: tuple[float, np.ndarray, np.ndarray] | None = None
+
+    def negative(z):
+        nonlocal best
+        value, gradient, theta = profile(z * step)
+        if best is None or value > best[0]:
+            best = value, gradient, theta
+        return -value, -gradient * step
+
+    start = np.clip(u, box[:, 0], box[:, 1]) / step
+    options = {"maxiter": max_iterations, "ftol": tolerance, "gtol": 1e-4, "maxls": 25}
+    try:
+        out = minimize(
+            negative, start, jac=True, method="L-BFGS-B", bounds=box / step[:, None], options=options
+        )
+        status = MapStatus.iteration_limit if out.status == 1 else MapStatus.converged
+    except _NotPositiveDefiniteError:
+        status = MapStatus.not_positive_definite
+    if best is None:
+        return Optimum(assemble(profile.w, u), -np.inf, np.inf, status, profile.evaluations)
+    value, gradient, theta = best
+    at = noise_to_signal(theta)
+    near = np.any(np.isclose(at, box[:, 0], atol=1e-6) | np.isclose(at, box[:, 1], atol=1e-6))
+    near |= np.any(np.isclose(theta[: u.size + 1, None], SD_BOUNDS, atol=1e-6))
+    if status is MapStatus.converged and near:
+        status = MapStatus.at_bound
+    return Optimum(theta, value, float(np.max(np.abs(gradient))), status, profile.evaluations)
+
+
+def starting_points(priors: Priors, d: int, count: int, seed: int) -> Float[np.ndarray, "starts u"]:
+    """`count` starts in u: three fixed ones, the rest from the prior (log-normal(1, 1) where it is flat)."""
+    length, noise = priors.length, priors.noise
+    length = HyperPrior("log-normal", 1.0, 1.0) if length.family == "flat" else length
+    noise = HyperPrior("log-normal", 0.1, 1.0) if noise.family == "flat" else noise
+    fixed = np.array([[0.0] * d + [-3.0], [1.0] * d + [-3.0], [-1.0] * d + [-1.0]])
+    keys = jax.random.split(jax.random.PRNGKey(seed))
+    lengths = np.asarray(length.sample(keys[0], (count, d)))
+    noises = 2.0 * np.asarray(noise.sample(keys[1], (count, 1)))
+    return np.concatenate([fixed, np.hstack([lengths, noises])])[:count]
+
+
+def thinned(data: ReducedData, size: int, seed: int) -> ReducedData:
+    """At most `size` of the samples, chosen at random with `seed`."""
+    if data.n <= size:
+        return data
+    rows = np.sort(np.random.default_rng(seed).choice(data.n, size, replace=False))
+    return ReducedData(data.x[rows], data.fy[rows])
+
+
+def distinct(optima: list[Optimum], count: int) -> list[Optimum]:
+    """The best `count` optima that are not the same one in u, best first; unbounded directions count as equal."""
+    kept: list[Optimum] = []
+    for optimum in sorted(optima, key=lambda o: -o.value):
+        at = np.minimum(optimum.u, 2.5)  # beyond 12 sd of the input a length scale is "flat", wherever it is
+        if all(np.max(np.abs(at - np.minimum(k.u, 2.5))) > SAME_OPTIMUM for k in kept):
+            kept.append(optimum)
+    return kept[:count]
+
+
+def find_map(
+    data: ReducedData,
+    priors: Priors,
+    *,
+    starts: int = 16,
+    polish: int = 2,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> list[Optimum]:
+    """The distinct optima found, best first: `starts` on 300 points, the best 4 on 1000, the best `polish` on n."""
+    tell = progress or (lambda _: None)
+    d = data.x.shape[1]
+    screen = thinned(data, SCREEN_SIZE, seed)
+    tell(f"screening {starts} starts on {screen.n} points")
+    points = starting_points(priors, d, starts, seed)
+    found = [maximise(u, screen, priors, max_iterations=30, tolerance=1e-5) for u in points]
+    found = distinct(found, 4)
+    middle = thinned(data, MIDDLE_SIZE, seed + 1)
+    if middle.n > screen.n:
+        tell(f"refining {len(found)} optima on {middle.n} points")
+        found = [
+            maximise(o.u, middle, priors, w=o.theta[: d + 2], max_iterations=40, tolerance=1e-7)
+            for o in found
+        ]
+        found = distinct(found, polish)
+    tell(f"polishing {len(found[:polish])} optima on all {data.n} points")
+    found = [maximise(o.u, data, priors, w=o.theta[: d + 2]) for o in found[:polish]]
+    return distinct(found, polish)
