@@ -1,0 +1,133 @@
+"""A flight record: one manoeuvre, named channels of equal length, in SI."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from bayes_aero.errors import InputError
+
+__all__ = ["FlightRecord"]
+
+
+def _frozen(values: Any, label: str, n: int | None = None) -> np.ndarray:
+    """A private, read-only float64 vector; `n` is the length it must have."""
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as reason:
+        raise InputError(f"{label} is not numeric ({reason}); give a vector of numbers") from reason
+    if array.ndim != 1:
+        raise InputError(f"{label} has shape {array.shape}; give a vector, one value a sample")
+    if n is not None and array.size != n:
+        raise InputError(
+            f"{label} has {array.size} samples where time has {n}; all channels need the same length"
+        )
+    array.flags.writeable = False
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class FlightRecord:
+    """One manoeuvre. Immutable: the arrays are read-only copies.
+
+    Attributes:
+        name: short name, the stem of the file.
+        time: (n,) time in s, as in the file.
+        channels: channel name -> (n,) values in SI and radians; time is not among them.
+        source: where the record came from, for provenance.
+        sha256: SHA-256 of the file's bytes; of the arrays' bytes for a record made in memory.
+    """
+
+    name: str
+    time: np.ndarray
+    channels: Mapping[str, np.ndarray]
+    source: str
+    sha256: str
+
+    def __post_init__(self) -> None:
+        time = _frozen(self.time, f"record {self.name}: channel time")
+        frozen = {
+            key: _frozen(values, f"record {self.name}: channel {key}", time.size)
+            for key, values in self.channels.items()
+            if key != "time"
+        }
+        object.__setattr__(self, "time", time)
+        object.__setattr__(self, "channels", MappingProxyType(frozen))
+
+    @classmethod
+    def from_arrays(
+        cls, name: str, time: Any, channels: Mapping[str, Any], source: str = "arrays in memory"
+    ) -> FlightRecord:
+        """A record of (n,) arrays in SI. Not checked for plausibility: `checks.check_record` does that."""
+        record = cls(name, time, channels, source, "")
+        digest = hashlib.sha256(record.time.tobytes())
+        for key in sorted(record.channels):
+            digest.update(key.encode() + b"\0" + record.channels[key].tobytes())
+        return cls(name, record.time, record.channels, source, digest.hexdigest())
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return int(self.time.size)
+
+    def __len__(self) -> int:
+        return self.n
+
+    @cached_property
+    def dt(self) -> float:
+        """Sampling interval in s: the mean step, for the checks ensure that all steps agree."""
+        if self.n < 2:
+            raise InputError(
+                f"record {self.name} has {self.n} samples; two are needed for a sampling interval"
+            )
+        return float((self.time[-1] - self.time[0]) / (self.n - 1))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All channels, time first."""
+        return ("time", *self.channels)
+
+    def has(self, name: str) -> bool:
+        """Whether the channel was recorded."""
+        return name == "time" or name in self.channels
+
+    def __getitem__(self, channel: str) -> np.ndarray:
+        if channel == "time":
+            return self.time
+        if channel in self.channels:
+            return self.channels[channel]
+        close = get_close_matches(channel, self.channels, n=1)
+        hint = f" (did you mean {close[0]}?)" if close else ""
+        mapped = ", ".join(self.names)
+        raise InputError(
+            f"record {self.name} has no channel {channel}{hint}; the card maps these: {mapped}; add it to "
+            f"[channels]"
+        )
+
+    def window(self, t0: float, t1: float) -> FlightRecord:
+        """The samples with t0 <= time <= t1 (s), as a record of its own that remembers its file."""
+        slack = 1e-6 * self.dt  # 0.04 * 25 is not 1 in binary
+        keep = (self.time >= t0 - slack) & (self.time <= t1 + slack)
+        if not keep.any():
+            raise InputError(
+                f"record {self.name} has no sample between {t0:g} and {t1:g} s; "
+                f"it runs from {self.time[0]:g} to {self.time[-1]:g} s"
+            )
+        return FlightRecord(
+            name=f"{self.name}_{t0:g}-{t1:g}s",
+            time=self.time[keep],
+            channels={key: values[keep] for key, values in self.channels.items()},
+            source=f"{self.source}, {t0:g} s to {t1:g} s",
+            sha256=self.sha256,
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # A mapping proxy cannot be pickled, and records are sent to worker processes.
+        return FlightRecord, (self.name, self.time, dict(self.channels), self.source, self.sha256)

@@ -1,0 +1,162 @@
+"""Text files: header-less columns (.asc .txt .dat, the ATTAS layout) and CSV."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+
+import numpy as np
+
+from bayes_aero.errors import InputError
+from bayes_aero.flight.channel import Channel
+from bayes_aero.flight.columns import Column, foreign, located
+
+__all__ = ["read_columns", "read_csv"]
+
+Lines = list[tuple[int, str]]
+"""Lines that carry data, each with its number in the file, counted from 1."""
+
+
+def read_columns(data: bytes, channels: Sequence[Channel]) -> dict[str, Column]:
+    """Whitespace-separated columns without a header; channels by their 1-based column."""
+    lines = _lines(data, comments="#%")
+    width = len(lines[0][1].split())
+    _refuse_ragged(lines, [len(line.split()) for _, line in lines], width)
+    wanted = []
+    for channel in channels:
+        if channel.column is not None and 1 <= channel.column <= width:
+            wanted.append(channel)
+        elif channel.required and channel.column is None:
+            raise InputError(
+                f"channel {channel.name} has no column number on the card, and the file has no header; "
+                f"add column = N, or write the file as .csv with a header"
+            )
+        elif channel.required:
+            raise InputError(
+                f"channel {channel.name} is column {channel.column} on the card, but the file has {width} "
+                f"columns; "
+                f"correct the column, or set required = false"
+            )
+    indices = [channel.column - 1 for channel in wanted if channel.column is not None]
+    values = _numbers(lines, indices, wanted, separator=None)
+    return {channel.name: Column(values[:, k]) for k, channel in enumerate(wanted)}
+
+
+def read_csv(data: bytes, channels: Sequence[Channel]) -> dict[str, Column]:
+    """CSV with a header line, an optional line of units below it, and "," ";" or tab between the cells.
+
+    With ";" a decimal comma is understood, as spreadsheets write it in much of Europe.
+    """
+    lines = _lines(data, comments="#")
+    number, header = lines[0]
+    separator = max(";\t,", key=header.count)
+    headings = _cells(header, separator, number)
+    wanted = located(channels, headings, "column")
+    indices = [headings.index(channel.heading) for channel in wanted]
+    body, units = lines[1:], {}
+    if body:
+        cells = _cells(body[0][1], separator, body[0][0])
+        picked = [cells[i] if i < len(cells) else "" for i in indices]
+        # A unit line has no number in any wanted column; "1" is a unit too, but never the only one: time has
+        # "s".
+        if picked and not any(_is_number(cell, separator) for cell in picked if cell != "1"):
+            units = {channel.name: cell.strip("[]() ") for channel, cell in zip(wanted, picked, strict=True)}
+            body = body[1:]
+    if not body:
+        raise InputError(f"it has a header (line {number}) but no samples below it; write the record again")
+    if any('"' in line for _, line in body):
+        body = [(at, line.replace('"', "")) for at, line in body]  # quotes mean nothing around numbers
+    width = len(headings)
+    if all(line.endswith(separator) for _, line in body) and body[0][1].count(separator) == width:
+        body = [
+            (at, line[:-1]) for at, line in body
+        ]  # one separator too many at every end is a habit of loggers
+    _refuse_ragged(body, [line.count(separator) + 1 for _, line in body], width)
+    if separator == ";":
+        body = [(at, line.replace(",", ".")) for at, line in body]
+    values = _numbers(body, indices, wanted, separator)
+    return {channel.name: Column(values[:, k], units.get(channel.name)) for k, channel in enumerate(wanted)}
+
+
+def _lines(data: bytes, comments: str) -> Lines:
+    """Decode; drop comments and blank lines."""
+    if b"\0" in data:
+        raise InputError(
+            "it is not a text file (it holds NUL bytes); is it misnamed, or UTF-16? Save it as UTF-8 text"
+        )
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")  # older loggers: only the degree sign in a unit line is at stake
+    rows = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    for mark in comments:
+        if mark in text:
+            rows = [row.partition(mark)[0] for row in rows]
+    lines = [(number, row.strip(" ")) for number, row in enumerate(rows, 1) if row and not row.isspace()]
+    if not lines:
+        raise InputError("it holds no data, only blank lines or comments; write the record again")
+    return lines
+
+
+def _cells(line: str, separator: str, number: int) -> list[str]:
+    with foreign(f"CSV file, line {number}"):
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True))]
+
+
+def _is_number(cell: str, separator: str) -> bool:
+    try:
+        float(cell.replace(",", ".") if separator == ";" else cell)
+    except ValueError:
+        return cell == ""  # an empty cell is a missing number, not a unit
+    return True
+
+
+def _refuse_ragged(lines: Lines, widths: list[int], width: int) -> None:
+    for (number, _), found in zip(lines, widths, strict=True):
+        if found != width:
+            sample = number - lines[0][0]
+            raise InputError(
+                f"line {number} (about sample {sample}) has {found} columns where {width} are expected, as "
+                f"in the "
+                f"first line; complete or delete that line"
+            )
+
+
+def _numbers(
+    lines: Lines, indices: list[int], channels: Sequence[Channel], separator: str | None
+) -> np.ndarray:
+    """The (n, len(indices)) numbers in the given columns."""
+    rows = [line for _, line in lines]
+    try:
+        return np.loadtxt(
+            rows, delimiter=separator, usecols=indices, ndmin=2, comments=None, dtype=np.float64
+        )
+    except (ValueError, IndexError) as reason:
+        raise InputError(_not_a_number(lines, indices, channels, separator)) from reason
+
+
+def _not_a_number(
+    lines: Lines, indices: list[int], channels: Sequence[Channel], separator: str | None
+) -> str:
+    """Find the cell that stopped the parser."""
+    for sample, (number, line) in enumerate(lines):
+        cells = line.split(separator)
+        for index, channel in zip(indices, channels, strict=True):
+            cell = cells[index].strip()
+            try:
+                float(cell)
+                sound = "_" not in cell
+            except ValueError:
+                sound = False
+            if not sound:
+                what = f"the text {cell[:30]!r}" if cell else "an empty cell"
+                header = (
+                    " Files of this kind have no header; write it as .csv to keep one." if sample == 0 else ""
+                )
+                return (
+                    f"channel {channel.name} has {what} where a number should be, in line {number}, column "
+                    f"{index + 1} "
+                    f"(sample {sample}, counted from 0); correct or delete that line."
+                    + (header if separator is None else "")
+                )
+    return "its numbers cannot be read; write the file again"
