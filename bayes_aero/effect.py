@@ -62,9 +62,9 @@ class Example:
     known: Mapping[str, float] | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Effect:
-    """One physical cause.
+    """One physical cause. Two effects are equal only if they are the same object, so a model is hashable.
 
     `claim` is the sentence that a report prints when the effect is found. `increments(values, signals, aircraft,
     known)` is pure, works on one sample or on arrays of samples alike, and returns what to add to `known`; with every

@@ -26,7 +26,12 @@ EFFECT = Effect(
             20.0,
             20.0,
             "abruptness of the stall",
-            Prior("lognormal", 20.0, 0.7, "15 to 35 for transports, Fischenberg and Jategaonkar 1999; width our choice"),
+            Prior(
+                "lognormal",
+                20.0,
+                0.7,
+                "15 to 35 for transports, Fischenberg and Jategaonkar 1999; width our choice",
+            ),
             (1.0, 200.0),
         ),
         Parameter(

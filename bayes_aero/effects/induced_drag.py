@@ -25,7 +25,12 @@ EFFECT = Effect(
             math.inf,
             0.8,
             "Oswald efficiency factor",
-            Prior("lognormal", 0.8, 0.5, "0.7 to 0.9 for transports (Raymer, Aircraft Design, 12.6); width our choice"),
+            Prior(
+                "lognormal",
+                0.8,
+                0.5,
+                "0.7 to 0.9 for transports (Raymer, Aircraft Design, 12.6); width our choice",
+            ),
             (0.05, 10.0),
         ),
     ),

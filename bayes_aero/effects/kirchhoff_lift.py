@@ -19,7 +19,11 @@ EFFECT = Effect(
     channels=("alpha",),
     increments=increments,
     example=Example(
-        {"CLa": 4.0}, {"alpha": 0.2}, {"CL": 4.0 * 0.2 * (0.5625 - 1.0)}, "X = 1/4, by hand", known={"X": 0.25}
+        {"CLa": 4.0},
+        {"alpha": 0.2},
+        {"CL": 4.0 * 0.2 * (0.5625 - 1.0)},
+        "X = 1/4, by hand",
+        known={"X": 0.25},
     ),
     source="Kirchhoff's theory of free streamlines; Fischenberg and Jategaonkar 1999",
 )

@@ -19,6 +19,8 @@ EFFECT = Effect(
     ),
     channels=("alpha", "mach"),
     increments=increments,
-    example=Example({"CLaM": 9.0}, {"alpha": 0.1, "mach": 0.3}, {"CL_attached": 0.27}, "9 x 0.3 x 0.1, by hand"),
+    example=Example(
+        {"CLaM": 9.0}, {"alpha": 0.1, "mach": 0.3}, {"CL_attached": 0.27}, "9 x 0.3 x 0.1, by hand"
+    ),
     source="the ATTAS stall model as published with the data of Jategaonkar 2015",
 )

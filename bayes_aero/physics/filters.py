@@ -6,6 +6,7 @@ stall). Both operators are linear, keep the length and act on one manoeuvre at a
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -50,7 +51,10 @@ def _central(x: Float[Array, " n"], weights: np.ndarray) -> Float[Array, " m"]:
     half, n = len(weights), x.shape[0]
     lags = range(1, half + 1)
     return sum(
-        (w * (x[half + k : n - half + k] - x[half - k : n - half - k]) for k, w in zip(lags, weights, strict=True)),
+        (
+            w * (x[half + k : n - half + k] - x[half - k : n - half - k])
+            for k, w in zip(lags, weights, strict=True)
+        ),
         start=jnp.zeros(n - 2 * half),
     )
 
@@ -66,3 +70,12 @@ def differentiate(x: Float[Array, " n"], dt: float | Float[Array, ""]) -> Float[
     n = near.shape[0]
     body = jnp.concatenate([near[:6], inner, near[n - 6 :]])
     return jnp.concatenate([body[:1], body[:1], body, body[-1:], body[-1:]]) / dt
+
+
+def recurrence(keep: Float[Array, "n *c"], drive: Float[Array, "n *c"]) -> Float[Array, "n *c"]:
+    """x[k] = keep[k] x[k-1] + drive[k] along the first axis, x before the first sample being zero."""
+
+    def combine(first, second):
+        return first[0] * second[0], second[0] * first[1] + second[1]
+
+    return jax.lax.associative_scan(combine, (keep, drive))[1]

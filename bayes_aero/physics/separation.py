@@ -9,6 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from bayes_aero.physics.filters import recurrence
+
 Scalar = Float[Array, ""]
 Samples = Float[Array, "*n"]
 
@@ -31,7 +33,9 @@ def kirchhoff_factor(X: Samples) -> Samples:
     return jnp.square((1.0 + root(X)) / 2.0)
 
 
-def lagged(X_static: Float[Array, " n"], tau: Float[Array, " n"], dt: Float[Array, " n"], start: Bool[Array, " n"]):
+def lagged(
+    X_static: Float[Array, " n"], tau: Float[Array, " n"], dt: Float[Array, " n"], start: Bool[Array, " n"]
+):
     """Solve tau dX/dt + X = X_static over manoeuvres laid end to end; the state restarts where `start` is true.
 
     `tau` and `dt` (time since the previous sample) in s. Exact for an input linear between samples and tau constant
@@ -46,7 +50,4 @@ def lagged(X_static: Float[Array, " n"], tau: Float[Array, " n"], dt: Float[Arra
     drive = jnp.where(start, X_static, new * X_static + old * previous)
     keep = jnp.where(start, 0.0, decay)
 
-    def combine(first, second):
-        return first[0] * second[0], second[0] * first[1] + second[1]
-
-    return jax.lax.associative_scan(combine, (keep, drive))[1]
+    return recurrence(keep, drive)

@@ -1,0 +1,247 @@
+"""The card: one TOML file per aircraft with channels, constants, active effects, priors and sensor noise."""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from bayes_aero.errors import InputError
+from bayes_aero.flight.aircraft import AIRCRAFT_UNITS, Aircraft
+from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
+from bayes_aero.parameter import Prior
+from bayes_aero.units import quantity_to_si
+
+SECTIONS = ("title", "source", "aircraft", "channels", "sums", "sensors", "model", "parameters", "gp")
+PARAMETER_KEYS = ("start", "bounds", "prior")
+POSITIONS = ("reference_point", "accelerometer", "engine")
+
+
+@dataclass(frozen=True)
+class ParameterChange:
+    """What a card says of a parameter; None leaves the effect's own value."""
+
+    start: float | None = None
+    bounds: tuple[float, float] | None = None
+    prior: Prior | None = None
+
+
+@dataclass(frozen=True)
+class Card:
+    """One aircraft and its model, as read from a card."""
+
+    name: str
+    title: str
+    source: str
+    sha256: str
+    aircraft: Aircraft
+    channels: tuple[Channel, ...]
+    sums: Mapping[str, tuple[str, ...]]
+    sensors: Mapping[str, float]
+    effects: tuple[str, ...]
+    fixed: Mapping[str, float]
+    changes: Mapping[str, ParameterChange] = field(default_factory=dict)
+    gp_inputs: tuple[str, ...] = ("alpha", "elevator", "q", "airspeed")
+
+
+def shipped_cards() -> dict[str, Path]:
+    """Cards that come with the package, by name."""
+    here = Path(__file__).resolve().parents[1]
+    for folder in (here / "models", here.parent / "models"):  # the wheel's place, then the source tree's
+        if folder.is_dir():
+            return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+    return {}
+
+
+def read_card(name_or_path: str | Path) -> Card:
+    """Read a card from a file, or a shipped one by name (`attas`)."""
+    path = Path(name_or_path)
+    if not path.is_file():
+        cards = shipped_cards()
+        if str(name_or_path) not in cards:
+            raise InputError(
+                f"there is no card {str(name_or_path)!r}: give a .toml file or one of {', '.join(cards) or 'none'}"
+            )
+        path = cards[str(name_or_path)]
+    try:
+        raw = path.read_bytes()
+        table = tomllib.loads(raw.decode("utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"card {path}: not valid TOML ({error}); mend that line") from None
+    except OSError as error:
+        raise InputError(
+            f"card {path}: cannot be read ({error.strerror}); check the path and its permissions"
+        ) from None
+    return parse_card(table, path.stem, str(path), hashlib.sha256(raw).hexdigest())
+
+
+def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = "") -> Card:
+    """Check a card's table and turn it into a `Card`; `where` is named in errors."""
+    _known_keys(table, SECTIONS, where, "section")
+    for section in ("aircraft", "channels", "model"):
+        if not isinstance(table.get(section), dict):
+            raise InputError(f"card {where}: section [{section}] is missing; see models/attas.toml for one")
+    channels = tuple(_channel(key, value, where) for key, value in table["channels"].items())
+    model = table["model"]
+    _known_keys(model, ("effects", "fixed"), where, "key of [model]")
+    effects = model.get("effects")
+    if not (isinstance(effects, list) and effects and all(isinstance(e, str) for e in effects)):
+        raise InputError(f"card {where}: [model] effects must be a list of effect names")
+    if len(set(effects)) < len(effects):
+        raise InputError(f"card {where}: [model] effects names an effect twice")
+    return Card(
+        name=name,
+        title=str(table.get("title", name)),
+        source=str(table.get("source", "not stated")),
+        sha256=sha256,
+        aircraft=_aircraft(table["aircraft"], where),
+        channels=channels,
+        sums=_sums(_section(table, "sums", where), channels, where),
+        sensors=_sensors(_section(table, "sensors", where), where),
+        effects=tuple(effects),
+        fixed={
+            key: _number(value, f"{where}: [model] fixed {key}")
+            for key, value in dict(model.get("fixed", {})).items()
+        },
+        changes={
+            key: _change(key, value, where) for key, value in _section(table, "parameters", where).items()
+        },
+        gp_inputs=_gp_inputs(_section(table, "gp", where), where),
+    )
+
+
+def _section(table: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
+    value = table.get(key, {})
+    if not isinstance(value, dict):
+        raise InputError(f"card {where}: {key} must be a section, [{key}]")
+    return value
+
+
+def _known_keys(table: Mapping[str, Any], known: tuple[str, ...], where: str, what: str) -> None:
+    for key in table:
+        if key not in known:
+            close = get_close_matches(key, known, n=1)
+            hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known)}"
+            raise InputError(f"card {where}: unknown {what} {key!r}; {hint}")
+
+
+def _number(value: Any, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"card {where}: {value!r} is not a number")
+    return float(value)
+
+
+def _aircraft(table: Mapping[str, Any], where: str) -> Aircraft:
+    _known_keys(table, tuple(AIRCRAFT_UNITS), where, "key of [aircraft]")
+    values: dict[str, Any] = {}
+    for key, unit in AIRCRAFT_UNITS.items():
+        if key not in table:
+            if key in (*POSITIONS, "engine_inclination"):
+                continue
+            raise InputError(
+                f'card {where}: [aircraft] has no {key}; add it with its unit, e.g. {key} = "... {unit}"'
+            )
+        given = table[key]
+        if key in POSITIONS:
+            if not (isinstance(given, list) and len(given) == 3):
+                raise InputError(f"card {where}: [aircraft] {key} must be three lengths, [x, y, z]")
+            values[key] = tuple(
+                quantity_to_si(part, unit, f"card {where}: [aircraft] {key}") for part in given
+            )
+        else:
+            values[key] = quantity_to_si(given, unit, f"card {where}: [aircraft] {key}")
+    for key in ("mass", "Ix", "Iy", "Iz", "wing_area", "chord", "aspect_ratio", "tail_arm"):
+        if not values[key] > 0.0:
+            raise InputError(
+                f"card {where}: [aircraft] {key} is {values[key]} {AIRCRAFT_UNITS[key]}; it must be positive"
+            )
+    return Aircraft(**values)
+
+
+def _channel(key: str, given: Any, where: str) -> Channel:
+    if not isinstance(given, dict):
+        raise InputError(f'card {where}: channel {key} must be a table, e.g. {{ column = 13, unit = "deg" }}')
+    _known_keys(given, ("column", "label", "unit", "required"), where, f"key of channel {key}")
+    if "unit" not in given:
+        raise InputError(f"card {where}: channel {key} has no unit; state the unit that the file is in")
+    column = given.get("column")
+    if column is not None and (isinstance(column, bool) or not isinstance(column, int) or column < 1):
+        raise InputError(f"card {where}: channel {key} has column {column!r}; columns are counted from 1")
+    if column is None and "label" not in given:
+        raise InputError(
+            f"card {where}: channel {key} has neither column nor label; say where it stands in a file"
+        )
+    label = given.get("label")
+    return Channel(
+        name=key,
+        unit=str(given["unit"]),
+        label=None if label is None else str(label),
+        column=column,
+        required=bool(given.get("required", True)),
+    )
+
+
+def _sums(table: Mapping[str, Any], channels: tuple[Channel, ...], where: str) -> dict[str, tuple[str, ...]]:
+    names = {channel.name for channel in channels}
+    for key, parts in table.items():
+        if not (isinstance(parts, list) and parts):
+            raise InputError(f"card {where}: [sums] {key} must be a list of channel names")
+        missing = [part for part in parts if part not in names]
+        if missing:
+            raise InputError(f"card {where}: [sums] {key} uses {missing[0]}, which [channels] does not map")
+    return {key: tuple(parts) for key, parts in table.items()}
+
+
+def _sensors(table: Mapping[str, Any], where: str) -> dict[str, float]:
+    sensors = {}
+    for key, value in table.items():
+        unit = STANDARD_CHANNELS[key].unit if key in STANDARD_CHANNELS else "N" if key == "thrust" else None
+        if unit is None:
+            raise InputError(f"card {where}: [sensors] {key} is not a channel of the program")
+        sensors[key] = quantity_to_si(value, unit, f"card {where}: [sensors] {key}")
+        if not sensors[key] >= 0.0:
+            raise InputError(
+                f"card {where}: [sensors] {key} is {value!r}; a standard deviation cannot be negative"
+            )
+    return sensors
+
+
+def _change(key: str, given: Any, where: str) -> ParameterChange:
+    if not isinstance(given, dict):
+        raise InputError(f"card {where}: [parameters.{key}] must be a table")
+    _known_keys(given, PARAMETER_KEYS, where, f"key of [parameters.{key}]")
+    bounds = given.get("bounds")
+    if bounds is not None and not (isinstance(bounds, list) and len(bounds) == 2):
+        raise InputError(f"card {where}: [parameters.{key}] bounds must be [lower, upper]")
+    label = f"{where}: [parameters.{key}]"
+    return ParameterChange(
+        start=None if "start" not in given else _number(given["start"], label),
+        bounds=None if bounds is None else (_number(bounds[0], label), _number(bounds[1], label)),
+        prior=None if "prior" not in given else _prior(given["prior"], label),
+    )
+
+
+def _prior(given: Any, label: str) -> Prior:
+    if not isinstance(given, dict):
+        raise InputError(f"card {label} prior must be a table with family, location, scale and source")
+    _known_keys(given, ("family", "location", "scale", "source"), label, "key of prior")
+    for key in ("family", "location", "scale"):
+        if key not in given:
+            raise InputError(f"card {label} prior has no {key}")
+    location, scale = _number(given["location"], label), _number(given["scale"], label)
+    try:
+        return Prior(str(given["family"]), location, scale, str(given.get("source", "our choice")))
+    except InputError as error:
+        raise InputError(f"card {label}: {error}") from None
+
+
+def _gp_inputs(table: Mapping[str, Any], where: str) -> tuple[str, ...]:
+    _known_keys(table, ("inputs",), where, "key of [gp]")
+    inputs = table.get("inputs", ["alpha", "elevator", "q", "airspeed"])
+    if not (isinstance(inputs, list) and inputs and all(isinstance(name, str) for name in inputs)):
+        raise InputError(f"card {where}: [gp] inputs must be a list of signal names")
+    return tuple(inputs)

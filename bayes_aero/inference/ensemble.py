@@ -1,0 +1,151 @@
+"""The posterior by emcee: several independent ensembles on the one density."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import emcee
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_aero.inference.laplace import Mode
+from bayes_aero.inference.posterior import Posterior, assemble, converged, diagnose
+from bayes_aero.model.density import Density
+
+ENSEMBLES = 4
+DEGREES = 5.0  # of freedom of the independence proposal: tails heavier than the posterior's
+INDEPENDENT = (
+    0.7  # share of independence moves; the rest is differential evolution, which needs no good proposal
+)
+BURN_IN = 150
+CHUNK = 100
+MAX_STEPS = 4000
+AUTOCORRELATION_TIMES = (
+    50  # a run must be this long before its autocorrelation time is believed (emcee's own rule)
+)
+
+
+@eqx.filter_jit
+def _log_density(
+    density: Density, u: Float[Array, " k"], factor: Float[Array, "k k"], v: Float[Array, "m k"]
+):
+    """Log-density of whitened coordinates, one row a walker."""
+    return jax.vmap(lambda row: density(u + factor @ row))(v)
+
+
+class _Independent:
+    """Metropolis-Hastings proposal from one multivariate Student t, the same for every walker."""
+
+    def __init__(self, centre: np.ndarray, factor: np.ndarray) -> None:
+        self.centre, self.factor, self.inverse = centre, factor, np.linalg.inv(factor)
+
+    def _log_density(self, v: np.ndarray) -> np.ndarray:
+        squared = np.sum(((v - self.centre) @ self.inverse.T) ** 2, axis=1)
+        return -0.5 * (DEGREES + v.shape[1]) * np.log1p(squared / DEGREES)
+
+    def __call__(self, coords: np.ndarray, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
+        normal = random.standard_normal(coords.shape)
+        spread = np.sqrt(DEGREES / random.chisquare(DEGREES, size=(len(coords), 1)))
+        proposed = self.centre + (normal * spread) @ self.factor.T
+        return proposed, self._log_density(coords) - self._log_density(proposed)
+
+
+class _Target:
+    """The density as emcee calls it; non-finite values are counted, not hidden."""
+
+    def __init__(self, density: Density, mode: Mode) -> None:
+        self.density, self.mode, self.rejected = density, mode, 0
+
+    def __call__(self, v: np.ndarray) -> np.ndarray:
+        value = np.asarray(_log_density(self.density, self.mode.u, self.mode.factor, v))
+        bad = ~np.isfinite(value)
+        self.rejected += int(bad.sum())
+        return np.where(bad, -np.inf, value)
+
+
+def _sampler(target: _Target, walkers: int, proposal: _Independent, seed: int) -> emcee.EnsembleSampler:
+    size = target.density.size
+    moves = [(emcee.moves.MHMove(proposal), INDEPENDENT), (emcee.moves.DEMove(), 1.0 - INDEPENDENT)]
+    sampler = emcee.EnsembleSampler(walkers, size, target, moves=moves, vectorize=True)
+    sampler.random_state = np.random.RandomState(seed).get_state()  # emcee takes this generator only
+    return sampler
+
+
+def _burn_in(target: _Target, walkers: int, seed: int) -> emcee.EnsembleSampler:
+    """Burn in on the Laplace proposal, then set up the sampler whose proposal is what the burn-in found."""
+    size = target.density.size
+    first = _sampler(target, walkers, _Independent(np.zeros(size), np.eye(size)), seed)
+    start = np.random.default_rng(seed).standard_normal((walkers, size)) * 0.5
+    state = first.run_mcmc(start, BURN_IN)
+    found = first.get_chain(discard=BURN_IN // 3, flat=True)
+    proposal = _Independent(found.mean(axis=0), np.linalg.cholesky(np.cov(found.T)))
+    sampler = _sampler(target, walkers, proposal, seed + 1)
+    sampler.run_mcmc(state.coords, CHUNK)
+    return sampler
+
+
+def _chains(samplers: list[emcee.EnsembleSampler]) -> Float[np.ndarray, "chain draw k"]:
+    """One chain per ensemble, its walkers end to end: so R-hat compares ensembles and ESS sees each walker's memory."""
+    return np.stack([np.swapaxes(s.get_chain(), 0, 1).reshape(-1, s.ndim) for s in samplers])
+
+
+def sample_ensemble(
+    density: Density,
+    mode: Mode,
+    *,
+    seed: int = 0,
+    ensembles: int = ENSEMBLES,
+    max_steps: int = MAX_STEPS,
+    progress: Callable[[str, float], None] | None = None,
+    predictive: bool = True,
+) -> Posterior:
+    """Sample until every parameter reaches the targets of ESS and R-hat and the run spans many autocorrelation times.
+
+    Moves, chosen by measurement (benchmarks/README.md): independence proposals from a Student t fitted to the burn-in,
+    mixed with differential evolution. The proposal is frozen before the kept draws begin. `progress(text, share)` is
+    called after every stretch of steps.
+    """
+    began = time.perf_counter()
+    walkers = 2 * (density.size + 2)
+    target = _Target(density, mode)
+    samplers = [_burn_in(target, walkers, 1000 * seed + 10 * i) for i in range(ensembles)]
+    constrain = jax.jit(jax.vmap(jax.vmap(density.constrain)))
+    while True:
+        v = _chains(samplers)
+        x = np.asarray(constrain(mode.unwhiten(v)))
+        marginals = diagnose(x, density.names)
+        steps = samplers[0].iteration
+        tau = max(float(np.max(s.get_autocorr_time(tol=0))) for s in samplers)
+        if progress:
+            least = min(m.ess_bulk for m in marginals.values())
+            progress(
+                f"emcee: {steps} steps, ESS {least:.0f}", min(1.0, steps / (AUTOCORRELATION_TIMES * tau))
+            )
+        if (converged(marginals) and steps >= AUTOCORRELATION_TIMES * tau) or steps >= max_steps:
+            break
+        for sampler in samplers:
+            sampler.run_mcmc(None, CHUNK)
+    length = samplers[0].iteration
+    stats = {
+        "lp": np.stack([s.get_log_prob().T.ravel() for s in samplers]),
+        "walker": np.tile(np.repeat(np.arange(walkers), length), (ensembles, 1)),
+    }
+    posterior = assemble(
+        density,
+        x,
+        engine="emcee",
+        seed=seed,
+        seconds=time.perf_counter() - began,
+        sample_stats=stats,
+        predictive=predictive,
+    )
+    posterior.tree.attrs |= {
+        "autocorrelation_time": tau,
+        "acceptance": float(np.mean([s.acceptance_fraction.mean() for s in samplers])),
+        "non_finite_densities": target.rejected,
+        "walkers": walkers,
+    }
+    return posterior

@@ -1,0 +1,117 @@
+"""The posterior mode and its curvature: where samplers start and the scale on which they work."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+from scipy import optimize
+
+from bayes_aero.model.density import Density
+
+FLOOR = 1e-8  # smallest curvature, relative to the largest, that is taken at face value
+
+
+class ModeStatus(Enum):
+    """How the search for the mode ended; the value is what to tell the user."""
+
+    CONVERGED = "converged"
+    NOT_CONVERGED = "the posterior mode was not reached; the samplers start from the best point found"
+    FLAT = (
+        "the posterior is flat or saddle-shaped at its mode; some combination of parameters is not identified"
+    )
+
+
+@dataclass(frozen=True)
+class Mode:
+    """`u` is the mode on the unbounded scale, `factor` the lower Cholesky factor of the inverse curvature there."""
+
+    u: Float[np.ndarray, " k"]
+    factor: Float[np.ndarray, "k k"]
+    log_density: float
+    status: ModeStatus
+
+    def unwhiten(self, v: Float[np.ndarray, "*m k"]) -> Float[np.ndarray, "*m k"]:
+        """u of whitened coordinates v, in which the posterior is close to a standard normal."""
+        return self.u + v @ self.factor.T
+
+
+@eqx.filter_jit
+def value_and_gradient(density: Density, u: Float[Array, " k"]):
+    """Log-density and its gradient at `u`."""
+    return jax.value_and_grad(lambda point: density(point))(u)
+
+
+def _curvature(density: Density, u: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Negative Hessian by central differences of the exact gradient; symmetric by construction."""
+    rows = []
+    for i in range(len(u)):
+        move = np.zeros_like(u)
+        move[i] = step[i]
+        forward, backward = (
+            np.asarray(value_and_gradient(density, u + sign * move)[1]) for sign in (1.0, -1.0)
+        )
+        rows.append((backward - forward) / (2.0 * step[i]))
+    H = np.array(rows)
+    return (H + H.T) / 2.0
+
+
+def _factor(H: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Lower Cholesky factor of |H|^-1; true if H is positive definite.
+
+    Away from the mode H may have negative eigenvalues; their size is still the right scale to move by (saddle-free
+    Newton), so absolute values are taken, and a floor keeps a flat direction finite.
+    """
+    scale = np.sqrt(np.maximum(np.abs(np.diag(H)), np.finfo(float).tiny))
+    eigenvalues, vectors = np.linalg.eigh(H / np.outer(scale, scale))
+    floor = FLOOR * np.abs(eigenvalues).max()
+    covariance = (vectors / np.maximum(np.abs(eigenvalues), floor)) @ vectors.T / np.outer(scale, scale)
+    return np.linalg.cholesky((covariance + covariance.T) / 2.0), bool(eigenvalues[0] > floor)
+
+
+def _climb(density: Density, u: np.ndarray, factor: np.ndarray) -> np.ndarray:
+    """L-BFGS on coordinates scaled by `factor`."""
+
+    def negative(v: np.ndarray) -> tuple[float, np.ndarray]:
+        value, slope = value_and_gradient(density, u + factor @ v)
+        if not np.isfinite(value):
+            return 1e300, np.zeros(len(u))
+        return -float(value), -factor.T @ np.asarray(slope)
+
+    found = optimize.minimize(
+        negative, np.zeros(len(u)), jac=True, method="L-BFGS-B", options={"maxiter": 200}
+    )
+    return u + factor @ found.x
+
+
+def find_mode(density: Density, start: Float[np.ndarray, " k"], *, rounds: int = 12) -> Mode:
+    """Maximise the log-density from `start` (x, bounded scale, strictly inside its bounds).
+
+    Each round measures the curvature, takes a Newton step if that gains, else climbs by L-BFGS on the new scale.
+    """
+    u = np.asarray(density.unconstrain(np.asarray(start, float)))
+    value, slope = (np.asarray(part) for part in value_and_gradient(density, u))
+    step = np.full(len(u), 1e-4)
+    for _ in range(rounds):
+        factor, sound = _factor(_curvature(density, u, step))
+        step = np.minimum(1e-3 * np.sqrt(np.sum(factor**2, axis=1)), 1e-2)
+        move = factor @ (factor.T @ slope)
+        gain = 0.5 * float(slope @ move)
+        if sound and gain < 1e-7:
+            return Mode(u, factor, float(value), ModeStatus.CONVERGED)
+        trial = u + move
+        new, new_slope = (np.asarray(part) for part in value_and_gradient(density, trial))
+        if not (np.isfinite(new) and new > value + 0.5 * gain):
+            trial = _climb(density, u, factor)
+            new, new_slope = (np.asarray(part) for part in value_and_gradient(density, trial))
+        if not new > value:
+            break
+        u, value, slope = trial, new, new_slope
+    factor, sound = _factor(_curvature(density, u, step))
+    near = 0.5 * float(slope @ factor @ (factor.T @ slope)) < 1e-3
+    status = ModeStatus.FLAT if not sound else ModeStatus.CONVERGED if near else ModeStatus.NOT_CONVERGED
+    return Mode(u, factor, float(value), status)

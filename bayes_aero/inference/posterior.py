@@ -1,0 +1,180 @@
+"""What a sampler leaves: draws as an ArviZ DataTree, their diagnostics, and a status."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+import arviz_base as azb
+import arviz_stats as azs
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jaxtyping import Array, Float
+
+from bayes_aero.model.density import Density
+from bayes_aero.physics.coefficients import NAMES
+
+TARGET_ESS = 400.0
+TARGET_RHAT = 1.01
+PREDICTIVE_DRAWS = 50  # per chain, for the groups with one value per sample
+
+
+class PosteriorStatus(Enum):
+    """Whether the draws may be used; the value is what to tell the user."""
+
+    CONVERGED = "converged"
+    NOT_CONVERGED = "not converged: R-hat or effective sample size missed its target; run longer, do not use the intervals"
+    DIVERGENT = "divergent transitions: the sampler could not follow the posterior; its tails are not trusted"
+
+
+@dataclass(frozen=True)
+class Marginal:
+    """One parameter's posterior: mean, standard deviation, equal-tailed 95 % interval and diagnostics."""
+
+    mean: float
+    sd: float
+    ci95: tuple[float, float]
+    ess_bulk: float
+    ess_tail: float
+    rhat: float
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Draws of one engine. `tree` has posterior, sample_stats, log_likelihood, prior and both predictive groups."""
+
+    engine: str
+    noise: str
+    names: tuple[str, ...]
+    tree: xr.DataTree
+    marginals: dict[str, Marginal]
+    status: PosteriorStatus
+    seconds: float
+
+    def draws(self) -> Float[np.ndarray, "m k"]:
+        """All draws as rows, chains end to end, columns as `names`."""
+        posterior = self.tree["posterior"]
+        return np.stack([posterior[name].values.reshape(-1) for name in self.names], axis=1)
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "k k"]:
+        """Posterior covariance of the parameters."""
+        return np.cov(self.draws().T)
+
+    def save(self, path: Path) -> None:
+        """Write the tree as NetCDF, whole or not at all."""
+        partial = path.with_name(path.name + ".part")
+        encoding = {
+            f"/{group}": {name: {"zlib": True, "complevel": 4} for name in node.data_vars}
+            for group, node in self.tree.children.items()
+            if group in ("log_likelihood", "posterior_predictive", "prior_predictive")
+        }
+        self.tree.to_netcdf(partial, engine="h5netcdf", encoding=encoding)
+        os.replace(partial, path)
+
+
+def diagnose(draws: Float[np.ndarray, "chain draw k"], names: tuple[str, ...]) -> dict[str, Marginal]:
+    """Marginal summaries with ArviZ's rank-normalised R-hat and bulk effective sample size."""
+    dataset = azb.from_dict({"posterior": {name: draws[..., i] for i, name in enumerate(names)}})[
+        "posterior"
+    ].dataset
+    ess, tail, rhat = azs.ess(dataset), azs.ess(dataset, method="tail"), azs.rhat(dataset)
+    found = {}
+    for i, name in enumerate(names):
+        flat = draws[..., i].ravel()
+        low, high = np.quantile(flat, [0.025, 0.975])
+        found[name] = Marginal(
+            mean=float(flat.mean()),
+            sd=float(flat.std(ddof=1)),
+            ci95=(float(low), float(high)),
+            ess_bulk=float(ess[name]),
+            ess_tail=float(tail[name]),
+            rhat=float(rhat[name]),
+        )
+    return found
+
+
+def converged(marginals: dict[str, Marginal]) -> bool:
+    """Every parameter reaches the targets of effective sample size (bulk and tail) and R-hat."""
+    return all(
+        min(m.ess_bulk, m.ess_tail) >= TARGET_ESS and m.rhat <= TARGET_RHAT for m in marginals.values()
+    )
+
+
+@eqx.filter_jit
+def _predictive(density: Density, x: Float[Array, "m k"], white: Float[Array, "m n 3"]):
+    """Log-likelihood per sample and replicated coefficients for each row of x; both (m, n, 3)."""
+    return jax.lax.map(lambda pair: (density.pointwise(pair[0]), density.replicate(*pair)), (x, white))
+
+
+def assemble(
+    density: Density,
+    draws: Float[np.ndarray, "chain draw k"],
+    *,
+    engine: str,
+    seed: int,
+    seconds: float,
+    sample_stats: dict[str, np.ndarray] | None = None,
+    status: PosteriorStatus | None = None,
+    predictive: bool = True,
+) -> Posterior:
+    """Turn draws of x into a `Posterior`.
+
+    The groups with one value per sample (log_likelihood, posterior_predictive, prior_predictive) hold an evenly
+    thinned share of the draws, in single precision, to keep the file small. `log_likelihood` is conditional on the
+    samples before: under coloured noise LOO on it measures one-step prediction, not interpolation.
+    """
+    names = density.names
+    groups: dict[str, dict[str, np.ndarray]] = {
+        "posterior": {name: draws[..., i] for i, name in enumerate(names)}
+    }
+    if sample_stats:
+        groups["sample_stats"] = sample_stats
+    rng = np.random.default_rng(seed)
+    prior = density.sample_prior(rng, 1000)
+    groups["prior"] = {name: prior[None, :, i] for i, name in enumerate(names)}
+    dims: dict[str, list[str]] = {}
+    if predictive:
+        groups |= _sample_groups(density, draws, prior, rng)
+        dims = {name: ["instant"] for name in NAMES}
+    tree = azb.from_dict(groups, dims=dims)
+    tree.attrs |= {"engine": engine, "noise": density.noise.colour.value, "seed": seed}
+    for parameter in density.parameters:
+        for group in ("posterior", "prior"):
+            tree[group][parameter.name].attrs["units"] = parameter.unit
+    marginals = diagnose(draws, names)
+    if status is None:
+        status = PosteriorStatus.CONVERGED if converged(marginals) else PosteriorStatus.NOT_CONVERGED
+    return Posterior(engine, density.noise.colour.value, names, tree, marginals, status, seconds)
+
+
+def _sample_groups(
+    density: Density, draws: np.ndarray, prior: np.ndarray, rng: np.random.Generator
+) -> dict[str, dict[str, np.ndarray]]:
+    chains, length, size = draws.shape
+    kept = min(PREDICTIVE_DRAWS, length)
+    thin = np.linspace(0, length - 1, kept).astype(int)
+    shape = (chains, kept, density.observations.n, 3)
+    white = rng.standard_normal((chains * kept, *shape[2:]))
+    loglik, replicated = _predictive(
+        density, jnp.asarray(draws[:, thin].reshape(-1, size)), jnp.asarray(white)
+    )
+    _, prior_replicated = _predictive(density, jnp.asarray(prior[: chains * kept]), jnp.asarray(white))
+
+    def split(values: Array, leading: tuple[int, int]) -> dict[str, np.ndarray]:
+        array = np.asarray(values, np.float32).reshape(*leading, *shape[2:])
+        return {name: array[..., i] for i, name in enumerate(NAMES)}
+
+    return {
+        "log_likelihood": split(loglik, shape[:2]),
+        "posterior_predictive": split(replicated, shape[:2]),
+        "prior_predictive": split(prior_replicated, (1, chains * kept)),
+        "observed_data": {
+            name: np.asarray(density.observations.measured[:, i]) for i, name in enumerate(NAMES)
+        },
+    }

@@ -1,0 +1,109 @@
+"""The density: log-likelihood plus log-prior of a model on observations, written once for every engine."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_aero.model.model import Model
+from bayes_aero.model.noise import Noise
+from bayes_aero.model.observations import Observations
+from bayes_aero.parameter import Parameter, from_unbounded, to_unbounded
+
+
+class Density(eqx.Module):
+    """Posterior log-density of the free model parameters and the noise parameters.
+
+    Vectors `x` are in SI, model parameters first, then noise (`parameters` gives the order); vectors `u` are the same
+    point mapped onto the whole real line, where the samplers work. The observations are array leaves: another data set
+    of the same size does not compile anew.
+    """
+
+    observations: Observations
+    model: Model = eqx.field(static=True)
+    noise: Noise = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Free model parameters, then noise parameters."""
+        return (*self.model.free, *self.noise.parameters)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in the order of `x`."""
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return len(self.parameters)
+
+    def values(self, x: Float[Array, " k"]) -> dict[str, Any]:
+        """Values of all parameters, fixed ones too, by name."""
+        return dict(self.model.fixed) | {name: x[i] for i, name in enumerate(self.names)}
+
+    def predict(self, x: Float[Array, " k"]) -> Float[Array, "n 3"]:
+        """Modelled CL, CD, Cm."""
+        return self._flow(x)[0]
+
+    def pointwise(self, x: Float[Array, " k"]) -> Float[Array, "n 3"]:
+        """Log-likelihood of every sample and coefficient, given the samples before it in its manoeuvre."""
+        y, X = self._flow(x)
+        o = self.observations
+        return self.noise.log_density(self.values(x), o.measured - y, X, o.start)
+
+    def standardised(self, x: Float[Array, " k"]) -> Float[Array, "n 3"]:
+        """One-step-ahead innovations over their standard deviation: white, unit variance if the model holds."""
+        y, X = self._flow(x)
+        o = self.observations
+        return self.noise.standardised(self.values(x), o.measured - y, X, o.start)[0]
+
+    def replicate(self, x: Float[Array, " k"], white: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+        """Coefficients that the model with its noise would have produced from standard normal `white`."""
+        y, X = self._flow(x)
+        return y + self.noise.simulate(self.values(x), white, X, self.observations.start)
+
+    def log_likelihood(self, x: Float[Array, " k"]) -> Float[Array, ""]:
+        """Sum of `pointwise`."""
+        return jnp.sum(self.pointwise(x))
+
+    def log_prior(self, x: Float[Array, " k"]) -> Float[Array, ""]:
+        """Log of the product of the parameters' priors. Truncation by bounds is not normalised: a constant."""
+        return sum((p.prior.log_density(x[i]) for i, p in enumerate(self.parameters)), start=jnp.zeros(()))
+
+    def __call__(self, u: Float[Array, " k"]) -> Float[Array, ""]:
+        """Log-density of `u`: likelihood, prior, and the Jacobian of the map from `u` to `x`."""
+        x, log_slope = self._bounded(u)
+        return self.log_likelihood(x) + self.log_prior(x) + jnp.sum(log_slope)
+
+    def constrain(self, u: Float[Array, " k"]) -> Float[Array, " k"]:
+        """`x` of `u`."""
+        return self._bounded(u)[0]
+
+    def unconstrain(self, x: Float[Array, " k"]) -> Float[Array, " k"]:
+        """`u` of `x`."""
+        return jnp.stack([to_unbounded(p, x[i]) for i, p in enumerate(self.parameters)])
+
+    def sample_prior(self, rng: np.random.Generator, size: int) -> Float[np.ndarray, "size k"]:
+        """`size` draws of `x` from the prior, inside the bounds."""
+        columns = []
+        for p in self.parameters:
+            draws = np.empty(0)
+            while draws.size < size:
+                more = p.prior.sample(rng, 4 * size)
+                draws = np.concatenate([draws, more[(more > p.bounds[0]) & (more < p.bounds[1])]])
+            columns.append(draws[:size])
+        return np.stack(columns, axis=1)
+
+    def _bounded(self, u: Float[Array, " k"]) -> tuple[Float[Array, " k"], Float[Array, " k"]]:
+        pairs = [from_unbounded(p, u[i]) for i, p in enumerate(self.parameters)]
+        return jnp.stack([x for x, _ in pairs]), jnp.stack([slope for _, slope in pairs])
+
+    def _flow(self, x: Float[Array, " k"]) -> tuple[Float[Array, "n 3"], Float[Array, " n"]]:
+        o = self.observations
+        known = self.model.flow(self.values(x), o.signals, o.aircraft)
+        return jnp.stack([known["CL"], known["CD"], known["Cm"]], axis=-1), known["X"]

@@ -1,0 +1,139 @@
+"""The model: a list of effects, the values held fixed, and the coefficients they give."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from functools import cached_property
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from bayes_aero.effect import NEUTRAL_FLOW, Effect, Known, Stage
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.errors import InputError
+from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.flight.card import Card
+from bayes_aero.parameter import Parameter
+
+Signals = Mapping[str, Float[Array, "*n"]]
+
+
+@dataclass(frozen=True)
+class Model:
+    """A list of effects with their parameters; `fixed` parameters keep their value, the rest are free.
+
+    Hashable and without arrays, so that it is static under `jax.jit`.
+    """
+
+    effects: tuple[Effect, ...]
+    parameters: tuple[Parameter, ...]
+    fixed: tuple[tuple[str, float], ...] = ()
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:  # hashed on every call of a compiled function; the parts are many and immutable
+        return hash((self.effects, self.parameters, self.fixed))
+
+    @classmethod
+    def of(cls, effects: Iterable[str | Effect], fixed: Mapping[str, float] | None = None) -> Model:
+        """A model from effects, given themselves or by their names in the catalogue."""
+        chosen = tuple(e if isinstance(e, Effect) else _by_name(e) for e in effects)
+        parameters = tuple(p for effect in chosen for p in effect.parameters)
+        names = [p.name for p in parameters]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"two effects of the model own the parameter {name}; keep one of them")
+        for effect in chosen:
+            for name in effect.uses:
+                if name not in names:
+                    raise InputError(f"effect {effect.name} uses {name}, which no effect of the model owns")
+        for name in fixed or {}:
+            if name not in names:
+                raise InputError(f"the fixed parameter {name} belongs to no effect of the model")
+        return cls(chosen, parameters, tuple((fixed or {}).items()))
+
+    @classmethod
+    def from_card(cls, card: Card) -> Model:
+        """The model that a card states, its starts, bounds and priors in place."""
+        model = cls.of(card.effects, card.fixed)
+        for name in card.changes:
+            if name not in {p.name for p in model.parameters}:
+                raise InputError(f"card {card.name}: [parameters.{name}] belongs to no effect of the model")
+        return replace(model, parameters=tuple(_changed(p, card) for p in model.parameters))
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The free parameters, in the order of every parameter vector."""
+        fixed = dict(self.fixed)
+        return tuple(p for p in self.parameters if p.name not in fixed)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+        return tuple(p.name for p in self.free)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Signals that the effects need."""
+        return tuple(dict.fromkeys(c for effect in self.effects for c in effect.channels))
+
+    def values(self, theta: Float[Array, " k"]) -> dict[str, Any]:
+        """All parameter values by name, from the vector of the free ones."""
+        return dict(self.fixed) | {name: theta[i] for i, name in enumerate(self.names)}
+
+    def flow(self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft) -> dict[str, Any]:
+        """Everything the effects build: X, the attached lift, CL, CD, Cm (see `effect.Known`)."""
+        zeros = jnp.zeros_like(signals["alpha"])
+        known = {key: zeros + value for key, value in NEUTRAL_FLOW.items()} | {"incidence": signals["alpha"]}
+        for stage in Stage:
+            acting = [e for e in self.effects if e.stage is stage and not self._absent(e)]
+            if stage is Stage.TOTAL:
+                known = known | {"CL": known["CL"] + known["CL_attached"]}
+            known = _add(known, acting, values, signals, aircraft)
+        return known
+
+    def coefficients(
+        self, theta: Float[Array, " k"], signals: Signals, aircraft: Aircraft
+    ) -> Float[Array, "*n 3"]:
+        """CL, CD, Cm along the last axis."""
+        known = self.flow(self.values(theta), signals, aircraft)
+        return jnp.stack([known["CL"], known["CD"], known["Cm"]], axis=-1)
+
+    def _absent(self, effect: Effect) -> bool:
+        """True for an effect all of whose parameters are fixed at neutral: it need not be computed at all."""
+        fixed = dict(self.fixed)
+        return bool(effect.parameters) and all(fixed.get(p.name) == p.neutral for p in effect.parameters)
+
+
+def _add(
+    known: Known, acting: list[Effect], values: Mapping[str, Any], signals: Signals, aircraft: Aircraft
+) -> dict:
+    total = dict(known)
+    for effect in acting:
+        for key, increment in effect.increments(values, signals, aircraft, known).items():
+            total[key] = total[key] + increment
+    return total
+
+
+def _by_name(name: str) -> Effect:
+    if name in CATALOGUE:
+        return CATALOGUE[name]
+    close = get_close_matches(name, CATALOGUE, n=1)
+    hint = f"did you mean {close[0]}?" if close else f"the catalogue has {', '.join(CATALOGUE)}"
+    raise InputError(f"there is no effect {name!r}; {hint}")
+
+
+def _changed(parameter: Parameter, card: Card) -> Parameter:
+    change = card.changes.get(parameter.name)
+    if change is None:
+        return parameter
+    given = {key: value for key, value in vars(change).items() if value is not None}
+    try:
+        return parameter.changed(**given)
+    except InputError as error:
+        raise InputError(f"card {card.name}: {error}") from None

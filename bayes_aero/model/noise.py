@@ -1,0 +1,121 @@
+"""Noise of the measured coefficients: white, first-order autoregressive, and that with stall buffet."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.physics.filters import recurrence
+
+
+class Colour(StrEnum):
+    """How the residuals of one coefficient are taken to be distributed."""
+
+    WHITE = "white"  # independent, one variance
+    AR1 = "ar1"  # r[k] = rho r[k-1] + e[k], stationary within a manoeuvre
+    BUFFET_AR1 = "buffet-ar1"  # the same, its standard deviation growing as 1 + buffet (1 - X)
+
+
+@dataclass(frozen=True)
+class Noise:
+    """A noise model with its parameters: `sigma_*` (stationary sd, attached flow), `rho_*`, `buffet_*`."""
+
+    colour: Colour
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Parameters of all three coefficients."""
+        found = [_sigma(name) for name in NAMES]
+        if self.colour is not Colour.WHITE:
+            found += [_rho(name) for name in NAMES]
+        if self.colour is Colour.BUFFET_AR1:
+            found += [_buffet(name) for name in NAMES]
+        return tuple(found)
+
+    def standardised(
+        self,
+        values: Mapping[str, Any],
+        residual: Float[Array, "n 3"],
+        X: Float[Array, " n"],
+        start: Bool[Array, " n"],
+    ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
+        """Innovations divided by their standard deviation, and that deviation; both (n, 3).
+
+        `residual` is measured minus modelled. At `start` the innovation is the residual itself, with the stationary
+        deviation, so manoeuvres are independent and the density is exact rather than conditional.
+        """
+        sigma = jnp.stack([values[f"sigma_{name}"] for name in NAMES])
+        swell = jnp.ones_like(residual)
+        if self.colour is Colour.BUFFET_AR1:
+            buffet = jnp.stack([values[f"buffet_{name}"] for name in NAMES])
+            swell = 1.0 + buffet * (1.0 - X)[:, None]
+        if self.colour is Colour.WHITE:
+            deviation = sigma * swell
+            return residual / deviation, deviation
+        rho = jnp.stack([values[f"rho_{name}"] for name in NAMES])
+        steady = residual / swell
+        before = jnp.concatenate([jnp.zeros((1, 3)), steady[:-1]])
+        first = start[:, None]
+        innovation = jnp.where(first, steady, steady - rho * before)
+        deviation = sigma * jnp.where(first, 1.0, jnp.sqrt(1.0 - rho**2))
+        return innovation / deviation, deviation * swell
+
+    def log_density(
+        self,
+        values: Mapping[str, Any],
+        residual: Float[Array, "n 3"],
+        X: Float[Array, " n"],
+        start: Bool[Array, " n"],
+    ) -> Float[Array, "n 3"]:
+        """Log-density of each sample given the ones before it in its manoeuvre."""
+        z, deviation = self.standardised(values, residual, X, start)
+        return -0.5 * (z**2 + jnp.log(2.0 * jnp.pi)) - jnp.log(deviation)
+
+    def simulate(
+        self,
+        values: Mapping[str, Any],
+        white: Float[Array, "n 3"],
+        X: Float[Array, " n"],
+        start: Bool[Array, " n"],
+    ) -> Float[Array, "n 3"]:
+        """Residuals made from standard normal `white`: the inverse of `standardised`."""
+        sigma = jnp.stack([values[f"sigma_{name}"] for name in NAMES])
+        if self.colour is Colour.WHITE:
+            return white * sigma
+        rho = jnp.stack([values[f"rho_{name}"] for name in NAMES])
+        first = start[:, None]
+        drive = white * sigma * jnp.where(first, 1.0, jnp.sqrt(1.0 - rho**2))
+        keep = jnp.where(first, 0.0, jnp.broadcast_to(rho, drive.shape))
+        residual = recurrence(keep, drive)
+        if self.colour is Colour.BUFFET_AR1:
+            buffet = jnp.stack([values[f"buffet_{name}"] for name in NAMES])
+            residual = residual * (1.0 + buffet * (1.0 - X)[:, None])
+        return residual
+
+
+def _sigma(name: str) -> Parameter:
+    prior = Prior("lognormal", 0.02, 1.0, "a factor of 7 either way with 95 %; our choice")
+    return Parameter(
+        f"sigma_{name}", "1", 0.0, 0.02, f"stationary deviation of the {name} residual", prior, (0.0, jnp.inf)
+    )
+
+
+def _rho(name: str) -> Parameter:
+    prior = Prior("uniform", -1.0, 2.0, "flat over the stationary range; our choice")
+    return Parameter(
+        f"rho_{name}", "1", 0.0, 0.5, f"lag-1 correlation of the {name} residual", prior, (-1.0, 1.0)
+    )
+
+
+def _buffet(name: str) -> Parameter:
+    prior = Prior("halfnormal", 0.0, 3.0, "buffet up to several times the attached-flow noise; our choice")
+    return Parameter(
+        f"buffet_{name}", "1", 0.0, 0.5, f"growth of the {name} noise with 1 - X", prior, (0.0, jnp.inf)
+    )

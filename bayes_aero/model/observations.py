@@ -1,0 +1,116 @@
+"""What a model is fitted to: conditioned signals and measured coefficients of one or more manoeuvres."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from bayes_aero.errors import InputError
+from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.model import Model
+from bayes_aero.physics.coefficients import REQUIRED, coefficient_noise, coefficients, condition
+
+
+class Observations(eqx.Module):
+    """Samples of all manoeuvres laid end to end; `start` marks the first sample of each.
+
+    Nothing reaches across a seam: filters ran per manoeuvre, and whatever has memory (lags, coloured noise) starts
+    anew where `start` is true. `measured` holds CL, CD, Cm; `sensor_noise` their standard deviation from sensor noise.
+    """
+
+    signals: dict[str, Array]
+    measured: Float[Array, "n 3"]
+    sensor_noise: Float[Array, "n 3"]
+    start: Bool[Array, " n"]
+    manoeuvre: Int[np.ndarray, " n"]
+    time: Float[np.ndarray, " n"]
+    aircraft: Aircraft
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return self.measured.shape[0]
+
+    @property
+    def dt(self) -> float:
+        """Sample time in s (the median over all manoeuvres)."""
+        return float(np.median(np.asarray(self.signals["dt"])))
+
+    def subset(self, index: Int[np.ndarray, " m"]) -> Observations:
+        """The samples `index`, kept in time order.
+
+        A sample whose predecessor was left out starts a new stretch: `start` is set there, so that no lag and no
+        noise correlation is carried over the hole.
+        """
+        index = np.sort(np.asarray(index))
+        begins = np.asarray(self.start)[index] | np.concatenate([[True], np.diff(index) > 1])
+        return Observations(
+            signals={k: v[index] for k, v in self.signals.items()} | {"start": jnp.asarray(begins)},
+            measured=self.measured[index],
+            sensor_noise=self.sensor_noise[index],
+            start=jnp.asarray(begins),
+            manoeuvre=self.manoeuvre[index],
+            time=self.time[index],
+            aircraft=self.aircraft,
+            names=self.names,
+        )
+
+    def only(self, manoeuvre: int) -> Observations:
+        """One manoeuvre of the set."""
+        return self.subset(np.flatnonzero(self.manoeuvre == manoeuvre))
+
+    def with_measured(self, measured: Float[Array, "n 3"]) -> Observations:
+        """The same signals with other measured coefficients, for simulation studies."""
+        return eqx.tree_at(lambda o: o.measured, self, jnp.asarray(measured))
+
+
+def with_sums(record: FlightRecord, card: Card) -> dict[str, Float[Array, " n"]]:
+    """The record's channels with the card's sums (total thrust) added."""
+    channels = {name: jnp.asarray(values) for name, values in record.channels.items()}
+    for name, parts in card.sums.items():
+        channels[name] = sum((jnp.asarray(record[part]) for part in parts), start=jnp.zeros(record.n))
+    return channels
+
+
+def observe(records: Sequence[FlightRecord], card: Card, model: Model) -> Observations:
+    """Reconstruct the coefficients of every record and lay the manoeuvres end to end."""
+    if not records:
+        raise InputError("there is no flight record to work on; name at least one file")
+    names = [record.name for record in records]
+    if len(set(names)) < len(names):
+        raise InputError(
+            f"two records are called {max(names, key=names.count)}; each manoeuvre needs its own name"
+        )
+    parts = []
+    for number, record in enumerate(records):
+        channels = with_sums(record, card)
+        for need in dict.fromkeys((*REQUIRED, *model.channels)):
+            if need not in channels and need != "alpha_dot":
+                raise InputError(
+                    f"record {record.name} has no channel {need}, which the model needs; map it on the card"
+                )
+        signals = condition(channels, record.dt)
+        z = jnp.stack(coefficients(signals, card.aircraft), axis=-1)
+        noise = coefficient_noise(signals, card.aircraft, card.sensors, record.dt)
+        start = np.arange(record.n) == 0
+        signals = signals | {"dt": jnp.full(record.n, record.dt), "start": jnp.asarray(start)}
+        parts.append((signals, z, noise, start, np.full(record.n, number), np.asarray(record.time)))
+    shared = set.intersection(*(set(part[0]) for part in parts))
+    signals = {key: jnp.concatenate([part[0][key] for part in parts]) for key in sorted(shared)}
+    return Observations(
+        signals=signals,
+        measured=jnp.concatenate([part[1] for part in parts]),
+        sensor_noise=jnp.concatenate([part[2] for part in parts]),
+        start=jnp.asarray(np.concatenate([part[3] for part in parts])),
+        manoeuvre=np.concatenate([part[4] for part in parts]),
+        time=np.concatenate([part[5] for part in parts]),
+        aircraft=card.aircraft,
+        names=tuple(names),
+    )
