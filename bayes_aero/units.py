@@ -51,17 +51,11 @@ def _parse(unit: str, where: str) -> Any:
         _POWER.sub(r"**\1", text),
     )  # "m/s2" and "m s-1" are not pint's spelling, but everybody's
     for candidate in candidates:
-        if (
-            len(candidate) > _LONGEST
-            or _SAFE.fullmatch(candidate) is None
-            or re.search(r"\*\*-?\d\s*\*\*", candidate)
-        ):
+        if len(candidate) > _LONGEST or _SAFE.fullmatch(candidate) is None or re.search(r"\*\*-?\d\s*\*\*", candidate):
             continue
         try:
             return _registry().parse_units(candidate)
-        except (
-            Exception
-        ):  # pint leaks AssertionError, TypeError, tokenizer errors ... for text that is no unit
+        except Exception:  # pint leaks AssertionError, TypeError, tokenizer errors ... for text that is no unit
             continue
     raise InputError(f"{where}: the unit {unit[:40]!r} is not known; write it as in pint, {_EXAMPLES}")
 
@@ -78,7 +72,8 @@ def _convert(values: Any, source: str, target: str, where: str) -> Any:
     if have == want:
         return values
     try:
-        return _registry().Quantity(values, have).to(want).magnitude
+        with np.errstate(all="ignore"):  # an overflow gives inf, which the record checks tell better
+            return _registry().Quantity(values, have).to(want).magnitude
     except (
         Exception
     ) as reason:  # DimensionalityError, OffsetUnitCalculusError, ...: all say "these do not belong together"
@@ -146,14 +141,10 @@ def quantity_to_si(value: Any, expected: str, where: str) -> float:
     `where` says which constant it is, for the error message.
     """
     if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise InputError(
-            f'{where} is {str(value)[:60]!r}; write a number with its unit, e.g. "1.5 {expected}"'
-        )
+        raise InputError(f'{where} is {str(value)[:60]!r}; write a number with its unit, e.g. "1.5 {expected}"')
     match = _NUMBER.fullmatch(str(value))
     if match is None or not math.isfinite(float(match[1])):
-        raise InputError(
-            f'{where} is {str(value)[:60]!r}; write a finite number with its unit, e.g. "1.5 {expected}"'
-        )
+        raise InputError(f'{where} is {str(value)[:60]!r}; write a finite number with its unit, e.g. "1.5 {expected}"')
     number, unit = float(match[1]), match[2].strip()
     if not unit and expected not in ("", "1"):
         raise InputError(f'{where} is {str(value)!r}, without a unit; write e.g. "{value} {expected}"')

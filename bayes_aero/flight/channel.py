@@ -90,7 +90,7 @@ _TABLE = (
     ("r_dot", "rad/s^2", "yaw acceleration", -100.0, 100.0, _DEG_S2),
     ("airspeed", "m/s", "true airspeed", 0.0, 400.0, _SPEED),
     ("calibrated_airspeed", "m/s", "calibrated airspeed", -10.0, 400.0, _SPEED),
-    ("mach", "1", "Mach number", -0.01, 3.0, _PERCENT),
+    ("mach", "1", "Mach number", -0.01, 3.0, ""),
     ("altitude", "m", "pressure altitude", -1000.0, 40000.0, _FEET),
     ("radio_altitude", "m", "radio altitude", -1000.0, 40000.0, _FEET),
     ("elevator", "rad", "elevator deflection, trailing edge down positive", -1.6, 1.6, _DEG),

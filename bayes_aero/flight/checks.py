@@ -19,6 +19,9 @@ GAP = 1.5
 JITTER = 0.01
 """Largest departure of a step from the median step, relative, that still passes for even sampling."""
 
+RATES = (1e-4, 2.0)
+"""Bounds of the sampling interval, s, outside which the unit of time must be wrong."""
+
 ALPHA_MOVES = 1e-6
 """Smallest range of alpha, rad, that counts as variation at all."""
 
@@ -30,10 +33,11 @@ def check_record(record: FlightRecord, *, even: bool = True) -> None:
     """
     _length(record)
     _finite(record)
+    _plausible(record)
     _monotonic(record)
+    _rate(record)
     if even:
         _evenly_sampled(record)
-    _plausible(record)
     _positive(record)
     _in_g(record)
     _varies(record)
@@ -74,6 +78,20 @@ def _monotonic(record: FlightRecord) -> None:
         raise InputError(
             f"channel time {what} {record.time[i - 1]:.9g} s at {_at(record, i)}; time must increase: "
             f"sort the samples, drop the repeated ones, or split the file into one record per manoeuvre"
+        )
+
+
+def _rate(record: FlightRecord) -> None:
+    median = float(np.median(np.diff(record.time)))
+    if not RATES[0] <= median <= RATES[1]:
+        hint = (
+            'looks like milliseconds: set unit = "ms"'
+            if median > RATES[1]
+            else "is its unit hours or days? Set it"
+        )
+        raise InputError(
+            f"channel time has a median step of {median:.6g} s from {_at(record, 0)}, outside "
+            f"{RATES[0]:g} to {RATES[1]:g} s; {hint} on the card"
         )
 
 

@@ -17,7 +17,7 @@ from bayes_aero.flight.columns import MAX_VALUES, Column, located
 
 __all__ = ["read_hdf5"]
 
-TIME_LIMIT = 60.0
+TIME_LIMIT = 20.0
 """Seconds for the child; a sound record takes about a third of one."""
 
 
@@ -46,8 +46,8 @@ def read_hdf5(data: bytes, channels: Sequence[Channel], kind: str) -> dict[str, 
 
 def _ask(data: bytes, labels: list[str], kind: str) -> tuple[dict, bytes]:
     child = Path(__file__).with_name("hdf5_child.py")
-    # -I: the child sees the installed libraries but neither the working directory nor the user's environment.
-    command = [sys.executable, "-I", str(child), json.dumps(labels), str(MAX_VALUES)]
+    # -P: the child must not take this folder's text.py and the like for libraries.
+    command = [sys.executable, "-P", str(child), json.dumps(labels), str(MAX_VALUES)]
     try:
         done = subprocess.run(command, input=data, capture_output=True, timeout=TIME_LIMIT, check=False)
     except subprocess.TimeoutExpired as reason:

@@ -1,7 +1,7 @@
 """Read vectors from an HDF5 file in a process of its own. Run as a script, never imported by the package.
 
-The HDF5 library is C code that can loop for ever or crash on a damaged file (fuzzing found both within
-minutes), and a C loop cannot be interrupted. The parent, `hdf5.py`, gives this process a time limit instead.
+The HDF5 library is C code that can loop for ever on a damaged file (fuzzing found such files soon), and nothing
+interrupts a loop in C. The parent, `hdf5.py`, gives this process a time limit instead.
 
 In: the file on stdin, the wanted labels as JSON in argv[1], the most samples a channel may have in argv[2].
 Out: one line of JSON, then the float64 samples of the vectors in its order. Failures: {"error": ...}.
@@ -10,9 +10,20 @@ Out: one line of JSON, then the float64 samples of the vectors in its order. Fai
 import io
 import json
 import sys
+from contextlib import suppress
 
 import h5py
 import numpy as np
+
+MEMORY = 8 << 30
+"""Bytes of address space for this process; a damaged header may ask for any amount."""
+
+
+def _limit_memory():
+    with suppress(ImportError, ValueError, OSError):  # not every platform can
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
 
 
 def _text(value):
@@ -49,6 +60,7 @@ def _read(dataset, label, most):
 
 
 def main():
+    _limit_memory()
     labels, most = json.loads(sys.argv[1]), int(sys.argv[2])
     found: list = []
     reply: dict = {}

@@ -33,9 +33,7 @@ def resample_record(record: FlightRecord, dt: float, max_gap: float = MAX_GAP) -
     The last sample is dropped unless it falls on the grid. Heading, bank and longitude come back unwrapped.
     """
     if not (math.isfinite(dt) and dt > 0.0):
-        raise InputError(
-            f"record {record.name}: cannot resample to an interval of {dt!r} s; give a positive number"
-        )
+        raise InputError(f"record {record.name}: cannot resample to an interval of {dt!r} s; give a positive number")
     step = np.diff(record.time)
     median = float(np.median(step))
     if (step > max_gap * median).any():
@@ -77,6 +75,7 @@ def _onto(record: FlightRecord, name: str, time: np.ndarray, factor: int) -> np.
 
     if name in _WRAPPED:
         values = np.unwrap(values)
-    values = CubicSpline(record.time, values)(time)
-    # "line": the filter sees the record continued along its trend instead of falling to zero at both ends.
-    return values if factor == 1 else resample_poly(values, 1, factor, padtype="line")
+    with np.errstate(all="ignore"):  # numbers near the largest double overflow; the check afterwards tells it
+        values = CubicSpline(record.time, values)(time)
+        # "line": the filter sees the record go on along its trend, not fall to zero, at both ends.
+        return values if factor == 1 else resample_poly(values, 1, factor, padtype="line")

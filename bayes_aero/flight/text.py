@@ -68,9 +68,7 @@ def read_csv(data: bytes, channels: Sequence[Channel]) -> dict[str, Column]:
         body = [(at, line.replace('"', "")) for at, line in body]  # quotes mean nothing around numbers
     width = len(headings)
     if all(line.endswith(separator) for _, line in body) and body[0][1].count(separator) == width:
-        body = [
-            (at, line[:-1]) for at, line in body
-        ]  # one separator too many at every end is a habit of loggers
+        body = [(at, line[:-1]) for at, line in body]  # one separator too many at every end is a habit of loggers
     _refuse_ragged(body, [line.count(separator) + 1 for _, line in body], width)
     if separator == ";":
         body = [(at, line.replace(",", ".")) for at, line in body]
@@ -81,18 +79,18 @@ def read_csv(data: bytes, channels: Sequence[Channel]) -> dict[str, Column]:
 def _lines(data: bytes, comments: str) -> Lines:
     """Decode; drop comments and blank lines."""
     if b"\0" in data:
-        raise InputError(
-            "it is not a text file (it holds NUL bytes); is it misnamed, or UTF-16? Save it as UTF-8 text"
-        )
+        raise InputError("it is not a text file (it holds NUL bytes); is it misnamed, or UTF-16? Save it as UTF-8 text")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("latin-1")  # older loggers: only the degree sign in a unit line is at stake
     rows = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    for mark in comments:
-        if mark in text:
-            rows = [row.partition(mark)[0] for row in rows]
-    lines = [(number, row.strip(" ")) for number, row in enumerate(rows, 1) if row and not row.isspace()]
+    # Only whole lines are comments: "#" occurs inside names, as in "N1 engine #2".
+    lines = [
+        (number, row.strip(" "))
+        for number, row in enumerate(rows, 1)
+        if row and not row.isspace() and row.lstrip()[0] not in comments
+    ]
     if not lines:
         raise InputError("it holds no data, only blank lines or comments; write the record again")
     return lines
@@ -112,32 +110,26 @@ def _is_number(cell: str, separator: str) -> bool:
 
 
 def _refuse_ragged(lines: Lines, widths: list[int], width: int) -> None:
-    for (number, _), found in zip(lines, widths, strict=True):
+    for sample, ((number, _), found) in enumerate(zip(lines, widths, strict=True)):
         if found != width:
-            sample = number - lines[0][0]
             raise InputError(
-                f"line {number} (about sample {sample}) has {found} columns where {width} are expected, as "
-                f"in the "
-                f"first line; complete or delete that line"
+                f"line {number} (sample {sample}, counted from 0) has {found} columns where {width} are "
+                f"expected, as in the first line; complete or delete that line"
             )
 
 
-def _numbers(
-    lines: Lines, indices: list[int], channels: Sequence[Channel], separator: str | None
-) -> np.ndarray:
+def _numbers(lines: Lines, indices: list[int], channels: Sequence[Channel], separator: str | None) -> np.ndarray:
     """The (n, len(indices)) numbers in the given columns."""
+    if not indices:
+        return np.empty((len(lines), 0))
     rows = [line for _, line in lines]
     try:
-        return np.loadtxt(
-            rows, delimiter=separator, usecols=indices, ndmin=2, comments=None, dtype=np.float64
-        )
+        return np.loadtxt(rows, delimiter=separator, usecols=indices, ndmin=2, comments=None, dtype=np.float64)
     except (ValueError, IndexError) as reason:
         raise InputError(_not_a_number(lines, indices, channels, separator)) from reason
 
 
-def _not_a_number(
-    lines: Lines, indices: list[int], channels: Sequence[Channel], separator: str | None
-) -> str:
+def _not_a_number(lines: Lines, indices: list[int], channels: Sequence[Channel], separator: str | None) -> str:
     """Find the cell that stopped the parser."""
     for sample, (number, line) in enumerate(lines):
         cells = line.split(separator)
@@ -150,9 +142,7 @@ def _not_a_number(
                 sound = False
             if not sound:
                 what = f"the text {cell[:30]!r}" if cell else "an empty cell"
-                header = (
-                    " Files of this kind have no header; write it as .csv to keep one." if sample == 0 else ""
-                )
+                header = " Files of this kind have no header; write it as .csv to keep one." if sample == 0 else ""
                 return (
                     f"channel {channel.name} has {what} where a number should be, in line {number}, column "
                     f"{index + 1} "

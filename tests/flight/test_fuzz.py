@@ -1,0 +1,168 @@
+"""Whatever bytes a file holds, reading it ends soon, in a record or in an InputError."""
+
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from flight_samples import CHANNELS, sound
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from bayes_aero.errors import InputError
+from bayes_aero.flight.readers import READERS, read_record, write_record
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.flight.writers import WRITERS
+from bayes_aero.units import to_si
+
+# .nc starts a process for each file, so it gets fewer examples; its time limit stands in for the deadline.
+EXAMPLES = {".asc": 150, ".csv": 150, ".mat": 150, ".parquet": 150, ".nc": 25, "classic.nc": 100}
+SUFFIXES = tuple(EXAMPLES)
+MAGIC = {
+    ".mat": b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM",
+    ".parquet": b"PAR1",
+    ".nc": b"\x89HDF\r\n\x1a\n",
+    "classic.nc": b"CDF\1",
+}
+
+
+IN_SI = {c.name: float(to_si(1.0, c.unit, c.name)) for c in CHANNELS}
+
+
+@pytest.fixture(autouse=True)
+def short_time_limit(monkeypatch):
+    monkeypatch.setattr("bayes_aero.flight.hdf5.TIME_LIMIT", 2.0)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("fuzz")
+
+
+@pytest.fixture(scope="module")
+def valid(folder) -> dict[str, bytes]:
+    import xarray as xr
+
+    contents = {}
+    for suffix in EXAMPLES:
+        path = folder / f"valid{suffix}"
+        if suffix == "classic.nc":
+            record = sound(60)
+            variables = {c.heading: ("t", record[c.name], {"units": "1"}) for c in CHANNELS}
+            xr.Dataset(variables).to_netcdf(path, engine="scipy")
+        else:
+            write_record(sound(60), path, CHANNELS)
+        contents[suffix] = path.read_bytes()
+    return contents
+
+
+def read(folder: Path, suffix: str, content: bytes, channels=CHANNELS) -> FlightRecord | None:
+    """The record, or None where the content was refused, properly."""
+    path = folder / f"fuzz{suffix}"
+    path.write_bytes(content)
+    try:
+        record = read_record(path, channels)
+    except InputError as error:
+        message = str(error)
+    else:
+        assert all(np.isfinite(record[name]).all() for name in record.names)
+        return record
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message
+    assert len(message) < 1500
+    return None
+
+
+def examples(suffix: str, share: float = 1.0):
+    return settings(
+        max_examples=max(8, int(share * EXAMPLES[suffix])),
+        deadline=None if suffix == ".nc" else 2000,
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+    )
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_random_bytes(folder, suffix):
+    @examples(suffix, 0.5)
+    @given(st.binary(max_size=400), st.booleans())
+    def run(content, with_magic):
+        read(folder, suffix, MAGIC.get(suffix, b"") + content if with_magic else content)
+
+    run()
+
+
+@pytest.mark.parametrize("suffix", [".asc", ".csv"])
+def test_random_text(folder, suffix):
+    @examples(suffix)
+    @given(st.text(alphabet='0123456789.,;:eE+-_ \t\n\r"#%TALCGVnaif', max_size=300) | st.text(max_size=100))
+    def run(content):
+        read(folder, suffix, content.encode("utf-8", "surrogatepass"))
+        read(folder, suffix, b"T,ALCG,QRGY,VTAS,RHO\n" + content.encode("utf-8", "surrogatepass"))
+
+    run()
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_mutated_files(folder, valid, suffix):
+    size = len(valid[suffix])
+    # Headers and footers decide how a file is understood, so half of the changes go there.
+    places = st.integers(0, size - 1) | st.integers(0, min(600, size - 1)) | st.integers(max(0, size - 600), size - 1)
+
+    @examples(suffix)
+    @given(st.lists(st.tuples(places, st.integers(0, 255)), min_size=1, max_size=10))
+    def run(changes):
+        content = bytearray(valid[suffix])
+        for place, value in changes:
+            content[place] = value
+        read(folder, suffix, bytes(content))
+
+    run()
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_truncated_and_spliced_files(folder, valid, suffix):
+    size = len(valid[suffix])
+
+    @examples(suffix, 0.5)
+    @given(st.integers(0, size), st.integers(0, size), st.binary(max_size=20))
+    def run(end, start, middle):
+        read(folder, suffix, valid[suffix][:end] + middle)
+        if suffix != ".nc":
+            read(folder, suffix, valid[suffix][:end] + middle + valid[suffix][start:])
+
+    run()
+
+
+def tables():
+    """Tables of the right form whose numbers may be anything."""
+    wild = st.floats(width=64) | st.sampled_from([0.0, 1e308, -1e308, 5e-324, np.nan, np.inf, 0.04])
+    return st.tuples(
+        st.integers(1, 70),
+        st.lists(st.tuples(st.sampled_from(CHANNELS), st.integers(0, 69), wild), max_size=8),
+        st.sampled_from([1.0, 1e-300, 1e300, -1.0, 0.0]),
+    )
+
+
+@pytest.mark.parametrize("suffix", [".asc", ".csv", ".mat", ".parquet", ".nc"])
+def test_random_tables(folder, suffix):
+    @examples(suffix, 0.5)
+    @given(tables(), st.none() | st.sampled_from([0.04, 0.01, 0.1, 1e-9]))
+    def run(table, resample):
+        n, changes, scale = table
+        values = {c.name: np.array(sound(70)[c.name][:n]) for c in CHANNELS}
+        for channel, index, value in changes:
+            values[channel.name][index % n] = value
+        values["strain"] = np.linspace(-1.0, 1.0, n) * scale
+        path = folder / f"table{suffix}"
+        with np.errstate(over="ignore"):
+            columns = [(c, values[c.name] / IN_SI[c.name]) for c in CHANNELS]
+        path.write_bytes(WRITERS[suffix](columns))
+        with suppress(InputError):
+            record = read_record(path, CHANNELS, resample=resample)
+            assert record.n >= 50
+
+    run()
+
+
+def test_every_reader_is_fuzzed():
+    assert {Path(f"x{suffix}").suffix for suffix in SUFFIXES} == set(READERS) - {".txt", ".dat"}

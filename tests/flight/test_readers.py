@@ -1,0 +1,369 @@
+"""Sound files come back as written; every bad one is told in one sentence with file, channel, sample and remedy."""
+
+import os
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+from flight_samples import CHANNELS, sound
+
+from bayes_aero.errors import InputError
+from bayes_aero.flight.channel import Channel
+from bayes_aero.flight.readers import READERS, read_record, write_record
+from bayes_aero.flight.record import FlightRecord
+
+FORMATS = (".asc", ".txt", ".dat", ".csv", ".mat", ".parquet", ".nc")
+NAMED = (".csv", ".mat", ".parquet", ".nc")
+
+
+def told(path: Path, channels, *words: str, **options: object) -> str:
+    """The message that reading `path` ends in; it must begin with the file and contain all the words."""
+    with pytest.raises(InputError) as caught:
+        read_record(path, channels, **options)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message
+    for word in words:
+        assert word in message, f"{word!r} is not in {message!r}"
+    return message
+
+
+def written(folder: Path, record: FlightRecord, suffix: str = ".csv") -> Path:
+    path = folder / f"flight{suffix}"
+    write_record(record, path, CHANNELS)
+    return path
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_round_trip(tmp_path, suffix):
+    record = sound()
+    back = read_record(written(tmp_path, record, suffix), CHANNELS)
+    assert back.name == "flight"
+    assert back.names == record.names
+    for name in record.names:
+        np.testing.assert_allclose(back[name], record[name], rtol=4e-16, atol=1e-18)
+
+
+def test_all_formats_are_tested():
+    assert set(FORMATS) == set(READERS)
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".nc"])
+def test_the_file_s_own_unit_is_held_against_the_card(tmp_path, suffix, remap):
+    path = written(tmp_path, sound(), suffix)
+    told(path, remap("alpha", unit="rad"), "channel alpha", "'deg'", "'rad'", 'unit = "deg"')
+    assert read_record(path, remap("q", unit="degree / second")).has("q")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "T,ALCG,QRGY,VTAS,RHO\n{rows}",
+        "\ufeffT,ALCG,QRGY,VTAS,RHO\r\n{rows}",
+        "# a comment\n\nT; ALCG; QRGY; VTAS; RHO\n{semicolons}",
+        "T;ALCG;QRGY;VTAS;RHO\n{decimal_commas}",
+        "T\tALCG\tQRGY\tVTAS\tRHO\n{tabs}",
+        '"T","ALCG","QRGY","VTAS","RHO"\n{rows}',
+        "T,ALCG,QRGY,VTAS,RHO\ns,deg,deg/s,kt,kg/m3\n{rows}",
+        "T,ALCG,QRGY,VTAS,RHO\n[s],[°],[deg/s],[kt],[-]\n{rows}".replace("[-]", "[kg/m^3]"),
+        "T,ALCG,QRGY,VTAS,RHO\n{rows}\n\n# the end\n",
+        "T,ALCG,QRGY,VTAS,RHO\n{trailing}",
+        "NOTE,T,ALCG,QRGY,VTAS,RHO\n{with_text}",
+    ],
+)
+def test_csv_as_people_write_it(tmp_path, text):
+    r = sound()
+    rows = [
+        ",".join(f"{v:.9g}" for v in row)
+        for row in np.column_stack(
+            [r.time, np.rad2deg(r["alpha"]), np.rad2deg(r["q"]), r["airspeed"] * 3600 / 1852, r["density"]]
+        )
+    ]
+    body = "\n".join(rows)
+    text = text.format(
+        rows=body,
+        semicolons=body.replace(",", "; "),
+        decimal_commas=body.replace(",", ";").replace(".", ","),
+        tabs=body.replace(",", "\t"),
+        trailing="\n".join(row + "," for row in rows),
+        with_text="\n".join("level," + row for row in rows),
+    )
+    path = tmp_path / "people.csv"
+    path.write_bytes(text.encode("utf-8"))
+    back = read_record(path, CHANNELS)
+    for name in ("time", "alpha", "q", "airspeed", "density"):
+        np.testing.assert_allclose(back[name], r[name], rtol=1e-8, atol=1e-9)
+    assert not back.has("static_pressure")
+
+
+def test_provenance_and_case_of_suffix(tmp_path):
+    import hashlib
+
+    path = written(tmp_path, sound()).rename(tmp_path / "flight.CSV")
+    record = read_record(str(path), CHANNELS)
+    assert record.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert record.source == str(path)
+
+
+# The file itself
+
+
+def test_missing_file_names_its_neighbour(tmp_path):
+    written(tmp_path, sound())
+    told(tmp_path / "fligt.csv", CHANNELS, "no such file", "did you mean flight.csv?")
+    told(tmp_path / "nowhere" / "flight.csv", CHANNELS, "folder", "does not exist", "correct the path")
+
+
+def test_not_a_file(tmp_path):
+    (tmp_path / "d.csv").mkdir()
+    told(tmp_path / "d.csv", CHANNELS, "directory", "name a file")
+    (tmp_path / "e.csv").touch()
+    told(tmp_path / "e.csv", CHANNELS, "empty", "write it again")
+    os.mkfifo(tmp_path / "p.csv")
+    told(tmp_path / "p.csv", CHANNELS, "pipe", "regular file")
+    told(tmp_path / "n\0l.csv", CHANNELS, "no such file")
+
+
+def test_unreadable_file(tmp_path, monkeypatch):
+    path = written(tmp_path, sound())
+
+    def refuse(_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "read_bytes", refuse)
+    told(path, CHANNELS, "Permission denied", "check its name and permissions")
+
+
+def test_too_large_a_file(tmp_path, monkeypatch):
+    monkeypatch.setattr("bayes_aero.flight.readers.MAX_BYTES", 100)
+    told(written(tmp_path, sound()), CHANNELS, "more than 100", "cut it")
+
+
+@pytest.mark.parametrize("name", ["flight.xlsx", "flight"])
+def test_unknown_suffix_lists_the_known(tmp_path, name):
+    (tmp_path / name).write_text("x")
+    told(tmp_path / name, CHANNELS, *FORMATS, "convert")
+
+
+@pytest.mark.parametrize("suffix", [".mat", ".parquet", ".nc"])
+def test_misnamed_file(tmp_path, suffix):
+    path = written(tmp_path, sound()).rename(tmp_path / f"flight{suffix}")
+    told(path, CHANNELS, "again")
+
+
+@pytest.mark.parametrize("suffix", [".asc", ".csv"])
+def test_binary_named_as_text(tmp_path, suffix):
+    path = written(tmp_path, sound(), ".parquet").rename(tmp_path / f"flight{suffix}")
+    told(path, CHANNELS, "NUL", "Save it as UTF-8 text")
+    path.write_bytes(b"\n \n# only words\n")
+    told(path, CHANNELS, "no data", "write the record again")
+
+
+# The card
+
+
+def test_odd_cards(tmp_path, channels):
+    path = written(tmp_path, sound())
+    told(path, channels[1:], "channel time", "[channels]")
+    told(path, (*channels, channels[1]), "channel alpha", "twice", "keep one")
+
+
+def test_impossible_units(tmp_path, remap):
+    path = written(tmp_path, sound())
+    told(path, remap("alpha", unit="degre"), "channel alpha", "'degre'", "not known", '"deg"')
+    told(path, remap("airspeed", unit="hPa"), "channel airspeed", "'hPa'", "'m/s'", "correct the unit")
+    told(path, remap("q", unit="Hz"), "channel q", "'Hz'", '"rad/s"')
+
+
+# Columns
+
+
+@pytest.mark.parametrize("suffix", NAMED)
+def test_missing_named_channel(tmp_path, suffix, remap):
+    path = written(tmp_path, sound(), suffix)
+    told(path, remap("alpha", label="ALCGG"), "channel alpha", "'ALCGG'", "did you mean 'ALCG'", "label on the card")
+    told(path, remap("alpha", label="wxyz"), "channel alpha", "the file has", "'QRGY'", "required = false")
+    assert not read_record(path, remap("strain", label="no such")).has("strain")
+
+
+def test_missing_numbered_channel(tmp_path, remap):
+    path = written(tmp_path, sound(), ".asc")
+    told(path, remap("alpha", column=12), "channel alpha", "column 12", "7 columns", "correct the column")
+    told(path, remap("alpha", column=None), "channel alpha", "no column number", "add column = N")
+    assert not read_record(path, remap("strain", column=8)).has("strain")
+    assert not read_record(path, remap("strain", column=None)).has("strain")
+    told(path, remap("time", column=99, required=False), "channel time", "required = true")
+
+
+def test_same_heading_twice(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("T,ALCG,ALCG\n0,1,2\n")
+    told(path, (Channel("time", "s", "T"), Channel("alpha", "deg", "ALCG")), "channel alpha", "2 columns", "rename")
+
+
+@pytest.mark.parametrize("suffix", [".asc", ".csv"])
+def test_ragged_row(tmp_path, suffix):
+    path = written(tmp_path, sound(), suffix)
+    lines = path.read_text().splitlines()
+    lines[31] = lines[31].rpartition("," if suffix == ".csv" else " ")[0]
+    path.write_text("\n".join(lines))
+    sample = 30 if suffix == ".csv" else 31
+    told(path, CHANNELS, "line 32", f"sample {sample}", "6 columns where 7", "complete or delete that line")
+
+
+@pytest.mark.parametrize(("cell", "what"), [("abc", "'abc'"), ("1_0", "'1_0'"), ("1.0D+00", "'1.0D+00'")])
+@pytest.mark.parametrize("suffix", [".asc", ".csv"])
+def test_text_where_a_number_should_be(tmp_path, suffix, cell, what):
+    path = written(tmp_path, sound(), suffix)
+    separator = "," if suffix == ".csv" else " "
+    lines = path.read_text().splitlines()
+    cells = lines[20].split(separator)
+    cells[2] = cell
+    lines[20] = separator.join(cells)
+    path.write_text("\n".join(lines))
+    told(path, CHANNELS, "channel q", what, "line 21", "column 3", "sample", "correct or delete")
+
+
+def test_empty_cell_and_headers_at_odds_with_the_format(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("T,ALCG\n0,1\n0.04,\n")
+    told(path, (Channel("time", "s", "T"), Channel("alpha", "deg", "ALCG")), "channel alpha", "empty cell", "line 3")
+    path.write_text("T,ALCG\n")
+    told(path, (Channel("time", "s", "T"), Channel("alpha", "deg", "ALCG")), "no samples", "again")
+    path = written(tmp_path, sound(), ".csv").rename(tmp_path / "b.asc")
+    path.write_text(path.read_text().replace(",", " "))
+    told(path, CHANNELS, "channel time", "'T'", "line 1", "write it as .csv")
+
+
+# Binary formats
+
+
+def test_object_columns_are_refused(tmp_path):
+    import pandas as pd
+
+    frame = pd.DataFrame({"T": np.arange(60) * 0.04, "ALCG": ["x"] * 60})
+    card = (Channel("time", "s", "T"), Channel("alpha", "deg", "ALCG"))
+    frame.to_parquet(tmp_path / "a.parquet")
+    told(tmp_path / "a.parquet", card, "channel alpha", "numbers should be", "plain numbers")
+    frame["T"] = pd.date_range("2020-01-01", periods=60, freq="40ms")
+    frame.to_parquet(tmp_path / "b.parquet")
+    told(tmp_path / "b.parquet", card, "channel time", "timestamp", "time as seconds")
+    (tmp_path / "c.parquet").write_bytes(pickle.dumps(frame))
+    told(tmp_path / "c.parquet", card, "not a readable Parquet")
+
+
+def test_mat_with_struct_text_or_matrix(tmp_path):
+    from scipy.io import savemat
+
+    card = (Channel("time", "s", "T"), Channel("alpha", "deg", "ALCG"))
+    t = np.arange(60) * 0.04
+    for value, words in (
+        ({"x": t}, ("struct", "-struct")),
+        ("words", ("char", "numeric vector")),
+        (np.ones((60, 2)), ("shape (60, 2)", "split it up")),
+        (np.ones(59), ("59 samples", "60", "same length")),
+    ):
+        savemat(tmp_path / "a.mat", {"T": t, "ALCG": value})
+        told(tmp_path / "a.mat", card, "channel alpha", *words)
+    savemat(tmp_path / "v4.mat", {"T": t}, format="4")
+    told(tmp_path / "v4.mat", card, "version 5 to 7.3", "-v7")
+
+
+def test_mat_that_unpacks_into_too_much(tmp_path, monkeypatch):
+    path = written(tmp_path, sound(2000), ".mat")
+    monkeypatch.setattr("bayes_aero.flight.binary.MAX_VALUES", 100)
+    told(path, CHANNELS, "claims", "-v7")
+
+
+def test_matlab_v73(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    r = sound()
+    path = tmp_path / "v73.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for label, values in (("T", r.time), ("ALCG", np.rad2deg(r["alpha"]))):
+            file.create_dataset(label, data=values[None, :]).attrs["MATLAB_class"] = np.bytes_("double")
+        file["s"] = "text"
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\0\2IM")
+    card = [Channel("time", "s", "T"), Channel("alpha", "deg", "ALCG")]
+    np.testing.assert_allclose(read_record(path, card)["alpha"], r["alpha"], rtol=1e-15)
+    told(path, [*card, Channel("q", "deg/s", "s")], "channel q", "numbers should be")
+    told(path, [*card, Channel("q", "deg/s", "QRGY")], "channel q", "the file has", "'ALCG'")
+
+
+def test_hdf5_without_h5py(tmp_path, monkeypatch):
+    path = written(tmp_path, sound(), ".nc")
+    monkeypatch.setattr("bayes_aero.flight.hdf5.find_spec", lambda _: None)
+    told(path, CHANNELS, "h5py is not installed", "install h5py")
+
+
+def test_hdf5_that_takes_for_ever_or_crashes(tmp_path, monkeypatch):
+    path = written(tmp_path, sound(), ".nc")
+    monkeypatch.setattr("bayes_aero.flight.hdf5.TIME_LIMIT", 0.001)
+    told(path, CHANNELS, "did not finish", "write it again")
+    monkeypatch.undo()
+    monkeypatch.setattr("sys.executable", "/bin/false")
+    told(path, CHANNELS, "crashed", "write it again")
+
+
+def test_absurd_claims_take_no_memory(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "huge.nc"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("T", shape=(10**12,), chunks=(1000,), dtype="f8")
+    assert path.stat().st_size < 100_000
+    told(path, [Channel("time", "s", "T")], "channel time", "1000000000000 samples", "damaged")
+
+
+def test_netcdf_conventions(tmp_path):
+    import xarray as xr
+
+    r = sound()
+    packed = np.round(np.rad2deg(r["alpha"]) / 0.001).astype("i4")
+    packed[7] = -9999
+    about = {"scale_factor": 0.001, "add_offset": 0.0, "_FillValue": np.int32(-9999), "units": "degrees"}
+    data = xr.Dataset({"T": ("t", r.time), "ALCG": ("t", packed, about)})
+    card = [Channel("time", "s", "T"), Channel("alpha", "deg", "ALCG")]
+    for engine in ("h5netcdf", "scipy"):
+        path = tmp_path / f"{engine}.nc"
+        data.to_netcdf(path, engine=engine)
+        told(path, card, "channel alpha", "not a number", "sample 7 ", "t = 0.28 s", "1 of 120", "repair")
+        data.where(data.ALCG != -9999, 5730).assign(T=data.T).to_netcdf(tmp_path / "whole.nc", engine=engine)
+
+
+def test_classic_netcdf(tmp_path):
+    import xarray as xr
+
+    r = sound()
+    path = tmp_path / "classic.nc"
+    about = {"units": "rad"}
+    xr.Dataset({"T": ("t", r.time), "ALCG": ("t", r["alpha"], about)}).to_netcdf(path, engine="scipy")
+    card = [Channel("time", "s", "T"), Channel("alpha", "rad", "ALCG")]
+    np.testing.assert_array_equal(read_record(path, card)["alpha"], r["alpha"])
+    told(path, [card[0], Channel("alpha", "deg", "ALCG")], "channel alpha", "'rad'", 'unit = "rad"')
+
+
+# Writing
+
+
+def test_writing_refuses_what_cannot_be_read_back(tmp_path, remap):
+    record = sound()
+    for path, channels, words in (
+        (tmp_path / "a.xls", CHANNELS, (".csv", "suffix")),
+        (tmp_path / "a.asc", remap("q", column=None), ("channel q", "column = N")),
+        (tmp_path / "a.mat", remap("q", label="pitch rate"), ("channel q", "'pitch rate'", "label")),
+        (tmp_path / "no" / "a.csv", CHANNELS, ("cannot be written", "permissions")),
+        (tmp_path / "a.csv", (*CHANNELS, Channel("beta", "deg", "BE")), ("no channel beta",)),
+    ):
+        with pytest.raises(InputError) as caught:
+            write_record(record, path, channels)
+        for word in words:
+            assert word in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_optional_channels_are_left_out_of_writing(tmp_path):
+    record = sound()
+    lean = FlightRecord.from_arrays("lean", record.time, {k: v for k, v in record.channels.items() if k != "strain"})
+    assert not read_record(written(tmp_path, lean), CHANNELS).has("strain")

@@ -1,0 +1,130 @@
+"""Conversions at the border."""
+
+import math
+from contextlib import suppress
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bayes_aero.errors import InputError
+from bayes_aero.units import from_si, quantity_to_si, same_unit, si_unit, to_si
+
+
+@pytest.mark.parametrize(
+    ("unit", "target", "one"),
+    [
+        ("deg", "rad", math.pi / 180),
+        ("°", "rad", math.pi / 180),
+        ("deg/s", "rad/s", math.pi / 180),
+        ("deg/s2", "rad/s^2", math.pi / 180),
+        ("deg/s**2", "rad/s^2", math.pi / 180),
+        ("rpm", "rad/s", 2 * math.pi / 60),
+        ("g", "m/s^2", 9.80665),
+        ("m s-2", "m/s^2", 1.0),
+        ("m/s2", "m/s^2", 1.0),
+        ("kt", "m/s", 1852 / 3600),
+        ("km/h", "m/s", 1 / 3.6),
+        ("ft", "m", 0.3048),
+        ("hPa", "Pa", 100.0),
+        ("mbar", "Pa", 100.0),
+        ("inHg", "Pa", 3386.389),
+        ("degC", "K", 274.15),
+        ("°C", "K", 274.15),
+        ("%", "1", 0.01),
+        ("-", "1", 1.0),
+        ("", "1", 1.0),
+        ("slug/ft3", "kg/m^3", 515.3788),
+        ("lbf", "N", 4.448222),
+        ("ms", "s", 1e-3),
+    ],
+)
+def test_known_factors(unit, target, one):
+    np.testing.assert_allclose(to_si([1.0], unit, "x", target), [one], rtol=1e-6)
+    np.testing.assert_allclose(from_si(to_si([0.3, 7.0], unit, "x", target), unit, "x", target), [0.3, 7.0], rtol=1e-12)
+
+
+def test_base_units_where_no_target_is_known():
+    np.testing.assert_allclose(to_si([1.0, 2.0], "mm", "strain"), [1e-3, 2e-3])
+    assert si_unit("deg/s") == "rad/s"
+    assert si_unit("hPa") == "kg/m/s**2"
+    assert si_unit("%") == "1"
+
+
+def test_the_result_is_a_copy():
+    values = np.ones(3)
+    assert to_si(values, "m", "x", "m") is not values
+
+
+@pytest.mark.parametrize(
+    ("unit", "target"),
+    [("Hz", "rad/s"), ("%", "rad"), ("1", "rad"), ("deg", "1"), ("m", "s"), ("kg", "m/s^2"), ("deg", "m")],
+)
+def test_units_that_do_not_belong_together(unit, target):
+    with pytest.raises(InputError, match=f"channel alpha: the unit '{unit}'.*'{target.replace('^', '.')}'.*unit"):
+        to_si([1.0], unit, "alpha", target)
+
+
+@pytest.mark.parametrize(
+    "unit", ["degg", "m/", "9**9**9**9", "m**99", "2 m", "__import__('os')", "m" * 1000, "\0", "?"]
+)
+def test_unknown_units(unit):
+    with pytest.raises(InputError, match=r"channel alpha: the unit .* is not known; write it"):
+        to_si([1.0], unit, "alpha", "rad")
+
+
+@given(st.text(alphabet="mskgrade1239*/^()-. %°²", max_size=30) | st.text(max_size=30))
+@settings(max_examples=200, deadline=2000)
+def test_any_text_is_a_unit_or_an_input_error(text):
+    with suppress(InputError):
+        assert to_si([1.0], text, "x").shape == (1,)
+    assert same_unit(text, "deg") in (True, False, None)
+
+
+def test_same_unit():
+    assert same_unit("deg", "degrees")
+    assert same_unit("m/s2", "m/s^2")
+    assert same_unit("knots", "kt")
+    assert same_unit("deg", "rad") is False
+    assert same_unit("degC", "K") is False
+    assert same_unit("rad", "1") is False
+    assert same_unit("degrees_north", "deg") is None
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "number"),
+    [
+        ("17631 kg", "kg", 17631.0),
+        ("-0.02 m", "m", -0.02),
+        ("11442 kg m^2", "kg m^2", 11442.0),
+        ("0 deg", "rad", 0.0),
+        ("0.1 deg/s", "rad/s", 0.1 * math.pi / 180),
+        ("64.0m^2", "m^2", 64.0),
+        ("1e3 lb", "kg", 453.59237),
+        (7.22, "1", 7.22),
+        ("50 %", "1", 0.5),
+    ],
+)
+def test_card_constants(value, unit, number):
+    assert quantity_to_si(value, unit, "card: mass") == pytest.approx(number, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (5, 'without a unit; write e.g. "5 kg"'),
+        ("5", "without a unit"),
+        ("heavy", "finite number with its unit"),
+        ("1e999 kg", "finite number"),
+        (float("nan"), "finite number"),
+        ("5 m", "'m' cannot be turned into 'kg'"),
+        ("5 kgg", "'kgg' is not known"),
+        (True, "number with its unit"),
+        ([5], "number with its unit"),
+    ],
+)
+def test_bad_card_constants(value, words):
+    with pytest.raises(InputError, match=words) as caught:
+        quantity_to_si(value, "kg", "card a.toml: [aircraft] mass")
+    assert str(caught.value).startswith("card a.toml: [aircraft] mass")
