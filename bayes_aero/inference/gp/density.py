@@ -68,9 +68,7 @@ def log_density(
         stats, du = reduced_stats(u, data), None
     if not stats.ok:
         return LogDensity(np.nan, np.full(theta.size, np.nan), False, stats)
-    value, (by_theta, by_logdet, by_gram) = compiled_posterior(priors)(
-        theta, stats.logdet, stats.gram, data.n
-    )
+    value, (by_theta, by_logdet, by_gram) = compiled_posterior(priors)(theta, stats.logdet, stats.gram, data.n)
     total = np.array(by_theta)
     if du is None:
         total[:] = np.nan

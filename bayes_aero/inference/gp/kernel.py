@@ -39,9 +39,7 @@ def noise_to_signal(theta: Float[np.ndarray, " p"]) -> Float[np.ndarray, " u"]:
     return np.append(theta[length_slice(d)], 2 * (theta[-1] - theta[d + 1]))
 
 
-def scaled_distance_kernel(
-    a: Float[np.ndarray, "n d"], b: Float[np.ndarray, "m d"]
-) -> Float[np.ndarray, "n m"]:
+def scaled_distance_kernel(a: Float[np.ndarray, "n d"], b: Float[np.ndarray, "m d"]) -> Float[np.ndarray, "n m"]:
     """exp(-1/2 |a - b|^2) for inputs already divided by their length scales; one n x m array, worked in place.
 
     |a - b|^2 is expanded, a.b - a.a/2 - b.b/2; rounding can leave it barely positive, hence the clip at zero.
@@ -70,9 +68,7 @@ class Scaling:
         flat = sd <= 1e-12 * (np.abs(mean) + np.max(np.abs(X), axis=0))
         if np.any(flat):
             which = ", ".join(n for n, f in zip(names, flat, strict=True) if f)
-            raise InputError(
-                f"Input {which} does not vary over the training samples; leave it out of the GP."
-            )
+            raise InputError(f"Input {which} does not vary over the training samples; leave it out of the GP.")
         if not rms > 0:
             raise InputError("The output is zero at every training sample; there is nothing to model.")
         return cls(mean, sd, rms)

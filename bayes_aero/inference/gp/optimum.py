@@ -15,6 +15,7 @@ from jaxtyping import Float
 from scipy.optimize import minimize
 
 from bayes_aero.inference.gp.density import compiled_posterior
+from bayes_aero.inference.gp.emulator import ExactPoint
 from bayes_aero.inference.gp.kernel import length_slice, noise_to_signal
 from bayes_aero.inference.gp.priors import HyperPrior, Priors
 from bayes_aero.inference.gp.reduced import ReducedData, ReducedStats, stats_and_gradient
@@ -68,13 +69,14 @@ def assemble(w: Float[np.ndarray, " w"], u: Float[np.ndarray, " u"]) -> Float[np
 
 
 class Profile:
-    """max over w of log q + log p(y | w, u), remembering the last w as the next start."""
+    """max over w of log q + log p(y | w, u), remembering the last w as the next start
+    and every exact evaluation in `points`."""
 
     def __init__(self, data: ReducedData, priors: Priors, w: Float[np.ndarray, " w"] | None = None):
         self.data, self.n = data, float(data.n)
         self.small = compiled_posterior(priors)
         self.w = np.zeros(data.x.shape[1] + 2) if w is None else w
-        self.evaluations = 0
+        self.points: list[ExactPoint] = []
 
     def inner(self, u: Float[np.ndarray, " u"], stats: ReducedStats) -> tuple[Float[np.ndarray, " p"], float]:
         """Best theta at this u, and its log posterior."""
@@ -93,12 +95,10 @@ class Profile:
         self.w = best.x
         return assemble(best.x, u), -float(best.fun)
 
-    def __call__(
-        self, u: Float[np.ndarray, " u"]
-    ) -> tuple[float, Float[np.ndarray, " u"], Float[np.ndarray, " p"]]:
+    def __call__(self, u: Float[np.ndarray, " u"]) -> tuple[float, Float[np.ndarray, " u"], Float[np.ndarray, " p"]]:
         """Profile value at u, its gradient in u, and the theta that attains it."""
-        self.evaluations += 1
         stats, du = stats_and_gradient(u, self.data)
+        self.points.append(ExactPoint(u, stats, du))
         if not stats.ok:
             raise _NotPositiveDefiniteError
         theta, value = self.inner(u, stats)
@@ -135,21 +135,19 @@ def maximise(
     start = np.clip(u, box[:, 0], box[:, 1]) / step
     options = {"maxiter": max_iterations, "ftol": tolerance, "gtol": 1e-4, "maxls": 25}
     try:
-        out = minimize(
-            negative, start, jac=True, method="L-BFGS-B", bounds=box / step[:, None], options=options
-        )
+        out = minimize(negative, start, jac=True, method="L-BFGS-B", bounds=box / step[:, None], options=options)
         status = MapStatus.iteration_limit if out.status == 1 else MapStatus.converged
     except _NotPositiveDefiniteError:
         status = MapStatus.not_positive_definite
     if best is None:
-        return Optimum(assemble(profile.w, u), -np.inf, np.inf, status, profile.evaluations)
+        return Optimum(assemble(profile.w, u), -np.inf, np.inf, status, len(profile.points))
     value, gradient, theta = best
     at = noise_to_signal(theta)
     near = np.any(np.isclose(at, box[:, 0], atol=1e-6) | np.isclose(at, box[:, 1], atol=1e-6))
     near |= np.any(np.isclose(theta[: u.size + 1, None], SD_BOUNDS, atol=1e-6))
     if status is MapStatus.converged and near:
         status = MapStatus.at_bound
-    return Optimum(theta, value, float(np.max(np.abs(gradient))), status, profile.evaluations)
+    return Optimum(theta, value, float(np.max(np.abs(gradient))), status, len(profile.points))
 
 
 def starting_points(priors: Priors, d: int, count: int, seed: int) -> Float[np.ndarray, "starts u"]:
@@ -202,10 +200,7 @@ def find_map(
     middle = thinned(data, MIDDLE_SIZE, seed + 1)
     if middle.n > screen.n:
         tell(f"refining {len(found)} optima on {middle.n} points")
-        found = [
-            maximise(o.u, middle, priors, w=o.theta[: d + 2], max_iterations=40, tolerance=1e-7)
-            for o in found
-        ]
+        found = [maximise(o.u, middle, priors, w=o.theta[: d + 2], max_iterations=40, tolerance=1e-7) for o in found]
         found = distinct(found, polish)
     tell(f"polishing {len(found[:polish])} optima on all {data.n} points")
     found = [maximise(o.u, data, priors, w=o.theta[: d + 2]) for o in found[:polish]]

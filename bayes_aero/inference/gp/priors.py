@@ -33,9 +33,7 @@ class HyperPrior:
 
     def __post_init__(self):
         if not (self.a > 0 and self.b > 0):
-            raise InputError(
-                f"The {self.family} prior needs positive parameters, got a = {self.a}, b = {self.b}."
-            )
+            raise InputError(f"The {self.family} prior needs positive parameters, got a = {self.a}, b = {self.b}.")
 
     def distribution(self) -> dist.Distribution:
         """The density of x; a flat prior has none."""
@@ -45,9 +43,7 @@ class HyperPrior:
             return dist.LogNormal(jnp.log(self.a), self.b)
         if self.family == "inverse-gamma":
             return dist.InverseGamma(self.a, self.b)
-        raise InputError(
-            "A flat hyperparameter prior is improper and cannot be drawn from; give a proper one."
-        )
+        raise InputError("A flat hyperparameter prior is improper and cannot be drawn from; give a proper one.")
 
     def log_density(self, t: Float[Array, "..."]) -> Float[Array, "..."]:
         """Log density of t = log x."""

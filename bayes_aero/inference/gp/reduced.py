@@ -71,9 +71,7 @@ class Factor(NamedTuple):
     v: Float[np.ndarray, "n m"] | None
 
 
-def factorise(
-    u: Float[np.ndarray, " u"], data: ReducedData, se: Float[np.ndarray, "n n"] | None = None
-) -> Factor:
+def factorise(u: Float[np.ndarray, " u"], data: ReducedData, se: Float[np.ndarray, "n n"] | None = None) -> Factor:
     """Cholesky factor of R at u = (log l, log g); `se` is SE(l) where the caller has it already."""
     d = data.x.shape[1]
     if se is None:

@@ -1,0 +1,120 @@
+"""A fast stand-in for the n x n statistics near the optimum: polynomials in (log l, log g), fitted with gradients.
+
+`logdet` and the logarithmic Cholesky factor of `gram` are smooth functions of u = (log l_1..d, log g), d + 1 numbers;
+every exact evaluation gives their values and all first derivatives, so a few tens of evaluations carry a full
+cubic. The stand-in is never trusted: `reweight.py` measures its error on exact evaluations and removes it.
+"""
+
+from itertools import combinations_with_replacement
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from scipy.linalg import solve_triangular
+
+from bayes_aero.inference.gp.reduced import ReducedGradient, ReducedStats
+
+__all__ = ["Emulator", "ExactPoint", "fit_emulator"]
+
+DEGREE = 4
+ROWS_PER_TERM = 2.0  # fewer rows than this times the terms, and the degree falls: cubic below 42 points for d = 4
+TRUST_MARGIN = 1.25  # the stand-in is believed up to this many times the radius of its outermost training point
+
+
+class ExactPoint(NamedTuple):
+    """One exact evaluation kept for training: u, the statistics and, where it was paid for, their derivatives."""
+
+    u: Float[np.ndarray, " u"]
+    stats: ReducedStats
+    gradient: ReducedGradient
+
+
+class Emulator(eqx.Module):
+    """Polynomial stand-in; `powers` (terms, degree) indexes the factors of each monomial, d + 1 standing for 1."""
+
+    centre: Float[Array, " u"]
+    whiten: Float[Array, "u u"]
+    coefficients: Float[Array, "terms outputs"]
+    radius: Float[Array, ""]
+    powers: Int[Array, "terms degree"]
+
+    def __call__(self, u: Float[Array, " u"]) -> tuple[Float[Array, ""], Float[Array, "m m"], Float[Array, ""]]:
+        """(logdet, gram, penalty) at u; the penalty, <= 0, fences off where no exact point vouches for it."""
+        t = self.whiten @ (u - self.centre)
+        radius = jnp.sqrt(jnp.sum(t * t) + 1e-12)
+        outside = jnp.maximum(radius - self.radius, 0.0)
+        t = t * (1.0 - outside / radius)  # a polynomial says nothing outside its data: hold it at the border
+        basis = jnp.prod(jnp.append(t, 1.0)[self.powers], axis=1)
+        z = basis @ self.coefficients
+        m = u.shape[0] + 1
+        lower = jnp.zeros((m, m)).at[np.tril_indices(m, -1)].set(z[m + 1 :])
+        lower = lower + jnp.diag(jnp.exp(z[1 : m + 1]))
+        return z[0], lower @ lower.T, -8.0 * outside**2
+
+
+def outputs(point: ExactPoint) -> tuple[Float[np.ndarray, " outputs"], Float[np.ndarray, "u outputs"]]:
+    """Emulated outputs (logdet, log diagonal, strict lower part of chol gram) and their derivatives by u."""
+    m = point.stats.gram.shape[0]
+    lower = np.linalg.cholesky(point.stats.gram)
+    rows = np.tril_indices(m, -1)
+
+    def pack(logdet, diagonal, factor):
+        return np.concatenate([[logdet], diagonal, factor[rows]])
+
+    value = pack(point.stats.logdet, np.log(np.diag(lower)), lower)
+    slopes = []
+    for d_logdet, d_gram in zip(point.gradient.logdet, point.gradient.gram, strict=True):
+        inner = solve_triangular(lower, d_gram, lower=True)
+        inner = solve_triangular(lower, inner.T, lower=True)
+        d_lower = lower @ (np.tril(inner, -1) + 0.5 * np.diag(np.diag(inner)))
+        slopes.append(pack(d_logdet, np.diag(d_lower) / np.diag(lower), d_lower))
+    return value, np.array(slopes)
+
+
+def monomials(d: int, degree: int) -> Int[np.ndarray, "terms degree"]:
+    """Factor indices of every monomial in d variables up to `degree`, padded with d (which stands for 1)."""
+    return np.array(list(combinations_with_replacement(range(d + 1), degree)))
+
+
+def design(
+    t: Float[np.ndarray, "points u"], powers: Int[np.ndarray, "terms degree"]
+) -> Float[np.ndarray, "rows terms"]:
+    """Rows of the least-squares problem: monomial values at t, then their derivatives by each coordinate."""
+    points, d = t.shape
+    padded = np.hstack([t, np.ones((points, 1))])
+    factors = padded[:, powers]  # (points, terms, degree)
+    blocks = [factors.prod(axis=2)]
+    for k in range(d):
+        slope = np.zeros(factors.shape[:2])
+        for j in range(powers.shape[1]):
+            others = np.delete(factors, j, axis=2).prod(axis=2)
+            slope += np.where(powers[:, j] == k, others, 0.0)
+        blocks.append(slope)
+    return np.concatenate(blocks)
+
+
+def fit_emulator(points: list[ExactPoint], degree: int = DEGREE) -> Emulator:
+    """Weighted least squares on values and gradients of `points`; the degree falls to what they can carry.
+
+    Coordinates are whitened by the points' own mean and covariance, and those near the middle count more,
+    because the posterior is there.
+    """
+    u = np.array([p.u for p in points])
+    d = u.shape[1]
+    centre, root = u.mean(axis=0), np.linalg.cholesky(np.cov(u.T))
+    whiten = solve_triangular(root, np.eye(d), lower=True)
+    t = (u - centre) @ whiten.T
+    while degree > 1 and ROWS_PER_TERM * len(monomials(d, degree)) > u.size + len(u):
+        degree -= 1
+    powers = monomials(d, degree)
+    values, slopes = zip(*(outputs(p) for p in points), strict=True)
+    by_t = np.einsum("jk,pjz->kpz", root, np.array(slopes)).reshape(d * len(u), -1)
+    weight = np.exp(-np.sum(t * t, axis=1) / (4.0 * d))
+    weight = np.tile(weight, d + 1)[:, None]
+    left, right = design(t, powers) * weight, np.vstack([values, by_t]) * weight
+    coefficients, *_ = np.linalg.lstsq(left, right, rcond=1e-12)
+    radius = TRUST_MARGIN * float(np.max(np.linalg.norm(t, axis=1)))
+    numbers = (jnp.asarray(x) for x in (centre, whiten, coefficients, radius, powers))
+    return Emulator(*numbers)

@@ -1,0 +1,137 @@
+"""The whole course of full Bayes over the hyperparameters: train the stand-in, sample it, check it, remove its error."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.inference.gp.density import compiled_posterior
+from bayes_aero.inference.gp.emulator import Emulator, ExactPoint, fit_emulator
+from bayes_aero.inference.gp.kernel import noise_to_signal
+from bayes_aero.inference.gp.optimum import MapStatus, Optimum, Profile
+from bayes_aero.inference.gp.priors import Priors
+from bayes_aero.inference.gp.reduced import ReducedData, stats_and_gradient
+from bayes_aero.inference.gp.reweight import SampleStatus, Weighted, reweight, thin
+from bayes_aero.inference.gp.sample import Chains, Settings, sample_emulated
+
+__all__ = ["Budget", "Sampled", "sample_posterior"]
+
+DIFFERENCE_STEP = 0.05  # of log l and log g, for the curvature at the optimum
+DESIGN_SPREAD = 1.4  # the design is drawn this many times wider than the Laplace approximation
+PILOT_ERROR = 0.3  # a stand-in whose log density scatters by more about the exact one is trained further
+RHAT_LIMIT, ESS_LIMIT = 1.01, 400.0
+
+
+class Budget(NamedTuple):
+    """What full Bayes may spend: design points and pilots cost a gradient, exact draws a factorisation each."""
+
+    design: int = 22
+    pilots: int = 12
+    exact: int = 160
+    rounds: int = 8
+    nuts: Settings = Settings()
+
+
+class Sampled(NamedTuple):
+    """Outcome: the NUTS chains on the stand-in, the exactly weighted draws (None if never reached) and verdict."""
+
+    chains: Chains
+    weighted: Weighted | None
+    emulator: Emulator
+    status: SampleStatus
+    rounds: int
+    pilot_error: float
+
+
+def curvature(optimum: Optimum, data: ReducedData, priors: Priors) -> tuple[np.ndarray, list[ExactPoint]]:
+    """Laplace covariance of u (its open directions held to an sd of 1.5), and the exact points it was got from."""
+    profile = Profile(data, priors, optimum.theta[: data.x.shape[1] + 2].copy())
+    u = optimum.u
+    _, base, _ = profile(u)
+    rows = [(profile(u + step)[1] - base) / DIFFERENCE_STEP for step in DIFFERENCE_STEP * np.eye(u.size)]
+    values, vectors = np.linalg.eigh(-0.5 * (np.array(rows) + np.array(rows).T))
+    return (vectors / np.maximum(values, 1.0 / 1.5**2)) @ vectors.T, profile.points
+
+
+def stand_in_errors(
+    theta: Float[np.ndarray, "draws p"],
+    stand_in: Float[np.ndarray, " draws"],
+    points: list[ExactPoint],
+    n: int,
+    priors: Priors,
+) -> Float[np.ndarray, " draws"]:
+    """Exact minus stand-in log density, from exact points at the draws' own u."""
+    value = compiled_posterior(priors)
+    exact = [value(t, p.stats.logdet, p.stats.gram, float(n))[0] for t, p in zip(theta, points, strict=True)]
+    return np.array(exact, float) - stand_in
+
+
+def sample_posterior(
+    optimum: Optimum,
+    data: ReducedData,
+    priors: Priors,
+    *,
+    budget: Budget = Budget(),
+    seed: int = 0,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Sampled:
+    """Draws of theta from the exact posterior around `optimum`, or the reason why there are none."""
+    rng = np.random.default_rng(seed)
+    covariance, points = curvature(optimum, data, priors)
+    root = np.linalg.cholesky(covariance)
+    while len(points) < budget.design:
+        u = optimum.u + DESIGN_SPREAD * root @ rng.normal(size=optimum.u.size)
+        points.append(_exact_point(u, data))
+        tell(f"training the stand-in: {len(points)} of {budget.design}")
+    for number in range(1, budget.rounds + 1):
+        usable = [p for p in points if p.stats.ok]
+        emulator = fit_emulator(usable)
+        tell(f"NUTS, round {number}")
+        chains = sample_emulated(optimum.theta, emulator, data.n, priors, budget.nuts, seed + number)
+        last = number == budget.rounds
+        pilots, error = _pilot(chains, data, priors, budget.pilots, rng)
+        points += pilots
+        if not last and not error < PILOT_ERROR:
+            continue
+        if np.max(chains.rhat) > RHAT_LIMIT or np.min(chains.ess) < ESS_LIMIT:
+            if last:
+                return Sampled(chains, None, emulator, SampleStatus.not_mixed, number, error)
+            continue
+        theta, stand_in = thin(chains, budget.exact)
+        weighted = reweight(theta, stand_in, data, priors, tell)
+        if weighted.status is SampleStatus.accepted or last:
+            return Sampled(chains, weighted, emulator, weighted.status, number, error)
+        points += _worst(weighted, data, budget.pilots)
+    raise AssertionError("the last round returns")
+
+
+def _exact_point(u: Float[np.ndarray, " u"], data: ReducedData) -> ExactPoint:
+    return ExactPoint(u, *stats_and_gradient(u, data))
+
+
+def _pilot(
+    chains: Chains, data: ReducedData, priors: Priors, count: int, rng: np.random.Generator
+) -> tuple[list[ExactPoint], float]:
+    """A few exact points at random draws, and the scatter of the stand-in's error over them (inf if any failed)."""
+    flat = chains.theta.reshape(-1, chains.theta.shape[-1])
+    at = rng.choice(len(flat), count, replace=False)
+    points = [_exact_point(noise_to_signal(t), data) for t in flat[at]]
+    if not all(p.stats.ok for p in points):
+        return points, np.inf
+    errors = stand_in_errors(flat[at], chains.log_density.ravel()[at], points, data.n, priors)
+    return points, float(np.std(errors))
+
+
+def _worst(weighted: Weighted, data: ReducedData, count: int) -> list[ExactPoint]:
+    """Exact points, with gradients, at the draws that the stand-in judged worst."""
+    order = np.argsort(
+        -np.abs(weighted.exact - weighted.stand_in - np.median(weighted.exact - weighted.stand_in)).ravel()
+    )
+    flat = weighted.theta.reshape(-1, weighted.theta.shape[-1])
+    return [_exact_point(noise_to_signal(t), data) for t in flat[order[:count]]]
+
+
+def refuse_early(optimum: Optimum) -> bool:
+    """Whether the optimum is too broken to sample around."""
+    return optimum.status is MapStatus.not_positive_definite or not np.isfinite(optimum.value)

@@ -1,0 +1,133 @@
+"""NUTS over all 2d + 3 hyperparameters, on the stand-in density or (small n) on the exact one."""
+
+from functools import lru_cache, partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+import numpyro.distributions as dist
+from arviz_stats.base import array_stats
+from jaxtyping import Array, Float
+from numpyro.infer import MCMC, NUTS
+
+from bayes_aero.inference.gp.density import log_likelihood_device, small_posterior
+from bayes_aero.inference.gp.emulator import Emulator
+from bayes_aero.inference.gp.kernel import length_slice
+from bayes_aero.inference.gp.priors import Priors
+from bayes_aero.inference.gp.reduced import ReducedData
+
+__all__ = ["Chains", "Settings", "emulated_density", "laplace_root", "sample_emulated", "sample_exact"]
+
+
+class Settings(NamedTuple):
+    """Length of the NUTS run: `chains` chains of `warmup` + `draws` steps, together, vectorised."""
+
+    warmup: int = 500
+    draws: int = 1000
+    chains: int = 4
+
+
+class Chains(NamedTuple):
+    """NUTS output: theta (chains, draws, p), its log density, divergences, and per-parameter R-hat and bulk ESS."""
+
+    theta: Float[np.ndarray, "chains draws p"]
+    log_density: Float[np.ndarray, "chains draws"]
+    divergences: int
+    rhat: Float[np.ndarray, " p"]
+    ess: Float[np.ndarray, " p"]
+
+
+def emulated_density(
+    theta: Float[Array, " p"], emulator: Emulator, n: Float[Array, ""], priors: Priors
+) -> Float[Array, ""]:
+    """The stand-in for log q(theta) + log p(y | theta), fenced to where it was trained."""
+    d = (theta.shape[0] - 3) // 2
+    u = jnp.append(theta[length_slice(d)], 2.0 * (theta[-1] - theta[d + 1]))
+    logdet, gram, penalty = emulator(u)
+    return small_posterior(theta, logdet, gram, n, priors) + penalty
+
+
+@lru_cache(maxsize=8)
+def _hessian(priors: Priors):
+    return jax.jit(jax.hessian(partial(emulated_density, priors=priors)))
+
+
+def laplace_root(
+    theta: Float[np.ndarray, " p"], emulator: Emulator, n: float, priors: Priors
+) -> Float[np.ndarray, "p p"]:
+    """Square root of the Laplace covariance at theta; directions that the data leave open get an sd of 1.5."""
+    hessian = np.asarray(_hessian(priors)(jnp.asarray(theta), emulator, jnp.asarray(n)))
+    values, vectors = np.linalg.eigh(-0.5 * (hessian + hessian.T))
+    return vectors / np.sqrt(np.maximum(values, 1.0 / 1.5**2))
+
+
+@lru_cache(maxsize=8)
+def _kernel(p: int, priors: Priors, settings: Settings, exact: bool, shapes: tuple) -> MCMC:  # noqa: ARG001
+    """One compiled sampler per problem shape; what differs between coefficients is an argument of the model.
+
+    `shapes` (of those arguments) only keys the cache: an MCMC object does not survive a change of them.
+    """
+
+    def model(theta_map, root, n, target):
+        w = numpyro.sample("w", dist.ImproperUniform(dist.constraints.real_vector, (), (p,)))
+        theta = numpyro.deterministic("theta", theta_map + root @ w)
+        if exact:
+            density = log_likelihood_device(theta, *target) + priors.log_density(theta)
+        else:
+            density = emulated_density(theta, target, n, priors)
+        numpyro.factor("density", density)
+        numpyro.deterministic("log_density", density)
+
+    return MCMC(
+        NUTS(model, dense_mass=True, target_accept_prob=0.9),
+        num_warmup=settings.warmup,
+        num_samples=settings.draws,
+        num_chains=settings.chains,
+        chain_method="vectorized",
+        progress_bar=False,
+        jit_model_args=True,
+    )
+
+
+def _run(priors: Priors, settings: Settings, exact: bool, seed: int, args: tuple) -> Chains:
+    p = args[0].size
+    shapes = tuple(leaf.shape for leaf in jax.tree.leaves(args))
+    mcmc = _kernel(p, priors, settings, exact, shapes)
+    start, run = jax.random.split(jax.random.PRNGKey(seed))
+    mcmc.run(
+        run,
+        *args,
+        init_params={"w": jax.random.normal(start, (mcmc.num_chains, p))},
+        extra_fields=("diverging",),
+    )
+    samples = mcmc.get_samples(group_by_chain=True)
+    theta = np.asarray(samples["theta"])
+    rhat = np.array([array_stats.rhat(theta[:, :, k]) for k in range(p)])
+    ess = np.array([array_stats.ess(theta[:, :, k]) for k in range(p)])
+    diverging = int(np.sum(np.asarray(mcmc.get_extra_fields()["diverging"])))
+    return Chains(theta, np.asarray(samples["log_density"]), diverging, rhat, ess)
+
+
+def sample_emulated(
+    theta: Float[np.ndarray, " p"], emulator: Emulator, n: int, priors: Priors, settings: Settings, seed: int
+) -> Chains:
+    """NUTS on the stand-in density around the optimum theta."""
+    root = laplace_root(theta, emulator, float(n), priors)
+    args = (jnp.asarray(theta), jnp.asarray(root), jnp.asarray(float(n)), emulator)
+    return _run(priors, settings, False, seed, args)
+
+
+def sample_exact(
+    theta: Float[np.ndarray, " p"],
+    root: Float[np.ndarray, "p p"],
+    data: ReducedData,
+    priors: Priors,
+    settings: Settings,
+    seed: int,
+) -> Chains:
+    """NUTS on the exact density, n^3 at every leapfrog step: the yardstick for n of a few hundred."""
+    target = (jnp.asarray(data.x), jnp.asarray(data.fy))
+    args = (jnp.asarray(theta), jnp.asarray(root), jnp.asarray(float(data.n)), target)
+    return _run(priors, settings, True, seed, args)
