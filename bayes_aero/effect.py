@@ -53,7 +53,7 @@ NEUTRAL_FLOW = {"X": 1.0, "CL_attached": 0.0, "CL": 0.0, "CD": 0.0, "Cm": 0.0}
 
 @dataclass(frozen=True)
 class Example:
-    """A worked example: `parameters` and one sample's `signals` give `increments`, worked out by hand or from `source`."""
+    """A worked example: `parameters` and one sample's `signals` give `increments`; `source` says who worked it out."""
 
     parameters: Mapping[str, float]
     signals: Mapping[str, float]

@@ -29,8 +29,6 @@ EFFECT = Effect(
     ),
     channels=("alpha_dot", "airspeed"),
     increments=increments,
-    example=Example(
-        {"tau2": 20.0}, {"alpha_dot": -0.05, "airspeed": 60.0}, {"incidence": 0.05}, "by hand, chord 3 m"
-    ),
+    example=Example({"tau2": 20.0}, {"alpha_dot": -0.05, "airspeed": 60.0}, {"incidence": 0.05}, "by hand, chord 3 m"),
     source="Fischenberg and Jategaonkar 1999; one-sided in the program published with the ATTAS data",
 )

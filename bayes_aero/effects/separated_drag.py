@@ -17,8 +17,6 @@ EFFECT = Effect(
     parameters=(Parameter("CDX", "1", 0.0, 0.05, "drag of fully separated flow", Prior("normal", 0.1, 0.2)),),
     channels=("alpha",),
     increments=increments,
-    example=Example(
-        {"CDX": 0.08}, {"alpha": 0.2}, {"CD": 0.06}, "0.08 x (1 - 1/4), by hand", known={"X": 0.25}
-    ),
+    example=Example({"CDX": 0.08}, {"alpha": 0.2}, {"CD": 0.06}, "0.08 x (1 - 1/4), by hand", known={"X": 0.25}),
     source="Jategaonkar 2015, ch. 12, Kirchhoff stall model",
 )

@@ -15,14 +15,10 @@ EFFECT = Effect(
     stage=Stage.TOTAL,
     claim="Separated flow pitches the aircraft.",
     parameters=(
-        Parameter(
-            "CmX", "1", 0.0, -0.1, "pitching moment of fully separated flow", Prior("normal", -0.1, 0.3)
-        ),
+        Parameter("CmX", "1", 0.0, -0.1, "pitching moment of fully separated flow", Prior("normal", -0.1, 0.3)),
     ),
     channels=("alpha",),
     increments=increments,
-    example=Example(
-        {"CmX": -0.12}, {"alpha": 0.2}, {"Cm": -0.09}, "-0.12 x (1 - 1/4), by hand", known={"X": 0.25}
-    ),
+    example=Example({"CmX": -0.12}, {"alpha": 0.2}, {"Cm": -0.09}, "-0.12 x (1 - 1/4), by hand", known={"X": 0.25}),
     source="Jategaonkar 2015, ch. 12, Kirchhoff stall model",
 )

@@ -104,12 +104,9 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
         sensors=_sensors(_section(table, "sensors", where), where),
         effects=tuple(effects),
         fixed={
-            key: _number(value, f"{where}: [model] fixed {key}")
-            for key, value in dict(model.get("fixed", {})).items()
+            key: _number(value, f"{where}: [model] fixed {key}") for key, value in dict(model.get("fixed", {})).items()
         },
-        changes={
-            key: _change(key, value, where) for key, value in _section(table, "parameters", where).items()
-        },
+        changes={key: _change(key, value, where) for key, value in _section(table, "parameters", where).items()},
         gp_inputs=_gp_inputs(_section(table, "gp", where), where),
     )
 
@@ -142,16 +139,12 @@ def _aircraft(table: Mapping[str, Any], where: str) -> Aircraft:
         if key not in table:
             if key in (*POSITIONS, "engine_inclination"):
                 continue
-            raise InputError(
-                f'card {where}: [aircraft] has no {key}; add it with its unit, e.g. {key} = "... {unit}"'
-            )
+            raise InputError(f'card {where}: [aircraft] has no {key}; add it with its unit, e.g. {key} = "... {unit}"')
         given = table[key]
         if key in POSITIONS:
             if not (isinstance(given, list) and len(given) == 3):
                 raise InputError(f"card {where}: [aircraft] {key} must be three lengths, [x, y, z]")
-            values[key] = tuple(
-                quantity_to_si(part, unit, f"card {where}: [aircraft] {key}") for part in given
-            )
+            values[key] = tuple(quantity_to_si(part, unit, f"card {where}: [aircraft] {key}") for part in given)
         else:
             values[key] = quantity_to_si(given, unit, f"card {where}: [aircraft] {key}")
     for key in ("mass", "Ix", "Iy", "Iz", "wing_area", "chord", "aspect_ratio", "tail_arm"):
@@ -172,9 +165,7 @@ def _channel(key: str, given: Any, where: str) -> Channel:
     if column is not None and (isinstance(column, bool) or not isinstance(column, int) or column < 1):
         raise InputError(f"card {where}: channel {key} has column {column!r}; columns are counted from 1")
     if column is None and "label" not in given:
-        raise InputError(
-            f"card {where}: channel {key} has neither column nor label; say where it stands in a file"
-        )
+        raise InputError(f"card {where}: channel {key} has neither column nor label; say where it stands in a file")
     label = given.get("label")
     return Channel(
         name=key,
@@ -204,9 +195,7 @@ def _sensors(table: Mapping[str, Any], where: str) -> dict[str, float]:
             raise InputError(f"card {where}: [sensors] {key} is not a channel of the program")
         sensors[key] = quantity_to_si(value, unit, f"card {where}: [sensors] {key}")
         if not sensors[key] >= 0.0:
-            raise InputError(
-                f"card {where}: [sensors] {key} is {value!r}; a standard deviation cannot be negative"
-            )
+            raise InputError(f"card {where}: [sensors] {key} is {value!r}; a standard deviation cannot be negative")
     return sensors
 
 

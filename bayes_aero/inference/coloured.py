@@ -56,15 +56,11 @@ def corrected_covariance(
     return D @ total @ D
 
 
-def _sandwich(
-    W: Float[np.ndarray, "n c k"], covariance: Float[np.ndarray, "m c c"]
-) -> Float[np.ndarray, "k k"]:
+def _sandwich(W: Float[np.ndarray, "n c k"], covariance: Float[np.ndarray, "m c c"]) -> Float[np.ndarray, "k k"]:
     """sum_ij W_i' Rvv(i-j) W_j by convolution over time."""
     n, lags = W.shape[0], (covariance.shape[0] - 1) // 2
     size = fft.next_fast_len(n + 2 * lags)
     kernel = np.zeros((size, *covariance.shape[1:]))
     kernel[np.arange(-lags, lags + 1)] = covariance
-    spread = fft.irfft(
-        np.einsum("fij,fjk->fik", fft.rfft(kernel, axis=0), fft.rfft(W, size, axis=0)), size, axis=0
-    )[:n]
+    spread = fft.irfft(np.einsum("fij,fjk->fik", fft.rfft(kernel, axis=0), fft.rfft(W, size, axis=0)), size, axis=0)[:n]
     return np.einsum("nci,ncj->ij", W, spread)

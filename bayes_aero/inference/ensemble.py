@@ -8,6 +8,7 @@ from collections.abc import Callable
 import emcee
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -17,21 +18,15 @@ from bayes_aero.model.density import Density
 
 ENSEMBLES = 4
 DEGREES = 5.0  # of freedom of the independence proposal: tails heavier than the posterior's
-INDEPENDENT = (
-    0.7  # share of independence moves; the rest is differential evolution, which needs no good proposal
-)
+INDEPENDENT = 0.7  # share of independence moves; the rest is differential evolution, which needs no good proposal
 BURN_IN = 150
 CHUNK = 100
 MAX_STEPS = 4000
-AUTOCORRELATION_TIMES = (
-    50  # a run must be this long before its autocorrelation time is believed (emcee's own rule)
-)
+AUTOCORRELATION_TIMES = 50  # a run must be this long before its autocorrelation time is believed (emcee's own rule)
 
 
 @eqx.filter_jit
-def _log_density(
-    density: Density, u: Float[Array, " k"], factor: Float[Array, "k k"], v: Float[Array, "m k"]
-):
+def _log_density(density: Density, u: Float[Array, " k"], factor: Float[Array, "k k"], v: Float[Array, "m k"]):
     """Log-density of whitened coordinates, one row a walker."""
     return jax.vmap(lambda row: density(u + factor @ row))(v)
 
@@ -57,10 +52,11 @@ class _Target:
     """The density as emcee calls it; non-finite values are counted, not hidden."""
 
     def __init__(self, density: Density, mode: Mode) -> None:
-        self.density, self.mode, self.rejected = density, mode, 0
+        self.density, self.rejected = density, 0
+        self.frame = jnp.asarray(mode.u), jnp.asarray(mode.factor)
 
     def __call__(self, v: np.ndarray) -> np.ndarray:
-        value = np.asarray(_log_density(self.density, self.mode.u, self.mode.factor, v))
+        value = np.asarray(_log_density(self.density, *self.frame, jnp.asarray(v)))
         bad = ~np.isfinite(value)
         self.rejected += int(bad.sum())
         return np.where(bad, -np.inf, value)
@@ -115,15 +111,13 @@ def sample_ensemble(
     constrain = jax.jit(jax.vmap(jax.vmap(density.constrain)))
     while True:
         v = _chains(samplers)
-        x = np.asarray(constrain(mode.unwhiten(v)))
+        x = np.asarray(constrain(jnp.asarray(mode.unwhiten(v))))
         marginals = diagnose(x, density.names)
         steps = samplers[0].iteration
         tau = max(float(np.max(s.get_autocorr_time(tol=0))) for s in samplers)
         if progress:
             least = min(m.ess_bulk for m in marginals.values())
-            progress(
-                f"emcee: {steps} steps, ESS {least:.0f}", min(1.0, steps / (AUTOCORRELATION_TIMES * tau))
-            )
+            progress(f"emcee: {steps} steps, ESS {least:.0f}", min(1.0, steps / (AUTOCORRELATION_TIMES * tau)))
         if (converged(marginals) and steps >= AUTOCORRELATION_TIMES * tau) or steps >= max_steps:
             break
         for sampler in samplers:

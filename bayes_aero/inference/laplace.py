@@ -7,6 +7,7 @@ from enum import Enum
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from scipy import optimize
@@ -21,9 +22,7 @@ class ModeStatus(Enum):
 
     CONVERGED = "converged"
     NOT_CONVERGED = "the posterior mode was not reached; the samplers start from the best point found"
-    FLAT = (
-        "the posterior is flat or saddle-shaped at its mode; some combination of parameters is not identified"
-    )
+    FLAT = "the posterior is flat or saddle-shaped at its mode; some combination of parameters is not identified"
 
 
 @dataclass(frozen=True)
@@ -41,9 +40,14 @@ class Mode:
 
 
 @eqx.filter_jit
-def value_and_gradient(density: Density, u: Float[Array, " k"]):
+def _value_and_gradient(density: Density, u: Float[Array, " k"]):
+    return jax.value_and_grad(type(density).__call__, argnums=1)(density, u)
+
+
+def value_and_gradient(density: Density, u: Float[np.ndarray, " k"]) -> tuple[float, Float[np.ndarray, " k"]]:
     """Log-density and its gradient at `u`."""
-    return jax.value_and_grad(lambda point: density(point))(u)
+    value, slope = _value_and_gradient(density, jnp.asarray(u))
+    return float(value), np.asarray(slope)
 
 
 def _curvature(density: Density, u: np.ndarray, step: np.ndarray) -> np.ndarray:
@@ -52,9 +56,7 @@ def _curvature(density: Density, u: np.ndarray, step: np.ndarray) -> np.ndarray:
     for i in range(len(u)):
         move = np.zeros_like(u)
         move[i] = step[i]
-        forward, backward = (
-            np.asarray(value_and_gradient(density, u + sign * move)[1]) for sign in (1.0, -1.0)
-        )
+        forward, backward = (value_and_gradient(density, u + sign * move)[1] for sign in (1.0, -1.0))
         rows.append((backward - forward) / (2.0 * step[i]))
     H = np.array(rows)
     return (H + H.T) / 2.0
@@ -80,11 +82,9 @@ def _climb(density: Density, u: np.ndarray, factor: np.ndarray) -> np.ndarray:
         value, slope = value_and_gradient(density, u + factor @ v)
         if not np.isfinite(value):
             return 1e300, np.zeros(len(u))
-        return -float(value), -factor.T @ np.asarray(slope)
+        return -value, -factor.T @ slope
 
-    found = optimize.minimize(
-        negative, np.zeros(len(u)), jac=True, method="L-BFGS-B", options={"maxiter": 200}
-    )
+    found = optimize.minimize(negative, np.zeros(len(u)), jac=True, method="L-BFGS-B", options={"maxiter": 200})
     return u + factor @ found.x
 
 
@@ -93,8 +93,8 @@ def find_mode(density: Density, start: Float[np.ndarray, " k"], *, rounds: int =
 
     Each round measures the curvature, takes a Newton step if that gains, else climbs by L-BFGS on the new scale.
     """
-    u = np.asarray(density.unconstrain(np.asarray(start, float)))
-    value, slope = (np.asarray(part) for part in value_and_gradient(density, u))
+    u = np.asarray(density.unconstrain(jnp.asarray(start, float)))
+    value, slope = value_and_gradient(density, u)
     step = np.full(len(u), 1e-4)
     for _ in range(rounds):
         factor, sound = _factor(_curvature(density, u, step))
@@ -104,10 +104,10 @@ def find_mode(density: Density, start: Float[np.ndarray, " k"], *, rounds: int =
         if sound and gain < 1e-7:
             return Mode(u, factor, float(value), ModeStatus.CONVERGED)
         trial = u + move
-        new, new_slope = (np.asarray(part) for part in value_and_gradient(density, trial))
+        new, new_slope = value_and_gradient(density, trial)
         if not (np.isfinite(new) and new > value + 0.5 * gain):
             trial = _climb(density, u, factor)
-            new, new_slope = (np.asarray(part) for part in value_and_gradient(density, trial))
+            new, new_slope = value_and_gradient(density, trial)
         if not new > value:
             break
         u, value, slope = trial, new, new_slope

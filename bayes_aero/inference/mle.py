@@ -32,15 +32,9 @@ class MleStatus(Enum):
     """How the fit ended; the value is what to tell the user."""
 
     CONVERGED = "converged"
-    AT_BOUND = (
-        "converged with a parameter at its bound: its bound and interval mean little; widen it or fix it"
-    )
-    NOT_CONVERGED = (
-        "stopped before the optimum: start nearer, add priors or fix parameters; do not use the numbers"
-    )
-    SINGULAR = (
-        "the information matrix is singular: the record does not identify every parameter; fix or add data"
-    )
+    AT_BOUND = "converged with a parameter at its bound: its bound and interval mean little; widen it or fix it"
+    NOT_CONVERGED = "stopped before the optimum: start nearer, add priors or fix parameters; do not use the numbers"
+    SINGULAR = "the information matrix is singular: the record does not identify every parameter; fix or add data"
     STALL_NOT_IDENTIFIED = (
         "every start ended where the flow is never, or always, separated: the record does not identify the stall; "
         "add a manoeuvre that stalls, or fix a1, alpha_star and tau2"
@@ -90,8 +84,7 @@ class MleResult:
         """Pairs of parameters whose estimates are correlated beyond `limit` in size."""
         rows, columns = np.triu_indices(len(self.names), 1)
         pairs = (
-            (self.names[i], self.names[j], float(self.correlation[i, j]))
-            for i, j in zip(rows, columns, strict=True)
+            (self.names[i], self.names[j], float(self.correlation[i, j])) for i, j in zip(rows, columns, strict=True)
         )
         return sorted((pair for pair in pairs if abs(pair[2]) > limit), key=lambda pair: -abs(pair[2]))
 
@@ -106,9 +99,7 @@ class MleResult:
             )
         for name, value, bound in zip(self.names, self.estimate, self.crb, strict=True):
             if bound > 0.5 * abs(value):
-                said.append(
-                    f"{name} is not identified: its Cramer-Rao deviation is {bound / abs(value):.0%} of it."
-                )
+                said.append(f"{name} is not identified: its Cramer-Rao deviation is {bound / abs(value):.0%} of it.")
         said += [f"{a} and {b} are correlated by {value:+.3f}." for a, b, value in self.strong_correlations()]
         return said
 
@@ -142,7 +133,10 @@ def _cost(model: Model, observations: Observations, theta: Float[Array, " k"]) -
 @eqx.filter_jit
 def _evaluate(model: Model, observations: Observations, theta: Float[Array, " k"]):
     """Prediction (n, 3), sensitivities (n, 3, k) and separation point (n,)."""
-    predict = lambda t: model.coefficients(t, observations.signals, observations.aircraft)
+
+    def predict(t: Float[Array, " k"]) -> Float[Array, "n 3"]:
+        return model.coefficients(t, observations.signals, observations.aircraft)
+
     X = model.flow(model.values(theta), observations.signals, observations.aircraft)["X"]
     return predict(theta), jax.jacfwd(predict)(theta), X
 
@@ -167,10 +161,10 @@ def descend(model: Model, observations: Observations, start: Float[np.ndarray, "
     """Gauss-Newton from one start: full step, halved steps, then Levenberg-Marquardt; bounds by an active set."""
     lower, upper = (np.array([p.bounds[i] for p in model.free]) for i in (0, 1))
     theta = np.clip(start, lower, upper)
-    cost = float(_cost(model, observations, theta))
+    cost = float(_cost(model, observations, jnp.asarray(theta)))
     active = np.zeros(len(theta), bool)
     for iteration in range(1, MAX_ITERATIONS + 1):
-        _, A, g = (np.asarray(part) for part in _linearise(model, observations, theta))
+        _, A, g = (np.asarray(part) for part in _linearise(model, observations, jnp.asarray(theta)))
         if not (np.isfinite(cost) and np.all(np.isfinite(A))):
             return _Descent(theta, np.inf, False, iteration, active)
         active = ((theta <= lower) & (g < 0.0)) | ((theta >= upper) & (g > 0.0))
@@ -183,7 +177,7 @@ def descend(model: Model, observations: Observations, start: Float[np.ndarray, "
         for step in (*steps, *damped):
             trial = theta.copy()
             trial[free] = np.clip(theta[free] + step, lower[free], upper[free])
-            trial_cost = float(_cost(model, observations, trial))
+            trial_cost = float(_cost(model, observations, jnp.asarray(trial)))
             if trial_cost < cost:
                 break
         else:
@@ -208,7 +202,7 @@ def _degenerate(model: Model, observations: Observations, descent: _Descent) -> 
         return True
     if "alpha_star" not in model.names:
         return False
-    X = np.asarray(_evaluate(model, observations, descent.theta)[2])
+    X = np.asarray(_evaluate(model, observations, jnp.asarray(descent.theta))[2])
     at_bound = descent.active[model.names.index("alpha_star")]
     return bool(at_bound or np.ptp(X) < FROZEN_X)
 
@@ -244,8 +238,8 @@ def fit_mle(
 def _report(
     model: Model, observations: Observations, best: _Descent, sound: bool, table: Sequence[tuple[float, str]]
 ) -> MleResult:
-    R, A, _ = (np.asarray(part) for part in _linearise(model, observations, best.theta))
-    predicted, S, X = (np.asarray(part) for part in _evaluate(model, observations, best.theta))
+    R, A, _ = (np.asarray(part) for part in _linearise(model, observations, jnp.asarray(best.theta)))
+    predicted, S, X = (np.asarray(part) for part in _evaluate(model, observations, jnp.asarray(best.theta)))
     residual = np.asarray(observations.measured) - predicted
     scale = np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
     eigenvalues = np.linalg.eigvalsh(A / np.outer(scale, scale))
@@ -253,9 +247,7 @@ def _report(
     inverse = np.full_like(A, np.nan)
     if not singular:
         inverse = np.linalg.inv(A / np.outer(scale, scale)) / np.outer(scale, scale)
-    corrected = corrected_covariance(
-        inverse, S, R, residual, observations.manoeuvre, np.asarray(observations.start)
-    )
+    corrected = corrected_covariance(inverse, S, R, residual, observations.manoeuvre, np.asarray(observations.start))
     if not sound:
         status = MleStatus.STALL_NOT_IDENTIFIED
     elif singular:

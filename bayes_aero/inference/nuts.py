@@ -6,12 +6,13 @@ import time
 from collections.abc import Callable
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from numpyro.infer import MCMC, NUTS
 
 from bayes_aero.inference.laplace import Mode
-from bayes_aero.inference.posterior import Posterior, PosteriorStatus, assemble
+from bayes_aero.inference.posterior import Posterior, PosteriorStatus, assemble, converged, diagnose
 from bayes_aero.model.density import Density
 
 CHAINS = 4
@@ -41,8 +42,10 @@ def sample_nuts(
     began = time.perf_counter()
     start_key, run_key = jax.random.split(jax.random.PRNGKey(seed))
 
+    centre, factor = jnp.asarray(mode.u), jnp.asarray(mode.factor)
+
     def potential(v: Float[Array, " k"]) -> Float[Array, ""]:
-        return -density(mode.u + mode.factor @ v)
+        return -density(centre + factor @ v)
 
     mcmc = MCMC(
         NUTS(potential_fn=potential, dense_mass=False, target_accept_prob=0.8),
@@ -56,7 +59,9 @@ def sample_nuts(
     mcmc.run(run_key, init_params=jax.random.normal(start_key, (chains, density.size)), extra_fields=FIELDS)
     blocks, fields = [], []
     while True:
-        blocks.append(np.asarray(constrain(mode.unwhiten(np.asarray(mcmc.get_samples(group_by_chain=True))))))
+        blocks.append(
+            np.asarray(constrain(jnp.asarray(mode.unwhiten(np.asarray(mcmc.get_samples(group_by_chain=True))))))
+        )
         fields.append({k: np.asarray(v) for k, v in mcmc.get_extra_fields(group_by_chain=True).items()})
         x = np.concatenate(blocks, axis=1)
         marginals = diagnose(x, density.names)
@@ -70,7 +75,8 @@ def sample_nuts(
         if done or len(blocks) >= max_blocks:
             break
         mcmc.post_warmup_state = mcmc.last_state
-        mcmc.run(mcmc.last_state.rng_key, extra_fields=FIELDS)
+        run_key, block_key = jax.random.split(run_key)
+        mcmc.run(block_key, extra_fields=FIELDS)
     joined = {name: np.concatenate([f[name] for f in fields], axis=1) for name in FIELDS}
     divergent = float(joined["diverging"].mean()) > DIVERGENT_SHARE
     return assemble(

@@ -28,7 +28,9 @@ class PosteriorStatus(Enum):
     """Whether the draws may be used; the value is what to tell the user."""
 
     CONVERGED = "converged"
-    NOT_CONVERGED = "not converged: R-hat or effective sample size missed its target; run longer, do not use the intervals"
+    NOT_CONVERGED = (
+        "not converged: R-hat or effective sample size missed its target; run longer, do not use the intervals"
+    )
     DIVERGENT = "divergent transitions: the sampler could not follow the posterior; its tails are not trusted"
 
 
@@ -58,8 +60,8 @@ class Posterior:
 
     def draws(self) -> Float[np.ndarray, "m k"]:
         """All draws as rows, chains end to end, columns as `names`."""
-        posterior = self.tree["posterior"]
-        return np.stack([posterior[name].values.reshape(-1) for name in self.names], axis=1)
+        posterior = self.tree["posterior"].to_dataset()
+        return np.stack([np.asarray(posterior[name]).reshape(-1) for name in self.names], axis=1)
 
     @property
     def covariance(self) -> Float[np.ndarray, "k k"]:
@@ -80,9 +82,7 @@ class Posterior:
 
 def diagnose(draws: Float[np.ndarray, "chain draw k"], names: tuple[str, ...]) -> dict[str, Marginal]:
     """Marginal summaries with ArviZ's rank-normalised R-hat and bulk effective sample size."""
-    dataset = azb.from_dict({"posterior": {name: draws[..., i] for i, name in enumerate(names)}})[
-        "posterior"
-    ].dataset
+    dataset = azb.from_dict({"posterior": {name: draws[..., i] for i, name in enumerate(names)}})["posterior"].dataset
     ess, tail, rhat = azs.ess(dataset), azs.ess(dataset, method="tail"), azs.rhat(dataset)
     found = {}
     for i, name in enumerate(names):
@@ -101,9 +101,7 @@ def diagnose(draws: Float[np.ndarray, "chain draw k"], names: tuple[str, ...]) -
 
 def converged(marginals: dict[str, Marginal]) -> bool:
     """Every parameter reaches the targets of effective sample size (bulk and tail) and R-hat."""
-    return all(
-        min(m.ess_bulk, m.ess_tail) >= TARGET_ESS and m.rhat <= TARGET_RHAT for m in marginals.values()
-    )
+    return all(min(m.ess_bulk, m.ess_tail) >= TARGET_ESS and m.rhat <= TARGET_RHAT for m in marginals.values())
 
 
 @eqx.filter_jit
@@ -130,9 +128,7 @@ def assemble(
     samples before: under coloured noise LOO on it measures one-step prediction, not interpolation.
     """
     names = density.names
-    groups: dict[str, dict[str, np.ndarray]] = {
-        "posterior": {name: draws[..., i] for i, name in enumerate(names)}
-    }
+    groups: dict[str, dict[str, np.ndarray]] = {"posterior": {name: draws[..., i] for i, name in enumerate(names)}}
     if sample_stats:
         groups["sample_stats"] = sample_stats
     rng = np.random.default_rng(seed)
@@ -161,9 +157,7 @@ def _sample_groups(
     thin = np.linspace(0, length - 1, kept).astype(int)
     shape = (chains, kept, density.observations.n, 3)
     white = rng.standard_normal((chains * kept, *shape[2:]))
-    loglik, replicated = _predictive(
-        density, jnp.asarray(draws[:, thin].reshape(-1, size)), jnp.asarray(white)
-    )
+    loglik, replicated = _predictive(density, jnp.asarray(draws[:, thin].reshape(-1, size)), jnp.asarray(white))
     _, prior_replicated = _predictive(density, jnp.asarray(prior[: chains * kept]), jnp.asarray(white))
 
     def split(values: Array, leading: tuple[int, int]) -> dict[str, np.ndarray]:
@@ -174,7 +168,5 @@ def _sample_groups(
         "log_likelihood": split(loglik, shape[:2]),
         "posterior_predictive": split(replicated, shape[:2]),
         "prior_predictive": split(prior_replicated, (1, chains * kept)),
-        "observed_data": {
-            name: np.asarray(density.observations.measured[:, i]) for i, name in enumerate(NAMES)
-        },
+        "observed_data": {name: np.asarray(density.observations.measured[:, i]) for i, name in enumerate(NAMES)},
     }

@@ -19,9 +19,7 @@ class ScoreStatus(enum.Enum):
     """Whether every score means something; the value says what to do when it does not."""
 
     ok = "All four scores are defined."
-    constant_measurement = (
-        "The measured channel does not vary: r and R2 are undefined; compare RMSE with the noise."
-    )
+    constant_measurement = "The measured channel does not vary: r and R2 are undefined; compare RMSE with the noise."
     constant_prediction = "The prediction does not vary: r is undefined; look at RMSE and R2."
 
 
@@ -52,9 +50,7 @@ def _finite_pair(measured: Vector, predicted: Vector) -> tuple[np.ndarray, np.nd
     for name, x in (("measured", z), ("predicted", y)):
         if not np.all(np.isfinite(x)):
             at = int(np.flatnonzero(~np.isfinite(x))[0])
-            raise InputError(
-                f"The {name} channel is not finite at sample {at}; remove or repair that sample."
-            )
+            raise InputError(f"The {name} channel is not finite at sample {at}; remove or repair that sample.")
     return z, y
 
 

@@ -86,20 +86,43 @@ class Model:
         """All parameter values by name, from the vector of the free ones."""
         return dict(self.fixed) | {name: theta[i] for i, name in enumerate(self.names)}
 
-    def flow(self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft) -> dict[str, Any]:
-        """Everything the effects build: X, the attached lift, CL, CD, Cm (see `effect.Known`)."""
-        zeros = jnp.zeros_like(signals["alpha"])
-        known = {key: zeros + value for key, value in NEUTRAL_FLOW.items()} | {"incidence": signals["alpha"]}
-        for stage in Stage:
-            acting = [e for e in self.effects if e.stage is stage and not self._absent(e)]
-            if stage is Stage.TOTAL:
-                known = known | {"CL": known["CL"] + known["CL_attached"]}
-            known = _add(known, acting, values, signals, aircraft)
-        return known
+    def static_separation(self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft) -> Any:
+        """The separation point that a steady flow would have: every stage before its lag."""
+        return self._run((Stage.INCIDENCE, Stage.SEPARATION), self._neutral(signals), values, signals, aircraft)["X"]
 
-    def coefficients(
-        self, theta: Float[Array, " k"], signals: Signals, aircraft: Aircraft
-    ) -> Float[Array, "*n 3"]:
+    def flow(
+        self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft, X: Float[Array, "*n"] | None = None
+    ) -> dict[str, Any]:
+        """Everything the effects build: X, the attached lift, CL, CD, Cm (see `effect.Known`).
+
+        `X` given, as a simulation does that carries it as a state, takes the place of the stages that build it.
+        """
+        known = self._neutral(signals)
+        if X is None:
+            known = self._run((Stage.INCIDENCE, Stage.SEPARATION, Stage.LAG), known, values, signals, aircraft)
+        else:
+            known["X"] = X
+        known = self._run((Stage.ATTACHED,), known, values, signals, aircraft)
+        known["CL"] = known["CL"] + known["CL_attached"]
+        return self._run((Stage.TOTAL,), known, values, signals, aircraft)
+
+    def _neutral(self, signals: Signals) -> dict[str, Any]:
+        zeros = jnp.zeros_like(signals["alpha"])
+        return {key: zeros + value for key, value in NEUTRAL_FLOW.items()} | {"incidence": signals["alpha"]}
+
+    def _run(
+        self, stages: tuple[Stage, ...], known: Known, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft
+    ) -> dict[str, Any]:
+        total = dict(known)
+        for stage in stages:
+            before = dict(total)
+            for effect in self.effects:
+                if effect.stage is stage and not self._absent(effect):
+                    for key, increment in effect.increments(values, signals, aircraft, before).items():
+                        total[key] = total[key] + increment
+        return total
+
+    def coefficients(self, theta: Float[Array, " k"], signals: Signals, aircraft: Aircraft) -> Float[Array, "*n 3"]:
         """CL, CD, Cm along the last axis."""
         known = self.flow(self.values(theta), signals, aircraft)
         return jnp.stack([known["CL"], known["CD"], known["Cm"]], axis=-1)
@@ -108,16 +131,6 @@ class Model:
         """True for an effect all of whose parameters are fixed at neutral: it need not be computed at all."""
         fixed = dict(self.fixed)
         return bool(effect.parameters) and all(fixed.get(p.name) == p.neutral for p in effect.parameters)
-
-
-def _add(
-    known: Known, acting: list[Effect], values: Mapping[str, Any], signals: Signals, aircraft: Aircraft
-) -> dict:
-    total = dict(known)
-    for effect in acting:
-        for key, increment in effect.increments(values, signals, aircraft, known).items():
-            total[key] = total[key] + increment
-    return total
 
 
 def _by_name(name: str) -> Effect:

@@ -109,13 +109,9 @@ def _sigma(name: str) -> Parameter:
 
 def _rho(name: str) -> Parameter:
     prior = Prior("uniform", -1.0, 2.0, "flat over the stationary range; our choice")
-    return Parameter(
-        f"rho_{name}", "1", 0.0, 0.5, f"lag-1 correlation of the {name} residual", prior, (-1.0, 1.0)
-    )
+    return Parameter(f"rho_{name}", "1", 0.0, 0.5, f"lag-1 correlation of the {name} residual", prior, (-1.0, 1.0))
 
 
 def _buffet(name: str) -> Parameter:
     prior = Prior("halfnormal", 0.0, 3.0, "buffet up to several times the attached-flow noise; our choice")
-    return Parameter(
-        f"buffet_{name}", "1", 0.0, 0.5, f"growth of the {name} noise with 1 - X", prior, (0.0, jnp.inf)
-    )
+    return Parameter(f"buffet_{name}", "1", 0.0, 0.5, f"growth of the {name} noise with 1 - X", prior, (0.0, jnp.inf))

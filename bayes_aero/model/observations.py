@@ -85,9 +85,7 @@ def observe(records: Sequence[FlightRecord], card: Card, model: Model) -> Observ
         raise InputError("there is no flight record to work on; name at least one file")
     names = [record.name for record in records]
     if len(set(names)) < len(names):
-        raise InputError(
-            f"two records are called {max(names, key=names.count)}; each manoeuvre needs its own name"
-        )
+        raise InputError(f"two records are called {max(names, key=names.count)}; each manoeuvre needs its own name")
     parts = []
     for number, record in enumerate(records):
         channels = with_sums(record, card)

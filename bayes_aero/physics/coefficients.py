@@ -77,7 +77,7 @@ def coefficients(signals: Mapping[str, Float[Array, "*n"]], aircraft: Aircraft) 
 def coefficient_noise(
     signals: Mapping[str, Float[Array, " n"]], aircraft: Aircraft, sensor_sd: Mapping[str, float], dt: float
 ) -> Float[np.ndarray, "n 3"]:
-    """Standard deviation of CL, CD, Cm per sample from independent white sensor noise of standard deviation `sensor_sd` (SI).
+    """Standard deviation of CL, CD, Cm per sample from independent white sensor noise of deviation `sensor_sd` (SI).
 
     First order. Smoothing and differentiation scale the noise by their weights' root sum of squares, which is exact
     away from the outer eight samples; a raw rate and the derivative of its smoothed self are uncorrelated at one

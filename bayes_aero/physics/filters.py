@@ -51,10 +51,7 @@ def _central(x: Float[Array, " n"], weights: np.ndarray) -> Float[Array, " m"]:
     half, n = len(weights), x.shape[0]
     lags = range(1, half + 1)
     return sum(
-        (
-            w * (x[half + k : n - half + k] - x[half - k : n - half - k])
-            for k, w in zip(lags, weights, strict=True)
-        ),
+        (w * (x[half + k : n - half + k] - x[half - k : n - half - k]) for k, w in zip(lags, weights, strict=True)),
         start=jnp.zeros(n - 2 * half),
     )
 
@@ -62,7 +59,7 @@ def _central(x: Float[Array, " n"], weights: np.ndarray) -> Float[Array, " m"]:
 def differentiate(x: Float[Array, " n"], dt: float | Float[Array, ""]) -> Float[Array, " n"]:
     """Time derivative: 8th-order central difference, 4th-order in samples 3 to 8 from an end, constant beyond.
 
-    `x` in any unit, `dt` in seconds; result in that unit per second. Exact for quartics away from the outer two samples.
+    `x` in any unit, `dt` in seconds; result in that unit per second. Exact for quartics away from the outer two.
     """
     x = jnp.asarray(x)
     inner = _central(x, EIGHTH_ORDER)  # samples 8 .. n-9
@@ -72,7 +69,7 @@ def differentiate(x: Float[Array, " n"], dt: float | Float[Array, ""]) -> Float[
     return jnp.concatenate([body[:1], body[:1], body, body[-1:], body[-1:]]) / dt
 
 
-def recurrence(keep: Float[Array, "n *c"], drive: Float[Array, "n *c"]) -> Float[Array, "n *c"]:
+def recurrence(keep: Float[Array, "n ..."], drive: Float[Array, "n ..."]) -> Float[Array, "n ..."]:
     """x[k] = keep[k] x[k-1] + drive[k] along the first axis, x before the first sample being zero."""
 
     def combine(first, second):

@@ -25,7 +25,7 @@ class Rotation(NamedTuple):
 def lever_arm(rotation: Rotation, position: Position) -> tuple[Samples, Samples, Samples]:
     """Acceleration (m/s2) at `position` (m, from the CG) relative to the CG: omega_dot x r + omega x (omega x r).
 
-    Full rigid-body expression, the lateral terms too; Klein and Morelli, *Aircraft System Identification*, 2006, Eq. (10.6).
+    Full rigid-body expression, lateral terms too; Klein and Morelli, *Aircraft System Identification*, 2006, ch. 10.
     """
     p, q, r, p_dot, q_dot, r_dot = rotation
     x, y, z = position

@@ -33,9 +33,7 @@ def kirchhoff_factor(X: Samples) -> Samples:
     return jnp.square((1.0 + root(X)) / 2.0)
 
 
-def lagged(
-    X_static: Float[Array, " n"], tau: Float[Array, " n"], dt: Float[Array, " n"], start: Bool[Array, " n"]
-):
+def lagged(X_static: Float[Array, " n"], tau: Float[Array, " n"], dt: Float[Array, " n"], start: Bool[Array, " n"]):
     """Solve tau dX/dt + X = X_static over manoeuvres laid end to end; the state restarts where `start` is true.
 
     `tau` and `dt` (time since the previous sample) in s. Exact for an input linear between samples and tau constant
