@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy import fft
+from scipy.fft import next_fast_len
 
 LAG_SHARE = 0.2  # longest lag as a share of the shortest stretch; our choice, see `autocovariance`
 
@@ -17,9 +17,9 @@ def autocovariance(residual: Float[np.ndarray, "n c"], lags: int) -> Float[np.nd
     residuals are orthogonal to the sensitivities; the window is what makes it consistent.
     """
     n, _ = residual.shape
-    size = fft.next_fast_len(2 * n)
-    spectrum = fft.rfft(residual, size, axis=0)
-    full = fft.irfft(np.einsum("fi,fj->fij", spectrum, spectrum.conj()), size, axis=0) / n
+    size = next_fast_len(2 * n)
+    spectrum = np.fft.rfft(residual, size, axis=0)
+    full = np.fft.irfft(np.einsum("fi,fj->fij", spectrum, spectrum.conj()), size, axis=0) / n
     k = np.arange(-lags, lags + 1)
     return full[k] * _parzen(k / (lags + 1.0))[:, None, None]
 
@@ -59,8 +59,10 @@ def corrected_covariance(
 def _sandwich(W: Float[np.ndarray, "n c k"], covariance: Float[np.ndarray, "m c c"]) -> Float[np.ndarray, "k k"]:
     """sum_ij W_i' Rvv(i-j) W_j by convolution over time."""
     n, lags = W.shape[0], (covariance.shape[0] - 1) // 2
-    size = fft.next_fast_len(n + 2 * lags)
+    size = next_fast_len(n + 2 * lags)
     kernel = np.zeros((size, *covariance.shape[1:]))
     kernel[np.arange(-lags, lags + 1)] = covariance
-    spread = fft.irfft(np.einsum("fij,fjk->fik", fft.rfft(kernel, axis=0), fft.rfft(W, size, axis=0)), size, axis=0)[:n]
+    spread = np.fft.irfft(
+        np.einsum("fij,fjk->fik", np.fft.rfft(kernel, axis=0), np.fft.rfft(W, size, axis=0)), size, axis=0
+    )[:n]
     return np.einsum("nci,ncj->ij", W, spread)

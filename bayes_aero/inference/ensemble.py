@@ -75,17 +75,17 @@ def _burn_in(target: _Target, walkers: int, seed: int) -> emcee.EnsembleSampler:
     size = target.density.size
     first = _sampler(target, walkers, _Independent(np.zeros(size), np.eye(size)), seed)
     start = np.random.default_rng(seed).standard_normal((walkers, size)) * 0.5
-    state = first.run_mcmc(start, BURN_IN)
-    found = first.get_chain(discard=BURN_IN // 3, flat=True)
+    first.run_mcmc(start, BURN_IN)
+    found = np.asarray(first.get_chain(discard=BURN_IN // 3, flat=True))
     proposal = _Independent(found.mean(axis=0), np.linalg.cholesky(np.cov(found.T)))
     sampler = _sampler(target, walkers, proposal, seed + 1)
-    sampler.run_mcmc(state.coords, CHUNK)
+    sampler.run_mcmc(np.asarray(first.get_chain())[-1], CHUNK)
     return sampler
 
 
 def _chains(samplers: list[emcee.EnsembleSampler]) -> Float[np.ndarray, "chain draw k"]:
     """One chain per ensemble, its walkers end to end: so R-hat compares ensembles and ESS sees each walker's memory."""
-    return np.stack([np.swapaxes(s.get_chain(), 0, 1).reshape(-1, s.ndim) for s in samplers])
+    return np.stack([np.swapaxes(np.asarray(s.get_chain()), 0, 1).reshape(-1, s.ndim) for s in samplers])
 
 
 def sample_ensemble(
@@ -124,7 +124,7 @@ def sample_ensemble(
             sampler.run_mcmc(None, CHUNK)
     length = samplers[0].iteration
     stats = {
-        "lp": np.stack([s.get_log_prob().T.ravel() for s in samplers]),
+        "lp": np.stack([np.asarray(s.get_log_prob()).T.ravel() for s in samplers]),
         "walker": np.tile(np.repeat(np.arange(walkers), length), (ensembles, 1)),
     }
     posterior = assemble(

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.gp.posterior import GPFit
+from bayes_aero.inference.gp import GPFit
 from bayes_aero.inference.mle import MleResult
 from bayes_aero.inference.posterior import Posterior
 from bayes_aero.inference.scores import Scores

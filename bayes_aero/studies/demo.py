@@ -105,6 +105,7 @@ def simulate_stall(
     alpha0 = float(pilot.alpha[0])
     start = State(*(jnp.asarray(x) for x in (95.0, alpha0, alpha0, 0.0, 5200.0, 1.0)))
     states, outputs = fly(model, values, card.aircraft, pilot, start, DT)
+    outputs = {key: np.asarray(value) for key, value in outputs.items()}
     return _record(NAMES[number], time, states, outputs, pilot, card, rng, sensor_noise)
 
 

@@ -1,0 +1,177 @@
+"""The main job: records in, parameters with uncertainty out, every finished stage on disk before the next begins."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.readers import read_record
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.ensemble import sample_ensemble
+from bayes_aero.inference.identification import Identification
+from bayes_aero.inference.laplace import find_mode
+from bayes_aero.inference.mle import MleResult, fit_mle
+from bayes_aero.inference.nuts import sample_nuts
+from bayes_aero.inference.splits import SplitKind
+from bayes_aero.inference.validation import validate
+from bayes_aero.model.density import Density
+from bayes_aero.model.model import Model
+from bayes_aero.model.noise import Colour, Noise
+from bayes_aero.model.observations import observe
+from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.figures import write_figures
+from bayes_aero.report.tables import paper_table, parameter_table, validation_table, write_csv
+from bayes_aero.report.words import verdict
+from bayes_aero.studies.provenance import provenance, write_json
+from bayes_aero.studies.results import results
+
+Progress = Callable[[str, float], None]
+
+
+def read_records(paths: Sequence[Path], card: Card, *, resample: float | None = None) -> list[FlightRecord]:
+    """Read and check every file; the first bad one is reported."""
+    return [read_record(path, card.channels, resample=resample) for path in paths]
+
+
+def density_start(density: Density, mle: MleResult) -> np.ndarray:
+    """Where the search for the posterior mode begins: the maximum-likelihood estimate with its residuals' noise."""
+    deviation = dict(zip(NAMES, np.sqrt(mle.R), strict=True))
+    estimate = dict(zip(mle.names, mle.estimate, strict=True))
+    start = []
+    for p in density.parameters:
+        kind, _, coefficient = p.name.partition("_")
+        value = estimate.get(p.name, p.start)
+        if kind == "sigma" and coefficient in deviation:
+            value = deviation[coefficient]
+        elif kind == "rho" and coefficient in mle.lag1:
+            value = np.clip(mle.lag1[coefficient], -0.9, 0.9)
+        start.append(_inside(value, p.bounds))
+    return np.array(start)
+
+
+def _inside(value: float, bounds: tuple[float, float]) -> float:
+    """Strictly inside the bounds, where the unbounded scale is finite."""
+    lower, upper = bounds
+    margin = 1e-3 * min(upper - lower, 1.0 + abs(value))
+    return float(np.clip(value, lower + margin, upper - margin))
+
+
+def identify(
+    records: Sequence[FlightRecord],
+    card: Card,
+    *,
+    noise: Colour = Colour.AR1,
+    split: SplitKind = "random",
+    seed: int = 0,
+    out: Path | None = None,
+    gp: bool = True,
+    figures: bool = True,
+    progress: Progress | None = None,
+) -> Identification:
+    """Fit, sample and compare, as `bayes-aero identify` does; with `out` every stage is written as it ends.
+
+    `split` chooses the split whose Gaussian-process hyperparameters are sampled; scores are given for all splits.
+    """
+    model = Model.from_card(card)
+    observations = observe(records, card, model)
+    seconds: dict[str, float] = {}
+    with _timed(seconds, "mle", progress):
+        mle = fit_mle(model, observations, seed=seed)
+        several = range(len(records)) if len(records) > 1 else range(0)
+        alone = {observations.names[i]: fit_mle(model, observations.only(i), seed=seed) for i in several}
+    run = Identification(card, model, tuple(records), observations, noise, mle, alone, {}, seconds=seconds)
+    writer = _Writer(out, provenance(card, records, seed, {"noise": noise.value, "split": split}))
+    writer.stage(run)
+
+    for key, colour, engine in _plan(noise):
+        with _timed(seconds, key, progress):
+            density = Density(observations, model, Noise(colour))
+            mode = find_mode(density, density_start(density, mle))
+            posterior = engine(density, mode, seed=seed, progress=progress)
+        run = replace(run, posteriors=run.posteriors | {key: posterior})
+        writer.stage(run, posterior_name=key)
+
+    if gp:
+        try:
+            with _timed(seconds, "gp", progress):
+                report = validate(model, observations, mle, card.gp_inputs, chosen=split, seed=seed, progress=progress)
+            run = replace(run, gp=report)
+        except InputError as error:  # too large for the exact process: said, and the rest stands
+            run = replace(run, notes=(*run.notes, f"Gaussian process left out: {error}"))
+        writer.stage(run, gp_done=True)
+    if figures and out is not None:
+        with _timed(seconds, "figures", progress):
+            _, failed = write_figures(run, out / "figures", progress=progress)
+        run = replace(run, notes=(*run.notes, *(f"Figure {name} was not drawn: {why}" for name, why in failed.items())))
+        writer.stage(run)
+    return run
+
+
+def _plan(noise: Colour) -> list[tuple[str, Colour, Any]]:
+    """Which posteriors are sampled, under which noise model and by which engine."""
+    plan = [("emcee", noise, sample_ensemble), ("nuts", noise, sample_nuts)]
+    return plan if noise is Colour.WHITE else [*plan, ("white", Colour.WHITE, sample_ensemble)]
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], stage: str, progress: Progress | None) -> Iterator[None]:
+    if progress:
+        progress(stage, 0.0)
+    began = time.perf_counter()
+    yield
+    seconds[stage] = time.perf_counter() - began
+    if progress:
+        progress(stage, 1.0)
+
+
+class _Writer:
+    """Writes what a run has found so far; without a folder it writes nothing."""
+
+    def __init__(self, out: Path | None, source: dict[str, Any]) -> None:
+        self.out, self.source = out, source
+        if out is not None:
+            try:
+                out.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise InputError(f"cannot write to {out} ({error.strerror}); give another folder with --out") from None
+
+    def stage(self, run: Identification, posterior_name: str | None = None, gp_done: bool = False) -> None:
+        if self.out is None:
+            return
+        if posterior_name is not None:
+            run.posteriors[posterior_name].save(self.out / f"posterior_{posterior_name}.nc")
+        if run.gp is not None and gp_done:
+            save_gp(run, self.out / "gpr.nc")
+        write_csv(parameter_table(run), self.out / "parameters.csv")
+        if run.gp is not None:
+            write_csv(validation_table(run), self.out / "validation.csv")
+            write_csv(paper_table(run), self.out / "table1.csv")
+        write_json(results(run, verdict(run), self.source), self.out / "results.json")
+
+
+def save_gp(run: Identification, path: Path) -> None:
+    """gpr.nc: a group per coefficient with its hyperparameters' posterior, and the validation of every split."""
+    assert run.gp is not None
+    tree = xr.DataTree(name="gpr")
+    for name, fit in run.gp.fits.items():
+        if fit.posterior is not None:
+            tree[name] = fit.posterior.copy()
+    for split, folds in run.gp.splits.items():
+        for number, fold in enumerate(folds):
+            for name, v in fold.items():
+                columns = {k: ("test", getattr(v, k)) for k in ("measured", "gp", "gp_low", "gp_high", "mle")}
+                tree[f"validation/{split}_{number}/{name}"] = xr.DataTree(
+                    xr.Dataset(columns, coords={"index": ("test", v.test)})
+                )
+    partial = path.with_name(path.name + ".part")
+    tree.to_netcdf(partial, engine="h5netcdf")
+    partial.replace(path)
