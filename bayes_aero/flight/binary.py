@@ -50,9 +50,7 @@ def read_mat(data: bytes, channels: Sequence[Channel]) -> dict[str, Column]:
     with foreign("MATLAB file"), warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)
         values = loadmat(io.BytesIO(data), variable_names=[channel.heading for channel in wanted])
-    return {
-        channel.name: Column(vector(np.asarray(values[channel.heading]), channel.name)) for channel in wanted
-    }
+    return {channel.name: Column(vector(np.asarray(values[channel.heading]), channel.name)) for channel in wanted}
 
 
 def _bounded_mat(data: bytes) -> None:
@@ -64,9 +62,7 @@ def _bounded_mat(data: bytes) -> None:
         size = int.from_bytes(data[position + 4 : position + 8], order)
         if kind == 15:  # miCOMPRESSED
             with foreign("MATLAB file"):
-                inner = zlib.decompressobj().decompress(
-                    data[position + 8 : position + 8 + min(size, 4096)], 8
-                )
+                inner = zlib.decompressobj().decompress(data[position + 8 : position + 8 + min(size, 4096)], 8)
             claimed = int.from_bytes(inner[4:8], order)
         else:
             claimed = size
@@ -100,9 +96,7 @@ def read_parquet(data: bytes, channels: Sequence[Channel]) -> dict[str, Column]:
         table = file.read(columns=[channel.heading for channel in wanted], use_threads=False)
         columns = {}
         for channel in wanted:
-            values = (
-                table.column(channel.heading).cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
-            )
+            values = table.column(channel.heading).cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
             unit = (schema.field(channel.heading).metadata or {}).get(b"units")
             unit = None if unit is None else unit.decode("utf-8", "replace")
             columns[channel.name] = Column(vector(values, channel.name), unit)

@@ -117,6 +117,5 @@ _TABLE = (
 )
 
 STANDARD_CHANNELS: dict[str, StandardChannel] = {
-    name: StandardChannel(name, unit, description, (lo, hi), hint)
-    for name, unit, description, lo, hi, hint in _TABLE
+    name: StandardChannel(name, unit, description, (lo, hi), hint) for name, unit, description, lo, hi, hint in _TABLE
 }

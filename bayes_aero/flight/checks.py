@@ -84,11 +84,7 @@ def _monotonic(record: FlightRecord) -> None:
 def _rate(record: FlightRecord) -> None:
     median = float(np.median(np.diff(record.time)))
     if not RATES[0] <= median <= RATES[1]:
-        hint = (
-            'looks like milliseconds: set unit = "ms"'
-            if median > RATES[1]
-            else "is its unit hours or days? Set it"
-        )
+        hint = 'looks like milliseconds: set unit = "ms"' if median > RATES[1] else "is its unit hours or days? Set it"
         raise InputError(
             f"channel time has a median step of {median:.6g} s from {_at(record, 0)}, outside "
             f"{RATES[0]:g} to {RATES[1]:g} s; {hint} on the card"
@@ -131,9 +127,7 @@ def _plausible(record: FlightRecord) -> None:
 
 def _implausible(record: FlightRecord, known: StandardChannel, index: int) -> str:
     value, (lo, hi) = record[known.name][index], known.plausible
-    hint = (
-        known.hint or f"correct its unit on the card ({known.unit} inside the program) or repair the sample"
-    )
+    hint = known.hint or f"correct its unit on the card ({known.unit} inside the program) or repair the sample"
     return (
         f"channel {known.name} is {value:.6g} {known.unit} at {_at(record, index)}, outside {lo:g} to {hi:g} "
         f"{known.unit}; {hint}"
@@ -162,9 +156,7 @@ def _in_g(record: FlightRecord) -> None:
     if not all(record.has(axis) for axis in ("ax", "ay", "az")):
         return
     load = float(np.median(np.sqrt(record["ax"] ** 2 + record["ay"] ** 2 + record["az"] ** 2)))
-    if (
-        0.7 < load < 1.4
-    ):  # near 9.8 in m/s2; only a record flown at a tenth of gravity throughout would look like this
+    if 0.7 < load < 1.4:  # near 9.8 in m/s2; only a record flown at a tenth of gravity throughout would look like this
         i = int(np.argmax(np.abs(record["az"])))
         raise InputError(
             f"channels ax, ay, az have a median magnitude of {load:.3g} m/s^2 (az is {record['az'][i]:.3g} "

@@ -33,8 +33,7 @@ def located(channels: Sequence[Channel], available: Sequence[str], kind: str) ->
         count = available.count(channel.heading)
         if count > 1:
             raise InputError(
-                f"channel {channel.name}: {count} {kind}s are called {channel.heading!r}; rename all but "
-                f"the right one"
+                f"channel {channel.name}: {count} {kind}s are called {channel.heading!r}; rename all but the right one"
             )
         if count == 1:
             found.append(channel)
@@ -67,13 +66,9 @@ def vector(values: np.ndarray, name: str) -> np.ndarray:
             f"and time as seconds"
         )
     if values.size > MAX_VALUES:
-        raise InputError(
-            f"channel {name} claims {values.size} samples, more than {MAX_VALUES}; cut the record"
-        )
+        raise InputError(f"channel {name} claims {values.size} samples, more than {MAX_VALUES}; cut the record")
     if values.ndim != 1 and values.size != max(values.shape, default=1):
-        raise InputError(
-            f"channel {name} has shape {values.shape} where one value a sample should be; split it up"
-        )
+        raise InputError(f"channel {name} has shape {values.shape} where one value a sample should be; split it up")
     return values.astype(np.float64).reshape(-1)
 
 
@@ -94,6 +89,4 @@ def foreign(kind: str) -> Iterator[None]:
         ) from reason
     except Exception as reason:
         said = " ".join(str(reason).split())[:120] or type(reason).__name__
-        raise InputError(
-            f"it is not a readable {kind} ({said}); is it damaged or misnamed? Write it again"
-        ) from reason
+        raise InputError(f"it is not a readable {kind} ({said}); is it damaged or misnamed? Write it again") from reason

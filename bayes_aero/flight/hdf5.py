@@ -24,14 +24,10 @@ TIME_LIMIT = 20.0
 def read_hdf5(data: bytes, channels: Sequence[Channel], kind: str) -> dict[str, Column]:
     """The channels of an HDF5 file that holds vectors in its root group; `kind` names it to the user."""
     if find_spec("h5py") is None:
-        raise InputError(
-            f"this {kind} is an HDF5 file, and h5py is not installed; install h5py, or write .csv"
-        )
+        raise InputError(f"this {kind} is an HDF5 file, and h5py is not installed; install h5py, or write .csv")
     reply, payload = _ask(data, [channel.heading for channel in channels], kind)
     if "error" in reply:
-        raise InputError(
-            f"it is not a readable {kind} ({reply['error']}); is it damaged or misnamed? Write it again"
-        )
+        raise InputError(f"it is not a readable {kind} ({reply['error']}); is it damaged or misnamed? Write it again")
     by_heading = {channel.heading: channel for channel in channels}
     if "problem" in reply:
         label, problem = reply["problem"]
@@ -52,8 +48,7 @@ def _ask(data: bytes, labels: list[str], kind: str) -> tuple[dict, bytes]:
         done = subprocess.run(command, input=data, capture_output=True, timeout=TIME_LIMIT, check=False)
     except subprocess.TimeoutExpired as reason:
         raise InputError(
-            f"the HDF5 library did not finish reading it in {TIME_LIMIT:g} s; the {kind} is damaged: write "
-            f"it again"
+            f"the HDF5 library did not finish reading it in {TIME_LIMIT:g} s; the {kind} is damaged: write it again"
         ) from reason
     head, _, payload = done.stdout.partition(b"\n")
     if done.returncode != 0 or not head:

@@ -128,9 +128,7 @@ def _no_such_file(path: Path) -> str:
 def _in_si(found: Mapping[str, Column], name: str, channels: Sequence[Channel]) -> np.ndarray:
     channel = next(channel for channel in channels if channel.name == name)
     if name not in found:
-        raise InputError(
-            "channel time is missing, and a record needs it; set required = true and correct its place"
-        )
+        raise InputError("channel time is missing, and a record needs it; set required = true and correct its place")
     column = found[name]
     if column.unit is not None and same_unit(column.unit, channel.unit) is False:
         raise InputError(

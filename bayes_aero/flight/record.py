@@ -26,9 +26,7 @@ def _frozen(values: Any, label: str, n: int | None = None) -> np.ndarray:
     if array.ndim != 1:
         raise InputError(f"{label} has shape {array.shape}; give a vector, one value a sample")
     if n is not None and array.size != n:
-        raise InputError(
-            f"{label} has {array.size} samples where time has {n}; all channels need the same length"
-        )
+        raise InputError(f"{label} has {array.size} samples where time has {n}; all channels need the same length")
     array.flags.writeable = False
     return array
 
@@ -84,9 +82,7 @@ class FlightRecord:
     def dt(self) -> float:
         """Sampling interval in s: the mean step, for the checks ensure that all steps agree."""
         if self.n < 2:
-            raise InputError(
-                f"record {self.name} has {self.n} samples; two are needed for a sampling interval"
-            )
+            raise InputError(f"record {self.name} has {self.n} samples; two are needed for a sampling interval")
         return float((self.time[-1] - self.time[0]) / (self.n - 1))
 
     @property
@@ -107,8 +103,7 @@ class FlightRecord:
         hint = f" (did you mean {close[0]}?)" if close else ""
         mapped = ", ".join(self.names)
         raise InputError(
-            f"record {self.name} has no channel {channel}{hint}; the card maps these: {mapped}; add it to "
-            f"[channels]"
+            f"record {self.name} has no channel {channel}{hint}; the card maps these: {mapped}; add it to [channels]"
         )
 
     def window(self, t0: float, t1: float) -> FlightRecord:

@@ -29,17 +29,13 @@ def write_record(record: FlightRecord, path: str | os.PathLike[str], channels: S
     target = Path(path)
     writer = WRITERS.get(target.suffix.lower())
     if writer is None:
-        raise InputError(
-            f"{target}: records are written as {', '.join(WRITERS)}; choose one of these suffixes"
-        )
+        raise InputError(f"{target}: records are written as {', '.join(WRITERS)}; choose one of these suffixes")
     columns = []
     for channel in channels:
         if not record.has(channel.name) and not channel.required:
             continue
         standard = STANDARD_CHANNELS.get(channel.name)
-        values = from_si(
-            record[channel.name], channel.unit, channel.name, standard.unit if standard else None
-        )
+        values = from_si(record[channel.name], channel.unit, channel.name, standard.unit if standard else None)
         columns.append((channel, values))
     try:
         content = writer(columns)
@@ -52,18 +48,14 @@ def write_record(record: FlightRecord, path: str | os.PathLike[str], channels: S
     except InputError as reason:
         raise InputError(f"{target}: {reason}") from reason
     except OSError as reason:
-        raise InputError(
-            f"{target}: it cannot be written ({reason}); check the folder and its permissions"
-        ) from reason
+        raise InputError(f"{target}: it cannot be written ({reason}); check the folder and its permissions") from reason
 
 
 def _asc(columns: Columns) -> bytes:
     """Columns where the card puts them; zeros in the columns that it does not map."""
     for channel, _ in columns:
         if channel.column is None:
-            raise InputError(
-                f"channel {channel.name} has no column number; add column = N to the card, or write .csv"
-            )
+            raise InputError(f"channel {channel.name} has no column number; add column = N to the card, or write .csv")
     table = np.zeros((columns[0][1].size, max(channel.column or 0 for channel, _ in columns)))
     for channel, values in columns:
         table[:, (channel.column or 1) - 1] = values
@@ -103,9 +95,7 @@ def _parquet(columns: Columns) -> bytes:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    fields = [
-        pa.field(channel.heading, pa.float64(), metadata={"units": channel.unit}) for channel, _ in columns
-    ]
+    fields = [pa.field(channel.heading, pa.float64(), metadata={"units": channel.unit}) for channel, _ in columns]
     buffer = io.BytesIO()
     pq.write_table(pa.table([values for _, values in columns], schema=pa.schema(fields)), buffer)
     return buffer.getvalue()
