@@ -60,7 +60,7 @@ def _sandwich(W: Float[np.ndarray, "n c k"], covariance: Float[np.ndarray, "m c 
     """sum_ij W_i' Rvv(i-j) W_j by convolution over time."""
     n, lags = W.shape[0], (covariance.shape[0] - 1) // 2
     size = next_fast_len(n + 2 * lags)
-    kernel = np.zeros((size, *covariance.shape[1:]))
+    kernel = np.zeros((size, covariance.shape[1], covariance.shape[2]))
     kernel[np.arange(-lags, lags + 1)] = covariance
     spread = np.fft.irfft(
         np.einsum("fij,fjk->fik", np.fft.rfft(kernel, axis=0), np.fft.rfft(W, size, axis=0)), size, axis=0

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_aero.inference.laplace import Mode
-from bayes_aero.inference.posterior import Posterior, assemble, converged, diagnose
+from bayes_aero.inference.posterior import Posterior, assemble, constrain_draws, converged, diagnose
 from bayes_aero.model.density import Density
 
 ENSEMBLES = 4
@@ -108,10 +108,9 @@ def sample_ensemble(
     walkers = 2 * (density.size + 2)
     target = _Target(density, mode)
     samplers = [_burn_in(target, walkers, 1000 * seed + 10 * i) for i in range(ensembles)]
-    constrain = jax.jit(jax.vmap(jax.vmap(density.constrain)))
     while True:
         v = _chains(samplers)
-        x = np.asarray(constrain(jnp.asarray(mode.unwhiten(v))))
+        x = np.asarray(constrain_draws(density, jnp.asarray(mode.unwhiten(v))))
         marginals = diagnose(x, density.names)
         steps = samplers[0].iteration
         tau = max(float(np.max(s.get_autocorr_time(tol=0))) for s in samplers)

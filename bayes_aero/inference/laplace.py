@@ -12,7 +12,9 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy import optimize
 
+from bayes_aero.inference.mle import MleResult
 from bayes_aero.model.density import Density
+from bayes_aero.physics.coefficients import NAMES
 
 FLOOR = 1e-8  # smallest curvature, relative to the largest, that is taken at face value
 
@@ -86,6 +88,29 @@ def _climb(density: Density, u: np.ndarray, factor: np.ndarray) -> np.ndarray:
 
     found = optimize.minimize(negative, np.zeros(len(u)), jac=True, method="L-BFGS-B", options={"maxiter": 200})
     return u + factor @ found.x
+
+
+def density_start(density: Density, mle: MleResult) -> np.ndarray:
+    """Where the search for the posterior mode begins: the maximum-likelihood estimate with its residuals' noise."""
+    deviation = dict(zip(NAMES, np.sqrt(mle.R), strict=True))
+    estimate = dict(zip(mle.names, mle.estimate, strict=True))
+    start = []
+    for p in density.parameters:
+        kind, _, coefficient = p.name.partition("_")
+        value = estimate.get(p.name, p.start)
+        if kind == "sigma" and coefficient in deviation:
+            value = deviation[coefficient]
+        elif kind == "rho" and coefficient in mle.lag1:
+            value = np.clip(mle.lag1[coefficient], -0.9, 0.9)
+        start.append(_inside(value, p.bounds))
+    return np.array(start)
+
+
+def _inside(value: float, bounds: tuple[float, float]) -> float:
+    """Strictly inside the bounds, where the unbounded scale is finite."""
+    lower, upper = bounds
+    margin = 1e-3 * min(upper - lower, 1.0 + abs(value))
+    return float(np.clip(value, lower + margin, upper - margin))
 
 
 def find_mode(density: Density, start: Float[np.ndarray, " k"], *, rounds: int = 12) -> Mode:

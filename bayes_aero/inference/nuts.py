@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from numpyro.infer import MCMC, NUTS
 
 from bayes_aero.inference.laplace import Mode
-from bayes_aero.inference.posterior import Posterior, PosteriorStatus, assemble, converged, diagnose
+from bayes_aero.inference.posterior import Posterior, PosteriorStatus, assemble, constrain_draws, converged, diagnose
 from bayes_aero.model.density import Density
 
 CHAINS = 4
@@ -55,12 +55,11 @@ def sample_nuts(
         chain_method="sequential",
         progress_bar=False,
     )
-    constrain = jax.jit(jax.vmap(jax.vmap(density.constrain)))
     mcmc.run(run_key, init_params=jax.random.normal(start_key, (chains, density.size)), extra_fields=FIELDS)
     blocks, fields = [], []
     while True:
         blocks.append(
-            np.asarray(constrain(jnp.asarray(mode.unwhiten(np.asarray(mcmc.get_samples(group_by_chain=True))))))
+            np.asarray(constrain_draws(density, jnp.asarray(mode.unwhiten(np.asarray(mcmc.get_samples(group_by_chain=True))))))
         )
         fields.append({k: np.asarray(v) for k, v in mcmc.get_extra_fields(group_by_chain=True).items()})
         x = np.concatenate(blocks, axis=1)

@@ -105,6 +105,12 @@ def converged(marginals: dict[str, Marginal]) -> bool:
 
 
 @eqx.filter_jit
+def constrain_draws(density: Density, u: Float[Array, "chain draw k"]) -> Float[Array, "chain draw k"]:
+    """x of every u."""
+    return jax.vmap(jax.vmap(density.constrain))(u)
+
+
+@eqx.filter_jit
 def _predictive(density: Density, x: Float[Array, "m k"], white: Float[Array, "m n 3"]):
     """Log-likelihood per sample and replicated coefficients for each row of x; both (m, n, 3)."""
     return jax.lax.map(lambda pair: (density.pointwise(pair[0]), density.replicate(*pair)), (x, white))

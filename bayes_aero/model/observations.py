@@ -62,6 +62,11 @@ class Observations(eqx.Module):
             names=self.names,
         )
 
+    def restarted(self, start: Bool[np.ndarray, " n"]) -> Observations:
+        """The same samples with other marks for where memory starts anew."""
+        flags = jnp.asarray(start)
+        return eqx.tree_at(lambda o: (o.start, o.signals["start"]), self, (flags, flags))
+
     def only(self, manoeuvre: int) -> Observations:
         """One manoeuvre of the set."""
         return self.subset(np.flatnonzero(self.manoeuvre == manoeuvre))

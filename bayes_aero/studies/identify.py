@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import xarray as xr
 
 from bayes_aero.errors import InputError
@@ -18,8 +17,8 @@ from bayes_aero.flight.readers import read_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.ensemble import sample_ensemble
 from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.laplace import find_mode
-from bayes_aero.inference.mle import MleResult, fit_mle
+from bayes_aero.inference.laplace import density_start, find_mode
+from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.nuts import sample_nuts
 from bayes_aero.inference.splits import SplitKind
 from bayes_aero.inference.validation import validate
@@ -27,7 +26,6 @@ from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import observe
-from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.figures import write_figures
 from bayes_aero.report.tables import paper_table, parameter_table, validation_table, write_csv
 from bayes_aero.report.words import verdict
@@ -40,29 +38,6 @@ Progress = Callable[[str, float], None]
 def read_records(paths: Sequence[Path], card: Card, *, resample: float | None = None) -> list[FlightRecord]:
     """Read and check every file; the first bad one is reported."""
     return [read_record(path, card.channels, resample=resample) for path in paths]
-
-
-def density_start(density: Density, mle: MleResult) -> np.ndarray:
-    """Where the search for the posterior mode begins: the maximum-likelihood estimate with its residuals' noise."""
-    deviation = dict(zip(NAMES, np.sqrt(mle.R), strict=True))
-    estimate = dict(zip(mle.names, mle.estimate, strict=True))
-    start = []
-    for p in density.parameters:
-        kind, _, coefficient = p.name.partition("_")
-        value = estimate.get(p.name, p.start)
-        if kind == "sigma" and coefficient in deviation:
-            value = deviation[coefficient]
-        elif kind == "rho" and coefficient in mle.lag1:
-            value = np.clip(mle.lag1[coefficient], -0.9, 0.9)
-        start.append(_inside(value, p.bounds))
-    return np.array(start)
-
-
-def _inside(value: float, bounds: tuple[float, float]) -> float:
-    """Strictly inside the bounds, where the unbounded scale is finite."""
-    lower, upper = bounds
-    margin = 1e-3 * min(upper - lower, 1.0 + abs(value))
-    return float(np.clip(value, lower + margin, upper - margin))
 
 
 def identify(

@@ -1,0 +1,61 @@
+"""Fixtures that several test folders share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayes_aero.flight.card import read_card
+from bayes_aero.flight.readers import read_record
+from bayes_aero.model.model import Model
+from bayes_aero.model.observations import observe
+from bayes_aero.studies.demo import simulate_stall
+
+ATTAS = Path(__file__).resolve().parents[2] / "shared" / "attas"
+
+
+@pytest.fixture(scope="session")
+def card():
+    return read_card("attas")
+
+
+@pytest.fixture(scope="session")
+def model(card):
+    return Model.from_card(card)
+
+
+@pytest.fixture(scope="session")
+def attas_paths():
+    paths = [ATTAS / f"fAttas_qst0{i}.asc" for i in (1, 2)]
+    if not all(path.is_file() for path in paths):
+        pytest.skip(f"the ATTAS records are not in {ATTAS}; see the README for how to get them")
+    return paths
+
+
+@pytest.fixture(scope="session")
+def attas(attas_paths, card, model):
+    """Observations of both real manoeuvres."""
+    return observe([read_record(path, card.channels) for path in attas_paths], card, model)
+
+
+@pytest.fixture(scope="session")
+def clean_records(card):
+    """Two simulated manoeuvres without sensor noise or disturbance."""
+    return [simulate_stall(i, card=card, sensor_noise=0.0, disturbance=0.0) for i in range(2)]
+
+
+@pytest.fixture(scope="session")
+def clean(clean_records, card, model):
+    """Observations of the clean simulated manoeuvres."""
+    return observe(clean_records, card, model)
+
+
+@pytest.fixture(scope="session")
+def thinned(clean):
+    """Every fourth sample of the clean manoeuvres, as if sampled at 6.25 Hz: signals for cheap replicates."""
+    index = np.concatenate([np.flatnonzero(clean.manoeuvre == m)[::4] for m in range(2)])
+    part = clean.subset(index)
+    start = np.concatenate([[True], np.diff(part.manoeuvre) != 0])
+    return part.restarted(start)
