@@ -89,7 +89,7 @@ def device_stats(
 
 
 def _device_forward(u, x, fy):
-    d, m = x.shape[1], fy.shape[1]
+    d = x.shape[1]
     x, g = x / jnp.exp(u[:d]), jnp.exp(u[d])
     half = 0.5 * jnp.sum(x * x, axis=1)
     se = jnp.exp(jnp.clip(x @ x.T - half[:, None] - half, -300.0, 0.0))
@@ -98,12 +98,12 @@ def _device_forward(u, x, fy):
     lower = jnp.linalg.cholesky(se + g * eye)
     v = jax.scipy.linalg.cho_solve((lower, True), fy)
     logdet = 2.0 * jnp.sum(jnp.log(jnp.diagonal(lower)))
-    return (logdet, fy.T @ v), (x, g, se, lower, v, m)
+    return (logdet, fy.T @ v), (x, g, se, lower, v)
 
 
 def _device_fwd(u, x, fy):
     """Statistics, and as residuals only their derivatives: nothing n x n outlives the forward pass."""
-    out, (x, g, se, lower, v, m) = _device_forward(u, x, fy)
+    out, (x, g, se, lower, v) = _device_forward(u, x, fy)
     xv = x.T[:, :, None] * v  # (d, n, m)
     se_v, se_xv = se @ v, jnp.einsum("ij,kjm->kim", se, xv)
     cross = jnp.einsum("kia,ib->kab", x.T[:, :, None] * xv, se_v)

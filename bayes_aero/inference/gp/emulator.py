@@ -18,7 +18,7 @@ from bayes_aero.inference.gp.reduced import ReducedGradient, ReducedStats
 
 __all__ = ["Emulator", "ExactPoint", "fit_emulator"]
 
-DEGREE = 4
+DEGREE = 4  # also the order of the coefficient tensor below
 ROWS_PER_TERM = 2.0  # fewer rows than this times the terms, and the degree falls: cubic below 42 points for d = 4
 TRUST_MARGIN = 1.25  # the stand-in is believed up to this many times the radius of its outermost training point
 
@@ -32,13 +32,16 @@ class ExactPoint(NamedTuple):
 
 
 class Emulator(eqx.Module):
-    """Polynomial stand-in; `powers` (terms, degree) indexes the factors of each monomial, d + 1 standing for 1."""
+    """Polynomial stand-in of degree <= 4 in the whitened t: coefficients of s_a s_b, where s = (t, 1) x (t, 1).
+
+    Each monomial keeps one place in that tensor, the others are zero: dense products beat gathers in XLA, and the
+    shape does not depend on the degree, so that one compiled sampler serves every round.
+    """
 
     centre: Float[Array, " u"]
     whiten: Float[Array, "u u"]
-    coefficients: Float[Array, "terms outputs"]
+    coefficients: Float[Array, "pairs pairs outputs"]
     radius: Float[Array, ""]
-    powers: Int[Array, "terms degree"]
 
     def __call__(self, u: Float[Array, " u"]) -> tuple[Float[Array, ""], Float[Array, "m m"], Float[Array, ""]]:
         """(logdet, gram, penalty) at u; the penalty, <= 0, fences off where no exact point vouches for it."""
@@ -46,8 +49,9 @@ class Emulator(eqx.Module):
         radius = jnp.sqrt(jnp.sum(t * t) + 1e-12)
         outside = jnp.maximum(radius - self.radius, 0.0)
         t = t * (1.0 - outside / radius)  # a polynomial says nothing outside its data: hold it at the border
-        basis = jnp.prod(jnp.append(t, 1.0)[self.powers], axis=1)
-        z = basis @ self.coefficients
+        t1 = jnp.append(t, 1.0)
+        pairs = (t1[:, None] * t1).ravel()
+        z = pairs @ jnp.tensordot(pairs, self.coefficients, 1)
         m = u.shape[0] + 1
         lower = jnp.zeros((m, m)).at[np.tril_indices(m, -1)].set(z[m + 1 :])
         lower = lower + jnp.diag(jnp.exp(z[1 : m + 1]))
@@ -116,5 +120,8 @@ def fit_emulator(points: list[ExactPoint], degree: int = DEGREE) -> Emulator:
     left, right = design(t, powers) * weight, np.vstack([values, by_t]) * weight
     coefficients, *_ = np.linalg.lstsq(left, right, rcond=1e-12)
     radius = TRUST_MARGIN * float(np.max(np.linalg.norm(t, axis=1)))
-    numbers = (jnp.asarray(x) for x in (centre, whiten, coefficients, radius, powers))
-    return Emulator(*numbers)
+    padded = np.pad(powers, ((0, 0), (0, DEGREE - powers.shape[1])), constant_values=d)
+    tensor = np.zeros(((d + 1) ** 4, coefficients.shape[1]))
+    tensor[np.ravel_multi_index(tuple(padded.T), (d + 1,) * 4)] = coefficients
+    tensor = tensor.reshape((d + 1) ** 2, (d + 1) ** 2, -1)
+    return Emulator(jnp.asarray(centre), jnp.asarray(whiten), jnp.asarray(tensor), jnp.asarray(radius))

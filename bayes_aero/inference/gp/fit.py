@@ -122,7 +122,12 @@ def fit_gp(
     scaling = Scaling.of(X, y, names)
     data = ReducedData.of(scaling.inputs(X), y / scaling.rms)
     with tqdm(disable=progress is not None or not sys.stderr.isatty(), unit="", leave=False) as bar:
-        tell = progress or (lambda text: bool(bar.update()) or bar.set_description(f"{output_name}: {text}"))
+
+        def show(text: str) -> None:
+            bar.set_description(f"{output_name}: {text}", refresh=False)
+            bar.update()
+
+        tell = progress or show
         optima = tuple(find_map(data, priors, starts=starts, seed=seed, progress=tell))
         status, sampled, draws, tree = SampleStatus.not_sampled, None, None, None
         broken = optima[0].status is MapStatus.not_positive_definite

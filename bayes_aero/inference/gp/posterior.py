@@ -1,4 +1,4 @@
-"""The whole course of full Bayes over the hyperparameters: train the stand-in, sample it, check it, remove its error."""
+"""The course of full Bayes over the hyperparameters: train a stand-in, sample it, check it, remove its error."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -92,6 +92,7 @@ def sample_posterior(
         last = number == budget.rounds
         pilots, error = _pilot(chains, data, priors, budget.pilots, rng)
         points += pilots
+        tell(f"round {number}: the stand-in errs by {error:.2g} in log density")
         if not last and not error < PILOT_ERROR:
             continue
         if np.max(chains.rhat) > RHAT_LIMIT or np.min(chains.ess) < ESS_LIMIT:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import cho_solve, cholesky, lapack, solve_triangular
+from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.special import ndtr
 
 from bayes_aero.inference.gp.kernel import noise_to_signal, scaled_distance_kernel
@@ -67,7 +67,7 @@ def gaussian_parts(
     mean = new @ weight + cross.T @ (v_y - v_basis @ weight)
     rest = new - cross.T @ v_basis
     extra = solve_triangular(inner[0], rest.T, lower=True)
-    half, _ = lapack.dtrtrs(factor.lower, cross, lower=1)
+    half = solve_triangular(factor.lower, cross, lower=True, check_finite=False)
     variance = 1.0 - np.einsum("ij,ij->j", half, half) + np.einsum("ij,ij->j", extra, extra)
     return mean, sf2 * np.maximum(variance, 0.0)
 

@@ -49,7 +49,7 @@ class HyperPrior:
         """Log density of t = log x."""
         if self.family == "flat":
             return jnp.zeros_like(t)
-        return self.distribution().log_prob(jnp.exp(t)) + t
+        return jnp.asarray(self.distribution().log_prob(jnp.exp(t))) + t
 
     def sample(self, key: Array, shape: tuple[int, ...]) -> Float[Array, "..."]:
         """Draws of t = log x."""

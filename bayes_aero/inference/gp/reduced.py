@@ -17,9 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import lapack
+from scipy.linalg import get_lapack_funcs
 
 from bayes_aero.inference.gp.kernel import scaled_distance_kernel
+
+dpotrf, dpotrs, dpotri = get_lapack_funcs(("potrf", "potrs", "potri"), dtype=np.float64)
 
 __all__ = [
     "Factor",
@@ -81,10 +83,10 @@ def factorise(u: Float[np.ndarray, " u"], data: ReducedData, se: Float[np.ndarra
         r = se.copy()
     np.fill_diagonal(r, 1.0 + np.exp(u[d]))
     # r is symmetric and C-ordered, so its transpose is the Fortran array that LAPACK overwrites without a copy.
-    lower, info = lapack.dpotrf(r.T, lower=1, clean=1, overwrite_a=1)
+    lower, info = dpotrf(r.T, lower=1, clean=1, overwrite_a=1)
     if info != 0:
         return Factor(None, None)
-    v, _ = lapack.dpotrs(lower, data.fy, lower=1)
+    v, _ = dpotrs(lower, data.fy, lower=1)
     return Factor(lower, v)
 
 
@@ -119,7 +121,7 @@ def stats_and_gradient(u: Float[np.ndarray, " u"], data: ReducedData) -> tuple[R
         cross = (x[:, [k]] * xv[k]).T @ se_v[:, :m]
         d_gram[k] = 2.0 * xv[k].T @ se_v[:, m * (k + 1) : m * (k + 2)] - cross - cross.T
     d_gram[d] = -g * v.T @ v
-    inverse, _ = lapack.dpotri(factor.lower, lower=1, overwrite_c=1)
+    inverse, _ = dpotri(factor.lower, lower=1, overwrite_c=1)
     d_logdet[d] = g * np.trace(inverse)
     half = np.multiply(inverse.T, se, out=se)  # one triangle of R^-1 o SE, the other is zero
     d_logdet[:d] = 2.0 * ((x * x).T @ (half.sum(axis=0) + half.sum(axis=1)))

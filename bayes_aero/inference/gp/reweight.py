@@ -76,13 +76,17 @@ def thin(chains: Chains, draws: int) -> tuple[np.ndarray, np.ndarray]:
     return chains.theta[:, at], chains.log_density[:, at]
 
 
+def _log_sum(x: Float[np.ndarray, "*shape"]) -> float:
+    return float(np.asarray(logsumexp(x)))
+
+
 def pareto_smooth(log_ratio: Float[np.ndarray, "*shape"]) -> tuple[Float[np.ndarray, "*shape"], float]:
     """Normalised smoothed log weights and Pareto k. (ArviZ's psislw takes *minus* the log-ratio, as in LOO.)"""
     if np.ptp(log_ratio) < 1e-12:
         return np.full(log_ratio.shape, -np.log(log_ratio.size)), -np.inf  # no error, hence no tail to fit
     smoothed, k_hat = array_stats.psislw(-log_ratio.ravel())
-    smoothed = np.asarray(smoothed) - logsumexp(smoothed)
-    return smoothed.reshape(log_ratio.shape), float(k_hat)
+    smoothed = np.asarray(smoothed)
+    return (smoothed - _log_sum(smoothed)).reshape(log_ratio.shape), float(k_hat)
 
 
 def reweight(
@@ -104,5 +108,5 @@ def reweight(
         nothing = np.full(value.shape, np.nan)
         return Weighted(theta, value, stand_in, nothing, np.inf, 0.0, failures)
     log_weight, k_hat = pareto_smooth(value - stand_in)
-    ess = float(np.exp(-logsumexp(2.0 * log_weight)))
+    ess = float(np.exp(-_log_sum(2.0 * log_weight)))
     return Weighted(theta, value, stand_in, log_weight, k_hat, ess, 0)

@@ -24,8 +24,8 @@ __all__ = ["Chains", "Settings", "emulated_density", "laplace_root", "sample_emu
 class Settings(NamedTuple):
     """Length of the NUTS run: `chains` chains of `warmup` + `draws` steps, together, vectorised."""
 
-    warmup: int = 500
-    draws: int = 1000
+    warmup: int = 400
+    draws: int = 500
     chains: int = 4
 
 
@@ -72,7 +72,7 @@ def _kernel(p: int, priors: Priors, settings: Settings, exact: bool, shapes: tup
 
     def model(theta_map, root, n, target):
         w = numpyro.sample("w", dist.ImproperUniform(dist.constraints.real_vector, (), (p,)))
-        theta = numpyro.deterministic("theta", theta_map + root @ w)
+        theta = jnp.asarray(numpyro.deterministic("theta", theta_map + root @ w))
         if exact:
             density = log_likelihood_device(theta, *target) + priors.log_density(theta)
         else:
@@ -81,7 +81,7 @@ def _kernel(p: int, priors: Priors, settings: Settings, exact: bool, shapes: tup
         numpyro.deterministic("log_density", density)
 
     return MCMC(
-        NUTS(model, dense_mass=True, target_accept_prob=0.9),
+        NUTS(model, dense_mass=True, target_accept_prob=0.85, max_tree_depth=7),
         num_warmup=settings.warmup,
         num_samples=settings.draws,
         num_chains=settings.chains,

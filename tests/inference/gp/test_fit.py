@@ -1,0 +1,140 @@
+"""`fit_gp` from the outside: predictions, coverage, units, refusals, and a tree that ArviZ reads back."""
+
+import arviz_base
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bayes_aero.errors import InputError
+from bayes_aero.inference.gp import Budget, Priors, SampleStatus, fit_gp
+from bayes_aero.inference.gp.predict import mixture
+
+
+def make(seed, n=100):
+    """Two inputs in units far apart, an output with an offset and noise of sd 0.1."""
+    rng = np.random.default_rng(seed)
+    X = rng.normal(size=(n, 2)) * [0.05, 9.0] + [0.15, 84.0]
+    z = (X - [0.15, 84.0]) / [0.05, 9.0]
+    return X, 1.0 + 0.3 * z[:, 0] + 0.4 * np.sin(1.5 * z[:, 1]) + 0.1 * rng.normal(size=n)
+
+
+@pytest.fixture(scope="module")
+def sampled():
+    return fit_gp(*make(0), input_names=("alpha", "V"), output_name="CL", starts=4, budget=Budget(exact=80), seed=4)
+
+
+@pytest.fixture(scope="module")
+def at_map():
+    return fit_gp(*make(0), input_names=("alpha", "V"), starts=4, sample=False)
+
+
+def test_predictions_cover_what_they_say(sampled):
+    X, y = make(1, n=1500)
+    p = sampled.predict(X)
+    for level, share in p.coverage(y).items():
+        assert share == pytest.approx(level, abs=0.06)
+    assert np.sqrt(np.mean((p.mean - y) ** 2)) < 0.13
+    assert np.all(p.sd > p.latent_sd)
+
+
+def test_map_prediction_is_the_textbook_conditional(at_map):
+    X, y = make(0)
+    new, _ = make(3, n=5)
+    hyper = at_map.map
+    mean, sd = at_map.scaling.mean, at_map.scaling.sd
+
+    def kernel(a, b):
+        linear = ((a - mean) * hyper["linear"] ** 2) @ (b - mean).T
+        distance = (((a[:, None] - b) / hyper["length_scale"]) ** 2).sum(axis=-1)
+        return hyper["constant"] ** 2 + linear + hyper["signal"] ** 2 * np.exp(-0.5 * distance)
+
+    k = kernel(X, X) + hyper["noise"] ** 2 * np.eye(len(X))
+    cross = kernel(X, new)
+    p = at_map.predict(new)
+    np.testing.assert_allclose(p.mean, cross.T @ np.linalg.solve(k, y), rtol=1e-8)
+    variance = np.diag(kernel(new, new) - cross.T @ np.linalg.solve(k, cross))
+    np.testing.assert_allclose(p.latent_sd**2, variance, rtol=1e-5)
+    np.testing.assert_allclose(p.sd**2, variance + hyper["noise"] ** 2, rtol=1e-8)
+    np.testing.assert_allclose(p.high[2] - p.low[2], 2 * 1.959964 * p.sd, rtol=1e-6)
+    assert sd.shape == (2,)
+
+
+def test_hyperparameter_uncertainty_widens_nothing_away(sampled, at_map):
+    new, _ = make(5, n=200)
+    assert sampled.predict(new).latent_sd.mean() > 0.95 * at_map.predict(new).latent_sd.mean()
+
+
+def test_mixture_quantiles_are_those_of_its_draws():
+    rng = np.random.default_rng(0)
+    means, latent = rng.normal(size=(6, 3)), rng.uniform(0.1, 1.0, size=(6, 3))
+    noise = rng.uniform(0.1, 0.5, size=6)
+    p = mixture(means, latent, noise)
+    which = rng.integers(6, size=200_000)
+    draws = means[which] + np.sqrt(latent + noise[:, None])[which] * rng.normal(size=(200_000, 3))
+    np.testing.assert_allclose(p.mean, draws.mean(axis=0), atol=0.02)
+    np.testing.assert_allclose(p.sd, draws.std(axis=0), atol=0.02)
+    np.testing.assert_allclose(p.low[1], np.quantile(draws, 0.05, axis=0), atol=0.03)
+    np.testing.assert_allclose(p.high[2], np.quantile(draws, 0.975, axis=0), atol=0.03)
+
+
+def test_units_of_inputs_and_output_do_not_matter(at_map):
+    X, y = make(0)
+    other = fit_gp(X * [57.3, 3.6] + [1.0, 0.0], 100.0 * y, starts=4, sample=False)
+    new, _ = make(6, n=20)
+    there, here = other.predict(new * [57.3, 3.6] + [1.0, 0.0]), at_map.predict(new)
+    np.testing.assert_allclose(there.mean, 100.0 * here.mean, rtol=1e-4)
+    np.testing.assert_allclose(other.map["length_scale"], at_map.map["length_scale"] * [57.3, 3.6], rtol=1e-2)
+    np.testing.assert_allclose(other.map["linear"], 100 * at_map.map["linear"] / [57.3, 3.6], rtol=1e-2)
+    assert other.map_value == pytest.approx(at_map.map_value, abs=1e-3)
+
+
+def test_the_tree_is_complete_and_arviz_reads_it_back(sampled, tmp_path):
+    tree = sampled.posterior
+    assert sampled.status is SampleStatus.accepted
+    assert {"posterior", "prior", "sample_stats", "proposal", "stand_in"} <= set(tree.children)
+    assert list(tree["posterior"]["length_scale"].coords["input"].values) == ["alpha", "V"]
+    assert tree.attrs["k_hat"] == sampled.k_hat < tree.attrs["k_limit"]
+    weights = np.exp(tree["proposal"]["log_weight"])
+    assert float(weights.sum()) == pytest.approx(1.0)
+    tree.to_netcdf(tmp_path / "gpr.nc", engine="h5netcdf")
+    back = arviz_base.from_netcdf(tmp_path / "gpr.nc", engine="h5netcdf")
+    np.testing.assert_array_equal(back["posterior"]["noise"], tree["posterior"]["noise"])
+    back.close()
+
+
+def test_map_only_says_that_it_was_not_sampled(at_map):
+    assert at_map.status is SampleStatus.not_sampled
+    assert at_map.posterior is None
+    assert np.isnan(at_map.k_hat)
+
+
+def test_jax_arrays_are_welcome(at_map):
+    X, y = make(0)
+    fit = fit_gp(jnp.asarray(X), jnp.asarray(y), starts=4, sample=False)
+    assert fit.map_value == at_map.map_value
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda X, y: (X[:6], y[:6]), "6 samples cannot"),
+        (lambda X, y: (np.tile(X, (81, 1)), np.tile(y, 81)), "8000"),
+        (lambda X, y: (np.where(np.arange(100)[:, None] == 7, np.nan, X), y), "x0 is not finite at sample 7"),
+        (lambda X, y: (X * [0.0, 1.0], y), "x0 does not vary"),
+        (lambda X, y: (X, 0.0 * y), "zero at every"),
+    ],
+    ids=["few", "many", "nan", "constant", "zero"],
+)
+def test_what_cannot_be_fitted_is_refused_in_words(change, says):
+    with pytest.raises(InputError, match=says):
+        fit_gp(*change(*make(0)), sample=False)
+
+
+def test_flat_priors_are_not_sampled():
+    with pytest.raises(InputError, match="improper"):
+        fit_gp(*make(0), priors=Priors.flat())
+
+
+def test_wrong_inputs_to_predict_at_are_refused(at_map):
+    with pytest.raises(InputError, match="alpha, V"):
+        at_map.predict(np.zeros((3, 3)))

@@ -1,0 +1,97 @@
+"""Full Bayes through the stand-in equals NUTS on the exact density, and a wrong stand-in is refused."""
+
+import numpy as np
+import pytest
+
+from bayes_aero.inference.gp import posterior as course
+from bayes_aero.inference.gp.density import log_density
+from bayes_aero.inference.gp.optimum import find_map
+from bayes_aero.inference.gp.posterior import Budget, sample_posterior
+from bayes_aero.inference.gp.priors import Priors
+from bayes_aero.inference.gp.reduced import ReducedData
+from bayes_aero.inference.gp.reweight import SampleStatus, pareto_smooth, reweight, thin
+from bayes_aero.inference.gp.sample import Settings, laplace_root, sample_exact
+
+BUDGET = Budget(exact=400)
+
+
+@pytest.fixture(scope="module")
+def case():
+    """A non-linear function of one input with a linear trend, 100 points: data, optimum, posterior."""
+    rng = np.random.default_rng(21)
+    x = rng.uniform(-1.7, 1.7, size=(100, 1))
+    y = 0.5 + 0.4 * x[:, 0] + 0.5 * np.sin(4 * x[:, 0]) + 0.1 * rng.normal(size=100)
+    data = ReducedData.of(x, y)
+    best = find_map(data, Priors(), starts=4, polish=1)[0]
+    return data, best, sample_posterior(best, data, Priors(), budget=BUDGET, seed=2)
+
+
+def test_it_is_accepted_with_its_error_measured(case):
+    data, _, sampled = case
+    weighted = sampled.weighted
+    assert sampled.status is SampleStatus.accepted
+    assert weighted.k_hat < weighted.k_limit <= 0.7
+    assert weighted.ess > 0.8 * weighted.exact.size
+    assert np.sum(np.exp(weighted.log_weight)) == pytest.approx(1.0)
+    assert np.max(sampled.chains.rhat) < 1.01
+    at = weighted.theta[1, 5]
+    assert weighted.exact[1, 5] == pytest.approx(log_density(at, data, Priors()).value, abs=1e-9)
+
+
+def test_re_weighted_draws_are_those_of_nuts_on_the_exact_density(case):
+    data, best, sampled = case
+    root = laplace_root(best.theta, sampled.emulator, float(data.n), Priors())
+    exact = sample_exact(best.theta, root, data, Priors(), Settings(300, 500, 4), seed=9)
+    theirs = exact.theta.reshape(-1, best.theta.size)
+    weight = np.exp(sampled.weighted.log_weight).ravel()
+    ours = sampled.weighted.theta.reshape(-1, best.theta.size)
+    mean = weight @ ours
+    sd = np.sqrt(weight @ (ours - mean) ** 2)
+    error = np.sqrt(theirs.var(axis=0) * (1 / np.minimum(exact.ess, len(theirs)) + 1 / sampled.weighted.ess))
+    assert np.all(np.abs(mean - theirs.mean(axis=0)) < 4.5 * error)
+    np.testing.assert_allclose(sd, theirs.std(axis=0), rtol=0.25)
+    assert exact.log_density.mean() == pytest.approx(weight @ sampled.weighted.exact.ravel(), abs=0.6)
+
+
+def test_the_same_seed_gives_the_same_numbers(case):
+    data, best, sampled = case
+    again = sample_posterior(best, data, Priors(), budget=BUDGET, seed=2)
+    np.testing.assert_array_equal(again.weighted.theta, sampled.weighted.theta)
+    assert again.weighted.k_hat == sampled.weighted.k_hat
+
+
+def test_a_stand_in_much_too_narrow_is_refused(case):
+    """Draws squeezed to a third around the optimum, with the density they then have."""
+    data, best, sampled = case
+    theta, _ = thin(sampled.chains, 200)
+    narrow = best.theta + (theta - best.theta) / 3.0
+    exact = np.array([log_density(t, data, Priors(), gradient=False).value for t in theta.reshape(-1, 5)])
+    judged = reweight(narrow, exact.reshape(theta.shape[:2]), data, Priors(), lambda _: None)
+    assert judged.k_hat > judged.k_limit
+    assert judged.status is SampleStatus.pareto_k
+    assert "Refused" in judged.status.value
+
+
+def test_a_stand_in_that_cannot_learn_is_refused(case, monkeypatch):
+    """The emulator replaced by one that is wrong about the noise: every round fails, none is used silently."""
+    data, best, _ = case
+    honest = course.fit_emulator
+
+    def crooked(points):
+        return honest([p._replace(stats=p.stats._replace(logdet=p.stats.logdet + 12.0 * p.u[-1])) for p in points])
+
+    monkeypatch.setattr(course, "fit_emulator", crooked)
+    sampled = sample_posterior(best, data, Priors(), budget=Budget(exact=80, rounds=2), seed=0)
+    assert sampled.status is not SampleStatus.accepted
+    assert sampled.pilot_error > course.PILOT_ERROR
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_pareto_smoothing_weighs_one_gaussian_into_another(seed):
+    """E and Var of N(0.3, 1) from draws of N(0, 1.2): the sign convention of ArviZ's psislw is in this."""
+    x = 1.2 * np.random.default_rng(seed).normal(size=4000)
+    log_weight, k_hat = pareto_smooth(-0.5 * (x - 0.3) ** 2 + 0.5 * (x / 1.2) ** 2)
+    w = np.exp(log_weight)
+    assert k_hat < 0.5
+    assert w @ x == pytest.approx(0.3, abs=0.1)
+    assert w @ (x - w @ x) ** 2 == pytest.approx(1.0, abs=0.12)
