@@ -85,9 +85,9 @@ class Scaling:
         """
         d, x = self.sd.size, np.exp(theta)
         return {
-            "constant": x[..., 0] * self.rms,
+            "constant": np.asarray(x[..., 0] * self.rms),
             "linear": x[..., 1 : d + 1] * self.rms / self.sd,
-            "signal": x[..., d + 1] * self.rms,
+            "signal": np.asarray(x[..., d + 1] * self.rms),
             "length_scale": x[..., length_slice(d)] * self.sd,
-            "noise": x[..., -1] * self.rms,
+            "noise": np.asarray(x[..., -1] * self.rms),
         }

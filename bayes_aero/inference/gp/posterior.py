@@ -1,6 +1,7 @@
 """The course of full Bayes over the hyperparameters: train a stand-in, sample it, check it, remove its error."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -9,11 +10,11 @@ from jaxtyping import Float
 from bayes_aero.inference.gp.density import compiled_posterior
 from bayes_aero.inference.gp.emulator import Emulator, ExactPoint, fit_emulator
 from bayes_aero.inference.gp.kernel import noise_to_signal
-from bayes_aero.inference.gp.optimum import MapStatus, Optimum, Profile
+from bayes_aero.inference.gp.optimum import Optimum, Profile
 from bayes_aero.inference.gp.priors import Priors
 from bayes_aero.inference.gp.reduced import ReducedData, stats_and_gradient
 from bayes_aero.inference.gp.reweight import SampleStatus, Weighted, reweight, thin
-from bayes_aero.inference.gp.sample import Chains, Settings, sample_emulated
+from bayes_aero.inference.gp.sample import Chains, Settings, join, sample_emulated
 
 __all__ = ["Budget", "Sampled", "sample_posterior"]
 
@@ -24,12 +25,14 @@ RHAT_LIMIT, ESS_LIMIT = 1.01, 400.0
 
 
 class Budget(NamedTuple):
-    """What full Bayes may spend: design points and pilots cost a gradient, exact draws a factorisation each."""
+    """What full Bayes may spend: design points and pilots cost a gradient, exact draws a factorisation each;
+    rounds of training at most, and extensions of the last NUTS run until it has mixed."""
 
     design: int = 22
     pilots: int = 12
     exact: int = 160
     rounds: int = 8
+    extensions: int = 4
     nuts: Settings = Settings()
 
 
@@ -84,27 +87,34 @@ def sample_posterior(
         u = optimum.u + DESIGN_SPREAD * root @ rng.normal(size=optimum.u.size)
         points.append(_exact_point(u, data))
         tell(f"training the stand-in: {len(points)} of {budget.design}")
+    chains = None
     for number in range(1, budget.rounds + 1):
-        usable = [p for p in points if p.stats.ok]
-        emulator = fit_emulator(usable)
+        emulator = fit_emulator([p for p in points if p.stats.ok])
+        run = partial(sample_emulated, optimum.theta, emulator, data.n, priors, budget.nuts)
         tell(f"NUTS, round {number}")
-        chains = sample_emulated(optimum.theta, emulator, data.n, priors, budget.nuts, seed + number)
-        last = number == budget.rounds
+        chains = run(seed + 100 * number, None if chains is None else chains.theta[:, -1])
         pilots, error = _pilot(chains, data, priors, budget.pilots, rng)
         points += pilots
         tell(f"round {number}: the stand-in errs by {error:.2g} in log density")
+        last = number == budget.rounds
         if not last and not error < PILOT_ERROR:
             continue
-        if np.max(chains.rhat) > RHAT_LIMIT or np.min(chains.ess) < ESS_LIMIT:
-            if last:
-                return Sampled(chains, None, emulator, SampleStatus.not_mixed, number, error)
-            continue
-        theta, stand_in = thin(chains, budget.exact)
-        weighted = reweight(theta, stand_in, data, priors, tell)
-        if weighted.status is SampleStatus.accepted or last:
+        for again in range(1, budget.extensions + 1):
+            if not _mixed(chains):
+                tell(f"NUTS, round {number}, extension {again}")
+                chains = join(chains, run(seed + 100 * number + again, chains.theta[:, -1]))
+        if not _mixed(chains):
+            return Sampled(chains, None, emulator, SampleStatus.not_mixed, number, error)
+        weighted = reweight(*thin(chains, budget.exact), data, priors, tell)
+        if last or weighted.status is SampleStatus.accepted:
             return Sampled(chains, weighted, emulator, weighted.status, number, error)
         points += _worst(weighted, data, budget.pilots)
     raise AssertionError("the last round returns")
+
+
+def _mixed(chains: Chains) -> bool:
+    """Whether the chains agree and hold enough independent draws (Vehtari et al. 2021)."""
+    return bool(np.max(chains.rhat) <= RHAT_LIMIT and np.min(chains.ess) >= ESS_LIMIT)
 
 
 def _exact_point(u: Float[np.ndarray, " u"], data: ReducedData) -> ExactPoint:
@@ -131,8 +141,3 @@ def _worst(weighted: Weighted, data: ReducedData, count: int) -> list[ExactPoint
     )
     flat = weighted.theta.reshape(-1, weighted.theta.shape[-1])
     return [_exact_point(noise_to_signal(t), data) for t in flat[order[:count]]]
-
-
-def refuse_early(optimum: Optimum) -> bool:
-    """Whether the optimum is too broken to sample around."""
-    return optimum.status is MapStatus.not_positive_definite or not np.isfinite(optimum.value)

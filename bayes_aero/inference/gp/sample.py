@@ -18,7 +18,7 @@ from bayes_aero.inference.gp.kernel import length_slice
 from bayes_aero.inference.gp.priors import Priors
 from bayes_aero.inference.gp.reduced import ReducedData
 
-__all__ = ["Chains", "Settings", "emulated_density", "laplace_root", "sample_emulated", "sample_exact"]
+__all__ = ["Chains", "Settings", "emulated_density", "join", "laplace_root", "sample_emulated", "sample_exact"]
 
 
 class Settings(NamedTuple):
@@ -91,32 +91,48 @@ def _kernel(p: int, priors: Priors, settings: Settings, exact: bool, shapes: tup
     )
 
 
-def _run(priors: Priors, settings: Settings, exact: bool, seed: int, args: tuple) -> Chains:
-    p = args[0].size
+def _summary(theta: np.ndarray, density: np.ndarray, divergences: int) -> Chains:
+    """Chains with their R-hat and bulk ESS, by ArviZ."""
+    columns = np.moveaxis(theta, -1, 0)
+    rhat = np.array([array_stats.rhat(c) for c in columns])
+    ess = np.array([array_stats.ess(c) for c in columns])
+    return Chains(theta, density, divergences, rhat, ess)
+
+
+def join(first: Chains, then: Chains) -> Chains:
+    """Two runs on one density, the second started where the first ended, as one."""
+    theta = np.concatenate([first.theta, then.theta], axis=1)
+    density = np.concatenate([first.log_density, then.log_density], axis=1)
+    return _summary(theta, density, first.divergences + then.divergences)
+
+
+def _run(priors: Priors, settings: Settings, exact: bool, seed: int, args: tuple, start: np.ndarray | None) -> Chains:
     shapes = tuple(leaf.shape for leaf in jax.tree.leaves(args))
-    mcmc = _kernel(p, priors, settings, exact, shapes)
-    start, run = jax.random.split(jax.random.PRNGKey(seed))
-    mcmc.run(
-        run,
-        *args,
-        init_params={"w": jax.random.normal(start, (mcmc.num_chains, p))},
-        extra_fields=("diverging",),
-    )
+    theta_map, root = np.asarray(args[0]), np.asarray(args[1])
+    mcmc = _kernel(theta_map.size, priors, settings, exact, shapes)
+    keys = jax.random.split(jax.random.PRNGKey(seed))
+    w = jax.random.normal(keys[0], (settings.chains, theta_map.size))
+    if start is not None:
+        w = jnp.asarray(np.linalg.solve(root, (start - theta_map).T).T)
+    mcmc.run(keys[1], *args, init_params={"w": w}, extra_fields=("diverging",))
     samples = mcmc.get_samples(group_by_chain=True)
-    theta = np.asarray(samples["theta"])
-    rhat = np.array([array_stats.rhat(theta[:, :, k]) for k in range(p)])
-    ess = np.array([array_stats.ess(theta[:, :, k]) for k in range(p)])
     diverging = int(np.sum(np.asarray(mcmc.get_extra_fields()["diverging"])))
-    return Chains(theta, np.asarray(samples["log_density"]), diverging, rhat, ess)
+    return _summary(np.asarray(samples["theta"]), np.asarray(samples["log_density"]), diverging)
 
 
 def sample_emulated(
-    theta: Float[np.ndarray, " p"], emulator: Emulator, n: int, priors: Priors, settings: Settings, seed: int
+    theta: Float[np.ndarray, " p"],
+    emulator: Emulator,
+    n: int,
+    priors: Priors,
+    settings: Settings,
+    seed: int,
+    start: Float[np.ndarray, "chains p"] | None = None,
 ) -> Chains:
-    """NUTS on the stand-in density around the optimum theta."""
+    """NUTS on the stand-in density, from `start` or from around the optimum theta."""
     root = laplace_root(theta, emulator, float(n), priors)
     args = (jnp.asarray(theta), jnp.asarray(root), jnp.asarray(float(n)), emulator)
-    return _run(priors, settings, False, seed, args)
+    return _run(priors, settings, False, seed, args, start)
 
 
 def sample_exact(
@@ -130,4 +146,4 @@ def sample_exact(
     """NUTS on the exact density, n^3 at every leapfrog step: the yardstick for n of a few hundred."""
     target = (jnp.asarray(data.x), jnp.asarray(data.fy))
     args = (jnp.asarray(theta), jnp.asarray(root), jnp.asarray(float(data.n)), target)
-    return _run(priors, settings, True, seed, args)
+    return _run(priors, settings, True, seed, args, None)

@@ -12,7 +12,8 @@ from bayes_aero.inference.gp.reduced import ReducedData
 from bayes_aero.inference.gp.reweight import SampleStatus, pareto_smooth, reweight, thin
 from bayes_aero.inference.gp.sample import Settings, laplace_root, sample_exact
 
-BUDGET = Budget(exact=400)
+NUTS = Settings(250, 500, 4)
+BUDGET = Budget(exact=400, nuts=NUTS)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +42,7 @@ def test_it_is_accepted_with_its_error_measured(case):
 def test_re_weighted_draws_are_those_of_nuts_on_the_exact_density(case):
     data, best, sampled = case
     root = laplace_root(best.theta, sampled.emulator, float(data.n), Priors())
-    exact = sample_exact(best.theta, root, data, Priors(), Settings(300, 500, 4), seed=9)
+    exact = sample_exact(best.theta, root, data, Priors(), NUTS, seed=9)
     theirs = exact.theta.reshape(-1, best.theta.size)
     weight = np.exp(sampled.weighted.log_weight).ravel()
     ours = sampled.weighted.theta.reshape(-1, best.theta.size)
@@ -78,10 +79,10 @@ def test_a_stand_in_that_cannot_learn_is_refused(case, monkeypatch):
     honest = course.fit_emulator
 
     def crooked(points):
-        return honest([p._replace(stats=p.stats._replace(logdet=p.stats.logdet + 12.0 * p.u[-1])) for p in points])
+        return honest([p._replace(stats=p.stats._replace(logdet=p.stats.logdet + 60.0 * p.u[-1])) for p in points])
 
     monkeypatch.setattr(course, "fit_emulator", crooked)
-    sampled = sample_posterior(best, data, Priors(), budget=Budget(exact=80, rounds=2), seed=0)
+    sampled = sample_posterior(best, data, Priors(), budget=Budget(exact=80, rounds=2, extensions=1, nuts=NUTS), seed=0)
     assert sampled.status is not SampleStatus.accepted
     assert sampled.pilot_error > course.PILOT_ERROR
 
