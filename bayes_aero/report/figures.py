@@ -1,0 +1,63 @@
+"""Every figure of a report by the stem of its file, and one function that writes them all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from bayes_aero.inference.identification import Identification
+from bayes_aero.report import (
+    figures_comparison,
+    figures_flight,
+    figures_posterior,
+    figures_prior,
+    figures_scatter,
+)
+from bayes_aero.report.style import Drawing, NotDrawn, save
+
+FIGURES: dict[str, Drawing] = {
+    "fig1_time_history": figures_flight.time_history,
+    "fig2_gpr_fit": figures_flight.gpr_fit,
+    "fig3_validation_CL": figures_flight.validation_CL,
+    "fig4_correlation_CL": figures_scatter.correlation_CL,
+    "fig5_stall_hysteresis": figures_scatter.hysteresis,
+    "fig6_validation_CD": figures_flight.validation_CD,
+    "fig7_correlation_CD": figures_scatter.correlation_CD,
+    "fig8_validation_Cm": figures_flight.validation_Cm,
+    "fig9_correlation_Cm": figures_scatter.correlation_Cm,
+    "forest": figures_comparison.forest,
+    "crb_vs_credible": figures_comparison.crb_vs_credible,
+    "prior_posterior": figures_prior.prior_posterior,
+    "gp_prior_posterior": figures_prior.gp_prior_posterior,
+    "trace_emcee": figures_posterior.trace_emcee,
+    "trace_nuts": figures_posterior.trace_nuts,
+    "rank_emcee": figures_posterior.rank_emcee,
+    "rank_nuts": figures_posterior.rank_nuts,
+    "pair": figures_posterior.pair,
+}
+"""The seed paper's nine under its numbers, then what a Bayesian identification adds."""
+
+
+def write_figures(
+    identification: Identification, folder: Path, progress: Callable[[str, float], None] | None = None
+) -> tuple[list[Path], dict[str, str]]:
+    """Draw every figure for which the run holds something into `folder` as PNG.
+
+    Returns the paths written, and for each figure that failed the reason. A figure that fails leaves no file and does
+    not keep the others from being drawn; one for which there is nothing to show (no Gaussian process) is left out.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    written: list[Path] = []
+    failed: dict[str, str] = {}
+    for number, (stem, draw) in enumerate(FIGURES.items()):
+        if progress:
+            progress(f"figure {stem}", number / len(FIGURES))
+        try:
+            written.append(save(draw(identification), folder / f"{stem}.png"))
+        except NotDrawn:
+            continue
+        except Exception as reason:  # whatever it is, the other figures and the results stand; it is reported by name
+            failed[stem] = f"{type(reason).__name__}: {reason}"
+    if progress:
+        progress("figures", 1.0)
+    return written, failed

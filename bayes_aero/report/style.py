@@ -1,0 +1,158 @@
+"""The house style of every figure: one palette with fixed roles, one look, one way to a file."""
+
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from functools import wraps
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib import style as mpl_style
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from bayes_aero.inference.identification import Identification
+
+DPI = 150
+
+# Okabe and Ito's colours, and two of Paul Tol's: told apart with every common colour blindness.
+COLOURS = {
+    "measured": "#1a1a1a",
+    "mle": "#0072B2",
+    "gpr": "#D55E00",
+    "crb": "#56B4E9",
+    "crb_corrected": "#E69F00",
+    "white": "#7f7f7f",
+    "emcee": "#009E73",
+    "nuts": "#CC79A7",
+    "alone": "#1a1a1a",
+    "scatter": "#D55E00",
+    "prior": "#b0b0b0",
+    "rising": "#882255",
+    "falling": "#2a9d8f",
+}
+
+RC: dict[str, Any] = {
+    "font.size": 9.0,
+    "axes.titlesize": 10.0,
+    "axes.labelsize": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.formatter.useoffset": False,
+    "axes.formatter.limits": (-4, 5),
+    "grid.color": "#e4e4e4",
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+    "legend.fontsize": 9.0,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "lines.linewidth": 1.0,
+    "figure.titlesize": 12.0,
+    "savefig.dpi": DPI,
+    "figure.dpi": 100.0,
+    "svg.hashsalt": "bayes_aero",
+}
+
+
+class NotDrawn(Exception):  # noqa: N818 - not an error: the run simply has nothing to show there
+    """The run holds nothing for this figure; the text says what is missing."""
+
+
+Drawing = Callable[[Identification], Figure]
+
+
+def housed(draw: Drawing) -> Drawing:
+    """A figure function whose figure looks the same whatever the user's matplotlibrc says."""
+
+    @wraps(draw)
+    def styled(identification: Identification) -> Figure:
+        with mpl_style.context(["default", RC]):
+            return draw(identification)
+
+    return styled
+
+
+def panels(rows: int, columns: int, size: tuple[float, float], **options: Any) -> tuple[Figure, np.ndarray]:
+    """A figure of `size` inches with a (rows, columns) array of axes; outside pyplot, so nothing lingers or pops up."""
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, **options)
+    return figure, axes
+
+
+def grid_of(count: int, columns: int, cell: tuple[float, float], **options: Any) -> tuple[Figure, list[Axes]]:
+    """A figure with `count` axes in rows of at most `columns`, `cell` inches each."""
+    columns = max(1, min(columns, count))
+    rows = -(-count // columns)
+    figure, axes = panels(rows, columns, (cell[0] * columns, cell[1] * rows + 0.6), **options)
+    flat = list(axes.ravel())
+    for spare in flat[count:]:
+        spare.remove()
+    return figure, flat[:count]
+
+
+def column_width(columns: int) -> float:
+    """Inches for one of `columns` columns: generous for one or two, narrower when there are many."""
+    return float(np.clip(15.0 / columns, 2.8, 9.0))
+
+
+def bracket(unit: str) -> str:
+    """A unit as it stands behind a name on an axis."""
+    return "[-]" if unit in ("1", "", "-") else f"[{unit}]"
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a PNG whole or not at all, and close the figure."""
+    partial = path.with_name(path.name + ".part")
+    try:
+        figure.savefig(partial, format="png", dpi=DPI, metadata={"Software": "bayes_aero"})
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+        close(figure)
+    return path
+
+
+def close(figure: Figure) -> None:
+    """Release a figure; one made outside pyplot is only emptied."""
+    pyplot = sys.modules.get("matplotlib.pyplot")
+    if pyplot is not None:
+        pyplot.close(figure)
+
+
+@contextmanager
+def quiet_pyplot() -> Iterator[None]:
+    """Use the Agg backend inside, whatever the user's is: for libraries that only draw through pyplot."""
+    import matplotlib.pyplot as plt
+
+    before = mpl.get_backend()
+    plt.switch_backend("agg")
+    try:
+        yield
+    finally:
+        with suppress(ImportError):  # a backend that was named but never could run, as TkAgg without a display
+            plt.switch_backend(before)
+
+
+def arviz_plots() -> ModuleType:
+    """The package arviz_plots; up to 0.8 it needs matplotlib.style.core, which 3.11 no longer imports by itself."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        with suppress(ImportError):
+            import matplotlib.style.core  # noqa: F401
+        import arviz_plots
+    return arviz_plots
+
+
+def several(items: Iterable[str]) -> str:
+    """Items as they are read out: a, b and c."""
+    given = list(items)
+    return " and ".join([", ".join(given[:-1]), given[-1]]) if len(given) > 1 else "".join(given)

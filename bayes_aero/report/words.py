@@ -1,0 +1,175 @@
+"""In words, with numbers: where bounds, corrected bounds and credible intervals disagree, and why."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+
+from bayes_aero.inference.identification import Identification
+from bayes_aero.inference.posterior import PosteriorStatus
+from bayes_aero.report.between import between_manoeuvres
+from bayes_aero.report.comparison import (
+    Method,
+    chosen_posteriors,
+    engine_label,
+    methods,
+    ordered,
+    usable,
+    white_posterior,
+)
+from bayes_aero.report.splits import split_verdict
+from bayes_aero.report.style import several
+
+# What counts as a disagreement: our choice, wide enough to stay silent on sampling error and on chance.
+FACTOR = 1.25  # two deviations whose ratio is within this, either way, agree
+LIMIT = 3.0  # deviations of a difference beyond which two values differ
+MEANS, SDS = 0.2, 0.15  # engines agree when means are this close in sd, and sds in relative terms
+
+
+def verdict(identification: Identification) -> list[str]:
+    """What to make of the run, one sentence or two each; parts of the run not there yet are passed over."""
+    mle = identification.mle
+    if not (usable(mle) and np.all(np.isfinite([*mle.crb, *mle.crb_corrected]))):
+        return [
+            *mle.warnings(),
+            *_unfinished(identification),
+            *_engines(identification),
+            *split_verdict(identification),
+        ]
+    against = [*_colour(identification), *_noise_model(identification), *between_manoeuvres(identification, LIMIT)]
+    said = [*against] if against else _agreement(identification)
+    if against:
+        said[1:1] = _white(identification)
+    said += [*_unfinished(identification), *_engines(identification), *split_verdict(identification)]
+    return said + mle.warnings()
+
+
+def _by_key(identification: Identification) -> dict[str, Method]:
+    return {method.key: method for method in methods(identification)}
+
+
+def _ratios(method: Method, base: Method) -> dict[str, float]:
+    """Deviation of `method` over that of `base`, by parameter both have."""
+    return {n: e.sd / base.estimates[n].sd for n, e in method.estimates.items() if n in base.estimates}
+
+
+def _worst(ratios: dict[str, float]) -> tuple[str, float]:
+    """The ratio furthest from 1, either way."""
+    return max(ratios.items(), key=lambda item: abs(np.log(item[1])))
+
+
+def _range(ratios: dict[str, float]) -> str:
+    return f"{min(ratios.values()):.2f} to {max(ratios.values()):.2f} times"
+
+
+def _colour(identification: Identification) -> list[str]:
+    """Residuals that are not white, and what that makes of the Cramer-Rao bound."""
+    mle, found = identification.mle, _by_key(identification)
+    ratios = _ratios(found["crb_corrected"], found["crb"])
+    chance = LIMIT / np.sqrt(identification.observations.n)
+    coloured = {name: r for name, r in mle.lag1.items() if abs(r) > chance}
+    median, (name, worst) = float(np.median(list(ratios.values()))), _worst(ratios)
+    if not coloured or (1.0 / FACTOR < median < FACTOR and 0.5 < worst < 2.0):
+        return []
+    lags = ", ".join(f"{key} {value:+.2f}" for key, value in mle.lag1.items())
+    size = "too small" if median > 1.0 else "not right"
+    return [
+        f"The residuals are not white: lag-1 correlation {lags} (chance stays within ±{chance:.2f}). "
+        f"The Cramér-Rao bound counts every sample as new information and is {size}: the bound corrected for the "
+        f"residuals' colour is {median:.2g} times as large in the median and {worst:.2g} times for {name}."
+    ]
+
+
+def _white(identification: Identification) -> list[str]:
+    """The white posterior beside the Cramer-Rao bound: the same assumption, so the same answer."""
+    posterior = white_posterior(identification)
+    if posterior is None:
+        return []
+    base = _by_key(identification)["crb"]
+    ratios = {n: posterior.marginals[n].sd / e.sd for n, e in base.estimates.items() if n in posterior.marginals}
+    median = float(np.median(np.abs(np.array(list(ratios.values())) - 1.0)))
+    name, worst = _worst(ratios)
+    text = (
+        f"The posterior under white noise has the Cramér-Rao deviations, within {median:.0%} in the median and "
+        f"{worst - 1.0:+.0%} at worst ({name}): it makes the same assumption, so its agreement does not support the "
+        "bound."
+    )
+    if not 1.0 / FACTOR < worst < FACTOR:
+        text += f" For {name} prior or curvature count as well."
+    return [text]
+
+
+def _noise_model(identification: Identification) -> list[str]:
+    """The chosen noise model's posterior against the corrected bound, and how far its mean moved."""
+    engines = chosen_posteriors(identification)
+    found = _by_key(identification)
+    if not engines or white_posterior(identification) in engines.values():
+        return []
+    engine = next(iter(engines))
+    corrected, posterior, crb = found["crb_corrected"], found[engine], found["crb"]
+    ratios = _ratios(posterior, corrected)
+    median, (name, worst) = float(np.median(list(ratios.values()))), _worst(ratios)
+    moved = {n: abs(e.centre - crb.estimates[n].centre) for n, e in posterior.estimates.items()}
+    in_crb = {n: d / crb.estimates[n].sd for n, d in moved.items()}
+    allowed = {n: d / np.hypot(posterior.estimates[n].sd, corrected.estimates[n].sd) for n, d in moved.items()}
+    beyond = {n: allowed[n] for n in ordered(allowed) if allowed[n] > LIMIT}
+    if not beyond and 1.0 / FACTOR < median < FACTOR and 0.5 < worst < 2.0:
+        return []
+    far = max(in_crb, key=lambda n: in_crb[n])
+    middle = float(np.median(list(in_crb.values())))
+    said = [
+        f"The {identification.noise.value} posterior's deviations are {median:.2g} times the corrected bounds in the "
+        f"median ({worst:.2g} times for {name}): another noise model weighs the data differently. Its means lie "
+        f"{middle:.1f} Cramér-Rao deviations from the maximum-likelihood estimates in the median, {in_crb[far]:.2g} "
+        f"for {far}."
+    ]
+    if beyond:
+        said.append(
+            f"That is more than the intervals allow for {several(f'{n} ({z:.1f})' for n, z in beyond.items())}, in "
+            "deviations of both together. A coloured-noise likelihood listens mostly to changes from sample to sample, "
+            "a white one to levels; were the model's mean function right, both would find the same values. So the "
+            "mean function is wrong, not just the noise, and neither interval covers that."
+        )
+    return said
+
+
+def _agreement(identification: Identification) -> list[str]:
+    """What is said when nothing disagrees: the numbers that show it."""
+    found = methods(identification)
+    crb, others = found[0], found[1:]
+    parts = [f"{m.label} {_range(_ratios(m, crb))}" for m in others]
+    sentence = f"The intervals agree; of the Cramér-Rao deviation they have: {several(parts)}."
+    posteriors = [m for m in others if m.key != "crb_corrected"]
+    if posteriors:
+        base = crb.estimates
+        shift = max(abs(e.centre - base[n].centre) / base[n].sd for m in posteriors for n, e in m.estimates.items())
+        sentence += f" Posterior means lie within {shift:.1f} Cramér-Rao deviations of the estimates."
+    return [sentence]
+
+
+def _unfinished(identification: Identification) -> list[str]:
+    """Posteriors that must not be used."""
+    return [
+        f"The posterior by {engine_label(key) if key != 'white' else 'emcee under white noise'}: {p.status.value}."
+        for key, p in identification.posteriors.items()
+        if p.status is not PosteriorStatus.CONVERGED
+    ]
+
+
+def _engines(identification: Identification) -> list[str]:
+    """Whether the engines that sampled the same density found the same posterior."""
+    said = []
+    for (a, one), (b, two) in combinations(chosen_posteriors(identification).items(), 2):
+        shared = [n for n in one.names if n in two.marginals]
+        pairs = {n: (one.marginals[n], two.marginals[n]) for n in shared}
+        means = {n: abs(p.mean - q.mean) / np.sqrt((p.sd**2 + q.sd**2) / 2.0) for n, (p, q) in pairs.items()}
+        sds = {n: p.sd / q.sd for n, (p, q) in pairs.items()}
+        far, (wide, ratio) = max(means, key=lambda n: means[n]), _worst(sds)
+        agree = means[far] < MEANS and abs(ratio - 1.0) < SDS
+        said.append(
+            f"{engine_label(a)} and {engine_label(b)} {'agree' if agree else 'disagree'} on the same density: means "
+            f"differ by at most {means[far]:.2f} standard deviations ({far}), standard deviations by "
+            f"{abs(ratio - 1.0):.0%} ({wide})" + ("." if agree else "; run longer before using either.")
+        )
+    return said
