@@ -18,8 +18,6 @@ ORDER = (
     *("Cm0", "Cma", "Cmq", "Cmde", "CmX"),
     *("a1", "alpha_star", "tau1", "tau2"),
 )
-    ["CD0", "e", "CDX", "CL0", "CLa", "CLaM", "Cm0", "Cma", "Cmq", "Cmde", "CmX", "a1", "alpha_star", "tau1", "tau2"]
-)
 NORMAL95 = 1.959964
 ENGINES = {"emcee": "emcee", "nuts": "NUTS"}
 
