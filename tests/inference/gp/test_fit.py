@@ -148,5 +148,5 @@ def test_flat_priors_are_not_sampled():
 
 
 def test_wrong_inputs_to_predict_at_are_refused(at_map):
-    with pytest.raises(InputError, match="x0, x1"):
+    with pytest.raises(InputError, match="alpha, V"):
         at_map.predict(np.zeros((3, 3)))
