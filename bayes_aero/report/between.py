@@ -11,13 +11,17 @@ from bayes_aero.report.comparison import alone, apart, chosen_posteriors, decima
 from bayes_aero.report.style import several
 
 
-def between_manoeuvres(identification: Identification, limit: float) -> list[str]:
-    """Sentences on differences beyond `limit` deviations of the difference; none where the intervals explain them."""
-    said = [
+def left_out(identification: Identification) -> list[str]:
+    """Manoeuvres whose own fit cannot be compared, and why."""
+    return [
         f"{name} alone: {fit.status.value}; it is left out of the comparison between manoeuvres."
         for name, fit in identification.alone.items()
         if not usable(fit)
     ]
+
+
+def between_manoeuvres(identification: Identification, limit: float) -> list[str]:
+    """Sentences on differences beyond `limit` deviations of the difference; none where the intervals explain them."""
     names = ordered(identification.mle.names)
     compared = [n for n in names if len(alone(identification, n)) > 1]
     beyond = {
@@ -25,13 +29,13 @@ def between_manoeuvres(identification: Identification, limit: float) -> list[str
         for kind, label in _kinds(identification).items()
     }
     if not any(beyond.values()):
-        return said
+        return []
     counts = [f"{label}: {_listed(found, len(compared))}" for label, found in beyond.items()]
-    said.append(
+    said = [
         f"Fitted alone, manoeuvres differ by more than {limit:.0f} deviations of the difference, by "
         + "; by ".join(counts)
         + "."
-    )
+    ]
     wider = [set(found) for label, found in beyond.items() if label != "the Cramér-Rao bound"]
     unexplained = [n for n in compared if wider and any(n in found for found in wider)]
     always = [n for n in compared if wider and all(n in found for found in wider)]
@@ -39,7 +43,7 @@ def between_manoeuvres(identification: Identification, limit: float) -> list[str
         shown = always or unexplained
         said.append(
             f"No noise model alone explains that: {'; '.join(_numbers(identification, n) for n in shown)}. "
-            "Either the model lacks an effect or the manoeuvres' conditions differ in a way it does not know; the "
+            "Either the model lacks an effect or the manoeuvres' conditions differ in a way that it does not know; the "
             "intervals of the joint fit are for one value that serves all, and do not cover that."
         )
     return said

@@ -29,7 +29,7 @@ COLOURS = {
     "gpr": "#D55E00",
     "crb": "#56B4E9",
     "crb_corrected": "#E69F00",
-    "white": "#7f7f7f",
+    "white": "#332288",
     "emcee": "#009E73",
     "nuts": "#CC79A7",
     "alone": "#1a1a1a",
@@ -143,12 +143,14 @@ def quiet_pyplot() -> Iterator[None]:
 
 
 def arviz_plots() -> ModuleType:
-    """The package arviz_plots; up to 0.8 it needs matplotlib.style.core, which 3.11 no longer imports by itself."""
+    """The package arviz_plots; 0.8 needs matplotlib.style.core, which 3.11 no longer imports by itself."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
+        for category in (DeprecationWarning, PendingDeprecationWarning):
+            warnings.simplefilter("ignore", category)
         with suppress(ImportError):
             import matplotlib.style.core  # noqa: F401
         import arviz_plots
+        import arviz_plots.backend.matplotlib  # which it would import later, out of the reach of this filter
     return arviz_plots
 
 

@@ -182,7 +182,7 @@ def terminal_table(identification: Identification) -> Table:
         title=f"{identification.card.title}; maximum likelihood {status}",
         caption=caption,
         box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
+        padding=0,
         pad_edge=False,
         show_edge=False,
     )
@@ -190,7 +190,7 @@ def terminal_table(identification: Identification) -> Table:
     table.add_column("", no_wrap=True)
     table.add_column("unit", no_wrap=True)
     for head, _ in columns:
-        table.add_column(head, justify="right", overflow="fold")
+        table.add_column(head, justify="right", overflow="fold", max_width=11)
     for name in ordered(mle.names):
         table.add_row(name, mle.units[mle.names.index(name)], *(cell(name) for _, cell in columns))
     return table

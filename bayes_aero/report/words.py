@@ -8,7 +8,7 @@ import numpy as np
 
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.posterior import PosteriorStatus
-from bayes_aero.report.between import between_manoeuvres
+from bayes_aero.report.between import between_manoeuvres, left_out
 from bayes_aero.report.comparison import (
     Method,
     chosen_posteriors,
@@ -37,12 +37,12 @@ def verdict(identification: Identification) -> list[str]:
             *_engines(identification),
             *split_verdict(identification),
         ]
-    against = [*_colour(identification), *_noise_model(identification), *between_manoeuvres(identification, LIMIT)]
-    said = [*against] if against else _agreement(identification)
-    if against:
-        said[1:1] = _white(identification)
-    said += [*_unfinished(identification), *_engines(identification), *split_verdict(identification)]
-    return said + mle.warnings()
+    colour = _colour(identification)
+    against = [*colour, *(_white(identification) if colour else [])]
+    against += [*_noise_model(identification), *between_manoeuvres(identification, LIMIT)]
+    said = against or _agreement(identification)
+    said += [*left_out(identification), *_unfinished(identification), *_engines(identification)]
+    return [*said, *split_verdict(identification), *mle.warnings()]
 
 
 def _by_key(identification: Identification) -> dict[str, Method]:
@@ -59,6 +59,11 @@ def _worst(ratios: dict[str, float]) -> tuple[str, float]:
     return max(ratios.items(), key=lambda item: abs(np.log(item[1])))
 
 
+def _plain(value: float) -> str:
+    """Two digits, without an exponent."""
+    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"
+
+
 def _range(ratios: dict[str, float]) -> str:
     return f"{min(ratios.values()):.2f} to {max(ratios.values()):.2f} times"
 
@@ -70,14 +75,17 @@ def _colour(identification: Identification) -> list[str]:
     chance = LIMIT / np.sqrt(identification.observations.n)
     coloured = {name: r for name, r in mle.lag1.items() if abs(r) > chance}
     median, (name, worst) = float(np.median(list(ratios.values()))), _worst(ratios)
-    if not coloured or (1.0 / FACTOR < median < FACTOR and 0.5 < worst < 2.0):
+    if 1.0 / FACTOR < median < FACTOR and 0.5 < worst < 2.0:
         return []
     lags = ", ".join(f"{key} {value:+.2f}" for key, value in mle.lag1.items())
+    reach = (
+        f"(chance stays within ±{chance:.2f})" if coloured else "(no more than chance: the colour is at longer lags)"
+    )
     size = "too small" if median > 1.0 else "not right"
     return [
-        f"The residuals are not white: lag-1 correlation {lags} (chance stays within ±{chance:.2f}). "
-        f"The Cramér-Rao bound counts every sample as new information and is {size}: the bound corrected for the "
-        f"residuals' colour is {median:.2g} times as large in the median and {worst:.2g} times for {name}."
+        f"The residuals are not white: lag-1 correlation {lags} {reach}. The Cramér-Rao bound counts every sample as "
+        f"new information and is {size}: the bound corrected for the residuals' colour is {_plain(median)} times as "
+        f"large in the median and {_plain(worst)} times for {name}."
     ]
 
 
@@ -121,8 +129,8 @@ def _noise_model(identification: Identification) -> list[str]:
     said = [
         f"The {identification.noise.value} posterior's deviations are {median:.2g} times the corrected bounds in the "
         f"median ({worst:.2g} times for {name}): another noise model weighs the data differently. Its means lie "
-        f"{middle:.1f} Cramér-Rao deviations from the maximum-likelihood estimates in the median, {in_crb[far]:.2g} "
-        f"for {far}."
+        f"{middle:.1f} Cramér-Rao deviations from the maximum-likelihood estimates in the median, "
+        f"{_plain(in_crb[far])} for {far}."
     ]
     if beyond:
         said.append(

@@ -1,0 +1,163 @@
+"""Tables: the columns and, worked out by hand, the numbers."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from bayes_aero.inference.mle import MleStatus
+from bayes_aero.model.noise import Colour
+from bayes_aero.report.comparison import ORDER, ordered, scatter
+from bayes_aero.report.tables import (
+    concise,
+    noise_table,
+    paper_table,
+    parameter_table,
+    terminal_table,
+    validation_table,
+    write_csv,
+)
+
+
+def test_parameters_come_in_the_canonical_order_and_others_behind():
+    assert ordered(["zeta", "Cma", "CD0", "tau1", "e"]) == ["CD0", "e", "Cma", "tau1", "zeta"]
+    assert " ".join(ORDER) == "CD0 e CDX CL0 CLa CLaM Cm0 Cma Cmq Cmde CmX a1 alpha_star tau1 tau2"
+
+
+def test_parameter_table(full):
+    table = parameter_table(full)
+    assert list(table.index) == ["CD0", "CL0", "CLa", "Cm0", "Cma", "Cmde"]
+    row = table.loc["Cma"]
+    assert row["unit"] == "1/rad"
+    expected = {
+        "estimate": -0.5,
+        "crb": 0.01,
+        "crb_corrected": 0.04,
+        "white_mean": -0.5,
+        "white_sd": 0.01,
+        "emcee_mean": -0.2,  # 30 bounds of 0.01 above
+        "emcee_sd": 0.02,
+        "emcee_ci95_low": -0.2 - 1.96 * 0.02,
+        "emcee_ci95_high": -0.2 + 1.96 * 0.02,
+        "nuts_mean": -0.2,
+        "nuts_sd": 0.02,
+        "flight1_estimate": -0.5,
+        "flight2_crb": 0.01,
+        "between_manoeuvres_sd": 0.0,
+    }
+    for column, value in expected.items():
+        assert row[column] == pytest.approx(value, abs=1e-12), column
+
+
+def test_scatter_between_manoeuvres_by_hand(full):
+    row = parameter_table(full).loc["Cmde"]
+    assert row["flight1_estimate"] == pytest.approx(-0.8)
+    assert row["flight2_estimate"] == pytest.approx(-1.4)  # 60 bounds of 0.01 below
+    assert row["between_manoeuvres_sd"] == pytest.approx(0.6 / np.sqrt(2.0))
+    assert row["largest_difference_in_crb"] == pytest.approx(60.0 / np.sqrt(2.0))
+    found = scatter(full, "Cmde")
+    assert found.difference == pytest.approx(0.6)
+    assert found.in_corrected == pytest.approx(15.0 / np.sqrt(2.0))
+
+
+def test_a_stage_that_has_not_run_has_no_columns(make):
+    table = parameter_table(make(manoeuvres=1, engines=(), gp=False))
+    assert list(table.columns) == ["unit", "estimate", "crb", "crb_corrected"]
+    assert len(parameter_table(make(engines=("emcee",), gp=False)).filter(like="nuts").columns) == 0
+
+
+def test_where_white_noise_is_chosen_its_posterior_fills_both_places(make):
+    row = parameter_table(make(noise=Colour.WHITE, engines=("emcee", "nuts"), width=1.1)).loc["CL0"]
+    assert row["white_sd"] == row["emcee_sd"] == pytest.approx(0.011)
+
+
+def test_noise_table(full):
+    table = noise_table(full)
+    assert list(table.index) == [f"{kind}_{c}" for kind in ("sigma", "rho") for c in ("CL", "CD", "Cm")]
+    assert table.loc["sigma_CL", "emcee_mean"] == pytest.approx(0.02)
+    assert table.loc["rho_Cm", "nuts_sd"] == pytest.approx(0.05)
+
+
+def test_validation_table(full):
+    table = validation_table(full)
+    folds = {"random": {"all"}, "block": {"all"}, "manoeuvre": {"1", "2", "all"}}
+    for split, names in folds.items():
+        assert set(table.loc[split].index.get_level_values("fold")) == names
+    row = table.loc[("random", "all", "CD")]
+    v = full.gp.splits["random"][0]["CD"]
+    assert row["points"] == len(v.test)
+    assert row["gpr_rmse"] == pytest.approx(np.sqrt(np.mean((v.measured - v.gp) ** 2)))
+    assert row["mle_r"] == pytest.approx(np.corrcoef(v.measured, v.mle)[0, 1])
+    assert tuple(row[["gpr_coverage50", "gpr_coverage90", "gpr_coverage95", "gpr_k_hat"]]) == (0.52, 0.88, 0.94, 0.4)
+    both = table.loc[("manoeuvre", "all", "CL")]
+    parts = [fold["CL"] for fold in full.gp.splits["manoeuvre"]]
+    errors = np.concatenate([p.measured - p.gp for p in parts])
+    assert both["points"] == full.observations.n
+    assert both["gpr_rmse"] == pytest.approx(np.sqrt(np.mean(errors**2)))
+
+
+def test_the_papers_numbers_stand_beside_ours_on_its_card_only(full, make):
+    from dataclasses import replace
+
+    table = paper_table(full)
+    assert table.loc["Cm", "gpr_r_paper"] == 0.902741
+    assert table.loc["CD", "mle_rmse_paper"] == 0.009290
+    v = full.gp.splits["random"][0]["CL"]
+    assert table.loc["CL", "gpr_r_ours"] == pytest.approx(v.gp_scores.r)
+    other = paper_table(replace(full, card=replace(full.card, name="other")))
+    assert list(other.columns) == ["mle_r_ours", "mle_rmse_ours", "gpr_r_ours", "gpr_rmse_ours"]
+    assert paper_table(make(gp=False)).empty
+    assert validation_table(make(gp=False)).empty
+
+
+def test_csv_comes_back_and_is_written_whole_or_not_at_all(full, tmp_path, monkeypatch):
+    path = write_csv(parameter_table(full), tmp_path / "parameters.csv")
+    back = pd.read_csv(path, index_col="parameter")
+    pd.testing.assert_frame_equal(back, parameter_table(full), check_dtype=False, rtol=1e-15)
+    before = path.read_bytes()
+
+    def fails(_self, partial, **_):
+        partial.write_text("half")
+        raise OSError("disk full")
+
+    monkeypatch.setattr(pd.DataFrame, "to_csv", fails)
+    with pytest.raises(OSError, match="disk full"):
+        write_csv(parameter_table(full), path)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_the_terminal_table_fits_80_columns(count, make):
+    text = io.StringIO()
+    Console(file=text, width=80).print(terminal_table(make(manoeuvres=count, corrected=4.0)))
+    lines = text.getvalue().splitlines()
+    assert max(map(len, lines)) <= 80
+    row = next(line for line in lines if line.startswith("Cma"))
+    assert "-0.500(10)" in row
+    assert "0.04" in row
+    assert ("flight2" in text.getvalue()) == (count == 2)
+
+
+def test_a_manoeuvre_that_identifies_nothing_alone_shows_no_numbers(make):
+    run = make()
+    from dataclasses import replace
+
+    run.alone["flight2"] = replace(run.alone["flight2"], status=MleStatus.STALL_NOT_IDENTIFIED)
+    text = io.StringIO()
+    Console(file=text, width=80).print(terminal_table(run))
+    assert text.getvalue().count("-0.500(10)") == 3  # maximum likelihood, emcee, flight1
+    assert scatter(run, "Cma") is None
+    assert np.isnan(parameter_table(run).loc["Cma", "between_manoeuvres_sd"])
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "text"),
+    [(-0.39102, 0.0159, "-0.391(16)"), (23.716, 1.5, "23.7(15)"), (120.4, 35.0, "120(35)"), (1.5, np.nan, "1.5")],
+)
+def test_concise_numbers(value, sd, text):
+    assert concise(value, sd) == text
