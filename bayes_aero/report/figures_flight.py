@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.identification import Identification
+from bayes_aero.inference.scores import score
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.predictions import Predicted, broken, clock, predicted, what_is_shown
 from bayes_aero.report.style import COLOURS, NotDrawn, bracket, column_width, housed, panels
@@ -87,9 +88,11 @@ def gpr_fit(identification: Identification) -> Figure:
         points = predicted(identification, name)
         for number, ax in enumerate(row):
             _history(ax, identification, name, points, number, engines=("gpr",))
-        scores = [fold[name].gp_scores for fold in identification.gp.splits[identification.gp.chosen]]
+        assert points.gp is not None
+        r = score(points.measured, points.gp).r
         row[0].set_ylabel(f"{name} [-]")
-        row[0].set_title("r = " + ", ".join(f"{s.r:.4f}" for s in scores), loc="left")
+        note = {"va": "top", "bbox": {"fc": "white", "ec": "none", "alpha": 0.8, "pad": 1.5}, "zorder": 5}
+        row[0].text(0.02, 0.96, f"r = {r:.4f} (all test points)", transform=row[0].transAxes, **note)
     _finish(figure, axes, identification, "Gaussian-process regression of CL, CD, Cm")
     return figure
 
@@ -104,7 +107,6 @@ def _validation(identification: Identification, name: str) -> Figure:
     for number, (above, below) in enumerate(axes.T):
         _history(above, identification, name, points, number, engines)
         _errors(below, identification, points, number)
-        above.set_title(identification.observations.names[number])
     axes[0, 0].set_ylabel(f"{name} [-]")
     axes[1, 0].set_ylabel(f"measured - predicted {name} [-]")
     _finish(figure, axes, identification, f"Validation of the {LONG_NAMES[name]}")
@@ -143,8 +145,7 @@ def _errors(ax: Axes, identification: Identification, points: Predicted, number:
 def _finish(figure: Figure, axes: np.ndarray, identification: Identification, title: str) -> None:
     names = identification.observations.names
     for ax, name in zip(axes[0], names, strict=True):
-        if not ax.get_title():
-            ax.set_title(name)
+        ax.set_title(name)
     for ax in axes[-1]:
         ax.set_xlabel("time from start of record [s]")
     figure.align_ylabels(list(axes[:, 0]))

@@ -88,20 +88,23 @@ def gp_prior_posterior(identification: Identification) -> Figure:
         raise NotDrawn("no Gaussian process has an accepted posterior of its hyperparameters")
     draws = {name: (_flat(tree, "prior"), _flat(tree, "posterior")) for name, tree in trees.items()}
     hypers = list(dict.fromkeys(h for _, posterior in draws.values() for h in posterior))
-    size = (4.2 * len(draws) + 0.4, 1.45 * len(hypers) + 1.0)
-    figure, axes = panels(len(hypers), len(draws), size, sharex="row")
+    size = (4.2 * len(draws) + 0.4, 1.6 * len(hypers) + 1.2)
+    figure, axes = panels(len(hypers), len(draws), size)
     for column, (name, (prior, posterior)) in zip(axes.T, draws.items(), strict=True):
         for ax, hyper in zip(column, hypers, strict=True):
             _log_density(ax, prior[hyper], "prior")
             _log_density(ax, posterior[hyper], "gpr")
-            ax.set(xscale="log", ylim=(0.0, None), yticks=[])
+            ax.set(xscale="log", ylim=(0.0, 1.08), yticks=[0.0, 0.5, 1.0])
             ax.set_xlabel(f"{hyper} {_hyper_unit(hyper)}", labelpad=1)
         column[0].set_title(f"{name}: k-hat = {float(trees[name].attrs.get('k_hat', np.nan)):.2f}")
     for ax in axes[:, 0]:
-        ax.set_ylabel("density")
+        ax.set_ylabel("density / peak [-]")
+    figure.align_ylabels(list(axes[:, 0]))
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2)
-    figure.suptitle("GP hyperparameters, prior against posterior (density of the logarithm)")
+    figure.suptitle(
+        "GP hyperparameters, prior against posterior \n(densities of the logarithm, each over its own peak)"
+    )
     return figure
 
 
@@ -129,7 +132,14 @@ def _hyper_unit(hyper: str) -> str:
 
 
 def _log_density(ax: Axes, draws: np.ndarray, key: str) -> None:
-    grid, density = _density(np.log10(draws))
+    """Density of log10 of draws over its own peak, where it is more than a hundredth of that."""
+    logs = np.log10(np.ravel(draws))
+    margin = 0.5 * float(np.std(logs))
+    grid, density, _ = array_stats.kde(
+        logs, bw="scott", bound_correction=False, custom_lims=(logs.min() - margin, logs.max() + margin)
+    )
+    shown = density > 0.01 * density.max()
+    x, y = 10.0 ** grid[shown], density[shown] / density.max()
     label = "prior" if key == "prior" else "posterior"
-    ax.fill_between(10.0**grid, density, color=COLOURS[key], alpha=0.5, lw=0.0, label=label)
-    ax.plot(10.0**grid, density, color=COLOURS[key], lw=1.0)
+    ax.fill_between(x, y, color=COLOURS[key], alpha=0.5, lw=0.0, label=label)
+    ax.plot(x, y, color=COLOURS[key], lw=1.0)

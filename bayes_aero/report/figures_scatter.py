@@ -19,7 +19,7 @@ def _correlation(identification: Identification, name: str) -> Figure:
     pairs = [("Maximum likelihood", COLOURS["mle"], points.mle)]
     if points.gp is not None:
         pairs.append(("Gaussian-process regression", COLOURS["gpr"], points.gp))
-    size = (4.9 * len(pairs) + 0.2, 5.6)
+    size = (4.9 * len(pairs) + 0.2, 5.75)
     figure, axes = panels(1, len(pairs), size, sharex=True, sharey=True)
     both = np.concatenate([points.measured, *(values for _, _, values in pairs)])
     ends = np.array([both.min(), both.max()]) + 0.03 * np.ptp(both) * np.array([-1.0, 1.0])
@@ -27,7 +27,7 @@ def _correlation(identification: Identification, name: str) -> Figure:
         found = score(points.measured, values)
         ax.plot(ends, ends, color="#555555", lw=0.9, zorder=1)
         ax.scatter(points.measured, values, s=7, color=colour, alpha=0.45, linewidths=0, zorder=2)
-        ax.set(xlim=ends, ylim=ends, aspect="equal", xlabel=f"measured {name} [-]", title=title)
+        ax.set(xlim=ends, ylim=ends, box_aspect=1.0, xlabel=f"measured {name} [-]", title=title)
         text = f"r = {found.r:.4f}\nRMSE = {found.rmse:.5f}\nn = {len(values)}"
         ax.text(0.04, 0.96, text, transform=ax.transAxes, va="top", linespacing=1.4)
     axes[0, 0].set_ylabel(f"predicted {name} [-]")
