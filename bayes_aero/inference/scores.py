@@ -12,7 +12,8 @@ from bayes_aero.errors import InputError
 __all__ = ["ScoreStatus", "Scores", "interval_coverage", "score"]
 
 Vector = Float[np.ndarray, " n"] | Float[jax.Array, " n"]
-Draws = Float[np.ndarray, "draws n"] | Float[jax.Array, "draws n"]
+Draws = Float[np.ndarray, "draws points"] | Float[jax.Array, "draws points"]
+Prediction = Float[np.ndarray, " points"] | Float[jax.Array, " points"]  # its length is checked in words
 
 
 class ScoreStatus(enum.Enum):
@@ -43,7 +44,7 @@ def _rms(x: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(x))))
 
 
-def _finite_pair(measured: Vector, predicted: Vector) -> tuple[np.ndarray, np.ndarray]:
+def _finite_pair(measured: Vector, predicted: Prediction) -> tuple[np.ndarray, np.ndarray]:
     z, y = np.asarray(measured, float), np.asarray(predicted, float)
     if z.ndim != 1 or z.shape != y.shape or z.size < 2:
         raise InputError(f"Measured {z.shape} and predicted {y.shape} must be vectors of one length >= 2.")
@@ -54,7 +55,7 @@ def _finite_pair(measured: Vector, predicted: Vector) -> tuple[np.ndarray, np.nd
     return z, y
 
 
-def score(measured: Vector, predicted: Vector) -> Scores:
+def score(measured: Vector, predicted: Prediction) -> Scores:
     """Scores of `predicted` (n,) against `measured` (n,), both in the unit of the channel."""
     z, y = _finite_pair(measured, predicted)
     residual = z - y

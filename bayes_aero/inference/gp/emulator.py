@@ -19,8 +19,11 @@ from bayes_aero.inference.gp.reduced import ReducedGradient, ReducedStats
 __all__ = ["Emulator", "ExactPoint", "fit_emulator"]
 
 DEGREE = 4  # also the order of the coefficient tensor below
-ROWS_PER_TERM = 2.0  # fewer rows than this times the terms, and the degree falls: cubic below 42 points for d = 4
-TRUST_MARGIN = 1.25  # the stand-in is believed up to this many times the radius of its outermost training point
+# With fewer rows than this times its terms, a degree is too high.
+ROWS_PER_TERM = (0.0, 2.0, 2.0, 2.0, 3.0)
+REACH = 2.0  # the stand-in is believed this far (whitened) around each supporting point
+SUPPORT_GAP = 12.0  # nats below the best point within which a point supports; beyond, it only trains, and weakly
+PAD = 64  # the list of supporting points is padded to a multiple, so that one compiled sampler serves many rounds
 
 
 class ExactPoint(NamedTuple):
@@ -28,7 +31,7 @@ class ExactPoint(NamedTuple):
 
     u: Float[np.ndarray, " u"]
     stats: ReducedStats
-    gradient: ReducedGradient
+    gradient: ReducedGradient | None
 
 
 class Emulator(eqx.Module):
@@ -41,14 +44,17 @@ class Emulator(eqx.Module):
     centre: Float[Array, " u"]
     whiten: Float[Array, "u u"]
     coefficients: Float[Array, "pairs pairs outputs"]
-    radius: Float[Array, ""]
+    support: Float[Array, "points u"]
 
     def __call__(self, u: Float[Array, " u"]) -> tuple[Float[Array, ""], Float[Array, "m m"], Float[Array, ""]]:
         """(logdet, gram, penalty) at u; the penalty, <= 0, fences off where no exact point vouches for it."""
         t = self.whiten @ (u - self.centre)
-        radius = jnp.sqrt(jnp.sum(t * t) + 1e-12)
-        outside = jnp.maximum(radius - self.radius, 0.0)
-        t = t * (1.0 - outside / radius)  # a polynomial says nothing outside its data: hold it at the border
+        away = t - self.support
+        squares = jnp.sum(away * away, axis=1)
+        nearest = jnp.argmin(squares)
+        distance = jnp.sqrt(squares[nearest] + 1e-12)
+        outside = jnp.maximum(distance - REACH, 0.0)
+        t = t - away[nearest] * outside / distance  # a polynomial says nothing far from its data: hold it there
         t1 = jnp.append(t, 1.0)
         pairs = (t1[:, None] * t1).ravel()
         z = pairs @ jnp.tensordot(pairs, self.coefficients, 1)
@@ -59,7 +65,7 @@ class Emulator(eqx.Module):
 
 
 def outputs(point: ExactPoint) -> tuple[Float[np.ndarray, " outputs"], Float[np.ndarray, "u outputs"]]:
-    """Emulated outputs (logdet, log diagonal, strict lower part of chol gram) and their derivatives by u."""
+    """(logdet, log diagonal, strict lower part of chol gram) and their derivatives by u, NaN if unknown."""
     m = point.stats.gram.shape[0]
     lower = np.linalg.cholesky(point.stats.gram)
     rows = np.tril_indices(m, -1)
@@ -69,6 +75,8 @@ def outputs(point: ExactPoint) -> tuple[Float[np.ndarray, " outputs"], Float[np.
 
     value = pack(point.stats.logdet, np.log(np.diag(lower)), lower)
     slopes = []
+    if point.gradient is None:
+        return value, np.full((point.u.size, value.size), np.nan)
     for d_logdet, d_gram in zip(point.gradient.logdet, point.gradient.gram, strict=True):
         inner = solve_triangular(lower, d_gram, lower=True)
         inner = solve_triangular(lower, inner.T, lower=True)
@@ -99,29 +107,33 @@ def design(
     return np.concatenate(blocks)
 
 
-def fit_emulator(points: list[ExactPoint], degree: int = DEGREE) -> Emulator:
+def fit_emulator(
+    points: list[ExactPoint], log_posterior: Float[np.ndarray, " points"], degree: int = DEGREE
+) -> Emulator:
     """Weighted least squares on values and gradients of `points`; the degree falls to what they can carry.
 
-    Coordinates are whitened by the points' own mean and covariance, and those near the middle count more,
-    because the posterior is there.
+    `log_posterior` of each point decides how much it counts. Coordinates are whitened by the points near the best.
     """
-    u = np.array([p.u for p in points])
+    u, gap = np.array([p.u for p in points]), np.max(log_posterior) - log_posterior
     d = u.shape[1]
-    centre, root = u.mean(axis=0), np.linalg.cholesky(np.cov(u.T))
+    near = gap <= max(SUPPORT_GAP, np.sort(gap)[min(3 * d, gap.size - 1)])
+    centre, root = u[near].mean(axis=0), np.linalg.cholesky(np.cov(u[near].T))
     whiten = solve_triangular(root, np.eye(d), lower=True)
     t = (u - centre) @ whiten.T
-    while degree > 1 and ROWS_PER_TERM * len(monomials(d, degree)) > u.size + len(u):
+    rows = sum(1 if p.gradient is None else d + 1 for p in points)
+    while degree > 1 and ROWS_PER_TERM[degree] * len(monomials(d, degree)) > rows:
         degree -= 1
     powers = monomials(d, degree)
     values, slopes = zip(*(outputs(p) for p in points), strict=True)
     by_t = np.einsum("jk,pjz->kpz", root, np.array(slopes)).reshape(d * len(u), -1)
-    weight = np.exp(-np.sum(t * t, axis=1) / (4.0 * d))
-    weight = np.tile(weight, d + 1)[:, None]
+    weight = np.tile(1.0 / (1.0 + gap / SUPPORT_GAP) ** 2, d + 1)[:, None]
     left, right = design(t, powers) * weight, np.vstack([values, by_t]) * weight
-    coefficients, *_ = np.linalg.lstsq(left, right, rcond=1e-12)
-    radius = TRUST_MARGIN * float(np.max(np.linalg.norm(t, axis=1)))
+    known = np.all(np.isfinite(right), axis=1)
+    coefficients, *_ = np.linalg.lstsq(left[known], right[known], rcond=1e-12)
+    support = t[near]
+    support = np.concatenate([support, np.repeat(support[:1], -len(support) % PAD, axis=0)])
     padded = np.pad(powers, ((0, 0), (0, DEGREE - powers.shape[1])), constant_values=d)
     tensor = np.zeros(((d + 1) ** 4, coefficients.shape[1]))
     tensor[np.ravel_multi_index(tuple(padded.T), (d + 1,) * 4)] = coefficients
     tensor = tensor.reshape((d + 1) ** 2, (d + 1) ** 2, -1)
-    return Emulator(jnp.asarray(centre), jnp.asarray(whiten), jnp.asarray(tensor), jnp.asarray(radius))
+    return Emulator(jnp.asarray(centre), jnp.asarray(whiten), jnp.asarray(tensor), jnp.asarray(support))

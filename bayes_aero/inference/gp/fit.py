@@ -16,8 +16,8 @@ from tqdm import tqdm
 
 from bayes_aero.errors import InputError
 from bayes_aero.inference.gp.groups import posterior_tree, systematic_resample
-from bayes_aero.inference.gp.kernel import Scaling
-from bayes_aero.inference.gp.optimum import MapStatus, Optimum, find_map
+from bayes_aero.inference.gp.kernel import Scaling, noise_to_signal
+from bayes_aero.inference.gp.optimum import SAME_OPTIMUM, MapStatus, Optimum, distinct, find_map, maximise
 from bayes_aero.inference.gp.posterior import Budget, Sampled, sample_posterior
 from bayes_aero.inference.gp.predict import Prediction, gaussian_parts, mixture
 from bayes_aero.inference.gp.priors import Priors
@@ -136,11 +136,26 @@ def fit_gp(
         elif sample:
             sampled = sample_posterior(optima[0], data, priors, budget=budget, seed=seed, tell=tell)
             status = sampled.status
+            optima = _with_mode_of_draws(optima, sampled, data, priors)
     if sampled is not None and sampled.weighted is not None and status is SampleStatus.accepted:
         at = systematic_resample(sampled.weighted.log_weight, seed)
         draws = sampled.weighted.theta.reshape(-1, sampled.weighted.theta.shape[-1])[at]
         tree = posterior_tree(sampled, at, scaling, priors, names, output_name, seed)
     return GPFit(names, output_name, scaling, priors, data, optima, status, sampled, draws, tree)
+
+
+def _with_mode_of_draws(
+    optima: tuple[Optimum, ...], sampled: Sampled, data: ReducedData, priors: Priors
+) -> tuple[Optimum, ...]:
+    """The optima, and the one above the best exact draw if that is elsewhere: sampling crosses what starts miss."""
+    weighted = sampled.weighted
+    if weighted is None or sampled.status is not SampleStatus.accepted:
+        return optima
+    theta = weighted.theta.reshape(-1, weighted.theta.shape[-1])[int(np.argmax(weighted.exact))]
+    if np.max(np.abs(noise_to_signal(theta) - optima[0].u)) <= SAME_OPTIMUM:
+        return optima
+    another = maximise(noise_to_signal(theta), data, priors, w=theta[: data.x.shape[1] + 2])
+    return tuple(distinct([*optima, another], len(optima) + 1))
 
 
 def _check(X: np.ndarray, y: np.ndarray, names: tuple[str, ...]) -> None:

@@ -20,7 +20,8 @@ __all__ = ["Budget", "Sampled", "sample_posterior"]
 
 DIFFERENCE_STEP = 0.05  # of log l and log g, for the curvature at the optimum
 DESIGN_SPREAD = 1.4  # the design is drawn this many times wider than the Laplace approximation
-PILOT_ERROR = 0.3  # a stand-in whose log density scatters by more about the exact one is trained further
+PILOT_ERROR = 0.6  # a stand-in whose log density scatters by more about the exact one is trained further
+IMPROBABLE = 30.0  # nats below the best point, beyond which a point no longer trains the stand-in
 RHAT_LIMIT, ESS_LIMIT = 1.01, 400.0
 
 
@@ -30,7 +31,7 @@ class Budget(NamedTuple):
 
     design: int = 22
     pilots: int = 12
-    exact: int = 160
+    exact: int = 128
     rounds: int = 8
     extensions: int = 4
     nuts: Settings = Settings()
@@ -87,12 +88,11 @@ def sample_posterior(
         u = optimum.u + DESIGN_SPREAD * root @ rng.normal(size=optimum.u.size)
         points.append(_exact_point(u, data))
         tell(f"training the stand-in: {len(points)} of {budget.design}")
-    chains = None
     for number in range(1, budget.rounds + 1):
-        emulator = fit_emulator([p for p in points if p.stats.ok])
+        emulator = _train(points, optimum, data, priors)
         run = partial(sample_emulated, optimum.theta, emulator, data.n, priors, budget.nuts)
         tell(f"NUTS, round {number}")
-        chains = run(seed + 100 * number, None if chains is None else chains.theta[:, -1])
+        chains = run(seed + 100 * number)
         pilots, error = _pilot(chains, data, priors, budget.pilots, rng)
         points += pilots
         tell(f"round {number}: the stand-in errs by {error:.2g} in log density")
@@ -108,13 +108,22 @@ def sample_posterior(
         weighted = reweight(*thin(chains, budget.exact), data, priors, tell)
         if last or weighted.status is SampleStatus.accepted:
             return Sampled(chains, weighted, emulator, weighted.status, number, error)
-        points += _worst(weighted, data, budget.pilots)
+        points += _points(weighted)
     raise AssertionError("the last round returns")
 
 
 def _mixed(chains: Chains) -> bool:
     """Whether the chains agree and hold enough independent draws (Vehtari et al. 2021)."""
     return bool(np.max(chains.rhat) <= RHAT_LIMIT and np.min(chains.ess) >= ESS_LIMIT)
+
+
+def _train(points: list[ExactPoint], optimum: Optimum, data: ReducedData, priors: Priors) -> Emulator:
+    """Stand-in from the exact points, without those so improbable that they would only bend and widen it."""
+    usable = [p for p in points if p.stats.ok]
+    profile = Profile(data, priors, optimum.theta[: data.x.shape[1] + 2].copy())
+    level = np.array([profile.inner(p.u, p.stats)[1] for p in usable])
+    kept = level > np.max(level) - IMPROBABLE
+    return fit_emulator([p for p, k in zip(usable, kept, strict=True) if k], level[kept])
 
 
 def _exact_point(u: Float[np.ndarray, " u"], data: ReducedData) -> ExactPoint:
@@ -134,10 +143,7 @@ def _pilot(
     return points, float(np.std(errors))
 
 
-def _worst(weighted: Weighted, data: ReducedData, count: int) -> list[ExactPoint]:
-    """Exact points, with gradients, at the draws that the stand-in judged worst."""
-    order = np.argsort(
-        -np.abs(weighted.exact - weighted.stand_in - np.median(weighted.exact - weighted.stand_in)).ravel()
-    )
+def _points(weighted: Weighted) -> list[ExactPoint]:
+    """The exact evaluations behind refused weights, values without derivatives, to train the next stand-in."""
     flat = weighted.theta.reshape(-1, weighted.theta.shape[-1])
-    return [_exact_point(noise_to_signal(t), data) for t in flat[order[:count]]]
+    return [ExactPoint(noise_to_signal(t), s, None) for t, s in zip(flat, weighted.stats, strict=False)]

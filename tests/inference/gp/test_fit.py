@@ -37,7 +37,7 @@ def test_predictions_cover_what_they_say(sampled):
     y = y - 6 * X[:, 0]
     p = sampled.predict(X[:, 1:])
     for level, share in p.coverage(y).items():
-        assert share == pytest.approx(level, abs=0.06)
+        assert share == pytest.approx(level, abs=0.1 if level == 0.5 else 0.05)
     assert np.sqrt(np.mean((p.mean - y) ** 2)) < 0.13
     assert np.all(p.sd > p.latent_sd)
 
