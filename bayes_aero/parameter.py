@@ -83,9 +83,7 @@ class Parameter:
     def __post_init__(self) -> None:
         lower, upper = self.bounds
         if not lower < upper:
-            raise InputError(
-                f"parameter {self.name} has bounds {lower} to {upper}; the lower must be smaller"
-            )
+            raise InputError(f"parameter {self.name} has bounds {lower} to {upper}; the lower must be smaller")
         if not (math.isfinite(self.start) and lower <= self.start <= upper):
             raise InputError(
                 f"parameter {self.name} starts at {self.start}, outside its bounds {lower} to {upper}; "

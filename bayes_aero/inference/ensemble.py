@@ -83,9 +83,15 @@ def _burn_in(target: _Target, walkers: int, seed: int) -> emcee.EnsembleSampler:
     return sampler
 
 
-def _chains(samplers: list[emcee.EnsembleSampler]) -> Float[np.ndarray, "chain draw k"]:
+def _autocorrelation_time(samplers: list[emcee.EnsembleSampler]) -> float:
+    """Steps, the slowest parameter of the slowest ensemble."""
+    return max(float(np.max(s.get_autocorr_time(tol=0))) for s in samplers)
+
+
+def _chains(samplers: list[emcee.EnsembleSampler], thin: int) -> Float[np.ndarray, "chain draw k"]:
     """One chain per ensemble, its walkers end to end: so R-hat compares ensembles and ESS sees each walker's memory."""
-    return np.stack([np.swapaxes(np.asarray(s.get_chain()), 0, 1).reshape(-1, s.ndim) for s in samplers])
+    chains = [np.asarray(s.get_chain(thin=thin)) for s in samplers]
+    return np.stack([np.swapaxes(chain, 0, 1).reshape(-1, chain.shape[2]) for chain in chains])
 
 
 def sample_ensemble(
@@ -109,21 +115,21 @@ def sample_ensemble(
     target = _Target(density, mode)
     samplers = [_burn_in(target, walkers, 1000 * seed + 10 * i) for i in range(ensembles)]
     while True:
-        v = _chains(samplers)
-        x = np.asarray(constrain_draws(density, jnp.asarray(mode.unwhiten(v))))
-        marginals = diagnose(x, density.names)
+        tau = _autocorrelation_time(samplers)
         steps = samplers[0].iteration
-        tau = max(float(np.max(s.get_autocorr_time(tol=0))) for s in samplers)
         if progress:
-            least = min(m.ess_bulk for m in marginals.values())
-            progress(f"emcee: {steps} steps, ESS {least:.0f}", min(1.0, steps / (AUTOCORRELATION_TIMES * tau)))
-        if (converged(marginals) and steps >= AUTOCORRELATION_TIMES * tau) or steps >= max_steps:
-            break
+            progress(f"emcee: {steps} steps", min(1.0, steps / (AUTOCORRELATION_TIMES * tau)))
+        if steps >= AUTOCORRELATION_TIMES * tau or steps >= max_steps:
+            thin = max(1, int(tau / 2))  # draws closer than that say nearly the same
+            x = np.asarray(constrain_draws(density, jnp.asarray(mode.unwhiten(_chains(samplers, thin)))))
+            marginals = diagnose(x, density.names)
+            if converged(marginals) or steps >= max_steps:
+                break
         for sampler in samplers:
             sampler.run_mcmc(None, CHUNK)
-    length = samplers[0].iteration
+    length = np.asarray(samplers[0].get_chain(thin=thin)).shape[0]
     stats = {
-        "lp": np.stack([np.asarray(s.get_log_prob()).T.ravel() for s in samplers]),
+        "lp": np.stack([np.asarray(s.get_log_prob(thin=thin)).T.ravel() for s in samplers]),
         "walker": np.tile(np.repeat(np.arange(walkers), length), (ensembles, 1)),
     }
     posterior = assemble(
@@ -133,9 +139,12 @@ def sample_ensemble(
         seed=seed,
         seconds=time.perf_counter() - began,
         sample_stats=stats,
+        marginals=marginals,
         predictive=predictive,
     )
     posterior.tree.attrs |= {
+        "steps": steps,
+        "thinned_by": thin,
         "autocorrelation_time": tau,
         "acceptance": float(np.mean([s.acceptance_fraction.mean() for s in samplers])),
         "non_finite_densities": target.rejected,

@@ -59,7 +59,9 @@ def sample_nuts(
     blocks, fields = [], []
     while True:
         blocks.append(
-            np.asarray(constrain_draws(density, jnp.asarray(mode.unwhiten(np.asarray(mcmc.get_samples(group_by_chain=True))))))
+            np.asarray(
+                constrain_draws(density, jnp.asarray(mode.unwhiten(np.asarray(mcmc.get_samples(group_by_chain=True)))))
+            )
         )
         fields.append({k: np.asarray(v) for k, v in mcmc.get_extra_fields(group_by_chain=True).items()})
         x = np.concatenate(blocks, axis=1)
@@ -90,6 +92,7 @@ def sample_nuts(
             "acceptance_rate": joined["accept_prob"],
             "lp": -joined["potential_energy"],
         },
+        marginals=marginals,
         status=PosteriorStatus.DIVERGENT if divergent else None,
         predictive=predictive,
     )

@@ -124,6 +124,7 @@ def assemble(
     seed: int,
     seconds: float,
     sample_stats: dict[str, np.ndarray] | None = None,
+    marginals: dict[str, Marginal] | None = None,
     status: PosteriorStatus | None = None,
     predictive: bool = True,
 ) -> Posterior:
@@ -149,7 +150,7 @@ def assemble(
     for parameter in density.parameters:
         for group in ("posterior", "prior"):
             tree[group][parameter.name].attrs["units"] = parameter.unit
-    marginals = diagnose(draws, names)
+    marginals = marginals or diagnose(draws, names)
     if status is None:
         status = PosteriorStatus.CONVERGED if converged(marginals) else PosteriorStatus.NOT_CONVERGED
     return Posterior(engine, density.noise.colour.value, names, tree, marginals, status, seconds)

@@ -1,0 +1,31 @@
+# `make demo` and `make test` need nothing but Python >= 3.11 and make: each makes its own virtual environment.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+.PHONY: demo test check fast clean
+
+$(STAMP): pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.13")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
+	touch $(STAMP)
+
+demo: $(STAMP)  ## identify two simulated stall manoeuvres into ./demo
+	$(BIN)/bayes-aero identify --out demo
+
+check: $(STAMP)  ## lint, types, layers
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+	PYTHONPATH=. $(BIN)/lint-imports
+
+fast: $(STAMP)  ## the tests without the statistical recovery studies
+	$(BIN)/python -m pytest -q -n 2 -m "not recovery"
+
+test: check  ## everything
+	$(BIN)/python -m pytest -q -n 2
+
+clean:
+	rm -rf $(VENV) demo build dist

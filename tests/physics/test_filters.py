@@ -1,0 +1,92 @@
+"""Smoothing and differentiation against what the filters are known to pass exactly."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bayes_aero.physics import filters
+from bayes_aero.physics.separation import kirchhoff_factor, lagged, separation_point
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(int.from_bytes(b"filters", "big") % 2**32)
+
+
+def polynomial(rng, degree, n):
+    t = np.linspace(-1.0, 1.0, n)
+    coefficients = rng.normal(size=degree + 1)
+    return t, np.polynomial.polynomial.polyval(t, coefficients), np.polynomial.polynomial.polyder(coefficients)
+
+
+def test_spencer_filter_passes_cubics_inside(rng):
+    _, x, _ = polynomial(rng, 3, 60)
+    smoothed = np.asarray(filters.smooth(jnp.asarray(x)))
+    np.testing.assert_allclose(smoothed[7:-7], x[7:-7], atol=1e-12)
+
+
+def test_ends_stay_and_next_samples_pass_straight_lines(rng):
+    _, x, _ = polynomial(rng, 1, 40)
+    smoothed = np.asarray(filters.smooth(jnp.asarray(x)))
+    np.testing.assert_allclose(smoothed, x, atol=1e-12)
+    noise = rng.normal(size=40)
+    np.testing.assert_array_equal(
+        np.asarray(filters.smooth(jnp.asarray(noise)))[[0, 1, 2, -3, -2, -1]], noise[[0, 1, 2, -3, -2, -1]]
+    )
+
+
+def test_derivative_of_a_quartic_is_exact_away_from_the_outer_two(rng):
+    t, x, derivative = polynomial(rng, 4, 50)
+    found = np.asarray(filters.differentiate(jnp.asarray(x), t[1] - t[0]))
+    expected = np.polynomial.polynomial.polyval(t, derivative)
+    np.testing.assert_allclose(found[2:-2], expected[2:-2], atol=1e-9)
+    np.testing.assert_array_equal(found[:2], found[2])
+    np.testing.assert_array_equal(found[-2:], found[-3])
+
+
+def test_derivative_of_a_sine_converges_with_eighth_order():
+    errors = []
+    for n in (60, 120):
+        t = np.linspace(0.0, 2 * np.pi, n)
+        found = np.asarray(filters.differentiate(jnp.asarray(np.sin(3 * t)), t[1] - t[0]))
+        errors.append(np.abs(found - 3 * np.cos(3 * t))[8:-8].max())
+    assert np.log2(errors[0] / errors[1]) > 7.0
+
+
+def test_stated_noise_gains_hold_for_simulated_noise(rng):
+    noise = jnp.asarray(rng.normal(size=200_000))
+    assert np.std(filters.smooth(noise)) == pytest.approx(filters.SMOOTHING_GAIN, rel=0.02)
+    derived = filters.differentiate(filters.smooth(noise), 1.0)
+    assert np.std(derived) == pytest.approx(filters.SMOOTHED_DERIVATIVE_GAIN, rel=0.02)
+
+
+def test_recurrence_is_the_loop_it_stands_for(rng):
+    keep, drive = rng.uniform(-1, 1, (30, 2)), rng.normal(size=(30, 2))
+    x, expected = np.zeros(2), []
+    for a, b in zip(keep, drive, strict=True):
+        x = a * x + b
+        expected.append(x)
+    np.testing.assert_allclose(filters.recurrence(jnp.asarray(keep), jnp.asarray(drive)), expected, atol=1e-12)
+
+
+def test_separation_point_is_the_published_tanh(rng):
+    alpha, a1, star = rng.uniform(-0.5, 0.8, 50), rng.uniform(5, 40), rng.uniform(0.2, 0.4)
+    expected = (1 - np.tanh(a1 * (alpha - star))) / 2
+    np.testing.assert_allclose(
+        separation_point(jnp.asarray(a1), jnp.asarray(alpha), jnp.asarray(star)), expected, rtol=1e-9, atol=1e-14
+    )
+    assert float(kirchhoff_factor(jnp.asarray(1.0))) == 1.0
+    assert float(kirchhoff_factor(jnp.asarray(0.0))) == pytest.approx(0.25)
+
+
+def test_lag_follows_the_exponential_and_restarts_at_a_seam(rng):
+    tau, dt, n = rng.uniform(0.2, 2.0), 0.04, 200
+    start = np.zeros(2 * n, bool)
+    start[[0, n]] = True
+    step = np.tile(np.concatenate([[1.0], np.zeros(n - 1)]), 2)
+    step[n:] = 0.3  # the second manoeuvre begins at rest at another value
+    X = np.asarray(lagged(jnp.asarray(step), jnp.full(2 * n, tau), jnp.full(2 * n, dt), jnp.asarray(start)))
+    # Input linear from 1 to 0 over the first step, then zero: the closed form of tau X' + X = u.
+    first = tau / dt * (1 - np.exp(-dt / tau))
+    np.testing.assert_allclose(X[1:n], first * np.exp(-dt / tau * np.arange(n - 1)), rtol=1e-9)
+    np.testing.assert_allclose(X[n:], 0.3, rtol=1e-12)

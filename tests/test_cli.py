@@ -1,0 +1,79 @@
+"""The command line end to end on short records, and its words for bad input."""
+
+import json
+import os
+import subprocess
+import sys
+from importlib import resources
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from bayes_aero.flight.readers import write_record
+
+ENVIRONMENT = os.environ | {"JAX_PLATFORMS": "cpu"}
+
+
+def run(*arguments, cwd):
+    command = [sys.executable, "-c", "from bayes_aero.cli import main; main()", *map(str, arguments)]
+    return subprocess.run(command, cwd=cwd, env=ENVIRONMENT, capture_output=True, text=True, timeout=600, check=False)
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory, clean_records, card):
+    """Both simulated manoeuvres as CSV files, and the results of one run on them."""
+    folder = tmp_path_factory.mktemp("flown")
+    paths = []
+    for record in clean_records:
+        paths.append(folder / f"{record.name}.csv")
+        write_record(record, paths[-1], [c for c in card.channels if record.has(c.name) or c.name == "time"])
+    done = run("identify", *paths, "--out", "first", "--noise", "white", "--no-gp", "--no-figures", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder, paths, done
+
+
+def test_results_follow_the_schema(flown):
+    folder, _, _ = flown
+    results = json.loads((folder / "first" / "results.json").read_text())
+    schema = json.loads(resources.files("bayes_aero.studies").joinpath("results.schema.json").read_text())
+    jsonschema.validate(results, schema)
+    assert results["mle"]["status"] == "converged"
+    assert set(results["posterior"]["emcee"]) >= {"alpha_star", "sigma_CL"}
+    assert len(results["provenance"]["inputs"]) == 2
+    assert (folder / "first" / "parameters.csv").is_file()
+    assert (folder / "first" / "posterior_nuts.nc").is_file()
+
+
+def test_same_seed_same_numbers(flown):
+    folder, paths, _ = flown
+    again = run("identify", *paths, "--out", "again", "--noise", "white", "--no-gp", "--no-figures", cwd=folder)
+    assert again.returncode == 0, again.stderr
+    first, second = (json.loads((folder / out / "results.json").read_text()) for out in ("first", "again"))
+    first.pop("provenance")
+    second.pop("provenance")
+    assert first == second
+
+
+def test_table_and_place_of_results_are_printed(flown):
+    assert "alpha_star" in flown[2].stdout
+    assert "first" in flown[2].stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["identify", "nowhere.csv"], "nowhere.csv"),
+        (["identify", "empty.csv"], "empty.csv"),
+        (["identify", "--model", "atas"], "attas"),
+        (["identify", "--model", "bad.toml"], "efects"),
+    ],
+)
+def test_bad_input_is_one_sentence(tmp_path, arguments, told):
+    (tmp_path / "empty.csv").write_text("")
+    (tmp_path / "bad.toml").write_text('[aircraft]\n[channels]\n[model]\nefects = ["attached_lift"]\n')
+    done = run(*arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert told in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not Path(tmp_path / "results").exists()
