@@ -12,8 +12,8 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
 	touch $(STAMP)
 
-demo: $(STAMP)  ## identify two simulated stall manoeuvres into ./demo
-	$(BIN)/bayes-aero identify --out demo
+demo: $(STAMP)  ## identify two simulated stall manoeuvres into ./demo (without the Gaussian processes: minutes, not a quarter of an hour)
+	$(BIN)/bayes-aero identify --no-gp --out demo
 
 check: $(STAMP)  ## lint, types, layers
 	$(BIN)/ruff check .

@@ -17,7 +17,7 @@ def autocovariance(residual: Float[np.ndarray, "n c"], lags: int) -> Float[np.nd
     residuals are orthogonal to the sensitivities; the window is what makes it consistent.
     """
     n, _ = residual.shape
-    size = next_fast_len(2 * n)
+    size = int(next_fast_len(2 * n) or 2 * n)
     spectrum = np.fft.rfft(residual, size, axis=0)
     full = np.fft.irfft(np.einsum("fi,fj->fij", spectrum, spectrum.conj()), size, axis=0) / n
     k = np.arange(-lags, lags + 1)
@@ -59,7 +59,7 @@ def corrected_covariance(
 def _sandwich(W: Float[np.ndarray, "n c k"], covariance: Float[np.ndarray, "m c c"]) -> Float[np.ndarray, "k k"]:
     """sum_ij W_i' Rvv(i-j) W_j by convolution over time."""
     n, lags = W.shape[0], (covariance.shape[0] - 1) // 2
-    size = next_fast_len(n + 2 * lags)
+    size = int(next_fast_len(n + 2 * lags) or n + 2 * lags)
     kernel = np.zeros((size, covariance.shape[1], covariance.shape[2]))
     kernel[np.arange(-lags, lags + 1)] = covariance
     spread = np.fft.irfft(

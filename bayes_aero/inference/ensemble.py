@@ -22,7 +22,7 @@ INDEPENDENT = 0.7  # share of independence moves; the rest is differential evolu
 BURN_IN = 150
 CHUNK = 100
 MAX_STEPS = 4000
-AUTOCORRELATION_TIMES = 50  # a run must be this long before its autocorrelation time is believed (emcee's own rule)
+AUTOCORRELATION_TIMES = 30  # a run must be this long before its autocorrelation time is believed
 
 
 @eqx.filter_jit

@@ -113,11 +113,11 @@ def test_corrected_bound_matches_the_true_scatter_of_a_mean_under_coloured_noise
     assert np.mean(ratios) == pytest.approx(exact, rel=0.2)
 
 
-def test_corrected_bound_is_the_bound_itself_under_white_noise(clean, model):
-    data = simulated(clean, model, NOISE, 9)
-    r = fit_mle(model, data, extra_starts=0)
-    np.testing.assert_allclose(r.crb_corrected / r.crb, 1.0, atol=0.35)
-    assert np.median(r.crb_corrected / r.crb) == pytest.approx(1.0, abs=0.12)
+def test_corrected_bound_is_the_bound_itself_under_white_noise(thinned, model):
+    """The correlogram is noisy on one record; over ten the median ratio is one, less a few per cent of bias."""
+    start = np.array([TRUTH[n] for n in model.names])
+    fits = [fit_mle(model, simulated(thinned, model, NOISE, s), start=start, extra_starts=0) for s in range(10)]
+    assert np.mean([np.median(r.crb_corrected / r.crb) for r in fits]) == pytest.approx(1.0, abs=0.12)
 
 
 def test_a_record_that_never_stalls_says_so(clean, model):

@@ -44,12 +44,12 @@ def test_derivative_of_a_quartic_is_exact_away_from_the_outer_two(rng):
     np.testing.assert_array_equal(found[-2:], found[-3])
 
 
-def test_derivative_of_a_sine_converges_with_eighth_order():
+def test_derivative_of_a_sine_converges_at_least_with_eighth_order():
     errors = []
     for n in (60, 120):
         t = np.linspace(0.0, 2 * np.pi, n)
-        found = np.asarray(filters.differentiate(jnp.asarray(np.sin(3 * t)), t[1] - t[0]))
-        errors.append(np.abs(found - 3 * np.cos(3 * t))[8:-8].max())
+        found = np.asarray(filters.differentiate(jnp.asarray(np.sin(8 * t)), t[1] - t[0]))
+        errors.append(np.abs(found - 8 * np.cos(8 * t))[8:-8].max())
     assert np.log2(errors[0] / errors[1]) > 7.0
 
 
