@@ -18,7 +18,7 @@ demo: $(STAMP)  ## identify two simulated stall manoeuvres into ./demo (without 
 check: $(STAMP)  ## lint, types, layers
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/pyright
+	$(BIN)/pyright --pythonpath $(BIN)/python
 	PYTHONPATH=. $(BIN)/lint-imports
 
 fast: $(STAMP)  ## the tests without the statistical recovery studies

@@ -136,8 +136,9 @@ def _noise_model(identification: Identification) -> list[str]:
         said.append(
             f"That is more than the intervals allow for {several(f'{n} ({z:.1f})' for n, z in beyond.items())}, in "
             "deviations of both together. A coloured-noise likelihood listens mostly to changes from sample to sample, "
-            "a white one to levels; were the model's mean function right, both would find the same values. So the "
-            "mean function is wrong, not just the noise, and neither interval covers that."
+            "a white one to levels; were the modelled and the measured side treated alike, both would find the same "
+            "values. So either the model's mean function is wrong, or the reconstruction (smoothing what is measured, "
+            "not what is modelled) colours the residual as no first-order process does; neither interval covers that."
         )
     return said
 
