@@ -2,6 +2,8 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
+# Two test workers on two cores: a second BLAS thread in each makes the Gaussian processes several times slower.
+PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2
 STAMP := $(VENV)/.installed
 
 .PHONY: demo test check fast clean
@@ -22,10 +24,10 @@ check: $(STAMP)  ## lint, types, layers
 	PYTHONPATH=. $(BIN)/lint-imports
 
 fast: $(STAMP)  ## the tests without the statistical recovery studies
-	$(BIN)/python -m pytest -q -n 2 -m "not recovery"
+	$(PYTEST) -m "not recovery"
 
 test: check  ## everything
-	$(BIN)/python -m pytest -q -n 2
+	$(PYTEST)
 
 clean:
 	rm -rf $(VENV) demo build dist
