@@ -52,12 +52,12 @@ def test_odd_arrays():
     for channels, words in (
         ({"q": np.zeros(5)}, "channel q has 5 samples where time has 3"),
         ({"q": np.zeros((3, 2))}, "shape"),
-        ({"q": ["a", "b", "c"]}, "not numeric"),
+        ({"q": np.array(["a", "b", "c"])}, "not numeric"),
     ):
         with pytest.raises(InputError, match=words):
             FlightRecord.from_arrays("r", np.arange(3.0), channels)
     with pytest.raises(InputError, match="two are needed"):
-        _ = FlightRecord.from_arrays("r", [0.0], {}).dt
+        _ = FlightRecord.from_arrays("r", np.zeros(1), {}).dt
 
 
 def test_pickle_for_worker_processes():
