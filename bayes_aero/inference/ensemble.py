@@ -84,8 +84,10 @@ def _burn_in(target: _Target, walkers: int, seed: int) -> emcee.EnsembleSampler:
 
 
 def _autocorrelation_time(samplers: list[emcee.EnsembleSampler]) -> float:
-    """Steps, the slowest parameter of the slowest ensemble."""
-    return max(float(np.max(s.get_autocorr_time(tol=0))) for s in samplers)
+    """Steps, the slowest parameter of the slowest ensemble; infinite while a walker has never moved."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        slowest = float(np.max([s.get_autocorr_time(tol=0) for s in samplers]))
+    return slowest if np.isfinite(slowest) else np.inf
 
 
 def _chains(samplers: list[emcee.EnsembleSampler], thin: int) -> Float[np.ndarray, "chain draw k"]:
@@ -120,7 +122,7 @@ def sample_ensemble(
         if progress:
             progress(f"emcee: {steps} steps", min(1.0, steps / (AUTOCORRELATION_TIMES * tau)))
         if steps >= AUTOCORRELATION_TIMES * tau or steps >= max_steps:
-            thin = max(1, int(tau / 2))  # draws closer than that say nearly the same
+            thin = max(1, int(tau / 2)) if np.isfinite(tau) else 1  # draws closer than that say nearly the same
             x = np.asarray(constrain_draws(density, jnp.asarray(mode.unwhiten(_chains(samplers, thin)))))
             marginals = diagnose(x, density.names)
             if converged(marginals) or steps >= max_steps:
