@@ -30,7 +30,7 @@ EFFECT = Effect(
                 "lognormal",
                 20.0,
                 0.7,
-                "15 to 35 for transports, Fischenberg and Jategaonkar 1999; width our choice",
+                "a factor of four either way with 95 %; our choice",
             ),
             (1.0, 200.0),
         ),

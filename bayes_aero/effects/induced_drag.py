@@ -29,7 +29,7 @@ EFFECT = Effect(
                 "lognormal",
                 0.8,
                 0.5,
-                "0.7 to 0.9 for transports (Raymer, Aircraft Design, 12.6); width our choice",
+                "around 0.8 for a transport; our choice",
             ),
             (0.05, 10.0),
         ),

@@ -23,7 +23,7 @@ EFFECT = Effect(
             0.0,
             15.0,
             "quasi-steady hysteresis time, chords travelled",
-            Prior("normal", 15.0, 15.0, "5 to 25 in Fischenberg and Jategaonkar 1999; width our choice"),
+            Prior("normal", 15.0, 15.0, "minus 15 to 45 chords with 95 %; our choice"),
             (-50.0, 200.0),
         ),
     ),

@@ -23,7 +23,7 @@ EFFECT = Effect(
             0.0,
             5.0,
             "lag of the separation point, chords travelled",
-            Prior("halfnormal", 0.0, 15.0, "up to 20 in Goman and Khrabrov 1994; width our choice"),
+            Prior("halfnormal", 0.0, 15.0, "up to some thirty chords; our choice"),
             (0.0, 200.0),
         ),
     ),
@@ -32,5 +32,5 @@ EFFECT = Effect(
     example=Example(
         {"tau1": 0.0}, {"airspeed": 60.0, "dt": 0.04, "start": 1.0}, {"X": 0.0}, "no lag", known={"X": 0.7}
     ),
-    source="Goman and Khrabrov 1994, Eq. (3)",
+    source="Goman and Khrabrov 1994",
 )

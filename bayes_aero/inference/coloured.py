@@ -39,7 +39,7 @@ def corrected_covariance(
 ) -> Float[np.ndarray, "k k"]:
     """D [sum_i S_i' R^-1 sum_j Rvv(i-j) R^-1 S_j] D with D = (sum S' R^-1 S)^-1, manoeuvre by manoeuvre.
 
-    Source: Morelli and Klein, J. Aircraft 34 (1997) 404, Eq. (24); Rvv is the residuals' autocovariance. Manoeuvres
+    Source: corrected bound of Morelli and Klein, J. Aircraft 1997; Rvv is the residuals' autocovariance. Manoeuvres
     are taken as independent. Where samples are left out (`start` inside a manoeuvre) only whole stretches count as
     neighbours, and the autocovariance is that of the longest stretch.
     """

@@ -11,7 +11,7 @@ Samples = Float[Array, "*n"]
 def lift_drag_from_body(CX: Samples, CZ: Samples, alpha: Samples) -> tuple[Samples, Samples]:
     """CL and CD from the body-axis force coefficients; `alpha` in rad.
 
-    CL = CX sin alpha - CZ cos alpha, CD = -CX cos alpha - CZ sin alpha (Jategaonkar 2015, Eq. (11) of chapter 12).
+    CL = CX sin alpha - CZ cos alpha, CD = -CX cos alpha - CZ sin alpha.
     """
     sin, cos = jnp.sin(alpha), jnp.cos(alpha)
     return CX * sin - CZ * cos, -CX * cos - CZ * sin
