@@ -7,7 +7,7 @@ any list of effects can live in one compiled function with the absent ones held 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from typing import Any
 
@@ -38,8 +38,16 @@ class Kind(StrEnum):
 
 
 class Stage(IntEnum):
-    """When an effect acts. Effects of one stage see what the earlier stages built, never each other."""
+    """When an effect acts. Effects of one stage see what the earlier stages built, never each other.
 
+    CHANNEL effects get whole recorded channels (all manoeuvres end to end) as `signals` and return what to add to
+    them, so that recorded becomes true; beside the channels they find `dt`, `start`, `elapsed` (s since the start of
+    the manoeuvre) and `first`, `last` (index of its first and last sample). AIRCRAFT effects return what to add to
+    fields of the aircraft. All other stages build `Known`, sample by sample.
+    """
+
+    CHANNEL = -1  # sensors, winds, thrust: the record is not what it says
+    AIRCRAFT = 0  # mass properties: the aircraft is not what the card says
     INCIDENCE = 1  # the angle of attack that the separation point feels
     SEPARATION = 2  # the static separation point
     LAG = 3  # its dynamics
@@ -70,6 +78,10 @@ class Effect:
     known)` is pure, works on one sample or on arrays of samples alike, and returns what to add to `known`; with every
     parameter at its neutral value each increment is exactly zero. `uses` names parameters that other effects own.
     `channels` are the signals it needs; a record without them makes the effect not testable.
+
+    `sizes` gives for each parameter the least departure from neutral that is worth modelling and the largest that is
+    plausible (magnitudes, the parameter's unit). `scan` lists values of a parameter at which the effect is tried where
+    its slope at neutral is zero or means nothing (a lag, a break point).
     """
 
     name: str
@@ -82,3 +94,5 @@ class Effect:
     example: Example
     source: str
     uses: tuple[str, ...] = ()
+    sizes: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    scan: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
