@@ -61,11 +61,14 @@ NEUTRAL_FLOW = {"X": 1.0, "CL_attached": 0.0, "CL": 0.0, "CD": 0.0, "Cm": 0.0}
 
 @dataclass(frozen=True)
 class Example:
-    """A worked example: `parameters` and one sample's `signals` give `increments`; `source` says who worked it out."""
+    """A worked example: `parameters` and one sample's `signals` give `increments`; `source` says who worked it out.
+
+    A tuple stands for several samples of a signal, or for the three coordinates of a position.
+    """
 
     parameters: Mapping[str, float]
-    signals: Mapping[str, float]
-    increments: Mapping[str, float]
+    signals: Mapping[str, float | tuple[float, ...]]
+    increments: Mapping[str, float | tuple[float, ...]]
     source: str
     known: Mapping[str, float] | None = None
 
@@ -80,8 +83,8 @@ class Effect:
     `channels` are the signals it needs; a record without them makes the effect not testable.
 
     `sizes` gives for each parameter the least departure from neutral that is worth modelling and the largest that is
-    plausible (magnitudes, the parameter's unit). `scan` lists values of a parameter at which the effect is tried where
-    its slope at neutral is zero or means nothing (a lag, a break point).
+    plausible (magnitudes, the parameter's unit; of its inverse where neutral is infinite). `scan` lists values of a
+    parameter at which the effect is tried where its slope at neutral is zero or means nothing (a lag, a break point).
     """
 
     name: str

@@ -5,26 +5,37 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.effect import NEUTRAL_FLOW, Effect, Kind
+from bayes_aero.effect import NEUTRAL_FLOW, Effect, Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.flight.channel import STANDARD_CHANNELS
 
 AIRCRAFT = Aircraft(
     mass=15000.0, Ix=1e5, Iy=2e5, Iz=3e5, Ixz=1e4,
     wing_area=60.0, chord=3.0, half_span=10.0, aspect_ratio=7.0, tail_arm=15.0,
 )  # fmt: skip
+INDICES = ("first", "last")
+MARKS = ("dt", "start", "elapsed", *INDICES)
+WITH_MEMORY = (Stage.CHANNEL, Stage.LAG)
 effects = pytest.mark.parametrize("effect", CATALOGUE.values(), ids=CATALOGUE)
 
 
 def signals(n=64, seed=0):
+    """Two manoeuvres of 32 samples, every channel that the program knows and their marks."""
     rng = np.random.default_rng(seed)
     s = {
         "alpha": rng.uniform(-0.1, 0.5, n), "alpha_dot": rng.normal(0, 0.05, n), "airspeed": rng.uniform(55, 100, n),
         "q": rng.normal(0, 0.05, n), "elevator": rng.normal(0, 0.1, n), "mach": rng.uniform(0.15, 0.4, n),
-        "beta": rng.normal(0, 0.05, n),
+        "beta": rng.normal(0, 0.05, n), "density": rng.uniform(0.6, 1.2, n), "thrust": rng.uniform(2e3, 2e4, n),
+        "altitude": rng.uniform(4900, 5100, n), "az": rng.normal(-9.8, 1.0, n),
     }  # fmt: skip
+    s = {name: rng.normal(0, 0.1, n) for name in STANDARD_CHANNELS} | s
     s = {key: jnp.asarray(value) for key, value in s.items()}
-    return s | {"dt": jnp.full(n, 0.04), "start": jnp.asarray(np.arange(n) % 32 == 0)}
+    index = np.arange(n)
+    return s | {
+        "dt": jnp.full(n, 0.04), "start": jnp.asarray(index % 32 == 0), "elapsed": jnp.asarray(index % 32 * 0.04),
+        "first": jnp.asarray(index // 32 * 32), "last": jnp.asarray(index // 32 * 32 + 31),
+    }  # fmt: skip
 
 
 def known(s, seed=1):
@@ -41,6 +52,11 @@ def values(effect: Effect, which: str):
     return {name: jnp.asarray(4.0) for name in effect.uses} | own
 
 
+def flat(increments):
+    """All numbers of an effect's increments, positions too, as one vector."""
+    return jnp.concatenate([jnp.ravel(jnp.asarray(x, float)) for x in jax.tree.leaves(increments)])
+
+
 @effects
 def test_neutral_values_give_exactly_nothing(effect):
     s = signals()
@@ -49,8 +65,7 @@ def test_neutral_values_give_exactly_nothing(effect):
         state |= {"X": jnp.ones_like(s["alpha"])}
     if effect.name == "flow_separation":
         state |= {"X": jnp.ones_like(s["alpha"])}
-    for increment in effect.increments(values(effect, "neutral"), s, AIRCRAFT, state).values():
-        assert np.all(np.asarray(increment) == 0.0)
+    assert np.all(np.asarray(flat(effect.increments(values(effect, "neutral"), s, AIRCRAFT, state))) == 0.0)
 
 
 @effects
@@ -61,7 +76,7 @@ def test_derivatives_are_finite(effect, which):
         pytest.skip("no parameter to differentiate by")
 
     def total(v):
-        return sum(jnp.sum(x) for x in effect.increments(v, s, AIRCRAFT, known(s)).values())
+        return jnp.sum(flat(effect.increments(v, s, AIRCRAFT, known(s))))
 
     gradient = jax.grad(total)(values(effect, which))
     assert all(np.isfinite(float(g)) for g in gradient.values())
@@ -72,26 +87,27 @@ def test_derivatives_are_finite(effect, which):
 @effects
 def test_derivatives_match_finite_differences(effect):
     s = signals()
-    start = values(effect, "start")
+    at = {p.name: jnp.asarray(p.start + 0.3 * effect.sizes[p.name][0]) for p in effect.parameters}
+    at = values(effect, "start") | at  # a little off the start: a delay of exactly a sample has a kink at the ends
 
     def response(v):
-        return jnp.concatenate([jnp.atleast_1d(x) for x in effect.increments(v, s, AIRCRAFT, known(s)).values()])
+        return flat(effect.increments(v, s, AIRCRAFT, known(s)))
 
     for p in effect.parameters:
         h = 1e-5 * max(1.0, abs(p.start))
-        up, down = (response(start | {p.name: start[p.name] + sign * h}) for sign in (1, -1))
-        tangent = {k: jnp.asarray(float(k == p.name)) for k in start}
-        _, slope = jax.jvp(response, (start,), (tangent,))
-        np.testing.assert_allclose(slope, (up - down) / (2 * h), rtol=1e-5, atol=1e-8)
+        up, down = (response(at | {p.name: at[p.name] + sign * h}) for sign in (1, -1))
+        tangent = {k: jnp.asarray(float(k == p.name)) for k in at}
+        _, slope = jax.jvp(response, (at,), (tangent,))
+        scale = max(1.0, float(jnp.max(jnp.abs(slope))))
+        np.testing.assert_allclose(slope, (up - down) / (2 * h), rtol=1e-5, atol=1e-8 * scale)
 
 
 @effects
 def test_worked_example_comes_out(effect):
     example = effect.example
     assert example.source
-    one = {k: jnp.asarray([v]) for k, v in example.signals.items()} | {
-        k: jnp.asarray([bool(v)]) for k, v in example.signals.items() if k == "start"
-    }
+    kinds = {"start": bool} | dict.fromkeys(INDICES, int)
+    one = {k: jnp.atleast_1d(jnp.asarray(v, kinds.get(k, float))) for k, v in example.signals.items()}
     state = {k: jnp.asarray([v]) for k, v in NEUTRAL_FLOW.items()}
     state |= {"incidence": one.get("alpha", jnp.zeros(1))} | {
         k: jnp.asarray([v]) for k, v in (example.known or {}).items()
@@ -99,7 +115,8 @@ def test_worked_example_comes_out(effect):
     found = effect.increments({k: jnp.asarray(v) for k, v in example.parameters.items()}, one, AIRCRAFT, state)
     assert set(found) == set(example.increments)
     for key, expected in example.increments.items():
-        assert np.asarray(found[key]).item() == pytest.approx(expected, rel=1e-9, abs=1e-12)
+        number = np.asarray(jnp.asarray(found[key]))
+        np.testing.assert_allclose(number, np.broadcast_to(expected, number.shape), rtol=1e-9, atol=1e-12)
 
 
 @effects
@@ -116,12 +133,61 @@ def test_it_says_what_it_is_and_where_it_comes_from(effect):
 
 
 @effects
+def test_every_parameter_has_a_least_and_a_largest_size(effect):
+    assert set(effect.sizes) == {p.name for p in effect.parameters}
+    for least, largest in effect.sizes.values():
+        assert 0.0 < least < largest < np.inf
+    bounds = {p.name: p.bounds for p in effect.parameters}
+    for name, scanned in effect.scan.items():
+        assert scanned
+        assert all(bounds[name][0] < value < bounds[name][1] for value in scanned)
+
+
+@effects
+def test_it_reads_only_the_channels_it_names(effect):
+    s = {name: value for name, value in signals().items() if name in (*effect.channels, *MARKS)}
+    effect.increments(values(effect, "start"), s, AIRCRAFT, known(signals()))  # a channel not named is a KeyError
+
+
+@effects
+def test_increments_fit_what_they_are_added_to(effect):
+    s = signals()
+    found = effect.increments(values(effect, "start"), s, AIRCRAFT, known(s))
+    shape = {Stage.CHANNEL: lambda k: s[k].shape, Stage.AIRCRAFT: lambda k: np.shape(getattr(AIRCRAFT, k))}
+    for key, increment in found.items():
+        expected = shape.get(effect.stage, lambda k: known(s)[k].shape)(key)
+        assert np.shape(jnp.asarray(increment)) == expected
+        if effect.stage is Stage.CHANNEL:
+            assert key not in MARKS
+
+
+@effects
 def test_one_sample_or_many_give_the_same(effect):
-    if effect.name == "separation_lag":
-        pytest.skip("a lag needs the history; a simulation carries X as a state instead")
+    if effect.stage in WITH_MEMORY:
+        pytest.skip("it needs the history; a simulation carries X as a state instead")
+    if effect.stage is Stage.AIRCRAFT:
+        pytest.skip("it has no samples")
     s = signals()
     v, state = values(effect, "start"), known(s)
     many = effect.increments(v, s, AIRCRAFT, state)
     one = effect.increments(v, {k: x[5] for k, x in s.items()}, AIRCRAFT, {k: x[5] for k, x in state.items()})
     for key, array in many.items():
         assert float(one[key]) == pytest.approx(float(array[5]), rel=1e-12)
+
+
+@effects
+def test_nothing_crosses_the_seam_between_manoeuvres(effect):
+    if effect.stage is not Stage.CHANNEL:
+        pytest.skip("it acts on one sample, or is a lag that starts anew by itself")
+    s = signals()
+    other = {k: jnp.concatenate([x[:32], x[32:] if k in MARKS else x[:31:-1]]) for k, x in s.items()}
+    v = {p.name: jnp.asarray(p.start + 0.7 * effect.sizes[p.name][1]) for p in effect.parameters}
+    one, two = (effect.increments(v, channels, AIRCRAFT, {}) for channels in (s, other))
+    for key in one:
+        np.testing.assert_allclose(one[key][:32], two[key][:32], rtol=1e-12, atol=1e-15)
+
+
+def test_parameters_have_one_owner_in_the_whole_catalogue():
+    names = [p.name for effect in CATALOGUE.values() for p in effect.parameters]
+    assert len(names) == len(set(names))
+    assert {name for effect in CATALOGUE.values() for name in effect.uses} <= set(names)

@@ -29,4 +29,5 @@ EFFECT = Effect(
     increments=increments,
     example=Example({"CL0": 0.2, "CLa": 4.0}, {"alpha": 0.1}, {"CL_attached": 0.6}, "0.2 + 4.0 x 0.1, by hand"),
     source="Jategaonkar 2015, ch. 12, Kirchhoff stall model",
+    sizes={"CL0": (0.01, 1.0), "CLa": (0.1, 8.0)},
 )

@@ -25,4 +25,5 @@ EFFECT = Effect(
         "by hand, chord 3 m and tail arm 15 m",
     ),
     source="the ATTAS stall model as published with the data of Jategaonkar 2015",
+    sizes={"Cmde": (0.03, 3.0)},
 )

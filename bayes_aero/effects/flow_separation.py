@@ -53,4 +53,6 @@ EFFECT = Effect(
         "the definition of X, by hand",
     ),
     source="Goman and Khrabrov 1994; Fischenberg and Jategaonkar 1999",
+    sizes={"a1": (2.0, 80.0), "alpha_star": (ATTACHED - 0.5, ATTACHED - 0.1)},  # alpha* from 10 rad to 0.5 or 0.1 rad
+    scan={"alpha_star": (0.2, 0.25, 0.3, 0.35)},
 )

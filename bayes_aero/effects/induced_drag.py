@@ -44,4 +44,6 @@ EFFECT = Effect(
         known={"CL_attached": 1.0},
     ),
     source="Jategaonkar 2015, ch. 12, Kirchhoff stall model",
+    sizes={"e": (0.02, 3.0)},  # of 1/e, which is 0 where e is neutral; CD is linear in it
+    scan={"e": (0.8,)},
 )

@@ -19,4 +19,5 @@ EFFECT = Effect(
     increments=increments,
     example=Example({"CLaM": 9.0}, {"alpha": 0.1, "mach": 0.3}, {"CL_attached": 0.27}, "9 x 0.3 x 0.1, by hand"),
     source="the ATTAS stall model as published with the data of Jategaonkar 2015",
+    sizes={"CLaM": (0.5, 20.0)},
 )

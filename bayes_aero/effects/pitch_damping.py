@@ -19,4 +19,5 @@ EFFECT = Effect(
     increments=increments,
     example=Example({"Cmq": -6.0}, {"q": 0.1, "airspeed": 60.0}, {"Cm": -0.03}, "by hand, chord 3 m"),
     source="the ATTAS stall model as published with the data of Jategaonkar 2015 (qhat = q c/V)",
+    sizes={"Cmq": (1.0, 30.0)},
 )

@@ -22,4 +22,5 @@ EFFECT = Effect(
     increments=increments,
     example=Example({"Cm0": 0.05, "Cma": -0.5}, {"alpha": 0.2}, {"Cm": -0.05}, "0.05 - 0.5 x 0.2, by hand"),
     source="Jategaonkar 2015, ch. 12, Kirchhoff stall model",
+    sizes={"Cm0": (0.002, 0.3), "Cma": (0.02, 3.0)},
 )

@@ -19,4 +19,5 @@ EFFECT = Effect(
     increments=increments,
     example=Example({"CD0": 0.04}, {"alpha": 0.1}, {"CD": 0.04}, "by hand"),
     source="Jategaonkar 2015, ch. 12, Kirchhoff stall model",
+    sizes={"CD0": (0.001, 0.2)},
 )

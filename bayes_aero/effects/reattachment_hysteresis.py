@@ -31,4 +31,5 @@ EFFECT = Effect(
     increments=increments,
     example=Example({"tau2": 20.0}, {"alpha_dot": -0.05, "airspeed": 60.0}, {"incidence": 0.05}, "by hand, chord 3 m"),
     source="Fischenberg and Jategaonkar 1999; one-sided in the program published with the ATTAS data",
+    sizes={"tau2": (2.0, 50.0)},
 )

@@ -19,4 +19,5 @@ EFFECT = Effect(
     increments=increments,
     example=Example({"CDX": 0.08}, {"alpha": 0.2}, {"CD": 0.06}, "0.08 x (1 - 1/4), by hand", known={"X": 0.25}),
     source="Jategaonkar 2015, ch. 12, Kirchhoff stall model",
+    sizes={"CDX": (0.003, 0.4)},
 )

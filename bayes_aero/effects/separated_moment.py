@@ -21,4 +21,5 @@ EFFECT = Effect(
     increments=increments,
     example=Example({"CmX": -0.12}, {"alpha": 0.2}, {"Cm": -0.09}, "-0.12 x (1 - 1/4), by hand", known={"X": 0.25}),
     source="Jategaonkar 2015, ch. 12, Kirchhoff stall model",
+    sizes={"CmX": (0.005, 0.5)},
 )

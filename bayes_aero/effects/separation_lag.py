@@ -33,4 +33,6 @@ EFFECT = Effect(
         {"tau1": 0.0}, {"airspeed": 60.0, "dt": 0.04, "start": 1.0}, {"X": 0.0}, "no lag", known={"X": 0.7}
     ),
     source="Goman and Khrabrov 1994",
+    sizes={"tau1": (2.0, 50.0)},
+    scan={"tau1": (5.0, 15.0, 30.0)},
 )

@@ -1,0 +1,42 @@
+"""A delay of the recorded angle of attack."""
+
+import jax.numpy as jnp
+
+from bayes_aero.effect import Effect, Example, Kind, Stage
+from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.physics.filters import advance
+
+
+def increments(v, s, a, known):
+    """Recorded(t) = true(t - alpha_delay)."""
+    x = s["alpha"]
+    return {"alpha": advance(x, jnp.asarray(v["alpha_delay"]), s["dt"], s["first"], s["last"]) - x}
+
+
+EFFECT = Effect(
+    name="alpha_delay",
+    kind=Kind.MEASUREMENT,
+    stage=Stage.CHANNEL,
+    claim="The angle of attack is recorded late (or early, where negative).",
+    parameters=(
+        Parameter(
+            "alpha_delay",
+            "s",
+            0.0,
+            0.0,
+            "delay of the recorded angle of attack; positive is late",
+            Prior("normal", 0.0, 0.25),
+            (-2.0, 2.0),
+        ),
+    ),
+    channels=("alpha",),
+    increments=increments,
+    example=Example(
+        {"alpha_delay": 0.04},
+        {"alpha": (0.10, 0.12, 0.15, 0.19), "dt": (0.04,) * 4, "first": (0,) * 4, "last": (3,) * 4},
+        {"alpha": (0.02, 0.03, 0.04, 0.0)},
+        "one sample late: the next sample less this one, by hand; nothing is known beyond the last",
+    ),
+    source="definition of a delay; cubic convolution between samples, Keys 1981",
+    sizes={"alpha_delay": (0.02, 0.5)},
+)

@@ -1,0 +1,42 @@
+"""A delay of the recorded elevator deflection."""
+
+import jax.numpy as jnp
+
+from bayes_aero.effect import Effect, Example, Kind, Stage
+from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.physics.filters import advance
+
+
+def increments(v, s, a, known):
+    """Recorded(t) = true(t - elevator_delay)."""
+    x = s["elevator"]
+    return {"elevator": advance(x, jnp.asarray(v["elevator_delay"]), s["dt"], s["first"], s["last"]) - x}
+
+
+EFFECT = Effect(
+    name="elevator_delay",
+    kind=Kind.MEASUREMENT,
+    stage=Stage.CHANNEL,
+    claim="The elevator deflection is recorded late (or early, where negative).",
+    parameters=(
+        Parameter(
+            "elevator_delay",
+            "s",
+            0.0,
+            0.0,
+            "delay of the recorded elevator deflection; positive is late",
+            Prior("normal", 0.0, 0.25),
+            (-2.0, 2.0),
+        ),
+    ),
+    channels=("elevator",),
+    increments=increments,
+    example=Example(
+        {"elevator_delay": 0.04},
+        {"elevator": (0.03, 0.0, -0.01, -0.06), "dt": (0.04,) * 4, "first": (0,) * 4, "last": (3,) * 4},
+        {"elevator": (-0.03, -0.01, -0.05, 0.0)},
+        "one sample late: the next sample less this one, by hand; nothing is known beyond the last",
+    ),
+    source="definition of a delay; cubic convolution between samples, Keys 1981",
+    sizes={"elevator_delay": (0.02, 0.5)},
+)
