@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Noise
+from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Observations
 from bayes_aero.parameter import Parameter, from_unbounded, to_unbounded
 
@@ -26,6 +26,17 @@ class Density(eqx.Module):
     observations: Observations
     model: Model = eqx.field(static=True)
     noise: Noise = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, observations: Observations, model: Model, noise: Noise) -> Density:
+        """The density of a record under `noise`; under coloured noise it takes the record at the filters' rate.
+
+        Cm is formed from a smoothed and differentiated rate, which ties neighbouring samples together in a way that no
+        short autoregression describes: given every sample, it takes the smoothness for persistence and then listens to
+        sample-to-sample changes alone, where filtered and unfiltered signals disagree. One sample in `FILTER_STEP`
+        keeps the band that the filter passes, in which the coloured model holds.
+        """
+        return cls(observations if noise.colour is Colour.WHITE else observations.thinned(), model, noise)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

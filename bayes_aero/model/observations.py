@@ -15,6 +15,7 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficients import REQUIRED, coefficient_noise, coefficients, condition
+from bayes_aero.physics.filters import FILTER_STEP
 
 
 class Observations(eqx.Module):
@@ -66,6 +67,14 @@ class Observations(eqx.Module):
         """The same samples with other marks for where memory starts anew."""
         flags = jnp.asarray(start)
         return eqx.tree_at(lambda o: (o.start, o.signals["start"]), self, (flags, flags))
+
+    def thinned(self, step: int = FILTER_STEP) -> Observations:
+        """Every `step`-th sample of each stretch, as a record of that lower rate (`dt` grows accordingly)."""
+        begins = np.flatnonzero(np.asarray(self.start))
+        ends = np.append(begins[1:], self.n)
+        index = np.concatenate([np.arange(begin, end, step) for begin, end in zip(begins, ends, strict=True)])
+        fewer = self.subset(index).restarted(np.asarray(self.start)[index])
+        return eqx.tree_at(lambda o: o.signals["dt"], fewer, step * fewer.signals["dt"])
 
     def only(self, manoeuvre: int) -> Observations:
         """One manoeuvre of the set."""

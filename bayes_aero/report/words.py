@@ -137,8 +137,8 @@ def _noise_model(identification: Identification) -> list[str]:
             f"That is more than the intervals allow for {several(f'{n} ({z:.1f})' for n, z in beyond.items())}, in "
             "deviations of both together. A coloured-noise likelihood listens mostly to changes from sample to sample, "
             "a white one to levels; were the modelled and the measured side treated alike, both would find the same "
-            "values. So either the model's mean function is wrong, or the reconstruction (smoothing what is measured, "
-            "not what is modelled) colours the residual as no first-order process does; neither interval covers that."
+            "values. So the model's mean function is wrong, or the residual's colour is not of first order; neither "
+            "interval covers that."
         )
     return said
 

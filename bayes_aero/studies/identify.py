@@ -69,7 +69,7 @@ def identify(
 
     for key, colour, engine in _plan(noise):
         with _timed(seconds, key, progress):
-            density = Density(observations, model, Noise(colour))
+            density = Density.of(observations, model, Noise(colour))
             mode = find_mode(density, density_start(density, mle))
             posterior = engine(density, mode, seed=seed, progress=progress)
         run = replace(run, posteriors=run.posteriors | {key: posterior})
