@@ -1,0 +1,112 @@
+"""Who stands for election: every effect of the catalogue that the card's model lacks and the record can test."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.effect import Effect, Kind
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.model.flights import Flights
+from bayes_aero.model.model import Model
+from bayes_aero.parameter import Parameter, Prior
+
+FAR = 1e9  # stands for a neutral value at infinity
+DERIVED = ("alpha_dot", "p_dot", "q_dot", "r_dot")
+
+
+@dataclass(frozen=True)
+class Field:
+    """The card's model and every testable candidate in one model, all parameters free but those fixed off neutral."""
+
+    model: Model
+    base: tuple[str, ...]
+    candidates: tuple[Effect, ...]
+    not_testable: Mapping[str, str]
+
+    @property
+    def neutral(self) -> dict[str, float]:
+        """Neutral value of every parameter, finite."""
+        return {p.name: p.neutral if math.isfinite(p.neutral) else FAR for p in self.model.parameters}
+
+    def columns(self, names: Sequence[str]) -> np.ndarray:
+        """Index of each parameter in the model's free vector."""
+        return np.array([self.model.names.index(name) for name in names], int)
+
+    def parameters_of(self, effect: str) -> tuple[str, ...]:
+        """Parameters that an effect owns."""
+        return tuple(p.name for e in self.model.effects if e.name == effect for p in e.parameters)
+
+
+def field_of(model: Model, flights: Flights, extra: Sequence[Effect] = ()) -> Field:
+    """`model` extended by the catalogue and by `extra` effects of the user.
+
+    An effect of the card that is fixed at neutral (tau1 = 0) is absent, and so a candidate.
+    """
+    fixed = dict(model.fixed)
+    absent = [e for e in model.effects if e.parameters and all(fixed.get(p.name) == p.neutral for p in e.parameters)]
+    active = [e for e in model.effects if e not in absent]
+    changed = {p.name: p for p in model.parameters}
+    owned = {p.name for e in active for p in e.parameters}
+    have = set(flights.channels) | set(DERIVED)
+    candidates, not_testable = [], {}
+    for effect in (*absent, *(e for e in (*CATALOGUE.values(), *extra) if e not in model.effects)):
+        missing = [c for c in effect.channels if c not in have]
+        still = [c for c in effect.channels if c in flights.channels and _at_rest(np.asarray(flights.channels[c]))]
+        lacking = [name for name in effect.uses if name not in owned]
+        if effect.kind is Kind.NOISE:
+            continue
+        if missing:
+            not_testable[effect.name] = f"channel {', '.join(missing)} was not recorded"
+        elif still and effect.stage >= 1:
+            not_testable[effect.name] = f"channel {', '.join(still)} does not move in this record"
+        elif lacking:
+            not_testable[effect.name] = f"the model has no {', '.join(lacking)}"
+        elif {p.name for p in effect.parameters} & owned:
+            not_testable[effect.name] = "the model owns its parameters already"
+        elif effect.parameters:
+            candidates.append(effect)
+    # Effects without parameters are nothing until an effect that they rest on wakes them (Kirchhoff's lift, X).
+    dormant = [
+        e for e in CATALOGUE.values() if not e.parameters and e not in active and all(name in owned for name in e.uses)
+    ]
+    everything = (*active, *dormant, *candidates)
+    parameters = tuple(changed.get(p.name, p) for e in everything for p in e.parameters)
+    held = {p.name for e in candidates for p in e.parameters}
+    whole = Model(everything, parameters, tuple((k, v) for k, v in fixed.items() if k not in held))
+    return Field(whole, tuple(e.name for e in active), tuple(candidates), not_testable)
+
+
+def _at_rest(x: np.ndarray) -> bool:
+    """True for a channel that never moves (a flap that stays up): no effect of it can be seen."""
+    return bool(np.ptp(x) <= 1e-9 * max(1.0, float(np.abs(x).max())))
+
+
+def normal_of(prior: Prior) -> tuple[float, float]:
+    """Mean and standard deviation of the normal that stands for a prior in a linear fit."""
+    if prior.family == "lognormal":
+        return prior.location, prior.location * prior.scale
+    if prior.family == "uniform":
+        return prior.location + prior.scale / 2.0, prior.scale
+    return prior.location, prior.scale
+
+
+def prior_of(
+    parameters: Sequence[Parameter], theta: Float[np.ndarray, " k"]
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Mean and precision of the step from `theta`, from the parameters' priors taken as normal."""
+    pairs = np.array([normal_of(p.prior) for p in parameters])
+    return pairs[:, 0] - theta, pairs[:, 1] ** -2.0
+
+
+def with_neutral(model: Model, names: Sequence[str]) -> Model:
+    """The model with all parameters but `names` fixed at their neutral values."""
+    keep = set(names)
+    fixed = {p.name: p.neutral for p in model.parameters if p.name not in keep} | {
+        k: v for k, v in model.fixed if k not in keep
+    }
+    return replace(model, fixed=tuple(fixed.items()))

@@ -1,0 +1,123 @@
+"""Everything measured beside everything modelled, as a function of every effect's parameters at once.
+
+Outputs are the three coefficients and, where attitude and height were recorded, the four flight-path integrals. One
+compiled function gives the residuals and their sensitivity to all parameters of all effects, active or not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from bayes_aero.model.flights import Flights
+from bayes_aero.model.model import Model
+from bayes_aero.physics.coefficients import NAMES, coefficients
+from bayes_aero.physics.filters import FILTER_STEP
+from bayes_aero.physics.flightpath import PATH, PATH_NEEDS, integral, path_rates
+
+RESPONSE = ("q", *PATH)  # measured channels whose own scale an effect may change
+
+
+class Responses(eqx.Module):
+    """Residuals of one set of flights under one model of many effects.
+
+    Residuals are averaged over blocks of `FILTER_STEP` samples, the rate that the reconstruction's filters pass: m
+    blocks. They are referred to the response as recorded: a coefficient's residual is multiplied by how much more
+    (or less) of it one unit of measured acceleration makes under the card's values than under the effect's, so that an
+    effect that rescales the measurement cannot win by shrinking its noise. This is the likelihood's Jacobian term.
+    """
+
+    flights: Flights
+    model: Model = eqx.field(static=True)
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the outputs: coefficients, then flight-path channels."""
+        path = PATH if set(PATH_NEEDS) <= set(self.flights.channels) else ()
+        return (*NAMES, *path)
+
+    @property
+    def manoeuvre(self) -> Int[np.ndarray, " m"]:
+        """Which manoeuvre each block belongs to."""
+        return np.repeat(np.arange(len(self.flights.lengths)), [k // FILTER_STEP for k in self.flights.lengths])
+
+    def block(self, x: Float[Array, "n ..."]) -> Float[Array, "m ..."]:
+        """Means over blocks, manoeuvre by manoeuvre; the last samples that fill no block are left out."""
+        begin, parts = 0, []
+        for length in self.flights.lengths:
+            m = length // FILTER_STEP
+            part = x[begin : begin + m * FILTER_STEP]
+            parts.append(part.reshape(m, FILTER_STEP, *x.shape[1:]).mean(axis=1))
+            begin += length
+        return jnp.concatenate(parts)
+
+    def evaluate(self, theta: Float[Array, " k"]) -> tuple[Float[Array, "m c"], dict[str, Array]]:
+        """Residuals at parameters `theta` (the model's free ones), and what explains them, by name, at full rate."""
+        return _evaluate(self, theta)
+
+    def linearise(self, theta: Float[Array, " k"]) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c k"]]:
+        """Residuals (measured minus modelled) and minus their derivative, so that new = old - S (theta' - theta)."""
+        residual, slope = _linearise(self, jnp.asarray(theta))
+        return np.asarray(residual), np.asarray(slope)
+
+
+def _measured(responses: Responses, values: Mapping[str, Array], channels: Mapping[str, Array]):
+    """Corrected signals of every flight, and the aircraft as it is."""
+    corrected = responses.model.corrected(values, channels, responses.flights.aircraft)
+    return responses.flights.conditioned(corrected), responses.model.actual_aircraft(
+        values, responses.flights.aircraft
+    )
+
+
+def _scales(responses: Responses, values: Mapping[str, Array]) -> dict[str, Array]:
+    """Derivative of each corrected response channel with respect to its recorded self."""
+    channels = responses.flights.channels
+    own = {name: channels[name] for name in RESPONSE if name in channels}
+
+    def correct(part):
+        fixed = responses.model.corrected(values, {**channels, **part}, responses.flights.aircraft)
+        return {name: fixed[name] for name in part}
+
+    return jax.jvp(correct, (own,), ({name: jnp.ones_like(x) for name, x in own.items()},))[1]
+
+
+def _residuals(responses: Responses, theta):
+    f, model = responses.flights, responses.model
+    values = model.values(theta)
+    signals, aircraft = _measured(responses, values, f.channels)
+    measured = jnp.stack(coefficients(signals, aircraft), axis=-1)
+    known = model.flow(values, signals, aircraft)
+    modelled = jnp.stack([known[name] for name in NAMES], axis=-1)
+    scales = _scales(responses, values)
+    pressure = signals["density"] * jnp.square(signals["airspeed"])
+    smooth = f.conditioned(f.channels)
+    nominal = smooth["density"] * jnp.square(smooth["airspeed"])
+    force = pressure / nominal * (f.aircraft.mass / aircraft.mass)
+    moment = pressure / nominal * (f.aircraft.Iy / aircraft.Iy) / scales["q"]
+    residual = (measured - modelled) * jnp.stack([force, force, moment], axis=-1)
+    columns = [residual]
+    if len(responses.outputs) > len(NAMES):
+        rates = path_rates(signals, aircraft)
+        columns += [
+            ((signals[name] - integral(rates[name], signals["dt"], signals["start"], signals["first"])) / scales[name])[
+                :, None
+            ]
+            for name in PATH
+        ]
+    return responses.block(jnp.concatenate(columns, axis=1)), {
+        **signals, "X": known["X"], "measured": measured, "modelled": modelled
+    }  # fmt: skip
+
+
+_evaluate = eqx.filter_jit(_residuals)
+
+
+@eqx.filter_jit
+def _linearise(responses: Responses, theta):
+    residual = _residuals(responses, theta)[0]
+    return residual, -jax.jacfwd(lambda t: _residuals(responses, t)[0])(theta)

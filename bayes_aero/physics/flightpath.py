@@ -1,0 +1,50 @@
+"""Flight-path kinematics: how attitude, airspeed, flow angle and height must move if the sensors agree.
+
+No aerodynamics: rates and specific forces at the centre of gravity give the derivatives of what other sensors measure.
+Flat earth, air mass at rest. Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 10.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.physics.atmosphere import GRAVITY
+from bayes_aero.physics.kinematics import Rotation, lever_arm
+
+PATH = ("airspeed", "alpha", "theta", "altitude")
+PATH_NEEDS = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "alpha", "beta", "airspeed", "altitude")
+
+
+def path_rates(s: Mapping[str, Float[Array, "*n"]], aircraft: Aircraft) -> dict[str, Float[Array, "*n"]]:
+    """Time derivatives of airspeed (m/s2), alpha, theta (rad/s) and altitude (m/s) from signals in SI and radians.
+
+    `s` holds `PATH_NEEDS` and the angular accelerations `p_dot`, `q_dot`, `r_dot`; accelerations at the sensor.
+    """
+    rotation = Rotation(s["p"], s["q"], s["r"], s["p_dot"], s["q_dot"], s["r_dot"])
+    arm = lever_arm(rotation, aircraft.accelerometer)
+    ax, ay, az = (s[name] - a for name, a in zip(("ax", "ay", "az"), arm, strict=True))
+    sin_a, cos_a = jnp.sin(s["alpha"]), jnp.cos(s["alpha"])
+    sin_b, cos_b = jnp.sin(s["beta"]), jnp.cos(s["beta"])
+    sin_t, cos_t = jnp.sin(s["theta"]), jnp.cos(s["theta"])
+    sin_p, cos_p = jnp.sin(s["phi"]), jnp.cos(s["phi"])
+    ax, ay, az = ax - GRAVITY * sin_t, ay + GRAVITY * cos_t * sin_p, az + GRAVITY * cos_t * cos_p
+    V = s["airspeed"]
+    return {
+        "airspeed": ax * cos_a * cos_b + ay * sin_b + az * sin_a * cos_b,
+        "alpha": s["q"] - sin_b / cos_b * (s["p"] * cos_a + s["r"] * sin_a) + (az * cos_a - ax * sin_a) / (V * cos_b),
+        "theta": s["q"] * cos_p - s["r"] * sin_p,
+        "altitude": V * (cos_a * cos_b * sin_t - sin_b * sin_p * cos_t - sin_a * cos_b * cos_p * cos_t),
+    }
+
+
+def integral(
+    rate: Float[Array, " n"], dt: Float[Array, " n"], start: Bool[Array, " n"], first: Int[Array, " n"]
+) -> Float[Array, " n"]:
+    """Running trapezoidal integral, anew from zero in each manoeuvre (`start` marks, `first` indexes its beginning)."""
+    before = jnp.concatenate([rate[:1], rate[:-1]])
+    total = jnp.cumsum(jnp.where(start, 0.0, 0.5 * dt * (rate + before)))
+    return total - total[first]
