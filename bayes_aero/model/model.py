@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from functools import cached_property
 from typing import Any
@@ -86,6 +86,19 @@ class Model:
         """All parameter values by name, from the vector of the free ones."""
         return dict(self.fixed) | {name: theta[i] for i, name in enumerate(self.names)}
 
+    def corrected(self, values: Mapping[str, Any], channels: Mapping[str, Any], aircraft: Aircraft) -> dict[str, Any]:
+        """Recorded channels made true: every effect of stage CHANNEL sees what was recorded, and all are added.
+
+        `channels` are whole manoeuvres end to end, in SI, with the marks that `Stage` names. A delay and a bias of one
+        channel thus commute exactly; a scale and a bias of one channel do to first order.
+        """
+        return self._run((Stage.CHANNEL,), channels, values, channels, aircraft)
+
+    def actual_aircraft(self, values: Mapping[str, Any], aircraft: Aircraft) -> Aircraft:
+        """The card's aircraft with the increments of all effects of stage AIRCRAFT; positions add by coordinates."""
+        card = {f.name: getattr(aircraft, f.name) for f in fields(aircraft)}
+        return Aircraft(**self._run((Stage.AIRCRAFT,), card, values, {}, aircraft))
+
     def static_separation(self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft) -> Any:
         """The separation point that a steady flow would have: every stage before its lag."""
         return self._run((Stage.INCIDENCE, Stage.SEPARATION), self._neutral(signals), values, signals, aircraft)["X"]
@@ -111,7 +124,12 @@ class Model:
         return {key: zeros + value for key, value in NEUTRAL_FLOW.items()} | {"incidence": signals["alpha"]}
 
     def _run(
-        self, stages: tuple[Stage, ...], known: Known, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft
+        self,
+        stages: tuple[Stage, ...],
+        known: Known,
+        values: Mapping[str, Any],
+        signals: Mapping[str, Any],
+        aircraft: Aircraft,
     ) -> dict[str, Any]:
         total = dict(known)
         for stage in stages:
@@ -119,7 +137,7 @@ class Model:
             for effect in self.effects:
                 if effect.stage is stage and not self._absent(effect):
                     for key, increment in effect.increments(values, signals, aircraft, before).items():
-                        total[key] = total[key] + increment
+                        total[key] = _sum(total[key], increment)
         return total
 
     def coefficients(self, theta: Float[Array, " k"], signals: Signals, aircraft: Aircraft) -> Float[Array, "*n 3"]:
@@ -131,6 +149,12 @@ class Model:
         """True for an effect all of whose parameters are fixed at neutral: it need not be computed at all."""
         fixed = dict(self.fixed)
         return bool(effect.parameters) and all(fixed.get(p.name) == p.neutral for p in effect.parameters)
+
+
+def _sum(old: Any, increment: Any) -> Any:
+    if isinstance(old, tuple):
+        return tuple(x + dx for x, dx in zip(old, increment, strict=True))
+    return old + increment
 
 
 def _by_name(name: str) -> Effect:

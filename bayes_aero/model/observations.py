@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card import Card
@@ -93,13 +95,30 @@ def with_sums(record: FlightRecord, card: Card) -> dict[str, Float[Array, " n"]]
     return channels
 
 
+def marks(n: int, dt: float, first: int = 0) -> dict[str, Array]:
+    """What effects of stage CHANNEL find beside the channels of one manoeuvre of `n` samples, the first at `first`."""
+    index = jnp.arange(n)
+    return {
+        "dt": jnp.full(n, dt),
+        "start": index == 0,
+        "elapsed": index * dt,
+        "first": jnp.full(n, first),
+        "last": jnp.full(n, first + n - 1),
+    }
+
+
 def observe(records: Sequence[FlightRecord], card: Card, model: Model) -> Observations:
-    """Reconstruct the coefficients of every record and lay the manoeuvres end to end."""
+    """Reconstruct the coefficients of every record and lay the manoeuvres end to end.
+
+    Effects that act on the record or the aircraft itself are applied at the values the model fixes for them.
+    """
     if not records:
         raise InputError("there is no flight record to work on; name at least one file")
     names = [record.name for record in records]
     if len(set(names)) < len(names):
         raise InputError(f"two records are called {max(names, key=names.count)}; each manoeuvre needs its own name")
+    values = _settled(model)
+    aircraft = model.actual_aircraft(values, card.aircraft)
     parts = []
     for number, record in enumerate(records):
         channels = with_sums(record, card)
@@ -108,11 +127,13 @@ def observe(records: Sequence[FlightRecord], card: Card, model: Model) -> Observ
                 raise InputError(
                     f"record {record.name} has no channel {need}, which the model needs; map it on the card"
                 )
-        signals = condition(channels, record.dt)
-        z = jnp.stack(coefficients(signals, card.aircraft), axis=-1)
-        noise = coefficient_noise(signals, card.aircraft, card.sensors, record.dt)
+        beside = marks(record.n, record.dt)
+        true = model.corrected(values, channels | beside, aircraft)
+        signals = condition({name: true[name] for name in channels}, record.dt)
+        z = jnp.stack(coefficients(signals, aircraft), axis=-1)
+        noise = coefficient_noise(signals, aircraft, card.sensors, record.dt)
         start = np.arange(record.n) == 0
-        signals = signals | {"dt": jnp.full(record.n, record.dt), "start": jnp.asarray(start)}
+        signals = signals | {"dt": beside["dt"], "start": beside["start"]}
         parts.append((signals, z, noise, start, np.full(record.n, number), np.asarray(record.time)))
     shared = set.intersection(*(set(part[0]) for part in parts))
     signals = {key: jnp.concatenate([part[0][key] for part in parts]) for key in sorted(shared)}
@@ -123,6 +144,19 @@ def observe(records: Sequence[FlightRecord], card: Card, model: Model) -> Observ
         start=jnp.asarray(np.concatenate([part[3] for part in parts])),
         manoeuvre=np.concatenate([part[4] for part in parts]),
         time=np.concatenate([part[5] for part in parts]),
-        aircraft=card.aircraft,
+        aircraft=aircraft,
         names=tuple(names),
     )
+
+
+def _settled(model: Model) -> dict[str, Any]:
+    """The model's fixed values; effects before the coefficients must have no free parameter."""
+    fixed = dict(model.fixed)
+    for effect in model.effects:
+        free = [p.name for p in effect.parameters if p.name not in fixed]
+        if effect.stage <= Stage.AIRCRAFT and free:
+            raise InputError(
+                f"effect {effect.name} changes the record or the aircraft itself, so {', '.join(free)} cannot be "
+                "fitted to the coefficients; fix it on the card, or use bayes-aero diagnose to estimate it"
+            )
+    return fixed

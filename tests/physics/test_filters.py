@@ -1,5 +1,6 @@
 """Smoothing and differentiation against what the filters are known to pass exactly."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -90,3 +91,40 @@ def test_lag_follows_the_exponential_and_restarts_at_a_seam(rng):
     first = tau / dt * (1 - np.exp(-dt / tau))
     np.testing.assert_allclose(X[1:n], first * np.exp(-dt / tau * np.arange(n - 1)), rtol=1e-9)
     np.testing.assert_allclose(X[n:], 0.3, rtol=1e-12)
+
+
+def sine(n, dt, shift=0.0):
+    return jnp.asarray(np.sin(2.0 * (np.arange(n) * dt + shift)))
+
+
+def inside(n):
+    return jnp.zeros(n, int), jnp.full(n, n - 1)
+
+
+@pytest.mark.parametrize("share", [0.3, -1.7])
+def test_advance_is_of_third_order_on_a_sine(share):
+    def error(dt):
+        n = int(4.0 / dt)
+        moved = filters.advance(sine(n, dt), jnp.asarray(share * dt), jnp.full(n, dt), *inside(n))
+        return float(jnp.max(jnp.abs(moved - sine(n, dt, share * dt))[4:-4]))
+
+    assert error(0.04) < 1e-4
+    assert error(0.04) / error(0.02) == pytest.approx(2.0**3, rel=0.1)
+
+
+def test_advance_moves_whole_samples_exactly_and_holds_the_ends():
+    x, dt = sine(20, 0.25), jnp.full(20, 0.25)
+    later, earlier = (filters.advance(x, jnp.asarray(s), dt, *inside(20)) for s in (0.75, -0.5))
+    np.testing.assert_array_equal(later, np.concatenate([x[3:], np.repeat(x[-1], 3)]))
+    np.testing.assert_array_equal(earlier, np.concatenate([np.repeat(x[0], 2), x[:-2]]))
+
+
+def test_slope_of_advance_in_the_delay_is_the_time_derivative():
+    dt = 0.02
+    n = 200
+
+    def move(seconds):
+        return filters.advance(sine(n, dt), seconds, jnp.full(n, dt), *inside(n))
+
+    _, slope = jax.jvp(move, (jnp.asarray(0.0),), (jnp.asarray(1.0),))
+    np.testing.assert_allclose(slope[2:-2], 2.0 * np.cos(2.0 * np.arange(n) * dt)[2:-2], atol=1e-3)

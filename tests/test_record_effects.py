@@ -1,0 +1,136 @@
+"""Effects on the record and on the aircraft: their sign convention, and how a model applies them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.errors import InputError
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.model import Model
+from bayes_aero.model.observations import marks, observe
+
+N, DT = 400, 0.04
+
+
+def wave(t):
+    """A smooth channel that changes sign."""
+    return 0.3 * np.sin(0.9 * t) + 0.1 * np.cos(2.3 * t)
+
+
+def bias(size):
+    return lambda t: wave(t) + size
+
+
+def scale(size):
+    return lambda t: (1.0 + size) * wave(t)
+
+
+def delay(size):
+    return lambda t: wave(t - size)
+
+
+def climb(size):
+    return lambda t: wave(t) + size * t
+
+
+RECORDED = [
+    ("alpha_bias", "alpha", bias, 0.02),
+    ("airspeed_bias", "airspeed", bias, -1.5),
+    ("pitch_rate_bias", "q", bias, 0.004),
+    ("accel_x_bias", "ax", bias, 0.1),
+    ("accel_z_bias", "az", bias, -0.2),
+    ("pitch_attitude_bias", "theta", bias, 0.01),
+    ("alpha_scale", "alpha", scale, 0.08),
+    ("airspeed_scale", "airspeed", scale, 0.03),
+    ("pitch_rate_scale", "q", scale, -0.05),
+    ("elevator_scale", "elevator", scale, 0.1),
+    ("altitude_scale", "altitude", scale, 0.02),
+    ("density_scale", "density", scale, -0.04),
+    ("alpha_delay", "alpha", delay, 0.13),
+    ("alpha_delay", "alpha", delay, -0.07),
+    ("elevator_delay", "elevator", delay, 0.08),
+    ("vertical_wind", "altitude", climb, 2.0),
+]
+
+
+@pytest.mark.parametrize(("name", "channel", "error", "size"), RECORDED)
+def test_what_was_recorded_becomes_what_was_true(card, name, channel, error, size):
+    beside = marks(N, DT)
+    t = np.asarray(beside["elapsed"])
+    channels = beside | {channel: jnp.asarray(error(size)(t))}
+    (parameter,) = CATALOGUE[name].parameters
+    true = Model.of([name]).corrected({parameter.name: jnp.asarray(size)}, channels, card.aircraft)[channel]
+    inner = slice(5, -5)  # a delay cannot look beyond the ends
+    np.testing.assert_allclose(true[inner], wave(t)[inner], atol=1e-4 if error is delay else 1e-12)
+
+
+@pytest.mark.parametrize(("name", "size"), [("airspeed_bias", 2.0), ("airspeed_scale", 0.025)])
+def test_mach_number_follows_the_airspeed_that_it_was_made_from(card, name, size):
+    channels = marks(3, DT) | {"airspeed": jnp.asarray([82.0, 90.0, 70.0])}
+    channels["mach"] = channels["airspeed"] / 320.0
+    true = Model.of([name]).corrected({name: jnp.asarray(size)}, channels, card.aircraft)
+    assert not np.allclose(true["airspeed"], channels["airspeed"])
+    np.testing.assert_allclose(true["mach"], true["airspeed"] / 320.0, rtol=1e-12)
+
+
+def test_every_effect_on_the_record_has_its_sign_tested():
+    measured = {e.name for e in CATALOGUE.values() if e.kind in ("measurement", "environment")}
+    assert measured == {row[0] for row in RECORDED}
+
+
+def test_all_effects_see_the_record_and_none_the_others_correction(card):
+    channels = marks(N, DT) | {"alpha": jnp.linspace(0.1, 0.3, N)}
+    model = Model.of(["alpha_bias", "alpha_scale"])
+    both = model.corrected({"alpha_bias": 0.01, "alpha_scale": 0.25}, channels, card.aircraft)["alpha"]
+    np.testing.assert_allclose(both, channels["alpha"] / 1.25 - 0.01, rtol=1e-12)
+
+
+def test_the_aircraft_is_moved_and_weighed(card):
+    a = card.aircraft
+    model = Model.of(["mass_scale", "cg_shift", "inertia_scale"])
+    true = model.actual_aircraft({"mass_scale": 0.1, "cg_shift": 0.2, "inertia_scale": -0.1}, a)
+    assert true.mass == pytest.approx(1.1 * a.mass)
+    assert true.Iy == pytest.approx(0.9 * a.Iy)
+    assert true.tail_arm == pytest.approx(a.tail_arm + 0.2)
+    for key in ("reference_point", "accelerometer", "engine"):
+        old, new = getattr(a, key), getattr(true, key)
+        assert new == pytest.approx((old[0] - 0.2, old[1], old[2]))
+    assert (true.chord, true.Ix, true.Iz) == (a.chord, a.Ix, a.Iz)
+
+
+def test_the_aircraft_can_be_differentiated_under_jit(card):
+    model = Model.of(["cg_shift"])
+
+    @jax.jit
+    def arm(dx):
+        true = model.actual_aircraft({"cg_shift": dx}, card.aircraft)
+        return true.tail_arm + 10.0 * true.engine[0]
+
+    assert float(jax.grad(arm)(jnp.asarray(0.0))) == pytest.approx(1.0 - 10.0)
+
+
+def test_a_fixed_sensor_error_is_taken_out_of_the_record(card, model, clean_records):
+    clean = clean_records[0]
+    wrong = {**clean.channels, "q": clean["q"] * 1.1, "alpha": clean["alpha"] + 0.01}
+    record = FlightRecord.from_arrays(clean.name, clean.time, wrong)
+    errors = {"pitch_rate_scale": 0.1, "alpha_bias": 0.01}
+    extended = Model.of([*card.effects, *errors], {**card.fixed, **errors})
+    expected, found = observe([clean], card, model), observe([record], card, extended)
+    np.testing.assert_allclose(found.measured, expected.measured, atol=1e-10)
+    assert set(found.signals) == set(expected.signals)
+
+
+def test_a_fixed_mass_reaches_the_coefficients(card, model, clean_records):
+    extended = Model.of([*card.effects, "mass_scale"], {**card.fixed, "mass_scale": 0.05})
+    light, heavy = (observe(clean_records[:1], card, m) for m in (model, extended))
+    assert heavy.aircraft.mass == pytest.approx(1.05 * card.aircraft.mass)
+    ratio = np.asarray(heavy.measured[:, 0] / light.measured[:, 0])
+    assert 1.04 < np.median(ratio) < 1.06
+
+
+@pytest.mark.parametrize("name", ["alpha_bias", "mass_scale"])
+def test_a_free_error_of_the_record_is_refused(card, clean_records, name):
+    with pytest.raises(InputError, match=f"effect {name} .*fix it on the card, or use bayes-aero diagnose"):
+        observe(clean_records, card, Model.of([*card.effects, name]))
