@@ -22,6 +22,7 @@ from bayes_aero.physics.kinematics import Rotation, lever_arm
 
 NAMES = ("CL", "CD", "Cm")
 SMOOTHED = ("alpha", "beta", "airspeed")
+RATES = ("p", "q", "r")
 REQUIRED = ("ax", "az", "p", "q", "r", "alpha", "airspeed", "density", "thrust")
 
 Signals = dict[str, Float[Array, "*n"]]
@@ -41,13 +42,13 @@ def condition(channels: Mapping[str, Float[Array, " n"]], dt: float | Float[Arra
     Adds `alpha_dot`, `p_dot`, `q_dot`, `r_dot` (derivatives of the smoothed signals), replacing recorded ones.
     """
     signals = {name: jnp.asarray(values) for name, values in channels.items()}
-    for name in SMOOTHED:
-        if name in signals:
-            signals[name] = smooth(signals[name])
-    signals["alpha_dot"] = differentiate(signals["alpha"], dt)
-    for name in ("p", "q", "r"):
-        signals[f"{name}_dot"] = differentiate(smooth(signals[name]), dt)
-    return signals
+    # One filter over all channels stacked compiles several times faster than one filter each.
+    names = [name for name in SMOOTHED if name in signals]
+    smoothed = jax.vmap(smooth)(jnp.stack([signals[name] for name in (*names, *RATES)]))
+    signals |= dict(zip(names, smoothed, strict=False))
+    derived = (signals["alpha"], *smoothed[len(names) :])
+    slopes = jax.vmap(lambda x: differentiate(x, dt))(jnp.stack(derived))
+    return signals | dict(zip(("alpha_dot", *(f"{name}_dot" for name in RATES)), slopes, strict=True))
 
 
 def coefficients(signals: Mapping[str, Float[Array, "*n"]], aircraft: Aircraft) -> Coefficients:
