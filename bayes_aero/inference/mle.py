@@ -9,21 +9,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from itertools import chain
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from bayes_aero.inference.coloured import corrected_covariance
 from bayes_aero.inference.scores import Scores, score
+from bayes_aero.inference.sensitivity import data_of, evaluate, full_steps
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Observations
 from bayes_aero.physics.coefficients import NAMES
 
 MAX_ITERATIONS = 100
-DECREMENT = 1e-9  # expected gain in log-likelihood of one more step, at which the iteration stops
+DECREMENT = 1e-7  # expected gain in log-likelihood of one more step, at which it stops: 5e-4 of a Cramer-Rao deviation
 SINGULAR = 1e-11  # smallest eigenvalue of the information scaled to unit diagonal
 FROZEN_X = 0.05  # a separation point that moves less than this over a record says nothing of the stall
 
@@ -104,43 +103,6 @@ class MleResult:
         return said
 
 
-@eqx.filter_jit
-def _linearise(model: Model, observations: Observations, theta: Float[Array, " k"]):
-    """R (3,), information (k, k) and gradient (k,) of the log-likelihood at R, at one parameter vector."""
-
-    def predict(t: Float[Array, " k"]) -> list[Float[Array, " n"]]:
-        y = model.coefficients(t, observations.signals, observations.aircraft)
-        return [y[..., i] for i in range(len(NAMES))]
-
-    # Coefficient by coefficient, parameters first: contiguous matrix products, a third faster than (n, 3, k).
-    predicted, push = jax.linearize(predict, theta)
-    S = jax.vmap(push)(jnp.eye(theta.shape[0]))
-    residual = [observations.measured[:, i] - y for i, y in enumerate(predicted)]
-    R = [jnp.mean(r**2) for r in residual]
-    information = sum(s @ s.T / v for s, v in zip(S, R, strict=True))
-    gradient = sum(s @ r / v for s, r, v in zip(S, residual, R, strict=True))
-    return jnp.stack(R), information, gradient
-
-
-@eqx.filter_jit
-def _cost(model: Model, observations: Observations, theta: Float[Array, " k"]) -> Float[Array, ""]:
-    """(N/2) log det R: the concentrated negative log-likelihood without its constant."""
-    predicted = model.coefficients(theta, observations.signals, observations.aircraft)
-    R = jnp.mean((observations.measured - predicted) ** 2, axis=0)
-    return 0.5 * observations.n * jnp.sum(jnp.log(R))
-
-
-@eqx.filter_jit
-def _evaluate(model: Model, observations: Observations, theta: Float[Array, " k"]):
-    """Prediction (n, 3), sensitivities (n, 3, k) and separation point (n,)."""
-
-    def predict(t: Float[Array, " k"]) -> Float[Array, "n 3"]:
-        return model.coefficients(t, observations.signals, observations.aircraft)
-
-    X = model.flow(model.values(theta), observations.signals, observations.aircraft)["X"]
-    return predict(theta), jax.jacfwd(predict)(theta), X
-
-
 @dataclass(frozen=True)
 class _Descent:
     theta: Float[np.ndarray, " k"]
@@ -158,32 +120,36 @@ def _solve(A: np.ndarray, g: np.ndarray, damping: float) -> np.ndarray:
 
 
 def descend(model: Model, observations: Observations, start: Float[np.ndarray, " k"]) -> _Descent:
-    """Gauss-Newton from one start: full step, halved steps, then Levenberg-Marquardt; bounds by an active set."""
+    """Gauss-Newton from one start: full step, halved steps, then Levenberg-Marquardt; bounds by an active set.
+
+    Full steps run compiled for as long as they gain and stay inside the bounds; the rest of the way is walked here.
+    """
+    data = data_of(model, observations)
     lower, upper = (np.array([p.bounds[i] for p in model.free]) for i in (0, 1))
-    theta = np.clip(start, lower, upper)
-    cost = float(_cost(model, observations, jnp.asarray(theta)))
-    active = np.zeros(len(theta), bool)
-    for iteration in range(1, MAX_ITERATIONS + 1):
-        _, A, g = (np.asarray(part) for part in _linearise(model, observations, jnp.asarray(theta)))
-        if not (np.isfinite(cost) and np.all(np.isfinite(A))):
+    point = full_steps(data, np.clip(start, lower, upper), lower, upper, DECREMENT, MAX_ITERATIONS)
+    active = np.zeros(len(start), bool)
+    for iteration in range(point.taken + 1, MAX_ITERATIONS + 1):
+        theta, A, g = point.theta, point.information, point.gradient
+        if not (np.isfinite(point.cost) and np.all(np.isfinite(A))):
             return _Descent(theta, np.inf, False, iteration, active)
         active = ((theta <= lower) & (g < 0.0)) | ((theta >= upper) & (g > 0.0))
         free = np.flatnonzero(~active)
         newton = _solve(A[np.ix_(free, free)], g[free], 0.0)
-        if 0.5 * newton @ g[free] < DECREMENT:
-            return _Descent(theta, cost, True, iteration, active)
-        steps = [newton * size for size in (1.0, 0.5, 0.25, 0.125)]
+        gain = 0.5 * newton @ g[free]
+        if gain < DECREMENT:
+            return _Descent(theta, point.cost, True, iteration, active)
+        steps = (newton * size for size in (1.0, 0.5, 0.25, 0.125))
         damped = (_solve(A[np.ix_(free, free)], g[free], 10.0**k) for k in range(-3, 6))
-        for step in (*steps, *damped):
+        for step in chain(steps, damped):
             trial = theta.copy()
             trial[free] = np.clip(theta[free] + step, lower[free], upper[free])
-            trial_cost = float(_cost(model, observations, jnp.asarray(trial)))
-            if trial_cost < cost:
+            found = full_steps(data, trial, lower, upper, DECREMENT, 0)
+            if found.cost < point.cost:
                 break
         else:
-            return _Descent(theta, cost, bool(0.5 * newton @ g[free] < 1e-5), iteration, active)
-        theta, cost = trial, trial_cost
-    return _Descent(theta, cost, False, MAX_ITERATIONS, active)
+            return _Descent(theta, point.cost, bool(gain < 1e-5), iteration, active)
+        point = found
+    return _Descent(point.theta, point.cost, False, MAX_ITERATIONS, active)
 
 
 def _starts(model: Model, count: int, seed: int) -> list[np.ndarray]:
@@ -202,7 +168,7 @@ def _degenerate(model: Model, observations: Observations, descent: _Descent) -> 
         return True
     if "alpha_star" not in model.names:
         return False
-    X = np.asarray(_evaluate(model, observations, jnp.asarray(descent.theta))[2])
+    X = np.asarray(evaluate(data_of(model, observations), descent.theta)[2])
     at_bound = descent.active[model.names.index("alpha_star")]
     return bool(at_bound or np.ptp(X) < FROZEN_X)
 
@@ -238,9 +204,11 @@ def fit_mle(
 def _report(
     model: Model, observations: Observations, best: _Descent, sound: bool, table: Sequence[tuple[float, str]]
 ) -> MleResult:
-    R, A, _ = (np.asarray(part) for part in _linearise(model, observations, jnp.asarray(best.theta)))
-    predicted, S, X = (np.asarray(part) for part in _evaluate(model, observations, jnp.asarray(best.theta)))
-    residual = np.asarray(observations.measured) - predicted
+    data = data_of(model, observations)
+    point = full_steps(data, best.theta, best.theta, best.theta, DECREMENT, 0)
+    R, A = point.R, point.information
+    residual, S, X = map(np.asarray, evaluate(data, best.theta))
+    measured = np.asarray(observations.measured)
     scale = np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
     eigenvalues = np.linalg.eigvalsh(A / np.outer(scale, scale))
     singular = not eigenvalues[0] > SINGULAR
@@ -273,7 +241,7 @@ def _report(
         at_bound=tuple(n for n, a in zip(model.names, best.active, strict=True) if a),
         eigenvalues=eigenvalues,
         separation=(float(X.min()), float(X.max())),
-        fit={n: score(np.asarray(observations.measured)[:, i], predicted[:, i]) for i, n in enumerate(NAMES)},
+        fit={n: score(measured[:, i], measured[:, i] - residual[:, i]) for i, n in enumerate(NAMES)},
         lag1=lag1,
         starts=tuple(table),
     )
