@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from itertools import chain
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -168,7 +169,7 @@ def _degenerate(model: Model, observations: Observations, descent: _Descent) -> 
         return True
     if "alpha_star" not in model.names:
         return False
-    X = np.asarray(evaluate(data_of(model, observations), descent.theta)[2])
+    X = np.asarray(evaluate(data_of(model, observations), jnp.asarray(descent.theta))[2])
     at_bound = descent.active[model.names.index("alpha_star")]
     return bool(at_bound or np.ptp(X) < FROZEN_X)
 
@@ -207,7 +208,7 @@ def _report(
     data = data_of(model, observations)
     point = full_steps(data, best.theta, best.theta, best.theta, DECREMENT, 0)
     R, A = point.R, point.information
-    residual, S, X = map(np.asarray, evaluate(data, best.theta))
+    residual, S, X = map(np.asarray, evaluate(data, jnp.asarray(best.theta)))
     measured = np.asarray(observations.measured)
     scale = np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
     eigenvalues = np.linalg.eigvalsh(A / np.outer(scale, scale))

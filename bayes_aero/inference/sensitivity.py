@@ -82,9 +82,8 @@ def full_steps(
     Ends where a step would gain less than `decrement` in log-likelihood, or before the first step that is not good;
     `most` = 0 only looks at `start`.
     """
-    found = _full_steps(
-        data, start, lower, upper, np.asarray(decrement), np.asarray(most)
-    )  # as arrays: one compilation
+    arguments = map(jnp.asarray, (start, lower, upper, decrement, most))  # none static: one compilation
+    found = _full_steps(data, *arguments)
     theta, cost, R, information, gradient, taken = map(np.asarray, found)
     return Point(theta, float(cost), R, information, gradient, int(taken))
 
