@@ -9,7 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from numpyro.infer import MCMC, NUTS
+from numpyro.infer import NUTS
+from numpyro.infer.hmc import HMCState
 
 from bayes_aero.inference.laplace import Mode
 from bayes_aero.inference.posterior import Posterior, PosteriorStatus, assemble, constrain_draws, converged, diagnose
@@ -17,6 +18,7 @@ from bayes_aero.model.density import Density
 
 CHAINS = 4
 WARMUP = 200
+STRETCH = 100  # draws of one compiled call; a warm-up or block that is no multiple runs on to the next one
 BLOCK = 300  # draws per chain between two looks at the diagnostics
 MAX_BLOCKS = 8
 DIVERGENT_SHARE = 0.005
@@ -47,37 +49,39 @@ def sample_nuts(
     def potential(v: Float[Array, " k"]) -> Float[Array, ""]:
         return -density(centre + factor @ v)
 
-    mcmc = MCMC(
-        NUTS(potential_fn=potential, dense_mass=False, target_accept_prob=0.8),
-        num_warmup=warmup,
-        num_samples=BLOCK,
-        num_chains=chains,
-        chain_method="sequential",
-        progress_bar=False,
-    )
-    mcmc.run(run_key, init_params=jax.random.normal(start_key, (chains, density.size)), extra_fields=FIELDS)
+    # The kernel is driven here: numpyro's MCMC would compile the whole sampler anew for every chain and every block.
+    kernel = NUTS(potential_fn=potential, dense_mass=False, target_accept_prob=0.8)
+    begin = jax.jit(lambda key, v: kernel.init(key, warmup, v, (), {}))
+
+    @jax.jit
+    def stretch(state: HMCState) -> tuple[HMCState, tuple[Array, dict[str, Array]]]:
+        def step(state: HMCState, _: None):
+            state = kernel.sample(state, (), {})  # adapts for as long as state.i is below `warmup`
+            return state, (state.z, {name: getattr(state, name) for name in FIELDS})
+
+        return jax.lax.scan(step, state, None, length=STRETCH)
+
+    starts = jax.random.normal(start_key, (chains, density.size))
+    states = [begin(key, v) for key, v in zip(jax.random.split(run_key, chains), starts, strict=True)]
+    for _ in range(-(-warmup // STRETCH)):
+        states = [stretch(state)[0] for state in states]
     blocks, fields = [], []
     while True:
-        blocks.append(
-            np.asarray(
-                constrain_draws(density, jnp.asarray(mode.unwhiten(np.asarray(mcmc.get_samples(group_by_chain=True)))))
-            )
-        )
-        fields.append({k: np.asarray(v) for k, v in mcmc.get_extra_fields(group_by_chain=True).items()})
+        for _ in range(BLOCK // STRETCH):
+            ends = [stretch(state) for state in states]
+            states = [state for state, _ in ends]
+            v = np.stack([np.asarray(drawn) for _, (drawn, _) in ends])
+            blocks.append(np.asarray(constrain_draws(density, jnp.asarray(mode.unwhiten(v)))))
+            fields.append({name: np.stack([np.asarray(told[name]) for _, (_, told) in ends]) for name in FIELDS})
         x = np.concatenate(blocks, axis=1)
         marginals = diagnose(x, density.names)
-        done = converged(marginals)
+        done = converged(marginals) or x.shape[1] >= max_blocks * BLOCK
         if progress:
             least = min(m.ess_bulk for m in marginals.values())
-            progress(
-                f"NUTS: {x.shape[1]} draws a chain, ESS {least:.0f}",
-                1.0 if done else len(blocks) / max_blocks,
-            )
-        if done or len(blocks) >= max_blocks:
+            share = 1.0 if done else x.shape[1] / (max_blocks * BLOCK)
+            progress(f"NUTS: {x.shape[1]} draws a chain, ESS {least:.0f}", share)
+        if done:
             break
-        mcmc.post_warmup_state = mcmc.last_state
-        run_key, block_key = jax.random.split(run_key)
-        mcmc.run(block_key, extra_fields=FIELDS)
     joined = {name: np.concatenate([f[name] for f in fields], axis=1) for name in FIELDS}
     divergent = float(joined["diverging"].mean()) > DIVERGENT_SHARE
     return assemble(
