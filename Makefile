@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test check fast clean
+.PHONY: demo picture test check fast clean
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.13")'
@@ -16,6 +16,9 @@ $(STAMP): pyproject.toml constraints.txt
 
 demo: $(STAMP)  ## identify two simulated stall manoeuvres into ./demo (without the Gaussian processes: minutes, not a quarter of an hour)
 	$(BIN)/bayes-aero identify --no-gp --out demo
+
+picture: demo  ## the README's picture, from the demo
+	cp demo/figures/crb_vs_credible.png notebooks/uncertainty.png
 
 check: $(STAMP)  ## lint, types, layers
 	$(BIN)/ruff check .

@@ -15,7 +15,6 @@ from rich.table import Table
 from bayes_aero.inference.identification import Identification, Validation
 from bayes_aero.inference.posterior import Posterior
 from bayes_aero.inference.scores import score
-from bayes_aero.model.noise import Noise
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.comparison import (
     Estimate,
@@ -88,17 +87,6 @@ def _scatter_columns(identification: Identification, name: str) -> dict[str, flo
         "between_manoeuvres_sd": found.sd if found else np.nan,
         "largest_difference_in_crb": found.in_crb if found else np.nan,
     }
-
-
-def noise_table(identification: Identification) -> pd.DataFrame:
-    """Parameters of the chosen noise model as rows: mean, deviation and 95 % interval by engine."""
-    rows = {}
-    for parameter in Noise(identification.noise).parameters:
-        row: dict[str, Any] = {"unit": parameter.unit}
-        for key, posterior in chosen_posteriors(identification).items():
-            row |= _summary(posterior, parameter.name, key, interval=True)
-        rows[parameter.name] = row
-    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("parameter")
 
 
 def validation_table(identification: Identification) -> pd.DataFrame:

@@ -14,7 +14,6 @@ from bayes_aero.model.noise import Colour
 from bayes_aero.report.comparison import ORDER, ordered, scatter
 from bayes_aero.report.tables import (
     concise,
-    noise_table,
     paper_table,
     parameter_table,
     terminal_table,
@@ -73,13 +72,6 @@ def test_a_stage_that_has_not_run_has_no_columns(make):
 def test_where_white_noise_is_chosen_its_posterior_fills_both_places(make):
     row = parameter_table(make(noise=Colour.WHITE, engines=("emcee", "nuts"), width=1.1)).loc["CL0"]
     assert row["white_sd"] == row["emcee_sd"] == pytest.approx(0.011)
-
-
-def test_noise_table(full):
-    table = noise_table(full)
-    assert list(table.index) == [f"{kind}_{c}" for kind in ("sigma", "rho") for c in ("CL", "CD", "Cm")]
-    assert table.loc["sigma_CL", "emcee_mean"] == pytest.approx(0.02)
-    assert table.loc["rho_Cm", "nuts_sd"] == pytest.approx(0.05)
 
 
 def test_validation_table(full):
