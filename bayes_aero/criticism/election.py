@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.signal import lfilter
 
 from bayes_aero.criticism.lagged import ROUNDS, Fit, Lagged, inverse, stationary
@@ -34,32 +35,48 @@ class Standing:
     sd: tuple[float, ...]
 
 
-def standings(state: State, fit: Fit, base: Int[np.ndarray, " a"] | None = None) -> list[Standing]:
+def standings(state: State, fit: Fit, without: str | None = None) -> list[Standing]:
     """All candidates that are not in, the best first; each fitted with all active parameters and the noise free.
 
-    Bayes factors by Laplace's method under the parameters' priors. `base` replaces the active columns.
+    Bayes factors by Laplace's method under the parameters' priors. `without` takes one addition out first, to first
+    order: it then stands for election like the others.
     """
-    columns = state.columns() if base is None else base
-    blocks = [b for b in state.blocks if b[0] not in state.active]
+    lagged, mean = state.lagged, state.mean
+    active = tuple(e for e in state.active if e != without)
+    columns = state.columns(active)
+    blocks = [b for b in state.blocks if b[0] not in active]
+    if without is not None:
+        own = state.field.columns(state.field.parameters_of(without))
+        neutral = np.array([state.field.neutral[name] for name in state.field.parameters_of(without)])
+        lagged = lagged.shifted(own, neutral - state.theta[own])
+        mean = mean.copy()
+        mean[own] += state.theta[own] - neutral
     if not blocks:
         return []
-    result = _elect(state.lagged, columns, [b[1] for b in blocks], state.mean, state.precision, fit.phi, ROUNDS)
+    result = _elect(lagged, columns, [b[1] for b in blocks], mean, state.precision, fit.phi, ROUNDS)
     found = []
     for j, (effect, own, value) in enumerate(blocks):
         place = np.arange(len(columns), len(columns) + len(own))
         deviation = np.sqrt(np.maximum(np.diag(inverse(result.normal[j])), 0.0))
+        possible = value is None or result.step[j, place[0]] * (value - _present(state, effect)) > 0.0
         found.append(
             Standing(
                 effect=effect,
                 columns=tuple(int(i) for i in own),
                 value=value,
-                log_bayes=float(result.log_bayes[j]),
+                log_bayes=float(result.log_bayes[j]) if possible else -math.inf,
                 score=float(np.sqrt(max(0.0, 2.0 * result.gained[j]))),
                 step=tuple(float(x) for x in result.step[j, place]),
                 sd=tuple(float(x) for x in deviation[place]),
             )
         )
     return sorted(found, key=lambda s: -s.log_bayes)
+
+
+def _present(state: State, effect: str) -> float:
+    """Value of a scanned effect's parameter at the state."""
+    scan = next(s for s in state.scans if s.effect == effect)
+    return float(state.theta[state.field.columns([scan.parameter])[0]])
 
 
 class _Elected(NamedTuple):

@@ -66,6 +66,14 @@ class Lagged:
         chosen = list(folds)
         return Lagged(self.gram[chosen].sum(axis=0, keepdims=True), self.count[chosen].sum(keepdims=True))
 
+    def shifted(self, columns: Int[np.ndarray, " k"], by: Float[np.ndarray, " k"]) -> Lagged:
+        """The same products after a step `by` in `columns`: the residual becomes residual - S by."""
+        gram = self.gram.copy()
+        at = np.asarray(columns) + 1
+        gram[..., 0, :] -= np.einsum("fcijkl,k->fcijl", gram[..., at, :], by)
+        gram[..., :, 0] -= np.einsum("fcijkl,l->fcijk", gram[..., :, at], by)
+        return Lagged(gram, self.count)
+
     def fit_many(
         self,
         columns: Int[np.ndarray, "j k"],
@@ -125,6 +133,17 @@ class Lagged:
         squares = np.einsum("ca,cb,fcabkl,k,l->fc", psi, psi, part, v, v, optimize=True)
         return -0.5 * (squares / fit.sigma**2 + self.count[:, None] * np.log(2 * np.pi * fit.sigma**2)).sum(axis=1)
 
+    def log_density_at(self, fit: Fit, mean: Float[np.ndarray, " K"], precision: Float[np.ndarray, " K"]) -> float:
+        """Log-density of all folds under the noise of `fit`, its columns refitted here as far as `precision` allows."""
+        psi = np.concatenate([np.ones((len(fit.phi), 1)), -fit.phi], axis=1)
+        full = np.concatenate([[0], fit.columns + 1])
+        part = self.gram.sum(axis=0)[:, :, :, full[:, None], full[None, :]]
+        white = np.einsum("ca,cb,cabkl,c->kl", psi, psi, part, fit.sigma**-2, optimize=True)
+        own = precision[fit.columns]
+        step = inverse(white[1:, 1:] + np.diag(own)) @ (white[1:, 0] + own * mean[fit.columns])
+        here = Fit(fit.columns, step, fit.covariance, fit.phi, fit.sigma, fit.log_likelihood, fit.penalty)
+        return float(self.log_density(here).sum())
+
 
 class Products:
     """Lagged sensitivities kept at hand, so that only the residual's products are formed anew for each replicate."""
@@ -159,6 +178,17 @@ class Products:
 
 def _lags(x: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "p m k"]:
     return np.stack([x[ORDER - i : len(x) - i] for i in range(ORDER + 1)])
+
+    def log_density_at(self, fit: Fit, mean: Float[np.ndarray, " K"], precision: Float[np.ndarray, " K"]) -> float:
+        """Log-density of all folds under the noise of `fit`, its columns refitted here as far as `precision` allows."""
+        psi = np.concatenate([np.ones((len(fit.phi), 1)), -fit.phi], axis=1)
+        full = np.concatenate([[0], fit.columns + 1])
+        part = self.gram.sum(axis=0)[:, :, :, full[:, None], full[None, :]]
+        white = np.einsum("ca,cb,cabkl,c->kl", psi, psi, part, fit.sigma**-2, optimize=True)
+        own = precision[fit.columns]
+        step = inverse(white[1:, 1:] + np.diag(own)) @ (white[1:, 0] + own * mean[fit.columns])
+        here = Fit(fit.columns, step, fit.covariance, fit.phi, fit.sigma, fit.log_likelihood, fit.penalty)
+        return float(self.log_density(here).sum())
 
 
 def inverse(matrix: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:

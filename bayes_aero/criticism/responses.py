@@ -20,6 +20,7 @@ from bayes_aero.physics.coefficients import NAMES, coefficients
 from bayes_aero.physics.filters import FILTER_STEP
 from bayes_aero.physics.flightpath import PATH, PATH_NEEDS, integral, path_rates
 
+CHUNK = 16  # directions per call
 RESPONSE = ("q", *PATH)  # measured channels whose own scale an effect may change
 
 
@@ -60,10 +61,24 @@ class Responses(eqx.Module):
         """Residuals at parameters `theta` (the model's free ones), and what explains them, by name, at full rate."""
         return _evaluate(self, theta)
 
-    def linearise(self, theta: Float[Array, " k"]) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c k"]]:
-        """Residuals (measured minus modelled) and minus their derivative, so that new = old - S (theta' - theta)."""
-        residual, slope = _linearise(self, jnp.asarray(theta))
-        return np.asarray(residual), np.asarray(slope)
+    def linearise(
+        self, theta: Float[np.ndarray, " k"], columns: Int[np.ndarray, " j"] | None = None
+    ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c j"]]:
+        """Residuals (measured minus modelled) and minus their derivative, so that new = old - S (theta' - theta).
+
+        `columns` chooses parameters (default: all). They are taken `CHUNK` at a time, so any choice runs the one
+        compiled function.
+        """
+        wanted = np.arange(len(theta)) if columns is None else np.asarray(columns)
+        residual, parts = None, []
+        for begin in range(0, len(wanted), CHUNK):
+            chosen = wanted[begin : begin + CHUNK]
+            directions = np.zeros((CHUNK, len(theta)))
+            directions[np.arange(len(chosen)), chosen] = 1.0
+            residual, slope = _linearise(self, jnp.asarray(theta), jnp.asarray(directions))
+            parts.append(np.moveaxis(np.asarray(slope)[: len(chosen)], 0, 2))
+        assert residual is not None
+        return np.asarray(residual), np.concatenate(parts, axis=2)
 
 
 def _measured(responses: Responses, values: Mapping[str, Array], channels: Mapping[str, Array]):
@@ -95,8 +110,7 @@ def _residuals(responses: Responses, theta):
     modelled = jnp.stack([known[name] for name in NAMES], axis=-1)
     scales = _scales(responses, values)
     pressure = signals["density"] * jnp.square(signals["airspeed"])
-    smooth = f.conditioned(f.channels)
-    nominal = smooth["density"] * jnp.square(smooth["airspeed"])
+    nominal = f.channels["density"] * jnp.square(f.conditioned(f.channels)["airspeed"])
     force = pressure / nominal * (f.aircraft.mass / aircraft.mass)
     moment = pressure / nominal * (f.aircraft.Iy / aircraft.Iy) / scales["q"]
     residual = (measured - modelled) * jnp.stack([force, force, moment], axis=-1)
@@ -118,6 +132,6 @@ _evaluate = eqx.filter_jit(_residuals)
 
 
 @eqx.filter_jit
-def _linearise(responses: Responses, theta):
-    residual = _residuals(responses, theta)[0]
-    return residual, -jax.jacfwd(lambda t: _residuals(responses, t)[0])(theta)
+def _linearise(responses: Responses, theta, directions):
+    residual, slope = jax.linearize(lambda t: _residuals(responses, t)[0], theta)
+    return residual, -jax.vmap(slope)(directions)

@@ -15,6 +15,7 @@ from bayes_aero.physics.coefficients import NAMES
 
 PATH_OFFSET = "offset"  # a constant per manoeuvre and flight-path output: where the integral began
 REFITS = 8
+ENOUGH = 0.02  # nats
 FOLDS = 6  # of a single manoeuvre
 GUARD = 2.0  # s left out between neighbouring folds of one manoeuvre
 
@@ -158,39 +159,43 @@ def moved(
 def refitted(state: State) -> tuple[State, Fit]:
     """Gauss-Newton on all active parameters under coloured noise, each step kept inside the bounds.
 
-    A step that does not raise the penalised likelihood is halved; it ends when a step would gain less than 0.01.
+    A step that does not raise the penalised likelihood is halved; it ends when a step would gain less than `ENOUGH`.
     """
-    fit = state.fit()
     bounds = np.array([p.bounds for p in state.field.model.free])
-    width = len(state.theta)
+    at = state.columns()[: -len(state.offsets)] if len(state.offsets) else state.columns()
+    theta, here = state.theta, _local(state, state.theta, at)
     for _ in range(REFITS):
-        inside = fit.columns < width
-        share = 1.0
-        while True:
-            theta = state.theta.copy()
-            at = fit.columns[inside]
-            theta[at] += share * fit.step[inside]
-            theta[at] = np.clip(theta[at], bounds[at, 0] + 1e-9, bounds[at, 1] - 1e-9)
-            new = moved(state, theta)
-            trial = new.fit()
-            gained = (trial.log_likelihood - trial.penalty) - (fit.log_likelihood - fit.penalty)
-            now = _value_here(state, fit)
-            if np.isfinite(trial.log_likelihood) and _value_here(new, trial) > now - 1e-6 or share < 0.1:
+        fit, value = here
+        best = None
+        for share in (1.0, 0.5, 0.2):
+            trial = theta.copy()
+            trial[at] = np.clip(theta[at] + share * fit.step[: len(at)], bounds[at, 0] + 1e-9, bounds[at, 1] - 1e-9)
+            best = _local(state, trial, at)
+            if best[1] > value:
                 break
-            share *= 0.5
-        state, fit = new, trial
-        if abs(gained) < 0.01 and share == 1.0:
+        if best is None or not best[1] > value:
             break
-    return state, fit
+        theta, gained, here = trial, best[1] - value, best
+        if gained < ENOUGH:
+            break
+    state = moved(state, theta, scan=True)
+    return state, state.fit()
 
 
-def _value_here(state: State, fit: Fit) -> float:
-    """Penalised log-likelihood at the state itself (no step but the offsets'), with the fit's noise."""
-    inside = fit.columns < len(state.theta)
-    step = np.where(inside, 0.0, fit.step)
-    there = Fit(fit.columns, step, fit.covariance, fit.phi, fit.sigma, fit.log_likelihood, fit.penalty)
-    prior = 0.5 * np.sum((state.precision * state.mean**2)[fit.columns[inside]])
-    return float(state.lagged.log_density(there).sum()) - prior
+def _local(state: State, theta: np.ndarray, at: np.ndarray) -> tuple[Fit, float]:
+    """Regression on the active columns at `theta`, and the penalised log-likelihood there with the noise it finds."""
+    residual, S = state.responses.linearise(theta, at)
+    S = np.concatenate([np.where(np.isfinite(S), S, 0.0), state.S[:, :, state.offsets]], axis=2)
+    if not np.all(np.isfinite(residual)):
+        raise FloatingPointError("the residuals are not finite at a trial point")
+    lagged = Lagged.of(residual / state.swell, S / state.swell[:, :, None], state.folds)
+    mean, precision = prior_of([state.field.model.free[i] for i in at], theta[at])
+    free = np.arange(S.shape[2])
+    offsets = len(free) - len(at)
+    mean, precision = np.append(mean, np.zeros(offsets)), np.append(precision, np.full(offsets, 1e-12))
+    fit = lagged.fit(free, mean, precision)
+    only = lagged.fit(free[len(at) :], mean, precision)  # parameters as they are, only offsets and noise adapt
+    return fit, only.log_likelihood - 0.5 * float(np.sum(precision[: len(at)] * mean[: len(at)] ** 2))
 
 
 def swelling(state: State, fit: Fit) -> Float[np.ndarray, "m c"]:

@@ -13,7 +13,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.observations import with_sums
+from bayes_aero.model.observations import marks, with_sums
 from bayes_aero.physics.coefficients import REQUIRED, Signals, condition
 
 
@@ -61,19 +61,8 @@ def join(records: Sequence[FlightRecord], card: Card) -> Flights:
                 raise InputError(f"record {record.name} has no channel {need}; map it on the card")
     parts, offset = [], 0
     for record in records:
-        n = record.n
-        index = np.arange(n)
-        parts.append(
-            with_sums(record, card)
-            | {
-                "dt": np.full(n, record.dt),
-                "start": index == 0,
-                "elapsed": index * record.dt,
-                "first": np.full(n, offset),
-                "last": np.full(n, offset + n - 1),
-            }
-        )
-        offset += n
+        parts.append(with_sums(record, card) | marks(record.n, record.dt, offset))
+        offset += record.n
     shared = set.intersection(*(set(part) for part in parts))
     return Flights(
         channels={name: jnp.concatenate([jnp.asarray(part[name]) for part in parts]) for name in sorted(shared)},
