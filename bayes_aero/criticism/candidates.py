@@ -99,7 +99,7 @@ def prior_of(
     parameters: Sequence[Parameter], theta: Float[np.ndarray, " k"]
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """Mean and precision of the step from `theta`, from the parameters' priors taken as normal."""
-    pairs = np.array([normal_of(p.prior) for p in parameters])
+    pairs = np.array([normal_of(p.prior) for p in parameters]).reshape(-1, 2)
     return pairs[:, 0] - theta, pairs[:, 1] ** -2.0
 
 

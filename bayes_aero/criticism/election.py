@@ -1,76 +1,192 @@
-"""Which candidate explains what the model leaves: evidence of each, and how often noise alone would look as good."""
+"""Which candidate explains what the model leaves, and how often noise alone would look as good.
+
+Candidates are ranked by how much of the residual they explain. Whether that is more than chance is judged by the
+estimate over a deviation that knows the residual's colour, and the largest such score in noise-only replicates.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
-from scipy.signal import lfilter
+from jaxtyping import Float, Int
+from scipy import stats
 
-from bayes_aero.criticism.lagged import ROUNDS, Fit, Lagged, inverse, stationary
+from bayes_aero.criticism.colour import Colour, colour_of, unbiased
+from bayes_aero.criticism.regression import Fit, inverse
 from bayes_aero.criticism.state import State
 
 REPLICATES = 200  # noise-only replicates behind every p-value
-CORRECTION = 40  # replicates that measure the bias of the autoregression
-RECHECKED = 5  # candidates per replicate whose noise is re-estimated
+CORRECTION = 40  # replicates that measure the bias of the colour's estimate
 
 
 @dataclass(frozen=True)
 class Standing:
-    """One candidate: log of its Bayes factor against the present model, deviance gained, estimate of its step.
+    """One candidate against the present model.
 
-    `score` is the square root of the deviance gained: standard errors, for an effect of one parameter.
+    `gain` is the deviance it takes away; `score` its estimate in standard deviations that know the colour (for several
+    parameters the equivalent of one); `inflation` the variance over what white residuals would leave; `log_bayes` the
+    log Bayes factor of estimate and deviation under the effect's prior.
     """
 
     effect: str
     columns: tuple[int, ...]
     value: float | None
-    log_bayes: float
+    gain: float
     score: float
+    inflation: float
+    log_bayes: float
     step: tuple[float, ...]
     sd: tuple[float, ...]
 
 
-def standings(state: State, fit: Fit, without: str | None = None) -> list[Standing]:
-    """All candidates that are not in, the best first; each fitted with all active parameters and the noise free.
+@dataclass(frozen=True)
+class Poll:
+    """Standings, the most explaining first, and the largest score of each noise-only replicate."""
 
-    Bayes factors by Laplace's method under the parameters' priors. `without` takes one addition out first, to first
-    order: it then stands for election like the others.
+    standings: tuple[Standing, ...]
+    colour: Colour
+    nulls: Float[np.ndarray, " r"]
+
+    def p_value(self, score: float) -> float:
+        """Share of noise-only replicates in which some candidate scores at least as high."""
+        return float((1 + np.sum(self.nulls >= score)) / (1 + len(self.nulls)))
+
+    def of(self, effect: str) -> Standing | None:
+        """The best standing of one effect."""
+        return next((s for s in self.standings if s.effect == effect), None)
+
+
+class _Projected:
+    """Candidate columns with the active ones projected out, under the variances of the present fit."""
+
+    def __init__(self, state: State, fit: Fit, blocks: Sequence[np.ndarray]) -> None:
+        self.wanted = np.unique(np.concatenate(blocks))
+        self.place = [np.searchsorted(self.wanted, block) for block in blocks]
+        S, base, weight = state.scaled, fit.columns, 1.0 / fit.variance
+        A, B = S[:, :, self.wanted], S[:, :, base]
+        cross = np.einsum("mcb,c,mcj->bj", B, weight, A, optimize=True)
+        self.P = A - np.einsum("mcb,bj->mcj", B, inverse(fit.normal) @ cross, optimize=True)
+        inside = np.zeros(len(A), bool)
+        for fold in state.folds:
+            inside[fold] = True
+        self.P[~inside] = 0.0
+        self.variance = fit.variance
+        self.information = np.einsum("mci,c,mcj->ij", self.P, weight, self.P, optimize=True)
+
+    def scores(
+        self, residual: Float[np.ndarray, "m c"], colour: Colour, folds: Sequence[slice]
+    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """First-order estimate and its covariance for each block."""
+        right = np.einsum("mcj,c,mc->j", self.P, 1.0 / self.variance, residual, optimize=True)
+        meat = colour.meat(self.P, self.variance, folds)
+        estimates, covariances = [], []
+        for place in self.place:
+            bread = inverse(self.information[np.ix_(place, place)])
+            estimates.append(bread @ right[place])
+            covariances.append(bread @ meat[np.ix_(place, place)] @ bread)
+        return estimates, covariances
+
+
+def _equivalent(estimate: np.ndarray, covariance: np.ndarray) -> float:
+    """Wald statistic as the standard score of one parameter with the same tail probability."""
+    wald = float(estimate @ inverse(covariance) @ estimate)
+    if len(estimate) == 1:
+        return math.sqrt(max(wald, 0.0))
+    tail = stats.chi2.logsf(wald, len(estimate))
+    return float(stats.norm.isf(math.exp(max(tail, -700.0)) / 2.0)) if tail < 0.0 else 0.0
+
+
+def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, without: str | None = None) -> Poll:
+    """Fit every candidate with all active parameters free; draw noise-only replicates under the present model.
+
+    `without` takes one addition out first, to first order: it then stands for election like the others.
     """
-    lagged, mean = state.lagged, state.mean
+    products, mean, columns = state.products, state.mean, state.columns()
+    residual = state.left(fit)
     active = tuple(e for e in state.active if e != without)
-    columns = state.columns(active)
-    blocks = [b for b in state.blocks if b[0] not in active]
     if without is not None:
-        own = state.field.columns(state.field.parameters_of(without))
-        neutral = np.array([state.field.neutral[name] for name in state.field.parameters_of(without)])
-        lagged = lagged.shifted(own, neutral - state.theta[own])
+        names = state.field.parameters_of(without)
+        own = state.field.columns(names)
+        neutral = np.array([state.field.neutral[name] for name in names])
+        products = products.shifted(own, neutral - state.theta[own])
         mean = mean.copy()
         mean[own] += state.theta[own] - neutral
+        columns = state.columns(active)
+        shifted = products.fit(columns, mean, state.precision)
+        residual = residual + state.scaled[:, :, own] @ (state.theta[own] - neutral)
+        residual = residual - state.scaled[:, :, columns] @ shifted.step + state.scaled[:, :, fit.columns] @ fit.step
+        fit = shifted
+    blocks = [b for b in state.blocks if b[0] not in active]
     if not blocks:
-        return []
-    result = _elect(lagged, columns, [b[1] for b in blocks], mean, state.precision, fit.phi, ROUNDS)
+        return Poll((), colour_of(residual, state.folds), np.zeros(0))
+    projected = _Projected(state, fit, [b[1] for b in blocks])
+    colour = colour_of(residual, state.folds)
+    rng = np.random.default_rng(seed)
+    m = len(residual)
+    # Re-estimation from noise whose active columns were fitted shows how much faster the noise then looks.
+    drawn = colour.simulate(CORRECTION, state.folds, m, rng)
+    again = [colour_of(_without_active(state, fit, e), state.folds) for e in drawn]
+    colour = unbiased(colour, again)
+    estimates, covariances = projected.scores(residual, colour, state.folds)
+    gains = _gains(state, products, mean, columns, [b[1] for b in blocks], fit)
     found = []
     for j, (effect, own, value) in enumerate(blocks):
-        place = np.arange(len(columns), len(columns) + len(own))
-        deviation = np.sqrt(np.maximum(np.diag(inverse(result.normal[j])), 0.0))
-        possible = value is None or result.step[j, place[0]] * (value - _present(state, effect)) > 0.0
+        variance = np.diag(covariances[j])
+        white = np.diag(inverse(projected.information[np.ix_(projected.place[j], projected.place[j])]))
+        step = gains[1][j][: len(own)]
+        possible = value is None or step[0] * (value - _present(state, effect)) > 0.0
         found.append(
             Standing(
                 effect=effect,
                 columns=tuple(int(i) for i in own),
                 value=value,
-                log_bayes=float(result.log_bayes[j]) if possible else -math.inf,
-                score=float(np.sqrt(max(0.0, 2.0 * result.gained[j]))),
-                step=tuple(float(x) for x in result.step[j, place]),
-                sd=tuple(float(x) for x in deviation[place]),
+                gain=float(gains[0][j]) if possible else 0.0,
+                score=_equivalent(estimates[j], covariances[j]) if possible else 0.0,
+                inflation=float(np.max(variance / white)),
+                log_bayes=_log_bayes(estimates[j], covariances[j], mean[own], state.precision[own]),
+                step=tuple(float(x) for x in step),
+                sd=tuple(float(x) for x in np.sqrt(variance)),
             )
         )
-    return sorted(found, key=lambda s: -s.log_bayes)
+    nulls = []
+    for e in colour.simulate(replicates, state.folds, m, rng):
+        noise = _without_active(state, fit, e)
+        values = projected.scores(noise, colour_of(noise, state.folds), state.folds)
+        nulls.append(max(_equivalent(b, C) for b, C in zip(*values, strict=True)))
+    return Poll(tuple(sorted(found, key=lambda s: -s.gain)), colour, np.array(nulls))
+
+
+def _without_active(state: State, fit: Fit, residual: Float[np.ndarray, "m c"]) -> Float[np.ndarray, "m c"]:
+    """What is left of a noise record when the active columns are fitted to it."""
+    B = state.scaled[:, :, fit.columns]
+    step = inverse(fit.normal) @ np.einsum("mcb,c,mc->b", B, 1.0 / fit.variance, residual, optimize=True)
+    return residual - B @ step
+
+
+def _gains(
+    state: State, products, mean: np.ndarray, columns: np.ndarray, blocks: Sequence[np.ndarray], fit: Fit
+) -> tuple[np.ndarray, np.ndarray]:
+    """Deviance that each block takes away, and its steps; short blocks are filled up with the column of zeros."""
+    dummy = state.S.shape[2] - 1
+    width = max(len(own) for own in blocks)
+    rows = np.array([np.concatenate([columns, own, np.full(width - len(own), dummy)]) for own in blocks], int)
+    step, _, _, deviance = products.fit_many(rows, mean, state.precision)
+    return fit.deviance - deviance, step[:, len(columns) :]
+
+
+def _log_bayes(estimate: np.ndarray, covariance: np.ndarray, mean: np.ndarray, precision: np.ndarray) -> float:
+    """log N(estimate; mean, covariance + prior) - log N(estimate; 0, covariance)."""
+    wide = covariance + np.diag(1.0 / np.maximum(precision, 1e-30))
+    return float(_log_normal(estimate - mean, wide) - _log_normal(estimate, covariance))
+
+
+def _log_normal(x: np.ndarray, covariance: np.ndarray) -> float:
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    _, determinant = np.linalg.slogdet(covariance / np.outer(size, size) + 1e-11 * np.eye(len(x)))
+    return -0.5 * (x @ inverse(covariance) @ x + determinant) - np.sum(np.log(size))
 
 
 def _present(state: State, effect: str) -> float:
@@ -79,110 +195,12 @@ def _present(state: State, effect: str) -> float:
     return float(state.theta[state.field.columns([scan.parameter])[0]])
 
 
-class _Elected(NamedTuple):
-    log_bayes: np.ndarray  # (j,)
-    gained: np.ndarray  # (j,) log-likelihood
-    step: np.ndarray  # (j, k)
-    normal: np.ndarray  # (j, k, k)
+def uncertainty(state: State, fit: Fit, colour: Colour) -> Float[np.ndarray, "k k"]:
+    """Covariance of the active columns' estimates that coloured residuals leave."""
+    bread = inverse(fit.normal)
+    return bread @ colour.meat(state.scaled[:, :, fit.columns], fit.variance, state.folds) @ bread
 
 
-def _elect(
-    lagged: Lagged,
-    base: np.ndarray,
-    blocks: Sequence[np.ndarray],
-    mean: np.ndarray,
-    precision: np.ndarray,
-    phi: np.ndarray,
-    rounds: int,
-) -> _Elected:
-    """Fit the base alone and with each block (the last column of all is zero and fills up short blocks)."""
-    dummy = lagged.gram.shape[-1] - 2
-    width = max(len(own) for own in blocks)
-    rows = np.array([np.concatenate([base, own, np.full(width - len(own), dummy)]) for own in blocks], int)
-    step, normal, _, _, likelihood, penalty = lagged.fit_many(rows, mean, precision, rounds, phi)
-    _, normal0, _, _, likelihood0, penalty0 = lagged.fit_many(base[None], mean, precision, rounds, phi)
-    spread = _log_determinant(normal) - _log_determinant(normal0)
-    prior = np.array([np.sum(np.log(precision[own])) for own in blocks])
-    gained = (likelihood - penalty) - (likelihood0 - penalty0)
-    return _Elected(gained + 0.5 * (prior - spread), likelihood - likelihood0, step, normal)
-
-
-def _log_determinant(matrices: Float[np.ndarray, "j k k"]) -> Float[np.ndarray, " j"]:
-    size = np.maximum(np.diagonal(matrices, axis1=1, axis2=2), 1e-300)
-    scaled = matrices / np.sqrt(size[:, :, None] * size[:, None, :]) + 1e-12 * np.eye(matrices.shape[1])
-    return np.linalg.slogdet(scaled)[1] + np.sum(np.log(size), axis=1)
-
-
-@dataclass(frozen=True)
-class Nulls:
-    """What the best candidate reaches when nothing is there: `best` (replicates,) of the log Bayes factor."""
-
-    best: Float[np.ndarray, " r"]
-    phi: Float[np.ndarray, "c p"]
-
-    def p_value(self, log_bayes: float) -> float:
-        """Share of noise-only replicates in which some candidate does at least as well."""
-        return float((1 + np.sum(self.best >= log_bayes)) / (1 + len(self.best)))
-
-
-def noise_only(state: State, fit: Fit, seed: int, replicates: int = REPLICATES) -> Nulls:
-    """Simulate the fitted noise on the present model and elect in every replicate.
-
-    The autoregression is corrected for its small-sample bias first (Kilian 1998), which otherwise makes slow noise
-    look faster than it is and false alarms frequent.
-    """
-    rng = np.random.default_rng(seed)
-    columns = state.columns()
-    products = state.products()
-    blocks = [b[1] for b in state.blocks if b[0] not in state.active]
-    mean = np.where(np.isin(np.arange(len(state.mean)), columns), 0.0, state.mean)  # the truth is the present model
-    phi = stationary(fit.phi)
-    drawn = products.replicates(simulated(state, phi, fit.sigma, CORRECTION, rng))
-    again = np.mean([lagged.fit(columns, mean, state.precision).phi for lagged in drawn], axis=0)
-    phi = stationary(2.0 * phi - again)
-    best = []
-    for lagged in products.replicates(simulated(state, phi, fit.sigma, replicates, rng)):
-        null = lagged.fit(columns, mean, state.precision)
-        order = np.argsort(-_scores(lagged, null, blocks, mean, state.precision))[:RECHECKED]
-        leaders = [blocks[i] for i in order]
-        best.append(_elect(lagged, columns, leaders, mean, state.precision, null.phi, 3).log_bayes.max())
-    return Nulls(np.array(best), phi)
-
-
-def simulated(
-    state: State, phi: np.ndarray, sigma: np.ndarray, count: int, rng: np.random.Generator
-) -> Float[np.ndarray, "r m c"]:
-    """`count` noise records, divided by the swell, each stretch begun anew after a run-in of 40 s."""
-    m, outputs = state.residual.shape
-    out = np.zeros((count, m, outputs))
-    for stretch in (s for stretches in state.folds for s in stretches):
-        length = stretch.stop - stretch.start
-        white = rng.standard_normal((count, length + 200, outputs)) * sigma
-        for c in range(outputs):
-            noise = lfilter([1.0], np.concatenate([[1.0], -phi[c]]), white[:, :, c], axis=1)
-            out[:, stretch, c] = noise[:, 200:]
-    return out
-
-
-def _scores(
-    lagged: Lagged, null: Fit, blocks: Sequence[np.ndarray], mean: np.ndarray, precision: np.ndarray
-) -> Float[np.ndarray, " j"]:
-    """Log Bayes factor of every block under the null's noise, by projecting out the null's columns once."""
-    psi = np.concatenate([np.ones((len(null.phi), 1)), -null.phi], axis=1)
-    white = np.einsum("ca,cb,cabkl->ckl", psi, psi, lagged.gram.sum(axis=0), optimize=True)
-    normal = np.einsum("c,ckl->kl", null.sigma**-2, white)
-    own = normal[1:, 1:] + np.diag(precision)
-    right = normal[1:, 0] + precision * mean
-    base = null.columns
-    across = own[base] .T @ inverse(own[np.ix_(base, base)])
-    left = own - across @ own[base]
-    rest = right - across @ right[base]
-    found = []
-    for block in blocks:
-        M, b = left[np.ix_(block, block)], rest[block]
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(M), 1e-300))
-        M, b = M * np.outer(scale, scale) + 1e-9 * np.eye(len(block)), b * scale
-        occam = np.sum(np.log(precision[block])) - np.linalg.slogdet(M)[1] + 2.0 * np.sum(np.log(scale))
-        prior = np.sum(precision[block] * mean[block] ** 2)
-        found.append(0.5 * (b @ np.linalg.solve(M, b) - prior + occam))
-    return np.array(found)
+def columns_of(state: State, standing: Standing) -> Int[np.ndarray, " k"]:
+    """Active columns and the candidate's."""
+    return np.concatenate([state.columns(), np.array(standing.columns, int)])

@@ -47,6 +47,11 @@ class Responses(eqx.Module):
         """Which manoeuvre each block belongs to."""
         return np.repeat(np.arange(len(self.flights.lengths)), [k // FILTER_STEP for k in self.flights.lengths])
 
+    @property
+    def seconds(self) -> float:
+        """Length of a block, s."""
+        return FILTER_STEP * float(np.median(np.asarray(self.flights.channels["dt"])))
+
     def block(self, x: Float[Array, "n ..."]) -> Float[Array, "m ..."]:
         """Means over blocks, manoeuvre by manoeuvre; the last samples that fill no block are left out."""
         begin, parts = 0, []
@@ -71,7 +76,7 @@ class Responses(eqx.Module):
         """
         wanted = np.arange(len(theta)) if columns is None else np.asarray(columns)
         residual, parts = None, []
-        for begin in range(0, len(wanted), CHUNK):
+        for begin in range(0, max(1, len(wanted)), CHUNK):
             chosen = wanted[begin : begin + CHUNK]
             directions = np.zeros((CHUNK, len(theta)))
             directions[np.arange(len(chosen)), chosen] = 1.0

@@ -9,13 +9,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from bayes_aero.criticism.candidates import Field, prior_of
-from bayes_aero.criticism.lagged import ORDER, Fit, Lagged, Products
+from bayes_aero.criticism.colour import ORDER, colour_of
+from bayes_aero.criticism.regression import Fit, Products
 from bayes_aero.criticism.responses import Responses
 from bayes_aero.physics.coefficients import NAMES
 
 PATH_OFFSET = "offset"  # a constant per manoeuvre and flight-path output: where the integral began
 REFITS = 8
-ENOUGH = 0.02  # nats
+ENOUGH = 0.05  # of the deviance
 FOLDS = 6  # of a single manoeuvre
 GUARD = 2.0  # s left out between neighbouring folds of one manoeuvre
 
@@ -33,18 +34,20 @@ class Scan:
 class State:
     """Parameters `theta` (all of the field's), residuals and sensitivities there; `swell` is the noise's growth.
 
-    Columns beyond the parameters: the flight-path offsets, active always; a column for every scanned value of a
-    candidate that has no slope at neutral; and a last one of zeros, which fills up blocks of unequal width.
+    Outputs are those of one stage of the criticism: the coefficients, or the flight path. Columns beyond the
+    parameters: the flight-path offsets, active always; a column for every scanned value of a candidate that has no
+    slope at neutral; and a last one of zeros, which fills up blocks of unequal width.
     """
 
     field: Field
     responses: Responses
+    outputs: tuple[str, ...]
     theta: Float[np.ndarray, " k"]
     residual: Float[np.ndarray, "m c"]
     S: Float[np.ndarray, "m c K"]
     swell: Float[np.ndarray, "m c"]
-    folds: tuple[tuple[slice, ...], ...]
-    lagged: Lagged
+    folds: tuple[slice, ...]
+    products: Products
     mean: Float[np.ndarray, " K"]
     precision: Float[np.ndarray, " K"]
     active: tuple[str, ...]  # names of the effects that are in, beyond the card's
@@ -57,7 +60,10 @@ class State:
 
     @property
     def blocks(self) -> list[tuple[str, Int[np.ndarray, " w"], float | None]]:
-        """Every way in which a candidate may enter: its name, its columns, and the scanned value if there is one."""
+        """Every way in which a candidate may enter: its name, its columns, and the scanned value if there is one.
+
+        Candidates that do not reach the outputs are left out.
+        """
         found: list[tuple[str, np.ndarray, float | None]] = []
         scanned = {scan.effect for scan in self.scans}
         begin = self.S.shape[2] - len(self.scans) - 1
@@ -66,62 +72,67 @@ class State:
         for effect in self.field.candidates:
             if effect.name not in scanned:
                 found.append((effect.name, self.field.columns(self.field.parameters_of(effect.name)), None))
-        return found
+        return [block for block in found if np.any(self.S[:, :, block[1]] != 0.0)]
 
     def columns(self, effects: Sequence[str] | None = None) -> Int[np.ndarray, " a"]:
         """Columns of the card's effects, of `effects` (default: those that are in), and the offsets."""
         names = (*self.field.base, *(self.active if effects is None else effects))
-        own = [p for name in names for p in self.field.parameters_of(name) if p in self.field.model.names]
-        return np.concatenate([self.field.columns(own), self.offsets])
+        own = self.field.columns([p for n in names for p in self.field.parameters_of(n) if p in self.field.model.names])
+        return np.concatenate([own[np.any(self.S[:, :, own] != 0.0, axis=(0, 1))], self.offsets])
 
-    def products(self) -> Products:
-        """What replicates of the noise need."""
-        return Products(self.lagged, self.S / self.swell[:, :, None], self.folds)
+    def fit(self, effects: Sequence[str] | None = None) -> Fit:
+        """Regression with `effects` on all folds."""
+        return self.products.fit(self.columns(effects), self.mean, self.precision)
 
-    def fit(self, effects: Sequence[str] | None = None, folds: Sequence[int] | None = None) -> Fit:
-        """Regression with `effects` on all folds or the chosen ones."""
-        lagged = self.lagged if folds is None else self.lagged.over(folds)
-        return lagged.fit(self.columns(effects), self.mean, self.precision)
+    def left(self, fit: Fit) -> Float[np.ndarray, "m c"]:
+        """Residuals that a fit leaves, divided by the swell."""
+        return (self.residual - self.S[:, :, fit.columns] @ fit.step) / self.swell
+
+    @property
+    def scaled(self) -> Float[np.ndarray, "m c K"]:
+        """Sensitivities divided by the swell."""
+        return self.S / self.swell[:, :, None]
 
 
-def folds_of(manoeuvre: Int[np.ndarray, " m"], seconds: float) -> tuple[tuple[slice, ...], ...]:
+def folds_of(manoeuvre: Int[np.ndarray, " m"], seconds: float) -> tuple[slice, ...]:
     """Manoeuvres as folds, or contiguous parts of a single one with a gap of `GUARD` s between them."""
     if manoeuvre[-1] > 0:
         edges = [np.flatnonzero(manoeuvre == k) for k in range(manoeuvre[-1] + 1)]
-        return tuple((slice(int(e[0]), int(e[-1]) + 1),) for e in edges)
+        return tuple(slice(int(e[0]), int(e[-1]) + 1) for e in edges)
     cuts = np.linspace(0, len(manoeuvre), FOLDS + 1).astype(int)
     gap = max(1, round(GUARD / seconds / 2))
     return tuple(
-        (slice(a + (gap if a else 0), b - (gap if b < len(manoeuvre) else 0)),)
+        slice(int(a) + (gap if a else 0), int(b) - (gap if b < len(manoeuvre) else 0))
         for a, b in zip(cuts[:-1], cuts[1:], strict=True)
     )
 
 
-def _offsets(responses: Responses) -> Float[np.ndarray, "m c o"]:
-    manoeuvre, outputs = responses.manoeuvre, len(responses.outputs)
-    count, path = int(manoeuvre[-1]) + 1, outputs - len(NAMES)
-    S = np.zeros((len(manoeuvre), outputs, count * path))
-    for k in range(count):
-        for c in range(path):
-            S[manoeuvre == k, len(NAMES) + c, k * path + c] = 1.0
+def _offsets(responses: Responses, outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:
+    manoeuvre = responses.manoeuvre
+    path = [c for c, name in enumerate(outputs) if name not in NAMES]
+    S = np.zeros((len(manoeuvre), len(outputs), (int(manoeuvre[-1]) + 1) * len(path)))
+    for number, (k, c) in enumerate((k, c) for k in range(int(manoeuvre[-1]) + 1) for c in path):
+        S[manoeuvre == k, c, number] = 1.0
     return S
 
 
 def linearised(
     field: Field,
     responses: Responses,
+    outputs: tuple[str, ...],
     theta: Float[np.ndarray, " k"],
-    active: tuple[str, ...],
+    active: tuple[str, ...] = (),
     swell: Float[np.ndarray, "m c"] | None = None,
-    scan: bool = True,
 ) -> State:
     """The state at `theta`: residuals, sensitivities to every parameter, and their inner products.
 
-    `scan` tries the scanned values of candidates that are not active; a refit has no use for them.
+    Candidates that are not active and have no slope at neutral are tried at their scanned values.
     """
+    keep = [responses.outputs.index(name) for name in outputs]
     residual, S = responses.linearise(theta)
-    scans, extra = [], [_offsets(responses)]
-    for effect in field.candidates if scan else ():
+    residual, S = residual[:, keep], S[:, keep]
+    scans, extra = [], [_offsets(responses, outputs)]
+    for effect in field.candidates:
         if effect.name in active:
             continue
         for name, values in effect.scan.items():
@@ -129,73 +140,69 @@ def linearised(
             for value in values:
                 there = theta.copy()
                 there[at] = value
-                other = np.asarray(responses.evaluate(there)[0])
+                other = np.asarray(responses.evaluate(there)[0])[:, keep]
                 extra.append(((residual - other) / (value - theta[at]))[:, :, None])
                 scans.append(Scan(effect.name, name, value))
     S = np.concatenate([S, *extra, np.zeros((*residual.shape, 1))], axis=2)
     S = np.where(np.isfinite(S), S, 0.0)
     swell = np.ones_like(residual) if swell is None else swell
-    dt = float(np.median(np.asarray(responses.flights.channels["dt"])))
-    folds = folds_of(responses.manoeuvre, dt * len(responses.flights.time) / len(residual))
+    folds = folds_of(responses.manoeuvre, responses.seconds)
     mean, precision = prior_of(field.model.free, theta)
-    offsets = extra[0].shape[2]
     of_scans = [int(field.columns([s.parameter])[0]) for s in scans]
-    mean = np.concatenate([mean, np.zeros(offsets), mean[of_scans], [0.0]])
-    precision = np.concatenate([precision, np.full(offsets, 1e-12), precision[of_scans], [1.0]])
-    lagged = Lagged.of(residual / swell, S / swell[:, :, None], folds)
+    nothing = np.zeros(extra[0].shape[2])
+    mean = np.concatenate([mean, nothing, mean[of_scans], [0.0]])
+    precision = np.concatenate([precision, nothing, precision[of_scans], [1.0]])
+    products = Products.of(residual / swell, S / swell[:, :, None], folds)
     return State(
-        field, responses, theta, residual, S, swell, folds, lagged, mean, precision, active, tuple(scans)
+        field, responses, outputs, theta, residual, S, swell, folds, products, mean, precision, active, tuple(scans)
     )
 
 
-def moved(
-    state: State, theta: Float[np.ndarray, " k"], active: tuple[str, ...] | None = None, scan: bool = False
-) -> State:
-    """The state at other parameters, with the same noise growth."""
+def moved(state: State, theta: Float[np.ndarray, " k"], active: tuple[str, ...] | None = None) -> State:
+    """The state at other parameters or with other effects in, with the same noise growth."""
     chosen = state.active if active is None else active
-    return linearised(state.field, state.responses, theta, chosen, state.swell, scan)
+    return linearised(state.field, state.responses, state.outputs, theta, chosen, state.swell)
 
 
 def refitted(state: State) -> tuple[State, Fit]:
-    """Gauss-Newton on all active parameters under coloured noise, each step kept inside the bounds.
+    """Gauss-Newton on all active parameters, each step kept inside the bounds.
 
-    A step that does not raise the penalised likelihood is halved; it ends when a step would gain less than `ENOUGH`.
+    A step that does not lower the deviance is shortened; it ends when a step gains less than `ENOUGH`.
     """
     bounds = np.array([p.bounds for p in state.field.model.free])
-    at = state.columns()[: -len(state.offsets)] if len(state.offsets) else state.columns()
+    columns = state.columns()
+    at = columns[columns < len(state.theta)]
     theta, here = state.theta, _local(state, state.theta, at)
     for _ in range(REFITS):
         fit, value = here
-        best = None
-        for share in (1.0, 0.5, 0.2):
+        for share in (1.0, 0.5, 0.2, 0.05):
             trial = theta.copy()
             trial[at] = np.clip(theta[at] + share * fit.step[: len(at)], bounds[at, 0] + 1e-9, bounds[at, 1] - 1e-9)
-            best = _local(state, trial, at)
-            if best[1] > value:
+            new = _local(state, trial, at)
+            if new[1] < value:
                 break
-        if best is None or not best[1] > value:
+        if not new[1] < value:
             break
-        theta, gained, here = trial, best[1] - value, best
+        theta, gained, here = trial, value - new[1], new
         if gained < ENOUGH:
             break
-    state = moved(state, theta, scan=True)
+    state = moved(state, theta)
     return state, state.fit()
 
 
 def _local(state: State, theta: np.ndarray, at: np.ndarray) -> tuple[Fit, float]:
-    """Regression on the active columns at `theta`, and the penalised log-likelihood there with the noise it finds."""
+    """Regression on the active columns at `theta`, and the deviance there with the variances it finds."""
+    keep = [state.responses.outputs.index(name) for name in state.outputs]
     residual, S = state.responses.linearise(theta, at)
-    S = np.concatenate([np.where(np.isfinite(S), S, 0.0), state.S[:, :, state.offsets]], axis=2)
-    if not np.all(np.isfinite(residual)):
-        raise FloatingPointError("the residuals are not finite at a trial point")
-    lagged = Lagged.of(residual / state.swell, S / state.swell[:, :, None], state.folds)
+    residual, S = residual[:, keep], np.where(np.isfinite(S), S, 0.0)[:, keep]
+    S = np.concatenate([S, state.S[:, :, state.offsets]], axis=2)
+    products = Products.of(residual / state.swell, S / state.swell[:, :, None], state.folds)
     mean, precision = prior_of([state.field.model.free[i] for i in at], theta[at])
+    offsets = np.zeros(S.shape[2] - len(at))
+    mean, precision = np.append(mean, offsets), np.append(precision, offsets)
     free = np.arange(S.shape[2])
-    offsets = len(free) - len(at)
-    mean, precision = np.append(mean, np.zeros(offsets)), np.append(precision, np.full(offsets, 1e-12))
-    fit = lagged.fit(free, mean, precision)
-    only = lagged.fit(free[len(at) :], mean, precision)  # parameters as they are, only offsets and noise adapt
-    return fit, only.log_likelihood - 0.5 * float(np.sum(precision[: len(at)] * mean[: len(at)] ** 2))
+    only = products.fit(free[len(at) :], mean, precision)  # parameters as they are; offsets and variances adapt
+    return products.fit(free, mean, precision), only.deviance + float(np.sum(precision[: len(at)] * mean[: len(at)] ** 2))
 
 
 def swelling(state: State, fit: Fit) -> Float[np.ndarray, "m c"]:
@@ -205,16 +212,20 @@ def swelling(state: State, fit: Fit) -> Float[np.ndarray, "m c"]:
     """
     _, known = state.responses.evaluate(state.theta)
     apart = 1.0 - np.asarray(state.responses.block(known["X"]))
-    residual = state.residual - state.S[:, :, fit.columns] @ fit.step
+    residual = state.left(fit) * state.swell
+    colour = colour_of(residual, state.folds)
     swell = np.ones_like(residual)
-    for c in range(len(NAMES)):
+    for c, name in enumerate(state.outputs):
+        if name not in NAMES or np.ptp(apart) < 0.05:
+            continue
         size, x = [], []
-        for (stretch,) in state.folds:
-            r = residual[stretch, c]
-            lags = np.stack([r[ORDER - i : len(r) - i] for i in range(ORDER + 1)])
-            size.append(np.abs(lags[0] - fit.phi[c] @ lags[1:]))
-            x.append(apart[stretch][ORDER:])
-        level = np.polyfit(np.concatenate(x), np.minimum(np.concatenate(size), 10 * np.median(np.concatenate(size))), 1)
-        if np.ptp(apart) > 0.05 and level[1] > 0.0:
-            swell[:, c] = 1.0 + max(0.0, level[0] / level[1]) * apart
+        for fold in state.folds:
+            r = residual[fold, c]
+            past = np.stack([r[ORDER - i : len(r) - i] for i in range(1, ORDER + 1)])
+            size.append(np.abs(r[ORDER:] - colour.phi[c] @ past))
+            x.append(apart[fold][ORDER:])
+        innovation = np.concatenate(size)
+        slope, level = np.polyfit(np.concatenate(x), np.minimum(innovation, 10 * np.median(innovation)), 1)
+        if level > 0.0:
+            swell[:, c] = 1.0 + max(0.0, slope / level) * apart
     return swell
