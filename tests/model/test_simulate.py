@@ -1,0 +1,202 @@
+"""The simulated flight against flight mechanics that was not taken from the simulator."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bayes_aero.effect import Effect, Example, Kind, Stage
+from bayes_aero.model.model import Model
+from bayes_aero.model.plant import Inputs, Plant, Prescribed
+from bayes_aero.model.simulate import Pilot, State, fly
+from bayes_aero.physics.atmosphere import GRAVITY, air
+from bayes_aero.physics.coefficients import coefficients, condition
+from bayes_aero.physics.filters import differentiate
+from bayes_aero.physics.kinematics import Rotation, lever_arm
+from bayes_aero.studies.demo import PROFILES, TRUTH, _alpha_command
+
+DT = 0.04
+N = 2001
+INNER = slice(20, -20)
+
+
+def pilot(n: int = N, **changes) -> Pilot:
+    zero = jnp.zeros(n)
+    return Pilot(
+        alpha=zero,
+        thrust=zero,
+        excitation=zero,
+        disturbance=jnp.zeros((n, 3)),
+        alpha_gain=jnp.asarray(0.7),
+        rate_gain=jnp.asarray(0.2),
+    )._replace(**changes)
+
+
+def state(V, alpha, theta, q=0.0, h=3000.0, X=1.0) -> State:
+    return State(*(jnp.asarray(float(x)) for x in (V, alpha, theta, q, h, X)))
+
+
+def weave(n: int = N) -> tuple[np.ndarray, np.ndarray]:
+    """Bank of 30 deg and sideslip of 4 deg either way, smooth."""
+    t = np.arange(n) * DT
+    return np.deg2rad(30.0) * np.sin(0.5 * t) ** 3, np.deg2rad(4.0) * np.sin(0.7 * t + 1.0)
+
+
+def constants() -> dict:
+    return {name: jnp.asarray(value) for name, value in TRUTH.items()}
+
+
+BARE = Effect(
+    "bare",
+    Kind.AERODYNAMICS,
+    Stage.TOTAL,
+    "Constant coefficients.",
+    (),
+    (),
+    lambda v, *_: {name: v[name] for name in ("CL", "CD", "Cm")},
+    Example({}, {}, {}, "-"),
+    "-",
+)
+
+
+def bare(CL=0.0, CD=0.0, Cm=0.0) -> dict:
+    """Values of a model of constant coefficients; the elevator is powerless."""
+    return {name: jnp.asarray(float(x)) for name, x in {"CL": CL, "CD": CD, "Cm": Cm, "Cmde": 1.0}.items()}
+
+
+@pytest.fixture(scope="module")
+def stall(card):
+    """A stall with banks and sideslip, noise-free: channels of the record, and what was simulated."""
+    model = Model.of(card.effects)
+    phi, beta = weave()
+    time = np.arange(N) * DT
+    p = pilot(
+        alpha=jnp.asarray(_alpha_command(time, PROFILES[0])),
+        thrust=jnp.asarray(np.interp(time, [0, 5, 8], [22e3, 22e3, 5e3])),
+        phi=jnp.asarray(phi),
+        beta=jnp.asarray(beta),
+    )
+    states, out = fly(model, constants(), card.aircraft, p, state(95, np.deg2rad(6), np.deg2rad(6), h=5200), DT)
+    channels = {key: out[key] for key in ("ax", "ay", "az", "p", "r", "elevator")} | {
+        "q": states.q,
+        "theta": states.theta,
+        "phi": jnp.asarray(phi),
+        "beta": jnp.asarray(beta),
+        "alpha": states.alpha,
+        "airspeed": states.V,
+        "altitude": states.h,
+        "density": air(states.h)[0],
+        "thrust": p.thrust,
+    }
+    return channels, out
+
+
+def test_wings_level_equations_are_the_symmetric_ones(card):
+    """Etkin's symmetric equations, written out here, at random states."""
+    model, a = Model.of(card.effects), card.aircraft
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        V, alpha, gamma, q = rng.uniform(60, 110), rng.uniform(0.05, 0.3), rng.uniform(-0.1, 0.1), rng.normal(0, 0.05)
+        inputs = Inputs(jnp.asarray(alpha), jnp.asarray(9e3), jnp.asarray(0.01), jnp.zeros(3))
+        plant = Plant(model, constants(), a, (jnp.asarray(0.7), jnp.asarray(0.2)), jnp.asarray(0.0))
+        rest = Prescribed(*(jnp.asarray(0.0) for _ in Prescribed._fields))
+        rates, out = plant.motion(state(V, alpha, alpha + gamma, q), inputs, rest)
+        qS = 0.5 * float(air(jnp.asarray(3000.0))[0]) * V**2 * a.wing_area
+        lift, drag = qS * float(out["CL"]), qS * float(out["CD"])
+        along = (9e3 * np.cos(alpha) - drag) / a.mass - GRAVITY * np.sin(gamma)
+        assert pytest.approx(along, rel=1e-10) == rates.V
+        level = q - (lift + 9e3 * np.sin(alpha)) / (a.mass * V) + GRAVITY * np.cos(gamma) / V
+        assert rates.alpha == pytest.approx(level, abs=1e-11)
+        assert rates.theta == pytest.approx(q)
+        assert rates.h == pytest.approx(V * np.sin(gamma))
+        assert out["ay"] == out["p"] == out["r"] == 0.0
+        Cm_cg = float(out["Cm"]) + (
+            -(drag * np.cos(alpha) - lift * np.sin(alpha)) * a.reference_point[2]
+            + (lift * np.cos(alpha) + drag * np.sin(alpha)) * a.reference_point[0]
+        ) / (qS * a.chord)
+        assert rates.q == pytest.approx((qS * a.chord * Cm_cg + 9e3 * a.engine[2]) / a.Iy, rel=1e-10)
+
+
+def test_a_body_without_forces_keeps_its_energy(card):
+    """Rolling does no work: V^2/2 + g h is constant in a parabola with any bank angle."""
+    model = Model.of([BARE])
+    phi, _ = weave(150)
+    states, _ = fly(model, bare(), card.aircraft, pilot(150, phi=jnp.asarray(phi)), state(90, 0.1, 0.3), DT)
+    energy = 0.5 * states.V**2 + GRAVITY * states.h
+    assert float(states.h.max() - states.h.min()) > 10.0
+    np.testing.assert_allclose(energy, energy[0], rtol=1e-7)
+
+
+def test_with_sideslip_only_the_side_force_works(card):
+    """d/dt (V^2/2 + g h) = side force x side velocity, and the side force is what `ay` records at the CG."""
+    model, n = Model.of([BARE]), 150
+    phi, beta = weave(n)
+    aircraft = replace(card.aircraft, accelerometer=(0.0, 0.0, 0.0))
+    p = pilot(n, phi=jnp.asarray(phi), beta=jnp.asarray(beta))
+    states, out = fly(model, bare(), aircraft, p, state(90, 0.1, 0.3), DT)
+    power = differentiate(0.5 * states.V**2 + GRAVITY * states.h, DT)
+    np.testing.assert_allclose(power[INNER], (out["ay"] * states.V * np.sin(beta))[INNER], atol=0.02)
+    assert float(jnp.abs(power).max()) > 1.0
+
+
+@pytest.mark.parametrize("degrees", [-30.0, 20.0, 45.0])
+def test_steady_level_turn(card, degrees):
+    """Lift m g/cos(bank) holds a level turn of rate g tan(bank)/V at constant speed (any flight-mechanics text).
+
+    There the bank is that of the lift, of sine cos(theta) sin(phi).
+    """
+    phi, V, alpha, h = np.deg2rad(degrees), 90.0, 0.12, 3000.0
+    a = replace(card.aircraft, accelerometer=(0.0, 0.0, 0.0), reference_point=(0.0, 0.0, 0.0))
+    theta = np.arctan(np.tan(alpha) * np.cos(phi))
+    bank = np.arcsin(np.cos(theta) * np.sin(phi))
+    turn = GRAVITY * np.tan(bank) / V
+    body = turn * np.array([-np.sin(theta), np.cos(theta) * np.sin(phi), np.cos(theta) * np.cos(phi)])
+    qS = 0.5 * float(air(jnp.asarray(h))[0]) * V**2 * a.wing_area
+    gyro = (a.Iz - a.Ix) * body[0] * body[2] + a.Ixz * (body[2] ** 2 - body[0] ** 2)
+    values = bare(CL=a.mass * GRAVITY / np.cos(bank) / qS, Cm=-gyro / (qS * a.chord))
+    start = state(V, alpha, theta, body[1])
+    states, out = fly(Model.of([BARE]), values, a, pilot(50, phi=jnp.full(50, phi)), start, DT)
+    for name, value in (("V", V), ("alpha", alpha), ("theta", theta), ("q", body[1]), ("h", h)):
+        np.testing.assert_allclose(getattr(states, name), value, rtol=1e-9, err_msg=name)
+    for name, value in (("p", body[0]), ("r", body[2]), ("psi_dot", turn), ("ay", 0.0)):
+        np.testing.assert_allclose(out[name], value, atol=1e-9, err_msg=name)
+    np.testing.assert_allclose(np.hypot(out["ax"], out["az"]), GRAVITY / np.cos(bank), rtol=1e-9)
+
+
+def test_recorded_signals_obey_rigid_body_kinematics(card, stall):
+    """Euler's and the body-axis velocity equations, from accelerations moved to the CG, against derivatives."""
+    s, _ = stall
+    d = {
+        name: differentiate(s[name], DT)
+        for name in ("airspeed", "alpha", "beta", "theta", "phi", "altitude", "p", "q", "r")
+    }
+    rotation = Rotation(s["p"], s["q"], s["r"], d["p"], d["q"], d["r"])
+    ax, ay, az = (
+        s[f"a{k}"] - arm for k, arm in zip("xyz", lever_arm(rotation, card.aircraft.accelerometer), strict=True)
+    )
+    V, al, be, th, ph = (s[name] for name in ("airspeed", "alpha", "beta", "theta", "phi"))
+    u, v, w = V * jnp.cos(al) * jnp.cos(be), V * jnp.sin(be), V * jnp.sin(al) * jnp.cos(be)
+    p, q, r = s["p"], s["q"], s["r"]
+    found = {
+        "u": (differentiate(u, DT), r * v - q * w + ax - GRAVITY * jnp.sin(th)),
+        "v": (differentiate(v, DT), p * w - r * u + ay + GRAVITY * jnp.cos(th) * jnp.sin(ph)),
+        "w": (differentiate(w, DT), q * u - p * v + az + GRAVITY * jnp.cos(th) * jnp.cos(ph)),
+        "theta": (d["theta"], q * jnp.cos(ph) - r * jnp.sin(ph)),
+        "phi": (d["phi"], p + jnp.tan(th) * (q * jnp.sin(ph) + r * jnp.cos(ph))),
+        "h": (d["altitude"], u * jnp.sin(th) - (v * jnp.sin(ph) + w * jnp.cos(ph)) * jnp.cos(th)),
+    }
+    for name, (derivative, equation) in found.items():
+        error = float(jnp.sqrt(jnp.mean((derivative - equation)[INNER] ** 2)))
+        assert error < 2e-3 * float(jnp.std(derivative[INNER])), name
+
+
+def test_coefficients_come_back_with_lateral_motion(card, stall):
+    """What `physics.coefficients` makes of the record is what was flown, to the error of its smoothing."""
+    channels, out = stall
+    found = coefficients(condition(channels, DT), card.aircraft)
+    for name, limit in (("CL", 2e-3), ("CD", 1e-3), ("Cm", 1e-3)):
+        error = np.asarray(getattr(found, name) - out[name])[INNER]
+        assert np.sqrt(np.mean(error**2)) < limit, name
