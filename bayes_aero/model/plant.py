@@ -26,7 +26,7 @@ SIDE_FORCE = -0.7  # 1/rad, CY per sideslip of a transport; our choice, it only 
 
 
 class State(NamedTuple):
-    """V m/s, alpha rad, theta rad, q rad/s, h m, X."""
+    """V m/s, alpha rad, theta rad, q rad/s, h m, X, and the elevator that the pilot has trimmed to, rad."""
 
     V: Float[Array, "*n"]
     alpha: Float[Array, "*n"]
@@ -34,6 +34,7 @@ class State(NamedTuple):
     q: Float[Array, "*n"]
     h: Float[Array, "*n"]
     X: Float[Array, "*n"]
+    trim: Float[Array, "*n"] | float = 0.0
 
 
 class Inputs(NamedTuple):
@@ -59,6 +60,7 @@ class Prescribed(NamedTuple):
     rudder: Float[Array, "*n"]
     spoiler: Float[Array, "*n"]
     dlc: Float[Array, "*n"]
+    flap: Float[Array, "*n"]
 
 
 class Turn(NamedTuple):
@@ -73,13 +75,14 @@ class Turn(NamedTuple):
 class Plant(eqx.Module):
     """The aircraft with its model, ready to be evaluated at one instant.
 
-    `gains` are those of the elevator feedback on alpha and q; `buffet` is how the disturbance grows with 1 - X.
+    `gains` are those of the elevator feedback on alpha, q and the integral of alpha; the disturbance grows by `buffet`
+    times 1 - X.
     """
 
     model: Model = eqx.field(static=True)
     values: dict[str, Any]
     aircraft: Aircraft
-    gains: tuple[Float[Array, ""], Float[Array, ""]]
+    gains: tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]
     buffet: Float[Array, ""]
 
     @property
@@ -91,7 +94,8 @@ class Plant(eqx.Module):
         """Trim for the commanded alpha in attached flow, and feedback that leads alpha along it."""
         v = self.values
         trim = -(v.get("Cm0", 0.0) + v.get("Cma", 0.0) * inputs.alpha) / v["Cmde"]
-        return trim + self.gains[0] * (state.alpha - inputs.alpha) + self.gains[1] * state.q + inputs.excitation
+        feedback = self.gains[0] * (state.alpha - inputs.alpha) + self.gains[1] * state.q
+        return trim + feedback + inputs.excitation + state.trim
 
     def turn(self, state: State, prescribed: Prescribed) -> Turn:
         """Rates of a flight with this bank angle and sideslip: Euler's equations and the side-force equation.
@@ -135,6 +139,7 @@ class Plant(eqx.Module):
             "spoiler_right": prescribed.spoiler,
             "dlc_left": prescribed.dlc,
             "dlc_right": prescribed.dlc,
+            "flap": prescribed.flap,
             "mach": state.V / sound,
             "density": density,
             "thrust": inputs.thrust,
@@ -217,7 +222,7 @@ class Plant(eqx.Module):
         time_constant = jnp.where(self.lag > 0.0, self.lag * a.chord / V, 1.0)
         X_dot = jnp.where(self.lag > 0.0, (static - state.X) / time_constant, 0.0)
 
-        derivative = State(V_dot, rate, theta_dot, q_dot, climb, X_dot)
+        derivative = State(V_dot, rate, theta_dot, q_dot, climb, X_dot, self.gains[2] * (state.alpha - inputs.alpha))
         none = Prescribed(*(jnp.zeros_like(x) for x in prescribed))
         changes = none._replace(
             phi=prescribed.phi_rate,

@@ -31,7 +31,8 @@ class Pilot(NamedTuple):
 
     `thrust` in N; `disturbance` is added to CL, CD, Cm, 1 + `buffet` (1 - X) times. Bank angle `phi` and sideslip
     `beta` (rad) are flown exactly, so they must be smooth: they are differentiated. `stabilizer`, `rudder`, `spoiler`,
-    `dlc` (rad) only reach the effects. Arrays have one row per sample.
+    `dlc`, `flap` (rad) only reach the effects. `trim_gain` (1/s) leads alpha by its integral too, as a pilot who trims.
+    Arrays have one row per sample.
     """
 
     alpha: Float[Array, " n"]
@@ -46,7 +47,9 @@ class Pilot(NamedTuple):
     rudder: Float[Array, " n"] | float = 0.0
     spoiler: Float[Array, " n"] | float = 0.0
     dlc: Float[Array, " n"] | float = 0.0
+    flap: Float[Array, " n"] | float = 0.0
     buffet: Float[Array, ""] | float = 0.0
+    trim_gain: Float[Array, ""] | float = 0.0
 
 
 @eqx.filter_jit
@@ -62,7 +65,8 @@ def fly(
 
     Commands, thrust and disturbance are held over a step; what is prescribed is linear between samples.
     """
-    gains = (pilot.alpha_gain, pilot.rate_gain)
+    gains = (pilot.alpha_gain, pilot.rate_gain, jnp.asarray(pilot.trim_gain))
+    start = State(*(jnp.asarray(x) for x in start))
     plant = Plant(model, dict(values), aircraft, gains, jnp.asarray(pilot.buffet))
 
     def stage(carry, tableau, state: State, inputs: Inputs, now: Prescribed, then: Prescribed):
@@ -93,4 +97,5 @@ def _prescribed(pilot: Pilot, dt: Any) -> Prescribed:
     phi, beta, time = row(pilot.phi), row(pilot.beta), jnp.arange(pilot.alpha.shape[0]) * dt
     phi_rate, beta_rate = differentiate(phi, dt), differentiate(beta, dt)
     motion = (phi, phi_rate, differentiate(phi_rate, dt), beta, beta_rate, differentiate(beta_rate, dt))
-    return Prescribed(time, *motion, *(row(x) for x in (pilot.stabilizer, pilot.rudder, pilot.spoiler, pilot.dlc)))
+    surfaces = (row(x) for x in (pilot.stabilizer, pilot.rudder, pilot.spoiler, pilot.dlc, pilot.flap))
+    return Prescribed(time, *motion, *surfaces)

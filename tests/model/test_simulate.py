@@ -101,7 +101,7 @@ def test_wings_level_equations_are_the_symmetric_ones(card):
     for _ in range(5):
         V, alpha, gamma, q = rng.uniform(60, 110), rng.uniform(0.05, 0.3), rng.uniform(-0.1, 0.1), rng.normal(0, 0.05)
         inputs = Inputs(jnp.asarray(alpha), jnp.asarray(9e3), jnp.asarray(0.01), jnp.zeros(3))
-        plant = Plant(model, constants(), a, (jnp.asarray(0.7), jnp.asarray(0.2)), jnp.asarray(0.0))
+        plant = Plant(model, constants(), a, (jnp.asarray(0.7), jnp.asarray(0.2), jnp.asarray(0.0)), jnp.asarray(0.0))
         rest = Prescribed(*(jnp.asarray(0.0) for _ in Prescribed._fields))
         rates, out = plant.motion(state(V, alpha, alpha + gamma, q), inputs, rest)
         qS = 0.5 * float(air(jnp.asarray(3000.0))[0]) * V**2 * a.wing_area
