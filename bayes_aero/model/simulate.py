@@ -66,21 +66,21 @@ def fly(
     Commands, thrust and disturbance are held over a step; what is prescribed is linear between samples.
     """
     gains = (pilot.alpha_gain, pilot.rate_gain, jnp.asarray(pilot.trim_gain))
-    start = State(*(jnp.asarray(x) for x in start))
+    start = jax.tree.map(jnp.asarray, start)
     plant = Plant(model, dict(values), aircraft, gains, jnp.asarray(pilot.buffet))
 
     def stage(carry, tableau, state: State, inputs: Inputs, now: Prescribed, then: Prescribed):
         slope, total = carry
         share, weight = tableau
-        here = State(*(x + share * dt * k for x, k in zip(state, slope, strict=True)))
+        here = jax.tree.map(lambda x, k: x + share * dt * k, state, slope)
         prescribed = Prescribed(*((1.0 - share) * a + share * b for a, b in zip(now, then, strict=True)))
         slope, outputs = plant.motion(here, inputs, prescribed)
-        return (slope, State(*(s + weight * k for s, k in zip(total, slope, strict=True)))), outputs
+        return (slope, jax.tree.map(lambda s, k: s + weight * k, total, slope)), outputs
 
     def step(state: State, row):
-        rest = State(*(jnp.zeros_like(x) for x in state))
+        rest = jax.tree.map(jnp.zeros_like, state)
         (_, total), outputs = jax.lax.scan(lambda c, t: stage(c, t, state, *row), (rest, rest), RUNGE_KUTTA)
-        following = State(*(x + dt * k / 6.0 for x, k in zip(state, total, strict=True)))
+        following = jax.tree.map(lambda x, k: x + dt * k / 6.0, state, total)
         return following, (state, {key: value[0] for key, value in outputs.items()})
 
     now = _prescribed(pilot, dt)
