@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +13,7 @@ from bayes_aero.effect import Effect, Kind
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.model.flights import Flights
 from bayes_aero.model.model import Model
-from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.parameter import Prior
 
 FAR = 1e9  # stands for a neutral value at infinity
 DERIVED = ("alpha_dot", "p_dot", "q_dot", "r_dot")
@@ -27,11 +27,19 @@ class Field:
     base: tuple[str, ...]
     candidates: tuple[Effect, ...]
     not_testable: Mapping[str, str]
+    priors: Mapping[str, Prior] = field(default_factory=dict)  # in place of the parameters' own
 
     @property
     def neutral(self) -> dict[str, float]:
         """Neutral value of every parameter, finite."""
         return {p.name: p.neutral if math.isfinite(p.neutral) else FAR for p in self.model.parameters}
+
+    def prior(self, index: Sequence[int], theta: Float[np.ndarray, " k"]) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and precision of the step from `theta` for parameters `index`, their priors taken as normal."""
+        free = self.model.free
+        pairs = [normal_of(self.priors.get(free[i].name, free[i].prior)) for i in index]
+        mean, deviation = np.array(pairs).reshape(-1, 2).T
+        return mean - theta[np.asarray(index, int)], deviation**-2.0
 
     def columns(self, names: Sequence[str]) -> np.ndarray:
         """Index of each parameter in the model's free vector."""
@@ -53,7 +61,7 @@ def field_of(model: Model, flights: Flights, extra: Sequence[Effect] = ()) -> Fi
     changed = {p.name: p for p in model.parameters}
     owned = {p.name for e in active for p in e.parameters}
     have = set(flights.channels) | set(DERIVED)
-    candidates, not_testable = [], {}
+    candidates, idle, not_testable = [], [], {}
     for effect in (*absent, *(e for e in (*CATALOGUE.values(), *extra) if e not in model.effects)):
         missing = [c for c in effect.channels if c not in have]
         still = [c for c in effect.channels if c in flights.channels and _at_rest(np.asarray(flights.channels[c]))]
@@ -64,6 +72,8 @@ def field_of(model: Model, flights: Flights, extra: Sequence[Effect] = ()) -> Fi
             not_testable[effect.name] = f"channel {', '.join(missing)} was not recorded"
         elif still and effect.stage >= 1:
             not_testable[effect.name] = f"channel {', '.join(still)} does not move in this record"
+            if not lacking and effect.parameters and effect not in absent:
+                idle.append(effect)  # it stays in the compiled model, so that records do not differ by it
         elif lacking:
             not_testable[effect.name] = f"the model has no {', '.join(lacking)}"
         elif {p.name for p in effect.parameters} & owned:
@@ -74,9 +84,9 @@ def field_of(model: Model, flights: Flights, extra: Sequence[Effect] = ()) -> Fi
     dormant = [
         e for e in CATALOGUE.values() if not e.parameters and e not in active and all(name in owned for name in e.uses)
     ]
-    everything = (*active, *dormant, *candidates)
+    everything = (*active, *dormant, *candidates, *idle)
     parameters = tuple(changed.get(p.name, p) for e in everything for p in e.parameters)
-    held = {p.name for e in candidates for p in e.parameters}
+    held = {p.name for e in (*candidates, *idle) for p in e.parameters}
     whole = Model(everything, parameters, tuple((k, v) for k, v in fixed.items() if k not in held))
     return Field(whole, tuple(e.name for e in active), tuple(candidates), not_testable)
 
@@ -93,20 +103,3 @@ def normal_of(prior: Prior) -> tuple[float, float]:
     if prior.family == "uniform":
         return prior.location + prior.scale / 2.0, prior.scale
     return prior.location, prior.scale
-
-
-def prior_of(
-    parameters: Sequence[Parameter], theta: Float[np.ndarray, " k"]
-) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """Mean and precision of the step from `theta`, from the parameters' priors taken as normal."""
-    pairs = np.array([normal_of(p.prior) for p in parameters]).reshape(-1, 2)
-    return pairs[:, 0] - theta, pairs[:, 1] ** -2.0
-
-
-def with_neutral(model: Model, names: Sequence[str]) -> Model:
-    """The model with all parameters but `names` fixed at their neutral values."""
-    keep = set(names)
-    fixed = {p.name: p.neutral for p in model.parameters if p.name not in keep} | {
-        k: v for k, v in model.fixed if k not in keep
-    }
-    return replace(model, fixed=tuple(fixed.items()))

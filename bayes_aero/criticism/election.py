@@ -146,7 +146,7 @@ def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, wit
                 gain=float(gains[0][j]) if possible else 0.0,
                 score=_equivalent(estimates[j], covariances[j]) if possible else 0.0,
                 inflation=float(np.max(variance / white)),
-                log_bayes=_log_bayes(estimates[j], covariances[j], mean[own], state.precision[own]),
+                log_bayes=_log_bayes(estimates[j], covariances[j], mean[own], state.precision[own] / state.temper),
                 step=tuple(float(x) for x in step),
                 sd=tuple(float(x) for x in np.sqrt(variance)),
             )

@@ -48,7 +48,8 @@ def extend(state: State, *, seed: int = 0, most: int = 8, progress: Progress | N
     Each election's p-value is family-wise over all candidates.
     """
     state, fit = refitted(state)
-    state, fit = refitted(moved(replace(state, swell=swelling(state, fit)), state.theta))
+    swell, cost = swelling(state, fit), _inflation(state, fit)
+    state, fit = refitted(moved(replace(state, swell=swell, temper=cost), state.theta))
     first, first_fit = state, fit
     steps: list[Step] = []
     for number in range(most):
@@ -64,6 +65,12 @@ def extend(state: State, *, seed: int = 0, most: int = 8, progress: Progress | N
         state, fit = _reconsidered(state, fit)
     causes, minor = _worth(state)
     return Extension(first, first_fit, state, fit, tuple(steps), causes, minor)
+
+
+def _inflation(state: State, fit: Fit) -> float:
+    """How many times the colour multiplies variances, in the median over the candidates."""
+    found = poll(state, fit, seed=0, replicates=0).standings
+    return max(1.0, float(np.median([s.inflation for s in found]))) if found else 1.0
 
 
 def _election(state: State, fit: Fit, seed: int) -> Step:

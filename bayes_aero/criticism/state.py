@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from bayes_aero.criticism.candidates import Field, prior_of
+from bayes_aero.criticism.candidates import Field
 from bayes_aero.criticism.colour import ORDER, colour_of
 from bayes_aero.criticism.regression import Fit, Products
 from bayes_aero.criticism.responses import Responses
@@ -52,6 +52,7 @@ class State:
     precision: Float[np.ndarray, " K"]
     active: tuple[str, ...]  # names of the effects that are in, beyond the card's
     scans: tuple[Scan, ...]
+    temper: float = 1.0  # what the colour costs: priors count so many times against the white likelihood
 
     @property
     def offsets(self) -> Int[np.ndarray, " o"]:
@@ -123,6 +124,7 @@ def linearised(
     theta: Float[np.ndarray, " k"],
     active: tuple[str, ...] = (),
     swell: Float[np.ndarray, "m c"] | None = None,
+    temper: float = 1.0,
 ) -> State:
     """The state at `theta`: residuals, sensitivities to every parameter, and their inner products.
 
@@ -147,21 +149,23 @@ def linearised(
     S = np.where(np.isfinite(S), S, 0.0)
     swell = np.ones_like(residual) if swell is None else swell
     folds = folds_of(responses.manoeuvre, responses.seconds)
-    mean, precision = prior_of(field.model.free, theta)
+    mean, precision = field.prior(range(len(theta)), theta)
+    precision = temper * precision
     of_scans = [int(field.columns([s.parameter])[0]) for s in scans]
     nothing = np.zeros(extra[0].shape[2])
     mean = np.concatenate([mean, nothing, mean[of_scans], [0.0]])
     precision = np.concatenate([precision, nothing, precision[of_scans], [1.0]])
     products = Products.of(residual / swell, S / swell[:, :, None], folds)
     return State(
-        field, responses, outputs, theta, residual, S, swell, folds, products, mean, precision, active, tuple(scans)
+        field, responses, outputs, theta, residual, S, swell, folds, products, mean, precision, active, tuple(scans),
+        temper,
     )
 
 
 def moved(state: State, theta: Float[np.ndarray, " k"], active: tuple[str, ...] | None = None) -> State:
     """The state at other parameters or with other effects in, with the same noise growth."""
     chosen = state.active if active is None else active
-    return linearised(state.field, state.responses, state.outputs, theta, chosen, state.swell)
+    return linearised(state.field, state.responses, state.outputs, theta, chosen, state.swell, state.temper)
 
 
 def refitted(state: State) -> tuple[State, Fit]:
@@ -197,7 +201,8 @@ def _local(state: State, theta: np.ndarray, at: np.ndarray) -> tuple[Fit, float]
     residual, S = residual[:, keep], np.where(np.isfinite(S), S, 0.0)[:, keep]
     S = np.concatenate([S, state.S[:, :, state.offsets]], axis=2)
     products = Products.of(residual / state.swell, S / state.swell[:, :, None], state.folds)
-    mean, precision = prior_of([state.field.model.free[i] for i in at], theta[at])
+    mean, precision = state.field.prior(at, theta)
+    precision = state.temper * precision
     offsets = np.zeros(S.shape[2] - len(at))
     mean, precision = np.append(mean, offsets), np.append(precision, offsets)
     free = np.arange(S.shape[2])

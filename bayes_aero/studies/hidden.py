@@ -75,6 +75,7 @@ def hidden_flights(
     disturbance: float = 1.0,
     unknown: str | None = None,
     unknown_size: float = 1.0,
+    seconds: float | None = None,
 ) -> list[HiddenFlight]:
     """Random stall manoeuvres of an aircraft near the demo's, in which `effects` (by name, true values) are hidden.
 
@@ -82,7 +83,7 @@ def hidden_flights(
     drawn from 0.5 to 0.98 where not given); the same growing with 1 - X (`buffet`); or sensor noise with spikes of ten
     standard deviations on accelerations and pitch rate (`outliers`). `sensor_noise` and `disturbance` scale them.
     `unknown` adds an effect of no catalogue, `unknown_size` times its usual size. Manoeuvre k of a seed is flown with
-    the same commands and draws whatever is hidden. Raises `InputError` where the aircraft cannot be flown so.
+    the same commands and draws whatever is hidden. `seconds` (at most 100) sets the manoeuvres' length. Raises `InputError` where the aircraft cannot be flown so.
     """
     if noise not in NOISES:
         raise InputError(f"there is no noise {noise!r}; use one of {', '.join(NOISES)}")
@@ -93,7 +94,8 @@ def hidden_flights(
     needed = {channel for name in effects for channel in _known(name).channels}
     moved = [name for name in SURFACES if {name, f"{name}_left"} & needed]
     rngs = [np.random.default_rng([seed, 2, number]) for number in range(manoeuvres)]
-    lengths = [round(rng.uniform(90.0, LONGEST) / DT) + 1 for rng in rngs]
+    drawn = [rng.uniform(90.0, LONGEST) for rng in rngs]
+    lengths = [round((seconds or length) / DT) + 1 for length in drawn]
     pilots, starts = [], []
     for rng, length in zip(rngs, lengths, strict=True):
         increments, buffet = _disturbance(rng, noise, rho)
