@@ -128,9 +128,9 @@ def _residuals(responses: Responses, theta):
             ]
             for name in PATH
         ]
-    return responses.block(jnp.concatenate(columns, axis=1)), {
-        **signals, "X": known["X"], "measured": measured, "modelled": modelled
-    }  # fmt: skip
+    everything = jnp.concatenate(columns, axis=1)
+    details = {"X": known["X"], "measured": measured, "modelled": modelled, "residual": everything}
+    return responses.block(everything), {**signals, **details}
 
 
 _evaluate = eqx.filter_jit(_residuals)

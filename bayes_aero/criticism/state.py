@@ -31,6 +31,15 @@ class Scan:
 
 
 @dataclass(frozen=True)
+class Component:
+    """A function that is no effect: `basis` (m, w) acts on one coefficient; `label` is "coefficient over channel"."""
+
+    label: str
+    coefficient: str
+    basis: Float[np.ndarray, "m w"]
+
+
+@dataclass(frozen=True)
 class State:
     """Parameters `theta` (all of the field's), residuals and sensitivities there; `swell` is the noise's growth.
 
@@ -53,11 +62,22 @@ class State:
     active: tuple[str, ...]  # names of the effects that are in, beyond the card's
     scans: tuple[Scan, ...]
     temper: float = 1.0  # what the colour costs: priors count so many times against the white likelihood
+    components: tuple[Component, ...] = ()  # they stand for election in place of effects
+    chosen: tuple[Component, ...] = ()  # components that are in
 
     @property
     def offsets(self) -> Int[np.ndarray, " o"]:
         """Columns of the flight-path offsets."""
-        return np.arange(len(self.theta), self.S.shape[2] - len(self.scans) - 1)
+        path = sum(name not in NAMES for name in self.outputs)
+        return len(self.theta) + np.arange(path * len(self.responses.flights.lengths))
+
+    @property
+    def component_columns(self) -> list[Int[np.ndarray, " w"]]:
+        """Columns of each component that stands for election."""
+        widths = [c.basis.shape[1] for c in (*self.chosen, *self.components)]
+        begins = len(self.theta) + len(self.offsets) + len(self.scans) + np.cumsum([0, *widths])
+        found = [np.arange(a, b) for a, b in zip(begins[:-1], begins[1:], strict=True)]
+        return found[len(self.chosen) :]
 
     @property
     def blocks(self) -> list[tuple[str, Int[np.ndarray, " w"], float | None]]:
@@ -65,9 +85,12 @@ class State:
 
         Candidates that do not reach the outputs are left out.
         """
+        if self.components:
+            labels = [c.label for c in self.components]
+            return [(label, own, None) for label, own in zip(labels, self.component_columns, strict=True)]
         found: list[tuple[str, np.ndarray, float | None]] = []
         scanned = {scan.effect for scan in self.scans}
-        begin = self.S.shape[2] - len(self.scans) - 1
+        begin = len(self.theta) + len(self.offsets)
         for number, scan in enumerate(self.scans):
             found.append((scan.effect, np.array([begin + number]), scan.value))
         for effect in self.field.candidates:
@@ -79,7 +102,9 @@ class State:
         """Columns of the card's effects, of `effects` (default: those that are in), and the offsets."""
         names = (*self.field.base, *(self.active if effects is None else effects))
         own = self.field.columns([p for n in names for p in self.field.parameters_of(n) if p in self.field.model.names])
-        return np.concatenate([own[np.any(self.S[:, :, own] != 0.0, axis=(0, 1))], self.offsets])
+        begin = len(self.theta) + len(self.offsets) + len(self.scans)
+        chosen = begin + np.arange(sum(c.basis.shape[1] for c in self.chosen))
+        return np.concatenate([own[np.any(self.S[:, :, own] != 0.0, axis=(0, 1))], self.offsets, chosen])
 
     def fit(self, effects: Sequence[str] | None = None) -> Fit:
         """Regression with `effects` on all folds."""
@@ -169,20 +194,26 @@ def moved(state: State, theta: Float[np.ndarray, " k"], active: tuple[str, ...] 
 
 
 def refitted(state: State) -> tuple[State, Fit]:
-    """Gauss-Newton on all active parameters, each step kept inside the bounds.
+    """The state at the optimum of all active parameters, and the fit there."""
+    state = moved(state, optimum(state, range(len(state.folds))))
+    return state, state.fit()
+
+
+def optimum(state: State, folds: Sequence[int], most: int = REFITS) -> Float[np.ndarray, " k"]:
+    """Gauss-Newton on all active parameters, fitted to the chosen folds, each step kept inside the bounds.
 
     A step that does not lower the deviance is shortened; it ends when a step gains less than `ENOUGH`.
     """
     bounds = np.array([p.bounds for p in state.field.model.free])
     columns = state.columns()
     at = columns[columns < len(state.theta)]
-    theta, here = state.theta, _local(state, state.theta, at)
-    for _ in range(REFITS):
+    theta, here = state.theta, _local(state, state.theta, at, folds)
+    for _ in range(most):
         fit, value = here
         for share in (1.0, 0.5, 0.2, 0.05):
             trial = theta.copy()
             trial[at] = np.clip(theta[at] + share * fit.step[: len(at)], bounds[at, 0] + 1e-9, bounds[at, 1] - 1e-9)
-            new = _local(state, trial, at)
+            new = _local(state, trial, at, folds)
             if new[1] < value:
                 break
         if not new[1] < value:
@@ -190,17 +221,16 @@ def refitted(state: State) -> tuple[State, Fit]:
         theta, gained, here = trial, value - new[1], new
         if gained < ENOUGH:
             break
-    state = moved(state, theta)
-    return state, state.fit()
+    return theta
 
 
-def _local(state: State, theta: np.ndarray, at: np.ndarray) -> tuple[Fit, float]:
+def _local(state: State, theta: np.ndarray, at: np.ndarray, folds: Sequence[int]) -> tuple[Fit, float]:
     """Regression on the active columns at `theta`, and the deviance there with the variances it finds."""
     keep = [state.responses.outputs.index(name) for name in state.outputs]
     residual, S = state.responses.linearise(theta, at)
     residual, S = residual[:, keep], np.where(np.isfinite(S), S, 0.0)[:, keep]
     S = np.concatenate([S, state.S[:, :, state.offsets]], axis=2)
-    products = Products.of(residual / state.swell, S / state.swell[:, :, None], state.folds)
+    products = Products.of(residual / state.swell, S / state.swell[:, :, None], [state.folds[f] for f in folds])
     mean, precision = state.field.prior(at, theta)
     precision = state.temper * precision
     offsets = np.zeros(S.shape[2] - len(at))

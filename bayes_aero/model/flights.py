@@ -8,6 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+from scipy.ndimage import median_filter, uniform_filter1d
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
@@ -72,3 +73,36 @@ def join(records: Sequence[FlightRecord], card: Card) -> Flights:
         lengths=tuple(record.n for record in records),
         names=tuple(record.name for record in records),
     )
+
+
+SPIKED = ("ax", "ay", "az", "p", "q", "r", "alpha", "beta", "airspeed", "theta", "phi", "altitude")
+SPIKE = 7.0  # local deviations from the median of five neighbours
+NEAR = 51  # samples over which the local deviation is measured
+
+
+def despiked(flights: Flights) -> tuple[Flights, dict[str, int]]:
+    """Replace isolated spikes by the median of their neighbours; the count of replaced samples by channel.
+
+    A sample is a spike if it lies `SPIKE` local deviations from the median of five. Steps and buffet are kept: a median
+    follows the one, and the local deviation grows with the other. Source: Hampel's identifier.
+    """
+    channels, count = dict(flights.channels), {}
+    for name in SPIKED:
+        if name not in channels:
+            continue
+        x = np.array(channels[name])
+        begin = 0
+        for length in flights.lengths:
+            part = x[begin : begin + length]
+            middle = median_filter(part, 5, mode="nearest")
+            away = np.abs(part - middle)
+            # The mean, not the median, of |away|: on a quantised channel the median is zero nearly everywhere.
+            local = 1.25 * uniform_filter1d(away, NEAR, mode="nearest")
+            floor = 1.25 * np.mean(away) + np.abs(part).max() * 1e-9
+            spikes = away > SPIKE * np.maximum(local, floor)
+            part[spikes] = middle[spikes]
+            if spikes.any():
+                count[name] = count.get(name, 0) + int(spikes.sum())
+            begin += length
+        channels[name] = jnp.asarray(x)
+    return eqx.tree_at(lambda f: f.channels, flights, channels), count

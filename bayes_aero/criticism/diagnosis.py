@@ -1,0 +1,241 @@
+"""The diagnosis: do the sensors agree, where is the model wrong, which cause, what does it gain, what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bayes_aero.criticism.candidates import Field, field_of, normal_of
+from bayes_aero.criticism.colour import colour_of
+from bayes_aero.criticism.election import Standing, poll, uncertainty
+from bayes_aero.criticism.extension import Extension, extend
+from bayes_aero.criticism.finding import Cause, Diagnosis, Gain, Size, Verdict
+from bayes_aero.criticism.gain import LeftOut, gains, measured_blocks, split_name, truncated
+from bayes_aero.criticism.residuals import noise_report
+from bayes_aero.criticism.responses import Responses
+from bayes_aero.criticism.state import State, linearised
+from bayes_aero.criticism.unexplained import unexplained
+from bayes_aero.effect import Effect, Kind
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.mle import fit_mle
+from bayes_aero.model.flights import despiked, join
+from bayes_aero.model.model import Model
+from bayes_aero.model.observations import observe
+from bayes_aero.parameter import Prior
+from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.physics.flightpath import PATH
+
+SENSOR_KINDS = (Kind.MEASUREMENT, Kind.ENVIRONMENT)
+AMBIGUOUS = 3.0  # nats, after the colour's cost, within which another effect explains as well
+POSSIBLE = 2.0  # score that an effect needs on its own to be a rival at all
+
+Progress = Callable[[str, float], None]
+
+
+def diagnose(
+    records: Sequence[FlightRecord],
+    card: Card,
+    *,
+    model: Model | None = None,
+    seed: int = 0,
+    most: int = 8,
+    extra: Sequence[Effect] = (),
+    gains_wanted: bool = True,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Find what the card's model gets wrong on `records`; at most `most` effects are added in each stage.
+
+    `gains_wanted` False leaves out the refits on left-out data (for studies of naming alone).
+    """
+    model = model or Model.from_card(card)
+    flights, outliers = despiked(join(records, card))
+    field = field_of(model, flights, extra)
+    responses = Responses(flights, field.model)
+    mle = fit_mle(model, observe(records, card, model), seed=seed)
+    theta = np.array([field.neutral[name] for name in field.model.names])
+    for name, value in zip(mle.names, mle.estimate, strict=True):
+        if name in field.model.names:
+            theta[field.columns([name])[0]] = value
+    sensors = None
+    if len(responses.outputs) > len(NAMES):
+        if progress:
+            progress("sensors", 0.0)
+        sensors = extend(_sensor_state(field, responses, theta), seed=seed, most=most)
+        theta = sensors.state.theta
+    later = replace(
+        field,
+        candidates=tuple(e for e in field.candidates if sensors is None or e.name not in sensors.state.active),
+        priors=_kinematic_priors(field, sensors),
+    )
+    if progress:
+        progress("coefficients", 0.0)
+    aerodynamics = extend(linearised(later, responses, NAMES, theta), seed=seed + 1000, most=most, progress=progress)
+    causes = _causes(field, sensors, aerodynamics, gains_wanted, progress)
+    left = unexplained(aerodynamics, seed=seed + 2000)
+    kept = [c for c in causes if c.name not in left.replaced]
+    verdict = _verdict(kept, left.unknown)
+    minor = (*(sensors.minor if sensors else ()), *aerodynamics.minor)
+    return Diagnosis(
+        verdict=verdict,
+        causes=tuple(kept),
+        minor=minor,
+        unknown=left.unknown,
+        noise=noise_report(aerodynamics, outliers),
+        not_testable=field.not_testable,
+        sensors=sensors,
+        aerodynamics=aerodynamics,
+        theta=aerodynamics.state.theta,
+        split=split_name(aerodynamics.state),
+        base_moves=_moves(aerodynamics),
+    )
+
+
+def _sensor_state(field: Field, responses: Responses, theta: np.ndarray) -> State:
+    """Flight path alone: sensor errors and wind are the only candidates, nothing is in but where integrals begin."""
+    candidates = tuple(e for e in field.candidates if e.kind in SENSOR_KINDS)
+    return linearised(replace(field, base=(), candidates=candidates), responses, PATH, theta)
+
+
+def _kinematic_priors(field: Field, sensors: Extension | None) -> dict[str, Prior]:
+    """What the flight path says of sensor errors that it did not elect: the coefficients must not contradict it."""
+    if sensors is None or not sensors.steps:
+        return {}
+    priors = {}
+    own = {p.name: p.prior for p in field.model.free}
+    for standing in sensors.steps[-1].poll.standings:
+        for name, step, sd in zip(field.parameters_of(standing.effect), standing.step, standing.sd, strict=False):
+            mean, deviation = normal_of(own[name])
+            weight = deviation**-2.0 + sd**-2.0
+            combined = (mean * deviation**-2.0 + step * sd**-2.0) / weight
+            priors[name] = Prior("normal", combined, weight**-0.5, "flight-path kinematics of the same record")
+    return priors
+
+
+def _causes(
+    field: Field,
+    sensors: Extension | None,
+    aerodynamics: Extension,
+    gains_wanted: bool,
+    progress: Progress | None,
+) -> list[Cause]:
+    stages = [("flight path", sensors)] if sensors is not None else []
+    stages.append(("coefficients", aerodynamics))
+    found: list[Cause] = []
+    for stage, extension in stages:
+        if extension is None or not extension.causes:
+            continue
+        measured = _gains_of(extension, aerodynamics, progress) if gains_wanted else {}
+        sizes = _sizes(extension)
+        for name in extension.causes:
+            effect = next(e for e in field.candidates if e.name == name)
+            probability, others = _rivals(extension, name)
+            found.append(
+                Cause(
+                    name=name,
+                    kind=effect.kind.value,
+                    claim=effect.claim,
+                    stage=stage,
+                    probability=probability,
+                    p_value=next((s.p_value for s in extension.steps if s.chosen == name), float("nan")),
+                    ambiguous_with=others,
+                    parameters={p.name: sizes[p.name] for p in effect.parameters},
+                    gain=measured.get(name, NO_GAIN),
+                )
+            )
+    return found
+
+
+NO_GAIN = Gain(float("nan"), float("nan"), "not measured", {}, {})
+
+
+def _gains_of(extension: Extension, aerodynamics: Extension, progress: Progress | None) -> dict[str, Gain]:
+    """Gains of an extension's causes on left-out folds; nuisances count from the first."""
+    state = extension.state
+    base_effects = extension.minor
+    chain = [truncated(state, (*base_effects, *extension.causes[:k])) for k in range(len(extension.causes) + 1)]
+    left = []
+    for number, one in enumerate(chain):
+        if progress:
+            progress("gain on unseen data", number / len(chain))
+        left.append(LeftOut(one))
+    if state.outputs != NAMES:
+        return _sensor_gains(extension, aerodynamics, left)
+    found = gains(left[0], left[1:], state, measured_blocks(state))
+    return dict(zip(extension.causes, found, strict=True))
+
+
+def _sensor_gains(extension: Extension, aerodynamics: Extension, left: list[LeftOut]) -> dict[str, Gain]:
+    """Density gained on the flight path, and what each correction does to the card's fit of the coefficients."""
+    state = extension.state
+    card = aerodynamics.base
+    fields = []
+    for k in range(len(extension.causes) + 1):
+        theta = card.theta.copy()
+        for effect in extension.state.active:
+            names = state.field.parameters_of(effect)
+            if effect not in extension.causes[:k]:
+                theta[state.field.columns(names)] = [state.field.neutral[name] for name in names]
+        one = linearised(card.field, card.responses, NAMES, theta, (), card.swell, card.temper)
+        fields.append(LeftOut(one))
+    measured = measured_blocks(card)
+    found = {}
+    for k, name in enumerate(extension.causes):
+        path = gains(left[k], [left[k + 1]], state, measured) if state.outputs == NAMES else None
+        difference = (left[k + 1].density() - left[k].density()) / state.temper
+        parts = np.array([p.sum() for p in np.array_split(difference, max(2, round(len(difference) / 50)))])
+        se = float(np.sqrt(len(parts)) * parts.std(ddof=1))
+        scores = fields[0].scores(measured), fields[k + 1].scores(measured)
+        found[name] = Gain(float(parts.sum()), se, split_name(state), *scores) if path is None else path[0]
+    return found
+
+
+def _sizes(extension: Extension) -> dict[str, Size]:
+    """Every active parameter with the deviation that the residual's colour leaves it."""
+    state, fit = extension.state, extension.fit
+    colour = colour_of(state.left(fit), state.folds)
+    deviation = np.sqrt(np.maximum(np.diag(uncertainty(state, fit, colour)), 0.0))
+    free = state.field.model.free
+    return {
+        free[c].name: Size(float(state.theta[c]), float(sd), free[c].unit)
+        for c, sd in zip(fit.columns, deviation, strict=True)
+        if c < len(free)
+    }
+
+
+def _rivals(extension: Extension, name: str) -> tuple[float, tuple[str, ...]]:
+    """Probability of a cause among everything that could take its place, nothing included; and who comes close."""
+    state, fit = extension.state, extension.fit
+    ranking = poll(state, fit, seed=0, replicates=0, without=name).standings
+    best: dict[str, Standing] = {}
+    for standing in ranking:
+        if standing.effect == name or standing.score > POSSIBLE:
+            best.setdefault(standing.effect, standing)
+    own = best.get(name)
+    if own is None:
+        return 1.0, ()
+    cost = 2.0 * max(own.inflation, 1.0)
+    weights = {effect: np.exp(min(0.0, (s.gain - own.gain) / cost)) for effect, s in best.items()}
+    nothing = np.exp(-max(own.gain, 0.0) / cost)
+    close = tuple(
+        effect for effect, s in best.items() if effect != name and (own.gain - s.gain) / cost < AMBIGUOUS
+    )
+    return float(1.0 / (sum(weights.values()) + nothing)), close
+
+
+def _moves(extension: Extension) -> Mapping[str, tuple[float, float, float]]:
+    """How the card's parameters moved."""
+    before, after, sizes = extension.base, extension.state, _sizes(extension)
+    return {
+        name: (float(before.theta[i]), float(after.theta[i]), sizes[name].sd)
+        for i, name in enumerate(after.field.model.names)
+        if name in sizes and any(name in after.field.parameters_of(e) for e in after.field.base)
+    }
+
+
+def _verdict(causes: Sequence[Cause], unknown: Sequence) -> Verdict:
+    if unknown:
+        return Verdict.PARTLY_EXPLAINED if causes else Verdict.UNEXPLAINED
+    return Verdict.EXPLAINED if causes else Verdict.NO_EFFECT

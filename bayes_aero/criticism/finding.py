@@ -1,0 +1,117 @@
+"""What a diagnosis says: plain data, ready to be written and drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.criticism.extension import Extension
+from bayes_aero.inference.scores import Scores
+
+
+class Verdict(StrEnum):
+    """The answer in a word."""
+
+    NO_EFFECT = "no_effect"
+    EXPLAINED = "explained"
+    PARTLY_EXPLAINED = "partly_explained"
+    UNEXPLAINED = "unexplained"
+
+
+@dataclass(frozen=True)
+class Size:
+    """Estimate of one parameter of a cause, SI; deviation and interval know the residual's colour."""
+
+    mean: float
+    sd: float
+    unit: str
+
+    @property
+    def ci95(self) -> tuple[float, float]:
+        """Mean -+ 1.96 deviations."""
+        return self.mean - 1.96 * self.sd, self.mean + 1.96 * self.sd
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What a cause gains on data that were not fitted; before: with all earlier causes, or the card's model alone.
+
+    `elpd` is the sum of log predictive densities gained, divided by what the colour costs (`temper`); `elpd_se` its
+    deviation from sums over 10 s. `before` and `after` score each coefficient: card's model, and with all so far.
+    """
+
+    elpd: float
+    elpd_se: float
+    split: str
+    before: Mapping[str, Scores]
+    after: Mapping[str, Scores]
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One named effect. `stage` tells where it was found: the flight path (sensors) or the coefficients."""
+
+    name: str
+    kind: str
+    claim: str
+    stage: str
+    probability: float
+    p_value: float
+    ambiguous_with: tuple[str, ...]
+    parameters: Mapping[str, Size]
+    gain: Gain
+    excited: bool = True
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """Structure that no known effect explains: predicted on unseen data by a recorded channel or a period."""
+
+    coefficient: str
+    channel: str
+    share: float  # of the remaining variance of that coefficient
+    p_value: float
+
+
+@dataclass(frozen=True)
+class NoiseReport:
+    """Colour, growth with separation and outliers of the residuals, by coefficient."""
+
+    lag1: Mapping[str, float]  # at the recorded rate
+    deviation: Mapping[str, float]
+    swell: Mapping[str, float]  # noise at full separation over that in attached flow
+    outliers: Mapping[str, int]  # repaired samples by channel
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Which of colored, buffet, outliers are present."""
+        found = []
+        if max(self.lag1.values()) > 0.3:
+            found.append("colored")
+        if max(self.swell.values()) > 1.5:
+            found.append("buffet")
+        if sum(self.outliers.values()) > 0:
+            found.append("outliers")
+        return tuple(found)
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The whole finding. `sensors` and `aerodynamics` hold both elections with all standings."""
+
+    verdict: Verdict
+    causes: tuple[Cause, ...]
+    minor: tuple[str, ...]
+    unknown: tuple[Unknown, ...]
+    noise: NoiseReport
+    not_testable: Mapping[str, str]
+    sensors: Extension | None
+    aerodynamics: Extension
+    theta: Float[np.ndarray, " k"]
+    split: str
+    base_moves: Mapping[str, tuple[float, float, float]]  # base parameter: before, after, deviation after
+    notes: tuple[str, ...] = ()

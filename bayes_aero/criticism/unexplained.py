@@ -1,0 +1,175 @@
+"""Structure that no effect of the catalogue explains but that a recorded channel, or a period, predicts.
+
+A smooth function of each channel, or a sinusoid, stands for election like an effect. It is taken for real only if its
+score is beyond noise-only replicates and it predicts data left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.criticism.election import poll
+from bayes_aero.criticism.extension import ALPHA, Extension, unseen_gain
+from bayes_aero.criticism.finding import Unknown
+from bayes_aero.criticism.regression import Products
+from bayes_aero.criticism.state import Component, State
+from bayes_aero.physics.coefficients import NAMES
+
+KNOTS = 6  # of the smooth function of a channel
+PERIODS = tuple(np.round(np.geomspace(0.6, 30.0, 48), 3))  # s
+CHUNKS = 4  # parts of each manoeuvre, by which a sinusoid must predict what it was not fitted to
+LEAST_SHARE = 0.03  # of the remaining variance: less is not worth a verdict
+SKIPPED = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot", "alpha_dot")  # responses themselves, not causes
+MOST = 3  # components taken one after another
+BETTER = 1.2  # how many times a named cause's unseen gain a component must reach to take its place
+
+
+@dataclass(frozen=True)
+class Left:
+    """Unknown structure, and named causes that were only its proxies."""
+
+    unknown: tuple[Unknown, ...]
+    replaced: tuple[str, ...]
+
+
+def unexplained(extension: Extension, *, seed: int) -> Left:
+    """Look at what the extended model leaves; then whether a component explains a named cause better than itself."""
+    found: list[Unknown] = []
+    state, fit = extension.state, extension.fit
+    chosen: list[Component] = []
+    for number in range(MOST):
+        one = _best(state, chosen, seed + number)
+        if one is None:
+            break
+        component, share, p = one
+        chosen.append(component)
+        coefficient, channel = component.label.split(" over ")
+        found.append(Unknown(coefficient, channel, share, p))
+    replaced = _proxies(extension, seed) if not found else []
+    for component, share, p, _ in replaced:
+        coefficient, channel = component.label.split(" over ")
+        found.append(Unknown(coefficient, channel, share, p))
+    return Left(tuple(found), tuple(name for *_, name in replaced))
+
+
+def _best(state: State, chosen: Sequence[Component], seed: int) -> tuple[Component, float, float] | None:
+    """The component that explains most of what is left, if it is beyond chance and predicts what was left out."""
+    for folds, components in (
+        (state.folds, smooth_components(state)),
+        (_chunks(state), periodic_components(state)),
+    ):
+        trial = with_components(state, components, chosen, folds)
+        fit = trial.fit()
+        ranking = poll(trial, fit, seed=seed, replicates=0)
+        leaders = [s for s in ranking.standings[:6] if s.score > 3.0]
+        if not leaders:
+            continue
+        ranking = poll(trial, fit, seed=seed)
+        for standing in leaders:
+            p = ranking.p_value(standing.score)
+            own = np.array(standing.columns, int)
+            gained = float(unseen_gain(trial, np.concatenate([trial.columns(), own])).sum())
+            share = _share(trial, own)
+            if p <= ALPHA and gained > 0.0 and share >= LEAST_SHARE:
+                return next(c for c in components if c.label == standing.effect), share, p
+    return None
+
+
+def _share(state: State, own: np.ndarray) -> float:
+    """Share of a coefficient's remaining variance that the component takes away, at best over the coefficients."""
+    before = state.fit()
+    after = state.products.fit(np.concatenate([before.columns, own]), state.mean, state.precision)
+    return float(np.max(1.0 - after.variance / before.variance))
+
+
+def _proxies(extension: Extension, seed: int) -> list[tuple[Component, float, float, str]]:
+    """Named causes of the coefficients whose place a component takes with a clearly larger gain on unseen data."""
+    found = []
+    state = extension.state
+    for name in extension.causes:
+        own = state.field.columns(state.field.parameters_of(name))
+        neutral = np.array([state.field.neutral[p] for p in state.field.parameters_of(name)])
+        components = smooth_components(state)
+        trial = with_components(state, components, (), state.folds)
+        bare = np.array([c for c in trial.columns() if c not in own])
+        shifted = replace(trial, products=trial.products.shifted(own, neutral - state.theta[own]))
+        known = float(unseen_gain(shifted, np.concatenate([bare, own]), bare).sum())
+        best = None
+        for component, columns in zip(components, trial.component_columns, strict=True):
+            gained = float(unseen_gain(shifted, np.concatenate([bare, columns]), bare).sum())
+            if best is None or gained > best[0]:
+                best = (gained, component, columns)
+        if best is not None and best[0] > BETTER * max(known, 0.0) + 6.0 * state.temper:
+            share = _share(shifted, best[2])
+            found.append((best[1], share, float("nan"), name))
+    return found
+
+
+def smooth_components(state: State) -> list[Component]:
+    """A smooth function of every recorded channel that moves, in each coefficient."""
+    signals = state.responses.evaluate(state.theta)[1]
+    names = [n for n in (*state.responses.flights.recorded, "elapsed", "X") if n in signals and n not in SKIPPED]
+    found = []
+    for name in names:
+        x = np.asarray(state.responses.block(signals[name]))
+        if np.ptp(x) <= 1e-6 * max(1.0, float(np.abs(x).max())):
+            continue
+        basis = _basis(x)
+        found += [Component(f"{c} over {name}", c, basis) for c in NAMES]
+    return found
+
+
+def periodic_components(state: State) -> list[Component]:
+    """A sinusoid of each period and free phase in each manoeuvre, in each coefficient."""
+    elapsed = np.asarray(state.responses.block(state.responses.flights.channels["elapsed"]))
+    manoeuvre = state.responses.manoeuvre
+    found = []
+    for period in PERIODS:
+        if period < 4.0 * state.responses.seconds:
+            continue
+        phase = 2.0 * np.pi * elapsed / period
+        wave = np.stack([np.sin(phase), np.cos(phase)], axis=1)
+        basis = np.concatenate([wave * (manoeuvre == k)[:, None] for k in range(int(manoeuvre[-1]) + 1)], axis=1)
+        found += [Component(f"{c} over time, period {period:.3g} s", c, basis) for c in NAMES]
+    return found
+
+
+def _basis(x: Float[np.ndarray, " m"]) -> Float[np.ndarray, "m w"]:
+    """A line and radial bumps between quantiles, scaled to unit deviation; constants belong to the model."""
+    knots = np.quantile(x, np.linspace(0.02, 0.98, KNOTS))
+    width = max((knots[-1] - knots[0]) / (KNOTS - 1), 1e-12)
+    columns = [x - x.mean(), *(np.exp(-0.5 * ((x - k) / width) ** 2) for k in knots[1:-1])]
+    B = np.stack(columns, axis=1)
+    B = B - B.mean(axis=0)
+    return B / np.maximum(B.std(axis=0), 1e-12)
+
+
+def _chunks(state: State) -> tuple[slice, ...]:
+    edges = [np.flatnonzero(state.responses.manoeuvre == k) for k in range(len(state.responses.flights.lengths))]
+    parts = [part for e in edges for part in np.array_split(e, CHUNKS)]
+    return tuple(slice(int(p[0]) + 2, int(p[-1]) - 1) for p in parts)
+
+
+def with_components(
+    state: State, components: Sequence[Component], chosen: Sequence[Component], folds: Sequence[slice]
+) -> State:
+    """The state in which components stand for election in place of effects; those `chosen` are in."""
+    extra, width = [], 0
+    for component in (*chosen, *components):
+        block = np.zeros((*state.residual.shape, component.basis.shape[1]))
+        block[:, NAMES.index(component.coefficient)] = component.basis
+        extra.append(block)
+        width += block.shape[2]
+    S = np.concatenate([state.S[:, :, :-1], *extra, state.S[:, :, -1:]], axis=2)
+    size = float(np.median(np.std(state.residual / state.swell, axis=0)))
+    precision = np.concatenate([state.precision[:-1], np.full(width, state.temper / (10 * size) ** 2), [1.0]])
+    mean = np.concatenate([state.mean[:-1], np.zeros(width), [0.0]])
+    products = Products.of(state.residual / state.swell, S / state.swell[:, :, None], folds)
+    return replace(
+        state, S=S, mean=mean, precision=precision, products=products, folds=tuple(folds),
+        components=tuple(components), chosen=tuple(chosen),
+    )  # fmt: skip
