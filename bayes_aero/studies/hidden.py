@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -21,29 +20,16 @@ from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
-from bayes_aero.model.simulate import Pilot, State, fly
+from bayes_aero.model.simulate import State, fly
 from bayes_aero.physics.atmosphere import GRAVITY, air
 from bayes_aero.studies.demo import DISTURBANCE, TRUTH
 from bayes_aero.studies.manoeuvre import DT, LONGEST, MARGIN, SAMPLES, SURFACES, flight_time, random_pilot
 from bayes_aero.studies.misrecord import corrected, misrecorded
+from bayes_aero.studies.recorder import channels_flown, sensed
 from bayes_aero.studies.strays import STRAYS, draw_unknown
 
 NOISES = ("white", "ar1", "buffet", "outliers")
 ENVELOPE = {"alpha": (0.0, 0.4363), "airspeed": (50.0, 130.0)}  # 0 to 25 deg, m/s
-OTHER_SENSORS = {
-    "ay": 0.02,
-    "phi": 3e-4,
-    "theta": 3e-4,
-    "psi": 3e-4,
-    "beta": 9e-4,
-    "altitude": 0.5,
-    "elevator": 3e-4,
-    "stabilizer": 2e-4,
-    "mach": 6e-4,
-}
-"""White noise of channels of which a card says nothing, SI: platform, vane, potentiometers; our choice."""
-
-OUTLIER_SHARE, OUTLIER_SIZE, SPIKED = 0.005, 10.0, ("ax", "ay", "az", "q")
 _ONE_SIDED = ("tau2_both",)  # below neutral lift would rise with alpha-dot without end: no motion solves the equations
 _SPREAD = {"alpha_star": 0.08, "e": 0.10}  # of the base parameters, relative, either way; all others 0.12
 
@@ -56,6 +42,18 @@ class HiddenFlight:
     true: Mapping[str, np.ndarray]
     flown: Mapping[str, np.ndarray]
     values: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class _Setting:
+    seed: int
+    manoeuvres: int
+    noise: str
+    rho: float | None
+    card: Card
+    sensor_noise: float
+    disturbance: float
+    seconds: float | None
 
 
 def hidden_records(effects: Mapping[str, Mapping[str, float]], *, seed: int, **options: Any) -> list[FlightRecord]:
@@ -83,25 +81,43 @@ def hidden_flights(
     drawn from 0.5 to 0.98 where not given); the same growing with 1 - X (`buffet`); or sensor noise with spikes of ten
     standard deviations on accelerations and pitch rate (`outliers`). `sensor_noise` and `disturbance` scale them.
     `unknown` adds an effect of no catalogue, `unknown_size` times its usual size. Manoeuvre k of a seed is flown with
-    the same commands and draws whatever is hidden. `seconds` (at most 100) sets the manoeuvres' length. Raises `InputError` where the aircraft cannot be flown so.
+    the same commands and draws whatever is hidden, unless the flight leaves its envelope: then all are drawn anew, and
+    after the third time `InputError` says that the aircraft cannot be flown so. `seconds` (at most 100) sets the
+    manoeuvres' length; below 90 they break off.
     """
     if noise not in NOISES:
         raise InputError(f"there is no noise {noise!r}; use one of {', '.join(NOISES)}")
-    card = card or read_card("attas")
+    if seconds is not None and not 1.0 <= seconds <= LONGEST:
+        raise InputError(f"a simulated manoeuvre of {seconds} s was asked for; ask for 1 to {LONGEST:.0f} s")
+    truth = _values(effects, np.random.default_rng([seed, 1]), unknown, unknown_size)
+    setting = _Setting(seed, manoeuvres, noise, rho, card or read_card("attas"), sensor_noise, disturbance, seconds)
+    failure = InputError("")
+    for attempt in range(3):
+        try:
+            return _flights(effects, truth, [seed, 2, attempt], setting)
+        except InputError as error:
+            failure = error
+    raise failure
+
+
+def _flights(
+    effects: Mapping[str, Mapping[str, float]], values: Mapping[str, Any], seed: list[int], setting: _Setting
+) -> list[HiddenFlight]:
+    card = setting.card
     model, misrecording, propulsion = _models()
-    values = _values(effects, np.random.default_rng([seed, 1]), unknown, unknown_size)
     aircraft = model.actual_aircraft(values, card.aircraft)
     needed = {channel for name in effects for channel in _known(name).channels}
     moved = [name for name in SURFACES if {name, f"{name}_left"} & needed]
-    rngs = [np.random.default_rng([seed, 2, number]) for number in range(manoeuvres)]
+    rngs = [np.random.default_rng([*seed, number]) for number in range(setting.manoeuvres)]
     drawn = [rng.uniform(90.0, LONGEST) for rng in rngs]
-    lengths = [round((seconds or length) / DT) + 1 for length in drawn]
+    lengths = [round((setting.seconds or length) / DT) + 1 for length in drawn]
     pilots, starts = [], []
     for rng, length in zip(rngs, lengths, strict=True):
-        increments, buffet = _disturbance(rng, noise, rho)
-        pilots.append(random_pilot(rng, (length - 1) * DT, disturbance * increments, buffet, moved))
+        increments, buffet = _disturbance(rng, setting.noise, setting.rho)
+        increments, stall = setting.disturbance * increments, float(values["alpha_star"])
+        pilots.append(random_pilot(rng, max(90.0, (length - 1) * DT), stall, increments, buffet, moved))
         alpha = float(pilots[-1].alpha[0])
-        height = rng.uniform(4900.0, 5500.0)
+        height = rng.uniform(5050.0, 5350.0)
         begin = (_level_speed(values, aircraft, alpha, height), alpha, alpha, 0.0, height, 1.0)
         starts.append(State(*(jnp.asarray(x) for x in begin)))
     marks = _marks()
@@ -115,10 +131,12 @@ def hidden_flights(
         flown = {key: np.asarray(x[number]) for key, x in outputs.items()}
         kept = slice(MARGIN, MARGIN + length)
         _check(state, kept, effects)
-        true = _channels(state, flown, pilots[number], thrust[number])
+        true = channels_flown(state, flown, pilots[number], thrust[number])
         rec = misrecorded(misrecording, values, true | commanded[number], marks, card.aircraft)
-        channels = _sensed(rng, {key: x[kept] for key, x in rec.items()}, card, sensor_noise, noise == "outliers")
-        name = f"hidden_{seed}_{number + 1}"
+        channels = sensed(
+            rng, {key: x[kept] for key, x in rec.items()}, card, setting.sensor_noise, setting.noise == "outliers"
+        )
+        name = f"hidden_{setting.seed}_{number + 1}"
         record = FlightRecord.from_arrays(name, flight_time()[kept], channels, "simulated with hidden effects")
         flights.append(
             HiddenFlight(
@@ -249,51 +267,3 @@ def _check(state: Mapping[str, np.ndarray], kept: slice, effects: Mapping[str, A
                 f"with {', '.join(effects) or 'nothing hidden'} at these sizes the flight leaves its envelope: {name} "
                 f"{inside.min():.3g} to {inside.max():.3g} (allowed {lower:.3g} to {upper:.3g}); make them smaller"
             )
-
-
-def _channels(
-    state: Mapping[str, np.ndarray], flown: Mapping[str, np.ndarray], pilot: Pilot, thrust: np.ndarray
-) -> dict[str, np.ndarray]:
-    """True channels by the card's names, and total thrust."""
-    density, sound = (np.asarray(x) for x in air(jnp.asarray(state["h"])))
-    turn = flown["psi_dot"]
-    both = {
-        f"{name}_{side}": np.asarray(getattr(pilot, name)) for name in ("spoiler", "dlc") for side in ("left", "right")
-    }
-    return {key: np.asarray(flown[key]) for key in ("ax", "ay", "az", "p", "r", "elevator")} | {
-        "q": state["q"],
-        "phi": np.asarray(pilot.phi),
-        "theta": state["theta"],
-        "psi": np.concatenate([[0.0], np.cumsum(0.5 * DT * (turn[1:] + turn[:-1]))]),
-        "alpha": state["alpha"],
-        "beta": np.asarray(pilot.beta),
-        "airspeed": state["V"],
-        "altitude": state["h"],
-        "stabilizer": np.asarray(pilot.stabilizer),
-        "rudder": np.asarray(pilot.rudder),
-        "flap": np.asarray(pilot.flap),
-        **both,
-        "mach": state["V"] / sound,
-        "density": density,
-        "thrust": thrust,
-    }
-
-
-def _sensed(
-    rng: np.random.Generator, channels: Mapping[str, np.ndarray], card: Card, scale: float, spikes: bool
-) -> dict[str, np.ndarray]:
-    """With sensor noise, thrust by engine, outliers; the channels that the card maps."""
-    engines = {f"thrust_{side}": channels["thrust"] / 2.0 for side in ("left", "right")}
-    engine = card.sensors.get("thrust", 0.0) / math.sqrt(2.0)  # each
-    deviations: dict[str, float] = {**OTHER_SENSORS, **card.sensors, **dict.fromkeys(engines, engine)}
-    mapped = {channel.name for channel in card.channels}
-    sensed = {}
-    for name, values in (dict(channels) | engines).items():
-        n, sd = len(values), scale * deviations.get(name, 0.0)
-        noisy = values + sd * rng.standard_normal(n)
-        hit, sign = rng.uniform(size=n) < OUTLIER_SHARE, rng.choice([-1.0, 1.0], n)
-        if spikes and name in SPIKED:
-            noisy = noisy + OUTLIER_SIZE * sd * hit * sign
-        if name in mapped:
-            sensed[name] = noisy
-    return sensed

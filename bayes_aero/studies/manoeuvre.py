@@ -28,15 +28,19 @@ def flight_time() -> Series:
 def random_pilot(
     rng: np.random.Generator,
     duration: float,
+    stall: float,
     disturbance: Float[np.ndarray, "n 3"],
     buffet: float,
     moved: Collection[str],
 ) -> Pilot:
-    """One manoeuvre of `duration` s at random; of `SURFACES` only those in `moved` are deflected."""
+    """One manoeuvre of `duration` s at random, into a stall at alpha `stall` (rad).
+
+    Of `SURFACES` only those in `moved` are deflected.
+    """
     time = flight_time()
     surfaces = {name: _pulses(time, rng, duration, 3, *DEFLECTIONS[name]) for name in SURFACES}  # drawn in any case
     return Pilot(
-        alpha=jnp.asarray(_alpha(time, rng, duration)),
+        alpha=jnp.asarray(_alpha(time, rng, duration, np.rad2deg(stall))),
         thrust=jnp.asarray(_thrust(time, rng, duration)),
         excitation=jnp.asarray(_three_two_one_one(time, rng, duration)),
         disturbance=jnp.asarray(disturbance),
@@ -66,18 +70,18 @@ def _smooth(signal: Series, seconds: float) -> Series:
     return np.convolve(padded, window / window.sum(), mode="valid")
 
 
-def _alpha(time: Series, rng: np.random.Generator, duration: float) -> Series:
-    """Slow approach to the stall, then two or three excursions past it, in rad: straight lines."""
+def _alpha(time: Series, rng: np.random.Generator, duration: float, stall: float) -> Series:
+    """Slow approach to the stall, then two or three excursions past it, in rad: straight lines. `stall` in deg."""
     points = [(0.0, rng.uniform(5.5, 7.0)), (rng.uniform(7.0, 12.0), rng.uniform(5.5, 7.0))]
     t = rng.uniform(28.0, 40.0)
-    points.append((t, rng.uniform(14.0, 15.5)))
+    points.append((t, stall + rng.uniform(-1.5, 0.0)))
     for _ in range(rng.integers(2, 4)):
         t += rng.uniform(3.0, 5.0)
-        points.append((t, rng.uniform(16.0, 18.0)))
+        points.append((t, stall + rng.uniform(0.5, 2.5)))
         t += rng.uniform(3.0, 5.0)
         points.append((t, rng.uniform(10.0, 13.0)))
         t += rng.uniform(5.0, 8.0)
-        points.append((t, rng.uniform(14.5, 16.5)))
+        points.append((t, stall + rng.uniform(-1.0, 1.0)))
     t += rng.uniform(8.0, 14.0)
     points += [(t, rng.uniform(7.5, 9.0)), (max(t + 8.0, duration), rng.uniform(5.5, 7.5))]
     return np.deg2rad(np.interp(time, *np.array(points).T))

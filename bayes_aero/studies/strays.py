@@ -62,7 +62,7 @@ def draw_unknown(rng: np.random.Generator, unknown: str, size: float) -> dict[st
     if unknown == "altitude_bump":
         return {
             "unknown_bump": sign * rng.uniform(0.06, 0.12),
-            "unknown_height": rng.uniform(4500.0, 4800.0),
+            "unknown_height": rng.uniform(4700.0, 5000.0),
             "unknown_width": rng.uniform(60.0, 120.0),
         }
     raise InputError(f"there is no unknown effect {unknown!r}; use one of {', '.join(e.name for e in STRAYS)}")
