@@ -134,7 +134,7 @@ def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, wit
     gains = _gains(state, products, mean, columns, [b[1] for b in blocks], fit)
     found = []
     for j, (effect, own, value) in enumerate(blocks):
-        variance = np.diag(covariances[j])
+        variance = np.maximum(np.diag(covariances[j]), 0.0)
         white = np.diag(inverse(projected.information[np.ix_(projected.place[j], projected.place[j])]))
         step = gains[1][j][: len(own)]
         possible = value is None or step[0] * (value - _present(state, effect)) > 0.0

@@ -14,6 +14,7 @@ from bayes_aero.criticism.state import State, moved, refitted, swelling
 
 ALPHA = 0.05  # family-wise rate of false alarms of each election
 TRIED = 8  # leaders considered in one election
+WORTH = 0.04  # share of a coefficient's remaining variance that an effect must explain: imperfect regressors fake less
 SHARE = 0.02  # of a leader's gain: another that gains more than this beyond it takes its place
 
 Progress = Callable[[str, float], None]
@@ -81,7 +82,7 @@ def _election(state: State, fit: Fit, seed: int) -> Step:
             continue
         seen.add(standing.effect)
         p = found.p_value(standing.score)
-        if p > ALPHA or standing.log_bayes <= 0.0:
+        if p > ALPHA or standing.log_bayes <= 0.0 or explained(state, standing) < WORTH:
             continue
         gain = float(unseen_gain(state, columns_of(state, standing)).sum())
         if gain > 0.0:
@@ -90,6 +91,11 @@ def _election(state: State, fit: Fit, seed: int) -> Step:
             break
     highest = max((s.score for s in found.standings), default=0.0)
     return Step(None, found.p_value(highest), found, float("nan"))
+
+
+def explained(state: State, standing: Standing) -> float:
+    """Share of the remaining variance that a candidate takes away, were it all in one output."""
+    return 1.0 - float(np.exp(-max(standing.gain, 0.0) / state.products.count.sum()))
 
 
 def unseen_gain(state: State, wide: np.ndarray, narrow: np.ndarray | None = None) -> Float[np.ndarray, " f"]:
@@ -140,7 +146,7 @@ def _reconsidered(state: State, fit: Fit) -> tuple[State, Fit]:
         ranking = poll(state, fit, seed=0, replicates=0, without=effect)
         own = ranking.of(effect)
         best = ranking.standings[0]
-        if own is None or own.log_bayes < 0.0:
+        if own is None or own.log_bayes < 0.0 or explained(state, own) < WORTH:
             state, fit = refitted(removed(state, effect))
         elif best.effect != effect and best.gain > (1.0 + SHARE) * own.gain + 2.0 * own.inflation:
             state, fit = refitted(added(removed(state, effect), best))
