@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.errors import InputError
-from bayes_aero.inference.gp import GPFit, fit_gp
+from bayes_aero.inference.gp import GPFit, Priors, fit_gp
 from bayes_aero.inference.identification import GPReport, Validation
 from bayes_aero.inference.mle import MleResult, fit_mle
 from bayes_aero.inference.scores import score
@@ -98,6 +98,7 @@ def _one(
         z[fold.train_idx],
         input_names=inputs,
         output_name=NAMES[column],
+        priors=Priors.quasi_steady(),
         sample=sampled,
         seed=seed,
         progress=lambda _: None,

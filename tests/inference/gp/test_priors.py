@@ -9,7 +9,12 @@ from scipy.integrate import quad
 from bayes_aero.errors import InputError
 from bayes_aero.inference.gp.priors import FLAT, HyperPrior, Priors
 
-PROPER = [HyperPrior("half-normal", 0.7), HyperPrior("log-normal", 0.3, 0.8), HyperPrior("inverse-gamma", 3.0, 2.0)]
+PROPER = [
+    HyperPrior("half-normal", 0.7),
+    HyperPrior("log-normal", 0.3, 0.8),
+    HyperPrior("inverse-gamma", 3.0, 2.0),
+    HyperPrior("frechet", 2.0, 5.0),
+]
 
 
 @pytest.mark.parametrize("prior", PROPER, ids=lambda p: p.family)
@@ -23,6 +28,14 @@ def test_draws_follow_the_density(prior):
     t = np.asarray(prior.sample(jax.random.PRNGKey(4), (4000,)))
     mean, _ = quad(lambda s: s * float(jnp.exp(prior.log_density(jnp.asarray(s)))), -15, 8, limit=200)
     assert t.mean() == pytest.approx(mean, abs=5 * t.std() / np.sqrt(t.size))
+
+
+def test_a_frechet_prior_charges_for_what_is_shorter_than_its_scale():
+    prior = HyperPrior("frechet", 6.0, 10.0)
+    t = prior.sample(jax.random.PRNGKey(1), (20000,))
+    assert float(jnp.mean(jnp.exp(t) < 6.0)) == pytest.approx(np.exp(-1.0), abs=0.02)  # its scale is that quantile
+    at_half, at_scale = prior.log_density(jnp.log(jnp.array([3.0, 6.0])))
+    assert float(at_scale - at_half) == pytest.approx(2.0**10 - 1.0 - 10.0 * np.log(2.0))
 
 
 def test_theta_is_laid_out_as_the_priors_are():
