@@ -20,12 +20,14 @@ from bayes_aero.inference.gp.kernel import length_slice, noise_to_signal
 from bayes_aero.inference.gp.priors import HyperPrior, Priors
 from bayes_aero.inference.gp.reduced import ReducedData, ReducedStats, stats_and_gradient
 
-__all__ = ["MapStatus", "Optimum", "find_map", "maximise"]
+__all__ = ["MapStatus", "Optimum", "curvature", "find_map", "maximise"]
 
 SD_BOUNDS = (-10.0, 6.0)  # log of scaled sds: 5e-5 to 400 times the output's rms
 LENGTH_BOUNDS = (-4.6, 6.9)  # log of scaled length scales: 0.01 to 1000 sd of the input
 NOISE_BOUNDS = (-20.0, 16.0)  # log sn^2/sf^2; the lower end keeps R factorisable in double precision
 SCREEN_SIZE, MIDDLE_SIZE = 300, 1000
+GRADIENT_LEFT = 0.05  # nats per unit of u at which BFGS stops: under 0.01 nat below the optimum
+DIFFERENCE_STEP = 0.05  # of log l and log g, for the curvature at an optimum
 SAME_OPTIMUM = 0.5  # two optima closer than this in every log l and log g are one
 
 
@@ -115,27 +117,34 @@ def maximise(
     priors: Priors,
     *,
     w: Float[np.ndarray, " w"] | None = None,
-    scale: Float[np.ndarray, " u"] | None = None,
+    covariance: Float[np.ndarray, "u u"] | None = None,
     max_iterations: int = 60,
     tolerance: float = 1e-9,
 ) -> Optimum:
-    """Local optimum from u (and w) by L-BFGS-B over u / `scale`; `tolerance` is relative in the log posterior."""
+    """Local optimum from u (and w) by L-BFGS-B over u; `tolerance` is relative in the log posterior.
+
+    Where a guess of the Laplace `covariance` of u is at hand, BFGS starts from it: half the evaluations.
+    """
     profile = Profile(data, priors, w)
-    step = np.ones(u.size) if scale is None else scale
     box = np.array([LENGTH_BOUNDS] * (u.size - 1) + [NOISE_BOUNDS])
     best: tuple[float, np.ndarray, np.ndarray] | None = None
 
-    def negative(z):
+    def negative(at):
         nonlocal best
-        value, gradient, theta = profile(z * step)
+        value, gradient, theta = profile(np.clip(at, box[:, 0], box[:, 1]))
         if best is None or value > best[0]:
             best = value, gradient, theta
-        return -value, -gradient * step
+        return -value, -gradient
 
-    start = np.clip(u, box[:, 0], box[:, 1]) / step
-    options = {"maxiter": max_iterations, "ftol": tolerance, "gtol": 1e-4, "maxls": 25}
+    start = np.clip(u, box[:, 0], box[:, 1])
+    if covariance is None:
+        method, options = "L-BFGS-B", {"ftol": tolerance, "gtol": 1e-4, "maxls": 25}
+    else:
+        method, options = "BFGS", {"hess_inv0": covariance, "gtol": GRADIENT_LEFT}
+    options["maxiter"] = max_iterations
+    limits = box if covariance is None else None
     try:
-        out = minimize(negative, start, jac=True, method="L-BFGS-B", bounds=box / step[:, None], options=options)
+        out = minimize(negative, start, jac=True, method=method, bounds=limits, options=options)
         status = MapStatus.iteration_limit if out.status == 1 else MapStatus.converged
     except _NotPositiveDefiniteError:
         status = MapStatus.not_positive_definite
@@ -203,5 +212,25 @@ def find_map(
         found = [maximise(o.u, middle, priors, w=o.theta[: d + 2], max_iterations=40, tolerance=1e-7) for o in found]
         found = distinct(found, polish)
     tell(f"polishing {len(found[:polish])} optima on all {data.n} points")
-    found = [maximise(o.u, data, priors, w=o.theta[: d + 2]) for o in found[:polish]]
+    found = [_polish(o, middle, data, priors) for o in found[:polish]]
     return distinct(found, polish)
+
+
+def _polish(optimum: Optimum, middle: ReducedData, data: ReducedData, priors: Priors) -> Optimum:
+    """The optimum of all points from that of the thinned ones, whose curvature grows with n."""
+    w = optimum.theta[: optimum.u.size + 1]
+    if data.n == middle.n or optimum.status is not MapStatus.converged:
+        return maximise(optimum.u, data, priors, w=w)
+    covariance, _ = curvature(optimum, middle, priors)
+    return maximise(optimum.u, data, priors, w=w, covariance=covariance * middle.n / data.n)
+
+
+def curvature(optimum: Optimum, data: ReducedData, priors: Priors) -> tuple[Float[np.ndarray, "u u"], list[ExactPoint]]:
+    """Laplace covariance of u (its open directions held to an sd of 1.5), and the exact points it was got from."""
+    profile = Profile(data, priors, optimum.theta[: data.x.shape[1] + 2].copy())
+    u = optimum.u
+    _, base, _ = profile(u)
+    rows = [(profile(u + step)[1] - base) / DIFFERENCE_STEP for step in DIFFERENCE_STEP * np.eye(u.size)]
+    values, vectors = np.linalg.eigh(-0.5 * (np.array(rows) + np.array(rows).T))
+    covariance = (vectors / np.maximum(values, 1.0 / 1.5**2)) @ vectors.T
+    return 0.5 * (covariance + covariance.T), profile.points

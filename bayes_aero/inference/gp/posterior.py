@@ -10,7 +10,7 @@ from jaxtyping import Float
 from bayes_aero.inference.gp.density import compiled_posterior
 from bayes_aero.inference.gp.emulator import Emulator, ExactPoint, fit_emulator
 from bayes_aero.inference.gp.kernel import noise_to_signal
-from bayes_aero.inference.gp.optimum import Optimum, Profile
+from bayes_aero.inference.gp.optimum import Optimum, Profile, curvature
 from bayes_aero.inference.gp.priors import Priors
 from bayes_aero.inference.gp.reduced import ReducedData, stats_and_gradient
 from bayes_aero.inference.gp.reweight import SampleStatus, Weighted, reweight, thin
@@ -18,7 +18,6 @@ from bayes_aero.inference.gp.sample import Chains, Settings, join, sample_emulat
 
 __all__ = ["Budget", "Sampled", "sample_posterior"]
 
-DIFFERENCE_STEP = 0.05  # of log l and log g, for the curvature at the optimum
 DESIGN_SPREAD = 1.4  # the design is drawn this many times wider than the Laplace approximation
 PILOT_ERROR = 0.6  # a stand-in whose log density scatters by more about the exact one is trained further
 IMPROBABLE = 30.0  # nats below the best point, beyond which a point no longer trains the stand-in
@@ -46,16 +45,6 @@ class Sampled(NamedTuple):
     status: SampleStatus
     rounds: int
     pilot_error: float
-
-
-def curvature(optimum: Optimum, data: ReducedData, priors: Priors) -> tuple[np.ndarray, list[ExactPoint]]:
-    """Laplace covariance of u (its open directions held to an sd of 1.5), and the exact points it was got from."""
-    profile = Profile(data, priors, optimum.theta[: data.x.shape[1] + 2].copy())
-    u = optimum.u
-    _, base, _ = profile(u)
-    rows = [(profile(u + step)[1] - base) / DIFFERENCE_STEP for step in DIFFERENCE_STEP * np.eye(u.size)]
-    values, vectors = np.linalg.eigh(-0.5 * (np.array(rows) + np.array(rows).T))
-    return (vectors / np.maximum(values, 1.0 / 1.5**2)) @ vectors.T, profile.points
 
 
 def stand_in_errors(
