@@ -84,6 +84,12 @@ class _Projected:
         meat = colour.meat(self.P, self.variance, folds)
         estimates, covariances = [], []
         for place in self.place:
+            if len(place) == 1:
+                only = place[0]
+                information = max(self.information[only, only], 1e-300)
+                estimates.append(right[place] / information)
+                covariances.append(meat[only : only + 1, only : only + 1] / information**2)
+                continue
             bread = inverse(self.information[np.ix_(place, place)])
             estimates.append(bread @ right[place])
             covariances.append(bread @ meat[np.ix_(place, place)] @ bread)
@@ -92,9 +98,9 @@ class _Projected:
 
 def _equivalent(estimate: np.ndarray, covariance: np.ndarray) -> float:
     """Wald statistic as the standard score of one parameter with the same tail probability."""
-    wald = float(estimate @ inverse(covariance) @ estimate)
     if len(estimate) == 1:
-        return math.sqrt(max(wald, 0.0))
+        return abs(float(estimate[0])) / math.sqrt(max(float(covariance[0, 0]), 1e-300))
+    wald = float(estimate @ inverse(covariance) @ estimate)
     tail = stats.chi2.logsf(wald, len(estimate))
     return float(stats.norm.isf(math.exp(max(tail, -700.0)) / 2.0)) if tail < 0.0 else 0.0
 

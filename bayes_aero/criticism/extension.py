@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.criticism.election import Poll, Standing, columns_of, poll
+from bayes_aero.criticism.election import REPLICATES, Poll, Standing, columns_of, poll
 from bayes_aero.criticism.regression import Fit
 from bayes_aero.criticism.state import State, moved, refitted, swelling
 
+LEAST_SCORE = 2.5  # below it no candidate is beyond chance in an election among dozens
 ALPHA = 0.05  # family-wise rate of false alarms of each election
 TRIED = 8  # leaders considered in one election
 WORTH = 0.04  # share of a coefficient's remaining variance that an effect must explain: imperfect regressors fake less
@@ -56,7 +57,7 @@ def extend(state: State, *, seed: int = 0, most: int = 8, progress: Progress | N
     for number in range(most):
         if progress:
             progress("causes", number / most)
-        step = _election(state, fit, seed + number)
+        step = _election(state, fit, seed + number, first=number == 0)
         steps.append(step)
         if step.chosen is None:
             break
@@ -74,23 +75,32 @@ def _inflation(state: State, fit: Fit) -> float:
     return max(1.0, float(np.median([s.inflation for s in found]))) if found else 1.0
 
 
-def _election(state: State, fit: Fit, seed: int) -> Step:
-    found = poll(state, fit, seed=seed)
+def _election(state: State, fit: Fit, seed: int, first: bool) -> Step:
+    """The most explaining candidate that is beyond chance, large enough to matter and useful on folds left out.
+
+    Noise-only replicates are drawn where somebody stands a chance, and in the first election, whose p-values are
+    reported for every candidate.
+    """
+    found = poll(state, fit, seed=seed, replicates=REPLICATES if first else 0)
     seen: set[str] = set()
     for standing in found.standings:
         if standing.effect in seen:
             continue
         seen.add(standing.effect)
-        p = found.p_value(standing.score)
-        if p > ALPHA or standing.log_bayes <= 0.0 or explained(state, standing) < WORTH:
+        if len(seen) > TRIED:
+            break
+        if standing.score < LEAST_SCORE or standing.log_bayes <= 0.0 or explained(state, standing) < WORTH:
             continue
         gain = float(unseen_gain(state, columns_of(state, standing)).sum())
-        if gain > 0.0:
+        if gain <= 0.0:
+            continue
+        if not len(found.nulls):
+            found = replace(found, nulls=poll(state, fit, seed=seed).nulls)
+        p = found.p_value(standing.score)
+        if p <= ALPHA:
             return Step(standing.effect, p, found, gain)
-        if len(seen) >= TRIED:
-            break
     highest = max((s.score for s in found.standings), default=0.0)
-    return Step(None, found.p_value(highest), found, float("nan"))
+    return Step(None, found.p_value(highest) if len(found.nulls) else float("nan"), found, float("nan"))
 
 
 def explained(state: State, standing: Standing) -> float:

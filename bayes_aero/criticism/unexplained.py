@@ -24,6 +24,7 @@ PERIODS = tuple(np.round(np.geomspace(0.6, 30.0, 48), 3))  # s
 CHUNKS = 4  # parts of each manoeuvre, by which a sinusoid must predict what it was not fitted to
 LEAST_SHARE = 0.03  # of the remaining variance: less is not worth a verdict
 SKIPPED = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot", "alpha_dot")  # responses themselves, not causes
+DRAWN = 80  # noise-only replicates: components have many columns
 MOST = 3  # components taken one after another
 BETTER = 1.2  # how many times a named cause's unseen gain a component must reach to take its place
 
@@ -65,16 +66,17 @@ def _best(state: State, chosen: Sequence[Component], seed: int) -> tuple[Compone
         trial = with_components(state, components, chosen, folds)
         fit = trial.fit()
         ranking = poll(trial, fit, seed=seed, replicates=0)
-        leaders = [s for s in ranking.standings[:6] if s.score > 3.0]
-        if not leaders:
-            continue
-        ranking = poll(trial, fit, seed=seed)
-        for standing in leaders:
-            p = ranking.p_value(standing.score)
+        drawn = False
+        for standing in (s for s in ranking.standings[:6] if s.score > 3.0):
             own = np.array(standing.columns, int)
             gained = float(unseen_gain(trial, np.concatenate([trial.columns(), own])).sum())
             share = _share(trial, own)
-            if p <= ALPHA and gained > 0.0 and share >= LEAST_SHARE:
+            if gained <= 0.0 or share < LEAST_SHARE:
+                continue
+            if not drawn:
+                ranking, drawn = poll(trial, fit, seed=seed, replicates=DRAWN), True
+            p = ranking.p_value(standing.score)
+            if p <= ALPHA:
                 return next(c for c in components if c.label == standing.effect), share, p
     return None
 

@@ -1,0 +1,185 @@
+"""Hide effects in simulated flights, diagnose, and count: silence, naming, pairs, unknowns, power.
+
+    python benchmarks/hidden_effects.py silence 200 --out study     # nothing hidden
+    python benchmarks/hidden_effects.py one 200 --out study         # one effect, its table and confusion matrix
+    python benchmarks/hidden_effects.py two 100 --out study         # two effects
+    python benchmarks/hidden_effects.py unknown 60 --out study      # effects of no catalogue
+    python benchmarks/hidden_effects.py report --out study          # tables of everything found so far
+
+Every flight's finding is one line of OUT/<kind>.jsonl; a study that was interrupted goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from bayes_aero.criticism.diagnosis import diagnose
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card import read_card
+from bayes_aero.studies.demo import TRUTH
+from bayes_aero.studies.hidden import flyable, hidden_records
+from bayes_aero.studies.strays import STRAYS
+
+NOISES = ("white", "ar1", "ar1", "buffet", "outliers")
+SECONDS = 90.0  # of each of the two manoeuvres: one length, so that one compilation serves all
+CLEAR = 6.0  # standard errors from which an effect must be named
+
+
+def candidates() -> list[str]:
+    """Effects that can be hidden: every one of the catalogue that is not a term of the base aircraft."""
+    base = set(TRUTH) - {"tau1"}
+    return [e.name for e in CATALOGUE.values() if e.sizes and not {p.name for p in e.parameters} & base]
+
+
+def case(kind: str, seed: int) -> dict:
+    """Draw, fly and diagnose one case."""
+    rng = np.random.default_rng([seed, 99])
+    noise, unknown, effects = str(rng.choice(NOISES)), None, {}
+    if kind == "silence":
+        records = hidden_records({}, seed=seed, noise=noise, seconds=SECONDS)
+    elif kind == "unknown":
+        unknown = str(rng.choice(sorted(e.name for e in STRAYS)))
+        records = hidden_records({}, seed=seed, noise=noise, unknown=unknown, seconds=SECONDS)
+    else:
+        names = [str(x) for x in rng.choice(candidates(), 1 if kind == "one" else 2, replace=False)]
+        effects, flights = flyable(names, seed=seed, noise=noise, seconds=SECONDS)
+        records = [flight.record for flight in flights]
+    began = time.perf_counter()
+    found = diagnose(records, read_card("attas"), seed=seed, gains_wanted=False)
+    return {
+        "seed": seed,
+        "noise": noise,
+        "unknown": unknown,
+        "hidden": effects,
+        "verdict": found.verdict.value,
+        "causes": [
+            {
+                "name": c.name,
+                "probability": c.probability,
+                "ambiguous_with": c.ambiguous_with,
+                "parameters": {k: [v.mean, v.sd] for k, v in c.parameters.items()},
+            }
+            for c in found.causes
+        ],
+        "minor": found.minor,
+        "unexplained": [[u.coefficient, u.channel, u.share] for u in found.unknown],
+        "scores": _scores(found, effects),
+        "not_testable": sorted(found.not_testable),
+        "seconds": time.perf_counter() - began,
+    }
+
+
+def _scores(found, effects) -> dict[str, float]:
+    """The hidden effects' own standard scores: |true size| over the deviation that the first election gave it."""
+    scores = {}
+    for name, values in effects.items():
+        for stage in (found.sensors, found.aerodynamics):
+            standing = stage.steps[0].poll.of(name) if stage is not None and stage.steps else None
+            if standing is not None:
+                owned = [p for p in CATALOGUE[name].parameters if p.name in values]
+                sizes = [abs(values[p.name] - p.neutral) / max(sd, 1e-300) for p, sd in zip(owned, standing.sd)]
+                scores[name] = max(scores.get(name, 0.0), *sizes)
+    return scores
+
+
+def run(kind: str, count: int, out: Path, first: int) -> None:
+    """Go through the seeds that are not in the file yet."""
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / f"{kind}.jsonl"
+    done = {row["seed"] for row in _read(path)}
+    with path.open("a") as file:
+        for seed in range(first, first + count):
+            if seed in done:
+                continue
+            try:
+                row = case(kind, seed)
+            except InputError as error:  # an aircraft that cannot be flown so; counted, not hidden
+                row = {"seed": seed, "refused": str(error)}
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+
+
+def _read(path: Path) -> list[dict]:
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def _share(hits: int, of: int) -> str:
+    return f"{hits}/{of} = {hits / of:.1%}" if of else "0/0"
+
+
+def report(out: Path) -> None:
+    """Print the tables."""
+    rows = {kind: _read(out / f"{kind}.jsonl") for kind in ("silence", "one", "two", "unknown")}
+    refused = {kind: sum("refused" in r for r in rs) for kind, rs in rows.items()}
+    rows = {kind: [r for r in rs if "refused" not in r] for kind, rs in rows.items()}
+    print("refused as unflyable:", refused)
+    silence = rows["silence"]
+    for noise in ("white", "ar1", "buffet", "outliers"):
+        here = [r for r in silence if r["noise"] == noise]
+        print(f"silence, {noise}: false alarms {_share(sum(r['verdict'] != 'no_effect' for r in here), len(here))}")
+    print("silence, all: false alarms", _share(sum(r["verdict"] != "no_effect" for r in silence), len(silence)))
+    print("  named falsely:", Counter(c["name"] for r in silence for c in r["causes"]).most_common())
+    _naming(rows["one"])
+    two = [r for r in rows["two"] if len(r["scores"]) == 2 and min(r["scores"].values()) >= CLEAR]
+    both = sum(all(_named(r, name) for name in r["hidden"]) for r in two)
+    print(f"two effects, both >= {CLEAR:g} standard errors: both named {_share(both, len(two))}")
+    unknown = rows["unknown"]
+    for stray in sorted({r["unknown"] for r in unknown}):
+        here = [r for r in unknown if r["unknown"] == stray]
+        print(
+            f"unknown {stray}: unexplained {_share(sum(bool(r['unexplained']) for r in here), len(here))}, "
+            f"misnamed {_share(sum(bool(r['causes']) for r in here), len(here))}, channels "
+            f"{Counter(u[0] + ' ' + u[1].split(',')[0] for r in here for u in r['unexplained'][:1]).most_common(4)}"
+        )
+    every = [r["seconds"] for rs in rows.values() for r in rs]
+    print(f"seconds a diagnosis: median {np.median(every):.1f}, 95 % below {np.quantile(every, 0.95):.1f}")
+
+
+def _named(row: dict, name: str) -> bool:
+    return any(c["name"] == name or name in c["ambiguous_with"] for c in row["causes"])
+
+
+def _naming(rows: list[dict]) -> None:
+    clear = [r for r in rows if r["scores"] and max(r["scores"].values()) >= CLEAR]
+    first = alone = covered = sized = 0
+    missed: Counter[tuple[str, str]] = Counter()
+    for r in clear:
+        (name,) = r["hidden"]
+        leader = r["causes"][0] if r["causes"] else None
+        right = leader is not None and (leader["name"] == name or name in leader["ambiguous_with"])
+        first += right
+        alone += leader is not None and leader["name"] == name and len(r["causes"]) == 1 and not leader["ambiguous_with"]
+        if not right:
+            missed[(name, leader["name"] if leader else "nothing" + (" (minor)" if name in r["minor"] else ""))] += 1
+        for c in r["causes"]:
+            if c["name"] == name:
+                inside = [abs(c["parameters"][p][0] - v) <= 1.96 * c["parameters"][p][1] for p, v in r["hidden"][name].items()]
+                covered, sized = covered + all(inside), sized + 1
+    print(f"one effect >= {CLEAR:g} standard errors: first or in the ambiguity set {_share(first, len(clear))}, "
+          f"alone and first {_share(alone, len(clear))}, interval covers {_share(covered, sized)}")  # fmt: skip
+    print("  confused (true, named):", missed.most_common())
+    edges = [0, 2, 4, 6, 9, 15, 30, 100, np.inf]
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        here = [r for r in rows if r["scores"] and low <= max(r["scores"].values()) < high]
+        hits = sum(_named(r, next(iter(r["hidden"]))) for r in here)
+        print(f"  power, {low:g} to {high:g} standard errors: named {_share(hits, len(here))}")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("kind", choices=("silence", "one", "two", "unknown", "report"))
+    parser.add_argument("count", type=int, nargs="?", default=200)
+    parser.add_argument("--out", type=Path, default=Path("study"))
+    parser.add_argument("--first", type=int, default=1000, help="first seed")
+    given = parser.parse_args()
+    if given.kind == "report":
+        report(given.out)
+    else:
+        run(given.kind, given.count, given.out, given.first)
