@@ -9,6 +9,7 @@ import xarray as xr
 from arviz_stats.base import array_stats
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FormatStrFormatter, MaxNLocator, NullLocator
 
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.identification import Identification
@@ -95,6 +96,7 @@ def gp_prior_posterior(identification: Identification) -> Figure:
             _log_density(ax, prior[hyper], "prior")
             _log_density(ax, posterior[hyper], "gpr")
             ax.set(xscale="log", ylim=(0.0, 1.08), yticks=[0.0, 0.5, 1.0])
+            _plain_ticks(ax)
             ax.set_xlabel(f"{hyper} {_hyper_unit(hyper)}", labelpad=1)
         column[0].set_title(f"{name}: k-hat = {float(trees[name].attrs.get('k_hat', np.nan)):.2f}")
     for ax in axes[:, 0]:
@@ -129,6 +131,15 @@ def _hyper_unit(hyper: str) -> str:
     if not channel or unit == "1":
         return "[-]"
     return bracket(unit if kind.startswith("length") else f"1/({unit})" if "/" in unit else f"1/{unit}")
+
+
+def _plain_ticks(ax: Axes) -> None:
+    """Few plain numbers on a logarithmic axis of less than a decade, whose powers of ten would run into each other."""
+    low, high = ax.get_xlim()
+    if high < 10.0 * low:
+        ax.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+        ax.xaxis.set_major_formatter(FormatStrFormatter("%.3g"))
+        ax.xaxis.set_minor_locator(NullLocator())
 
 
 def _log_density(ax: Axes, draws: np.ndarray, key: str) -> None:
