@@ -155,12 +155,16 @@ def _naming(rows: list[dict]) -> None:
         leader = r["causes"][0] if r["causes"] else None
         right = leader is not None and (leader["name"] == name or name in leader["ambiguous_with"])
         first += right
-        alone += leader is not None and leader["name"] == name and len(r["causes"]) == 1 and not leader["ambiguous_with"]
+        alone += (
+            leader is not None and leader["name"] == name and len(r["causes"]) == 1 and not leader["ambiguous_with"]
+        )
         if not right:
             missed[(name, leader["name"] if leader else "nothing" + (" (minor)" if name in r["minor"] else ""))] += 1
         for c in r["causes"]:
             if c["name"] == name:
-                inside = [abs(c["parameters"][p][0] - v) <= 1.96 * c["parameters"][p][1] for p, v in r["hidden"][name].items()]
+                inside = [
+                    abs(c["parameters"][p][0] - v) <= 1.96 * c["parameters"][p][1] for p, v in r["hidden"][name].items()
+                ]
                 covered, sized = covered + all(inside), sized + 1
     print(f"one effect >= {CLEAR:g} standard errors: first or in the ambiguity set {_share(first, len(clear))}, "
           f"alone and first {_share(alone, len(clear))}, interval covers {_share(covered, sized)}")  # fmt: skip

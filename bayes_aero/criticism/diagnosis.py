@@ -219,9 +219,7 @@ def _rivals(extension: Extension, name: str) -> tuple[float, tuple[str, ...]]:
     cost = 2.0 * max(own.inflation, 1.0)
     weights = {effect: np.exp(min(0.0, (s.gain - own.gain) / cost)) for effect, s in best.items()}
     nothing = np.exp(-max(own.gain, 0.0) / cost)
-    close = tuple(
-        effect for effect, s in best.items() if effect != name and (own.gain - s.gain) / cost < AMBIGUOUS
-    )
+    close = tuple(effect for effect, s in best.items() if effect != name and (own.gain - s.gain) / cost < AMBIGUOUS)
     return float(1.0 / (sum(weights.values()) + nothing)), close
 
 

@@ -111,9 +111,7 @@ def explained(state: State, standing: Standing) -> float:
 def unseen_gain(state: State, wide: np.ndarray, narrow: np.ndarray | None = None) -> Float[np.ndarray, " f"]:
     """Deviance that columns `wide` gain over `narrow` (default: the active ones) on each fold, fitted on the others."""
     narrow = state.columns() if narrow is None else narrow
-    return np.array(
-        [_left_out(state, fold, narrow) - _left_out(state, fold, wide) for fold in range(len(state.folds))]
-    )
+    return np.array([_left_out(state, fold, narrow) - _left_out(state, fold, wide) for fold in range(len(state.folds))])
 
 
 def _left_out(state: State, fold: int, columns: np.ndarray) -> float:

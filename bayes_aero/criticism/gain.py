@@ -62,9 +62,7 @@ def measured_blocks(state: State) -> Float[np.ndarray, "m c"]:
     return np.asarray(state.responses.block(state.responses.evaluate(at_base)[1]["measured"]))
 
 
-def gains(
-    base: LeftOut, extended: Sequence[LeftOut], state: State, measured: Float[np.ndarray, "m c"]
-) -> list[Gain]:
+def gains(base: LeftOut, extended: Sequence[LeftOut], state: State, measured: Float[np.ndarray, "m c"]) -> list[Gain]:
     """The gain of each extension over the one before it; scores before are those of `base`."""
     found, before = [], base
     per = max(1, round(STRETCH / state.responses.seconds))
@@ -72,9 +70,7 @@ def gains(
         difference = (after.density() - before.density()) / state.temper
         sums = np.array([part.sum() for part in np.array_split(difference, max(2, len(difference) // per))])
         se = float(np.sqrt(len(sums)) * sums.std(ddof=1))
-        found.append(
-            Gain(float(sums.sum()), se, split_name(state), base.scores(measured), after.scores(measured))
-        )
+        found.append(Gain(float(sums.sum()), se, split_name(state), base.scores(measured), after.scores(measured)))
         before = after
     return found
 

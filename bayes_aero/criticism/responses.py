@@ -89,9 +89,7 @@ class Responses(eqx.Module):
 def _measured(responses: Responses, values: Mapping[str, Array], channels: Mapping[str, Array]):
     """Corrected signals of every flight, and the aircraft as it is."""
     corrected = responses.model.corrected(values, channels, responses.flights.aircraft)
-    return responses.flights.conditioned(corrected), responses.model.actual_aircraft(
-        values, responses.flights.aircraft
-    )
+    return responses.flights.conditioned(corrected), responses.model.actual_aircraft(values, responses.flights.aircraft)
 
 
 def _scales(responses: Responses, values: Mapping[str, Array]) -> dict[str, Array]:

@@ -182,7 +182,19 @@ def linearised(
     precision = np.concatenate([precision, nothing, precision[of_scans], [1.0]])
     products = Products.of(residual / swell, S / swell[:, :, None], folds)
     return State(
-        field, responses, outputs, theta, residual, S, swell, folds, products, mean, precision, active, tuple(scans),
+        field,
+        responses,
+        outputs,
+        theta,
+        residual,
+        S,
+        swell,
+        folds,
+        products,
+        mean,
+        precision,
+        active,
+        tuple(scans),
         temper,
     )
 
@@ -237,7 +249,9 @@ def _local(state: State, theta: np.ndarray, at: np.ndarray, folds: Sequence[int]
     mean, precision = np.append(mean, offsets), np.append(precision, offsets)
     free = np.arange(S.shape[2])
     only = products.fit(free[len(at) :], mean, precision)  # parameters as they are; offsets and variances adapt
-    return products.fit(free, mean, precision), only.deviance + float(np.sum(precision[: len(at)] * mean[: len(at)] ** 2))
+    return products.fit(free, mean, precision), only.deviance + float(
+        np.sum(precision[: len(at)] * mean[: len(at)] ** 2)
+    )
 
 
 def swelling(state: State, fit: Fit) -> Float[np.ndarray, "m c"]:

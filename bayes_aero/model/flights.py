@@ -43,7 +43,7 @@ class Flights(eqx.Module):
         begin, parts = 0, []
         for length in self.lengths:
             piece = {name: values[begin : begin + length] for name, values in channels.items()}
-            parts.append(condition(piece, piece["dt"]))
+            parts.append(condition(piece, piece["dt"][0]))
             begin += length
         return {name: jnp.concatenate([part[name] for part in parts]) for name in parts[0]}
 

@@ -1,0 +1,64 @@
+"""Flight-path kinematics against flown flights, and spikes."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bayes_aero.model.flights import despiked, join
+from bayes_aero.physics.flightpath import PATH, integral, path_rates
+from bayes_aero.studies.hidden import hidden_records
+
+
+@pytest.fixture(scope="module")
+def quiet(card):
+    """Two flights with bank and sideslip, without any noise."""
+    return join(hidden_records({}, seed=12, noise="white", sensor_noise=0.0, disturbance=0.0), card)
+
+
+def test_recorded_path_is_the_integral_of_its_rates(quiet, card):
+    signals = quiet.conditioned(quiet.channels)
+    rates = path_rates(signals, card.aircraft)
+    start, first = quiet.channels["start"], quiet.channels["first"]
+    # Smoothing and the trapezoidal rule err where the flight bends within half a second.
+    tolerance = {"airspeed": 0.05, "alpha": 1e-3, "theta": 5e-4, "altitude": 0.5}
+    for name in PATH:
+        found = signals[name][first] + integral(rates[name], signals["dt"], start, first)
+        off = np.abs(np.asarray(found - signals[name]))
+        assert off.max() < tolerance[name], name
+        assert np.ptp(np.asarray(signals[name])) > 20 * tolerance[name], name
+
+
+def test_a_drag_free_fall_keeps_its_energy(card):
+    """No force but gravity: V dV + g dh = 0 whatever the attitude."""
+    rng = np.random.default_rng(5)
+    n = 50
+    s = {name: jnp.asarray(rng.uniform(-0.3, 0.3, n)) for name in ("p", "q", "r", "phi", "theta", "alpha", "beta")}
+    s |= {name: jnp.zeros(n) for name in ("ax", "ay", "az", "p_dot", "q_dot", "r_dot")}
+    s["airspeed"] = jnp.asarray(rng.uniform(50, 120, n))
+    at_cg = replace(card.aircraft, accelerometer=(0.0, 0.0, 0.0))
+    rates = path_rates(s, at_cg)
+    np.testing.assert_allclose(s["airspeed"] * rates["airspeed"] + 9.80665 * rates["altitude"], 0.0, atol=1e-9)
+
+
+def test_spikes_are_replaced_and_nothing_else(quiet):
+    rng = np.random.default_rng(8)
+    x = np.array(quiet.channels["az"]) + 0.05 * rng.standard_normal(quiet.n)
+    at = rng.choice(np.arange(20, quiet.n - 20, 40), 15, replace=False)
+    spiked = x.copy()
+    spiked[at] += 2.0 * rng.choice([-1.0, 1.0], len(at))
+    found, count = despiked(eqx.tree_at(lambda f: f.channels["az"], quiet, jnp.asarray(spiked)))
+    assert count["az"] == len(at)
+    off = np.abs(np.asarray(found.channels["az"]) - x)
+    assert off[at].max() < 0.5
+    assert np.delete(off, at).max() == 0.0
+
+
+def test_a_step_is_not_a_spike(quiet):
+    x = np.where(np.asarray(quiet.channels["elapsed"]) > 30.0, 5.0, 0.0)
+    x = x + 0.01 * np.random.default_rng(3).standard_normal(quiet.n)
+    found, count = despiked(eqx.tree_at(lambda f: f.channels["q"], quiet, jnp.asarray(x)))
+    assert "q" not in count
+    np.testing.assert_array_equal(np.asarray(found.channels["q"]), x)

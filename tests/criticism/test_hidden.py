@@ -1,0 +1,42 @@
+"""Hide an effect, or nothing, in simulated flights and diagnose them; the full study is in benchmarks."""
+
+import numpy as np
+import pytest
+
+from bayes_aero.criticism.diagnosis import diagnose
+from bayes_aero.criticism.finding import Verdict
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.studies.hidden import flyable, hidden_records
+
+# Clearly visible at every size in their range; the study covers the whole catalogue and the edge of detection.
+SENSORS = ("alpha_scale", "airspeed_bias", "pitch_rate_bias", "accel_x_bias")
+OTHERS = ("thrust_moment", "stabilizer_trim", "sideslip_drag", "pitch_rate_lift", "mass_scale", "elevator_delay")
+
+
+def draw(seed: int, names: tuple[str, ...]) -> str:
+    return str(np.random.default_rng([seed, 7]).choice(names))
+
+
+@pytest.mark.recovery
+@pytest.mark.parametrize("seed", [4101, 4102])
+@pytest.mark.parametrize("family", [SENSORS, OTHERS])
+def test_a_hidden_effect_is_named_with_its_size(seed, family, card):
+    name = draw(seed, family)
+    effects, flights = flyable([name], seed=seed, noise="ar1", seconds=90.0)
+    found = diagnose([flight.record for flight in flights], card, seed=seed, gains_wanted=False)
+    assert found.causes, (name, effects)
+    first = found.causes[0]
+    assert first.name == name or name in first.ambiguous_with
+    if first.name == name:
+        for parameter, true in effects[name].items():
+            size = first.parameters[parameter]
+            # Five deviations, and a twentieth of the size: recorded regressors carry noise.
+            assert abs(size.mean - true) < 5 * size.sd + 0.05 * abs(true), parameter
+
+
+@pytest.mark.recovery
+@pytest.mark.parametrize(("seed", "noise"), [(4201, "white"), (4202, "ar1"), (4203, "buffet"), (4204, "outliers")])
+def test_nothing_is_found_where_nothing_is_hidden(seed, noise, card):
+    found = diagnose(hidden_records({}, seed=seed, noise=noise, seconds=90.0), card, seed=seed, gains_wanted=False)
+    assert found.verdict is Verdict.NO_EFFECT, [c.name for c in found.causes]
+    assert "spoiler_lift" in found.not_testable or "spoiler_lift" not in CATALOGUE

@@ -1,0 +1,90 @@
+"""Regression from inner products, the colour's covariance and noise records: against plain linear algebra."""
+
+import numpy as np
+import pytest
+
+from bayes_aero.criticism.colour import ORDER, Colour, colour_of
+from bayes_aero.criticism.regression import Products
+
+
+@pytest.fixture(params=[3, 4])
+def problem(request):
+    rng = np.random.default_rng(request.param)
+    m, c, k = 400, 3, 5
+    S = rng.standard_normal((m, c, k))
+    S[:, 0, 3] = 0.0  # a parameter that does not reach every output
+    truth = rng.standard_normal(k)
+    residual = S @ truth + np.array([0.1, 1.0, 0.01]) * rng.standard_normal((m, c))
+    return residual, S, truth, [slice(0, 150), slice(150, 400)]
+
+
+def test_fit_is_weighted_least_squares_at_its_own_variances(problem):
+    residual, S, _, folds = problem
+    k = S.shape[2]
+    fit = Products.of(residual, S, folds).fit(np.arange(k), np.zeros(k), np.zeros(k))
+    w = 1.0 / np.sqrt(fit.variance)
+    A, b = (S * w[:, None]).reshape(-1, k), (residual * w).ravel()
+    np.testing.assert_allclose(fit.step, np.linalg.lstsq(A, b, rcond=None)[0], rtol=1e-5)
+    np.testing.assert_allclose(fit.variance, np.mean((residual - S @ fit.step) ** 2, axis=0), rtol=1e-5)
+
+
+def test_prior_pulls_as_another_observation_would(problem):
+    residual, S, _, folds = problem
+    k = S.shape[2]
+    mean, precision = np.full(k, 0.3), np.full(k, 1e4)
+    fit = Products.of(residual, S, folds).fit(np.arange(k), mean, precision)
+    w = 1.0 / np.sqrt(fit.variance)
+    A = np.vstack([(S * w[:, None]).reshape(-1, k), np.diag(np.sqrt(precision))])
+    b = np.concatenate([(residual * w).ravel(), np.sqrt(precision) * mean])
+    np.testing.assert_allclose(fit.step, np.linalg.lstsq(A, b, rcond=None)[0], rtol=1e-5)
+
+
+def test_shifting_is_the_residual_after_a_step(problem):
+    residual, S, truth, folds = problem
+    columns = np.array([1, 4])
+    moved = Products.of(residual, S, folds).shifted(columns, truth[columns])
+    direct = Products.of(residual - S[:, :, columns] @ truth[columns], S, folds)
+    np.testing.assert_allclose(moved.gram, direct.gram, atol=1e-8)
+
+
+def test_columns_filled_up_with_zeros_change_nothing(problem):
+    residual, S, _, folds = problem
+    k = S.shape[2]
+    S = np.concatenate([S, np.zeros((*residual.shape, 1))], axis=2)
+    products, precision = Products.of(residual, S, folds), np.append(np.zeros(k), 1.0)
+    alone = products.fit(np.arange(3), np.zeros(k + 1), precision)
+    step, _, variance, deviance = products.fit_many(np.array([[0, 1, 2, k, k]]), np.zeros(k + 1), precision)
+    np.testing.assert_allclose(step[0, :3], alone.step, rtol=1e-8)
+    assert deviance[0] == pytest.approx(alone.deviance)
+    np.testing.assert_allclose(variance[0], alone.variance)
+
+
+def test_autoregression_is_found_again():
+    truth = Colour(np.array([[0.9, 0.0, 0.0], [0.5, 0.2, 0.1]]), np.array([1.0, 0.3]))
+    folds = [slice(0, 4000), slice(4000, 8000)]
+    noise = truth.simulate(1, folds, 8000, np.random.default_rng(1))[0]
+    found = colour_of(noise, folds)
+    # Least squares has a standard error of about 1/sqrt(n) here.
+    np.testing.assert_allclose(found.phi, truth.phi, atol=5 / np.sqrt(8000))
+    np.testing.assert_allclose(found.sigma, truth.sigma, rtol=0.05)
+
+
+def test_meat_is_the_sum_over_all_pairs_of_samples():
+    rng = np.random.default_rng(2)
+    m, phi, sigma = 300, 0.7, 0.4
+    colour = Colour(np.array([[phi, 0.0, 0.0]]), np.array([sigma]))
+    S, variance = rng.standard_normal((m, 1, 2)), np.array([0.5])
+    lags = np.abs(np.subtract.outer(np.arange(m), np.arange(m)))
+    covariance = sigma**2 / (1 - phi**2) * phi**lags
+    W = S[:, 0] / variance[0]
+    exact = W.T @ covariance @ W
+    # Filtering backwards leaves out what lies before the first sample: a correction of order one sample in m.
+    np.testing.assert_allclose(colour.meat(S, variance, [slice(0, m)]), exact, rtol=0.03, atol=0.02 * np.trace(exact))
+
+
+def test_noise_does_not_reach_across_folds():
+    colour = Colour(np.full((1, ORDER), 0.3), np.ones(1))
+    noise = colour.simulate(4000, [slice(0, 5), slice(5, 10)], 10, np.random.default_rng(3))[:, :, 0]
+    within, across = np.corrcoef(noise[:, 3], noise[:, 4])[0, 1], np.corrcoef(noise[:, 4], noise[:, 5])[0, 1]
+    assert within > 0.3
+    assert abs(across) < 5 / np.sqrt(4000)
