@@ -107,6 +107,63 @@ def identify(
     console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
 
 
+@app.command()
+def diagnose(
+    records: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Flight records (.asc .csv .mat .parquet .nc); none: an effect is hidden and sought."),
+    ] = None,
+    model: Annotated[str, typer.Option(help="Card: a .toml file, or a shipped one by name.")] = "attas",
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("diagnosis"),
+    seed: Annotated[int, typer.Option(min=0, help="Same seed, same command, same machine: same numbers.")] = 0,
+    max_effects: Annotated[int, typer.Option(min=1, help="Effects that each stage may add to the model.")] = 8,
+    resample: Annotated[
+        float | None, typer.Option(help="Resample unevenly sampled records to this time step in s.")
+    ] = None,
+    figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
+) -> None:
+    """Find what a model gets wrong: which cause, how large, what else it could be, what it gains on unseen data.
+
+    Example: bayes-aero diagnose qst01.asc qst02.asc --model attas --out diagnosis
+    """
+    from bayes_aero.flight.card import read_card
+    from bayes_aero.report.words_diagnosis import cause_table, ranking_table, revealed, sentences
+    from bayes_aero.studies.diagnose import hide_one, run
+    from bayes_aero.studies.identify import read_records
+
+    card = read_card(model)
+    console = Console()
+    flights, hidden = (read_records(records, card, resample=resample), None) if records else ([], None)
+    with _progress() as bar:
+        task = bar.add_task("reading" if records else "simulating", total=1.0)
+        if not records:
+            console.print("No record given: an effect is hidden in two simulated manoeuvres, to be found.")
+            hidden, flights = hide_one(card, seed)
+        found = run(
+            flights,
+            card,
+            out=out,
+            seed=seed,
+            most=max_effects,
+            hidden=hidden,
+            figures=figures,
+            progress=lambda text, share: bar.update(task, description=text, completed=share),
+        )
+    verdict, *rest = sentences(found.view)
+    console.print(verdict, highlight=False, style="bold")
+    table = cause_table(found.view) or ranking_table(found.view)
+    if table is not None:
+        console.print(table)
+    for sentence in rest:
+        console.print(f"• {sentence}", highlight=False)
+    for note in found.notes:
+        console.print(f"! {note}", highlight=False)
+    if hidden is not None:
+        for sentence in revealed(hidden, found.named):
+            console.print(sentence, highlight=False, style="bold")
+    console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
+
+
 def _progress() -> Progress:
     """A bar on the terminal, silence elsewhere."""
     console = Console(stderr=True)

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TypeVar
+
+from matplotlib.figure import Figure
 
 from bayes_aero.inference.identification import Identification
 from bayes_aero.report import (
     figures_comparison,
+    figures_diagnosis,
     figures_flight,
     figures_posterior,
     figures_prior,
     figures_scatter,
 )
+from bayes_aero.report.diagnosed import View
 from bayes_aero.report.style import Drawing, NotDrawn, save
 
 FIGURES: dict[str, Drawing] = {
@@ -38,22 +43,43 @@ FIGURES: dict[str, Drawing] = {
 """The seed paper's nine under its numbers, then what a Bayesian identification adds."""
 
 
+DIAGNOSIS_FIGURES: dict[str, Callable[[View], Figure]] = {
+    "measured_simulated": figures_diagnosis.measured_simulated,
+    "ranking": figures_diagnosis.ranking,
+    "gain": figures_diagnosis.gain,
+    "moves": figures_diagnosis.moves,
+    "residual_profiles": figures_diagnosis.residual_profiles,
+    "residual_colour": figures_diagnosis.residual_colour,
+}
+"""What a diagnosis shows."""
+
+Shown = TypeVar("Shown")
+Progress = Callable[[str, float], None]
+
+
 def write_figures(
-    identification: Identification, folder: Path, progress: Callable[[str, float], None] | None = None
+    identification: Identification, folder: Path, progress: Progress | None = None
 ) -> tuple[list[Path], dict[str, str]]:
-    """Draw every figure for which the run holds something into `folder` as PNG.
+    """Draw every figure for which an identification holds something; see `draw_all`."""
+    return draw_all(FIGURES, identification, folder, progress)
+
+
+def draw_all(
+    figures: Mapping[str, Callable[[Shown], Figure]], shown: Shown, folder: Path, progress: Progress | None = None
+) -> tuple[list[Path], dict[str, str]]:
+    """Draw every figure of a registry for which `shown` holds something into `folder` as PNG.
 
     Returns the paths written, and for each figure that failed the reason. A figure that fails leaves no file and does
-    not keep the others from being drawn; one for which there is nothing to show (no Gaussian process) is left out.
+    not keep the others from being drawn; one for which there is nothing to show is left out.
     """
     folder.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []
     failed: dict[str, str] = {}
-    for number, (stem, draw) in enumerate(FIGURES.items()):
+    for number, (stem, draw) in enumerate(figures.items()):
         if progress:
-            progress(f"figure {stem}", number / len(FIGURES))
+            progress(f"figure {stem}", number / len(figures))
         try:
-            written.append(save(draw(identification), folder / f"{stem}.png"))
+            written.append(save(draw(shown), folder / f"{stem}.png"))
         except NotDrawn:
             continue
         except Exception as reason:  # whatever it is, the other figures and the results stand; it is reported by name

@@ -12,7 +12,7 @@ from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.scores import score
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.predictions import Predicted, broken, clock, predicted, what_is_shown
-from bayes_aero.report.style import COLOURS, NotDrawn, bracket, column_width, housed, panels
+from bayes_aero.report.style import COLOURS, NotDrawn, bracket, column_width, for_people, housed, panels
 
 # Channels of figure 1, in the seed paper's order, then what else tells a manoeuvre.
 HISTORY = ("alpha", "theta", "q", "elevator", "ax", "az", "airspeed", "altitude", "mach", "thrust")
@@ -25,14 +25,13 @@ SYMBOLS = {
     "mach": "Mach",
     "thrust": "T",
 }
-FOR_PEOPLE = {"rad": ("deg", 180.0 / np.pi), "rad/s": ("deg/s", 180.0 / np.pi), "m/s^2": ("m/s²", 1.0)}
 LONG_NAMES = {"CL": "lift coefficient CL", "CD": "drag coefficient CD", "Cm": "pitching-moment coefficient Cm"}
 
 
 def shown_in(channel: str) -> tuple[str, float]:
     """The unit in which people read a channel, and the factor to it from SI."""
     unit = STANDARD_CHANNELS[channel].unit if channel in STANDARD_CHANNELS else "N"
-    return FOR_PEOPLE.get(unit, (unit, 1.0))
+    return for_people(unit)
 
 
 def _channel(identification: Identification, record: FlightRecord, name: str) -> np.ndarray | None:

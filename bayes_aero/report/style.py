@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from functools import wraps
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
 
 import matplotlib as mpl
 import numpy as np
@@ -37,6 +37,10 @@ COLOURS = {
     "prior": "#b0b0b0",
     "rising": "#882255",
     "falling": "#2a9d8f",
+    "before": "#0072B2",
+    "after": "#D55E00",
+    "chosen": "#D55E00",
+    "candidate": "#9fb8c9",
 }
 
 RC: dict[str, Any] = {
@@ -68,15 +72,16 @@ class NotDrawn(Exception):  # noqa: N818 - not an error: the run simply has noth
 
 
 Drawing = Callable[[Identification], Figure]
+Shown = TypeVar("Shown")
 
 
-def housed(draw: Drawing) -> Drawing:
+def housed(draw: Callable[[Shown], Figure]) -> Callable[[Shown], Figure]:
     """A figure function whose figure looks the same whatever the user's matplotlibrc says."""
 
     @wraps(draw)
-    def styled(identification: Identification) -> Figure:
+    def styled(shown: Shown) -> Figure:
         with mpl_style.context(["default", RC]):
-            return draw(identification)
+            return draw(shown)
 
     return styled
 
@@ -102,6 +107,21 @@ def grid_of(count: int, columns: int, cell: tuple[float, float], **options: Any)
 def column_width(columns: int) -> float:
     """Inches for one of `columns` columns: generous for one or two, narrower when there are many."""
     return float(np.clip(15.0 / columns, 2.8, 9.0))
+
+
+FOR_PEOPLE = {
+    "rad": ("deg", 180.0 / np.pi),
+    "rad/s": ("deg/s", 180.0 / np.pi),
+    "m/s^2": ("m/s²", 1.0),
+    "rad/s^2": ("deg/s²", 180.0 / np.pi),
+    "1/rad^2": ("1/rad²", 1.0),
+    "kg/m^3": ("kg/m³", 1.0),
+}
+
+
+def for_people(unit: str) -> tuple[str, float]:
+    """The unit in which people read a quantity, and the factor to it from SI."""
+    return FOR_PEOPLE.get(unit, (unit, 1.0))
 
 
 def bracket(unit: str) -> str:

@@ -1,0 +1,211 @@
+"""What tables and figures show of a diagnosis: the card's model and the extended one, side by side at every sample."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy import stats
+
+from bayes_aero.criticism.colour import colour_of
+from bayes_aero.criticism.election import Poll, uncertainty
+from bayes_aero.criticism.extension import Extension
+from bayes_aero.criticism.finding import Diagnosis
+from bayes_aero.criticism.regression import Fit
+from bayes_aero.criticism.residuals import details, theil_parts
+from bayes_aero.criticism.state import State, moved, refitted
+from bayes_aero.inference.scores import score
+from bayes_aero.physics.coefficients import NAMES
+
+LEVELS = (0.5, 0.9, 0.95)
+FALSE_ALARMS = 0.05  # share of noise-only replicates whose best score is beyond the threshold
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """One model fitted to all manoeuvres: residuals at the recorded rate (n, 3), and the regression behind it."""
+
+    state: State
+    fit: Fit
+    residual: Float[np.ndarray, "n 3"]
+    signals: Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Standing:
+    """One candidate of a stage's first election, at its best: `estimate` and `sd` by parameter."""
+
+    effect: str
+    kind: str
+    score: float
+    p_value: float
+    estimate: Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Candidates of one stage, the highest score first; `threshold` is what noise alone exceeds once in twenty."""
+
+    stage: str
+    standings: tuple[Standing, ...]
+    threshold: float
+
+
+@dataclass(frozen=True)
+class Move:
+    """A parameter of the card before and after the causes were added, with deviations that know the colour."""
+
+    before: float
+    after: float
+    sd_before: float
+    sd_after: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class View:
+    """A diagnosis with what is derived from it; `measured` (n, 3) are coefficients as the card reconstructs them."""
+
+    diagnosis: Diagnosis
+    card: Fitted
+    extended: Fitted
+    measured: Float[np.ndarray, "n 3"]
+    manoeuvre: Int[np.ndarray, " n"]
+    time: Float[np.ndarray, " n"]  # from the start of each manoeuvre, s
+    names: tuple[str, ...]
+    rankings: tuple[Ranking, ...]
+    moves: Mapping[str, Move]
+
+    @property
+    def changed(self) -> bool:
+        """Whether anything was added to the card's model."""
+        sensors = self.diagnosis.sensors
+        return bool(self.extended.state.active or (sensors is not None and sensors.state.active))
+
+    @property
+    def seconds(self) -> float:
+        """Sampling time, s."""
+        return float(np.median(np.diff(self.time[self.manoeuvre == 0])))
+
+
+def view_of(diagnosis: Diagnosis) -> View:
+    """Refit the card's model without any correction of the sensors, and evaluate both models at the recorded rate."""
+    last = diagnosis.aerodynamics
+    card, after = _fitted(*_card(diagnosis)), _fitted(last.state, last.fit)
+    flights = last.state.responses.flights
+    begin = np.cumsum([0, *flights.lengths[:-1]])
+    return View(
+        diagnosis=diagnosis,
+        card=card,
+        extended=after,
+        measured=np.asarray(card.signals["measured"]),
+        manoeuvre=flights.manoeuvre,
+        time=flights.time - flights.time[begin][flights.manoeuvre],
+        names=flights.names,
+        rankings=tuple(_rankings(diagnosis)),
+        moves=_moves(card, after),
+    )
+
+
+def _card(diagnosis: Diagnosis) -> tuple[State, Fit]:
+    base, sensors = diagnosis.aerodynamics.base, diagnosis.sensors
+    if sensors is None or not sensors.state.active:
+        return base, diagnosis.aerodynamics.base_fit
+    theta = base.theta.copy()
+    for effect in sensors.state.active:
+        for name in base.field.parameters_of(effect):
+            theta[base.field.columns([name])[0]] = base.field.neutral[name]
+    return refitted(moved(base, theta))
+
+
+def _fitted(state: State, fit: Fit) -> Fitted:
+    found = details(state)
+    return Fitted(state, fit, found["residual"][:, : len(NAMES)], found)
+
+
+def stages(diagnosis: Diagnosis) -> list[tuple[str, Extension]]:
+    """Stages of the diagnosis by the names that its causes carry."""
+    found = [("flight path", diagnosis.sensors)] if diagnosis.sensors is not None else []
+    return [*found, ("coefficients", diagnosis.aerodynamics)]
+
+
+def _rankings(diagnosis: Diagnosis) -> list[Ranking]:
+    found = []
+    for stage, extension in stages(diagnosis):
+        if extension.steps:
+            poll = extension.steps[0].poll
+            threshold = float(np.quantile(poll.nulls, 1.0 - FALSE_ALARMS)) if len(poll.nulls) else float("nan")
+            found.append(Ranking(stage, tuple(_standings(extension, poll)), threshold))
+    return found
+
+
+def _standings(extension: Extension, poll: Poll) -> list[Standing]:
+    field, found = extension.base.field, {}
+    for s in poll.standings:
+        if s.effect in found:
+            continue
+        effect = next(e for e in field.model.effects if e.name == s.effect)
+        at = [extension.base.theta[i] for i in field.columns(field.parameters_of(s.effect))]
+        sizes = {p.name: (float(x + d), sd) for p, x, d, sd in zip(effect.parameters, at, s.step, s.sd, strict=False)}
+        found[s.effect] = Standing(s.effect, effect.kind.value, s.score, poll.p_value(s.score), sizes)
+    return sorted(found.values(), key=lambda s: -s.score)
+
+
+def _deviations(fitted: Fitted) -> dict[str, float]:
+    state, fit = fitted.state, fitted.fit
+    covariance = uncertainty(state, fit, colour_of(state.left(fit), state.folds))
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    free = state.field.model.names
+    return {free[c]: float(x) for c, x in zip(fit.columns, sd, strict=True) if c < len(free)}
+
+
+def _moves(before: Fitted, after: Fitted) -> dict[str, Move]:
+    """Parameters of the card's own effects."""
+    field = after.state.field
+    sds = _deviations(before), _deviations(after)
+    found = {}
+    for effect in field.base:
+        for name in field.parameters_of(effect):
+            if name in sds[0] and name in sds[1]:
+                i = field.columns([name])[0]
+                values = float(before.state.theta[i]), float(after.state.theta[i])
+                found[name] = Move(*values, sds[0][name], sds[1][name], field.model.free[i].unit)
+    return found
+
+
+def composition(view: View, fitted: Fitted) -> dict[str, dict[str, Any]]:
+    """Each coefficient's residuals in numbers: scores, Theil's parts, colour, calibration; manoeuvres fitted jointly.
+
+    Scores, Theil's parts and lag 1 are at the recorded rate. `calibration` is the share of residuals (5 Hz means)
+    within the central normal bands of the fitted noise, growth with separation included.
+    """
+    standard = fitted.state.left(fitted.fit) / np.sqrt(fitted.fit.variance)
+    inside = np.concatenate([standard[fold] for fold in fitted.state.folds])
+    found = {}
+    for c, name in enumerate(NAMES):
+        z, e = view.measured[:, c], fitted.residual[:, c]
+        scores, parts = score(z, z - e), theil_parts(z, z - e)
+        found[name] = {
+            "r": scores.r,
+            "rmse": scores.rmse,
+            "r2": scores.r2,
+            "theil": parts.theil,
+            "theil_bias": parts.bias,
+            "theil_variance": parts.variance,
+            "theil_covariance": parts.covariance,
+            "lag1": _lag1(e, view.manoeuvre),
+            "calibration": {
+                f"{level:g}": float(np.mean(np.abs(inside[:, c]) <= stats.norm.ppf(0.5 + level / 2)))
+                for level in LEVELS
+            },
+        }
+    return found
+
+
+def _lag1(residual: Float[np.ndarray, " n"], manoeuvre: Int[np.ndarray, " n"]) -> float:
+    """Correlation of neighbouring samples, within manoeuvres."""
+    parts = [residual[manoeuvre == k] - residual[manoeuvre == k].mean() for k in range(int(manoeuvre[-1]) + 1)]
+    return float(sum(np.sum(p[1:] * p[:-1]) for p in parts) / sum(np.sum(p**2) for p in parts))

@@ -1,0 +1,217 @@
+"""A diagnosis in words and tables: the verdict, each cause, what is left, what could not be tested."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from bayes_aero.criticism.finding import Cause, Diagnosis, Verdict
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.diagnosed import View
+from bayes_aero.report.style import for_people, several
+
+SPLITS = {
+    "manoeuvre": "each manoeuvre predicted from the others",
+    "block": "each stretch of the manoeuvre predicted from the others",
+}
+
+
+def sentences(view: View) -> list[str]:
+    """The finding, one sentence or two each: verdict, what every cause means, what is left, what was not tested."""
+    d = view.diagnosis
+    return [
+        _verdict(d),
+        *(_cause(cause) for cause in d.causes),
+        *_minor(d),
+        *_unknown(d),
+        *_noise(d),
+        *_not_testable(d),
+    ]
+
+
+def _verdict(d: Diagnosis) -> str:
+    names = several(c.name for c in d.causes)
+    plural = "causes explain" if len(d.causes) > 1 else "cause explains"
+    unknown = several(sorted({f"{u.coefficient} over {u.channel}" for u in d.unknown}))
+    return {
+        Verdict.NO_EFFECT: "Nothing that this record can show is missing from the card's model.",
+        Verdict.EXPLAINED: f"{len(d.causes)} {plural} what the card's model gets wrong: {names}.",
+        Verdict.PARTLY_EXPLAINED: f"{len(d.causes)} {plural} a part of what the card's model gets wrong: {names}; "
+        f"unexplained structure remains ({unknown}).",
+        Verdict.UNEXPLAINED: f"The card's model is wrong and no effect of the catalogue explains it ({unknown}).",
+    }[d.verdict]
+
+
+def _cause(cause: Cause) -> str:
+    said = f"{cause.name}: {cause.claim}"
+    if cause.ambiguous_with:
+        said += f" On this record {several(cause.ambiguous_with)} would explain it about as well."
+    if not cause.excited:
+        said += " Not every manoeuvre excites it."
+    gain = cause.gain
+    if np.isfinite(gain.elpd):
+        what = "unseen data are predicted" if gain.elpd > 0.0 else "unseen data are not predicted better, rather worse"
+        better = " better" if gain.elpd > 0.0 else ""
+        said += f" With it {what}{better}: log density {gain.elpd:+.1f} ± {gain.elpd_se:.1f}."
+    return said
+
+
+def _minor(d: Diagnosis) -> list[str]:
+    if not d.minor:
+        return []
+    verb = "are" if len(d.minor) > 1 else "is"
+    return [f"Too small to be worth a name, yet in the model: {several(d.minor)} {verb} carried as a nuisance."]
+
+
+def _unknown(d: Diagnosis) -> list[str]:
+    return [
+        f"Unexplained: {u.coefficient} still follows {u.channel} ({u.share:.0%} of the variance that is left), and no "
+        "known effect says why."
+        for u in d.unknown
+    ]
+
+
+def _noise(d: Diagnosis) -> list[str]:
+    said = []
+    labels = d.noise.labels
+    if "colored" in labels:
+        lags = ", ".join(f"{name} {value:.2f}" for name, value in d.noise.lag1.items())
+        said.append(f"Noise: residuals that are left are coloured (lag-1 correlation {lags}).")
+    if "buffet" in labels:
+        growth = ", ".join(f"{name} {value:.1f} times" for name, value in d.noise.swell.items() if value > 1.05)
+        said.append(f"Noise: it grows as the flow separates ({growth}).")
+    if "outliers" in labels:
+        count = ", ".join(f"{name} {n}" for name, n in d.noise.outliers.items() if n)
+        said.append(f"Noise: outliers were repaired ({count}).")
+    return said
+
+
+def _not_testable(d: Diagnosis) -> list[str]:
+    reasons: dict[str, list[str]] = {}
+    for name, reason in d.not_testable.items():
+        reasons.setdefault(reason, []).append(name)
+    return [f"Not testable: {several(names)} ({reason})." for reason, names in reasons.items()]
+
+
+def cause_table(view: View) -> Table | None:
+    """Causes for a terminal of 80 columns: size with deviation, probability, R2 on unseen data before and after."""
+    d = view.diagnosis
+    if not d.causes:
+        return None
+    table = Table(
+        title=f"Causes; R² on unseen data ({SPLITS[d.split]}), before → after",
+        caption="Before: the card's model; once sensors are corrected, with corrected sensors. ±: one deviation.",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+        show_edge=False,
+    )
+    table.add_column("cause", no_wrap=True)
+    table.add_column("size")
+    table.add_column("prob.", justify="right")
+    for name in NAMES:
+        table.add_column(f"R² {name}", justify="right", no_wrap=True)
+    for cause in d.causes:
+        sizes = "\n".join(size_text(s.mean, s.sd, s.unit) for s in cause.parameters.values())
+        table.add_row(cause.name, sizes, probability(cause.probability), *(_r2(cause, name) for name in NAMES))
+    return table
+
+
+def size_text(mean: float, sd: float, unit: str) -> str:
+    """0.62 ± 0.11 deg: two digits of the deviation, units as people read them."""
+    shown, factor = for_people(unit)
+    shown = "" if shown == "1" else f" {shown}"
+    if not np.isfinite(sd) or sd <= 0.0:
+        return f"{factor * mean:.3g}{shown}"
+    places = max(0, 1 - int(np.floor(np.log10(factor * sd))))
+    return f"{factor * mean:.{places}f} ± {factor * sd:.{places}f}{shown}"
+
+
+def probability(value: float) -> str:
+    """Two digits, never rounded to certainty."""
+    if not np.isfinite(value):
+        return "-"
+    return "> 0.99" if value > 0.99 else f"{value:.2f}"
+
+
+def _r2(cause: Cause, name: str) -> str:
+    if name not in cause.gain.before:
+        return "-"
+    return f"{cause.gain.before[name].r2:.2f} → {cause.gain.after[name].r2:.2f}"
+
+
+def ranking_table(view: View, most: int = 5) -> Table | None:
+    """The leading candidates of each stage, where no cause was found: what came closest."""
+    if view.diagnosis.causes or not view.rankings:
+        return None
+    table = Table(title="What came closest", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False)
+    for head in ("stage", "candidate", "score", "p"):
+        table.add_column(head, justify="right" if head in ("score", "p") else "left")
+    for ranking in view.rankings:
+        for s in ranking.standings[:most]:
+            table.add_row(ranking.stage, s.effect, f"{s.score:.1f}", f"{s.p_value:.3f}")
+    return table
+
+
+def causes_frame(view: View) -> pd.DataFrame:
+    """A row per parameter of every cause, SI and radians, with scores on unseen data."""
+    rows = []
+    for order, cause in enumerate(view.diagnosis.causes, 1):
+        for name, size in cause.parameters.items():
+            row = {
+                "order": order,
+                "cause": cause.name,
+                "kind": cause.kind,
+                "stage": cause.stage,
+                "parameter": name,
+                "mean": size.mean,
+                "sd": size.sd,
+                "ci95_low": size.ci95[0],
+                "ci95_high": size.ci95[1],
+                "unit": size.unit,
+                "probability": cause.probability,
+                "p_value": cause.p_value,
+                "ambiguous_with": " ".join(cause.ambiguous_with),
+                "elpd": cause.gain.elpd,
+                "elpd_se": cause.gain.elpd_se,
+            }
+            for coefficient in cause.gain.before:
+                for when, scores in (("before", cause.gain.before), ("after", cause.gain.after)):
+                    row[f"{coefficient}_r2_{when}"] = scores[coefficient].r2
+                    row[f"{coefficient}_rmse_{when}"] = scores[coefficient].rmse
+            rows.append(row)
+    columns = ["order", "cause", "kind", "stage", "parameter", "mean", "sd", "ci95_low", "ci95_high", "unit"]
+    columns += ["probability", "p_value", "ambiguous_with", "elpd", "elpd_se"]
+    frame = pd.DataFrame(rows) if rows else pd.DataFrame(columns=columns)
+    return frame.set_index("order")
+
+
+def screen_frame(view: View) -> pd.DataFrame:
+    """Every candidate in the first election of each stage."""
+    rows = [
+        {"stage": r.stage, "name": s.effect, "kind": s.kind, "score": s.score, "p_value": s.p_value}
+        for r in view.rankings
+        for s in r.standings
+    ]
+    return pd.DataFrame(rows, columns=["stage", "name", "kind", "score", "p_value"]).set_index("stage")
+
+
+def revealed(effects: Mapping[str, Mapping[str, float]], named: Mapping[str, str]) -> list[str]:
+    """What was hidden, and whether it was found."""
+    said = {
+        "first": "It was named first.",
+        "named": "It was named, though not first.",
+        "ambiguous": "It was reported as indistinguishable from a named cause.",
+        "missed": "It was not found.",
+    }
+    found = []
+    for name, values in effects.items():
+        units = {p.name: p.unit for p in CATALOGUE[name].parameters}
+        sizes = several(f"{key} = {size_text(x, 0.0, units[key])}" for key, x in values.items())
+        found.append(f"Hidden was {name} ({sizes}). {said[named[name]]}")
+    return found

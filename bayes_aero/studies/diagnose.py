@@ -1,0 +1,141 @@
+"""The diagnosis as a job: records in, what the model gets wrong out; numbers are on disk before a figure is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayes_aero.criticism.diagnosis import diagnose
+from bayes_aero.criticism.finding import Diagnosis
+from bayes_aero.effect import Kind
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.report.diagnosed import View, view_of
+from bayes_aero.report.figures import DIAGNOSIS_FIGURES, draw_all
+from bayes_aero.report.tables import write_csv
+from bayes_aero.report.words_diagnosis import causes_frame, screen_frame, sentences
+from bayes_aero.studies.diagnosis_results import diagnosis_results
+from bayes_aero.studies.hidden import draw_hidden, flyable
+from bayes_aero.studies.provenance import provenance, write_json
+
+Progress = Callable[[str, float], None]
+Hidden = Mapping[str, Mapping[str, float]]
+"""True values of what simulated records hide, by effect."""
+Predict = Callable[[Diagnosis, Sequence[FlightRecord]], Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A diagnosis with what is shown of it. `named` says of each hidden effect: first, named, ambiguous or missed."""
+
+    view: View
+    hidden: Hidden | None
+    named: Mapping[str, str]
+    notes: tuple[str, ...]
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """The finding itself."""
+        return self.view.diagnosis
+
+
+def hide_one(card: Card, seed: int, **options: Any) -> tuple[Hidden, list[FlightRecord]]:
+    """One effect that the card's model lacks, drawn at random, hidden in simulated manoeuvres."""
+    rng = np.random.default_rng([seed, 4])
+    names = [
+        e.name
+        for e in CATALOGUE.values()
+        if e.kind is not Kind.NOISE and draw_hidden(np.random.default_rng(0), e.name) and _absent(card, e.name)
+    ]
+    failure = InputError("no effect of the catalogue can be hidden")
+    for name in rng.permutation(names)[:5]:
+        try:
+            effects, flights = flyable([str(name)], seed=seed, card=card, **options)
+        except InputError as error:
+            failure = error
+            continue
+        return effects, [flight.record for flight in flights]
+    raise failure
+
+
+def _absent(card: Card, name: str) -> bool:
+    """Whether the card's model lacks an effect, or holds it at neutral."""
+    return name not in card.effects or all(card.fixed.get(p.name) == p.neutral for p in CATALOGUE[name].parameters)
+
+
+def run(
+    records: Sequence[FlightRecord],
+    card: Card,
+    *,
+    out: Path | None = None,
+    seed: int = 0,
+    most: int = 8,
+    hidden: Hidden | None = None,
+    predict: Predict | None = None,
+    figures: bool = True,
+    progress: Progress | None = None,
+) -> Outcome:
+    """Diagnose, as `bayes-aero diagnose` does; with `out` it writes diagnosis.json, causes.csv, screen.csv, figures.
+
+    `most` is the number of effects that each stage may add. `predict` adds the comparison of predictors, which may
+    fail: the reason is then a note. `hidden` is what simulated records hide, for the comparison with what was found.
+    """
+    if out is not None:
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"cannot write to {out} ({error.strerror}); give another folder with --out") from None
+    source = provenance(card, records, seed, {"max_effects": most})
+    view = view_of(diagnose(records, card, seed=seed, most=most, progress=progress))
+    named = {name: _found(view.diagnosis, name) for name in hidden} if hidden else {}
+    outcome = Outcome(view, hidden, named, ())
+    predictors: Mapping[str, Any] = {}
+
+    def write() -> None:
+        if out is None:
+            return
+        truth = None if hidden is None else {"effects": hidden, "named": named}
+        content = diagnosis_results(
+            view,
+            card,
+            records,
+            source,
+            sentences=sentences(view),
+            predictors=predictors,
+            hidden=truth,
+            notes=outcome.notes,
+        )
+        write_json(content, out / "diagnosis.json")
+
+    if out is not None:
+        write_csv(causes_frame(view), out / "causes.csv")
+        write_csv(screen_frame(view), out / "screen.csv")
+    write()
+    if predict is not None:
+        if progress:
+            progress("predictors", 0.0)
+        try:
+            predictors = predict(view.diagnosis, records)
+        except InputError as error:
+            outcome = replace(outcome, notes=(*outcome.notes, f"Predictors were not compared: {error}"))
+        write()
+    if figures and out is not None:
+        _, failed = draw_all(DIAGNOSIS_FIGURES, view, out / "figures", progress)
+        if failed:
+            said = (f"Figure {name} was not drawn: {why}" for name, why in failed.items())
+            outcome = replace(outcome, notes=(*outcome.notes, *said))
+            write()
+    return outcome
+
+
+def _found(diagnosis: Diagnosis, name: str) -> str:
+    names = [c.name for c in diagnosis.causes]
+    if name in names:
+        return "first" if names[0] == name else "named"
+    return "ambiguous" if any(name in c.ambiguous_with for c in diagnosis.causes) else "missed"

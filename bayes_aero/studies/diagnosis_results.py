@@ -1,0 +1,126 @@
+"""diagnosis.json: what one diagnosis found, in a versioned schema (diagnosis.schema.json beside this file)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from bayes_aero.criticism.finding import Cause, Gain
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.diagnosed import View, composition
+
+SCHEMA = "bayes_aero/diagnosis/1"
+SCORES = ("r2", "rmse", "r", "theil")
+
+
+def diagnosis_results(
+    view: View,
+    card: Card,
+    records: Sequence[FlightRecord],
+    provenance: Mapping[str, Any],
+    *,
+    sentences: Sequence[str] = (),
+    predictors: Mapping[str, Any] | None = None,
+    hidden: Mapping[str, Any] | None = None,
+    notes: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Everything found, as plain numbers and text; `hidden` is the truth where the records are simulated."""
+    d = view.diagnosis
+    found: dict[str, Any] = {
+        "schema": SCHEMA,
+        "card": {"name": card.name, "title": card.title},
+        "records": [
+            {"name": r.name, "samples": r.n, "dt": r.dt, "duration": float(r.time[-1] - r.time[0])} for r in records
+        ],
+        "verdict": d.verdict.value,
+        "sentences": list(sentences),
+        "causes": [_cause(cause) for cause in d.causes],
+        "minor": list(d.minor),
+        "unexplained": [
+            {"coefficient": u.coefficient, "channel": u.channel, "share_of_variance": u.share, "p_value": u.p_value}
+            for u in d.unknown
+        ],
+        "noise": {
+            "labels": list(d.noise.labels),
+            "lag1": dict(d.noise.lag1),
+            "deviation": dict(d.noise.deviation),
+            "swell": dict(d.noise.swell),
+            "outliers": dict(d.noise.outliers),
+        },
+        "not_testable": dict(d.not_testable),
+        "screen": screen(view),
+        "split": d.split,
+        "base_parameters": {
+            name: {
+                "before": m.before,
+                "after": m.after,
+                "sd_before": m.sd_before,
+                "sd_after": m.sd_after,
+                "unit": m.unit,
+            }
+            for name, m in view.moves.items()
+        },
+        "residuals": {"before": composition(view, view.card), "after": composition(view, view.extended)},
+        "predictors": dict(predictors or {}),
+        "notes": [*d.notes, *notes],
+        "provenance": dict(provenance),
+    }
+    if hidden is not None:
+        found["hidden"] = dict(hidden)
+    return found
+
+
+def screen(view: View) -> list[dict[str, Any]]:
+    """Every candidate in the first election of each stage, the highest score first."""
+    causes = {(c.stage, c.name) for c in view.diagnosis.causes}
+    return [
+        {
+            "stage": ranking.stage,
+            "name": s.effect,
+            "kind": s.kind,
+            "score": s.score,
+            "p_value": s.p_value,
+            "threshold": ranking.threshold,
+            "parameters": {name: {"estimate": x, "sd": sd} for name, (x, sd) in s.estimate.items()},
+            "cause": (ranking.stage, s.effect) in causes,
+        }
+        for ranking in view.rankings
+        for s in ranking.standings
+    ]
+
+
+def _cause(cause: Cause) -> dict[str, Any]:
+    return {
+        "name": cause.name,
+        "kind": cause.kind,
+        "claim": cause.claim,
+        "stage": cause.stage,
+        "probability": cause.probability,
+        "p_value": cause.p_value,
+        "excited": cause.excited,
+        "ambiguous_with": list(cause.ambiguous_with),
+        "parameters": {
+            name: {"mean": size.mean, "sd": size.sd, "ci95": list(size.ci95), "unit": size.unit}
+            for name, size in cause.parameters.items()
+        },
+        "gain": _gain(cause.gain),
+    }
+
+
+def _gain(gain: Gain) -> dict[str, Any]:
+    return {
+        "elpd": gain.elpd,
+        "elpd_se": gain.elpd_se,
+        "split": gain.split,
+        "by_coefficient": {
+            name: {
+                f"{key}_{when}": getattr(scores[name], key)
+                for key in SCORES
+                for when, scores in (("before", gain.before), ("after", gain.after))
+            }
+            for name in NAMES
+            if name in gain.before and name in gain.after
+        },
+    }
