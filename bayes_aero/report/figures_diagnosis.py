@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from scipy.signal import welch
 
 from bayes_aero.criticism.residuals import profiles
@@ -14,13 +15,15 @@ from bayes_aero.inference.scores import Scores, score
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.diagnosed import Fitted, Ranking, View
 from bayes_aero.report.figures_flight import SYMBOLS, shown_in
-from bayes_aero.report.style import COLOURS, NotDrawn, bracket, column_width, housed, panels
+from bayes_aero.report.style import COLOURS, NotDrawn, bracket, column_width, for_people, housed, panels
 from bayes_aero.report.words_diagnosis import SPLITS, size_text
 
 RESPONSES = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot")  # what the forces make, not what makes them
 PROFILES = 3  # channels shown for each coefficient
+COPY = 0.95  # correlation beyond which two channels tell the same
 LONGEST_LAG = 10.0  # s
 NOTE = {"bbox": {"fc": "white", "ec": "none", "alpha": 0.85, "pad": 1.5}, "zorder": 5, "fontsize": 8.0}
+TIGHT = {"fc": "white", "ec": "none", "alpha": 0.85, "pad": 0.3}
 
 
 def _models(view: View) -> list[tuple[str, str, Fitted]]:
@@ -37,7 +40,8 @@ def measured_simulated(view: View) -> Figure:
     figure, axes = panels(rows, count, (column_width(count) * count, 1.75 * rows + 1.2), sharex="col", sharey=False)
     for c, name in enumerate(NAMES):
         z = view.measured[:, c]
-        low, high = np.percentile(z, [0.0, 100.0])
+        curves = np.stack([z, *(z - fitted.residual[:, c] for _, _, fitted in models)])
+        low, high = float(curves.min()), float(curves.max())
         for k, (label, colour, fitted) in enumerate(models):
             for number, ax in enumerate(axes[c * len(models) + k]):
                 mine = view.manoeuvre == number
@@ -66,28 +70,29 @@ def ranking(view: View) -> Figure:
     """Score of every candidate in the first election of each stage, and what noise alone reaches once in twenty."""
     if not view.rankings:
         raise NotDrawn("no election was held")
-    longest = max(len(r.standings) for r in view.rankings)
-    figure, axes = panels(1, len(view.rankings), (7.0 * len(view.rankings), 0.24 * longest + 2.0))
-    for ax, one in zip(axes[0], view.rankings, strict=True):
-        _bars(ax, one, {c.name for c in view.diagnosis.causes if c.stage == one.stage}, longest)
-    figure.suptitle("Candidates before anything was added (named causes coloured; later elections may reorder them)")
+    rows = [len(r.standings) + 1.0 for r in view.rankings]
+    figure, axes = panels(len(rows), 1, (8.5, 0.2 * sum(rows) + 0.9 * len(rows) + 0.6), height_ratios=rows)
+    for ax, one in zip(axes[:, 0], view.rankings, strict=True):
+        _bars(ax, one, {c.name for c in view.diagnosis.causes if c.stage == one.stage})
+    figure.suptitle("Candidates before anything was added\n(named causes coloured; later elections may reorder them)")
     return figure
 
 
-def _bars(ax: Axes, one: Ranking, causes: set[str], longest: int) -> None:
+def _bars(ax: Axes, one: Ranking, causes: set[str]) -> None:
     scores = [s.score for s in one.standings]
     colours = [COLOURS["chosen"] if s.effect in causes else COLOURS["candidate"] for s in one.standings]
     place = range(len(scores))
+    widest = max(*scores, one.threshold) if np.isfinite(one.threshold) else max(*scores, 1e-9)
     ax.barh(place, scores, color=colours, height=0.75)
     for y, s in zip(place, one.standings, strict=True):
-        ax.text(s.score, y, f" {s.score:.1f}", va="center", fontsize=7.0)
+        ax.text(s.score + 0.01 * widest, y, f"{s.score:.1f}", va="center", fontsize=7.0, bbox=TIGHT, zorder=5)
     if np.isfinite(one.threshold):
         ax.axvline(one.threshold, color=COLOURS["measured"], ls="--", lw=1.0)
-        label = f"noise alone: {one.threshold:.1f} \n(exceeded in 5 % of replicates) "
-        ax.text(one.threshold, longest - 0.6, label, rotation=0, va="bottom", ha="left", **NOTE)
+        label = f"noise alone exceeds\n{one.threshold:.1f} in 5 % of replicates"
+        ax.text(0.99, 0.02, label, transform=ax.transAxes, va="bottom", ha="right", **NOTE)
     ax.set_yticks(place, [s.effect for s in one.standings])
-    ax.set_ylim(longest - 0.4, -0.6)
-    ax.set_xlim(0.0, 1.12 * max(*scores, one.threshold, 1e-9))
+    ax.set_ylim(len(scores) - 0.4, -0.6)
+    ax.set_xlim(0.0, 1.1 * widest)
     ax.grid(False, axis="y")
     ax.set_xlabel("estimate over its deviation, residual's colour included [-]")
     ax.set_title(f"Stage: {one.stage}")
@@ -122,6 +127,7 @@ def gain(view: View) -> Figure:
             left = min(0.0, float(finite.min())) if key == "r2" else 0.0
             ax.set_xlim(left, 1.22 if key == "r2" else 1.25 * float(finite.max()))
             ax.grid(False, axis="y")
+            ax.xaxis.set_major_locator(MaxNLocator(5))
             ax.set_xlabel(f"{label} of {name} [-]")
     figure.suptitle(f"On unseen data ({SPLITS[view.diagnosis.split]}), cause after cause")
     return figure
@@ -147,8 +153,10 @@ def moves(view: View) -> Figure:
             centre, place + shift, xerr=sd, fmt="o", ms=4.0, lw=1.2, capsize=2.0, color=COLOURS[when], label=label
         )
     for y, move in zip(place, view.moves.values(), strict=True):
-        unit = "" if move.unit == "1" else f" {bracket(move.unit)}"
-        text = f"{size_text(move.before, move.sd_before, '1')}  →  {size_text(move.after, move.sd_after, '1')}{unit}"
+        unit, factor = for_people(move.unit)
+        before = size_text(factor * move.before, factor * move.sd_before, "1")
+        after = size_text(factor * move.after, factor * move.sd_after, "1")
+        text = f"{before}  →  {after} {'' if unit == '1' else bracket(unit)}"
         ax.text(1.01, y, text, transform=ax.get_yaxis_transform(), va="center", fontsize=8.0)
     ax.axvline(0.0, color="#777777", lw=0.8, zorder=0)
     ax.set_yticks(place, names)
@@ -179,7 +187,7 @@ def residual_profiles(view: View) -> Figure:
     models = _models(view)
     figure, axes = panels(len(NAMES), PROFILES, (13.0, 8.2), sharey="row")
     for row, c in zip(axes, range(len(NAMES)), strict=True):
-        channels = [p.channel for p in _profiles(view, view.card, c)][:PROFILES]
+        channels = _clearest(view, c)
         for label, colour, fitted in models:
             found = {p.channel: p for p in _profiles(view, fitted, c)}
             for ax, channel in zip(row, channels, strict=False):
@@ -201,10 +209,21 @@ def residual_profiles(view: View) -> Figure:
     return figure
 
 
+def _clearest(view: View, c: int) -> list[str]:
+    """Channels on which the card's model leaves the clearest trace in a coefficient, none a near copy of another."""
+    chosen: list[str] = []
+    signals = {**view.card.state.responses.flights.channels, **view.card.signals}
+    for p in _profiles(view, view.card, c):
+        copies = [abs(np.corrcoef(signals[p.channel], signals[name])[0, 1]) > COPY for name in chosen]
+        if not any(copies):
+            chosen.append(p.channel)
+    return chosen[:PROFILES]
+
+
 def _profiles(view: View, fitted: Fitted, c: int):
     state = fitted.state
     block = state.responses.block
-    names = [*state.responses.flights.recorded, "alpha_dot", "elapsed", "X"]
+    recorded = [*state.responses.flights.recorded, "alpha_dot", "elapsed", "X"]
     source = {**state.responses.flights.channels, **view.card.signals}  # one abscissa for both models
     channels = {
         name: np.asarray(block(jnp.asarray(source[name]))) for name in names if name in source and name not in RESPONSES

@@ -39,7 +39,7 @@ def _verdict(d: Diagnosis) -> str:
     plural = "causes explain" if len(d.causes) > 1 else "cause explains"
     unknown = several(sorted({f"{u.coefficient} over {u.channel}" for u in d.unknown}))
     return {
-        Verdict.NO_EFFECT: "Nothing that this record can show is missing from the card's model.",
+        Verdict.NO_EFFECT: "Nothing worth a name, that this record could show, is missing from the card's model.",
         Verdict.EXPLAINED: f"{len(d.causes)} {plural} what the card's model gets wrong: {names}.",
         Verdict.PARTLY_EXPLAINED: f"{len(d.causes)} {plural} a part of what the card's model gets wrong: {names}; "
         f"unexplained structure remains ({unknown}).",
@@ -206,6 +206,7 @@ def revealed(effects: Mapping[str, Mapping[str, float]], named: Mapping[str, str
     said = {
         "first": "It was named first.",
         "named": "It was named, though not first.",
+        "minor": "It is in the extended model, but too small to be worth a name.",
         "ambiguous": "It was reported as indistinguishable from a named cause.",
         "missed": "It was not found.",
     }

@@ -32,7 +32,7 @@ Predict = Callable[[Diagnosis, Sequence[FlightRecord]], Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Outcome:
-    """A diagnosis with what is shown of it. `named` says of each hidden effect: first, named, ambiguous or missed."""
+    """A diagnosis with what is shown of it. `named` says of each hidden effect: first, named, ambiguous, minor or missed."""
 
     view: View
     hidden: Hidden | None
@@ -138,4 +138,6 @@ def _found(diagnosis: Diagnosis, name: str) -> str:
     names = [c.name for c in diagnosis.causes]
     if name in names:
         return "first" if names[0] == name else "named"
-    return "ambiguous" if any(name in c.ambiguous_with for c in diagnosis.causes) else "missed"
+    if any(name in c.ambiguous_with for c in diagnosis.causes):
+        return "ambiguous"
+    return "minor" if name in diagnosis.minor else "missed"
