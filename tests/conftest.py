@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.readers import read_record
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
+from bayes_aero.report.diagnosed import view_of
 from bayes_aero.studies.demo import simulate_stall
+from bayes_aero.studies.hidden import hidden_records
 
 ATTAS = Path(__file__).resolve().parents[2] / "shared" / "attas"
 
@@ -59,3 +63,12 @@ def thinned(clean):
     part = clean.subset(index)
     start = np.concatenate([[True], np.diff(part.manoeuvre) != 0])
     return part.restarted(start)
+
+
+@pytest.fixture(scope="session")
+def diagnosed(card):
+    """One short simulated manoeuvre in which a sensor error and a curved pitching moment hide, and its diagnosis."""
+    hidden = {"pitch_rate_bias": {"pitch_rate_bias": 0.01}, "alpha_squared_moment": {"Cma2": -5.0}}
+    records = hidden_records(hidden, seed=3, manoeuvres=1, seconds=60.0, noise="white")
+    view = view_of(diagnose(records, card, most=2))
+    return SimpleNamespace(hidden=hidden, records=records, view=view)

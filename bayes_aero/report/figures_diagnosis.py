@@ -127,7 +127,8 @@ def gain(view: View) -> Figure:
             left = min(0.0, float(finite.min())) if key == "r2" else 0.0
             ax.set_xlim(left, 1.22 if key == "r2" else 1.25 * float(finite.max()))
             ax.grid(False, axis="y")
-            ax.xaxis.set_major_locator(MaxNLocator(5))
+            ticks = MaxNLocator(5).tick_values(*ax.get_xlim())
+            ax.set_xticks([x for x in ticks if left <= x and (key == "rmse" or x <= 1.0)])
             ax.set_xlabel(f"{label} of {name} [-]")
     figure.suptitle(f"On unseen data ({SPLITS[view.diagnosis.split]}), cause after cause")
     return figure
@@ -225,9 +226,8 @@ def _profiles(view: View, fitted: Fitted, c: int):
     block = state.responses.block
     recorded = [*state.responses.flights.recorded, "alpha_dot", "elapsed", "X"]
     source = {**state.responses.flights.channels, **view.card.signals}  # one abscissa for both models
-    channels = {
-        name: np.asarray(block(jnp.asarray(source[name]))) for name in names if name in source and name not in RESPONSES
-    }
+    names = [name for name in recorded if name in source and name not in RESPONSES]
+    channels = {name: np.asarray(block(jnp.asarray(source[name]))) for name in names}
     return profiles(np.asarray(block(jnp.asarray(fitted.residual[:, c]))), channels, state.temper)
 
 

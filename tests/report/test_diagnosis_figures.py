@@ -1,0 +1,158 @@
+"""Figures, tables and words of a diagnosis: complete, with units, and true to its numbers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from bayes_aero.criticism.finding import Unknown, Verdict
+from bayes_aero.report.diagnosed import composition
+from bayes_aero.report.figures import DIAGNOSIS_FIGURES, draw_all
+from bayes_aero.report.figures_diagnosis import autocorrelation
+from bayes_aero.report.style import NotDrawn, close, save
+from bayes_aero.report.words_diagnosis import (
+    cause_table,
+    causes_frame,
+    probability,
+    ranking_table,
+    revealed,
+    screen_frame,
+    sentences,
+    size_text,
+)
+
+DOES_NOT_APPLY = {"gain", "moves"}  # where nothing was added
+
+
+@pytest.fixture(scope="module")
+def nothing(diagnosed):
+    """The same diagnosis as if nothing had been found."""
+    view = diagnosed.view
+    empty = replace(view.diagnosis, verdict=Verdict.NO_EFFECT, causes=(), unknown=(), sensors=None)
+    state = replace(view.extended.state, active=())
+    return replace(view, diagnosis=empty, extended=replace(view.card, state=state))
+
+
+@pytest.mark.parametrize("stem", DIAGNOSIS_FIGURES)
+def test_every_figure_draws_complete(stem, diagnosed, tmp_path):
+    figure = DIAGNOSIS_FIGURES[stem](diagnosed.view)
+    for ax in figure.axes:
+        assert ax.has_data(), "empty axes"
+        labels = [text for text in (ax.get_xlabel(), ax.get_ylabel()) if text]
+        assert all("[" in text and "]" in text for text in labels), labels
+        assert "rad]" not in "".join(labels)
+    assert any(ax.get_xlabel() for ax in figure.axes)
+    pixels = imread(save(figure, tmp_path / f"{stem}.png"))
+    assert min(pixels.shape[:2]) > 300
+    assert pixels[..., :3].std() > 0.01
+
+
+def test_figures_without_a_cause(nothing, tmp_path):
+    written, failed = draw_all(DIAGNOSIS_FIGURES, nothing, tmp_path)
+    assert not failed
+    assert {path.stem for path in written} == DIAGNOSIS_FIGURES.keys() - DOES_NOT_APPLY
+    with pytest.raises(NotDrawn):
+        DIAGNOSIS_FIGURES["gain"](nothing)
+
+
+def test_measured_is_the_same_line_before_and_after(diagnosed):
+    figure = DIAGNOSIS_FIGURES["measured_simulated"](diagnosed.view)
+    first, second = (figure.axes[i].lines[0].get_ydata() for i in (0, 1))
+    assert np.array_equal(first, second)
+    close(figure)
+
+
+def test_shares_of_the_mean_square_error_add_up(diagnosed):
+    view = diagnosed.view
+    for fitted in (view.card, view.extended):
+        for numbers in composition(view, fitted).values():
+            shares = [numbers[f"theil_{part}"] for part in ("bias", "variance", "covariance")]
+            assert sum(shares) == pytest.approx(1.0)
+            levels = [numbers["calibration"][level] for level in ("0.5", "0.9", "0.95")]
+            assert levels == sorted(levels)
+
+
+def test_the_extension_explains_more(diagnosed):
+    view = diagnosed.view
+    before, after = composition(view, view.card), composition(view, view.extended)
+    assert after["Cm"]["r2"] > before["Cm"]["r2"]
+
+
+def test_candidates_are_ranked_once_each(diagnosed):
+    for ranking in diagnosed.view.rankings:
+        names = [s.effect for s in ranking.standings]
+        assert len(names) == len(set(names))
+        scores = [s.score for s in ranking.standings]
+        assert scores == sorted(scores, reverse=True)
+
+
+def test_tables_hold_every_cause_and_candidate(diagnosed):
+    view = diagnosed.view
+    assert set(causes_frame(view)["cause"]) == {c.name for c in view.diagnosis.causes}
+    assert len(screen_frame(view)) == sum(len(r.standings) for r in view.rankings)
+    table = cause_table(view)
+    assert table is not None
+    assert table.row_count == len(view.diagnosis.causes)
+    assert ranking_table(view) is None
+
+
+def test_without_a_cause_the_closest_candidates_are_told(nothing):
+    assert cause_table(nothing) is None
+    assert ranking_table(nothing) is not None
+    assert causes_frame(nothing).empty
+    assert sentences(nothing)[0].startswith("Nothing")
+
+
+def test_words_name_cause_rivals_and_what_is_unexplained(diagnosed):
+    view = diagnosed.view
+    cause = replace(view.diagnosis.causes[0], ambiguous_with=("mass_scale",), excited=False)
+    unknown = (Unknown("Cm", "phi", 0.25, 0.01),)
+    d = replace(
+        view.diagnosis,
+        verdict=Verdict.PARTLY_EXPLAINED,
+        causes=(cause,),
+        unknown=unknown,
+        minor=("alpha_delay",),
+        not_testable={"flap_moment": "channel flap does not move in this record"},
+    )
+    text = " ".join(sentences(replace(view, diagnosis=d)))
+    for part in (cause.name, cause.claim, "mass_scale", "Cm", "phi", "25%", "alpha_delay", "flap_moment"):
+        assert part in text
+    unexplained = replace(d, verdict=Verdict.UNEXPLAINED, causes=())
+    assert "no effect of the catalogue" in sentences(replace(view, diagnosis=unexplained))[0]
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ((0.01, 0.001, "rad"), "0.573 ± 0.057 deg"),
+        ((1.5, 20.0, "m/s"), "2 ± 20 m/s"),
+        ((-0.0806, 0.0043, "1"), "-0.0806 ± 0.0043"),
+        ((0.5, 0.0, "1"), "0.5"),
+        ((0.5, float("nan"), "s"), "0.5 s"),
+    ],
+)
+def test_sizes_as_people_read_them(given, text):
+    assert size_text(*given) == text
+
+
+def test_probability_is_never_rounded_to_certainty():
+    assert [probability(x) for x in (1.0, 0.646, float("nan"))] == ["> 0.99", "0.65", "-"]
+
+
+def test_what_was_hidden_is_revealed_with_its_size():
+    (said,) = revealed({"alpha_bias": {"alpha_bias": 0.01}}, {"alpha_bias": "missed"})
+    assert "alpha_bias" in said
+    assert "0.573 deg" in said
+    assert "not found" in said
+
+
+def test_autocorrelation_of_a_period():
+    x = np.sin(2.0 * np.pi * np.arange(1000) / 20.0)
+    lags, r = autocorrelation([x, x], 30)
+    assert r[0] == 1.0
+    assert r[10] == pytest.approx(-1.0, abs=0.03)
+    assert lags[-1] == 30

@@ -1,0 +1,108 @@
+"""The diagnosis as a job: what it writes follows its schema, is whole, and survives figures that fail."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from importlib import resources
+
+import jsonschema
+import pandas as pd
+import pytest
+
+from bayes_aero.criticism.diagnosis import NO_GAIN
+from bayes_aero.errors import InputError
+from bayes_aero.report import figures_diagnosis
+from bayes_aero.studies import diagnose as job
+from bayes_aero.studies.diagnose import hide_one, run
+from bayes_aero.studies.diagnosis_results import diagnosis_results
+from bayes_aero.studies.provenance import provenance, write_json
+
+
+def validated(path) -> dict:
+    content = json.loads(path.read_text())
+    schema = json.loads(resources.files("bayes_aero.studies").joinpath("diagnosis.schema.json").read_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.validate(content, schema)
+    return content
+
+
+@pytest.fixture
+def repeated(monkeypatch, diagnosed):
+    """The job with the diagnosis already made."""
+    monkeypatch.setattr(job, "diagnose", lambda *_, **__: diagnosed.view.diagnosis)
+    monkeypatch.setattr(job, "view_of", lambda _: diagnosed.view)
+    return diagnosed
+
+
+def test_files_are_complete_and_follow_the_schema(repeated, card, tmp_path):
+    found = run(repeated.records, card, out=tmp_path, hidden=repeated.hidden, figures=False)
+    content = validated(tmp_path / "diagnosis.json")
+    assert content["verdict"] == found.diagnosis.verdict.value
+    assert [c["name"] for c in content["causes"]] == [c.name for c in found.diagnosis.causes]
+    assert content["hidden"]["effects"] == repeated.hidden
+    assert set(found.named) == set(repeated.hidden)
+    assert "first" in found.named.values()
+    assert content["provenance"]["settings"] == {"max_effects": 8}
+    assert len(pd.read_csv(tmp_path / "screen.csv")) == len(content["screen"])
+    assert set(pd.read_csv(tmp_path / "causes.csv")["cause"]) == {c["name"] for c in content["causes"]}
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_gains_are_by_coefficient(repeated, card, tmp_path):
+    run(repeated.records, card, out=tmp_path, figures=False)
+    gain = validated(tmp_path / "diagnosis.json")["causes"][-1]["gain"]
+    assert gain["split"] == "block"
+    assert set(gain["by_coefficient"]) == {"CL", "CD", "Cm"}
+    assert gain["by_coefficient"]["Cm"]["r2_after"] > gain["by_coefficient"]["Cm"]["r2_before"]
+
+
+def test_numbers_that_do_not_exist_are_null(repeated, card, tmp_path):
+    view = repeated.view
+    cause = replace(view.diagnosis.causes[0], gain=NO_GAIN, p_value=float("nan"))
+    view = replace(view, diagnosis=replace(view.diagnosis, causes=(cause,)))
+    content = diagnosis_results(view, card, repeated.records, provenance(card, repeated.records, 0, {}))
+    write_json(content, tmp_path / "diagnosis.json")
+    (one,) = validated(tmp_path / "diagnosis.json")["causes"]
+    assert one["p_value"] is None
+    assert one["gain"] == {"elpd": None, "elpd_se": None, "split": "not measured", "by_coefficient": {}}
+
+
+def test_a_figure_that_fails_loses_nothing(repeated, card, tmp_path, monkeypatch):
+    def bad(_):
+        raise ValueError("no such luck")
+
+    monkeypatch.setattr(job, "DIAGNOSIS_FIGURES", {"bad": bad, "colour": figures_diagnosis.residual_colour})
+    found = run(repeated.records, card, out=tmp_path)
+    content = validated(tmp_path / "diagnosis.json")
+    assert found.notes == ("Figure bad was not drawn: ValueError: no such luck",)
+    assert content["notes"] == list(found.notes)
+    assert (tmp_path / "figures" / "colour.png").stat().st_size > 10_000
+
+
+def test_predictors_are_written_and_may_fail(repeated, card, tmp_path):
+    def fails(*_):
+        raise InputError("too large")
+
+    run(repeated.records, card, out=tmp_path, figures=False, predict=lambda *_: {"extended": {"Cm": 0.5}})
+    assert validated(tmp_path / "diagnosis.json")["predictors"] == {"extended": {"Cm": 0.5}}
+    found = run(repeated.records, card, out=tmp_path, figures=False, predict=fails)
+    assert "too large" in found.notes[0]
+
+
+def test_a_folder_that_cannot_be_made_is_told_before_the_work(card, tmp_path, monkeypatch):
+    def never(*_, **__):
+        raise AssertionError("the work began")
+
+    monkeypatch.setattr(job, "diagnose", never)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="--out"):
+        run([], card, out=tmp_path / "file" / "below")
+
+
+def test_hiding_is_seeded_and_hides_what_the_card_lacks(card, monkeypatch):
+    monkeypatch.setattr(job, "flyable", lambda names, **_: (dict.fromkeys(names, {}), []))
+    drawn = [next(iter(hide_one(card, seed)[0])) for seed in (1, 1, 2, 3, 4)]
+    assert drawn[0] == drawn[1]
+    assert len(set(drawn)) > 1
+    assert not set(drawn) & (set(card.effects) - {"separation_lag", "reattachment_hysteresis"})
