@@ -67,7 +67,7 @@ def thinned(clean):
 
 @pytest.fixture(scope="session")
 def diagnosed(card):
-    """One short simulated manoeuvre in which a sensor error and a curved pitching moment hide, and its diagnosis."""
+    """One short simulated manoeuvre that hides a sensor error and a curved pitching moment, and its diagnosis."""
     hidden = {"pitch_rate_bias": {"pitch_rate_bias": 0.01}, "alpha_squared_moment": {"Cma2": -5.0}}
     records = hidden_records(hidden, seed=3, manoeuvres=1, seconds=60.0, noise="white")
     view = view_of(diagnose(records, card, most=2))

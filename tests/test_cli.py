@@ -67,6 +67,10 @@ def test_table_and_place_of_results_are_printed(flown):
         (["identify", "empty.csv"], "empty.csv"),
         (["identify", "--model", "atas"], "attas"),
         (["identify", "--model", "bad.toml"], "efects"),
+        (["diagnose", "nowhere.csv"], "nowhere.csv"),
+        (["diagnose", "empty.csv"], "empty.csv"),
+        (["diagnose", "--model", "atas"], "attas"),
+        (["diagnose", "--max-effects", "0"], "max-effects"),
     ],
 )
 def test_bad_input_is_one_sentence(tmp_path, arguments, told):
@@ -77,3 +81,19 @@ def test_bad_input_is_one_sentence(tmp_path, arguments, told):
     assert told in done.stderr
     assert "Traceback" not in done.stderr
     assert not Path(tmp_path / "results").exists()
+    assert not Path(tmp_path / "diagnosis").exists()
+
+
+def test_diagnose_writes_and_tells_what_it_found(tmp_path, diagnosed, card):
+    (record,) = diagnosed.records
+    write_record(record, tmp_path / "a.csv", [c for c in card.channels if record.has(c.name) or c.name == "time"])
+    done = run("diagnose", "a.csv", "--max-effects", "1", "--no-figures", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = json.loads((tmp_path / "diagnosis" / "diagnosis.json").read_text())
+    schema = json.loads(resources.files("bayes_aero.studies").joinpath("diagnosis.schema.json").read_text())
+    jsonschema.validate(found, schema)
+    assert found["provenance"]["settings"] == {"max_effects": 1}
+    for cause in found["causes"]:
+        assert cause["name"] in done.stdout
+    assert (tmp_path / "diagnosis" / "screen.csv").is_file()
+    assert not (tmp_path / "diagnosis" / "figures").exists()

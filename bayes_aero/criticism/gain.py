@@ -27,7 +27,7 @@ class LeftOut:
     def __init__(self, state: State) -> None:
         keep = [state.responses.outputs.index(name) for name in state.outputs]
         self.residual = np.zeros_like(state.residual)
-        self.variance = np.zeros_like(state.residual)
+        self.variance = np.ones_like(state.residual)  # between folds nothing is predicted
         self.inside = np.zeros(len(state.residual), bool)
         for number, fold in enumerate(state.folds):
             others = [f for f in range(len(state.folds)) if f != number]

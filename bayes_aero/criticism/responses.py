@@ -52,7 +52,7 @@ class Responses(eqx.Module):
         """Length of a block, s."""
         return FILTER_STEP * float(np.median(np.asarray(self.flights.channels["dt"])))
 
-    def block(self, x: Float[Array, "n ..."]) -> Float[Array, "m ..."]:
+    def block(self, x: Float[Array, "n ..."] | Float[np.ndarray, "n ..."]) -> Float[Array, "m ..."]:
         """Means over blocks, manoeuvre by manoeuvre; the last samples that fill no block are left out."""
         begin, parts = 0, []
         for length in self.flights.lengths:
@@ -62,7 +62,7 @@ class Responses(eqx.Module):
             begin += length
         return jnp.concatenate(parts)
 
-    def evaluate(self, theta: Float[Array, " k"]) -> tuple[Float[Array, "m c"], dict[str, Array]]:
+    def evaluate(self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]) -> tuple[Float[Array, "m c"], dict[str, Array]]:
         """Residuals at parameters `theta` (the model's free ones), and what explains them, by name, at full rate."""
         return _evaluate(self, theta)
 

@@ -36,7 +36,7 @@ class Coefficients(NamedTuple):
     Cm: Float[Array, "*n"]
 
 
-def condition(channels: Mapping[str, Float[Array, " n"]], dt: float | Float[Array, ""]) -> Signals:
+def condition(channels: Mapping[str, Float[Array, " n"]], dt: float | Float[Array, ""] | Float[Array, " n"]) -> Signals:
     """Smoothed and differentiated signals of one manoeuvre, SI and radians, beside the untouched ones.
 
     Adds `alpha_dot`, `p_dot`, `q_dot`, `r_dot` (derivatives of the smoothed signals), replacing recorded ones.

@@ -59,7 +59,7 @@ def _central(x: Float[Array, " n"], weights: np.ndarray) -> Float[Array, " m"]:
     )
 
 
-def differentiate(x: Float[Array, " n"], dt: float | Float[Array, ""]) -> Float[Array, " n"]:
+def differentiate(x: Float[Array, " n"], dt: float | Float[Array, ""] | Float[Array, " n"]) -> Float[Array, " n"]:
     """Time derivative: 8th-order central difference, 4th-order in samples 3 to 8 from an end, constant beyond.
 
     `x` in any unit, `dt` in seconds; result in that unit per second. Exact for quartics away from the outer two.

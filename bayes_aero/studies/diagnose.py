@@ -32,7 +32,7 @@ Predict = Callable[[Diagnosis, Sequence[FlightRecord]], Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Outcome:
-    """A diagnosis with what is shown of it. `named` says of each hidden effect: first, named, ambiguous, minor or missed."""
+    """A diagnosis with what is shown of it; `named`: each hidden effect is first, named, ambiguous, minor or missed."""
 
     view: View
     hidden: Hidden | None
