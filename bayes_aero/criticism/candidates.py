@@ -34,7 +34,9 @@ class Field:
         """Neutral value of every parameter, finite."""
         return {p.name: p.neutral if math.isfinite(p.neutral) else FAR for p in self.model.parameters}
 
-    def prior(self, index: Sequence[int] | Int[np.ndarray, " j"], theta: Float[np.ndarray, " k"]) -> tuple[np.ndarray, np.ndarray]:
+    def prior(
+        self, index: Sequence[int] | Int[np.ndarray, " j"], theta: Float[np.ndarray, " k"]
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Mean and precision of the step from `theta` for parameters `index`, their priors taken as normal."""
         free = self.model.free
         pairs = [normal_of(self.priors.get(free[i].name, free[i].prior)) for i in index]

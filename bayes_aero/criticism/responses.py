@@ -62,7 +62,9 @@ class Responses(eqx.Module):
             begin += length
         return jnp.concatenate(parts)
 
-    def evaluate(self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]) -> tuple[Float[Array, "m c"], dict[str, Array]]:
+    def evaluate(
+        self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
+    ) -> tuple[Float[Array, "m c"], dict[str, Array]]:
         """Residuals at parameters `theta` (the model's free ones), and what explains them, by name, at full rate."""
         return _evaluate(self, theta)
 
