@@ -15,6 +15,7 @@ import argparse
 import json
 import time
 from collections import Counter
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -84,7 +85,9 @@ def _scores(found, effects) -> dict[str, float]:
             standing = stage.steps[0].poll.of(name) if stage is not None and stage.steps else None
             if standing is not None:
                 owned = [p for p in CATALOGUE[name].parameters if p.name in values]
-                sizes = [abs(values[p.name] - p.neutral) / max(sd, 1e-300) for p, sd in zip(owned, standing.sd)]
+                sizes = [
+                    abs(values[p.name] - p.neutral) / max(sd, 1e-300) for p, sd in zip(owned, standing.sd, strict=False)
+                ]
                 scores[name] = max(scores.get(name, 0.0), *sizes)
     return scores
 
@@ -170,7 +173,7 @@ def _naming(rows: list[dict]) -> None:
           f"alone and first {_share(alone, len(clear))}, interval covers {_share(covered, sized)}")  # fmt: skip
     print("  confused (true, named):", missed.most_common())
     edges = [0, 2, 4, 6, 9, 15, 30, 100, np.inf]
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         here = [r for r in rows if r["scores"] and low <= max(r["scores"].values()) < high]
         hits = sum(_named(r, next(iter(r["hidden"]))) for r in here)
         print(f"  power, {low:g} to {high:g} standard errors: named {_share(hits, len(here))}")

@@ -28,7 +28,8 @@ class Colour:
             length = fold.stop - fold.start
             white = rng.standard_normal((count, length + RUN_IN, len(self.sigma))) * self.sigma
             for c, phi in enumerate(self.phi):
-                out[:, fold, c] = lfilter([1.0], np.append(1.0, -phi), white[:, :, c], axis=1)[:, RUN_IN:]
+                noise = np.asarray(lfilter([1.0], np.append(1.0, -phi), white[:, :, c], axis=1))
+                out[:, fold, c] = noise[:, RUN_IN:]
         return out
 
     def meat(
@@ -43,7 +44,7 @@ class Colour:
             for c, phi in enumerate(self.phi):
                 back = S[fold, c][::-1] * (self.sigma[c] / variance[c])
                 used = np.flatnonzero(np.any(back != 0.0, axis=0))
-                shaped = lfilter([1.0], np.append(1.0, -phi), back[:, used], axis=0)
+                shaped = np.asarray(lfilter([1.0], np.append(1.0, -phi), back[:, used], axis=0))
                 total[np.ix_(used, used)] += shaped.T @ shaped
         return total
 

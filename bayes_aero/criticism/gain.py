@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -27,22 +28,27 @@ class LeftOut:
     def __init__(self, state: State) -> None:
         keep = [state.responses.outputs.index(name) for name in state.outputs]
         self.residual = np.zeros_like(state.residual)
-        self.variance = np.ones_like(state.residual)  # between folds nothing is predicted
+        self.swell = state.swell
         self.inside = np.zeros(len(state.residual), bool)
         for number, fold in enumerate(state.folds):
-            others = [f for f in range(len(state.folds)) if f != number]
-            theta = optimum(state, others, UNSEEN_STEPS)
-            residual = np.asarray(state.responses.evaluate(theta)[0])[:, keep]
-            scaled = residual / state.swell
-            used = np.concatenate([scaled[state.folds[f]] for f in others])
-            self.residual[fold] = residual[fold]
-            self.variance[fold] = np.mean(used**2, axis=0) * state.swell[fold] ** 2
+            theta = optimum(state, [f for f in range(len(state.folds)) if f != number], UNSEEN_STEPS)
+            self.residual[fold] = np.asarray(state.responses.evaluate(jnp.asarray(theta))[0])[fold][:, keep]
             self.inside[fold] = True
+        offsets = state.S[:, :, state.offsets]
+        if offsets.shape[2]:  # where a flight-path integral began is the left-out fold's own to find
+            self.residual -= offsets @ (
+                np.einsum("mco,mc->o", offsets, self.residual) / np.sum(offsets**2, axis=(0, 1))
+            )
 
     def density(self) -> Float[np.ndarray, " m"]:
-        """Log predictive density of every block, all outputs together; white, from the other folds' variance."""
-        found = -0.5 * (self.residual**2 / self.variance + np.log(2.0 * np.pi * self.variance)).sum(axis=1)
-        return found[self.inside]
+        """Log predictive density of every block, all outputs together.
+
+        Independent and normal, with the variance that the left-out residuals themselves have: the variance of the
+        fitted ones would punish a model for the other manoeuvre's stall, whatever its mean.
+        """
+        scaled = self.residual[self.inside] / self.swell[self.inside]
+        variance = np.mean(scaled**2, axis=0) * self.swell[self.inside] ** 2
+        return -0.5 * (self.residual[self.inside] ** 2 / variance + np.log(2.0 * np.pi * variance)).sum(axis=1)
 
     def scores(self, measured: Float[np.ndarray, "m c"]) -> dict[str, Scores]:
         """Scores of each coefficient over everything left out, against what was recorded (blocks of about 5 Hz)."""

@@ -58,7 +58,7 @@ def details(state: State) -> Mapping[str, np.ndarray]:
 
 
 def profiles(residual: Float[np.ndarray, " n"], channels: Mapping[str, np.ndarray], cost: float) -> list[Profile]:
-    """How the residual depends on each channel, the clearest first; `cost` is the variance that its colour multiplies."""
+    """How the residual depends on each channel, the clearest first; `cost` multiplies variances for the colour."""
     found = []
     for name, x in channels.items():
         if np.ptp(x) <= 1e-9 * max(1.0, float(np.abs(x).max())):

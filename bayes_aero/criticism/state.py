@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from bayes_aero.criticism.candidates import Field
 from bayes_aero.criticism.colour import ORDER, colour_of
@@ -76,7 +77,7 @@ class State:
         """Columns of each component that stands for election."""
         widths = [c.basis.shape[1] for c in (*self.chosen, *self.components)]
         begins = len(self.theta) + len(self.offsets) + len(self.scans) + np.cumsum([0, *widths])
-        found = [np.arange(a, b) for a, b in zip(begins[:-1], begins[1:], strict=True)]
+        found = [np.arange(a, b) for a, b in pairwise(begins)]
         return found[len(self.chosen) :]
 
     @property
@@ -128,8 +129,7 @@ def folds_of(manoeuvre: Int[np.ndarray, " m"], seconds: float) -> tuple[slice, .
     cuts = np.linspace(0, len(manoeuvre), FOLDS + 1).astype(int)
     gap = max(1, round(GUARD / seconds / 2))
     return tuple(
-        slice(int(a) + (gap if a else 0), int(b) - (gap if b < len(manoeuvre) else 0))
-        for a, b in zip(cuts[:-1], cuts[1:], strict=True)
+        slice(int(a) + (gap if a else 0), int(b) - (gap if b < len(manoeuvre) else 0)) for a, b in pairwise(cuts)
     )
 
 

@@ -25,6 +25,7 @@ CHUNKS = 4  # parts of each manoeuvre, by which a sinusoid must predict what it 
 LEAST_SHARE = 0.03  # of the remaining variance: less is not worth a verdict
 SKIPPED = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot", "alpha_dot")  # responses themselves, not causes
 DRAWN = 80  # noise-only replicates: components have many columns
+LOOKED_AT = 5  # leaders in sample whose unseen gain is measured
 MOST = 3  # components taken one after another
 BETTER = 1.2  # how many times a named cause's unseen gain a component must reach to take its place
 
@@ -40,7 +41,7 @@ class Left:
 def unexplained(extension: Extension, *, seed: int) -> Left:
     """Look at what the extended model leaves; then whether a component explains a named cause better than itself."""
     found: list[Unknown] = []
-    state, fit = extension.state, extension.fit
+    state = extension.state
     chosen: list[Component] = []
     for number in range(MOST):
         one = _best(state, chosen, seed + number)
@@ -50,11 +51,12 @@ def unexplained(extension: Extension, *, seed: int) -> Left:
         chosen.append(component)
         coefficient, channel = component.label.split(" over ")
         found.append(Unknown(coefficient, channel, share, p))
-    replaced = _proxies(extension, seed) if not found else []
-    for component, share, p, _ in replaced:
-        coefficient, channel = component.label.split(" over ")
-        found.append(Unknown(coefficient, channel, share, p))
-    return Left(tuple(found), tuple(name for *_, name in replaced))
+    stand_ins = _proxies(extension) if not found else None
+    if stand_ins is None:
+        return Left(tuple(found), ())
+    component, share, names = stand_ins
+    coefficient, channel = component.label.split(" over ")
+    return Left((Unknown(coefficient, channel, share, float("nan")),), names)
 
 
 def _best(state: State, chosen: Sequence[Component], seed: int) -> tuple[Component, float, float] | None:
@@ -88,27 +90,35 @@ def _share(state: State, own: np.ndarray) -> float:
     return float(np.max(1.0 - after.variance / before.variance))
 
 
-def _proxies(extension: Extension, seed: int) -> list[tuple[Component, float, float, str]]:
-    """Named causes of the coefficients whose place a component takes with a clearly larger gain on unseen data."""
-    found = []
+def _proxies(extension: Extension) -> tuple[Component, float, tuple[str, ...]] | None:
+    """A single component that predicts unseen data clearly better than all named causes of the coefficients together.
+
+    The causes were then stand-ins for something that is in no catalogue. Effects are taken out to first order.
+    """
     state = extension.state
-    for name in extension.causes:
-        own = state.field.columns(state.field.parameters_of(name))
-        neutral = np.array([state.field.neutral[p] for p in state.field.parameters_of(name)])
-        components = smooth_components(state)
-        trial = with_components(state, components, (), state.folds)
-        bare = np.array([c for c in trial.columns() if c not in own])
-        shifted = replace(trial, products=trial.products.shifted(own, neutral - state.theta[own]))
-        known = float(unseen_gain(shifted, np.concatenate([bare, own]), bare).sum())
-        best = None
-        for component, columns in zip(components, trial.component_columns, strict=True):
-            gained = float(unseen_gain(shifted, np.concatenate([bare, columns]), bare).sum())
-            if best is None or gained > best[0]:
-                best = (gained, component, columns)
-        if best is not None and best[0] > BETTER * max(known, 0.0) + 6.0 * state.temper:
-            share = _share(shifted, best[2])
-            found.append((best[1], share, float("nan"), name))
-    return found
+    if not extension.causes:
+        return None
+    names = [p for effect in state.active for p in state.field.parameters_of(effect)]
+    own = state.field.columns(names)
+    neutral = np.array([state.field.neutral[p] for p in names])
+    best = None
+    for folds, components in ((state.folds, smooth_components(state)), (_chunks(state), periodic_components(state))):
+        trial = with_components(state, components, (), folds)
+        bare = trial.columns(())
+        products = trial.products.shifted(own, neutral - state.theta[own])
+        taken_out = replace(trial, products=products, active=())
+        known = float(unseen_gain(taken_out, np.concatenate([bare, own]), bare).sum())
+        width = max(len(columns) for columns in trial.component_columns)
+        dummy = trial.S.shape[2] - 1
+        rows = [np.append(np.append(bare, c), np.full(width - len(c), dummy)) for c in trial.component_columns]
+        deviance = products.fit_many(np.array(rows, int), trial.mean, trial.precision)[3]
+        for i in np.argsort(deviance)[:LOOKED_AT]:
+            columns = trial.component_columns[i]
+            gained = float(unseen_gain(taken_out, np.concatenate([bare, columns]), bare).sum())
+            margin = gained - BETTER * max(known, 0.0) - 6.0 * state.temper
+            if margin > 0.0 and (best is None or margin > best[0]):
+                best = (margin, components[i], _share(taken_out, columns))
+    return None if best is None else (best[1], best[2], extension.causes)
 
 
 def smooth_components(state: State) -> list[Component]:
@@ -165,7 +175,7 @@ def with_components(
         block = np.zeros((*state.residual.shape, component.basis.shape[1]))
         block[:, NAMES.index(component.coefficient)] = component.basis
         extra.append(block)
-        width += block.shape[2]
+        width += component.basis.shape[1]
     S = np.concatenate([state.S[:, :, :-1], *extra, state.S[:, :, -1:]], axis=2)
     size = float(np.median(np.std(state.residual / state.swell, axis=0)))
     precision = np.concatenate([state.precision[:-1], np.full(width, state.temper / (10 * size) ** 2), [1.0]])
