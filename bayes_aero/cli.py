@@ -120,6 +120,9 @@ def diagnose(
     resample: Annotated[
         float | None, typer.Option(help="Resample unevenly sampled records to this time step in s.")
     ] = None,
+    predictors: Annotated[
+        bool, typer.Option(help="Compare predictors on unseen data; fly manoeuvres that would separate rival causes.")
+    ] = True,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
 ) -> None:
     """Find what a model gets wrong: which cause, how large, what else it could be, what it gains on unseen data.
@@ -130,6 +133,7 @@ def diagnose(
     from bayes_aero.report.words_diagnosis import cause_table, ranking_table, revealed, sentences
     from bayes_aero.studies.diagnose import hide_one, run
     from bayes_aero.studies.identify import read_records
+    from bayes_aero.studies.outlook import predictors as compared
 
     card = read_card(model)
     console = Console()
@@ -146,6 +150,7 @@ def diagnose(
             seed=seed,
             most=max_effects,
             hidden=hidden,
+            predict=(lambda found, _: compared(found, card)) if predictors else None,
             figures=figures,
             progress=lambda text, share: bar.update(task, description=text, completed=share),
         )

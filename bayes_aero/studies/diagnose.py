@@ -22,6 +22,7 @@ from bayes_aero.report.tables import write_csv
 from bayes_aero.report.words_diagnosis import causes_frame, screen_frame, sentences
 from bayes_aero.studies.diagnosis_results import diagnosis_results
 from bayes_aero.studies.hidden import draw_hidden, flyable
+from bayes_aero.studies.outlook import separations
 from bayes_aero.studies.provenance import provenance, write_json
 
 Progress = Callable[[str, float], None]
@@ -84,7 +85,8 @@ def run(
     """Diagnose, as `bayes-aero diagnose` does; with `out` it writes diagnosis.json, causes.csv, screen.csv, figures.
 
     `most` is the number of effects that each stage may add. `predict` adds the comparison of predictors, which may
-    fail: the reason is then a note. `hidden` is what simulated records hide, for the comparison with what was found.
+    fail (the reason is then a note), and the manoeuvres that would separate ambiguity sets. `hidden` is what simulated
+    records hide, for the comparison with what was found.
     """
     if out is not None:
         try:
@@ -96,6 +98,7 @@ def run(
     named = {name: _found(view.diagnosis, name) for name in hidden} if hidden else {}
     outcome = Outcome(view, hidden, named, ())
     predictors: Mapping[str, Any] = {}
+    separating: list[dict[str, Any]] = []
 
     def write() -> None:
         if out is None:
@@ -108,6 +111,7 @@ def run(
             source,
             sentences=sentences(view),
             predictors=predictors,
+            separating=separating,
             hidden=truth,
             notes=outcome.notes,
         )
@@ -124,6 +128,9 @@ def run(
             predictors = predict(view.diagnosis, records)
         except InputError as error:
             outcome = replace(outcome, notes=(*outcome.notes, f"Predictors were not compared: {error}"))
+        if progress:
+            progress("manoeuvres that would separate", 0.0)
+        separating = separations(view.diagnosis)
         write()
     if figures and out is not None:
         _, failed = draw_all(DIAGNOSIS_FIGURES, view, out / "figures", progress)

@@ -23,6 +23,7 @@ def diagnosis_results(
     *,
     sentences: Sequence[str] = (),
     predictors: Mapping[str, Any] | None = None,
+    separating: Sequence[Mapping[str, Any]] = (),
     hidden: Mapping[str, Any] | None = None,
     notes: Sequence[str] = (),
 ) -> dict[str, Any]:
@@ -64,6 +65,7 @@ def diagnosis_results(
         },
         "residuals": {"before": composition(view, view.card), "after": composition(view, view.extended)},
         "predictors": dict(predictors or {}),
+        "separating": [dict(one) for one in separating],
         "notes": [*d.notes, *notes],
         "provenance": dict(provenance),
     }

@@ -1,0 +1,42 @@
+"""What follows from a diagnosis: the best predictor available, and the flight that would settle what it left open."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+from bayes_aero.criticism.design import separating
+from bayes_aero.criticism.finding import Diagnosis
+from bayes_aero.criticism.predictors import compare
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card import Card
+
+SETS = 2  # ambiguity sets for which manoeuvres are flown: each compiles a flight of its own
+
+
+def predictors(diagnosis: Diagnosis, card: Card) -> dict[str, Any]:
+    """Card's model, Gaussian process, extended model and that with its discrepancy, by coefficient, on unseen data."""
+    found = compare(diagnosis.aerodynamics, card.gp_inputs)
+    return {
+        name: {c: None if scores is None else asdict(scores) for c, scores in row.items()}
+        for name, row in found.table.items()
+    }
+
+
+def separations(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+    """For each ambiguity set of the coefficients' causes: the standard manoeuvre that would tell its members apart."""
+    found, seen = [], set()
+    for cause in diagnosis.causes:
+        members = frozenset((cause.name, *cause.ambiguous_with))
+        if len(members) < 2 or members in seen or cause.stage != "coefficients" or len(found) >= SETS:
+            continue
+        seen.add(members)
+        sizes = {name: abs(size.mean) for name, size in cause.parameters.items()}
+        try:
+            design = separating(diagnosis.aerodynamics.state, sorted(members), sizes=sizes)
+        except InputError as error:
+            found.append({"effects": sorted(members), "status": str(error), "manoeuvres": []})
+            continue
+        ranked = [{"manoeuvre": m.manoeuvre, "deviations": m.weakest} for m in design.manoeuvres]
+        found.append({"effects": sorted(members), "status": design.status, "manoeuvres": ranked})
+    return found
