@@ -77,7 +77,8 @@ def _kernel(p: int, priors: Priors, settings: Settings, exact: bool, shapes: tup
             density = log_likelihood_device(theta, *target) + priors.log_density(theta)
         else:
             density = emulated_density(theta, target, n, priors)
-        numpyro.factor("density", density)
+        # What numpyro.factor does, by public names: it reaches for a submodule that some import orders leave unbound.
+        numpyro.sample("density", dist.Unit(density), obs=jnp.empty((0,)))
         numpyro.deterministic("log_density", density)
 
     return MCMC(
