@@ -165,6 +165,24 @@ def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, wit
     return Poll(tuple(sorted(found, key=lambda s: -s.gain)), colour, np.array(nulls))
 
 
+def explained_shares(state: State, fit: Fit, colour: Colour, seed: int, count: int) -> Float[np.ndarray, " r"]:
+    """Largest share of one output's variance that any block explains in each of `count` noise records of this colour.
+
+    Blocks must act on one output each, as components do.
+    """
+    projected = _Projected(state, fit, [block[1] for block in state.blocks])
+    bread = [inverse(projected.information[np.ix_(place, place)]) for place in projected.place]
+    output = [int(np.argmax(np.abs(state.S[:, :, block[1]]).sum(axis=(0, 2)))) for block in state.blocks]
+    largest = []
+    for e in colour.simulate(count, state.folds, len(state.residual), np.random.default_rng(seed)):
+        noise = _without_active(state, fit, e)
+        total = np.sum(noise**2, axis=0) / fit.variance
+        right = np.einsum("mcj,c,mc->j", projected.P, 1.0 / fit.variance, noise, optimize=True)
+        gains = [right[p] @ B @ right[p] / total[c] for p, B, c in zip(projected.place, bread, output, strict=True)]
+        largest.append(max(gains))
+    return np.array(largest)
+
+
 def _without_active(state: State, fit: Fit, residual: Float[np.ndarray, "m c"]) -> Float[np.ndarray, "m c"]:
     """What is left of a noise record when the active columns are fitted to it."""
     B = state.scaled[:, :, fit.columns]

@@ -12,19 +12,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.criticism.election import poll
+from bayes_aero.criticism.colour import colour_of
+from bayes_aero.criticism.election import explained_shares, poll
 from bayes_aero.criticism.extension import ALPHA, Extension, unseen_gain
 from bayes_aero.criticism.finding import Unknown
-from bayes_aero.criticism.regression import Products
+from bayes_aero.criticism.regression import Fit, Products
 from bayes_aero.criticism.state import Component, State
 from bayes_aero.physics.coefficients import NAMES
 
 KNOTS = 6  # of the smooth function of a channel
 PERIODS = tuple(np.round(np.geomspace(0.6, 30.0, 48), 3))  # s
 CHUNKS = 4  # parts of each manoeuvre, by which a sinusoid must predict what it was not fitted to
-LEAST_SHARE = 0.03  # of the remaining variance: less is not worth a verdict
+LEAST_SHARE = 0.1  # of the remaining variance: less is not worth a verdict
 SKIPPED = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot", "alpha_dot")  # responses themselves, not causes
-DRAWN = 80  # noise-only replicates: components have many columns
+DRAWN = 100  # noise-only replicates
 LOOKED_AT = 5  # leaders in sample whose unseen gain is measured
 MOST = 3  # components taken one after another
 BETTER = 1.2  # how many times a named cause's unseen gain a component must reach to take its place
@@ -67,20 +68,29 @@ def _best(state: State, chosen: Sequence[Component], seed: int) -> tuple[Compone
     ):
         trial = with_components(state, components, chosen, folds)
         fit = trial.fit()
-        ranking = poll(trial, fit, seed=seed, replicates=0)
-        drawn = False
-        for standing in (s for s in ranking.standings[:6] if s.score > 3.0):
+        leaders = poll(trial, fit, seed=seed, replicates=0).standings[:LOOKED_AT]
+        for standing in leaders:
             own = np.array(standing.columns, int)
-            gained = float(unseen_gain(trial, np.concatenate([trial.columns(), own])).sum())
+            wide = np.concatenate([trial.columns(), own])
+            gained = float(unseen_gain(trial, wide).sum())
             share = _share(trial, own)
             if gained <= 0.0 or share < LEAST_SHARE:
                 continue
-            if not drawn:
-                ranking, drawn = poll(trial, fit, seed=seed, replicates=DRAWN), True
-            p = ranking.p_value(standing.score)
+            p = _p_value(trial, fit, trial.products.fit(wide, trial.mean, trial.precision), share, seed)
             if p <= ALPHA:
                 return next(c for c in components if c.label == standing.effect), share, p
     return None
+
+
+def _p_value(state: State, fit: Fit, wider: Fit, share: float, seed: int) -> float:
+    """How often noise alone lets some component explain so large a share.
+
+    The noise has the colour that is left with the component in: with it out, the structure itself would pass for slow
+    noise, under which anything goes.
+    """
+    colour = colour_of(state.left(wider), state.folds)
+    shares = explained_shares(state, fit, colour, seed, DRAWN)
+    return float((1 + np.sum(shares >= share)) / (1 + len(shares)))
 
 
 def _share(state: State, own: np.ndarray) -> float:
