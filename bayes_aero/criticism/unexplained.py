@@ -52,12 +52,32 @@ def unexplained(extension: Extension, *, seed: int) -> Left:
         chosen.append(component)
         coefficient, channel = component.label.split(" over ")
         found.append(Unknown(coefficient, channel, share, p))
-    stand_ins = _proxies(extension) if not found else None
+    if found:
+        return Left(tuple(found), _superfluous(extension, chosen))
+    stand_ins = _proxies(extension)
     if stand_ins is None:
-        return Left(tuple(found), ())
+        return Left((), ())
     component, share, names = stand_ins
     coefficient, channel = component.label.split(" over ")
     return Left((Unknown(coefficient, channel, share, float("nan")),), names)
+
+
+def _superfluous(extension: Extension, chosen: Sequence[Component]) -> tuple[str, ...]:
+    """Named causes of which little is left once the components are in: they had stood in for them."""
+    state = extension.state
+    wide = with_components(state, (), chosen, state.folds)
+    columns = wide.columns()
+    deviance = wide.products.fit(columns, wide.mean, wide.precision).deviance
+    dropped = []
+    for name in extension.causes:
+        names = state.field.parameters_of(name)
+        own = state.field.columns(names)
+        neutral = np.array([state.field.neutral[p] for p in names])
+        without = wide.products.shifted(own, neutral - state.theta[own])
+        rest = without.fit(columns[~np.isin(columns, own)], wide.mean, wide.precision).deviance
+        if 1.0 - np.exp(-max(rest - deviance, 0.0) / wide.products.count.sum()) < LEAST_SHARE:
+            dropped.append(name)
+    return tuple(dropped)
 
 
 def _best(state: State, chosen: Sequence[Component], seed: int) -> tuple[Component, float, float] | None:
