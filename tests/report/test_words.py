@@ -47,11 +47,11 @@ def test_the_white_posterior_is_no_second_witness(full, make):
 
 def test_the_chosen_noise_model_moves_the_mean(full, make):
     assert "0.5 times the corrected" in said(full, "weighs the data differently")
-    text = said(full, "mean function is wrong, or the reconstruction")
+    text = said(full, "mean function is wrong, or the residual")
     assert "Cma (6.7)" in text  # 0.3 / hypot(0.02, 0.04)
     assert "Cmde" not in text
     wider = make(width=4.0, corrected=4.0, lag1=0.9)
-    assert silent(wider, "mean function is wrong, or the reconstruction")
+    assert silent(wider, "mean function is wrong, or the residual")
     assert silent(wider, "weighs the data differently")
 
 
