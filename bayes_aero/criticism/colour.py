@@ -75,7 +75,7 @@ def _stationary(phi: Float[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
 def unbiased(colour: Colour, again: Sequence[Colour]) -> Colour:
     """The colour corrected for what re-estimation on simulated noise does to it (Kilian 1998): slow noise looks faster.
 
-    Correction is on the coefficients, and halved until the result is stationary.
+    Coefficients are shifted by their mean bias, their roots drawn inside `ROOT`; sigma is divided by its mean ratio.
     """
     shift = colour.phi - np.mean([c.phi for c in again], axis=0)
     phi = np.array([_stationary(p + s) for p, s in zip(colour.phi, shift, strict=True)])

@@ -30,6 +30,7 @@ from bayes_aero.physics.flightpath import PATH
 
 SENSOR_KINDS = (Kind.MEASUREMENT, Kind.ENVIRONMENT)
 AMBIGUOUS = 3.0  # nats, after the colour's cost, within which another effect explains as well
+EXCITED = 0.1  # least over largest spread of an effect's sensitivities among manoeuvres; our choice
 POSSIBLE = 2.0  # score that an effect needs on its own to be a rival at all
 
 Progress = Callable[[str, float], None]
@@ -143,9 +144,20 @@ def _causes(
                     ambiguous_with=others,
                     parameters={p.name: sizes[p.name] for p in effect.parameters},
                     gain=measured.get(name, NO_GAIN),
+                    excited=_excited(extension.state, name),
                 )
             )
     return found
+
+
+def _excited(state: State, name: str) -> bool:
+    """Whether every manoeuvre moves what the effect acts through: the spread of its sensitivities within each."""
+    if len(state.responses.flights.lengths) == 1:
+        return True
+    S = state.S[:, :, state.field.columns(state.field.parameters_of(name))]  # without the swell, which moves anything
+    noise = np.std(state.residual, axis=0)[:, None]
+    spread = np.array([np.sqrt(np.sum((S[fold] / noise).var(axis=0))) for fold in state.folds])
+    return bool(spread.min() >= EXCITED * spread.max())
 
 
 NO_GAIN = Gain(float("nan"), float("nan"), "not measured", {}, {})
@@ -183,12 +195,11 @@ def _sensor_gains(extension: Extension, aerodynamics: Extension, left: list[Left
     measured = measured_blocks(card)
     found = {}
     for k, name in enumerate(extension.causes):
-        path = gains(left[k], [left[k + 1]], state, measured) if state.outputs == NAMES else None
         difference = (left[k + 1].density() - left[k].density()) / state.temper
         parts = np.array([p.sum() for p in np.array_split(difference, max(2, round(len(difference) / 50)))])
         se = float(np.sqrt(len(parts)) * parts.std(ddof=1))
         scores = fields[0].scores(measured), fields[k + 1].scores(measured)
-        found[name] = Gain(float(parts.sum()), se, split_name(state), *scores) if path is None else path[0]
+        found[name] = Gain(float(parts.sum()), se, split_name(state), *scores)
     return found
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
@@ -89,8 +89,3 @@ def truncated(state: State, effects: Sequence[str]) -> State:
             for name in state.field.parameters_of(effect):
                 theta[state.field.columns([name])[0]] = state.field.neutral[name]
     return moved(state, theta, tuple(effects))
-
-
-def r2_of(scores: Mapping[str, Scores]) -> dict[str, float]:
-    """R2 by coefficient."""
-    return {name: s.r2 for name, s in scores.items()}
