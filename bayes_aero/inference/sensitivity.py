@@ -17,6 +17,9 @@ from bayes_aero.model.observations import Observations
 from bayes_aero.physics.coefficients import NAMES
 
 
+MEMORY = 3  # steps that Anderson acceleration looks back on
+
+
 class Data(eqx.Module):
     """What a fit needs of the observations: only the signals that the model reads, so that a call hands over little."""
 
@@ -79,8 +82,10 @@ def full_steps(
 ) -> Point:
     """At most `most` full Gauss-Newton steps from `start`, while each lowers the cost and stays within the bounds.
 
-    Ends where a step would gain less than `decrement` in log-likelihood, or before the first step that is not good;
-    `most` = 0 only looks at `start`.
+    Gauss-Newton leaves out the model's curvature, so it ends in steps that shrink by a constant factor; Anderson
+    acceleration (Walker and Ni 2011, SIAM J. Numer. Anal. 49, 1715) reads that factor off the last steps. Ends where a
+    step would gain less than `decrement` in log-likelihood, or before the first step that is not good; `most` = 0 only
+    looks at `start`.
     """
     arguments = map(jnp.asarray, (start, lower, upper, decrement, most))  # none static: one compilation
     found = _full_steps(data, *arguments)
@@ -92,7 +97,7 @@ def full_steps(
 def _full_steps(data: Data, start: Array, lower: Array, upper: Array, decrement: Array, most: Array):
     n, k = data.measured.shape[0], start.shape[0]
 
-    def step_from(point):
+    def newton(point):
         _, _, _, A, g, _ = point
         scale = jnp.sqrt(jnp.diag(A))
         factor = jnp.linalg.cholesky(A / jnp.outer(scale, scale))  # NaN where singular: the step is then not good
@@ -107,17 +112,36 @@ def _full_steps(data: Data, start: Array, lower: Array, upper: Array, decrement:
         R = jnp.stack(R)
         return theta, 0.5 * n * jnp.sum(jnp.log(R)), R, information, gradient, taken
 
+    def accelerated(point, plain, moves, changes):
+        """Anderson's step: that of the combination of the last points at which the next plain step vanishes."""
+        weighed = changes @ point[3]
+        gram = weighed @ changes.T
+        ridge = jnp.finfo(gram.dtype).eps * jnp.trace(gram) + jnp.finfo(gram.dtype).tiny
+        share = jnp.linalg.solve(gram + ridge * jnp.eye(MEMORY), weighed @ plain)
+        step = plain - share @ (moves + changes)
+        return jnp.where(inside(point[0] + step), step, plain)
+
+    def inside(theta):
+        return jnp.all((theta > lower) & (theta < upper))
+
     def body(state):
-        point, step, _ = state
+        point, plain, step, moves, changes, _ = state
         trial = look(point[0] + step, point[-1] + 1)
         first = point[-1] < 0
         good = first | (trial[1] < point[1])
+        was_plain = jnp.all(step == plain)
         point = jax.tree.map(lambda new, old: jnp.where(good, new, old), trial, point)
-        step, gain = step_from(point)
-        ahead = point[0] + step
-        inside = jnp.all((ahead > lower) & (ahead < upper))
-        return point, step, good & inside & (gain >= decrement) & (point[-1] < most)
+        new, gain = newton(point)
+        remembered = good & ~first
+        moves = jnp.where(remembered, jnp.roll(moves, 1, axis=0).at[0].set(step), 0.0)
+        changes = jnp.where(remembered, jnp.roll(changes, 1, axis=0).at[0].set(new - plain), 0.0)
+        step = accelerated(point, new, moves, changes)
+        # An accelerated step that gains nothing is forgotten with all memory, and the plain one is tried.
+        go_on = (good | ~was_plain) & inside(point[0] + step) & (gain >= decrement) & (point[-1] < most)
+        return point, new, step, moves, changes, go_on
 
     # The loop begins by looking at the start, as if a step of zero led there: so it compiles the sensitivities once.
     nowhere = (jnp.asarray(start), jnp.inf, jnp.zeros(3), jnp.eye(k), jnp.zeros(k), -1)
-    return jax.lax.while_loop(lambda state: state[2], body, (nowhere, jnp.zeros(k), True))[0]
+    nothing, empty = jnp.zeros(k), jnp.zeros((MEMORY, k))
+    begin = (nowhere, nothing, nothing, empty, empty, True)
+    return jax.lax.while_loop(lambda state: state[-1], body, begin)[0]
