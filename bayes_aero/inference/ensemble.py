@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import emcee
 import equinox as eqx
@@ -19,7 +21,9 @@ from bayes_aero.model.density import Density
 ENSEMBLES = 4
 DEGREES = 5.0  # of freedom of the independence proposal: tails heavier than the posterior's
 INDEPENDENT = 0.7  # share of independence moves; the rest is differential evolution, which needs no good proposal
-BURN_IN = 150
+BURN_IN = 150  # steps of one round
+ROUNDS = 4
+ENOUGH_GAINED = 1.1  # another round follows while the acceptance rises by this factor
 CHUNK = 100
 MAX_STEPS = 4000
 AUTOCORRELATION_TIMES = 30  # a run must be this long before its autocorrelation time is believed
@@ -70,23 +74,42 @@ def _sampler(target: _Target, walkers: int, proposal: _Independent, seed: int) -
     return sampler
 
 
-def _burn_in(target: _Target, walkers: int, seed: int) -> emcee.EnsembleSampler:
-    """Burn in on the Laplace proposal, then set up the sampler whose proposal is what the burn-in found."""
+def _burnt_in(target: _Target, walkers: int, ensembles: int, seed: int) -> list[emcee.EnsembleSampler]:
+    """Ensembles ready to be kept, with the proposal fitted to what all of them found while burning in.
+
+    The fit is repeated while it still raises the acceptance much: a skewed posterior is reached in several rounds.
+    """
     size = target.density.size
-    first = _sampler(target, walkers, _Independent(np.zeros(size), np.eye(size)), seed)
-    start = np.random.default_rng(seed).standard_normal((walkers, size)) * 0.5
-    first.run_mcmc(start, BURN_IN)
-    found = np.asarray(first.get_chain(discard=BURN_IN // 3, flat=True))
-    proposal = _Independent(found.mean(axis=0), np.linalg.cholesky(np.cov(found.T)))
-    sampler = _sampler(target, walkers, proposal, seed + 1)
-    sampler.run_mcmc(np.asarray(first.get_chain())[-1], CHUNK)
-    return sampler
+    proposal, before = _Independent(np.zeros(size), np.eye(size)), 0.0
+    begin = np.random.default_rng(seed).standard_normal((ensembles, walkers, size)) * 0.5
+    for number in range(ROUNDS):
+        samplers = [_sampler(target, walkers, proposal, 1000 * seed + 10 * i + number) for i in range(ensembles)]
+        _advance(samplers, BURN_IN, begin)
+        begin = np.stack([np.asarray(s.get_chain())[-1] for s in samplers])
+        found = np.concatenate([np.asarray(s.get_chain(discard=BURN_IN // 3, flat=True)) for s in samplers])
+        proposal = _Independent(found.mean(axis=0), np.linalg.cholesky(np.cov(found.T)))
+        accepted = float(np.mean([s.acceptance_fraction for s in samplers]))
+        if accepted < ENOUGH_GAINED * before:
+            break
+        before = accepted
+    samplers = [_sampler(target, walkers, proposal, 1000 * seed + 10 * i + ROUNDS) for i in range(ensembles)]
+    _advance(samplers, CHUNK, begin)
+    return samplers
+
+
+def _advance(samplers: list[emcee.EnsembleSampler], steps: int, begin: np.ndarray | None = None) -> None:
+    """Every ensemble by `steps`, one thread a core: they share nothing, and the density runs outside Python's lock."""
+    starts = [None] * len(samplers) if begin is None else list(begin)
+    with ThreadPoolExecutor(min(len(samplers), os.cpu_count() or 1)) as pool:
+        list(pool.map(lambda sampler, start: sampler.run_mcmc(start, steps), samplers, starts))
 
 
 def _autocorrelation_time(samplers: list[emcee.EnsembleSampler]) -> float:
-    """Steps, the slowest parameter of the slowest ensemble; infinite while a walker has never moved."""
+    """Steps, of the slowest parameter, over the walkers of all ensembles, which move alike; infinite while it is not
+    defined, as when a walker has never moved."""
+    chain = np.concatenate([np.asarray(s.get_chain()) for s in samplers], axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        slowest = float(np.max([s.get_autocorr_time(tol=0) for s in samplers]))
+        slowest = float(np.max(emcee.autocorr.integrated_time(chain, tol=0, quiet=True)))
     return slowest if np.isfinite(slowest) else np.inf
 
 
@@ -115,7 +138,7 @@ def sample_ensemble(
     began = time.perf_counter()
     walkers = 2 * (density.size + 2)
     target = _Target(density, mode)
-    samplers = [_burn_in(target, walkers, 1000 * seed + 10 * i) for i in range(ensembles)]
+    samplers = _burnt_in(target, walkers, ensembles, seed)
     while True:
         tau = _autocorrelation_time(samplers)
         steps = samplers[0].iteration
@@ -127,8 +150,7 @@ def sample_ensemble(
             marginals = diagnose(x, density.names)
             if converged(marginals) or steps >= max_steps:
                 break
-        for sampler in samplers:
-            sampler.run_mcmc(None, CHUNK)
+        _advance(samplers, CHUNK)
     length = np.asarray(samplers[0].get_chain(thin=thin)).shape[0]
     stats = {
         "lp": np.stack([np.asarray(s.get_log_prob(thin=thin)).T.ravel() for s in samplers]),
