@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +19,7 @@ from bayes_aero.inference.posterior import Posterior, PosteriorStatus, assemble,
 from bayes_aero.model.density import Density
 
 CHAINS = 4
-WARMUP = 200
+WARMUP = 500
 STRETCH = 100  # draws of one compiled call; a warm-up or block that is no multiple runs on to the next one
 BLOCK = 300  # draws per chain between two looks at the diagnostics
 MAX_BLOCKS = 8
@@ -50,7 +52,7 @@ def sample_nuts(
         return -density(centre + factor @ v)
 
     # The kernel is driven here: numpyro's MCMC would compile the whole sampler anew for every chain and every block.
-    kernel = NUTS(potential_fn=potential, dense_mass=False, target_accept_prob=0.8)
+    kernel = NUTS(potential_fn=potential, dense_mass=True, target_accept_prob=0.95)
     begin = jax.jit(lambda key, v: kernel.init(key, warmup, v, (), {}))
 
     @jax.jit
@@ -63,12 +65,18 @@ def sample_nuts(
 
     starts = jax.random.normal(start_key, (chains, density.size))
     states = [begin(key, v) for key, v in zip(jax.random.split(run_key, chains), starts, strict=True)]
+    compiled = stretch.lower(states[0]).compile()  # before the threads ask for it, each on its own
+
+    def advance(states: list[HMCState]) -> list[tuple[HMCState, tuple[Array, dict[str, Array]]]]:
+        with ThreadPoolExecutor(min(chains, os.cpu_count() or 1)) as pool:
+            return list(pool.map(lambda state: jax.block_until_ready(compiled(state)), states))
+
     for _ in range(-(-warmup // STRETCH)):
-        states = [stretch(state)[0] for state in states]
+        states = [state for state, _ in advance(states)]
     blocks, fields = [], []
     while True:
         for _ in range(BLOCK // STRETCH):
-            ends = [stretch(state) for state in states]
+            ends = advance(states)
             states = [state for state, _ in ends]
             v = np.stack([np.asarray(drawn) for _, (drawn, _) in ends])
             blocks.append(np.asarray(constrain_draws(density, jnp.asarray(mode.unwhiten(v)))))
