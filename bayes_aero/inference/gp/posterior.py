@@ -28,13 +28,13 @@ RHAT_LIMIT, ESS_LIMIT = 1.01, 400.0
 
 class Budget(NamedTuple):
     """What full Bayes may spend: design points and pilots cost a gradient, exact draws a factorisation each;
-    rounds of training at most, and extensions of the last NUTS run until it has mixed."""
+    rounds of training at most, and extensions of a NUTS run that has not mixed."""
 
     design: int = 22
     pilots: int = 12
     exact: int = 128
     rounds: int = 8
-    extensions: int = 4
+    extensions: int = 2
     nuts: Settings = Settings()
 
 
@@ -95,6 +95,8 @@ def sample_posterior(
                 tell(f"NUTS, round {number}, extension {again}")
                 chains = join(chains, run(seed + 100 * number + again, chains.theta[:, -1]))
         if not _mixed(chains):
+            if not last:  # a rough stand-in holds chains up; the pilots smooth the next one
+                continue
             return Sampled(chains, None, emulator, SampleStatus.not_mixed, number, error)
         weighted = reweight(*thin(chains, budget.exact), data, priors, tell)
         if last or weighted.status is SampleStatus.accepted:
