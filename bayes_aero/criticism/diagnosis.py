@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from bayes_aero.criticism.accuracy import sizes
 from bayes_aero.criticism.candidates import Field, field_of, normal_of
-from bayes_aero.criticism.colour import colour_of
-from bayes_aero.criticism.election import Standing, poll, uncertainty
+from bayes_aero.criticism.election import Standing, poll
 from bayes_aero.criticism.extension import Extension, extend
-from bayes_aero.criticism.finding import Cause, Diagnosis, Gain, Size, Verdict
+from bayes_aero.criticism.finding import Cause, Diagnosis, Gain, Verdict
 from bayes_aero.criticism.gain import LeftOut, gains, measured_blocks, split_name, truncated
 from bayes_aero.criticism.residuals import noise_report
 from bayes_aero.criticism.responses import Responses
@@ -24,6 +24,7 @@ from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.flights import despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
+from bayes_aero.model.own_effects import own_effects
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.physics.flightpath import PATH
@@ -53,7 +54,7 @@ def diagnose(
     """
     model = model or Model.from_card(card)
     flights, outliers = despiked(join(records, card))
-    field = field_of(model, flights, extra)
+    field = field_of(model, flights, (*own_effects(card.effect_files).values(), *extra))
     responses = Responses(flights, field.model)
     mle = fit_mle(model, observe(records, card, model), seed=seed)
     theta = np.array([field.neutral[name] for name in field.model.names])
@@ -129,7 +130,7 @@ def _causes(
         if extension is None or not extension.causes:
             continue
         measured = _gains_of(extension, aerodynamics, progress) if gains_wanted else {}
-        sizes = _sizes(extension)
+        own = sizes(extension)
         for name in extension.causes:
             effect = next(e for e in field.candidates if e.name == name)
             probability, others = _rivals(extension, name)
@@ -142,7 +143,7 @@ def _causes(
                     probability=probability,
                     p_value=next((s.p_value for s in extension.steps if s.chosen == name), float("nan")),
                     ambiguous_with=others,
-                    parameters={p.name: sizes[p.name] for p in effect.parameters},
+                    parameters={p.name: own[p.name] for p in effect.parameters},
                     gain=measured.get(name, NO_GAIN),
                     excited=_excited(extension.state, name),
                 )
@@ -203,19 +204,6 @@ def _sensor_gains(extension: Extension, aerodynamics: Extension, left: list[Left
     return found
 
 
-def _sizes(extension: Extension) -> dict[str, Size]:
-    """Every active parameter with the deviation that the residual's colour leaves it."""
-    state, fit = extension.state, extension.fit
-    colour = colour_of(state.left(fit), state.folds)
-    deviation = np.sqrt(np.maximum(np.diag(uncertainty(state, fit, colour)), 0.0))
-    free = state.field.model.free
-    return {
-        free[c].name: Size(float(state.theta[c]), float(sd), free[c].unit)
-        for c, sd in zip(fit.columns, deviation, strict=True)
-        if c < len(free)
-    }
-
-
 def _rivals(extension: Extension, name: str) -> tuple[float, tuple[str, ...]]:
     """Probability of a cause among everything that could take its place, nothing included; and who comes close."""
     state, fit = extension.state, extension.fit
@@ -236,11 +224,11 @@ def _rivals(extension: Extension, name: str) -> tuple[float, tuple[str, ...]]:
 
 def _moves(extension: Extension) -> Mapping[str, tuple[float, float, float]]:
     """How the card's parameters moved."""
-    before, after, sizes = extension.base, extension.state, _sizes(extension)
+    before, after, own = extension.base, extension.state, sizes(extension)
     return {
-        name: (float(before.theta[i]), float(after.theta[i]), sizes[name].sd)
+        name: (float(before.theta[i]), float(after.theta[i]), own[name].sd)
         for i, name in enumerate(after.field.model.names)
-        if name in sizes and any(name in after.field.parameters_of(e) for e in after.field.base)
+        if name in own and any(name in after.field.parameters_of(e) for e in after.field.base)
     }
 
 

@@ -24,7 +24,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Size:
-    """Estimate of one parameter of a cause, SI; deviation and interval know the residual's colour."""
+    """Estimate of one parameter of a cause, SI, freed of what recording noise adds; see `accuracy.sizes`."""
 
     mean: float
     sd: float

@@ -219,13 +219,13 @@ def optimum(state: State, folds: Sequence[int], most: int = REFITS) -> Float[np.
     bounds = np.array([p.bounds for p in state.field.model.free])
     columns = state.columns()
     at = columns[columns < len(state.theta)]
-    theta, here = state.theta, _local(state, state.theta, at, folds)
+    theta, here = state.theta, local_fit(state, state.theta, at, folds)
     for _ in range(most):
         fit, value = here
         for share in (1.0, 0.5, 0.2, 0.05):
             trial = theta.copy()
             trial[at] = np.clip(theta[at] + share * fit.step[: len(at)], bounds[at, 0] + 1e-9, bounds[at, 1] - 1e-9)
-            new = _local(state, trial, at, folds)
+            new = local_fit(state, trial, at, folds)
             if new[1] < value:
                 break
         if not new[1] < value:
@@ -236,7 +236,7 @@ def optimum(state: State, folds: Sequence[int], most: int = REFITS) -> Float[np.
     return theta
 
 
-def _local(state: State, theta: np.ndarray, at: np.ndarray, folds: Sequence[int]) -> tuple[Fit, float]:
+def local_fit(state: State, theta: np.ndarray, at: np.ndarray, folds: Sequence[int]) -> tuple[Fit, float]:
     """Regression on the active columns at `theta`, and the deviance there with the variances it finds."""
     keep = [state.responses.outputs.index(name) for name in state.outputs]
     residual, S = state.responses.linearise(theta, at)

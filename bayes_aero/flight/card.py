@@ -43,6 +43,7 @@ class Card:
     sums: Mapping[str, tuple[str, ...]]
     sensors: Mapping[str, float]
     effects: tuple[str, ...]
+    effect_files: tuple[Path, ...]  # Python files with effects of the user's own
     fixed: Mapping[str, float]
     changes: Mapping[str, ParameterChange] = field(default_factory=dict)
     gp_inputs: tuple[str, ...] = ("alpha", "elevator", "q", "airspeed")
@@ -87,7 +88,7 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
             raise InputError(f"card {where}: section [{section}] is missing; see models/attas.toml for one")
     channels = tuple(_channel(key, value, where) for key, value in table["channels"].items())
     model = table["model"]
-    _known_keys(model, ("effects", "fixed"), where, "key of [model]")
+    _known_keys(model, ("effects", "effect_files", "fixed"), where, "key of [model]")
     effects = model.get("effects")
     if not (isinstance(effects, list) and effects and all(isinstance(e, str) for e in effects)):
         raise InputError(f"card {where}: [model] effects must be a list of effect names")
@@ -103,12 +104,20 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
         sums=_sums(_section(table, "sums", where), channels, where),
         sensors=_sensors(_section(table, "sensors", where), where),
         effects=tuple(effects),
+        effect_files=_files(model.get("effect_files", []), where),
         fixed={
             key: _number(value, f"{where}: [model] fixed {key}") for key, value in dict(model.get("fixed", {})).items()
         },
         changes={key: _change(key, value, where) for key, value in _section(table, "parameters", where).items()},
         gp_inputs=_gp_inputs(_section(table, "gp", where), where),
     )
+
+
+def _files(given: Any, where: str) -> tuple[Path, ...]:
+    """Paths as the card gives them, relative to its own folder."""
+    if not (isinstance(given, list) and all(isinstance(name, str) for name in given)):
+        raise InputError(f"card {where}: [model] effect_files must be a list of paths of Python files")
+    return tuple((Path(where).parent / name).resolve() for name in given)
 
 
 def _section(table: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:

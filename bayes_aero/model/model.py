@@ -16,6 +16,7 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card import Card
+from bayes_aero.model.own_effects import own_effects
 from bayes_aero.parameter import Parameter
 
 Signals = Mapping[str, Float[Array, "*n"]]
@@ -60,7 +61,8 @@ class Model:
     @classmethod
     def from_card(cls, card: Card) -> Model:
         """The model that a card states, its starts, bounds and priors in place."""
-        model = cls.of(card.effects, card.fixed)
+        own = own_effects(card.effect_files)
+        model = cls.of([own.get(name, name) for name in card.effects], card.fixed)
         for name in card.changes:
             if name not in {p.name for p in model.parameters}:
                 raise InputError(f"card {card.name}: [parameters.{name}] belongs to no effect of the model")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -42,6 +43,9 @@ def provenance(card: Card, records: Sequence[FlightRecord], seed: int, settings:
         "seed": seed,
         "inputs": [{"name": r.name, "source": Path(r.source).name, "sha256": r.sha256} for r in records],
         "card": {"name": card.name, "sha256": card.sha256},
+        "effect_files": [
+            {"name": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()} for path in card.effect_files
+        ],
         "versions": {"python": platform.python_version()} | {name: _version(name) for name in PACKAGES},
         "platform": {"system": platform.platform(), "machine": platform.machine(), "cores": os.cpu_count()},
         "written": datetime.now(UTC).isoformat(timespec="seconds"),

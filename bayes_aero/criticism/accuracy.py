@@ -1,0 +1,96 @@
+"""How far estimates may be off: the residuals' colour, and the noise of what the regressors were recorded with.
+
+What effects act through is recorded with noise, then smoothed and differentiated. Least squares on such regressors is
+not consistent, and its residuals do not show it. Noise of the size that is there already, added once more, moves the
+estimates by about as much as the noise that is there has moved them: the bias grows with the noise's variance. Source:
+simulation extrapolation (SIMEX), Cook and Stefanski 1994, J. Am. Stat. Assoc. 89, 1314.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.criticism.colour import colour_of
+from bayes_aero.criticism.election import uncertainty
+from bayes_aero.criticism.extension import Extension
+from bayes_aero.criticism.finding import Size
+from bayes_aero.criticism.regression import Fit
+from bayes_aero.criticism.state import State, local_fit
+from bayes_aero.model.flights import Flights
+
+PAIRS = 10  # of records with the same noise added and subtracted, which cancels what is linear in it
+DIFFERENCE = np.array([1.0, -3.0, 3.0, -1.0])  # third differences pass white noise and stop motion
+NORMAL_QUARTILE = 0.6745
+
+
+def recording_noise(flights: Flights) -> dict[str, float]:
+    """Standard deviation of the white part of every recorded channel, SI, from its third differences.
+
+    By the median of their size, so that steps, spikes and passages of buffet do not count; a channel that mostly
+    stands still has none.
+    """
+    ends = np.cumsum(flights.lengths)[:-1]
+    gain = float(np.sqrt(np.sum(DIFFERENCE**2)))
+    found = {}
+    for name in flights.recorded:
+        parts = np.split(np.asarray(flights.channels[name]), ends)
+        rough = np.concatenate([np.convolve(part, DIFFERENCE, "valid") for part in parts])
+        found[name] = float(np.median(np.abs(rough))) / (NORMAL_QUARTILE * gain)
+    return found
+
+
+def noise_effect(state: State, fit: Fit, seed: int = 0) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """What recording noise does to the estimate of each of the fit's columns: its bias, and its standard deviation.
+
+    `state` is at its optimum. Each record with noise takes one Gauss-Newton step from there. Columns that are no
+    parameters get zeros.
+    """
+    flights = state.responses.flights
+    noise, rng = recording_noise(flights), np.random.default_rng(seed)
+    parameters = fit.columns < len(state.theta)
+    at = fit.columns[parameters]
+
+    def step(extra: dict[str, np.ndarray], sign: float) -> np.ndarray:
+        channels = flights.channels | {
+            name: flights.channels[name] + sign * jnp.asarray(e) for name, e in extra.items()
+        }
+        again = eqx.tree_at(lambda f: f.channels, flights, channels)
+        responses = eqx.tree_at(lambda r: r.flights, state.responses, again)
+        found = local_fit(replace(state, responses=responses), state.theta, at, range(len(state.folds)))[0]
+        return found.step[: len(at)]
+
+    even, odd = [], []
+    for _ in range(PAIRS):
+        extra = {name: sd * rng.standard_normal(flights.n) for name, sd in noise.items()}
+        there, back = step(extra, 1.0), step(extra, -1.0)
+        even.append((there + back) / 2.0)
+        odd.append((there - back) / 2.0)
+    bias, spread = np.zeros((2, len(fit.columns)))
+    bias[parameters] = np.mean(even, axis=0) - step({}, 0.0)
+    spread[parameters] = np.sqrt(np.mean(np.square(odd), axis=0))
+    return bias, spread
+
+
+def sizes(extension: Extension) -> dict[str, Size]:
+    """Every active parameter with its deviation: what coloured residuals leave, what recording noise makes of it.
+
+    Recording noise that is integrated along the flight path wanders, and the fit follows it, so the residuals may show
+    less of it than there is: the larger of both deviations counts. The mean is the estimate without its bias, which
+    is itself known to first order only: it counts as a deviation, too.
+    """
+    state, fit = extension.state, extension.fit
+    colour = colour_of(state.left(fit), state.folds)
+    variance = np.maximum(np.diag(uncertainty(state, fit, colour)), 0.0)
+    bias, spread = noise_effect(state, fit)
+    deviation = np.sqrt(np.maximum(variance, spread**2) + bias**2)
+    free = state.field.model.free
+    return {
+        free[c].name: Size(float(state.theta[c] - shift), float(sd), free[c].unit)
+        for c, shift, sd in zip(fit.columns, bias, deviation, strict=True)
+        if c < len(free)
+    }

@@ -1,0 +1,45 @@
+"""A user's own effects: Python files that a card names, found as the built-in ones are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from types import ModuleType
+
+from bayes_aero.effect import Effect
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.errors import InputError
+
+
+def own_effects(files: Sequence[Path]) -> dict[str, Effect]:
+    """Every `Effect` at the top level of `files`, by name.
+
+    The files are run: they are code, trusted as the card that names them is. Read once for each content, so that the
+    same effect is the same object, and what was compiled for it serves again.
+    """
+    found: dict[str, Effect] = {}
+    for path in files:
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"effect file {path} cannot be read ({error}); mend the path on the card") from None
+        for effect in _run(path, text):
+            if effect.name in CATALOGUE or effect.name in found:
+                raise InputError(f"effect file {path}: the name {effect.name} is taken; give the effect another one")
+            found[effect.name] = effect
+    return found
+
+
+@lru_cache(maxsize=32)
+def _run(path: Path, text: str) -> tuple[Effect, ...]:
+    module = ModuleType(path.stem)
+    module.__file__ = str(path)
+    try:
+        exec(compile(text, str(path), "exec"), module.__dict__)
+    except Exception as error:  # whatever a user's code may raise
+        raise InputError(f"effect file {path} does not run: {type(error).__name__}: {error}") from None
+    effects = tuple(value for value in vars(module).values() if isinstance(value, Effect))
+    if not effects:
+        raise InputError(f"effect file {path} defines no Effect at its top level; see bayes_aero/effects for examples")
+    return tuple(dict.fromkeys(effects))
