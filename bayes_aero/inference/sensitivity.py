@@ -16,7 +16,6 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Observations
 from bayes_aero.physics.coefficients import NAMES
 
-
 MEMORY = 3  # steps that Anderson acceleration looks back on
 
 

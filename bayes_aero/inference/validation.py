@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from joblib import Parallel, delayed, parallel_config
 
 from bayes_aero.errors import InputError
 from bayes_aero.inference.gp import GPFit, Priors, fit_gp
@@ -21,6 +24,7 @@ from bayes_aero.physics.coefficients import NAMES
 
 KINDS: tuple[SplitKind, ...] = ("random", "block", "manoeuvre")
 LEVEL = 0.95
+WORTH_PROCESSES = 1500  # samples from which a process for each core pays for its start of some seconds
 
 
 def gp_inputs(observations: Observations, names: tuple[str, ...]) -> Float[np.ndarray, "n d"]:
@@ -52,26 +56,49 @@ def validate(
         kinds = tuple(kind for kind in kinds if kind != "manoeuvre")
         chosen = "block" if chosen == "manoeuvre" else chosen
     splits = {kind: make_splits(kind, observations.manoeuvre, observations.dt, seed) for kind in kinds}
-    total = len(NAMES) * sum(len(folds) for folds in splits.values())
-    X = gp_inputs(observations, inputs)
-    found: dict[str, list[dict[str, Validation]]] = {}
-    fits: dict[str, GPFit] = {}
-    done = 0
-    for kind, folds in splits.items():
-        found[kind] = []
-        for number, fold in enumerate(folds):
-            predicted = _mle_prediction(model, observations, mle, fold)
-            row = {}
-            for i, name in enumerate(NAMES):
-                if progress:
-                    progress(f"GP of {name}, {kind} split", done / total)
-                sampled = kind == chosen and number == 0
-                row[name], fit = _one(observations, X, inputs, fold, i, predicted, sampled, seed)
-                if sampled:
-                    fits[name] = fit
-                done += 1
-            found[kind].append(row)
-    return GPReport(found, fits, chosen, time.perf_counter() - began)
+    X, z = gp_inputs(observations, inputs), np.asarray(observations.measured)
+    tasks = [
+        _Task(kind, number, i, kind == chosen and number == 0)
+        for kind, folds in splits.items()
+        for number in range(len(folds))
+        for i in range(len(NAMES))
+    ]
+    tasks.sort(key=lambda task: not task.sampled)  # the long ones first
+    work = (
+        delayed(_trained)(X, z[:, t.column], inputs, splits[t.kind][t.fold], t.column, t.sampled, seed) for t in tasks
+    )
+    trained: dict[_Task, tuple[GPFit | None, dict[str, Any]]] = {}
+    jobs = min(len(tasks), os.cpu_count() or 1) if len(z) >= WORTH_PROCESSES else 1
+    # LAPACK holds Python's lock and gains little from a second thread at these sizes: one process a core.
+    with parallel_config(backend="loky", inner_max_num_threads=1):
+        for task, found in zip(tasks, Parallel(n_jobs=jobs, return_as="generator")(work), strict=True):
+            trained[task] = found
+            if progress:
+                progress(f"GP of {NAMES[task.column]}, {task.kind} split", len(trained) / len(tasks))
+    predicted = {
+        (kind, number): _mle_prediction(model, observations, mle, fold)
+        for kind, folds in splits.items()
+        for number, fold in enumerate(folds)
+    }
+    found = {kind: [dict[str, Validation]() for _ in folds] for kind, folds in splits.items()}
+    for task in sorted(tasks, key=lambda t: t.column):
+        test = splits[task.kind][task.fold].test_idx
+        by_mle = predicted[task.kind, task.fold][:, task.column]
+        measured = z[test, task.column]
+        found[task.kind][task.fold][NAMES[task.column]] = Validation(
+            test=test, measured=measured, mle=by_mle, mle_scores=score(measured, by_mle), **trained[task][1]
+        )
+    fits = {NAMES[t.column]: fit for t, (fit, _) in trained.items() if fit is not None}
+    return GPReport(found, {n: fits[n] for n in NAMES}, chosen, time.perf_counter() - began)
+
+
+class _Task(NamedTuple):
+    """One fit: fold `fold` of split `kind`, coefficient `column`."""
+
+    kind: SplitKind
+    fold: int
+    column: int
+    sampled: bool
 
 
 def _mle_prediction(model: Model, observations: Observations, mle: MleResult, fold: Split) -> Float[np.ndarray, "m 3"]:
@@ -81,18 +108,16 @@ def _mle_prediction(model: Model, observations: Observations, mle: MleResult, fo
     return np.asarray(y)[fold.test_idx]
 
 
-def _one(
-    observations: Observations,
+def _trained(
     X: Float[np.ndarray, "n d"],
+    z: Float[np.ndarray, " n"],
     inputs: tuple[str, ...],
     fold: Split,
     column: int,
-    mle: Float[np.ndarray, "m 3"],
     sampled: bool,
     seed: int,
-) -> tuple[Validation, GPFit]:
-    z = np.asarray(observations.measured)[:, column]
-    measured = z[fold.test_idx]
+) -> tuple[GPFit | None, dict[str, Any]]:
+    """The fit, if it was sampled, and the process's part of a `Validation`; self-contained, for it runs elsewhere."""
     fit = fit_gp(
         X[fold.train_idx],
         z[fold.train_idx],
@@ -103,19 +128,16 @@ def _one(
         seed=seed,
         progress=lambda _: None,
     )
+    measured = z[fold.test_idx]
     prediction = fit.predict(X[fold.test_idx])
     level = prediction.levels.index(LEVEL)
-    validation = Validation(
-        test=fold.test_idx,
-        measured=measured,
-        gp=prediction.mean,
-        gp_low=prediction.low[level],
-        gp_high=prediction.high[level],
-        mle=mle[:, column],
-        gp_scores=score(measured, prediction.mean),
-        mle_scores=score(measured, mle[:, column]),
-        coverage=prediction.coverage(measured),
-        k_hat=float(fit.k_hat) if np.isfinite(fit.k_hat) else None,
-        status=fit.status.value if sampled else fit.map_status.value,
-    )
-    return validation, fit
+    part = {
+        "gp": prediction.mean,
+        "gp_low": prediction.low[level],
+        "gp_high": prediction.high[level],
+        "gp_scores": score(measured, prediction.mean),
+        "coverage": prediction.coverage(measured),
+        "k_hat": float(fit.k_hat) if np.isfinite(fit.k_hat) else None,
+        "status": fit.status.value if sampled else fit.map_status.value,
+    }
+    return fit if sampled else None, part

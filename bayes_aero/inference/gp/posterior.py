@@ -14,7 +14,7 @@ from bayes_aero.inference.gp.optimum import Optimum, Profile, curvature
 from bayes_aero.inference.gp.priors import Priors
 from bayes_aero.inference.gp.reduced import ReducedData, stats_and_gradient
 from bayes_aero.inference.gp.reweight import SampleStatus, Weighted, reweight, thin
-from bayes_aero.inference.gp.sample import Chains, Settings, join, sample_emulated
+from bayes_aero.inference.gp.sample import TEMPER, Chains, Settings, join, sample_emulated
 
 __all__ = ["Budget", "Sampled", "sample_posterior"]
 
@@ -30,7 +30,7 @@ class Budget(NamedTuple):
     """What full Bayes may spend: design points and pilots cost a gradient, exact draws a factorisation each;
     rounds of training at most, and extensions of a NUTS run that has not mixed."""
 
-    design: int = 22
+    design: int = 52
     pilots: int = 12
     exact: int = 128
     rounds: int = 8
@@ -132,7 +132,7 @@ def _pilot(
     points = [_exact_point(noise_to_signal(t), data) for t in flat[at]]
     if not all(p.stats.ok for p in points):
         return points, np.inf
-    errors = stand_in_errors(flat[at], chains.log_density.ravel()[at], points, data.n, priors)
+    errors = stand_in_errors(flat[at], chains.log_density.ravel()[at] / TEMPER, points, data.n, priors)
     return points, float(np.std(errors))
 
 

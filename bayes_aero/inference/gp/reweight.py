@@ -23,9 +23,6 @@ __all__ = ["SampleStatus", "Weighted", "pareto_smooth", "reweight", "thin"]
 
 
 K_LIMIT = 0.7
-# Where no two log ratios are further apart, re-weighting moves no draw by more than a tenth from its equal share. The
-# Pareto fit is free of scale: on a ratio that is constant but for rounding its k says nothing.
-NEGLIGIBLE = 0.1
 ESS_SHARE = 0.3  # k judges the tail of the weights only; a stand-in beside the posterior shows in their ESS
 
 
@@ -78,8 +75,7 @@ class Weighted(NamedTuple):
         """Verdict on the stand-in."""
         if self.failures:
             return SampleStatus.not_positive_definite
-        negligible = np.ptp(self.exact - self.stand_in) < NEGLIGIBLE
-        if self.k_hat > self.k_limit and not negligible:
+        if self.k_hat > self.k_limit:
             return SampleStatus.pareto_k
         return SampleStatus.accepted if self.ess >= ESS_SHARE * self.exact.size else SampleStatus.few_effective
 

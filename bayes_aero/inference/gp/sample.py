@@ -21,6 +21,11 @@ from bayes_aero.inference.gp.reduced import ReducedData
 __all__ = ["Chains", "Settings", "emulated_density", "join", "laplace_root", "sample_emulated", "sample_exact"]
 
 
+# The stand-in is sampled to this power: draws then reach a little further out than the posterior does, so the weights
+# that bring them back are bounded where a stand-in without would miss a tail. Costs 5 % of the draws in 11 dimensions.
+TEMPER = 0.9
+
+
 class Settings(NamedTuple):
     """Length of the NUTS run: `chains` chains of `warmup` + `draws` steps, together, vectorised."""
 
@@ -30,7 +35,7 @@ class Settings(NamedTuple):
 
 
 class Chains(NamedTuple):
-    """NUTS output: theta (chains, draws, p), its log density, divergences, and per-parameter R-hat and bulk ESS."""
+    """NUTS output: theta (chains, draws, p), the log density sampled, divergences, per-parameter R-hat and bulk ESS."""
 
     theta: Float[np.ndarray, "chains draws p"]
     log_density: Float[np.ndarray, "chains draws"]
@@ -76,7 +81,7 @@ def _kernel(p: int, priors: Priors, settings: Settings, exact: bool, shapes: tup
         if exact:
             density = log_likelihood_device(theta, *target) + priors.log_density(theta)
         else:
-            density = emulated_density(theta, target, n, priors)
+            density = TEMPER * emulated_density(theta, target, n, priors)
         # What numpyro.factor does, by public names: it reaches for a submodule that some import orders leave unbound.
         numpyro.sample("density", dist.Unit(density), obs=jnp.empty((0,)))
         numpyro.deterministic("log_density", density)
@@ -130,7 +135,7 @@ def sample_emulated(
     seed: int,
     start: Float[np.ndarray, "chains p"] | None = None,
 ) -> Chains:
-    """NUTS on the stand-in density, from `start` or from around the optimum theta."""
+    """NUTS on the stand-in density to the power `TEMPER`, from `start` or from around the optimum theta."""
     root = laplace_root(theta, emulator, float(n), priors)
     args = (jnp.asarray(theta), jnp.asarray(root), jnp.asarray(float(n)), emulator)
     return _run(priors, settings, False, seed, args, start)
