@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from bayes_aero.criticism.colour import colour_of
 from bayes_aero.criticism.election import explained_shares, poll
-from bayes_aero.criticism.extension import ALPHA, Extension, unseen_gain
+from bayes_aero.criticism.extension import Extension, unseen_gain
 from bayes_aero.criticism.finding import Unknown
 from bayes_aero.criticism.regression import Fit, Products
 from bayes_aero.criticism.state import Component, State
@@ -26,6 +26,7 @@ CHUNKS = 4  # parts of each manoeuvre, by which a sinusoid must predict what it 
 LEAST_SHARE = 0.1  # of the remaining variance: less is not worth a verdict
 SKIPPED = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot", "alpha_dot")  # responses themselves, not causes
 DRAWN = 100  # noise-only replicates
+ALPHA = 0.02  # of each family of components: both, and the elections before, share 5 % of false alarms
 LOOKED_AT = 5  # leaders in sample whose unseen gain is measured
 MOST = 3  # components taken one after another
 BETTER = 1.2  # how many times a named cause's unseen gain a component must reach to take its place

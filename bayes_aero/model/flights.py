@@ -84,7 +84,8 @@ def despiked(flights: Flights) -> tuple[Flights, dict[str, int]]:
     """Replace isolated spikes by the median of their neighbours; the count of replaced samples by channel.
 
     A sample is a spike if it lies `SPIKE` local deviations from the median of five. Steps and buffet are kept: a median
-    follows the one, and the local deviation grows with the other. Source: Hampel's identifier.
+    follows the one, and the local deviation grows with the other. Nor is a step of a quantised channel a spike. Source:
+    Hampel's identifier.
     """
     channels, count = dict(flights.channels), {}
     for name in SPIKED:
@@ -98,7 +99,9 @@ def despiked(flights: Flights) -> tuple[Flights, dict[str, int]]:
             away = np.abs(part - middle)
             # The mean, not the median, of |away|: on a quantised channel the median is zero nearly everywhere.
             local = 1.25 * uniform_filter1d(away, NEAR, mode="nearest")
-            floor = 1.25 * np.mean(away) + np.abs(part).max() * 1e-9
+            steps = np.abs(np.diff(part))
+            quantum = np.quantile(steps[steps > 0.0], 0.05) if np.any(steps > 0.0) else 0.0
+            floor = 1.25 * np.mean(away) + quantum + np.abs(part).max() * 1e-9
             spikes = away > SPIKE * np.maximum(local, floor)
             part[spikes] = middle[spikes]
             if spikes.any():

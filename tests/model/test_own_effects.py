@@ -41,13 +41,10 @@ EFFECT = Effect(
 def own_card(folder, source=SOURCE, active=False):
     """The ATTAS card in another folder, naming a file of effects."""
     (folder / "mine.py").write_text(source)
-    lines = []
-    for line in shipped_cards()["attas"].read_text().splitlines():
-        if line.strip().startswith("effects = ["):
-            line = 'effect_files = ["mine.py"]\n' + (line.replace("[", '["bank_pitching", ', 1) if active else line)
-        lines.append(line)
+    effects = 'effects = ["bank_pitching",' if active else "effects = ["
+    text = shipped_cards()["attas"].read_text().replace("effects = [", f'effect_files = ["mine.py"]\n{effects}', 1)
     path = folder / "mine.toml"
-    path.write_text("\n".join(lines))
+    path.write_text(text)
     return path
 
 

@@ -1,0 +1,68 @@
+"""Effects injected into records that exist, on top of whatever these contain already."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from bayes_aero.effect import Effect, Stage
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.model import Model
+from bayes_aero.model.observations import marks, with_sums
+from bayes_aero.physics.coefficients import condition
+from bayes_aero.studies.misrecord import misrecorded
+
+
+def injected(
+    records: Sequence[FlightRecord], effects: Mapping[str, Mapping[str, float]], card: Card, *, Cmde: float
+) -> list[FlightRecord]:
+    """The records as they would be if the aircraft had flown the same motion with `effects` (by name, values) in it.
+
+    Sensor errors and thrust: what the faulty installation would have recorded of this flight. Effects on the pitching
+    moment alone: the motion stays as it was if the pilot holds against them, so the elevator takes -dCm/Cmde. `Cmde`
+    is the elevator effectiveness, 1/rad. Effects on lift or drag cannot be had without other motion, and are refused.
+    """
+    for name in effects:
+        if name not in CATALOGUE:
+            raise InputError(f"there is no effect {name!r} to inject; the catalogue has {', '.join(CATALOGUE)}")
+    return [_one(record, effects, card, Cmde) for record in records]
+
+
+def _one(record: FlightRecord, effects: Mapping[str, Mapping[str, float]], card: Card, Cmde: float) -> FlightRecord:
+    channels = {name: np.asarray(x) for name, x in with_sums(record, card).items()}
+    dt = record.dt
+    for name, values in effects.items():
+        effect = CATALOGUE[name]
+        missing = [c for c in effect.channels if c not in channels]
+        if missing:
+            raise InputError(f"effect {name} needs channel {', '.join(missing)}, which {record.name} does not have")
+        if effect.stage is Stage.CHANNEL:
+            channels |= misrecorded(Model.of([effect]), values, channels, marks(record.n, dt), card.aircraft)
+        else:
+            moment = _moment(effect, values, channels, dt, card)
+            channels["elevator"] = channels["elevator"] - moment / Cmde
+    for name, parts in card.sums.items():  # a sum is shared among its parts as it was
+        before = sum(np.asarray(record[part]) for part in parts)
+        ratio = channels[name] / np.where(before == 0.0, 1.0, before)
+        for part in parts:
+            channels[part] = channels[part] * ratio
+    kept = {name: channels[name] for name in record.channels}
+    return FlightRecord.from_arrays(record.name, np.asarray(record.time), kept, f"{record.source}, effects injected")
+
+
+def _moment(
+    effect: Effect, values: Mapping[str, float], channels: Mapping[str, np.ndarray], dt: float, card: Card
+) -> np.ndarray:
+    signals = condition({name: jnp.asarray(x) for name, x in channels.items()}, dt)
+    known: dict[str, Any] = {"X": jnp.ones(len(channels["alpha"])), "incidence": signals["alpha"]}
+    found = effect.increments(values, signals, card.aircraft, known) if effect.stage is Stage.TOTAL else {}
+    if set(found) != {"Cm"}:
+        raise InputError(f"effect {effect.name} changes more than the pitching moment; only sensors, thrust and "
+                         "moments can be injected into a record")  # fmt: skip
+    return np.asarray(found["Cm"])
