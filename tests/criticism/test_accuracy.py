@@ -12,7 +12,7 @@ from bayes_aero.studies.hidden import flyable
 
 
 @pytest.fixture(scope="module")
-def noisy(card, clean_records):
+def noisy(clean_records):
     """Clean simulated records with white noise of known deviations, and the deviations."""
     rng = np.random.default_rng(20)
     noise = {"alpha": rng.uniform(3e-4, 3e-3), "q": rng.uniform(2e-4, 2e-3), "airspeed": rng.uniform(0.05, 0.5)}
@@ -63,6 +63,7 @@ def test_size_freed_of_what_noise_adds_is_nearer_to_the_truth(card):
         freed.append(abs(size.mean - truth))
         inside.append(abs(size.mean - truth) < 3.0 * size.sd)
         bias, spread = noise_effect(extension.state, extension.fit)
-        assert np.all(np.isfinite(bias)) and np.all(spread >= 0.0)
+        assert np.all(np.isfinite(bias))
+        assert np.all(spread >= 0.0)
     assert np.sum(freed) < np.sum(plain)
     assert all(inside)
