@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
+import sys
 import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -55,7 +57,9 @@ def validate(
     if len(observations.names) < 2:
         kinds = tuple(kind for kind in kinds if kind != "manoeuvre")
         chosen = "block" if chosen == "manoeuvre" else chosen
-    splits = {kind: make_splits(kind, observations.manoeuvre, observations.dt, seed) for kind in kinds}
+    splits: dict[SplitKind, list[Split]] = {
+        kind: make_splits(kind, observations.manoeuvre, observations.dt, seed) for kind in kinds
+    }
     X, z = gp_inputs(observations, inputs), np.asarray(observations.measured)
     tasks = [
         _Task(kind, number, i, kind == chosen and number == 0)
@@ -69,10 +73,12 @@ def validate(
     )
     trained: dict[_Task, tuple[GPFit | None, dict[str, Any]]] = {}
     jobs = min(len(tasks), os.cpu_count() or 1) if len(z) >= WORTH_PROCESSES else 1
+    _give_back_memory()
     # LAPACK holds Python's lock and gains little from a second thread at these sizes: one process a core.
     with parallel_config(backend="loky", inner_max_num_threads=1):
-        for task, found in zip(tasks, Parallel(n_jobs=jobs, return_as="generator")(work), strict=True):
-            trained[task] = found
+        results: Any = Parallel(n_jobs=jobs, return_as="generator")(work)
+        for task, result in zip(tasks, results, strict=True):
+            trained[task] = result
             if progress:
                 progress(f"GP of {NAMES[task.column]}, {task.kind} split", len(trained) / len(tasks))
     predicted = {
@@ -80,7 +86,7 @@ def validate(
         for kind, folds in splits.items()
         for number, fold in enumerate(folds)
     }
-    found = {kind: [dict[str, Validation]() for _ in folds] for kind, folds in splits.items()}
+    found: dict[str, list[dict[str, Validation]]] = {kind: [{} for _ in folds] for kind, folds in splits.items()}
     for task in sorted(tasks, key=lambda t: t.column):
         test = splits[task.kind][task.fold].test_idx
         by_mle = predicted[task.kind, task.fold][:, task.column]
@@ -90,6 +96,14 @@ def validate(
         )
     fits = {NAMES[t.column]: fit for t, (fit, _) in trained.items() if fit is not None}
     return GPReport(found, {n: fits[n] for n in NAMES}, chosen, time.perf_counter() - began)
+
+
+def _give_back_memory() -> None:
+    """Return to the system what the compilation of the samplers has left in glibc's free lists: over half a GB."""
+    if sys.platform == "linux":
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # other C libraries have none
+        if trim is not None:
+            trim(0)
 
 
 class _Task(NamedTuple):
@@ -128,6 +142,7 @@ def _trained(
         seed=seed,
         progress=lambda _: None,
     )
+    _give_back_memory()
     measured = z[fold.test_idx]
     prediction = fit.predict(X[fold.test_idx])
     level = prediction.levels.index(LEVEL)
