@@ -31,7 +31,6 @@ INJECTED = {  # parameter and range of the size's absolute value, SI
     "thrust_moment": ("thrust_arm", 0.5, 1.0),
     "thrust_scale": ("thrust_scale", 0.1, 0.3),
 }
-CMDE = -0.7  # 1/rad, published for ATTAS
 
 
 def sizes_of(found) -> dict[str, tuple[float, float]]:
@@ -43,30 +42,40 @@ def main() -> None:
     """Print a row for each injection."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("records", nargs="+", type=Path)
+    parser.add_argument("--only", nargs="+", choices=sorted(INJECTED), default=list(INJECTED))
     parser.add_argument("--draws", type=int, default=1)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     card = read_card("attas")
     records = [read_record(path, card.channels) for path in given.records]
-    before = sizes_of(diagnose(records, card, seed=given.seed, gains_wanted=False))
+    plain = diagnose(records, card, seed=given.seed, gains_wanted=False)
+    before, known = sizes_of(plain), {c.name for c in plain.causes}
+    Cmde = plain.base_moves["Cmde"][1]  # of the extended model, in which a moment has to be held
+    print(f"elevator effectiveness of the extended model {Cmde:.3f} 1/rad")
     rng = np.random.default_rng(given.seed)
     named = near = total = 0
     print(f"{'effect':17s} {'injected':>9s} {'before':>16s} {'after':>16s} {'moved':>9s}  named")
     for _ in range(given.draws):
-        for name, (parameter, least, most) in INJECTED.items():
+        for name in given.only:
+            parameter, least, most = INJECTED[name]
             size = float(rng.choice([-1.0, 1.0]) * rng.uniform(least, most))
             found = diagnose(
-                injected(records, {name: {parameter: size}}, card, Cmde=CMDE), card, seed=given.seed, gains_wanted=False
+                injected(records, {name: {parameter: size}}, card, Cmde=Cmde), card, seed=given.seed, gains_wanted=False
             )
             after = sizes_of(found)
             old, new = before.get(parameter, (0.0, 0.0)), after.get(parameter)
-            by = "itself" if new else next((f"within {c.name}" for c in found.causes if name in c.ambiguous_with), "no")
+            also = [c.name for c in found.causes if name in c.ambiguous_with]
+            by = "itself" if new else f"within {also[0]}" if also else "minor" if name in found.minor else "no"
             moved = new[0] - old[0] if new else float("nan")
-            named, total = named + (by != "no"), total + 1
+            named, total = named + (by not in ("no", "minor")), total + 1
             near += abs(moved - size) < 1.96 * np.hypot(old[1], new[1]) + 0.1 * abs(size) if new else 0
             was = f"{old[0]:8.4g}+-{old[1]:.2g}"
             now = f"{new[0]:8.4g}+-{new[1]:.2g}" if new else "-"
-            print(f"{name:17s} {size:9.4g} {was:>16s} {now:>16s} {moved:9.4g}  {by}", flush=True)
+            print(
+                f"{name:17s} {size:9.4g} {was:>16s} {now:>16s} {moved:9.4g}  {by}; new beside it: "
+                f"{', '.join(c.name for c in found.causes if c.name not in known | {name}) or 'none'}",
+                flush=True,
+            )
     print(f"named or in an ambiguity set {named} of {total}; moved by the injected size "
           f"(within the intervals and a tenth) {near} of {total}")  # fmt: skip
 

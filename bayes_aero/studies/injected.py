@@ -25,8 +25,9 @@ def injected(
     """The records as they would be if the aircraft had flown the same motion with `effects` (by name, values) in it.
 
     Sensor errors and thrust: what the faulty installation would have recorded of this flight. Effects on the pitching
-    moment alone: the motion stays as it was if the pilot holds against them, so the elevator takes -dCm/Cmde. `Cmde`
-    is the elevator effectiveness, 1/rad. Effects on lift or drag cannot be had without other motion, and are refused.
+    moment alone: the motion stays as it was if the pilot holds against them, so the elevator takes -dCm/Cmde, `Cmde`
+    being its effectiveness, 1/rad; the lift of a force at the tail goes with it. Effects on lift or drag cannot be
+    had without other motion, and are refused.
     """
     for name in effects:
         if name not in CATALOGUE:
@@ -61,8 +62,14 @@ def _moment(
 ) -> np.ndarray:
     signals = condition({name: jnp.asarray(x) for name, x in channels.items()}, dt)
     known: dict[str, Any] = {"X": jnp.ones(len(channels["alpha"])), "incidence": signals["alpha"]}
-    found = effect.increments(values, signals, card.aircraft, known) if effect.stage is Stage.TOTAL else {}
-    if set(found) != {"Cm"}:
-        raise InputError(f"effect {effect.name} changes more than the pitching moment; only sensors, thrust and "
-                         "moments can be injected into a record")  # fmt: skip
-    return np.asarray(found["Cm"])
+    found = effect.increments(values, signals, card.aircraft, known) if effect.stage >= Stage.ATTACHED else {}
+    moment = np.asarray(found.get("Cm", 0.0)) * np.ones(len(channels["alpha"]))
+    # A force at the tail is held by the elevator's, which acts there too: lift and moment vanish together.
+    lift_of_tail = -moment * card.aircraft.chord / card.aircraft.tail_arm
+    held = set(found) <= {"Cm", "CL_attached"} and np.allclose(found.get("CL_attached", lift_of_tail), lift_of_tail)
+    if "Cm" not in found or not held:
+        raise InputError(
+            f"effect {effect.name} changes more than the pitching moment; only sensors, thrust and moments can be "
+            "injected into a record"
+        )
+    return moment
