@@ -68,7 +68,8 @@ def main() -> None:
             by = "itself" if new else f"within {also[0]}" if also else "minor" if name in found.minor else "no"
             moved = new[0] - old[0] if new else float("nan")
             named, total = named + (by not in ("no", "minor")), total + 1
-            near += abs(moved - size) < 1.96 * np.hypot(old[1], new[1]) + 0.1 * abs(size) if new else 0
+            wanted = size * (1.0 + old[0]) if parameter.endswith("_scale") else size  # scale factors multiply
+            near += abs(moved - wanted) < 1.96 * np.hypot(old[1], new[1]) + 0.1 * abs(size) if new else 0
             was = f"{old[0]:8.4g}+-{old[1]:.2g}"
             now = f"{new[0]:8.4g}+-{new[1]:.2g}" if new else "-"
             print(
