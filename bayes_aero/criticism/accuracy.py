@@ -8,7 +8,7 @@ simulation extrapolation (SIMEX), Cook and Stefanski 1994, J. Am. Stat. Assoc. 8
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,8 +17,6 @@ from jaxtyping import Float
 
 from bayes_aero.criticism.colour import colour_of
 from bayes_aero.criticism.election import uncertainty
-from bayes_aero.criticism.extension import Extension
-from bayes_aero.criticism.finding import Size
 from bayes_aero.criticism.regression import Fit
 from bayes_aero.criticism.state import State, local_fit
 from bayes_aero.model.flights import Flights
@@ -26,6 +24,20 @@ from bayes_aero.model.flights import Flights
 PAIRS = 10  # of records with the same noise added and subtracted, which cancels what is linear in it
 DIFFERENCE = np.array([1.0, -3.0, 3.0, -1.0])  # third differences pass white noise and stop motion
 NORMAL_QUARTILE = 0.6745
+
+
+@dataclass(frozen=True)
+class Size:
+    """Estimate of one parameter of a cause, SI, freed of what recording noise adds; see `sizes`."""
+
+    mean: float
+    sd: float
+    unit: str
+
+    @property
+    def ci95(self) -> tuple[float, float]:
+        """Mean -+ 1.96 deviations."""
+        return self.mean - 1.96 * self.sd, self.mean + 1.96 * self.sd
 
 
 def recording_noise(flights: Flights) -> dict[str, float]:
@@ -76,14 +88,13 @@ def noise_effect(state: State, fit: Fit, seed: int = 0) -> tuple[Float[np.ndarra
     return bias, spread
 
 
-def sizes(extension: Extension) -> dict[str, Size]:
+def sizes(state: State, fit: Fit) -> dict[str, Size]:
     """Every active parameter with its deviation: what coloured residuals leave, what recording noise makes of it.
 
     Recording noise that is integrated along the flight path wanders, and the fit follows it, so the residuals may show
     less of it than there is: the larger of both deviations counts. The mean is the estimate without its bias, which
     is itself known to first order only: it counts as a deviation, too.
     """
-    state, fit = extension.state, extension.fit
     colour = colour_of(state.left(fit), state.folds)
     variance = np.maximum(np.diag(uncertainty(state, fit, colour)), 0.0)
     bias, spread = noise_effect(state, fit)

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayes_aero.criticism.accuracy import sizes
 from bayes_aero.criticism.candidates import Field, field_of, normal_of
 from bayes_aero.criticism.election import Standing, poll
 from bayes_aero.criticism.extension import Extension, extend
@@ -130,7 +129,6 @@ def _causes(
         if extension is None or not extension.causes:
             continue
         measured = _gains_of(extension, aerodynamics, progress) if gains_wanted else {}
-        own = sizes(extension)
         for name in extension.causes:
             effect = next(e for e in field.candidates if e.name == name)
             probability, others = _rivals(extension, name)
@@ -143,7 +141,7 @@ def _causes(
                     probability=probability,
                     p_value=next((s.p_value for s in extension.steps if s.chosen == name), float("nan")),
                     ambiguous_with=others,
-                    parameters={p.name: own[p.name] for p in effect.parameters},
+                    parameters={p.name: extension.sizes[p.name] for p in effect.parameters},
                     gain=measured.get(name, NO_GAIN),
                     excited=_excited(extension.state, name),
                 )
@@ -224,7 +222,7 @@ def _rivals(extension: Extension, name: str) -> tuple[float, tuple[str, ...]]:
 
 def _moves(extension: Extension) -> Mapping[str, tuple[float, float, float]]:
     """How the card's parameters moved."""
-    before, after, own = extension.base, extension.state, sizes(extension)
+    before, after, own = extension.base, extension.state, extension.sizes
     return {
         name: (float(before.theta[i]), float(after.theta[i]), own[name].sd)
         for i, name in enumerate(after.field.model.names)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.criticism.accuracy import Size, sizes
 from bayes_aero.criticism.election import REPLICATES, Poll, Standing, columns_of, poll
 from bayes_aero.criticism.regression import Fit
 from bayes_aero.criticism.state import State, moved, refitted, swelling
@@ -33,13 +34,18 @@ class Step:
 
 @dataclass(frozen=True)
 class Extension:
-    """The state before and after, with fits and elections; `causes` are worth a name, `minor` are nuisances."""
+    """The state before and after, with fits and elections; sizes of what is in.
+
+    `causes` are worth a name: more likely than not as large as the least departure worth modelling. `minor` are
+    nuisances.
+    """
 
     base: State
     base_fit: Fit
     state: State
     fit: Fit
     steps: tuple[Step, ...]
+    sizes: Mapping[str, Size]
     causes: tuple[str, ...]
     minor: tuple[str, ...]
 
@@ -65,8 +71,9 @@ def extend(state: State, *, seed: int = 0, most: int = 8, progress: Progress | N
         assert winner is not None
         state, fit = refitted(added(state, winner))
         state, fit = _reconsidered(state, fit)
-    causes, minor = _worth(state)
-    return Extension(first, first_fit, state, fit, tuple(steps), causes, minor)
+    found = sizes(state, fit)
+    causes, minor = _worth(state, found)
+    return Extension(first, first_fit, state, fit, tuple(steps), found, causes, minor)
 
 
 def _inflation(state: State, fit: Fit) -> float:
@@ -161,13 +168,12 @@ def _reconsidered(state: State, fit: Fit) -> tuple[State, Fit]:
     return state, fit
 
 
-def _worth(state: State) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _worth(state: State, found: Mapping[str, Size]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Additions large enough to be worth modelling, and those that are only a nuisance."""
     causes, minor = [], []
-    values = dict(zip(state.field.model.names, state.theta, strict=True))
     for name in state.active:
         effect = next(e for e in state.field.candidates if e.name == name)
-        away = {p: abs(values[p] - state.field.neutral[p]) for p in effect.sizes}
-        large = not away or any(away[p] >= least for p, (least, _) in effect.sizes.items())
+        away = {p: abs(found[p].mean - state.field.neutral[p]) for p in effect.sizes if p in found}
+        large = not away or any(away[p] >= effect.sizes[p][0] for p in away)
         (causes if large else minor).append(name)
     return tuple(causes), tuple(minor)

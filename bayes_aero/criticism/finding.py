@@ -9,6 +9,7 @@ from enum import StrEnum
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.criticism.accuracy import Size
 from bayes_aero.criticism.extension import Extension
 from bayes_aero.inference.scores import Scores
 
@@ -20,20 +21,6 @@ class Verdict(StrEnum):
     EXPLAINED = "explained"
     PARTLY_EXPLAINED = "partly_explained"
     UNEXPLAINED = "unexplained"
-
-
-@dataclass(frozen=True)
-class Size:
-    """Estimate of one parameter of a cause, SI, freed of what recording noise adds; see `accuracy.sizes`."""
-
-    mean: float
-    sd: float
-    unit: str
-
-    @property
-    def ci95(self) -> tuple[float, float]:
-        """Mean -+ 1.96 deviations."""
-        return self.mean - 1.96 * self.sd, self.mean + 1.96 * self.sd
 
 
 @dataclass(frozen=True)

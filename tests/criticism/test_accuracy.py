@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayes_aero.criticism.accuracy import noise_effect, recording_noise, sizes
+from bayes_aero.criticism.accuracy import noise_effect, recording_noise
 from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.flights import despiked, join
@@ -57,7 +57,7 @@ def test_size_freed_of_what_noise_adds_is_nearer_to_the_truth(card):
         truth = effects["alpha_dot_moment"]["Cmadot"]
         extension = found.aerodynamics
         assert "alpha_dot_moment" in extension.state.active
-        size = sizes(extension)["Cmadot"]
+        size = extension.sizes["Cmadot"]
         column = int(extension.state.field.columns(["Cmadot"])[0])
         plain.append(abs(extension.state.theta[column] - truth))
         freed.append(abs(size.mean - truth))
