@@ -24,6 +24,8 @@ from bayes_aero.model.flights import Flights
 PAIRS = 10  # of records with the same noise added and subtracted, which cancels what is linear in it
 DIFFERENCE = np.array([1.0, -3.0, 3.0, -1.0])  # third differences pass white noise and stop motion
 NORMAL_QUARTILE = 0.6745
+REGRESSORS = ("alpha", "airspeed", "q", "elevator")
+FILTERED = -0.5  # lag-1 correlation of third differences above which they are not white noise's
 
 
 @dataclass(frozen=True)
@@ -46,14 +48,31 @@ def recording_noise(flights: Flights) -> dict[str, float]:
     By the median of their size, so that steps, spikes and passages of buffet do not count; a channel that mostly
     stands still has none.
     """
-    ends = np.cumsum(flights.lengths)[:-1]
     gain = float(np.sqrt(np.sum(DIFFERENCE**2)))
-    found = {}
-    for name in flights.recorded:
-        parts = np.split(np.asarray(flights.channels[name]), ends)
-        rough = np.concatenate([np.convolve(part, DIFFERENCE, "valid") for part in parts])
-        found[name] = float(np.median(np.abs(rough))) / (NORMAL_QUARTILE * gain)
-    return found
+    return {
+        name: float(np.median(np.abs(_rough(flights, name)))) / (NORMAL_QUARTILE * gain) for name in flights.recorded
+    }
+
+
+def filtered_channels(flights: Flights) -> tuple[str, ...]:
+    """Channels behind the regressors whose noise was filtered before it was recorded, so that it cannot be read off.
+
+    Third differences of white noise have a lag-1 correlation of -0.75; what a filter has smoothed, or motion, has not.
+    """
+    found = []
+    for name in (name for name in REGRESSORS if name in flights.recorded):
+        rough = _rough(flights, name)
+        limit = 5.0 * np.median(np.abs(rough))
+        inside = np.clip(rough, -limit, limit)
+        if limit > 0.0 and np.corrcoef(inside[1:], inside[:-1])[0, 1] > FILTERED:
+            found.append(name)
+    return tuple(found)
+
+
+def _rough(flights: Flights, name: str) -> Float[np.ndarray, " n"]:
+    """Third differences of a channel, manoeuvre by manoeuvre."""
+    parts = np.split(np.asarray(flights.channels[name]), np.cumsum(flights.lengths)[:-1])
+    return np.concatenate([np.convolve(part, DIFFERENCE, "valid") for part in parts])
 
 
 def noise_effect(state: State, fit: Fit, seed: int = 0) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
@@ -73,7 +92,9 @@ def noise_effect(state: State, fit: Fit, seed: int = 0) -> tuple[Float[np.ndarra
         }
         again = eqx.tree_at(lambda f: f.channels, flights, channels)
         responses = eqx.tree_at(lambda r: r.flights, state.responses, again)
-        found = local_fit(replace(state, responses=responses), state.theta, at, range(len(state.folds)))[0]
+        there = replace(state, responses=responses)
+        # Variances held: grown by the noise they would let the prior pull more, which is no bias of the regressors.
+        found = local_fit(there, state.theta, at, range(len(state.folds)), fit.variance)[0]
         return found.step[: len(at)]
 
     even, odd = [], []
@@ -101,7 +122,7 @@ def sizes(state: State, fit: Fit) -> dict[str, Size]:
     deviation = np.sqrt(np.maximum(variance, spread**2) + bias**2)
     free = state.field.model.free
     return {
-        free[c].name: Size(float(state.theta[c] - shift), float(sd), free[c].unit)
+        free[c].name: Size(float(np.clip(state.theta[c] - shift, *free[c].bounds)), float(sd), free[c].unit)
         for c, shift, sd in zip(fit.columns, bias, deviation, strict=True)
         if c < len(free)
     }

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from bayes_aero.criticism.accuracy import filtered_channels
 from bayes_aero.criticism.candidates import Field, field_of, normal_of
 from bayes_aero.criticism.election import Standing, poll
 from bayes_aero.criticism.extension import Extension, extend
@@ -20,7 +21,7 @@ from bayes_aero.effect import Effect, Kind
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.mle import fit_mle
-from bayes_aero.model.flights import despiked, join
+from bayes_aero.model.flights import Flights, despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.model.own_effects import own_effects
@@ -91,6 +92,18 @@ def diagnose(
         theta=aerodynamics.state.theta,
         split=split_name(aerodynamics.state),
         base_moves=_moves(aerodynamics),
+        notes=_notes(flights),
+    )
+
+
+def _notes(flights: Flights) -> tuple[str, ...]:
+    """What the user should know of the intervals."""
+    filtered = filtered_channels(flights)
+    if not filtered:
+        return ()
+    return (
+        f"No white noise of {', '.join(filtered)} can be read off the record (filtered before it was recorded, or "
+        "none): sizes are not freed of the bias that such noise gives, and their intervals do not allow for it.",
     )
 
 

@@ -53,9 +53,15 @@ class Products:
         return Products(gram, self.count)
 
     def fit_many(
-        self, columns: Int[np.ndarray, "j k"], mean: Float[np.ndarray, " K"], precision: Float[np.ndarray, " K"]
+        self,
+        columns: Int[np.ndarray, "j k"],
+        mean: Float[np.ndarray, " K"],
+        precision: Float[np.ndarray, " K"],
+        held: Float[np.ndarray, " c"] | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """j sets of columns at once, each with the normal prior (`mean`, `precision`) of its steps.
+
+        Variances are found with the steps, unless they are `held`.
 
         Returns steps (j, k), information matrices (j, k, k), variances (j, c) and deviances (j,).
         """
@@ -63,9 +69,9 @@ class Products:
         j, k = columns.shape
         full = np.concatenate([np.zeros((j, 1), int), columns + 1], axis=1)
         part = np.moveaxis(gram[:, full[:, :, None], full[:, None, :]], 0, 1)  # j c k+1 k+1
-        variance = np.maximum(part[:, :, 0, 0] / n, TINY)
+        variance = np.maximum(part[:, :, 0, 0] / n, TINY) if held is None else np.tile(held, (j, 1))
         own, centre = precision[columns], mean[columns]
-        for _ in range(ROUNDS):
+        for _ in range(ROUNDS if held is None else 1):
             weighed = np.einsum("jc,jckl->jkl", 1.0 / variance, part)
             normal = weighed[:, 1:, 1:] + np.eye(k) * own[:, None, :]
             scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), TINY))
@@ -73,13 +79,20 @@ class Products:
             right = (weighed[:, 1:, 0] + own * centre) * scale
             step = scale * np.linalg.solve(scaled, right[:, :, None])[:, :, 0]
             v = np.concatenate([np.ones((j, 1)), -step], axis=1)
-            variance = np.maximum(np.einsum("jk,jckl,jl->jc", v, part, v, optimize=True) / n, TINY)
+            if held is None:
+                variance = np.maximum(np.einsum("jk,jckl,jl->jc", v, part, v, optimize=True) / n, TINY)
         deviance = n * np.log(variance).sum(axis=1) + np.sum(own * (step - centre) ** 2, axis=1)
         return step, normal, variance, deviance
 
-    def fit(self, columns: Int[np.ndarray, " k"], mean: np.ndarray, precision: np.ndarray) -> Fit:
+    def fit(
+        self,
+        columns: Int[np.ndarray, " k"],
+        mean: np.ndarray,
+        precision: np.ndarray,
+        held: Float[np.ndarray, " c"] | None = None,
+    ) -> Fit:
         """One set of columns."""
-        step, normal, variance, deviance = self.fit_many(columns[None], mean, precision)
+        step, normal, variance, deviance = self.fit_many(columns[None], mean, precision, held)
         return Fit(columns, step[0], normal[0], variance[0], float(deviance[0]))
 
     def squares(self, columns: Int[np.ndarray, " k"], step: Float[np.ndarray, " k"]) -> Float[np.ndarray, "f c"]:

@@ -236,8 +236,14 @@ def optimum(state: State, folds: Sequence[int], most: int = REFITS) -> Float[np.
     return theta
 
 
-def local_fit(state: State, theta: np.ndarray, at: np.ndarray, folds: Sequence[int]) -> tuple[Fit, float]:
-    """Regression on the active columns at `theta`, and the deviance there with the variances it finds."""
+def local_fit(
+    state: State,
+    theta: Float[np.ndarray, " k"],
+    at: Int[np.ndarray, " a"],
+    folds: Sequence[int],
+    held: Float[np.ndarray, " c"] | None = None,
+) -> tuple[Fit, float]:
+    """Regression on the columns `at` at `theta`, and the deviance there; with variances it finds, or `held` ones."""
     keep = [state.responses.outputs.index(name) for name in state.outputs]
     residual, S = state.responses.linearise(theta, at)
     residual, S = residual[:, keep], np.where(np.isfinite(S), S, 0.0)[:, keep]
@@ -249,7 +255,7 @@ def local_fit(state: State, theta: np.ndarray, at: np.ndarray, folds: Sequence[i
     mean, precision = np.append(mean, offsets), np.append(precision, offsets)
     free = np.arange(S.shape[2])
     only = products.fit(free[len(at) :], mean, precision)  # parameters as they are; offsets and variances adapt
-    return products.fit(free, mean, precision), only.deviance + float(
+    return products.fit(free, mean, precision, held), only.deviance + float(
         np.sum(precision[: len(at)] * mean[: len(at)] ** 2)
     )
 

@@ -83,7 +83,7 @@ def _burnt_in(target: _Target, walkers: int, ensembles: int, seed: int) -> list[
     proposal, before = _Independent(np.zeros(size), np.eye(size)), 0.0
     begin = np.random.default_rng(seed).standard_normal((ensembles, walkers, size)) * 0.5
     for number in range(ROUNDS):
-        samplers = [_sampler(target, walkers, proposal, 1000 * seed + 10 * i + number) for i in range(ensembles)]
+        samplers = [_sampler(target, walkers, proposal, _seed(seed, i, number)) for i in range(ensembles)]
         _advance(samplers, BURN_IN, begin)
         begin = np.stack([np.asarray(s.get_chain())[-1] for s in samplers])
         found = np.concatenate([np.asarray(s.get_chain(discard=BURN_IN // 3, flat=True)) for s in samplers])
@@ -92,9 +92,14 @@ def _burnt_in(target: _Target, walkers: int, ensembles: int, seed: int) -> list[
         if accepted < ENOUGH_GAINED * before:
             break
         before = accepted
-    samplers = [_sampler(target, walkers, proposal, 1000 * seed + 10 * i + ROUNDS) for i in range(ensembles)]
+    samplers = [_sampler(target, walkers, proposal, _seed(seed, i, ROUNDS)) for i in range(ensembles)]
     _advance(samplers, CHUNK, begin)
     return samplers
+
+
+def _seed(seed: int, ensemble: int, number: int) -> int:
+    """A seed of its own for every run, within what the generator takes."""
+    return (1000 * seed + 10 * ensemble + number) % 2**32
 
 
 def _advance(samplers: list[emcee.EnsembleSampler], steps: int, begin: np.ndarray | None = None) -> None:

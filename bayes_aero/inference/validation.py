@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from joblib import Parallel, delayed, parallel_config
+from joblib import Parallel, cpu_count, delayed, parallel_config
+from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from bayes_aero.errors import InputError
 from bayes_aero.inference.gp import GPFit, Priors, fit_gp
@@ -26,7 +27,7 @@ from bayes_aero.physics.coefficients import NAMES
 
 KINDS: tuple[SplitKind, ...] = ("random", "block", "manoeuvre")
 LEVEL = 0.95
-WORTH_PROCESSES = 1500  # samples from which a process for each core pays for its start of some seconds
+WORTH_PROCESSES = 1000  # training samples from which a process for each core pays for its start of some seconds
 
 
 def gp_inputs(observations: Observations, names: tuple[str, ...]) -> Float[np.ndarray, "n d"]:
@@ -57,6 +58,8 @@ def validate(
     if len(observations.names) < 2:
         kinds = tuple(kind for kind in kinds if kind != "manoeuvre")
         chosen = "block" if chosen == "manoeuvre" else chosen
+    if not kinds:
+        raise InputError("a manoeuvre split needs at least two records; add one or choose another split")
     splits: dict[SplitKind, list[Split]] = {
         kind: make_splits(kind, observations.manoeuvre, observations.dt, seed) for kind in kinds
     }
@@ -72,15 +75,21 @@ def validate(
         delayed(_trained)(X, z[:, t.column], inputs, splits[t.kind][t.fold], t.column, t.sampled, seed) for t in tasks
     )
     trained: dict[_Task, tuple[GPFit | None, dict[str, Any]]] = {}
-    jobs = min(len(tasks), os.cpu_count() or 1) if len(z) >= WORTH_PROCESSES else 1
+    jobs = _processes(len(tasks), max(len(f.train_idx) for folds in splits.values() for f in folds))
     _give_back_memory()
     # LAPACK holds Python's lock and gains little from a second thread at these sizes: one process a core.
     with parallel_config(backend="loky", inner_max_num_threads=1):
         results: Any = Parallel(n_jobs=jobs, return_as="generator")(work)
-        for task, result in zip(tasks, results, strict=True):
-            trained[task] = result
-            if progress:
-                progress(f"GP of {NAMES[task.column]}, {task.kind} split", len(trained) / len(tasks))
+        try:
+            for task, result in zip(tasks, results, strict=True):
+                trained[task] = result
+                if progress:
+                    progress(f"GP of {NAMES[task.column]}, {task.kind} split", len(trained) / len(tasks))
+        except TerminatedWorkerError:
+            raise InputError(
+                f"a process that trained on up to {len(z)} samples was killed, probably for want of memory; thin the "
+                "records or free memory"
+            ) from None
     predicted = {
         (kind, number): _mle_prediction(model, observations, mle, fold)
         for kind, folds in splits.items()
@@ -95,7 +104,16 @@ def validate(
             test=test, measured=measured, mle=by_mle, mle_scores=score(measured, by_mle), **trained[task][1]
         )
     fits = {NAMES[t.column]: fit for t, (fit, _) in trained.items() if fit is not None}
-    return GPReport(found, {n: fits[n] for n in NAMES}, chosen, time.perf_counter() - began)
+    return GPReport(found, {n: fits[n] for n in NAMES if n in fits}, chosen, time.perf_counter() - began)
+
+
+def _processes(tasks: int, n: int) -> int:
+    """As many processes as there are cores and memory for: eight n x n matrices and the compiler's gigabyte each."""
+    if n < WORTH_PROCESSES:
+        return 1
+    each = 8 * 8 * n**2 + 2**30
+    free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") if sys.platform == "linux" else 2 * each
+    return max(1, min(tasks, cpu_count(), free // each))
 
 
 def _give_back_memory() -> None:

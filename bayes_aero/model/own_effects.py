@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -27,19 +28,29 @@ def own_effects(files: Sequence[Path]) -> dict[str, Effect]:
         for effect in _run(path, text):
             if effect.name in CATALOGUE or effect.name in found:
                 raise InputError(f"effect file {path}: the name {effect.name} is taken; give the effect another one")
+            others = (*CATALOGUE.values(), *found.values())
+            taken = {p.name for e in others for p in e.parameters} & {p.name for p in effect.parameters}
+            if taken:
+                raise InputError(
+                    f"effect file {path}: the parameter {', '.join(sorted(taken))} of {effect.name} belongs to another "
+                    "effect; give it another name"
+                )
             found[effect.name] = effect
     return found
 
 
 @lru_cache(maxsize=32)
 def _run(path: Path, text: str) -> tuple[Effect, ...]:
-    module = ModuleType(path.stem)
+    module = ModuleType(f"own_effects_{path.stem}_{abs(hash((path, text))):x}")
     module.__file__ = str(path)
+    sys.modules[module.__name__] = module  # dataclasses look their module up there
     try:
         exec(compile(text, str(path), "exec"), module.__dict__)
     except Exception as error:  # whatever a user's code may raise
+        del sys.modules[module.__name__]
         raise InputError(f"effect file {path} does not run: {type(error).__name__}: {error}") from None
-    effects = tuple(value for value in vars(module).values() if isinstance(value, Effect))
+    defined = (value for value in vars(module).values() if isinstance(value, Effect))
+    effects = tuple(e for e in defined if e is not CATALOGUE.get(e.name))  # built-in ones may be imported
     if not effects:
         raise InputError(f"effect file {path} defines no Effect at its top level; see bayes_aero/effects for examples")
     return tuple(dict.fromkeys(effects))

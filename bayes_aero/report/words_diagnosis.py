@@ -31,6 +31,7 @@ def sentences(view: View) -> list[str]:
         *_unknown(d),
         *_noise(d),
         *_not_testable(d),
+        *d.notes,
     ]
 
 

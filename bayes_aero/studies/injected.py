@@ -8,7 +8,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from bayes_aero.effect import Effect, Stage
+from bayes_aero.criticism.candidates import DERIVED
+from bayes_aero.effect import NEUTRAL_FLOW, Effect, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
@@ -17,6 +18,8 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks, with_sums
 from bayes_aero.physics.coefficients import condition
 from bayes_aero.studies.misrecord import misrecorded
+
+POSSIBLE = "only sensors, thrust and moments can be injected into a record"
 
 
 def injected(
@@ -40,7 +43,7 @@ def _one(record: FlightRecord, effects: Mapping[str, Mapping[str, float]], card:
     dt = record.dt
     for name, values in effects.items():
         effect = CATALOGUE[name]
-        missing = [c for c in effect.channels if c not in channels]
+        missing = [c for c in effect.channels if c not in channels and c not in DERIVED]
         if missing:
             raise InputError(f"effect {name} needs channel {', '.join(missing)}, which {record.name} does not have")
         if effect.stage is Stage.CHANNEL:
@@ -61,15 +64,27 @@ def _moment(
     effect: Effect, values: Mapping[str, float], channels: Mapping[str, np.ndarray], dt: float, card: Card
 ) -> np.ndarray:
     signals = condition({name: jnp.asarray(x) for name, x in channels.items()}, dt)
-    known: dict[str, Any] = {"X": jnp.ones(len(channels["alpha"])), "incidence": signals["alpha"]}
-    found = effect.increments(values, signals, card.aircraft, known) if effect.stage >= Stage.ATTACHED else {}
-    moment = np.asarray(found.get("Cm", 0.0)) * np.ones(len(channels["alpha"]))
+    ones = jnp.ones(len(channels["alpha"]))
+
+    def increments(X: float) -> dict[str, Any]:
+        known = {name: value * ones for name, value in NEUTRAL_FLOW.items()} | {"incidence": signals["alpha"]}
+        found = effect.increments(values, signals, card.aircraft, known | {"X": X * ones})
+        return {name: np.asarray(x) * np.ones(len(ones)) for name, x in found.items()}
+
+    if effect.uses:
+        raise InputError(
+            f"effect {effect.name} rests on parameters of other effects ({', '.join(effect.uses)}); {POSSIBLE}"
+        )
+    if effect.stage < Stage.ATTACHED:
+        raise InputError(f"effect {effect.name} changes the flow or the aircraft; {POSSIBLE}")
+    found, apart = increments(1.0), increments(0.5)
+    if any(not np.allclose(found[name], apart[name]) for name in found):
+        raise InputError(f"effect {effect.name} depends on separation, which no record knows; {POSSIBLE}")
+    moment = found.get("Cm", np.zeros(len(ones)))
     # A force at the tail is held by the elevator's, which acts there too: lift and moment vanish together.
     lift_of_tail = -moment * card.aircraft.chord / card.aircraft.tail_arm
-    held = set(found) <= {"Cm", "CL_attached"} and np.allclose(found.get("CL_attached", lift_of_tail), lift_of_tail)
-    if "Cm" not in found or not held:
-        raise InputError(
-            f"effect {effect.name} changes more than the pitching moment; only sensors, thrust and moments can be "
-            "injected into a record"
-        )
+    if not (set(found) <= {"Cm", "CL_attached"} and np.allclose(found.get("CL_attached", lift_of_tail), lift_of_tail)):
+        raise InputError(f"effect {effect.name} changes more than the pitching moment; {POSSIBLE}")
+    if not np.any(moment):
+        raise InputError(f"effect {effect.name} makes no moment in this record; what it acts through does not move")
     return moment

@@ -1,12 +1,14 @@
 """How far sizes may be off: noise that was added is read off the record, and its bias is seen and taken off."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.criticism.accuracy import noise_effect, recording_noise
+from bayes_aero.criticism.accuracy import filtered_channels, noise_effect, recording_noise
 from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.flights import despiked, join
+from bayes_aero.physics.filters import smooth
 from bayes_aero.studies.demo import simulate_stall
 from bayes_aero.studies.hidden import flyable
 
@@ -16,6 +18,7 @@ def noisy(clean_records):
     """Clean simulated records with white noise of known deviations, and the deviations."""
     rng = np.random.default_rng(20)
     noise = {"alpha": rng.uniform(3e-4, 3e-3), "q": rng.uniform(2e-4, 2e-3), "airspeed": rng.uniform(0.05, 0.5)}
+    noise["elevator"] = rng.uniform(2e-4, 1e-3)
     records = []
     for record in clean_records:
         channels = {name: np.array(x) for name, x in record.channels.items()}
@@ -33,16 +36,27 @@ def test_recording_noise_is_read_off_the_record_and_motion_is_not_noise(card, no
     assert found["theta"] < 1e-5  # moves by tenths of a radian, recorded without noise
 
 
+def test_noise_that_was_filtered_before_recording_is_said_to_be_unreadable(card, noisy):
+    records, _ = noisy
+    assert filtered_channels(join(records, card)) == ()
+    smoothed = []
+    for record in records:
+        channels = {name: np.array(x) for name, x in record.channels.items()}
+        channels["alpha"] = np.asarray(smooth(jnp.asarray(channels["alpha"])))
+        smoothed.append(FlightRecord.from_arrays(record.name, np.asarray(record.time), channels))
+    assert filtered_channels(join(smoothed, card)) == ("alpha",)
+
+
 def test_spikes_are_repaired_and_steps_of_a_quantised_channel_are_not(card):
     record = simulate_stall(0, card=card)
     channels = {name: np.array(x) for name, x in record.channels.items()}
-    channels["theta"] = np.round(channels["theta"] / 2e-3) * 2e-3
+    channels["theta"] = np.round(channels["theta"] / 5e-4) * 5e-4
     at = np.random.default_rng(4).choice(np.arange(50, record.n - 50), 6, replace=False)
     channels["q"][at] += 0.2
     flights = join([FlightRecord.from_arrays("spiked", np.asarray(record.time), channels)], card)
     repaired, count = despiked(flights)
     assert count["q"] == 6
-    assert "theta" not in count
+    assert "theta" not in count  # four of its steps were taken for spikes once
     assert np.max(np.abs(np.asarray(repaired.channels["q"])[at] - np.asarray(record["q"])[at])) < 0.05
 
 
@@ -50,7 +64,7 @@ def test_spikes_are_repaired_and_steps_of_a_quantised_channel_are_not(card):
 def test_size_freed_of_what_noise_adds_is_nearer_to_the_truth(card):
     """alpha-dot is differentiated from a noisy vane: least squares is biased by some per cent of Cmadot."""
     rng = np.random.default_rng(77)
-    plain, freed, inside = [], [], []
+    plain, freed, seen = [], [], 0
     for seed in rng.integers(100_000, size=3):
         effects, flights = flyable(["alpha_dot_moment"], seed=int(seed), noise="white", seconds=90.0, sensor_noise=1.5)
         found = diagnose([flight.record for flight in flights], card, seed=0, gains_wanted=False)
@@ -61,9 +75,10 @@ def test_size_freed_of_what_noise_adds_is_nearer_to_the_truth(card):
         column = int(extension.state.field.columns(["Cmadot"])[0])
         plain.append(abs(extension.state.theta[column] - truth))
         freed.append(abs(size.mean - truth))
-        inside.append(abs(size.mean - truth) < 3.0 * size.sd)
         bias, spread = noise_effect(extension.state, extension.fit)
-        assert np.all(np.isfinite(bias))
-        assert np.all(spread >= 0.0)
-    assert np.sum(freed) < np.sum(plain)
-    assert all(inside)
+        at = list(extension.fit.columns).index(column)
+        if abs(bias[at]) > 2.0 * spread[at]:  # else chance may decide the sign
+            assert np.sign(bias[at]) == np.sign(extension.state.theta[column] - truth)
+            seen += 1
+    assert seen > 0
+    assert np.sum(freed) < 0.7 * np.sum(plain)

@@ -42,6 +42,18 @@ def test_the_elevator_holds_an_injected_moment(record, card):
 def test_lift_cannot_be_injected(record, card):
     with pytest.raises(InputError, match="more than the pitching moment"):
         injected([record], {"thrust_lift": {"thrust_lift": 0.3}}, card, Cmde=-0.7)
+    with pytest.raises(InputError, match="rests on parameters of other effects"):
+        injected([record], {"drag_offset": {"CLmin": 0.1}}, card, Cmde=-0.7)
+
+
+def test_what_depends_on_separation_cannot_be_injected(record, card):
+    with pytest.raises(InputError, match="depends on separation"):
+        injected([record], {"separated_damping": {"CmqX": 0.3}}, card, Cmde=-0.7)
+
+
+def test_alpha_dot_is_made_from_the_record(record, card):
+    (held,) = injected([record], {"alpha_dot_moment": {"Cmadot": -3.0}}, card, Cmde=-0.7)
+    assert np.std(np.asarray(held["elevator"]) - np.asarray(record["elevator"])) > 1e-4
 
 
 @pytest.mark.recovery

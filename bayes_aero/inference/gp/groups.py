@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from bayes_aero.inference.gp.kernel import Scaling, hyper_names
 from bayes_aero.inference.gp.posterior import Sampled
 from bayes_aero.inference.gp.priors import Priors
+from bayes_aero.inference.gp.sample import TEMPER
 
 __all__ = ["posterior_tree", "systematic_resample"]
 
@@ -33,7 +34,8 @@ def posterior_tree(
 ) -> xr.DataTree:
     """Groups: `posterior`, draws of the exact posterior with equal weights (the indices `at` of the weighted
     ones) and `sample_stats` of these; `prior`; `proposal`, the weighted draws before resampling, with their exact
-    and stand-in log densities and PSIS log weights; `stand_in`, the full NUTS chains of theta. Hyperparameters in
+    and stand-in log densities and PSIS log weights; `stand_in`, the full NUTS chains of theta, drawn
+    from the stand-in to the power `temper`. Hyperparameters in
     physical units (`Scaling.physical`), save theta, which is log scaled.
     """
     weighted, chains = sampled.weighted, sampled.chains
@@ -52,10 +54,10 @@ def posterior_tree(
         "proposal": {
             **scaling.physical(weighted.theta),
             "lp": weighted.exact,
-            "lp_stand_in": weighted.stand_in,
+            "lp_stand_in": weighted.stand_in / TEMPER,
             "log_weight": weighted.log_weight,
         },
-        "stand_in": {"theta": chains.theta, "lp": chains.log_density},
+        "stand_in": {"theta": chains.theta, "lp": chains.log_density / TEMPER},
     }
     per_input = {"linear": ["input"], "length_scale": ["input"], "theta": ["hyperparameter"]}
     coords = {"input": list(names), "hyperparameter": hyper_names(names)}
@@ -71,6 +73,7 @@ def posterior_tree(
         "weight_ess": weighted.ess,
         "rounds": sampled.rounds,
         "divergences": chains.divergences,
+        "temper": TEMPER,
         "status": sampled.status.name,
         "output_name": output_name,
         "output_rms": scaling.rms,
