@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from bayes_aero.criticism.colour import colour_of
 from bayes_aero.criticism.election import explained_shares, poll
-from bayes_aero.criticism.extension import Extension, unseen_gain
+from bayes_aero.criticism.extension import Extension, removed, unseen_gain
 from bayes_aero.criticism.finding import Unknown
 from bayes_aero.criticism.regression import Fit, Products
 from bayes_aero.criticism.state import Component, State
@@ -66,19 +66,19 @@ def unexplained(extension: Extension, *, seed: int) -> Left:
 def _superfluous(extension: Extension, chosen: Sequence[Component]) -> tuple[str, ...]:
     """Named causes of which little is left once the components are in: they had stood in for them."""
     state = extension.state
-    wide = with_components(state, (), chosen, state.folds)
-    columns = wide.columns()
-    deviance = wide.products.fit(columns, wide.mean, wide.precision).deviance
+    deviance, count = _with(state, chosen)
     dropped = []
     for name in extension.causes:
-        names = state.field.parameters_of(name)
-        own = state.field.columns(names)
-        neutral = np.array([state.field.neutral[p] for p in names])
-        without = wide.products.shifted(own, neutral - state.theta[own])
-        rest = without.fit(columns[~np.isin(columns, own)], wide.mean, wide.precision).deviance
-        if 1.0 - np.exp(-max(rest - deviance, 0.0) / wide.products.count.sum()) < LEAST_SHARE:
+        rest, _ = _with(removed(state, name), chosen)
+        if 1.0 - np.exp(-max(rest - deviance, 0.0) / count) < LEAST_SHARE:
             dropped.append(name)
     return tuple(dropped)
+
+
+def _with(state: State, chosen: Sequence[Component]) -> tuple[float, float]:
+    """Deviance of the active effects and the chosen components together, and the number of blocks."""
+    wide = with_components(state, (), chosen, state.folds)
+    return wide.fit().deviance, float(wide.products.count.sum())
 
 
 def _best(state: State, chosen: Sequence[Component], seed: int) -> tuple[Component, float, float] | None:
