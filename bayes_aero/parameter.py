@@ -53,6 +53,15 @@ class Prior:
         density = stats.norm.logpdf(jnp.log(safe), math.log(self.location), self.scale) - jnp.log(safe)
         return jnp.where(x > 0.0, density, -jnp.inf)
 
+    @property
+    def normal(self) -> tuple[float, float]:
+        """Mean and standard deviation of the normal that stands for it in a linear fit."""
+        if self.family == "lognormal":
+            return self.location, self.location * self.scale
+        if self.family == "uniform":
+            return self.location + self.scale / 2.0, self.scale
+        return self.location, self.scale
+
     def sample(self, rng: np.random.Generator, size: int) -> np.ndarray:
         """`size` independent draws, shape (size,)."""
         if self.family == "normal":

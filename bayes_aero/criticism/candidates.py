@@ -39,7 +39,7 @@ class Field:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Mean and precision of the step from `theta` for parameters `index`, their priors taken as normal."""
         free = self.model.free
-        pairs = [normal_of(self.priors.get(free[i].name, free[i].prior)) for i in index]
+        pairs = [self.priors.get(free[i].name, free[i].prior).normal for i in index]
         mean, deviation = np.array(pairs).reshape(-1, 2).T
         return mean - theta[np.asarray(index, int)], deviation**-2.0
 
@@ -96,12 +96,3 @@ def field_of(model: Model, flights: Flights, extra: Sequence[Effect] = ()) -> Fi
 def _at_rest(x: np.ndarray) -> bool:
     """True for a channel that never moves (a flap that stays up): no effect of it can be seen."""
     return bool(np.ptp(x) <= 1e-9 * max(1.0, float(np.abs(x).max())))
-
-
-def normal_of(prior: Prior) -> tuple[float, float]:
-    """Mean and standard deviation of the normal that stands for a prior in a linear fit."""
-    if prior.family == "lognormal":
-        return prior.location, prior.location * prior.scale
-    if prior.family == "uniform":
-        return prior.location + prior.scale / 2.0, prior.scale
-    return prior.location, prior.scale

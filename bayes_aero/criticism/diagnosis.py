@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayes_aero.criticism.accuracy import filtered_channels
-from bayes_aero.criticism.candidates import Field, field_of, normal_of
+from bayes_aero.criticism.candidates import Field, field_of
 from bayes_aero.criticism.election import Standing, poll
 from bayes_aero.criticism.extension import Extension, extend
 from bayes_aero.criticism.finding import Cause, Diagnosis, Gain, Verdict
@@ -121,7 +121,7 @@ def _kinematic_priors(field: Field, sensors: Extension | None) -> dict[str, Prio
     own = {p.name: p.prior for p in field.model.free}
     for standing in sensors.steps[-1].poll.standings:
         for name, step, sd in zip(field.parameters_of(standing.effect), standing.step, standing.sd, strict=False):
-            mean, deviation = normal_of(own[name])
+            mean, deviation = own[name].normal
             weight = deviation**-2.0 + sd**-2.0
             combined = (mean * deviation**-2.0 + step * sd**-2.0) / weight
             priors[name] = Prior("normal", combined, weight**-0.5, "flight-path kinematics of the same record")

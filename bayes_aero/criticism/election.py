@@ -59,7 +59,7 @@ class Poll:
         return next((s for s in self.standings if s.effect == effect), None)
 
 
-class _Projected:
+class Projected:
     """Candidate columns with the active ones projected out, under the variances of the present fit."""
 
     def __init__(self, state: State, fit: Fit, blocks: Sequence[np.ndarray]) -> None:
@@ -96,7 +96,7 @@ class _Projected:
         return estimates, covariances
 
 
-def _equivalent(estimate: np.ndarray, covariance: np.ndarray) -> float:
+def equivalent(estimate: np.ndarray, covariance: np.ndarray) -> float:
     """Wald statistic as the standard score of one parameter with the same tail probability."""
     if len(estimate) == 1:
         return abs(float(estimate[0])) / math.sqrt(max(float(covariance[0, 0]), 1e-300))
@@ -128,13 +128,13 @@ def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, wit
     blocks = [b for b in state.blocks if b[0] not in active]
     if not blocks:
         return Poll((), colour_of(residual, state.folds), np.zeros(0))
-    projected = _Projected(state, fit, [b[1] for b in blocks])
+    projected = Projected(state, fit, [b[1] for b in blocks])
     colour = colour_of(residual, state.folds)
     rng = np.random.default_rng(seed)
     m = len(residual)
     # Re-estimation from noise whose active columns were fitted shows how much faster the noise then looks.
     drawn = colour.simulate(CORRECTION, state.folds, m, rng)
-    again = [colour_of(_without_active(state, fit, e), state.folds) for e in drawn]
+    again = [colour_of(without_active(state, fit, e), state.folds) for e in drawn]
     colour = unbiased(colour, again)
     estimates, covariances = projected.scores(residual, colour, state.folds)
     gains = _gains(state, products, mean, columns, [b[1] for b in blocks], fit)
@@ -150,18 +150,18 @@ def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, wit
                 columns=tuple(int(i) for i in own),
                 value=value,
                 gain=float(gains[0][j]) if possible else 0.0,
-                score=_equivalent(estimates[j], covariances[j]) if possible else 0.0,
+                score=equivalent(estimates[j], covariances[j]) if possible else 0.0,
                 inflation=float(np.max(variance / white)),
-                log_bayes=_log_bayes(estimates[j], covariances[j], mean[own], state.precision[own] / state.temper),
+                log_bayes=log_bayes(estimates[j], covariances[j], mean[own], state.precision[own] / state.temper),
                 step=tuple(float(x) for x in step),
                 sd=tuple(float(x) for x in np.sqrt(variance)),
             )
         )
     nulls = []
     for e in colour.simulate(replicates, state.folds, m, rng):
-        noise = _without_active(state, fit, e)
+        noise = without_active(state, fit, e)
         values = projected.scores(noise, colour_of(noise, state.folds), state.folds)
-        nulls.append(max(_equivalent(b, C) for b, C in zip(*values, strict=True)))
+        nulls.append(max(equivalent(b, C) for b, C in zip(*values, strict=True)))
     return Poll(tuple(sorted(found, key=lambda s: -s.gain)), colour, np.array(nulls))
 
 
@@ -170,12 +170,12 @@ def explained_shares(state: State, fit: Fit, colour: Colour, seed: int, count: i
 
     Blocks must act on one output each, as components do.
     """
-    projected = _Projected(state, fit, [block[1] for block in state.blocks])
+    projected = Projected(state, fit, [block[1] for block in state.blocks])
     bread = [inverse(projected.information[np.ix_(place, place)]) for place in projected.place]
     output = [int(np.argmax(np.abs(state.S[:, :, block[1]]).sum(axis=(0, 2)))) for block in state.blocks]
     largest = []
     for e in colour.simulate(count, state.folds, len(state.residual), np.random.default_rng(seed)):
-        noise = _without_active(state, fit, e)
+        noise = without_active(state, fit, e)
         total = np.sum(noise**2, axis=0) / fit.variance
         right = np.einsum("mcj,c,mc->j", projected.P, 1.0 / fit.variance, noise, optimize=True)
         gains = [right[p] @ B @ right[p] / total[c] for p, B, c in zip(projected.place, bread, output, strict=True)]
@@ -183,7 +183,7 @@ def explained_shares(state: State, fit: Fit, colour: Colour, seed: int, count: i
     return np.array(largest)
 
 
-def _without_active(state: State, fit: Fit, residual: Float[np.ndarray, "m c"]) -> Float[np.ndarray, "m c"]:
+def without_active(state: State, fit: Fit, residual: Float[np.ndarray, "m c"]) -> Float[np.ndarray, "m c"]:
     """What is left of a noise record when the active columns are fitted to it."""
     B = state.scaled[:, :, fit.columns]
     step = inverse(fit.normal) @ np.einsum("mcb,c,mc->b", B, 1.0 / fit.variance, residual, optimize=True)
@@ -201,7 +201,7 @@ def _gains(
     return fit.deviance - deviance, step[:, len(columns) :]
 
 
-def _log_bayes(estimate: np.ndarray, covariance: np.ndarray, mean: np.ndarray, precision: np.ndarray) -> float:
+def log_bayes(estimate: np.ndarray, covariance: np.ndarray, mean: np.ndarray, precision: np.ndarray) -> float:
     """log N(estimate; mean, covariance + prior) - log N(estimate; 0, covariance)."""
     wide = covariance + np.diag(1.0 / np.maximum(precision, 1e-30))
     return float(_log_normal(estimate - mean, wide) - _log_normal(estimate, covariance))

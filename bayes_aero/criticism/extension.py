@@ -9,12 +9,15 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.criticism.accuracy import Size, sizes
-from bayes_aero.criticism.election import REPLICATES, Poll, Standing, columns_of, poll
+from bayes_aero.criticism.colour import colour_of
+from bayes_aero.criticism.election import REPLICATES, Poll, Standing, columns_of, log_bayes, poll, uncertainty
 from bayes_aero.criticism.regression import Fit
+from bayes_aero.criticism.second_look import SecondLook
 from bayes_aero.criticism.state import State, moved, refitted, swelling
 
 LEAST_SCORE = 2.5  # below it no candidate is beyond chance in an election among dozens
 ALPHA = 0.05  # family-wise rate of false alarms of each election
+SECOND_ALPHA = 0.02  # of the second look at leaders that passed for slow noise
 TRIED = 8  # leaders considered in one election
 WORTH = 0.04  # share of a coefficient's remaining variance that an effect must explain: imperfect regressors fake less
 SHARE = 0.02  # of a leader's gain: another that gains more than this beyond it takes its place
@@ -89,6 +92,7 @@ def _election(state: State, fit: Fit, seed: int, first: bool) -> Step:
     reported for every candidate.
     """
     found = poll(state, fit, seed=seed, replicates=REPLICATES if first else 0)
+    able: list[tuple[Standing, float]] = []
     seen: set[str] = set()
     for standing in found.standings:
         if standing.effect in seen:
@@ -96,15 +100,22 @@ def _election(state: State, fit: Fit, seed: int, first: bool) -> Step:
         seen.add(standing.effect)
         if len(seen) > TRIED:
             break
-        if standing.score < LEAST_SCORE or standing.log_bayes <= 0.0 or explained(state, standing) < WORTH:
+        if explained(state, standing) < WORTH:
             continue
         gain = float(unseen_gain(state, columns_of(state, standing)).sum())
         if gain <= 0.0:
+            continue
+        able.append((standing, gain))
+        if standing.score < LEAST_SCORE or standing.log_bayes <= 0.0:
             continue
         if not len(found.nulls):
             found = replace(found, nulls=poll(state, fit, seed=seed).nulls)
         p = found.p_value(standing.score)
         if p <= ALPHA:
+            return Step(standing.effect, p, found, gain)
+    for standing, gain in able:
+        look = SecondLook(state, standing, seed=seed)
+        if look.score >= LEAST_SCORE and look.log_bayes > 0.0 and (p := look.p_value()) <= SECOND_ALPHA:
             return Step(standing.effect, p, found, gain)
     highest = max((s.score for s in found.standings), default=0.0)
     return Step(None, found.p_value(highest) if len(found.nulls) else float("nan"), found, float("nan"))
@@ -161,11 +172,24 @@ def _reconsidered(state: State, fit: Fit) -> tuple[State, Fit]:
         ranking = poll(state, fit, seed=0, replicates=0, without=effect)
         own = ranking.of(effect)
         best = ranking.standings[0]
-        if own is None or own.log_bayes < 0.0 or explained(state, own) < WORTH:
+        faint = own is not None and own.log_bayes < 0.0 and _bayes_within(state, fit, own) < 0.0
+        if own is None or faint or explained(state, own) < WORTH:
             state, fit = refitted(removed(state, effect))
         elif best.effect != effect and best.gain > (1.0 + SHARE) * own.gain + 2.0 * own.inflation:
             state, fit = refitted(added(removed(state, effect), best))
     return state, fit
+
+
+def _bayes_within(state: State, fit: Fit, own: Standing) -> float:
+    """Log Bayes factor of an addition under the colour that is left with it in."""
+    names = state.field.parameters_of(own.effect)
+    columns = state.field.columns(names)
+    away = state.theta[columns] - np.array([state.field.neutral[name] for name in names])
+    if not (np.all(np.isfinite(away)) and np.all(np.isin(columns, fit.columns))):
+        return own.log_bayes
+    at = [int(np.flatnonzero(fit.columns == c)[0]) for c in columns]
+    covariance = uncertainty(state, fit, colour_of(state.left(fit), state.folds))[np.ix_(at, at)]
+    return log_bayes(away, covariance, state.mean[columns] + away, state.precision[columns] / state.temper)
 
 
 def _worth(state: State, found: Mapping[str, Size]) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from bayes_aero.model.flights import Flights
+from bayes_aero.model.flights import Flights, response_scales
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficients import NAMES, coefficients
 from bayes_aero.physics.filters import FILTER_STEP
@@ -94,18 +94,6 @@ def _measured(responses: Responses, values: Mapping[str, Array], channels: Mappi
     return responses.flights.conditioned(corrected), responses.model.actual_aircraft(values, responses.flights.aircraft)
 
 
-def _scales(responses: Responses, values: Mapping[str, Array]) -> dict[str, Array]:
-    """Derivative of each corrected response channel with respect to its recorded self."""
-    channels = responses.flights.channels
-    own = {name: channels[name] for name in RESPONSE if name in channels}
-
-    def correct(part):
-        fixed = responses.model.corrected(values, {**channels, **part}, responses.flights.aircraft)
-        return {name: fixed[name] for name in part}
-
-    return jax.jvp(correct, (own,), ({name: jnp.ones_like(x) for name, x in own.items()},))[1]
-
-
 def _residuals(responses: Responses, theta):
     f, model = responses.flights, responses.model
     values = model.values(theta)
@@ -113,7 +101,7 @@ def _residuals(responses: Responses, theta):
     measured = jnp.stack(coefficients(signals, aircraft), axis=-1)
     known = model.flow(values, signals, aircraft)
     modelled = jnp.stack([known[name] for name in NAMES], axis=-1)
-    scales = _scales(responses, values)
+    scales = response_scales(model, values, f.channels, f.aircraft, RESPONSE)
     pressure = signals["density"] * jnp.square(signals["airspeed"])
     nominal = f.channels["density"] * jnp.square(f.conditioned(f.channels)["airspeed"])
     force = pressure / nominal * (f.aircraft.mass / aircraft.mass)

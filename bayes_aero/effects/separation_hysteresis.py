@@ -22,7 +22,7 @@ EFFECT = Effect(
             0.0,
             "hysteresis time for both signs of alpha-dot, chords travelled",
             Prior("normal", 0.0, 25.0),
-            (-100.0, 200.0),
+            (0.0, 200.0),  # below, lift would rise with alpha-dot without end: no motion solves the equations
         ),
     ),
     channels=("alpha_dot", "airspeed"),

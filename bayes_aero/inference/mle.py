@@ -113,7 +113,7 @@ class _Descent:
     active: np.ndarray
 
 
-def _solve(A: np.ndarray, g: np.ndarray, damping: float) -> np.ndarray:
+def solve(A: np.ndarray, g: np.ndarray, damping: float) -> np.ndarray:
     """(A + damping diag A)^-1 g with unit-diagonal scaling; least squares where A is singular."""
     scale = np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
     scaled = A / np.outer(scale, scale) + damping * np.eye(len(g))
@@ -135,12 +135,12 @@ def descend(model: Model, observations: Observations, start: Float[np.ndarray, "
             return _Descent(theta, np.inf, False, iteration, active)
         active = ((theta <= lower) & (g < 0.0)) | ((theta >= upper) & (g > 0.0))
         free = np.flatnonzero(~active)
-        newton = _solve(A[np.ix_(free, free)], g[free], 0.0)
+        newton = solve(A[np.ix_(free, free)], g[free], 0.0)
         gain = 0.5 * newton @ g[free]
         if gain < DECREMENT:
             return _Descent(theta, point.cost, True, iteration, active)
         steps = (newton * size for size in (1.0, 0.5, 0.25, 0.125))
-        damped = (_solve(A[np.ix_(free, free)], g[free], 10.0**k) for k in range(-3, 6))
+        damped = (solve(A[np.ix_(free, free)], g[free], 10.0**k) for k in range(-3, 6))
         for step in chain(steps, damped):
             trial = theta.copy()
             trial[free] = np.clip(theta[free] + step, lower[free], upper[free])

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -14,6 +16,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks, with_sums
 from bayes_aero.physics.coefficients import REQUIRED, Signals, condition
 
@@ -48,16 +51,29 @@ class Flights(eqx.Module):
         return {name: jnp.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
+def response_scales(
+    model: Model, values: Mapping[str, Any], channels: Mapping[str, Array], aircraft: Aircraft, names: Sequence[str]
+) -> dict[str, Array]:
+    """Derivative of each corrected channel of `names` with respect to its recorded self: what its unit has become."""
+    own = {name: channels[name] for name in names if name in channels}
+
+    def correct(part):
+        fixed = model.corrected(values, {**channels, **part}, aircraft)
+        return {name: fixed[name] for name in part}
+
+    return jax.jvp(correct, (own,), ({name: jnp.ones_like(x) for name, x in own.items()},))[1]
+
+
 ADDED = ("dt", "start", "elapsed", "first", "last")
 
 
-def join(records: Sequence[FlightRecord], card: Card) -> Flights:
-    """Lay the records end to end; channels that are not in every record are left out."""
+def join(records: Sequence[FlightRecord], card: Card, required: Sequence[str] = REQUIRED) -> Flights:
+    """Lay the records end to end; channels that are not in every record are left out, `required` ones missed."""
     if not records:
         raise InputError("there is no flight record to work on; name at least one file")
     for record in records:
         have = with_sums(record, card)
-        for need in REQUIRED:
+        for need in required:
             if need not in have:
                 raise InputError(f"record {record.name} has no channel {need}; map it on the card")
     parts, offset = [], 0

@@ -79,6 +79,11 @@ class Model:
         """Names of the free parameters."""
         return tuple(p.name for p in self.free)
 
+    @cached_property
+    def acting(self) -> tuple[Effect, ...]:
+        """Effects that are not fixed at neutral."""
+        return tuple(e for e in self.effects if not self._absent(e))
+
     @property
     def channels(self) -> tuple[str, ...]:
         """Signals that the effects need."""
@@ -136,8 +141,8 @@ class Model:
         total = dict(known)
         for stage in stages:
             before = dict(total)
-            for effect in self.effects:
-                if effect.stage is stage and not self._absent(effect):
+            for effect in self.acting:
+                if effect.stage is stage:
                     for key, increment in effect.increments(values, signals, aircraft, before).items():
                         total[key] = _sum(total[key], increment)
         return total

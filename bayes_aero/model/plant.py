@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air
-from bayes_aero.physics.frames import body_from_lift_drag
+from bayes_aero.physics.forces import pitch_acceleration, specific_force
 from bayes_aero.physics.kinematics import Rotation, lever_arm
 
 RATE_LIMIT = 2.0  # rad/s, half-width of the bracket for alpha-dot
@@ -156,26 +156,14 @@ class Plant(eqx.Module):
 
     def specific_force(self, state: State, inputs: Inputs, CL: Float[Array, ""], CD: Float[Array, ""]):
         """Aerodynamics and thrust along body x and z over the mass, m/s2."""
-        a = self.aircraft
-        CX, CZ = body_from_lift_drag(CL, CD, state.alpha)
-        qbar_S = 0.5 * air(state.h)[0] * state.V**2 * a.wing_area
-        thrust_x = inputs.thrust * jnp.cos(a.engine_inclination)
-        thrust_z = -inputs.thrust * jnp.sin(a.engine_inclination)
-        return (qbar_S * CX + thrust_x) / a.mass, (qbar_S * CZ + thrust_z) / a.mass
+        return specific_force(CL, CD, state.alpha, _pressure(state), inputs.thrust, self.aircraft)
 
     def pitch_acceleration(
         self, state: State, inputs: Inputs, p: Float[Array, ""], r: Float[Array, ""], total: Float[Array, " 3"]
     ) -> Float[Array, ""]:
         """q-dot from the moments of `total` (CL, CD, Cm) and thrust about the CG and from the terms of p and r."""
-        a = self.aircraft
         CL, CD, Cm = total
-        CX, CZ = body_from_lift_drag(CL, CD, state.alpha)
-        qbar_S = 0.5 * air(state.h)[0] * state.V**2 * a.wing_area
-        thrust_x = inputs.thrust * jnp.cos(a.engine_inclination)
-        thrust_z = -inputs.thrust * jnp.sin(a.engine_inclination)
-        Cm_cg = Cm + CX * a.reference_point[2] / a.chord - CZ * a.reference_point[0] / a.chord
-        moment = qbar_S * a.chord * Cm_cg + thrust_x * a.engine[2] - thrust_z * a.engine[0]
-        return (moment + (a.Iz - a.Ix) * p * r + a.Ixz * (r**2 - p**2)) / a.Iy
+        return pitch_acceleration(CL, CD, Cm, state.alpha, _pressure(state), inputs.thrust, p, r, self.aircraft)
 
     def alpha_dot(self, state: State, inputs: Inputs, prescribed: Prescribed) -> Float[Array, ""]:
         """Solve the equation of alpha-dot, in which lift depends on alpha-dot itself through tau2.
@@ -251,3 +239,8 @@ class Plant(eqx.Module):
             "Cm": total[2],
         }
         return derivative, outputs
+
+
+def _pressure(state: State) -> Float[Array, "*n"]:
+    """Dynamic pressure, Pa."""
+    return 0.5 * air(state.h)[0] * state.V**2

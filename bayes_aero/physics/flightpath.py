@@ -18,15 +18,22 @@ from bayes_aero.physics.kinematics import Rotation, lever_arm
 PATH = ("airspeed", "alpha", "theta", "altitude")
 PATH_NEEDS = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "alpha", "beta", "airspeed", "altitude")
 
+Samples = Float[Array, "*n"]
 
-def path_rates(s: Mapping[str, Float[Array, "*n"]], aircraft: Aircraft) -> dict[str, Float[Array, "*n"]]:
+
+def path_rates(s: Mapping[str, Samples], aircraft: Aircraft) -> dict[str, Samples]:
     """Time derivatives of airspeed (m/s2), alpha, theta (rad/s) and altitude (m/s) from signals in SI and radians.
 
     `s` holds `PATH_NEEDS` and the angular accelerations `p_dot`, `q_dot`, `r_dot`; accelerations at the sensor.
     """
     rotation = Rotation(s["p"], s["q"], s["r"], s["p_dot"], s["q_dot"], s["r_dot"])
-    arm = lever_arm(rotation, aircraft.accelerometer)
-    ax, ay, az = (s[name] - a for name, a in zip(("ax", "ay", "az"), arm, strict=True))
+    x, y, z = lever_arm(rotation, aircraft.accelerometer)
+    return motion_of_path(s, (s["ax"] - x, s["ay"] - y, s["az"] - z))
+
+
+def motion_of_path(s: Mapping[str, Samples], force: tuple[Samples, Samples, Samples]) -> dict[str, Samples]:
+    """As `path_rates`, from the specific force at the centre of gravity (body axes, m/s2)."""
+    ax, ay, az = force
     sin_a, cos_a = jnp.sin(s["alpha"]), jnp.cos(s["alpha"])
     sin_b, cos_b = jnp.sin(s["beta"]), jnp.cos(s["beta"])
     sin_t, cos_t = jnp.sin(s["theta"]), jnp.cos(s["theta"])

@@ -30,7 +30,6 @@ from bayes_aero.studies.strays import STRAYS, draw_unknown
 
 NOISES = ("white", "ar1", "buffet", "outliers")
 ENVELOPE = {"alpha": (0.0, 0.4363), "airspeed": (50.0, 130.0)}  # 0 to 25 deg, m/s
-_ONE_SIDED = ("tau2_both",)  # below neutral lift would rise with alpha-dot without end: no motion solves the equations
 _SPREAD = {"alpha_star": 0.08, "e": 0.10}  # of the base parameters, relative, either way; all others 0.12
 
 
@@ -181,8 +180,6 @@ def draw_hidden(rng: np.random.Generator, name: str, largest: float = 10.0) -> d
         size = least * np.exp(rng.uniform(0.0, np.log(min(most / least, largest))))
         lower, upper = parameter.bounds
         allowed = [x for x in (parameter.neutral + size, parameter.neutral - size) if lower < x < upper]
-        if parameter.name in _ONE_SIDED:
-            allowed = allowed[:1]
         values[parameter.name] = float(rng.choice(allowed))
     return values
 

@@ -1,0 +1,177 @@
+"""What is flown and how it is measured, for any parameter values: the bridge from a model to its trajectories."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from bayes_aero.effect import Stage
+from bayes_aero.errors import InputError
+from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.model.flights import Flights, response_scales
+from bayes_aero.model.longitudinal import FLIGHT, LATERAL, Longitudinal
+from bayes_aero.model.model import Model
+from bayes_aero.model.system import System
+from bayes_aero.parameter import Parameter
+from bayes_aero.physics.filters import differentiate, smooth
+
+Values = Mapping[str, Any]
+OUTPUTS = ("airspeed", "alpha", "theta", "q", "altitude", "ax", "az")
+DERIVED = ("alpha_dot", "q_dot", "X", "mach", "density")  # the simulation makes them itself
+
+
+class Dynamics(ABC):
+    """A parametrised system. Hashable and without arrays, so that it is static under `jax.jit`."""
+
+    @property
+    @abstractmethod
+    def free(self) -> tuple[Parameter, ...]:
+        """The free parameters, in the order of every parameter vector."""
+
+    @property
+    @abstractmethod
+    def states(self) -> tuple[str, ...]:
+        """Names of the states."""
+
+    @property
+    @abstractmethod
+    def inputs(self) -> tuple[str, ...]:
+        """Channels that it needs beside its states; a record without one of them cannot be flown."""
+
+    @property
+    @abstractmethod
+    def outputs(self) -> tuple[str, ...]:
+        """What it can be compared with: names of channels."""
+
+    @abstractmethod
+    def system(self, values: Values, aircraft: Aircraft) -> System:
+        """The system at these parameter values."""
+
+    @abstractmethod
+    def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:
+        """Inputs of the simulation from the true channels, manoeuvres end to end."""
+
+    def corrected(self, values: Values, channels: Mapping[str, Array], aircraft: Aircraft) -> Mapping[str, Array]:  # noqa: ARG002
+        """The recorded channels made true."""
+        return channels
+
+    def scales(self, values: Values, flights: Flights) -> Mapping[str, Array]:  # noqa: ARG002
+        """How much a unit of each recorded output has become by the correction."""
+        return {}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+        return tuple(p.name for p in self.free)
+
+    @abstractmethod
+    def values(self, theta: Any) -> dict[str, Any]:
+        """All parameter values by name, from the vector of the free ones."""
+
+    def slowest_step(self, values: Values, flights: Flights) -> float:  # noqa: ARG002
+        """Longest integration step in s that follows the system's fast states."""
+        return np.inf
+
+
+@dataclass(frozen=True)
+class AircraftDynamics(Dynamics):
+    """Longitudinal motion under a model of effects; `altitude` says whether the altitude is a state."""
+
+    model: Model
+    altitude: bool = True
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The model's."""
+        return self.model.free
+
+    @cached_property
+    def _pattern(self) -> Longitudinal:
+        return Longitudinal(self.model, {}, None, self.altitude)  # type: ignore[arg-type]
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Flight states, and X where it lags."""
+        return self._pattern.states
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """What the effects ask for and the simulation does not make itself."""
+        made = {*self.states, *DERIVED, *LATERAL, "dt", "start", "elapsed", "first", "last"}
+        acting = [e for e in self.model.acting if e.stage > Stage.AIRCRAFT]
+        return tuple(dict.fromkeys(c for e in acting for c in e.channels if c not in made))
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Flight states and accelerations at the sensor."""
+        return tuple(name for name in OUTPUTS if name != "altitude" or self.altitude)
+
+    def values(self, theta: Any) -> dict[str, Any]:
+        """The model's."""
+        return self.model.values(theta)
+
+    def system(self, values: Values, aircraft: Aircraft) -> System:
+        """The aircraft as it is at these values."""
+        return Longitudinal(self.model, dict(values), self.model.actual_aircraft(values, aircraft), self.altitude)
+
+    def corrected(self, values: Values, channels: Mapping[str, Array], aircraft: Aircraft) -> Mapping[str, Array]:
+        """By the model's effects that act on channels."""
+        return self.model.corrected(values, channels, aircraft)
+
+    def scales(self, values: Values, flights: Flights) -> Mapping[str, Array]:
+        """By the same effects."""
+        if not any(e.stage is Stage.CHANNEL for e in self.model.acting):
+            return {}
+        return response_scales(self.model, values, flights.channels, flights.aircraft, self.outputs)
+
+    def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
+        """Recorded channels that are no states; lateral accelerations; the speed of sound where Mach was recorded."""
+        found = {name: channels[name] for name in (*self.inputs, *LATERAL, "thrust", "density") if name in channels}
+        for name in ("p", "r"):
+            if name in channels:
+                found[f"{name}_dot"] = _slope(channels[name], flights)
+        if "mach" in channels and "airspeed" in channels:
+            found["sound"] = channels["airspeed"] / channels["mach"]
+        return found
+
+    def slowest_step(self, values: Values, flights: Flights) -> float:
+        """Half the time constant of the separation point's lag at the highest airspeed."""
+        if not self._pattern.lagged:
+            return np.inf
+        return 0.5 * float(values["tau1"]) * float(flights.aircraft.chord) / float(flights.channels["airspeed"].max())
+
+
+def aircraft_dynamics(model: Model, flights: Flights) -> AircraftDynamics:
+    """The dynamics of a model for what these flights have recorded; raises `InputError` where they cannot be flown."""
+    dynamics = AircraftDynamics(model, altitude="altitude" in flights.channels)
+    have = set(flights.channels)
+    missing = [name for name in (*FLIGHT, *dynamics.inputs) if name not in have]
+    if missing:
+        raise InputError(
+            f"record {flights.names[0]} has no channel {missing[0]}, without which the aircraft cannot be flown; "
+            "map it on the card, or give its value under [constants]"
+        )
+    if not have & {"density", "altitude"}:
+        raise InputError(
+            f"record {flights.names[0]} has neither density nor altitude; map one, or give [constants] density"
+        )
+    if any("mach" in e.channels for e in model.acting) and not have & {"mach", "altitude"}:
+        raise InputError(f"record {flights.names[0]} has neither mach nor altitude, which the model's Mach terms need")
+    return dynamics
+
+
+def _slope(x: Array, flights: Flights) -> Array:
+    """Derivative of the smoothed channel, manoeuvre by manoeuvre."""
+    begin, parts = 0, []
+    for length in flights.lengths:
+        part = slice(begin, begin + length)
+        parts.append(differentiate(smooth(x[part]), flights.channels["dt"][begin]))
+        begin += length
+    return jnp.concatenate(parts)

@@ -1,0 +1,117 @@
+"""Stretches of flight that are simulated from their own initial state: whole manoeuvres, or windows of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from bayes_aero.errors import InputError
+from bayes_aero.model.dynamics import Dynamics
+from bayes_aero.model.flights import Flights
+from bayes_aero.model.system import Trajectory, integrate
+
+BEGIN = 0.5  # s over which the measured initial state is read off a straight line
+SHORTEST = 0.5  # of a window: a shorter rest at the end of a manoeuvre joins the window before it
+
+
+class Flown(eqx.Module):
+    """Segments of flights, a row each, filled up to one length with their last sample; `inside` marks the real ones."""
+
+    flights: Flights
+    index: Int[np.ndarray, "w n"]
+    inside: Bool[np.ndarray, "w n"]
+    dt: Float[np.ndarray, " w"]
+    dynamics: Dynamics = eqx.field(static=True)
+    outputs: tuple[str, ...] = eqx.field(static=True)
+    begin: int = eqx.field(static=True, default=2)  # samples from which the measured initial state is read
+    substeps: int = eqx.field(static=True, default=1)
+
+    @property
+    def manoeuvre(self) -> Int[np.ndarray, " w"]:
+        """Which manoeuvre each segment belongs to."""
+        return self.flights.manoeuvre[self.index[:, 0]]
+
+
+class Simulated(NamedTuple):
+    """Trajectories (w, n, ...) with residuals (measured minus simulated, in the recorded unit) by output."""
+
+    trajectory: Trajectory
+    measured: Float[Array, "w n c"]
+    residual: Float[Array, "w n c"]
+
+
+def segments(
+    flights: Flights,
+    dynamics: Dynamics,
+    *,
+    outputs: Sequence[str] | None = None,
+    window: float | None = None,
+    manoeuvres: Sequence[int] | None = None,
+    substeps: int = 1,
+) -> Flown:
+    """Cut `manoeuvres` (default: all) into windows of about `window` s (default: whole manoeuvres).
+
+    `outputs` are compared with the simulation; default: all recorded ones that the dynamics make.
+    """
+    recorded = tuple(name for name in dynamics.outputs if name in flights.channels)
+    chosen = recorded if outputs is None else tuple(outputs)
+    unknown = [name for name in chosen if name not in recorded]
+    if unknown or not chosen:
+        raise InputError(
+            f"the output {unknown[0] if unknown else '(none)'} was not recorded or is not simulated; "
+            f"there are {', '.join(recorded) or 'none'}"
+        )
+    rows, dts = [], []
+    for number in range(len(flights.lengths)) if manoeuvres is None else manoeuvres:
+        own = np.flatnonzero(flights.manoeuvre == number)
+        dt = float(flights.channels["dt"][own[0]])
+        length = len(own) if window is None else max(2, round(window / dt))
+        cuts = list(range(0, len(own), length))
+        if len(cuts) > 1 and len(own) - cuts[-1] < SHORTEST * length:
+            cuts.pop()
+        rows += [own[a:b] for a, b in zip(cuts, [*cuts[1:], len(own)], strict=True)]
+        dts += [dt] * len(cuts)
+    longest = max(len(row) for row in rows)
+    index = np.stack([np.append(row, np.full(longest - len(row), row[-1])) for row in rows])
+    inside = np.stack([np.arange(longest) < len(row) for row in rows])
+    begin = max(2, min(round(BEGIN / float(np.median(dts))) + 1, int(inside.sum(axis=1).min())))
+    return Flown(flights, index, inside, np.array(dts), dynamics, chosen, begin, substeps)
+
+
+def simulate(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w s"]) -> Simulated:
+    """Fly every segment from its measured initial state plus `departure`."""
+    dynamics, flights = flown.dynamics, flown.flights
+    values = dynamics.values(theta)
+    channels = dynamics.corrected(values, flights.channels, flights.aircraft)
+    system = dynamics.system(values, flights.aircraft)
+    drives = {name: x[flown.index] for name, x in dynamics.drives(values, channels, flights).items()}
+    begin = _measured_start(flown, channels)
+
+    def fly(start, away, inputs, dt):
+        first = {name: x[0] for name, x in inputs.items()}
+        return integrate(system, system.settled(start, first) + away, inputs, dt, flown.substeps)
+
+    trajectory = jax.vmap(fly)(begin, departure, drives, jnp.asarray(flown.dt))
+    measured = jnp.stack([channels[name][flown.index] for name in flown.outputs], axis=2)
+    modelled = jnp.stack([trajectory.outputs[name] for name in flown.outputs], axis=2)
+    scales = dynamics.scales(values, flights)
+    scale = jnp.stack(
+        [scales[n][flown.index] if n in scales else jnp.ones(flown.index.shape) for n in flown.outputs], axis=2
+    )
+    return Simulated(trajectory, measured, jnp.where(flown.inside[:, :, None], (measured - modelled) / scale, 0.0))
+
+
+def _measured_start(flown: Flown, channels) -> Float[Array, "w s"]:
+    """Value at the first sample of a straight line through the first half second; zero where nothing was recorded."""
+    count = flown.begin
+    t = np.arange(count) - (count - 1) / 2.0
+    weight = jnp.asarray(1.0 / count + (t[0] * t) / np.sum(t**2))
+    here = flown.index[:, :count]
+    nothing = jnp.zeros(len(here))
+    return jnp.stack([channels[n][here] @ weight if n in channels else nothing for n in flown.dynamics.states], axis=1)
