@@ -123,6 +123,9 @@ def diagnose(
     predictors: Annotated[
         bool, typer.Option(help="Compare predictors on unseen data; fly manoeuvres that would separate rival causes.")
     ] = True,
+    trajectories: Annotated[
+        bool, typer.Option(help="Fly the model through the recorded inputs, before and after the extension.")
+    ] = True,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
 ) -> None:
     """Find what a model gets wrong: which cause, how large, what else it could be, what it gains on unseen data.
@@ -131,15 +134,21 @@ def diagnose(
     """
     from bayes_aero.flight.card import read_card
     from bayes_aero.report.words_diagnosis import cause_table, ranking_table, revealed, sentences
+    from bayes_aero.report.words_trajectory import trajectory_table
     from bayes_aero.studies.diagnose import hide_one, run
     from bayes_aero.studies.identify import read_records
     from bayes_aero.studies.outlook import predictors as compared
+    from bayes_aero.studies.outlook import simulations
 
     card = read_card(model)
     console = Console()
     flights, hidden = (read_records(records, card, resample=resample), None) if records else ([], None)
     with _progress() as bar:
         task = bar.add_task("reading" if records else "simulating", total=1.0)
+
+        def tell(text: str, share: float) -> None:
+            bar.update(task, description=text, completed=share)
+
         if not records:
             console.print("No record given: an effect is hidden in two simulated manoeuvres, to be found.")
             hidden, flights = hide_one(card, seed)
@@ -151,14 +160,17 @@ def diagnose(
             most=max_effects,
             hidden=hidden,
             predict=(lambda found, _: compared(found, card)) if predictors else None,
+            fly=(lambda found, flown: simulations(found, card, flown, seed, tell)) if trajectories else None,
             figures=figures,
-            progress=lambda text, share: bar.update(task, description=text, completed=share),
+            progress=tell,
         )
     verdict, *rest = sentences(found.view)
     console.print(verdict, highlight=False, style="bold")
     table = cause_table(found.view) or ranking_table(found.view)
     if table is not None:
         console.print(table)
+    if found.view.trajectories is not None:
+        console.print(trajectory_table(found.view.trajectories))
     for sentence in rest:
         console.print(f"• {sentence}", highlight=False)
     for note in found.notes:

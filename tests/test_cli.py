@@ -87,7 +87,7 @@ def test_bad_input_is_one_sentence(tmp_path, arguments, told):
 def test_diagnose_writes_and_tells_what_it_found(tmp_path, diagnosed, card):
     (record,) = diagnosed.records
     write_record(record, tmp_path / "a.csv", [c for c in card.channels if record.has(c.name) or c.name == "time"])
-    done = run("diagnose", "a.csv", "--max-effects", "1", "--no-figures", cwd=tmp_path)
+    done = run("diagnose", "a.csv", "--max-effects", "1", "--no-figures", "--no-trajectories", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     found = json.loads((tmp_path / "diagnosis" / "diagnosis.json").read_text())
     schema = json.loads(resources.files("bayes_aero.studies").joinpath("diagnosis.schema.json").read_text())

@@ -24,7 +24,7 @@ from bayes_aero.model.segments import Flown, simulate
 from bayes_aero.parameter import Parameter
 
 MAX_ITERATIONS, EARLY = 60, 20  # of the last stage of a cascade, and of those before
-DECREMENT = 1e-5  # expected gain in log-likelihood of one more step, at which it stops
+DECREMENT = 2e-5  # expected gain in log-likelihood of one more step, per prior weight, at which it stops
 HELD = 0.9  # posterior over prior deviation from which a parameter is said to be held by its prior
 DEPARTURE = {"airspeed": 1.0, "alpha": 0.01, "theta": 0.01, "q": 0.01, "altitude": 3.0, "X": 0.1}
 """Standard deviation of the measured initial state, SI: what the sensors of a flight test allow; our choice."""
@@ -194,7 +194,7 @@ def fit_output_error(
         moving = np.flatnonzero(~active)
         newton = solve(A[np.ix_(moving, moving)], g[moving], 0.0)
         gain = 0.5 * float(newton @ g[moving]) + local.gain
-        if gain < DECREMENT:
+        if gain < DECREMENT * max(1.0, prior_weight):
             converged = True
             break
         better = None
@@ -210,7 +210,7 @@ def fit_output_error(
                 break
             damping = max(LEAST_DAMPING, 4.0 * damping)
         if better is None:
-            converged = bool(gain < 1e-2)
+            converged = bool(gain < 1e-2 * max(1.0, prior_weight))
             break
         damping = damping / 5.0 if kept > 0.75 else damping if kept > 0.3 else max(LEAST_DAMPING, 2.0 * damping)
         here = better
@@ -291,7 +291,7 @@ def _result(
         covariance=covariance,
         information=A - np.diag(prior.precision),
         priors=prior,
-        rms=np.sqrt(point.normal.gram[:, :, 0, 0] / point.normal.count[:, None]),
+        rms=np.sqrt(point.normal.gram[:, :, 0, 0] / np.maximum(point.normal.count, 1.0)[:, None]),
         status=status,
         iterations=iterations,
         at_bound=at_bound,

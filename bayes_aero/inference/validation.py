@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import ctypes
+import gc
 import os
 import sys
 import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -117,7 +119,10 @@ def _processes(tasks: int, n: int) -> int:
 
 
 def _give_back_memory() -> None:
-    """Return to the system what the compilation of the samplers has left in glibc's free lists: over half a GB."""
+    """Return to the system what compilers and samplers have left: compiled programs that nobody calls again, and
+    glibc's free lists, over half a GB."""
+    jax.clear_caches()
+    gc.collect()
     if sys.platform == "linux":
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # other C libraries have none
         if trim is not None:

@@ -39,7 +39,10 @@ class Flown(eqx.Module):
 
 
 class Simulated(NamedTuple):
-    """Trajectories (w, n, ...) with residuals (measured minus simulated, in the recorded unit) by output."""
+    """Trajectories (w, n, ...), what was recorded, and residuals by output, referred to the record.
+
+    Recorded minus residual is what the instruments would have shown of the simulated flight.
+    """
 
     trajectory: Trajectory
     measured: Float[Array, "w n c"]
@@ -98,13 +101,14 @@ def simulate(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w
         return integrate(system, system.settled(start, first) + away, inputs, dt, flown.substeps)
 
     trajectory = jax.vmap(fly)(begin, departure, drives, jnp.asarray(flown.dt))
-    measured = jnp.stack([channels[name][flown.index] for name in flown.outputs], axis=2)
+    true = jnp.stack([channels[name][flown.index] for name in flown.outputs], axis=2)
+    measured = jnp.stack([flights.channels[name][flown.index] for name in flown.outputs], axis=2)
     modelled = jnp.stack([trajectory.outputs[name] for name in flown.outputs], axis=2)
     scales = dynamics.scales(values, flights)
     scale = jnp.stack(
         [scales[n][flown.index] if n in scales else jnp.ones(flown.index.shape) for n in flown.outputs], axis=2
     )
-    return Simulated(trajectory, measured, jnp.where(flown.inside[:, :, None], (measured - modelled) / scale, 0.0))
+    return Simulated(trajectory, measured, jnp.where(flown.inside[:, :, None], (true - modelled) / scale, 0.0))
 
 
 def _measured_start(flown: Flown, channels) -> Float[Array, "w s"]:

@@ -17,6 +17,7 @@ from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.regression import Fit
 from bayes_aero.criticism.residuals import details, theil_parts
 from bayes_aero.criticism.state import State, moved, refitted
+from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.inference.scores import score
 from bayes_aero.physics.coefficients import NAMES
 
@@ -78,6 +79,7 @@ class View:
     names: tuple[str, ...]
     rankings: tuple[Ranking, ...]
     moves: Mapping[str, Move]
+    trajectories: Trajectories | None = None
 
     @property
     def changed(self) -> bool:

@@ -16,6 +16,7 @@ from bayes_aero.report import (
     figures_posterior,
     figures_prior,
     figures_scatter,
+    figures_trajectory,
 )
 from bayes_aero.report.diagnosed import View
 from bayes_aero.report.style import Drawing, NotDrawn, save
@@ -50,6 +51,8 @@ DIAGNOSIS_FIGURES: dict[str, Callable[[View], Figure]] = {
     "moves": figures_diagnosis.moves,
     "residual_profiles": figures_diagnosis.residual_profiles,
     "residual_colour": figures_diagnosis.residual_colour,
+    "trajectories_unseen": figures_trajectory.trajectories_unseen,
+    "trajectories_fitted": figures_trajectory.trajectories_fitted,
 }
 """What a diagnosis shows."""
 

@@ -14,6 +14,7 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.diagnosed import View
 from bayes_aero.report.style import for_people, several
+from bayes_aero.report.words_trajectory import trajectory_sentences
 
 SPLITS = {
     "manoeuvre": "each manoeuvre predicted from the others",
@@ -31,6 +32,7 @@ def sentences(view: View) -> list[str]:
         *_unknown(d),
         *_noise(d),
         *_not_testable(d),
+        *([] if view.trajectories is None else trajectory_sentences(view.trajectories)),
         *d.notes,
     ]
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.criticism.finding import Diagnosis
+from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.effect import Kind
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
@@ -29,6 +30,7 @@ Progress = Callable[[str, float], None]
 Hidden = Mapping[str, Mapping[str, float]]
 """True values of what simulated records hide, by effect."""
 Predict = Callable[[Diagnosis, Sequence[FlightRecord]], Mapping[str, Any]]
+Fly = Callable[[Diagnosis, Sequence[FlightRecord]], Trajectories]
 
 
 @dataclass(frozen=True)
@@ -79,14 +81,15 @@ def run(
     most: int = 8,
     hidden: Hidden | None = None,
     predict: Predict | None = None,
+    fly: Fly | None = None,
     figures: bool = True,
     progress: Progress | None = None,
 ) -> Outcome:
     """Diagnose, as `bayes-aero diagnose` does; with `out` it writes diagnosis.json, causes.csv, screen.csv, figures.
 
     `most` is the number of effects that each stage may add. `predict` adds the comparison of predictors, which may
-    fail (the reason is then a note), and the manoeuvres that would separate ambiguity sets. `hidden` is what simulated
-    records hide, for the comparison with what was found.
+    fail (the reason is then a note), and the manoeuvres that would separate ambiguity sets. `fly` adds simulated
+    trajectories. `hidden` is what simulated records hide, for the comparison with what was found.
     """
     if out is not None:
         try:
@@ -105,11 +108,11 @@ def run(
             return
         truth = None if hidden is None else {"effects": hidden, "named": named}
         content = diagnosis_results(
-            view,
+            outcome.view,
             card,
             records,
             source,
-            sentences=sentences(view),
+            sentences=sentences(outcome.view),
             predictors=predictors,
             separating=separating,
             hidden=truth,
@@ -132,8 +135,14 @@ def run(
             progress("manoeuvres that would separate", 0.0)
         separating = separations(view.diagnosis)
         write()
+    if fly is not None:
+        try:
+            outcome = replace(outcome, view=replace(view, trajectories=fly(view.diagnosis, records)))
+        except InputError as error:
+            outcome = replace(outcome, notes=(*outcome.notes, f"Trajectories were not simulated: {error}"))
+        write()
     if figures and out is not None:
-        _, failed = draw_all(DIAGNOSIS_FIGURES, view, out / "figures", progress)
+        _, failed = draw_all(DIAGNOSIS_FIGURES, outcome.view, out / "figures", progress)
         if failed:
             said = (f"Figure {name} was not drawn: {why}" for name, why in failed.items())
             outcome = replace(outcome, notes=(*outcome.notes, *said))

@@ -10,6 +10,7 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.diagnosed import View, composition
+from bayes_aero.studies.trajectory_results import trajectory_results
 
 SCHEMA = "bayes_aero/diagnosis/1"
 SCORES = ("r2", "rmse", "r", "theil")
@@ -65,6 +66,7 @@ def diagnosis_results(
         },
         "residuals": {"before": composition(view, view.card), "after": composition(view, view.extended)},
         "predictors": dict(predictors or {}),
+        "trajectories": {} if view.trajectories is None else trajectory_results(view.trajectories),
         "separating": [dict(one) for one in separating],
         "notes": [*d.notes, *notes],
         "provenance": dict(provenance),

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
 from bayes_aero.criticism.design import separating
 from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.predictors import compare
+from bayes_aero.criticism.trajectory import Progress, Trajectories, fly_both
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.flight.tolerances import TOLERANCES
+from bayes_aero.model.flights import despiked, join
 
 SETS = 2  # ambiguity sets for which manoeuvres are flown: each compiles a flight of its own
 
@@ -40,3 +45,11 @@ def separations(diagnosis: Diagnosis) -> list[dict[str, Any]]:
         ranked = [{"manoeuvre": m.manoeuvre, "deviations": m.weakest} for m in design.manoeuvres]
         found.append({"effects": sorted(members), "status": design.status, "manoeuvres": ranked})
     return found
+
+
+def simulations(
+    diagnosis: Diagnosis, card: Card, records: Sequence[FlightRecord], seed: int, progress: Progress | None = None
+) -> Trajectories:
+    """The card's model and the extended one flown through the records' inputs, fitted there and on unseen flight."""
+    bands = {name: tolerance.value for name, tolerance in TOLERANCES.items()}
+    return fly_both(despiked(join(records, card))[0], diagnosis, bands, seed=seed, progress=progress)

@@ -1,0 +1,77 @@
+"""Simulated trajectories over the measured ones, before and after the extension, on what was not fitted."""
+
+from __future__ import annotations
+
+from matplotlib.figure import Figure
+
+from bayes_aero.criticism.trajectory import Path
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.report.diagnosed import View
+from bayes_aero.report.style import COLOURS, NotDrawn, bracket, column_width, for_people, housed, panels
+from bayes_aero.report.words_trajectory import SYMBOLS, short
+
+MODELS = (("card", "card's model", COLOURS["before"]), ("extended", "extended model", COLOURS["after"]))
+
+
+def _shown(view: View, split: str) -> Figure:
+    flown = view.trajectories
+    if flown is None:
+        raise NotDrawn("nothing was simulated")
+    names = list(dict.fromkeys(p.manoeuvre for p in flown.paths if p.split == split))
+    if not names:
+        raise NotDrawn(f"no manoeuvre is {split}")
+    outputs = flown.outputs
+    size = (column_width(len(names)) * len(names), 1.35 * len(outputs) + 1.3)
+    figure, axes = panels(len(outputs), len(names), size, sharex="col", sharey="row")
+    for column, name in enumerate(names):
+        paths = [(p, label, colour) for key, label, colour in MODELS if (p := flown.path(name, key, split)) is not None]
+        for row, output in enumerate(outputs):
+            _panel(axes[row, column], paths, output)
+        axes[0, column].set_title(name)
+        axes[-1, column].set_xlabel("time from start of record [s]")
+    for row, output in enumerate(outputs):
+        unit, _ = for_people(STANDARD_CHANNELS[output].unit)
+        axes[row, 0].set_ylabel(f"{SYMBOLS.get(output, output)} {bracket(unit)}")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    figure.align_ylabels(list(axes[:, 0]))
+    told = {
+        "unseen": "Simulated from the measured initial state, with parameters fitted without this stretch of flight",
+        "fitted": "Simulated with parameters fitted to all of it",
+    }
+    figure.suptitle(told[split])
+    return figure
+
+
+def _panel(ax, paths: list[tuple[Path, str, str]], output: str) -> None:
+    _, factor = for_people(STANDARD_CHANNELS[output].unit)
+    first = paths[0][0]
+    time, measured = first.time - first.time[0], factor * first.measured[output]
+    tolerance = first.errors[output].tolerance
+    if tolerance is not None:
+        width = factor * tolerance
+        ax.fill_between(time, measured - width, measured + width, color="#dddddd", lw=0.0, label="tolerance")
+    ax.plot(time, measured, color=COLOURS["measured"], lw=0.8, label="measured")
+    for path, label, colour in paths:
+        ax.plot(time, factor * path.simulated[output], color=colour, lw=1.0, label=label)
+    low, high = float(measured.min()), float(measured.max())
+    reach = max(0.35 * (high - low), 1.5 * factor * (tolerance or 0.0))
+    ax.set_ylim(low - reach, high + reach)  # a simulation that has lost the flight would flatten all else
+    ax.margins(x=0.01)
+    text = ", ".join(
+        f"{label.split()[0].removesuffix("'s")} {short(factor * path.errors[output].rms)}" for path, label, _ in paths
+    )
+    box = {"fc": "white", "ec": "none", "alpha": 0.85, "pad": 1.0}
+    ax.text(0.01, 0.95, f"RMS: {text}", transform=ax.transAxes, va="top", fontsize=7.5, bbox=box)
+
+
+@housed
+def trajectories_unseen(view: View) -> Figure:
+    """Every manoeuvre flown by the fit to the others, from its measured initial state."""
+    return _shown(view, "unseen")
+
+
+@housed
+def trajectories_fitted(view: View) -> Figure:
+    """Every manoeuvre flown by the joint fit, initial states fitted too."""
+    return _shown(view, "fitted")

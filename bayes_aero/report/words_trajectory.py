@@ -1,0 +1,83 @@
+"""What simulations say, in a table and in sentences."""
+
+from __future__ import annotations
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from bayes_aero.criticism.trajectory import Trajectories
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.inference.output_error import OutputErrorResult, OutputErrorStatus
+from bayes_aero.report.style import for_people, several
+
+SYMBOLS = {"airspeed": "V", "alpha": "α", "theta": "θ", "altitude": "h"}
+
+
+def short(x: float) -> str:
+    """Two digits, without an exponent where people read metres and degrees."""
+    return f"{x:.0f}" if x >= 10.0 else f"{x:.2g}"
+
+
+def trajectory_table(flown: Trajectories) -> Table:
+    """Root mean square error of every output: fitted jointly and unseen, card's model → extended model."""
+    table = Table(
+        title="Error of the simulated trajectory (RMS), card's model → extended model",
+        caption="Fitted: to all, initial states too. Unseen: fitted without it, flown from its measured initial state.",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+        show_edge=False,
+    )
+    table.add_column("manoeuvre")
+    table.add_column("")
+    for name in flown.outputs:
+        unit, _ = for_people(STANDARD_CHANNELS[name].unit)
+        table.add_column(f"{SYMBOLS.get(name, name)} [{unit}]", justify="right")
+    for split in ("fitted", "unseen"):
+        for name in dict.fromkeys(p.manoeuvre for p in flown.paths if p.split == split):
+            cells = []
+            for output in flown.outputs:
+                _, factor = for_people(STANDARD_CHANNELS[output].unit)
+                pair = [flown.path(name, model, split) for model in ("card", "extended")]
+                cells.append(" → ".join("-" if p is None else short(factor * p.errors[output].rms) for p in pair))
+            table.add_row(name, split, *cells)
+    return table
+
+
+def trajectory_sentences(flown: Trajectories) -> list[str]:
+    """How the fits ended, what was held, and how often the tolerances are kept."""
+    said = [*_status("The card's model", flown.card), *_status("The extended model", flown.extended)]
+    for name, held in flown.held.items():
+        if held:
+            verb = "it keeps its value" if len(held) == 1 else "they keep their values"
+            said.append(
+                f"Without {name} the other flights say next to nothing of {several(held)}; "
+                f"{verb} of the joint fit there."
+            )
+    if flown.extended.held:
+        said.append(f"The trajectories say next to nothing of {several(flown.extended.held)}; the prior holds.")
+    for path in flown.paths:
+        if (path.model, path.split) != ("extended", "unseen"):
+            continue
+        if not path.inside:
+            said.append(f"Flown unseen, {path.manoeuvre} leaves the flight envelope.")
+            continue
+        kept = [
+            f"{SYMBOLS.get(n, n)} {e.within:.0%}"
+            + ("" if e.probability is None else f" (all of it: {e.probability:.0%})")
+            for n, e in path.errors.items()
+            if e.within is not None
+        ]
+        if kept:
+            said.append(
+                f"Flown unseen, {path.manoeuvre} is within tolerance for this share of its time, with the posterior "
+                f"probability that all of it is: {', '.join(kept)}."
+            )
+    return said
+
+
+def _status(who: str, fit: OutputErrorResult) -> list[str]:
+    if fit.status is OutputErrorStatus.CONVERGED:
+        return []
+    names = f" ({several(fit.at_bound)})" if fit.at_bound else ""
+    return [f"{who}, fitted to the trajectories: {fit.status.value}{names}."]

@@ -1,0 +1,61 @@
+"""The part of diagnosis.json that tells of simulated trajectories."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bayes_aero.criticism.trajectory import Error, Path, Trajectories
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.tolerances import TOLERANCES
+
+
+def trajectory_results(flown: Trajectories) -> dict[str, Any]:
+    """Errors by manoeuvre, model and split; parameters; tolerances with their sources. SI throughout."""
+    names = flown.extended.names
+    return {
+        "fitted_outputs": list(flown.extended.flown.outputs),
+        "status": {"card": flown.card.status.name, "extended": flown.extended.status.name},
+        "colour_cost": flown.colour_cost,
+        "tolerances": {
+            name: {"value": t.value, "unit": STANDARD_CHANNELS[name].unit, "source": t.source}
+            for name, t in TOLERANCES.items()
+            if name in flown.outputs
+        },
+        "paths": [_path(path) for path in flown.paths],
+        "held_without": {name: list(held) for name, held in flown.held.items()},
+        "parameters": {
+            name: {
+                "card": float(flown.card.estimate[i]),
+                "extended": float(flown.extended.estimate[i]),
+                "sd": float(flown.deviation[i]),
+                "unit": flown.extended.parameters[i].unit,
+                "held_by_prior": name in flown.extended.held,
+                "at_bound": name in flown.extended.at_bound,
+            }
+            for i, name in enumerate(names)
+        },
+    }
+
+
+def _path(path: Path) -> dict[str, Any]:
+    return {
+        "manoeuvre": path.manoeuvre,
+        "model": path.model,
+        "split": path.split,
+        "inside_envelope": path.inside,
+        "outputs": {name: _error(name, error) for name, error in path.errors.items()},
+    }
+
+
+def _error(name: str, error: Error) -> dict[str, Any]:
+    return {
+        "unit": STANDARD_CHANNELS[name].unit,
+        "rms": error.rms,
+        "largest": error.largest,
+        "theil": error.theil.theil,
+        "theil_bias": error.theil.bias,
+        "theil_variance": error.theil.variance,
+        "theil_covariance": error.theil.covariance,
+        "within_tolerance": error.within,
+        "probability_within": error.probability,
+    }
