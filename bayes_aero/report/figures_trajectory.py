@@ -58,9 +58,7 @@ def _panel(ax, paths: list[tuple[Path, str, str]], output: str) -> None:
     reach = max(0.35 * (high - low), 1.5 * factor * (tolerance or 0.0))
     ax.set_ylim(low - reach, high + reach)  # a simulation that has lost the flight would flatten all else
     ax.margins(x=0.01)
-    text = ", ".join(
-        f"{label.split()[0].removesuffix("'s")} {short(factor * path.errors[output].rms)}" for path, label, _ in paths
-    )
+    text = ", ".join(f"{label.split()[0]} {short(factor * p.errors[output].rms)}" for p, label, _ in paths)
     box = {"fc": "white", "ec": "none", "alpha": 0.85, "pad": 1.0}
     ax.text(0.01, 0.95, f"RMS: {text}", transform=ax.transAxes, va="top", fontsize=7.5, bbox=box)
 
