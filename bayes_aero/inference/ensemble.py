@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from bayes_aero.inference.laplace import Mode
 from bayes_aero.inference.posterior import Posterior, assemble, constrain_draws, converged, diagnose
-from bayes_aero.model.density import Density
+from bayes_aero.model.log_density import LogDensity
 
 ENSEMBLES = 4
 DEGREES = 5.0  # of freedom of the independence proposal: tails heavier than the posterior's
@@ -30,7 +30,7 @@ AUTOCORRELATION_TIMES = 30  # a run must be this long before its autocorrelation
 
 
 @eqx.filter_jit
-def _log_density(density: Density, u: Float[Array, " k"], factor: Float[Array, "k k"], v: Float[Array, "m k"]):
+def _log_density(density: LogDensity, u: Float[Array, " k"], factor: Float[Array, "k k"], v: Float[Array, "m k"]):
     """Log-density of whitened coordinates, one row a walker."""
     return jax.vmap(lambda row: density(u + factor @ row))(v)
 
@@ -55,7 +55,7 @@ class _Independent:
 class _Target:
     """The density as emcee calls it; non-finite values are counted, not hidden."""
 
-    def __init__(self, density: Density, mode: Mode) -> None:
+    def __init__(self, density: LogDensity, mode: Mode) -> None:
         self.density, self.rejected = density, 0
         self.frame = jnp.asarray(mode.u), jnp.asarray(mode.factor)
 
@@ -125,7 +125,7 @@ def _chains(samplers: list[emcee.EnsembleSampler], thin: int) -> Float[np.ndarra
 
 
 def sample_ensemble(
-    density: Density,
+    density: LogDensity,
     mode: Mode,
     *,
     seed: int = 0,

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from scipy import optimize
 
 from bayes_aero.inference.mle import MleResult
-from bayes_aero.model.density import Density
+from bayes_aero.model.log_density import LogDensity
 from bayes_aero.physics.coefficients import NAMES
 
 FLOOR = 1e-8  # smallest curvature, relative to the largest, that is taken at face value
@@ -42,17 +42,17 @@ class Mode:
 
 
 @eqx.filter_jit
-def _value_and_gradient(density: Density, u: Float[Array, " k"]):
+def _value_and_gradient(density: LogDensity, u: Float[Array, " k"]):
     return jax.value_and_grad(type(density).__call__, argnums=1)(density, u)
 
 
-def value_and_gradient(density: Density, u: Float[np.ndarray, " k"]) -> tuple[float, Float[np.ndarray, " k"]]:
+def value_and_gradient(density: LogDensity, u: Float[np.ndarray, " k"]) -> tuple[float, Float[np.ndarray, " k"]]:
     """Log-density and its gradient at `u`."""
     value, slope = _value_and_gradient(density, jnp.asarray(u))
     return float(value), np.asarray(slope)
 
 
-def _curvature(density: Density, u: np.ndarray, step: np.ndarray) -> np.ndarray:
+def _curvature(density: LogDensity, u: np.ndarray, step: np.ndarray) -> np.ndarray:
     """Negative Hessian by central differences of the exact gradient; symmetric by construction."""
     rows = []
     for i in range(len(u)):
@@ -77,7 +77,7 @@ def _factor(H: np.ndarray) -> tuple[np.ndarray, bool]:
     return np.linalg.cholesky((covariance + covariance.T) / 2.0), bool(eigenvalues[0] > floor)
 
 
-def _climb(density: Density, u: np.ndarray, factor: np.ndarray) -> np.ndarray:
+def _climb(density: LogDensity, u: np.ndarray, factor: np.ndarray) -> np.ndarray:
     """L-BFGS on coordinates scaled by `factor`."""
 
     def negative(v: np.ndarray) -> tuple[float, np.ndarray]:
@@ -90,7 +90,7 @@ def _climb(density: Density, u: np.ndarray, factor: np.ndarray) -> np.ndarray:
     return u + factor @ found.x
 
 
-def density_start(density: Density, mle: MleResult) -> np.ndarray:
+def density_start(density: LogDensity, mle: MleResult) -> np.ndarray:
     """Where the search for the posterior mode begins: the maximum-likelihood estimate with its residuals' noise."""
     deviation = dict(zip(NAMES, np.sqrt(mle.R), strict=True))
     estimate = dict(zip(mle.names, mle.estimate, strict=True))
@@ -113,7 +113,7 @@ def _inside(value: float, bounds: tuple[float, float]) -> float:
     return float(np.clip(value, lower + margin, upper - margin))
 
 
-def find_mode(density: Density, start: Float[np.ndarray, " k"], *, rounds: int = 12) -> Mode:
+def find_mode(density: LogDensity, start: Float[np.ndarray, " k"], *, rounds: int = 12) -> Mode:
     """Maximise the log-density from `start` (x, bounded scale, strictly inside its bounds).
 
     Each round measures the curvature, takes a Newton step if that gains, else climbs by L-BFGS on the new scale.

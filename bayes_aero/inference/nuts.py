@@ -16,7 +16,7 @@ from numpyro.infer.hmc import HMCState
 
 from bayes_aero.inference.laplace import Mode
 from bayes_aero.inference.posterior import Posterior, PosteriorStatus, assemble, constrain_draws, converged, diagnose
-from bayes_aero.model.density import Density
+from bayes_aero.model.log_density import LogDensity
 
 CHAINS = 4
 WARMUP = 500
@@ -28,7 +28,7 @@ FIELDS = ("diverging", "num_steps", "accept_prob", "potential_energy")
 
 
 def sample_nuts(
-    density: Density,
+    density: LogDensity,
     mode: Mode,
     *,
     seed: int = 0,

@@ -17,6 +17,7 @@ import xarray as xr
 from jaxtyping import Array, Float
 
 from bayes_aero.model.density import Density
+from bayes_aero.model.log_density import LogDensity
 from bayes_aero.physics.coefficients import NAMES
 
 TARGET_ESS = 400.0
@@ -105,7 +106,7 @@ def converged(marginals: dict[str, Marginal]) -> bool:
 
 
 @eqx.filter_jit
-def constrain_draws(density: Density, u: Float[Array, "chain draw k"]) -> Float[Array, "chain draw k"]:
+def constrain_draws(density: LogDensity, u: Float[Array, "chain draw k"]) -> Float[Array, "chain draw k"]:
     """x of every u."""
     return jax.vmap(jax.vmap(density.constrain))(u)
 
@@ -117,7 +118,7 @@ def _predictive(density: Density, x: Float[Array, "m k"], white: Float[Array, "m
 
 
 def assemble(
-    density: Density,
+    density: LogDensity,
     draws: Float[np.ndarray, "chain draw k"],
     *,
     engine: str,
@@ -142,18 +143,18 @@ def assemble(
     prior = density.sample_prior(rng, 1000)
     groups["prior"] = {name: prior[None, :, i] for i, name in enumerate(names)}
     dims: dict[str, list[str]] = {}
-    if predictive:
+    if predictive and isinstance(density, Density):
         groups |= _sample_groups(density, draws, prior, rng)
         dims = {name: ["instant"] for name in NAMES}
     tree = azb.from_dict(groups, dims=dims)
-    tree.attrs |= {"engine": engine, "noise": density.noise.colour.value, "seed": seed}
+    tree.attrs |= {"engine": engine, "noise": density.noise_label, "seed": seed}
     for parameter in density.parameters:
         for group in ("posterior", "prior"):
             tree[group][parameter.name].attrs["units"] = parameter.unit
     marginals = marginals or diagnose(draws, names)
     if status is None:
         status = PosteriorStatus.CONVERGED if converged(marginals) else PosteriorStatus.NOT_CONVERGED
-    return Posterior(engine, density.noise.colour.value, names, tree, marginals, status, seconds)
+    return Posterior(engine, density.noise_label, names, tree, marginals, status, seconds)
 
 
 def _sample_groups(

@@ -6,21 +6,20 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
+from bayes_aero.model.log_density import LogDensity
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Observations
-from bayes_aero.parameter import Parameter, from_unbounded, to_unbounded
+from bayes_aero.parameter import Parameter
 
 
-class Density(eqx.Module):
+class Density(LogDensity):
     """Posterior log-density of the free model parameters and the noise parameters.
 
-    Vectors `x` are in SI, model parameters first, then noise (`parameters` gives the order); vectors `u` are the same
-    point mapped onto the whole real line, where the samplers work. The observations are array leaves: another data set
-    of the same size does not compile anew.
+    Vectors `x` hold model parameters first, then noise (`parameters` gives the order). The observations are array
+    leaves: another data set of the same size does not compile anew.
     """
 
     observations: Observations
@@ -44,14 +43,9 @@ class Density(eqx.Module):
         return (*self.model.free, *self.noise.parameters)
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Names in the order of `x`."""
-        return tuple(p.name for p in self.parameters)
-
-    @property
-    def size(self) -> int:
-        """Number of parameters."""
-        return len(self.parameters)
+    def noise_label(self) -> str:
+        """The noise model's name."""
+        return self.noise.colour.value
 
     def values(self, x: Float[Array, " k"]) -> dict[str, Any]:
         """Values of all parameters, fixed ones too, by name."""
@@ -81,38 +75,6 @@ class Density(eqx.Module):
     def log_likelihood(self, x: Float[Array, " k"]) -> Float[Array, ""]:
         """Sum of `pointwise`."""
         return jnp.sum(self.pointwise(x))
-
-    def log_prior(self, x: Float[Array, " k"]) -> Float[Array, ""]:
-        """Log of the product of the parameters' priors. Truncation by bounds is not normalised: a constant."""
-        return sum((p.prior.log_density(x[i]) for i, p in enumerate(self.parameters)), start=jnp.zeros(()))
-
-    def __call__(self, u: Float[Array, " k"]) -> Float[Array, ""]:
-        """Log-density of `u`: likelihood, prior, and the Jacobian of the map from `u` to `x`."""
-        x, log_slope = self._bounded(u)
-        return self.log_likelihood(x) + self.log_prior(x) + jnp.sum(log_slope)
-
-    def constrain(self, u: Float[Array, " k"]) -> Float[Array, " k"]:
-        """`x` of `u`."""
-        return self._bounded(u)[0]
-
-    def unconstrain(self, x: Float[Array, " k"]) -> Float[Array, " k"]:
-        """`u` of `x`."""
-        return jnp.stack([to_unbounded(p, x[i]) for i, p in enumerate(self.parameters)])
-
-    def sample_prior(self, rng: np.random.Generator, size: int) -> Float[np.ndarray, "size k"]:
-        """`size` draws of `x` from the prior, inside the bounds."""
-        columns = []
-        for p in self.parameters:
-            draws = np.empty(0)
-            while draws.size < size:
-                more = p.prior.sample(rng, 4 * size)
-                draws = np.concatenate([draws, more[(more > p.bounds[0]) & (more < p.bounds[1])]])
-            columns.append(draws[:size])
-        return np.stack(columns, axis=1)
-
-    def _bounded(self, u: Float[Array, " k"]) -> tuple[Float[Array, " k"], Float[Array, " k"]]:
-        pairs = [from_unbounded(p, u[i]) for i, p in enumerate(self.parameters)]
-        return jnp.stack([x for x, _ in pairs]), jnp.stack([slope for _, slope in pairs])
 
     def _flow(self, x: Float[Array, " k"]) -> tuple[Float[Array, "n 3"], Float[Array, " n"]]:
         o = self.observations
