@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -14,6 +15,10 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from bayes_aero import __version__
 from bayes_aero.errors import InputError
 from bayes_aero.model.noise import Colour
+
+if TYPE_CHECKING:  # the real imports wait until a command needs them
+    from bayes_aero.criticism.finding import Diagnosis
+    from bayes_aero.criticism.trajectory import Trajectories
 
 BAD_INPUT = 2
 INTERRUPTED = 130
@@ -136,6 +141,7 @@ def diagnose(
     from bayes_aero.report.words_diagnosis import cause_table, ranking_table, revealed, sentences
     from bayes_aero.report.words_trajectory import trajectory_table
     from bayes_aero.studies.diagnose import hide_one, run
+    from bayes_aero.studies.diagnose_flown import lacking, run_flown
     from bayes_aero.studies.identify import read_records
     from bayes_aero.studies.outlook import predictors as compared
     from bayes_aero.studies.outlook import simulations
@@ -152,6 +158,11 @@ def diagnose(
         if not records:
             console.print("No record given: an effect is hidden in two simulated manoeuvres, to be found.")
             hidden, flights = hide_one(card, seed)
+        if lacking(flights, card):
+            flown = run_flown(flights, card, out=out, seed=seed, most=max_effects, fly=trajectories, progress=tell)
+            bar.stop()
+            _tell_flown(console, *flown, out)
+            return
         found = run(
             flights,
             card,
@@ -178,6 +189,21 @@ def diagnose(
     if hidden is not None:
         for sentence in revealed(hidden, found.named):
             console.print(sentence, highlight=False, style="bold")
+    console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
+
+
+def _tell_flown(console: Console, found: Diagnosis, flown: Trajectories | None, said: Sequence[str], out: Path) -> None:
+    """What trajectories alone have shown."""
+    from bayes_aero.report.words_diagnosis import flown_table
+    from bayes_aero.report.words_trajectory import trajectory_table
+
+    verdict, *rest = said
+    console.print(verdict, highlight=False, style="bold")
+    for table in (flown_table(found), None if flown is None else trajectory_table(flown)):
+        if table is not None:
+            console.print(table)
+    for sentence in rest:
+        console.print(f"• {sentence}", highlight=False)
     console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
 
 

@@ -85,6 +85,7 @@ class Effect:
     `sizes` gives for each parameter the least departure from neutral that is worth modelling and the largest that is
     plausible (magnitudes, the parameter's unit; of its inverse where neutral is infinite). `scan` lists values of a
     parameter at which the effect is tried where its slope at neutral is zero or means nothing (a lag, a break point).
+    `candidate` says whether diagnosis may propose it; terms that stand in for others at one trim are for cards only.
     """
 
     name: str
@@ -99,3 +100,4 @@ class Effect:
     uses: tuple[str, ...] = ()
     sizes: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     scan: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    candidate: bool = True

@@ -36,7 +36,7 @@ CLEAR = 6.0  # standard errors from which an effect must be named
 def candidates() -> list[str]:
     """Effects that can be hidden: every one of the catalogue that is not a term of the base aircraft."""
     base = set(TRUTH) - {"tau1"}
-    return [e.name for e in CATALOGUE.values() if e.sizes and not {p.name for p in e.parameters} & base]
+    return [e.name for e in CATALOGUE.values() if e.candidate and e.sizes and not {p.name for p in e.parameters} & base]
 
 
 def case(kind: str, seed: int) -> dict:

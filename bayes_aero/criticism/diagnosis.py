@@ -75,10 +75,12 @@ def diagnose(
     if progress:
         progress("coefficients", 0.0)
     aerodynamics = extend(linearised(later, responses, NAMES, theta), seed=seed + 1000, most=most, progress=progress)
-    causes = _causes(field, sensors, aerodynamics, gains_wanted, progress)
+    stages = [("flight path", sensors)] if sensors is not None else []
+    stages.append(("coefficients", aerodynamics))
+    causes = causes_of(field, stages, aerodynamics if gains_wanted else None, progress)
     left = unexplained(aerodynamics, seed=seed + 2000)
     kept = [c for c in causes if c.name not in left.replaced]
-    verdict = _verdict(kept, left.unknown)
+    verdict = verdict_of(kept, left.unknown)
     minor = (*(sensors.minor if sensors else ()), *aerodynamics.minor)
     return Diagnosis(
         verdict=verdict,
@@ -91,7 +93,7 @@ def diagnose(
         aerodynamics=aerodynamics,
         theta=aerodynamics.state.theta,
         split=split_name(aerodynamics.state),
-        base_moves=_moves(aerodynamics),
+        base_moves=moves_of(aerodynamics),
         notes=_notes(flights),
     )
 
@@ -128,20 +130,18 @@ def _kinematic_priors(field: Field, sensors: Extension | None) -> dict[str, Prio
     return priors
 
 
-def _causes(
+def causes_of(
     field: Field,
-    sensors: Extension | None,
-    aerodynamics: Extension,
-    gains_wanted: bool,
+    stages: Sequence[tuple[str, Extension]],
+    measured_with: Extension | None,
     progress: Progress | None,
 ) -> list[Cause]:
-    stages = [("flight path", sensors)] if sensors is not None else []
-    stages.append(("coefficients", aerodynamics))
+    """What every stage named; gains on unseen data where the coefficients' extension is given to measure them with."""
     found: list[Cause] = []
     for stage, extension in stages:
-        if extension is None or not extension.causes:
+        if not extension.causes:
             continue
-        measured = _gains_of(extension, aerodynamics, progress) if gains_wanted else {}
+        measured = {} if measured_with is None else _gains_of(extension, measured_with, progress)
         for name in extension.causes:
             effect = next(e for e in field.candidates if e.name == name)
             probability, others = _rivals(extension, name)
@@ -233,7 +233,7 @@ def _rivals(extension: Extension, name: str) -> tuple[float, tuple[str, ...]]:
     return float(1.0 / (sum(weights.values()) + nothing)), close
 
 
-def _moves(extension: Extension) -> Mapping[str, tuple[float, float, float]]:
+def moves_of(extension: Extension) -> Mapping[str, tuple[float, float, float]]:
     """How the card's parameters moved."""
     before, after, own = extension.base, extension.state, extension.sizes
     return {
@@ -243,7 +243,7 @@ def _moves(extension: Extension) -> Mapping[str, tuple[float, float, float]]:
     }
 
 
-def _verdict(causes: Sequence[Cause], unknown: Sequence) -> Verdict:
+def verdict_of(causes: Sequence[Cause], unknown: Sequence) -> Verdict:
     if unknown:
         return Verdict.PARTLY_EXPLAINED if causes else Verdict.UNEXPLAINED
     return Verdict.EXPLAINED if causes else Verdict.NO_EFFECT

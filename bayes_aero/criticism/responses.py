@@ -6,7 +6,7 @@ compiled function gives the residuals and their sensitivity to all parameters of
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import equinox as eqx
 import jax
@@ -14,17 +14,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from bayes_aero.criticism.linearisable import Linearisable
 from bayes_aero.model.flights import Flights, response_scales
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficients import NAMES, coefficients
 from bayes_aero.physics.filters import FILTER_STEP
 from bayes_aero.physics.flightpath import PATH, PATH_NEEDS, integral, path_rates
 
-CHUNK = 16  # directions per call
 RESPONSE = ("q", *PATH)  # measured channels whose own scale an effect may change
 
 
-class Responses(eqx.Module):
+class Responses(Linearisable):
     """Residuals of one set of flights under one model of many effects.
 
     Residuals are averaged over blocks of `FILTER_STEP` samples, the rate that the reconstruction's filters pass: m
@@ -68,24 +68,21 @@ class Responses(eqx.Module):
         """Residuals at parameters `theta` (the model's free ones), and what explains them, by name, at full rate."""
         return _evaluate(self, theta)
 
-    def linearise(
-        self, theta: Float[np.ndarray, " k"], columns: Int[np.ndarray, " j"] | None = None
-    ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c j"]]:
-        """Residuals (measured minus modelled) and minus their derivative, so that new = old - S (theta' - theta).
+    def slopes(
+        self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
+    ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
+        """Residuals and minus their derivatives in these directions."""
+        residual, slope = _linearise(self, jnp.asarray(theta), jnp.asarray(directions))
+        return np.asarray(residual), np.asarray(slope)
 
-        `columns` chooses parameters (default: all). They are taken `CHUNK` at a time, so any choice runs the one
-        compiled function.
-        """
-        wanted = np.arange(len(theta)) if columns is None else np.asarray(columns)
-        residual, parts = None, []
-        for begin in range(0, max(1, len(wanted)), CHUNK):
-            chosen = wanted[begin : begin + CHUNK]
-            directions = np.zeros((CHUNK, len(theta)))
-            directions[np.arange(len(chosen)), chosen] = 1.0
-            residual, slope = _linearise(self, jnp.asarray(theta), jnp.asarray(directions))
-            parts.append(np.moveaxis(np.asarray(slope)[: len(chosen)], 0, 2))
-        assert residual is not None
-        return np.asarray(residual), np.concatenate(parts, axis=2)
+    def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:  # noqa: ARG002
+        """A constant for each manoeuvre and flight-path output: where the integral began."""
+        manoeuvre = self.manoeuvre
+        path = [c for c, name in enumerate(outputs) if name not in NAMES]
+        S = np.zeros((len(manoeuvre), len(outputs), (int(manoeuvre[-1]) + 1) * len(path)))
+        for number, (k, c) in enumerate((k, c) for k in range(int(manoeuvre[-1]) + 1) for c in path):
+            S[manoeuvre == k, c, number] = 1.0
+        return S
 
 
 def _measured(responses: Responses, values: Mapping[str, Array], channels: Mapping[str, Array]):

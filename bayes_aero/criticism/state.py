@@ -11,11 +11,10 @@ from jaxtyping import Float, Int
 
 from bayes_aero.criticism.candidates import Field
 from bayes_aero.criticism.colour import ORDER, colour_of
+from bayes_aero.criticism.linearisable import Linearisable
 from bayes_aero.criticism.regression import Fit, Products
-from bayes_aero.criticism.responses import Responses
 from bayes_aero.physics.coefficients import NAMES
 
-PATH_OFFSET = "offset"  # a constant per manoeuvre and flight-path output: where the integral began
 REFITS = 8
 ENOUGH = 0.05  # of the deviance
 FOLDS = 6  # of a single manoeuvre
@@ -50,7 +49,7 @@ class State:
     """
 
     field: Field
-    responses: Responses
+    responses: Linearisable
     outputs: tuple[str, ...]
     theta: Float[np.ndarray, " k"]
     residual: Float[np.ndarray, "m c"]
@@ -62,15 +61,15 @@ class State:
     precision: Float[np.ndarray, " K"]
     active: tuple[str, ...]  # names of the effects that are in, beyond the card's
     scans: tuple[Scan, ...]
+    nuisance: int = 0  # columns between the parameters and the scans
     temper: float = 1.0  # what the colour costs: priors count so many times against the white likelihood
     components: tuple[Component, ...] = ()  # they stand for election in place of effects
     chosen: tuple[Component, ...] = ()  # components that are in
 
     @property
     def offsets(self) -> Int[np.ndarray, " o"]:
-        """Columns of the flight-path offsets."""
-        path = sum(name not in NAMES for name in self.outputs)
-        return len(self.theta) + np.arange(path * len(self.responses.flights.lengths))
+        """Columns of what is free in every fit and no parameter."""
+        return len(self.theta) + np.arange(self.nuisance)
 
     @property
     def component_columns(self) -> list[Int[np.ndarray, " w"]]:
@@ -133,18 +132,9 @@ def folds_of(manoeuvre: Int[np.ndarray, " m"], seconds: float) -> tuple[slice, .
     )
 
 
-def _offsets(responses: Responses, outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:
-    manoeuvre = responses.manoeuvre
-    path = [c for c, name in enumerate(outputs) if name not in NAMES]
-    S = np.zeros((len(manoeuvre), len(outputs), (int(manoeuvre[-1]) + 1) * len(path)))
-    for number, (k, c) in enumerate((k, c) for k in range(int(manoeuvre[-1]) + 1) for c in path):
-        S[manoeuvre == k, c, number] = 1.0
-    return S
-
-
 def linearised(
     field: Field,
-    responses: Responses,
+    responses: Linearisable,
     outputs: tuple[str, ...],
     theta: Float[np.ndarray, " k"],
     active: tuple[str, ...] = (),
@@ -158,7 +148,7 @@ def linearised(
     keep = [responses.outputs.index(name) for name in outputs]
     residual, S = responses.linearise(theta)
     residual, S = residual[:, keep], S[:, keep]
-    scans, extra = [], [_offsets(responses, outputs)]
+    scans, extra = [], [responses.offsets(theta, outputs)]
     for effect in field.candidates:
         if effect.name in active:
             continue
@@ -195,6 +185,7 @@ def linearised(
         precision,
         active,
         tuple(scans),
+        extra[0].shape[2],
         temper,
     )
 
@@ -265,6 +256,8 @@ def swelling(state: State, fit: Fit) -> Float[np.ndarray, "m c"]:
 
     Least squares of |innovation| on 1 - X; flight-path outputs do not swell.
     """
+    if not set(state.outputs) & set(NAMES):
+        return np.ones_like(state.residual)
     _, known = state.responses.evaluate(state.theta)
     apart = 1.0 - np.asarray(state.responses.block(known["X"]))
     residual = state.left(fit) * state.swell

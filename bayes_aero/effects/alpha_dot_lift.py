@@ -2,11 +2,12 @@
 
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.physics.rates import reduced
 
 
 def increments(v, s, a, known):
-    """CL_attached += CLadot alpha_dot c/V."""
-    return {"CL_attached": v["CLadot"] * s["alpha_dot"] * a.chord / s["airspeed"]}
+    """CL_attached += CLadot alpha_dot c/V; length and speed as `reduced` has them."""
+    return {"CL_attached": reduced(v["CLadot"] * s["alpha_dot"], s["airspeed"], a)}
 
 
 EFFECT = Effect(

@@ -2,11 +2,12 @@
 
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.physics.rates import reduced
 
 
 def increments(v, s, a, known):
-    """Cm += Cmadot alpha_dot c/V."""
-    return {"Cm": v["Cmadot"] * s["alpha_dot"] * a.chord / s["airspeed"]}
+    """Cm += Cmadot alpha_dot c/V; length and speed as `reduced` has them."""
+    return {"Cm": reduced(v["Cmadot"] * s["alpha_dot"], s["airspeed"], a)}
 
 
 EFFECT = Effect(

@@ -2,11 +2,12 @@
 
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.physics.rates import reduced
 
 
 def increments(v, s, a, known):
-    """Cm += Cmq q c/V (not q c/2V, so Cmq is half of what many texts print)."""
-    return {"Cm": v["Cmq"] * s["q"] * a.chord / s["airspeed"]}
+    """Cm += Cmq q c/V (not q c/2V, so Cmq is half of what many texts print); length and speed as `reduced` has them."""
+    return {"Cm": reduced(v["Cmq"] * s["q"], s["airspeed"], a)}
 
 
 EFFECT = Effect(

@@ -2,11 +2,12 @@
 
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.physics.rates import reduced
 
 
 def increments(v, s, a, known):
-    """CL_attached += CLq q c/V (not q c/2V)."""
-    return {"CL_attached": v["CLq"] * s["q"] * a.chord / s["airspeed"]}
+    """CL_attached += CLq q c/V (not q c/2V); length and speed as `reduced` has them."""
+    return {"CL_attached": reduced(v["CLq"] * s["q"], s["airspeed"], a)}
 
 
 EFFECT = Effect(

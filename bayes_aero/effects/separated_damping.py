@@ -2,11 +2,12 @@
 
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.physics.rates import reduced
 
 
 def increments(v, s, a, known):
-    """Cm += CmqX (1 - X) q c/V."""
-    return {"Cm": v["CmqX"] * (1.0 - known["X"]) * s["q"] * a.chord / s["airspeed"]}
+    """Cm += CmqX (1 - X) q c/V; length and speed as `reduced` has them."""
+    return {"Cm": reduced(v["CmqX"] * (1.0 - known["X"]) * s["q"], s["airspeed"], a)}
 
 
 EFFECT = Effect(

@@ -14,6 +14,7 @@ class Aircraft(eqx.Module):
 
     `reference_point` is where the pitching moment is referred to; `engine` is the point at which the total net
     thrust acts, inclined upward by `engine_inclination`; `tail_arm` is the distance from the CG to the tailplane.
+    `reference_speed` and `rate_length` say how rates and speeds are made free of units (see `physics.rates`).
     """
 
     mass: Scalar  # kg
@@ -30,6 +31,8 @@ class Aircraft(eqx.Module):
     accelerometer: Position = (0.0, 0.0, 0.0)  # m
     engine: Position = (0.0, 0.0, 0.0)  # m
     engine_inclination: Scalar = 0.0  # rad
+    reference_speed: Scalar | None = None  # m/s; None: the airspeed of the moment
+    rate_length: Scalar | None = None  # m; None: the chord
 
 
 AIRCRAFT_UNITS: dict[str, str] = {
@@ -47,4 +50,11 @@ AIRCRAFT_UNITS: dict[str, str] = {
     "accelerometer": "m",
     "engine": "m",
     "engine_inclination": "rad",
+    "reference_speed": "m/s",
+    "rate_length": "m",
 }
+OPTIONAL = ("reference_point", "accelerometer", "engine", "engine_inclination", "reference_speed", "rate_length")
+
+_NAN = float("nan")
+NO_AIRCRAFT = Aircraft(_NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN)
+"""Stands on cards that state none: whatever is computed from it is not a number."""

@@ -6,19 +6,25 @@ import hashlib
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aircraft import AIRCRAFT_UNITS, Aircraft
+from bayes_aero.flight.aircraft import AIRCRAFT_UNITS, NO_AIRCRAFT, OPTIONAL, Aircraft
+from bayes_aero.flight.card_checks import known_keys, number, numbers, section
+from bayes_aero.flight.card_linear import LinearCard, parse_linear
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.parameter import Prior
 from bayes_aero.units import quantity_to_si
 
-SECTIONS = ("title", "source", "aircraft", "channels", "sums", "sensors", "model", "parameters", "gp")
+SECTIONS = (
+    "title", "source", "aircraft", "channels", "sums", "constants", "sensors", "model", "linear", "parameters", "gp",
+)  # fmt: skip
 PARAMETER_KEYS = ("start", "bounds", "prior")
 POSITIONS = ("reference_point", "accelerometer", "engine")
+POSITIVE = (
+    "mass", "Ix", "Iy", "Iz", "wing_area", "chord", "aspect_ratio", "tail_arm", "reference_speed", "rate_length",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -32,7 +38,10 @@ class ParameterChange:
 
 @dataclass(frozen=True)
 class Card:
-    """One aircraft and its model, as read from a card."""
+    """One aircraft and its model, as read from a card.
+
+    The model is either a list of `effects` or a `linear` system; the latter has no effects and needs no aircraft.
+    """
 
     name: str
     title: str
@@ -47,6 +56,8 @@ class Card:
     fixed: Mapping[str, float]
     changes: Mapping[str, ParameterChange] = field(default_factory=dict)
     gp_inputs: tuple[str, ...] = ("alpha", "elevator", "q", "airspeed")
+    constants: Mapping[str, float] = field(default_factory=dict)  # channels that a file may lack, SI
+    linear: LinearCard | None = None
 
 
 def shipped_cards() -> dict[str, Path]:
@@ -82,35 +93,51 @@ def read_card(name_or_path: str | Path) -> Card:
 
 def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = "") -> Card:
     """Check a card's table and turn it into a `Card`; `where` is named in errors."""
-    _known_keys(table, SECTIONS, where, "section")
-    for section in ("aircraft", "channels", "model"):
-        if not isinstance(table.get(section), dict):
-            raise InputError(f"card {where}: section [{section}] is missing; see models/attas.toml for one")
+    known_keys(table, SECTIONS, where, "section")
+    needed = ("channels",) if "linear" in table else ("aircraft", "channels", "model")
+    for key in needed:
+        if not isinstance(table.get(key), dict):
+            raise InputError(f"card {where}: section [{key}] is missing; see models/attas.toml for one")
+    if "linear" in table and "model" in table:
+        raise InputError(f"card {where}: it has both [model] and [linear]; keep one of them")
     channels = tuple(_channel(key, value, where) for key, value in table["channels"].items())
-    model = table["model"]
-    _known_keys(model, ("effects", "effect_files", "fixed"), where, "key of [model]")
-    effects = model.get("effects")
-    if not (isinstance(effects, list) and effects and all(isinstance(e, str) for e in effects)):
-        raise InputError(f"card {where}: [model] effects must be a list of effect names")
-    if len(set(effects)) < len(effects):
-        raise InputError(f"card {where}: [model] effects names an effect twice")
+    constants = _constants(section(table, "constants", where), channels, where)
+    sums = _sums(section(table, "sums", where), channels, constants, where)
+    linear = None
+    if "linear" in table:
+        names = {channel.name for channel in channels} | set(constants) | set(sums)
+        linear = parse_linear(table["linear"], names, where)
+    model = {} if linear else table["model"]
+    changes = {key: _change(key, value, where) for key, value in section(table, "parameters", where).items()}
+    if linear:
+        known_keys(changes, linear.parameters, where, "parameter")
     return Card(
         name=name,
         title=str(table.get("title", name)),
         source=str(table.get("source", "not stated")),
         sha256=sha256,
-        aircraft=_aircraft(table["aircraft"], where),
+        aircraft=_aircraft(section(table, "aircraft", where), where) if "aircraft" in table else NO_AIRCRAFT,
         channels=channels,
-        sums=_sums(_section(table, "sums", where), channels, where),
-        sensors=_sensors(_section(table, "sensors", where), where),
-        effects=tuple(effects),
+        sums=sums,
+        sensors=_sensors(section(table, "sensors", where), where),
+        effects=() if linear else _effects(model, where),
         effect_files=_files(model.get("effect_files", []), where),
-        fixed={
-            key: _number(value, f"{where}: [model] fixed {key}") for key, value in dict(model.get("fixed", {})).items()
-        },
-        changes={key: _change(key, value, where) for key, value in _section(table, "parameters", where).items()},
-        gp_inputs=_gp_inputs(_section(table, "gp", where), where),
+        fixed=numbers(model.get("fixed", {}), f"{where}: [model] fixed"),
+        changes=changes,
+        gp_inputs=_gp_inputs(section(table, "gp", where), where),
+        constants=constants,
+        linear=linear,
     )
+
+
+def _effects(model: Mapping[str, Any], where: str) -> tuple[str, ...]:
+    known_keys(model, ("effects", "effect_files", "fixed"), where, "key of [model]")
+    effects = model.get("effects")
+    if not (isinstance(effects, list) and effects and all(isinstance(e, str) for e in effects)):
+        raise InputError(f"card {where}: [model] effects must be a list of effect names")
+    if len(set(effects)) < len(effects):
+        raise InputError(f"card {where}: [model] effects names an effect twice")
+    return tuple(effects)
 
 
 def _files(given: Any, where: str) -> tuple[Path, ...]:
@@ -120,33 +147,12 @@ def _files(given: Any, where: str) -> tuple[Path, ...]:
     return tuple((Path(where).parent / name).resolve() for name in given)
 
 
-def _section(table: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
-    value = table.get(key, {})
-    if not isinstance(value, dict):
-        raise InputError(f"card {where}: {key} must be a section, [{key}]")
-    return value
-
-
-def _known_keys(table: Mapping[str, Any], known: tuple[str, ...], where: str, what: str) -> None:
-    for key in table:
-        if key not in known:
-            close = get_close_matches(key, known, n=1)
-            hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known)}"
-            raise InputError(f"card {where}: unknown {what} {key!r}; {hint}")
-
-
-def _number(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"card {where}: {value!r} is not a number")
-    return float(value)
-
-
 def _aircraft(table: Mapping[str, Any], where: str) -> Aircraft:
-    _known_keys(table, tuple(AIRCRAFT_UNITS), where, "key of [aircraft]")
+    known_keys(table, tuple(AIRCRAFT_UNITS), where, "key of [aircraft]")
     values: dict[str, Any] = {}
     for key, unit in AIRCRAFT_UNITS.items():
         if key not in table:
-            if key in (*POSITIONS, "engine_inclination"):
+            if key in OPTIONAL:
                 continue
             raise InputError(f'card {where}: [aircraft] has no {key}; add it with its unit, e.g. {key} = "... {unit}"')
         given = table[key]
@@ -156,8 +162,8 @@ def _aircraft(table: Mapping[str, Any], where: str) -> Aircraft:
             values[key] = tuple(quantity_to_si(part, unit, f"card {where}: [aircraft] {key}") for part in given)
         else:
             values[key] = quantity_to_si(given, unit, f"card {where}: [aircraft] {key}")
-    for key in ("mass", "Ix", "Iy", "Iz", "wing_area", "chord", "aspect_ratio", "tail_arm"):
-        if not values[key] > 0.0:
+    for key in POSITIVE:
+        if key in values and not values[key] > 0.0:
             raise InputError(
                 f"card {where}: [aircraft] {key} is {values[key]} {AIRCRAFT_UNITS[key]}; it must be positive"
             )
@@ -167,7 +173,7 @@ def _aircraft(table: Mapping[str, Any], where: str) -> Aircraft:
 def _channel(key: str, given: Any, where: str) -> Channel:
     if not isinstance(given, dict):
         raise InputError(f'card {where}: channel {key} must be a table, e.g. {{ column = 13, unit = "deg" }}')
-    _known_keys(given, ("column", "label", "unit", "required"), where, f"key of channel {key}")
+    known_keys(given, ("column", "label", "unit", "required"), where, f"key of channel {key}")
     if "unit" not in given:
         raise InputError(f"card {where}: channel {key} has no unit; state the unit that the file is in")
     column = given.get("column")
@@ -185,9 +191,13 @@ def _channel(key: str, given: Any, where: str) -> Channel:
     )
 
 
-def _sums(table: Mapping[str, Any], channels: tuple[Channel, ...], where: str) -> dict[str, tuple[str, ...]]:
-    names = {channel.name for channel in channels}
+def _sums(
+    table: Mapping[str, Any], channels: tuple[Channel, ...], constants: Mapping[str, float], where: str
+) -> dict[str, tuple[str, ...]]:
+    names = {channel.name for channel in channels} | set(constants)
     for key, parts in table.items():
+        if key in constants:
+            raise InputError(f"card {where}: {key} is both in [sums] and in [constants]; keep one of them")
         if not (isinstance(parts, list) and parts):
             raise InputError(f"card {where}: [sums] {key} must be a list of channel names")
         missing = [part for part in parts if part not in names]
@@ -196,29 +206,53 @@ def _sums(table: Mapping[str, Any], channels: tuple[Channel, ...], where: str) -
     return {key: tuple(parts) for key, parts in table.items()}
 
 
+def _quantity(key: str, value: Any, label: str, where: str) -> float:
+    """A quantity in the SI unit of a channel that the program knows."""
+    unit = STANDARD_CHANNELS[key].unit if key in STANDARD_CHANNELS else "N" if key == "thrust" else None
+    if unit is None:
+        raise InputError(f"card {where}: [{label}] {key} is not a channel of the program")
+    return quantity_to_si(value, unit, f"card {where}: [{label}] {key}")
+
+
 def _sensors(table: Mapping[str, Any], where: str) -> dict[str, float]:
-    sensors = {}
-    for key, value in table.items():
-        unit = STANDARD_CHANNELS[key].unit if key in STANDARD_CHANNELS else "N" if key == "thrust" else None
-        if unit is None:
-            raise InputError(f"card {where}: [sensors] {key} is not a channel of the program")
-        sensors[key] = quantity_to_si(value, unit, f"card {where}: [sensors] {key}")
-        if not sensors[key] >= 0.0:
-            raise InputError(f"card {where}: [sensors] {key} is {value!r}; a standard deviation cannot be negative")
+    sensors = {key: _quantity(key, value, "sensors", where) for key, value in table.items()}
+    for key, deviation in sensors.items():
+        if not deviation >= 0.0:
+            raise InputError(
+                f"card {where}: [sensors] {key} is {table[key]!r}; a standard deviation cannot be negative"
+            )
     return sensors
+
+
+def _constants(table: Mapping[str, Any], channels: tuple[Channel, ...], where: str) -> dict[str, float]:
+    """Values of channels that the file may lack; what every file must hold has no constant."""
+    required = {channel.name for channel in channels if channel.required}
+    constants = {key: _quantity(key, value, "constants", where) for key, value in table.items()}
+    for key, value in constants.items():
+        if key == "time":
+            raise InputError(f"card {where}: [constants] time cannot be constant; map it under [channels]")
+        if key in required:
+            raise InputError(
+                f"card {where}: {key} is a required channel and in [constants]; drop one, or set required = false"
+            )
+        if key in STANDARD_CHANNELS and not (
+            STANDARD_CHANNELS[key].plausible[0] <= value <= STANDARD_CHANNELS[key].plausible[1]
+        ):
+            raise InputError(f"card {where}: [constants] {key} is {table[key]!r}, beyond any flight; check its unit")
+    return constants
 
 
 def _change(key: str, given: Any, where: str) -> ParameterChange:
     if not isinstance(given, dict):
         raise InputError(f"card {where}: [parameters.{key}] must be a table")
-    _known_keys(given, PARAMETER_KEYS, where, f"key of [parameters.{key}]")
+    known_keys(given, PARAMETER_KEYS, where, f"key of [parameters.{key}]")
     bounds = given.get("bounds")
     if bounds is not None and not (isinstance(bounds, list) and len(bounds) == 2):
         raise InputError(f"card {where}: [parameters.{key}] bounds must be [lower, upper]")
     label = f"{where}: [parameters.{key}]"
     return ParameterChange(
-        start=None if "start" not in given else _number(given["start"], label),
-        bounds=None if bounds is None else (_number(bounds[0], label), _number(bounds[1], label)),
+        start=None if "start" not in given else number(given["start"], label),
+        bounds=None if bounds is None else (number(bounds[0], label), number(bounds[1], label)),
         prior=None if "prior" not in given else _prior(given["prior"], label),
     )
 
@@ -226,11 +260,11 @@ def _change(key: str, given: Any, where: str) -> ParameterChange:
 def _prior(given: Any, label: str) -> Prior:
     if not isinstance(given, dict):
         raise InputError(f"card {label} prior must be a table with family, location, scale and source")
-    _known_keys(given, ("family", "location", "scale", "source"), label, "key of prior")
+    known_keys(given, ("family", "location", "scale", "source"), label, "key of prior")
     for key in ("family", "location", "scale"):
         if key not in given:
             raise InputError(f"card {label} prior has no {key}")
-    location, scale = _number(given["location"], label), _number(given["scale"], label)
+    location, scale = number(given["location"], label), number(given["scale"], label)
     try:
         return Prior(str(given["family"]), location, scale, str(given.get("source", "our choice")))
     except InputError as error:
@@ -238,7 +272,7 @@ def _prior(given: Any, label: str) -> Prior:
 
 
 def _gp_inputs(table: Mapping[str, Any], where: str) -> tuple[str, ...]:
-    _known_keys(table, ("inputs",), where, "key of [gp]")
+    known_keys(table, ("inputs",), where, "key of [gp]")
     inputs = table.get("inputs", ["alpha", "elevator", "q", "airspeed"])
     if not (isinstance(inputs, list) and inputs and all(isinstance(name, str) for name in inputs)):
         raise InputError(f"card {where}: [gp] inputs must be a list of signal names")

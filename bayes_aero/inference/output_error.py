@@ -194,7 +194,7 @@ def fit_output_error(
         moving = np.flatnonzero(~active)
         newton = solve(A[np.ix_(moving, moving)], g[moving], 0.0)
         gain = 0.5 * float(newton @ g[moving]) + local.gain
-        if gain < DECREMENT * max(1.0, prior_weight):
+        if 0.0 <= gain < DECREMENT * max(1.0, prior_weight):
             converged = True
             break
         better = None
@@ -210,7 +210,7 @@ def fit_output_error(
                 break
             damping = max(LEAST_DAMPING, 4.0 * damping)
         if better is None:
-            converged = bool(gain < 1e-2 * max(1.0, prior_weight))
+            converged = bool(0.0 <= gain < 1e-2 * max(1.0, prior_weight))
             break
         damping = damping / 5.0 if kept > 0.75 else damping if kept > 0.3 else max(LEAST_DAMPING, 2.0 * damping)
         here = better
@@ -251,10 +251,14 @@ def _reduced(point: _Point, prior: Priors) -> tuple[np.ndarray, np.ndarray, _Loc
     g = N[:, 1 : k + 1, 0].sum(axis=0) - prior.precision * (point.theta - prior.mean)
     own = N[:, k + 1 :, k + 1 :] + np.diag(prior.states)
     cross, gradient = N[:, k + 1 :, 1 : k + 1], N[:, k + 1 :, 0] - prior.states * point.departure
-    inverse = np.linalg.inv(own)
-    A = A - np.einsum("wia,wij,wjb->ab", cross, inverse, cross)
-    g = g - np.einsum("wia,wij,wj->a", cross, inverse, gradient)
-    gain = 0.5 * float(np.einsum("wi,wij,wj->", gradient, inverse, gradient))
+    # By Cholesky factors: where a trial is unstable, A less cross' own^-1 cross loses all its digits otherwise.
+    L = np.linalg.cholesky(own)
+    Y, y = np.linalg.solve(L, cross), np.linalg.solve(L, gradient[:, :, None])[:, :, 0]
+    A = A - np.einsum("wia,wib->ab", Y, Y)
+    g = g - np.einsum("wia,wi->a", Y, y)
+    gain = 0.5 * float(np.sum(y**2))
+    inverse = np.linalg.inv(L)
+    inverse = np.swapaxes(inverse, 1, 2) @ inverse
     return A, g, _Local(inverse, cross, gradient, gain)
 
 

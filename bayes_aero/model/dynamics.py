@@ -14,7 +14,7 @@ from jaxtyping import Array
 
 from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
 from bayes_aero.model.flights import Flights, response_scales
 from bayes_aero.model.longitudinal import FLIGHT, LATERAL, Longitudinal
 from bayes_aero.model.model import Model
@@ -94,7 +94,7 @@ class AircraftDynamics(Dynamics):
 
     @cached_property
     def _pattern(self) -> Longitudinal:
-        return Longitudinal(self.model, {}, None, self.altitude)  # type: ignore[arg-type]
+        return Longitudinal(self.model, {}, NO_AIRCRAFT, self.altitude)
 
     @property
     def states(self) -> tuple[str, ...]:

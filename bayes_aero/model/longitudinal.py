@@ -68,9 +68,9 @@ class Longitudinal(System):
         """Derivative of the state, and everything that can be measured."""
         state, s = self._signals(x, u)
         pressure = 0.5 * s["density"] * jnp.square(s["airspeed"])
-        lateral = {name: u.get(name, 0.0) for name in LATERAL}
-
         nothing = jnp.zeros_like(s["alpha"])
+        lateral = {name: u.get(name, nothing) for name in LATERAL}
+
         still = Rotation(lateral["p"], s["q"], lateral["r"], lateral["p_dot"], nothing, lateral["r_dot"])
         side_arm = lever_arm(still, self.aircraft.accelerometer)[1]  # q-dot does not enter it
 
@@ -78,7 +78,7 @@ class Longitudinal(System):
             """Flow at this alpha-dot, the specific force at the CG and the flight path's motion that follows."""
             known = self._flow(state, s | {"alpha_dot": rate})
             fx, fz = specific_force(known["CL"], known["CD"], s["alpha"], pressure, s["thrust"], self.aircraft)
-            side = lateral["ay"] - side_arm
+            side = lateral["ay"] - side_arm if "ay" in u else nothing
             return known, (fx, fz), motion_of_path(lateral | s, (fx, side, fz))
 
         rate = self._alpha_dot(lambda a: path(a)[2]["alpha"]) if self.implicit else path(nothing)[2]["alpha"]

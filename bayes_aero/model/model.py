@@ -61,6 +61,8 @@ class Model:
     @classmethod
     def from_card(cls, card: Card) -> Model:
         """The model that a card states, its starts, bounds and priors in place."""
+        if card.linear is not None:
+            raise InputError(f"card {card.name} states a linear system, which has no effects; use one with [model]")
         own = own_effects(card.effect_files)
         model = cls.of([own.get(name, name) for name in card.effects], card.fixed)
         for name in card.changes:

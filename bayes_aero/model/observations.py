@@ -88,10 +88,12 @@ class Observations(eqx.Module):
 
 
 def with_sums(record: FlightRecord, card: Card) -> dict[str, Float[Array, " n"]]:
-    """The record's channels with the card's sums (total thrust) added."""
-    channels = {name: jnp.asarray(values) for name, values in record.channels.items()}
+    """The record's channels with the card's constants, where nothing was recorded, and its sums (total thrust)."""
+    channels = {name: jnp.full(record.n, value) for name, value in card.constants.items()}
+    channels |= {name: jnp.asarray(values) for name, values in record.channels.items()}
     for name, parts in card.sums.items():
-        channels[name] = sum((jnp.asarray(record[part]) for part in parts), start=jnp.zeros(record.n))
+        found = (channels[part] if part in channels else jnp.asarray(record[part]) for part in parts)
+        channels[name] = sum(found, start=jnp.zeros(record.n))
     return channels
 
 

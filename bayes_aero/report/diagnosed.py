@@ -107,7 +107,7 @@ def view_of(diagnosis: Diagnosis) -> View:
         manoeuvre=flights.manoeuvre,
         time=flights.time - flights.time[begin][flights.manoeuvre],
         names=flights.names,
-        rankings=tuple(_rankings(diagnosis)),
+        rankings=tuple(rankings_of(diagnosis)),
         moves=_moves(card, after),
     )
 
@@ -131,10 +131,12 @@ def _fitted(state: State, fit: Fit) -> Fitted:
 def stages(diagnosis: Diagnosis) -> list[tuple[str, Extension]]:
     """Stages of the diagnosis by the names that its causes carry."""
     found = [("flight path", diagnosis.sensors)] if diagnosis.sensors is not None else []
-    return [*found, ("coefficients", diagnosis.aerodynamics)]
+    last = diagnosis.aerodynamics
+    return [*found, ("coefficients" if set(NAMES) & set(last.state.outputs) else "trajectories", last)]
 
 
-def _rankings(diagnosis: Diagnosis) -> list[Ranking]:
+def rankings_of(diagnosis: Diagnosis) -> list[Ranking]:
+    """Candidates of every stage."""
     found = []
     for stage, extension in stages(diagnosis):
         if extension.steps:

@@ -10,6 +10,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from bayes_aero.criticism.finding import Cause, Diagnosis, Verdict
+from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.diagnosed import View
@@ -24,7 +25,11 @@ SPLITS = {
 
 def sentences(view: View) -> list[str]:
     """The finding, one sentence or two each: verdict, what every cause means, what is left, what was not tested."""
-    d = view.diagnosis
+    return diagnosis_sentences(view.diagnosis, view.trajectories)
+
+
+def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list[str]:
+    """As `sentences`, of a diagnosis alone."""
     return [
         _verdict(d),
         *(_cause(cause) for cause in d.causes),
@@ -32,7 +37,7 @@ def sentences(view: View) -> list[str]:
         *_unknown(d),
         *_noise(d),
         *_not_testable(d),
-        *([] if view.trajectories is None else trajectory_sentences(view.trajectories)),
+        *([] if flown is None else trajectory_sentences(flown)),
         *d.notes,
     ]
 
@@ -122,6 +127,19 @@ def cause_table(view: View) -> Table | None:
     for cause in d.causes:
         sizes = "\n".join(size_text(s.mean, s.sd, s.unit) for s in cause.parameters.values())
         table.add_row(cause.name, sizes, probability(cause.probability), *(_r2(cause, name) for name in NAMES))
+    return table
+
+
+def flown_table(d: Diagnosis) -> Table | None:
+    """Causes that trajectories alone have named: size with deviation, probability, rivals."""
+    if not d.causes:
+        return None
+    table = Table(title="Causes, from trajectories alone", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    for head in ("cause", "size", "prob.", "or as well"):
+        table.add_column(head)
+    for cause in d.causes:
+        sizes = "\n".join(size_text(s.mean, s.sd, s.unit) for s in cause.parameters.values())
+        table.add_row(cause.name, sizes, probability(cause.probability), several(cause.ambiguous_with))
     return table
 
 

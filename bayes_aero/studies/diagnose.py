@@ -24,7 +24,7 @@ from bayes_aero.report.words_diagnosis import causes_frame, screen_frame, senten
 from bayes_aero.studies.diagnosis_results import diagnosis_results
 from bayes_aero.studies.hidden import draw_hidden, flyable
 from bayes_aero.studies.outlook import separations
-from bayes_aero.studies.provenance import provenance, write_json
+from bayes_aero.studies.provenance import provenance, writable, write_json
 
 Progress = Callable[[str, float], None]
 Hidden = Mapping[str, Mapping[str, float]]
@@ -54,7 +54,10 @@ def hide_one(card: Card, seed: int, **options: Any) -> tuple[Hidden, list[Flight
     names = [
         e.name
         for e in CATALOGUE.values()
-        if e.kind is not Kind.NOISE and draw_hidden(np.random.default_rng(0), e.name) and _absent(card, e.name)
+        if e.candidate
+        and e.kind is not Kind.NOISE
+        and draw_hidden(np.random.default_rng(0), e.name)
+        and _absent(card, e.name)
     ]
     failure = InputError("no effect of the catalogue can be hidden")
     for name in rng.permutation(names)[:5]:
@@ -92,10 +95,7 @@ def run(
     trajectories. `hidden` is what simulated records hide, for the comparison with what was found.
     """
     if out is not None:
-        try:
-            out.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"cannot write to {out} ({error.strerror}); give another folder with --out") from None
+        writable(out)
     source = provenance(card, records, seed, {"max_effects": most})
     view = view_of(diagnose(records, card, seed=seed, most=most, progress=progress))
     named = {name: _found(view.diagnosis, name) for name in hidden} if hidden else {}

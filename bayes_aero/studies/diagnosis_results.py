@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bayes_aero.criticism.finding import Cause, Gain
+from bayes_aero.criticism.finding import Cause, Diagnosis, Gain, NoiseReport
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.coefficients import NAMES
-from bayes_aero.report.diagnosed import View, composition
+from bayes_aero.report.diagnosed import Ranking, View, composition
 from bayes_aero.studies.trajectory_results import trajectory_results
 
 SCHEMA = "bayes_aero/diagnosis/1"
@@ -33,26 +33,18 @@ def diagnosis_results(
     found: dict[str, Any] = {
         "schema": SCHEMA,
         "card": {"name": card.name, "title": card.title},
-        "records": [
-            {"name": r.name, "samples": r.n, "dt": r.dt, "duration": float(r.time[-1] - r.time[0])} for r in records
-        ],
+        "records": record_results(records),
         "verdict": d.verdict.value,
         "sentences": list(sentences),
-        "causes": [_cause(cause) for cause in d.causes],
+        "causes": [cause_results(cause) for cause in d.causes],
         "minor": list(d.minor),
         "unexplained": [
             {"coefficient": u.coefficient, "channel": u.channel, "share_of_variance": u.share, "p_value": u.p_value}
             for u in d.unknown
         ],
-        "noise": {
-            "labels": list(d.noise.labels),
-            "lag1": dict(d.noise.lag1),
-            "deviation": dict(d.noise.deviation),
-            "swell": dict(d.noise.swell),
-            "outliers": dict(d.noise.outliers),
-        },
+        "noise": noise_results(d.noise),
         "not_testable": dict(d.not_testable),
-        "screen": screen(view),
+        "screen": screen(d, view.rankings),
         "split": d.split,
         "base_parameters": {
             name: {
@@ -76,9 +68,25 @@ def diagnosis_results(
     return found
 
 
-def screen(view: View) -> list[dict[str, Any]]:
+def noise_results(noise: NoiseReport) -> dict[str, Any]:
+    """Colour, size, growth and outliers by output."""
+    return {
+        "labels": list(noise.labels),
+        "lag1": dict(noise.lag1),
+        "deviation": dict(noise.deviation),
+        "swell": dict(noise.swell),
+        "outliers": dict(noise.outliers),
+    }
+
+
+def record_results(records: Sequence[FlightRecord]) -> list[dict[str, Any]]:
+    """The records at a glance."""
+    return [{"name": r.name, "samples": r.n, "dt": r.dt, "duration": float(r.time[-1] - r.time[0])} for r in records]
+
+
+def screen(d: Diagnosis, rankings: Sequence[Ranking]) -> list[dict[str, Any]]:
     """Every candidate in the first election of each stage, the highest score first."""
-    causes = {(c.stage, c.name) for c in view.diagnosis.causes}
+    causes = {(c.stage, c.name) for c in d.causes}
     return [
         {
             "stage": ranking.stage,
@@ -90,12 +98,13 @@ def screen(view: View) -> list[dict[str, Any]]:
             "parameters": {name: {"estimate": x, "sd": sd} for name, (x, sd) in s.estimate.items()},
             "cause": (ranking.stage, s.effect) in causes,
         }
-        for ranking in view.rankings
+        for ranking in rankings
         for s in ranking.standings
     ]
 
 
-def _cause(cause: Cause) -> dict[str, Any]:
+def cause_results(cause: Cause) -> dict[str, Any]:
+    """One named cause."""
     return {
         "name": cause.name,
         "kind": cause.kind,

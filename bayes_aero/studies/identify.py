@@ -29,7 +29,7 @@ from bayes_aero.model.observations import observe
 from bayes_aero.report.figures import write_figures
 from bayes_aero.report.tables import paper_table, parameter_table, validation_table, write_csv
 from bayes_aero.report.words import verdict
-from bayes_aero.studies.provenance import provenance, write_json
+from bayes_aero.studies.provenance import provenance, writable, write_json
 from bayes_aero.studies.results import results
 
 Progress = Callable[[str, float], None]
@@ -114,10 +114,7 @@ class _Writer:
     def __init__(self, out: Path | None, source: dict[str, Any]) -> None:
         self.out, self.source = out, source
         if out is not None:
-            try:
-                out.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise InputError(f"cannot write to {out} ({error.strerror}); give another folder with --out") from None
+            writable(out)
 
     def stage(self, run: Identification, posterior_name: str | None = None, gp_done: bool = False) -> None:
         if self.out is None:

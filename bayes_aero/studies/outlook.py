@@ -15,6 +15,7 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.flight.tolerances import TOLERANCES
 from bayes_aero.model.flights import despiked, join
+from bayes_aero.model.longitudinal import FLIGHT
 
 SETS = 2  # ambiguity sets for which manoeuvres are flown: each compiles a flight of its own
 
@@ -52,4 +53,4 @@ def simulations(
 ) -> Trajectories:
     """The card's model and the extended one flown through the records' inputs, fitted there and on unseen flight."""
     bands = {name: tolerance.value for name, tolerance in TOLERANCES.items()}
-    return fly_both(despiked(join(records, card))[0], diagnosis, bands, seed=seed, progress=progress)
+    return fly_both(despiked(join(records, card, FLIGHT))[0], diagnosis, bands, seed=seed, progress=progress)

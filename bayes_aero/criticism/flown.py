@@ -1,0 +1,217 @@
+"""Criticism from trajectories alone: what is missing from the model, where no accelerometer gives the coefficients.
+
+The card's model is flown through the recorded inputs in windows, each from an initial state of its own; the elections
+are those of the coefficients. Less is seen than there: a trajectory integrates what a coefficient shows at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from bayes_aero.criticism.candidates import Field, field_of
+from bayes_aero.criticism.diagnosis import causes_of, moves_of, verdict_of
+from bayes_aero.criticism.extension import Extension, Progress, extend
+from bayes_aero.criticism.finding import Diagnosis, NoiseReport
+from bayes_aero.criticism.gain import split_name
+from bayes_aero.criticism.linearisable import Linearisable
+from bayes_aero.criticism.state import linearised
+from bayes_aero.effect import Effect, Stage
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.output_error import fit_cascade
+from bayes_aero.model.dynamics import AircraftDynamics, aircraft_dynamics
+from bayes_aero.model.flights import Flights, despiked, join
+from bayes_aero.model.longitudinal import FLIGHT
+from bayes_aero.model.model import Model
+from bayes_aero.model.own_effects import own_effects
+from bayes_aero.model.segments import Flown, segments, simulate
+from bayes_aero.physics.filters import FILTER_STEP
+
+WINDOW = 10.0  # s: long enough to integrate what is wrong, short enough to stay near the flight
+
+
+class FlownResponses(Linearisable):
+    """Residuals of simulated windows, averaged over blocks of `FILTER_STEP` samples: m of them."""
+
+    flights: Flights
+    index: Int[np.ndarray, "w n"]
+    inside: Bool[np.ndarray, "w n"]
+    dt: Float[np.ndarray, " w"]
+    place: Int[np.ndarray, " m"]  # of every block that is whole, among all
+    model: Model = eqx.field(static=True)
+    dynamics: AircraftDynamics = eqx.field(static=True)
+    compared: tuple[str, ...] = eqx.field(static=True)
+    begin: int = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, flights: Flights, dynamics: AircraftDynamics) -> FlownResponses:
+        """Every manoeuvre in windows."""
+        names = tuple(n for n in dynamics.outputs if n in flights.channels)
+        cut = segments(flights, dynamics, outputs=names, window=WINDOW)
+        whole = cut.index.shape[1] // FILTER_STEP * FILTER_STEP
+        index, inside = cut.index[:, :whole], cut.inside[:, :whole]
+        place = np.flatnonzero(inside.reshape(-1, FILTER_STEP).all(axis=1))
+        return cls(
+            flights=flights,
+            model=dynamics.model,
+            index=index,
+            inside=inside,
+            dt=cut.dt,
+            place=place,
+            dynamics=dynamics,
+            compared=names,
+            begin=cut.begin,
+        )
+
+    @property
+    def flown(self) -> Flown:
+        """The windows."""
+        return Flown(self.flights, self.index, self.inside, self.dt, self.dynamics, self.compared, self.begin)
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the channels that are compared."""
+        return self.compared
+
+    @property
+    def manoeuvre(self) -> Int[np.ndarray, " m"]:
+        """Which manoeuvre each block belongs to."""
+        return self.flights.manoeuvre[self.index[:, ::FILTER_STEP].ravel()[self.place]]
+
+    @property
+    def seconds(self) -> float:
+        """Length of a block, s."""
+        return FILTER_STEP * float(np.median(self.dt))
+
+    def _mean(self, x: Float[Array, "w n ..."]) -> Float[Array, "m ..."]:
+        parts = x.reshape(-1, FILTER_STEP, *x.shape[2:]).mean(axis=1)
+        return parts[self.place]
+
+    def block(self, x: Float[Array, "n ..."] | Float[np.ndarray, "n ..."]) -> Float[Array, "m ..."]:
+        """Means over blocks."""
+        return self._mean(jnp.asarray(x)[self.index])
+
+    def evaluate(
+        self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
+    ) -> tuple[Float[Array, "m c"], Mapping[str, Array]]:
+        """Residuals of the windows, begun at their measured states."""
+        return _evaluate(self, jnp.asarray(theta)), {}
+
+    def slopes(
+        self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
+    ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
+        """Residuals and minus their derivatives in these directions."""
+        residual, slope = _slopes(self, jnp.asarray(theta), jnp.asarray(directions))
+        return np.asarray(residual), -np.asarray(slope)
+
+    def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:
+        """Sensitivities to the initial state of each window."""
+        keep = [self.outputs.index(name) for name in outputs]
+        slope = -np.asarray(_state_slopes(self, jnp.asarray(theta)))[:, :, keep]  # s m c
+        window = np.repeat(np.arange(len(self.index)), self.index.shape[1] // FILTER_STEP)[self.place]
+        s, m, c = slope.shape
+        S = np.zeros((m, c, len(self.index) * s))
+        for w in range(len(self.index)):
+            mine = window == w
+            S[mine, :, w * s : (w + 1) * s] = np.moveaxis(slope[:, mine], 0, 2)
+        return S
+
+
+def _residual(responses: FlownResponses, theta: Any, shared: Any) -> Float[Array, "m c"]:
+    found = simulate(responses.flown, theta, jnp.zeros((len(responses.index), 1)) + shared)
+    return responses._mean(found.residual)
+
+
+@eqx.filter_jit
+def _evaluate(responses: FlownResponses, theta):
+    return _residual(responses, theta, jnp.zeros(len(responses.dynamics.states)))
+
+
+@eqx.filter_jit
+def _slopes(responses: FlownResponses, theta, directions):
+    rest = jnp.zeros(len(responses.dynamics.states))
+    one = lambda d: jax.jvp(lambda t: _residual(responses, t, rest), (theta,), (d,))  # noqa: E731
+    return jax.vmap(one, out_axes=(None, 0))(directions)
+
+
+@eqx.filter_jit
+def _state_slopes(responses: FlownResponses, theta):
+    rest = jnp.zeros(len(responses.dynamics.states))
+    one = lambda d: jax.jvp(lambda x: _residual(responses, theta, x), (rest,), (d,))[1]  # noqa: E731
+    return jax.vmap(one)(jnp.eye(len(rest)))
+
+
+def diagnose_flown(
+    records: Sequence[FlightRecord],
+    card: Card,
+    *,
+    model: Model | None = None,
+    seed: int = 0,
+    most: int = 8,
+    extra: Sequence[Effect] = (),
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Find what the card's model gets wrong from airspeed, alpha, attitude, pitch rate and altitude alone.
+
+    Accelerations are compared too where they were recorded. A lag of the separation point that the card does not have
+    is not sought: it would be a state of its own. Structure without a name is not sought either.
+    """
+    model = model or Model.from_card(card)
+    flights, outliers = despiked(join(records, card, FLIGHT))
+    base = aircraft_dynamics(model, flights)
+    windows = segments(flights, base, window=WINDOW)
+    fit = fit_cascade([windows, windows], [np.array([p.start for p in model.free])])
+    field = _flyable(field_of(model, flights, (*own_effects(card.effect_files).values(), *extra)))
+    theta = np.array([field.neutral[name] for name in field.model.names])
+    for name, value in zip(fit.names, fit.estimate, strict=True):
+        theta[field.columns([name])[0]] = value
+    responses = FlownResponses.of(flights, AircraftDynamics(field.model, base.altitude))
+    state = linearised(field, responses, responses.outputs, theta)
+    found = extend(state, seed=seed, most=most, progress=progress)
+    causes = tuple(causes_of(field, [("trajectories", found)], None, progress))
+    return Diagnosis(
+        verdict=verdict_of(causes, ()),
+        causes=causes,
+        minor=found.minor,
+        unknown=(),
+        noise=_noise(found, outliers),
+        not_testable=field.not_testable,
+        sensors=None,
+        aerodynamics=found,
+        theta=found.state.theta,
+        split=split_name(found.state),
+        base_moves=moves_of(found),
+    )
+
+
+def _flyable(field: Field) -> Field:
+    """Without effects that need a state of their own."""
+    lags = [e for e in field.candidates if e.stage is Stage.LAG]
+    own = {p.name: p.neutral for e in lags for p in e.parameters}
+    model = Model(field.model.effects, field.model.parameters, (*field.model.fixed, *own.items()))
+    told = {e.name: "a lag is a state of its own; give it on the card" for e in lags}
+    return replace(
+        field,
+        model=model,
+        candidates=tuple(e for e in field.candidates if e not in lags),
+        not_testable={**field.not_testable, **told},
+    )
+
+
+def _noise(found: Extension, outliers: Mapping[str, int]) -> NoiseReport:
+    """Of the blocks that are left, by output."""
+    left = found.state.left(found.fit)
+    lag1 = {
+        name: float(np.sum(left[1:, c] * left[:-1, c]) / np.sum(left[:, c] ** 2))
+        for c, name in enumerate(found.state.outputs)
+    }
+    deviation = {name: float(left[:, c].std()) for c, name in enumerate(found.state.outputs)}
+    return NoiseReport(lag1, deviation, dict.fromkeys(found.state.outputs, 1.0), dict(outliers))

@@ -1,0 +1,40 @@
+"""Checks that every section of a card needs; each failure is one sentence that names the card."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from difflib import get_close_matches
+from typing import Any
+
+from bayes_aero.errors import InputError
+
+
+def section(table: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
+    """A section of the card, empty where it is absent."""
+    value = table.get(key, {})
+    if not isinstance(value, dict):
+        raise InputError(f"card {where}: {key} must be a section, [{key}]")
+    return value
+
+
+def known_keys(table: Mapping[str, Any], known: tuple[str, ...], where: str, what: str) -> None:
+    """Refuse a key that is not `known`; `what` says what kind of key it is."""
+    for key in table:
+        if key not in known:
+            close = get_close_matches(key, known, n=1)
+            hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known)}"
+            raise InputError(f"card {where}: unknown {what} {key!r}; {hint}")
+
+
+def number(value: Any, where: str) -> float:
+    """A plain number."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"card {where}: {value!r} is not a number")
+    return float(value)
+
+
+def numbers(table: Any, where: str) -> dict[str, float]:
+    """A table of plain numbers."""
+    if not isinstance(table, dict):
+        raise InputError(f"card {where} must be a table of numbers")
+    return {key: number(value, f"{where} {key}") for key, value in table.items()}

@@ -1,0 +1,27 @@
+"""Rates and speeds free of units, as aerodynamic derivatives take them.
+
+Texts differ in the length (chord, half chord, any other) and in the speed (of the moment, of the trim point); a card
+says which under [aircraft] as `rate_length` and `reference_speed`. Their default is q c/V.
+"""
+
+from __future__ import annotations
+
+from jaxtyping import Array, Float
+
+from bayes_aero.flight.aircraft import Aircraft
+
+USUAL_SPEED = 100.0  # m/s, where the card names no reference speed; only keeps the ratio near one
+
+Samples = Float[Array, "*n"]
+
+
+def reduced(rate: Samples, airspeed: Samples, aircraft: Aircraft) -> Samples:
+    """A rate (rad/s, or a multiple of one) times length over speed (m, m/s)."""
+    length = aircraft.chord if aircraft.rate_length is None else aircraft.rate_length
+    speed = airspeed if aircraft.reference_speed is None else aircraft.reference_speed
+    return rate * length / speed
+
+
+def speed_ratio(airspeed: Samples, aircraft: Aircraft) -> Samples:
+    """V/V0, of V0 the card's reference speed, or 100 m/s where it names none."""
+    return airspeed / (USUAL_SPEED if aircraft.reference_speed is None else aircraft.reference_speed)

@@ -1,0 +1,97 @@
+"""The diagnosis of records without accelerometers as a job: trajectories are all there is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from bayes_aero.criticism.finding import Diagnosis
+from bayes_aero.criticism.flown import diagnose_flown
+from bayes_aero.criticism.trajectory import Trajectories
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.physics.coefficients import REQUIRED
+from bayes_aero.report.diagnosed import rankings_of
+from bayes_aero.report.style import several
+from bayes_aero.report.words_diagnosis import diagnosis_sentences
+from bayes_aero.studies.diagnosis_results import SCHEMA, cause_results, noise_results, record_results, screen
+from bayes_aero.studies.outlook import simulations
+from bayes_aero.studies.provenance import provenance, writable, write_json
+from bayes_aero.studies.trajectory_results import trajectory_results
+
+Progress = Callable[[str, float], None]
+WHY = (
+    "no coefficients can be formed: the diagnosis rests on simulated trajectories, and structure without a name is not "
+    "sought"
+)
+
+
+def lacking(records: Sequence[FlightRecord], card: Card) -> tuple[str, ...]:
+    """Channels that coefficients need and some record does not have."""
+    return tuple(n for n in REQUIRED if n not in card.sums and any(not record.has(n) for record in records))
+
+
+def run_flown(
+    records: Sequence[FlightRecord],
+    card: Card,
+    *,
+    out: Path | None = None,
+    seed: int = 0,
+    most: int = 8,
+    fly: bool = True,
+    progress: Progress | None = None,
+) -> tuple[Diagnosis, Trajectories | None, list[str]]:
+    """Diagnose from trajectories; with `out` it writes diagnosis.json. Returns also the sentences of the finding."""
+    if out is not None:
+        writable(out)
+    source = provenance(card, records, seed, {"max_effects": most})
+    found = diagnose_flown(records, card, seed=seed, most=most, progress=progress)
+    note = f"Without {several(lacking(records, card))} {WHY}."
+    flown: Trajectories | None = None
+
+    def write() -> list[str]:
+        said = [*diagnosis_sentences(found, flown), note]
+        if out is not None:
+            write_json(_results(found, flown, card, records, said, source), out / "diagnosis.json")
+        return said
+
+    said = write()
+    if fly:
+        flown = simulations(found, card, records, seed, progress)
+        said = write()
+    return found, flown, said
+
+
+def _results(
+    d: Diagnosis,
+    flown: Trajectories | None,
+    card: Card,
+    records: Sequence[FlightRecord],
+    said: Sequence[str],
+    source: Any,
+) -> dict[str, Any]:
+    units = {p.name: p.unit for p in d.aerodynamics.state.field.model.free}
+    return {
+        "schema": SCHEMA,
+        "card": {"name": card.name, "title": card.title},
+        "records": record_results(records),
+        "verdict": d.verdict.value,
+        "sentences": list(said),
+        "causes": [cause_results(cause) for cause in d.causes],
+        "minor": list(d.minor),
+        "unexplained": [],
+        "noise": noise_results(d.noise),
+        "not_testable": dict(d.not_testable),
+        "screen": screen(d, rankings_of(d)),
+        "split": d.split,
+        "base_parameters": {
+            name: {"before": a, "after": b, "sd_before": None, "sd_after": sd, "unit": units[name]}
+            for name, (a, b, sd) in d.base_moves.items()
+        },
+        "residuals": {},
+        "predictors": {},
+        "trajectories": {} if flown is None else trajectory_results(flown),
+        "notes": list(d.notes),
+        "provenance": dict(source),
+    }
