@@ -1,6 +1,7 @@
 """Cards: the shipped one, and one sentence for each thing that can be wrong with another."""
 
 import copy
+import math
 import tomllib
 
 import pytest
@@ -71,3 +72,18 @@ def test_a_wrong_card_is_one_sentence(table, change, words):
 def test_an_unknown_name_lists_the_shipped_cards():
     with pytest.raises(InputError, match="attas"):
         read_card("attass")
+
+
+def test_tolerances_come_from_the_card_or_from_the_simulator_standard(tmp_path):
+    text = shipped_cards()["attas"].read_text()
+    card = read_card("attas")
+    assert card.tolerances["airspeed"].value == pytest.approx(3 * 1852 / 3600)
+    assert card.tolerances["theta"].value == pytest.approx(math.radians(2.0))
+    assert "Part 60" in card.tolerances["q"].source
+    path = tmp_path / "own.toml"
+    path.write_text(text.replace('airspeed = "3 kt"', 'airspeed = "-3 kt"'))
+    with pytest.raises(InputError, match="airspeed"):
+        read_card(path)
+    begin, end = text.index("[tolerances]"), text.index("[gp]")
+    path.write_text(text[:begin] + text[end:])
+    assert read_card(path).tolerances["alpha"].value == pytest.approx(math.radians(2.0))

@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from bayes_aero.criticism.candidates import Field, field_of
 from bayes_aero.criticism.diagnosis import causes_of, moves_of, verdict_of
@@ -42,14 +42,9 @@ class FlownResponses(Linearisable):
     """Residuals of simulated windows, averaged over blocks of `FILTER_STEP` samples: m of them."""
 
     flights: Flights
-    index: Int[np.ndarray, "w n"]
-    inside: Bool[np.ndarray, "w n"]
-    dt: Float[np.ndarray, " w"]
+    windows: Flown
     place: Int[np.ndarray, " m"]  # of every block that is whole, among all
     model: Model = eqx.field(static=True)
-    dynamics: AircraftDynamics = eqx.field(static=True)
-    compared: tuple[str, ...] = eqx.field(static=True)
-    begin: int = eqx.field(static=True)
 
     @classmethod
     def of(cls, flights: Flights, dynamics: AircraftDynamics) -> FlownResponses:
@@ -57,39 +52,29 @@ class FlownResponses(Linearisable):
         names = tuple(n for n in dynamics.outputs if n in flights.channels)
         cut = segments(flights, dynamics, outputs=names, window=WINDOW)
         whole = cut.index.shape[1] // FILTER_STEP * FILTER_STEP
-        index, inside = cut.index[:, :whole], cut.inside[:, :whole]
-        place = np.flatnonzero(inside.reshape(-1, FILTER_STEP).all(axis=1))
-        return cls(
-            flights=flights,
-            model=dynamics.model,
-            index=index,
-            inside=inside,
-            dt=cut.dt,
-            place=place,
-            dynamics=dynamics,
-            compared=names,
-            begin=cut.begin,
-        )
+        cut = eqx.tree_at(lambda f: (f.index, f.inside), cut, (cut.index[:, :whole], cut.inside[:, :whole]))
+        place = np.flatnonzero(cut.inside.reshape(-1, FILTER_STEP).all(axis=1))
+        return cls(flights=flights, windows=cut, place=place, model=dynamics.model)
 
     @property
     def flown(self) -> Flown:
-        """The windows."""
-        return Flown(self.flights, self.index, self.inside, self.dt, self.dynamics, self.compared, self.begin)
+        """The windows of the present flights."""
+        return eqx.tree_at(lambda f: f.flights, self.windows, self.flights)
 
     @property
     def outputs(self) -> tuple[str, ...]:
         """Names of the channels that are compared."""
-        return self.compared
+        return self.windows.outputs
 
     @property
     def manoeuvre(self) -> Int[np.ndarray, " m"]:
         """Which manoeuvre each block belongs to."""
-        return self.flights.manoeuvre[self.index[:, ::FILTER_STEP].ravel()[self.place]]
+        return self.flights.manoeuvre[self.windows.index[:, ::FILTER_STEP].ravel()[self.place]]
 
     @property
     def seconds(self) -> float:
         """Length of a block, s."""
-        return FILTER_STEP * float(np.median(self.dt))
+        return FILTER_STEP * float(np.median(self.windows.dt))
 
     def _mean(self, x: Float[Array, "w n ..."]) -> Float[Array, "m ..."]:
         parts = x.reshape(-1, FILTER_STEP, *x.shape[2:]).mean(axis=1)
@@ -97,7 +82,7 @@ class FlownResponses(Linearisable):
 
     def block(self, x: Float[Array, "n ..."] | Float[np.ndarray, "n ..."]) -> Float[Array, "m ..."]:
         """Means over blocks."""
-        return self._mean(jnp.asarray(x)[self.index])
+        return self._mean(jnp.asarray(x)[self.windows.index])
 
     def evaluate(
         self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
@@ -116,35 +101,35 @@ class FlownResponses(Linearisable):
         """Sensitivities to the initial state of each window."""
         keep = [self.outputs.index(name) for name in outputs]
         slope = -np.asarray(_state_slopes(self, jnp.asarray(theta)))[:, :, keep]  # s m c
-        window = np.repeat(np.arange(len(self.index)), self.index.shape[1] // FILTER_STEP)[self.place]
+        window = np.repeat(np.arange(len(self.windows.index)), self.windows.index.shape[1] // FILTER_STEP)[self.place]
         s, m, c = slope.shape
-        S = np.zeros((m, c, len(self.index) * s))
-        for w in range(len(self.index)):
+        S = np.zeros((m, c, len(self.windows.index) * s))
+        for w in range(len(self.windows.index)):
             mine = window == w
             S[mine, :, w * s : (w + 1) * s] = np.moveaxis(slope[:, mine], 0, 2)
         return S
 
 
 def _residual(responses: FlownResponses, theta: Any, shared: Any) -> Float[Array, "m c"]:
-    found = simulate(responses.flown, theta, jnp.zeros((len(responses.index), 1)) + shared)
+    found = simulate(responses.flown, theta, jnp.zeros((len(responses.windows.index), 1)) + shared)
     return responses._mean(found.residual)
 
 
 @eqx.filter_jit
 def _evaluate(responses: FlownResponses, theta):
-    return _residual(responses, theta, jnp.zeros(len(responses.dynamics.states)))
+    return _residual(responses, theta, jnp.zeros(len(responses.windows.dynamics.states)))
 
 
 @eqx.filter_jit
 def _slopes(responses: FlownResponses, theta, directions):
-    rest = jnp.zeros(len(responses.dynamics.states))
+    rest = jnp.zeros(len(responses.windows.dynamics.states))
     one = lambda d: jax.jvp(lambda t: _residual(responses, t, rest), (theta,), (d,))  # noqa: E731
     return jax.vmap(one, out_axes=(None, 0))(directions)
 
 
 @eqx.filter_jit
 def _state_slopes(responses: FlownResponses, theta):
-    rest = jnp.zeros(len(responses.dynamics.states))
+    rest = jnp.zeros(len(responses.windows.dynamics.states))
     one = lambda d: jax.jvp(lambda x: _residual(responses, theta, x), (rest,), (d,))[1]  # noqa: E731
     return jax.vmap(one)(jnp.eye(len(rest)))
 

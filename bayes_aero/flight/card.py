@@ -14,11 +14,13 @@ from bayes_aero.flight.aircraft import AIRCRAFT_UNITS, NO_AIRCRAFT, OPTIONAL, Ai
 from bayes_aero.flight.card_checks import known_keys, number, numbers, section
 from bayes_aero.flight.card_linear import LinearCard, parse_linear
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
+from bayes_aero.flight.tolerances import TOLERANCES, Tolerance
 from bayes_aero.parameter import Prior
 from bayes_aero.units import quantity_to_si
 
 SECTIONS = (
     "title", "source", "aircraft", "channels", "sums", "constants", "sensors", "model", "linear", "parameters", "gp",
+    "tolerances",
 )  # fmt: skip
 PARAMETER_KEYS = ("start", "bounds", "prior")
 POSITIONS = ("reference_point", "accelerometer", "engine")
@@ -58,6 +60,7 @@ class Card:
     gp_inputs: tuple[str, ...] = ("alpha", "elevator", "q", "airspeed")
     constants: Mapping[str, float] = field(default_factory=dict)  # channels that a file may lack, SI
     linear: LinearCard | None = None
+    tolerances: Mapping[str, Tolerance] = field(default_factory=lambda: dict(TOLERANCES))
 
 
 def shipped_cards() -> dict[str, Path]:
@@ -120,6 +123,7 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
         channels=channels,
         sums=sums,
         sensors=_sensors(section(table, "sensors", where), where),
+        tolerances=_tolerances(section(table, "tolerances", where), where),
         effects=() if linear else _effects(model, where),
         effect_files=_files(model.get("effect_files", []), where),
         fixed=numbers(model.get("fixed", {}), f"{where}: [model] fixed"),
@@ -222,6 +226,20 @@ def _sensors(table: Mapping[str, Any], where: str) -> dict[str, float]:
                 f"card {where}: [sensors] {key} is {table[key]!r}; a standard deviation cannot be negative"
             )
     return sensors
+
+
+def _tolerances(table: Mapping[str, Any], where: str) -> dict[str, Tolerance]:
+    """Bands of the card, `source` said once for all of them; without a section the program's own."""
+    if not table:
+        return dict(TOLERANCES)
+    source = str(table.get("source", "the card, no source stated"))
+    bands = {key: _quantity(key, value, "tolerances", where) for key, value in table.items() if key != "source"}
+    for key, value in bands.items():
+        if not value > 0.0:
+            raise InputError(
+                f"card {where}: [tolerances] {key} is {table[key]!r}; half the width of a band is positive"
+            )
+    return {key: Tolerance(value, source) for key, value in bands.items()}
 
 
 def _constants(table: Mapping[str, Any], channels: tuple[Channel, ...], where: str) -> dict[str, float]:

@@ -91,7 +91,7 @@ def _results(
         },
         "residuals": {},
         "predictors": {},
-        "trajectories": {} if flown is None else trajectory_results(flown),
+        "trajectories": {} if flown is None else trajectory_results(flown, card),
         "notes": list(d.notes),
         "provenance": dict(source),
     }

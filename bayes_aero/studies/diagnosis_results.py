@@ -58,7 +58,7 @@ def diagnosis_results(
         },
         "residuals": {"before": composition(view, view.card), "after": composition(view, view.extended)},
         "predictors": dict(predictors or {}),
-        "trajectories": {} if view.trajectories is None else trajectory_results(view.trajectories),
+        "trajectories": {} if view.trajectories is None else trajectory_results(view.trajectories, card),
         "separating": [dict(one) for one in separating],
         "notes": [*d.notes, *notes],
         "provenance": dict(provenance),

@@ -13,7 +13,6 @@ from bayes_aero.criticism.trajectory import Progress, Trajectories, fly_both
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.tolerances import TOLERANCES
 from bayes_aero.model.flights import despiked, join
 from bayes_aero.model.longitudinal import FLIGHT
 
@@ -52,5 +51,5 @@ def simulations(
     diagnosis: Diagnosis, card: Card, records: Sequence[FlightRecord], seed: int, progress: Progress | None = None
 ) -> Trajectories:
     """The card's model and the extended one flown through the records' inputs, fitted there and on unseen flight."""
-    bands = {name: tolerance.value for name, tolerance in TOLERANCES.items()}
+    bands = {name: tolerance.value for name, tolerance in card.tolerances.items()}
     return fly_both(despiked(join(records, card, FLIGHT))[0], diagnosis, bands, seed=seed, progress=progress)

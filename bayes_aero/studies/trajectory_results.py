@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from bayes_aero.criticism.trajectory import Error, Path, Trajectories
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.tolerances import TOLERANCES
 
 
-def trajectory_results(flown: Trajectories) -> dict[str, Any]:
+def trajectory_results(flown: Trajectories, card: Card) -> dict[str, Any]:
     """Errors by manoeuvre, model and split; parameters; tolerances with their sources. SI throughout."""
     names = flown.extended.names
     return {
@@ -18,7 +18,7 @@ def trajectory_results(flown: Trajectories) -> dict[str, Any]:
         "colour_cost": flown.colour_cost,
         "tolerances": {
             name: {"value": t.value, "unit": STANDARD_CHANNELS[name].unit, "source": t.source}
-            for name, t in TOLERANCES.items()
+            for name, t in card.tolerances.items()
             if name in flown.outputs
         },
         "paths": [_path(path) for path in flown.paths],
