@@ -18,11 +18,11 @@ from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.residuals import TheilParts, theil_parts
 from bayes_aero.inference.coloured import corrected_covariance
 from bayes_aero.inference.output_error import (
+    THINNED,
     OutputErrorResult,
     OutputErrorStatus,
     fit_cascade,
     fit_output_error,
-    sensitivities,
     trajectories,
 )
 from bayes_aero.model.dynamics import aircraft_dynamics
@@ -36,7 +36,6 @@ LEFT = ("altitude",)  # reported, not fitted: it adds wind and pressure errors t
 DRAWS = 40  # of the posterior, for the probability of staying inside the tolerances
 UNKNOWN = 10.0  # times the joint fit's deviation from which a manoeuvre says nothing of a cause
 FINEST = 8  # integration steps a sample, where the separation point lags
-THINNED = 5  # samples, for the colour
 
 Progress = Callable[[str, float], None]
 
@@ -174,9 +173,8 @@ def colour_cost(fit: OutputErrorResult) -> tuple[float, Float[np.ndarray, " k"]]
     parameters.
     """
     flown, k = fit.flown, len(fit.estimate)
-    S = np.asarray(sensitivities(flown, jnp.asarray(fit.estimate), jnp.asarray(fit.departure)))[:, ::THINNED]
-    residual = np.asarray(trajectories(flown, jnp.asarray(fit.estimate), jnp.asarray(fit.departure)).residual)
-    residual, inside = residual[:, ::THINNED], flown.inside[:, ::THINNED]
+    residual, S = fit.thinned[0], np.moveaxis(fit.thinned[1:], 0, 3)
+    inside = flown.inside[:, ::THINNED]
     w, n, c, wide = S.shape
     own = np.zeros((w, n, c, k + w * (wide - k)))
     own[..., :k] = S[..., :k]

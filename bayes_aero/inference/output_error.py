@@ -8,7 +8,9 @@ System Identification*, 2nd ed. 2015, ch. 4.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
@@ -23,8 +25,10 @@ from bayes_aero.inference.mle import solve
 from bayes_aero.model.segments import Flown, simulate
 from bayes_aero.parameter import Parameter
 
-MAX_ITERATIONS, EARLY = 60, 20  # of the last stage of a cascade, and of those before
-DECREMENT = 2e-5  # expected gain in log-likelihood of one more step, per prior weight, at which it stops
+MAX_ITERATIONS, EARLY = 60, 12  # of the last stage of a cascade, and of those before
+DECREMENT = 2e-5  # expected gain in log-likelihood of one more step, at which it stops
+SLACK = 1e-3  # the same per sample's weight, where residuals are coloured: 0.05 of a deviation that knows the colour
+THINNED = 5  # samples, for the colour of the residuals
 HELD = 0.9  # posterior over prior deviation from which a parameter is said to be held by its prior
 DEPARTURE = {"airspeed": 1.0, "alpha": 0.01, "theta": 0.01, "q": 0.01, "altitude": 3.0, "X": 0.1}
 """Standard deviation of the measured initial state, SI: what the sensors of a flight test allow; our choice."""
@@ -48,11 +52,15 @@ class OutputErrorStatus(Enum):
 
 
 class Normal(NamedTuple):
-    """Inner products of residual and sensitivities: (w, c, 1 + k + s, 1 + k + s), samples (w,), and what was inside."""
+    """Inner products of residual and sensitivities: (w, c, 1 + k + s, 1 + k + s), samples (w,), and what was inside.
+
+    `thinned` are residual and sensitivities themselves, (1 + k + s, w, n, c), at every `THINNED`-th sample.
+    """
 
     gram: Float[np.ndarray, "w c j j"]
     count: Float[np.ndarray, " w"]
     inside: float
+    thinned: Float[np.ndarray, "j w m c"]
 
 
 @eqx.filter_jit
@@ -69,25 +77,34 @@ def _normal(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w 
     r, slope, inside = jax.vmap(lambda t: jax.jvp(residual, point, t, has_aux=True), out_axes=(None, 0, None))(towards)
     columns = jnp.concatenate([r[None], -slope])  # j w n c
     gram = jnp.einsum("iwnc,jwnc->wcij", columns, columns)
-    return gram, jnp.sum(inside & flown.inside) / jnp.sum(flown.inside)
+    return gram, jnp.sum(inside & flown.inside, axis=1), columns[:, :, ::THINNED]
+
+
+def _in_parts(flown: Flown, theta: Array, departure: Float[np.ndarray, "w s"], together: bool) -> list[np.ndarray]:
+    """`_normal`, its segments shared out among the cores: XLA leaves a scan to one of them.
+
+    Not `together` the first time, lest every thread compile for itself.
+    """
+    w = len(flown.index)
+    parts = min(w, os.cpu_count() or 1)
+    size = -(-w // parts)
+    rows = [np.minimum(np.arange(a, a + size), w - 1) for a in range(0, w, size)]  # one shape; the last may repeat
+
+    def one(own: np.ndarray):
+        fewer = flown.index[own], flown.inside[own], flown.dt[own]
+        part = eqx.tree_at(lambda f: (f.index, f.inside, f.dt), flown, fewer)
+        return [np.asarray(x) for x in _normal(part, theta, jnp.asarray(departure[own]))]
+
+    with ThreadPoolExecutor(parts if together else 1) as pool:
+        found = list(pool.map(one, rows))
+    gram, inside, thinned = zip(*found, strict=True)
+    return [np.concatenate(gram)[:w], np.concatenate(inside)[:w], np.concatenate(thinned, axis=1)[:, :w]]
 
 
 @eqx.filter_jit
 def trajectories(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w s"]):
     """`segments.simulate`, compiled."""
     return simulate(flown, theta, departure)
-
-
-@eqx.filter_jit
-def sensitivities(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w s"]):
-    """Minus the derivative of the residuals with respect to theta and the segment's own state: (w, n, c, k + s)."""
-    k, s = theta.shape[0], departure.shape[1]
-    point = (theta, jnp.zeros(s))
-    towards = (jnp.concatenate([jnp.eye(k), jnp.zeros((s, k))]), jnp.concatenate([jnp.zeros((k, s)), jnp.eye(s)]))
-    slope = jax.vmap(
-        lambda t: jax.jvp(lambda a, b: simulate(flown, a, departure + b).residual, point, t)[1], out_axes=3
-    )(towards)
-    return -slope
 
 
 @dataclass(frozen=True)
@@ -110,8 +127,8 @@ class Priors:
 class OutputErrorResult:
     """Estimates of k parameters and of each segment's initial state, with what they rest on.
 
-    `covariance` is Cramer and Rao's with the priors' information, `data_only` without; `corrected` allows for the
-    residuals' colour. `rms` is by segment and output, in the recorded unit.
+    `covariance` is Cramer and Rao's with the priors' information, `information` the data's alone. `rms` is by segment
+    and output, in the recorded unit. `thinned` are residual and sensitivities at every `THINNED`-th sample.
     """
 
     flown: Flown
@@ -127,6 +144,7 @@ class OutputErrorResult:
     status: OutputErrorStatus
     iterations: int
     at_bound: tuple[str, ...]
+    thinned: Float[np.ndarray, "j w m c"]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -184,7 +202,9 @@ def fit_output_error(
     rest = np.array([p.name in held for p in free], bool)
     lower, upper = np.where(rest, theta, lower), np.where(rest, theta, upper)
     w, s = flown.index.shape[0], len(flown.dynamics.states)
-    here = _look(flown, np.clip(theta, lower, upper), np.zeros((w, s)) if departure is None else departure, prior)
+    here = _look(
+        flown, np.clip(theta, lower, upper), np.zeros((w, s)) if departure is None else departure, prior, False
+    )
     damping, converged, active = BEGIN_DAMPING, False, np.zeros(len(free), bool)
     count = 0
     while count < most and math.isfinite(here.cost):
@@ -194,7 +214,7 @@ def fit_output_error(
         moving = np.flatnonzero(~active)
         newton = solve(A[np.ix_(moving, moving)], g[moving], 0.0)
         gain = 0.5 * float(newton @ g[moving]) + local.gain
-        if 0.0 <= gain < DECREMENT * max(1.0, prior_weight):
+        if 0.0 <= gain < max(DECREMENT, SLACK * (prior_weight - 1.0)):
             converged = True
             break
         better = None
@@ -230,17 +250,18 @@ class _Local(NamedTuple):
         return np.einsum("wij,wj->wi", self.inverse, self.gradient - self.cross @ theta)
 
 
-def _look(flown: Flown, theta: np.ndarray, departure: np.ndarray, prior: Priors) -> _Point:
-    gram, inside = _normal(flown, jnp.asarray(theta), jnp.asarray(departure))
-    gram, count = np.asarray(gram), flown.inside.sum(axis=1).astype(float)
+def _look(flown: Flown, theta: np.ndarray, departure: np.ndarray, prior: Priors, together: bool = True) -> _Point:
+    gram, within, thinned = _in_parts(flown, jnp.asarray(theta), departure, together)
+    count = flown.inside.sum(axis=1).astype(float)
+    inside = float(within.sum() / count.sum())
     if not np.all(np.abs(gram) < HUGE):
-        return _Point(theta, departure, Normal(gram, count, 0.0), np.ones(gram.shape[1]), math.inf)
+        return _Point(theta, departure, Normal(gram, count, 0.0, thinned), np.ones(gram.shape[1]), math.inf)
     R = np.maximum(gram[:, :, 0, 0].sum(axis=0) / count.sum(), TINY)
     cost = 0.5 * count.sum() * float(np.sum(np.log(R)))
     cost += 0.5 * float(prior.precision @ (theta - prior.mean) ** 2) + 0.5 * float(np.sum(departure**2 @ prior.states))
-    if float(inside) < 1.0:
-        cost += OUTSIDE * (1.0 - float(inside))
-    return _Point(theta, departure, Normal(gram, count, float(inside)), R, cost)
+    if inside < 1.0:
+        cost += OUTSIDE * (1.0 - inside)
+    return _Point(theta, departure, Normal(gram, count, inside, thinned), R, cost)
 
 
 def _reduced(point: _Point, prior: Priors) -> tuple[np.ndarray, np.ndarray, _Local]:
@@ -299,6 +320,7 @@ def _result(
         status=status,
         iterations=iterations,
         at_bound=at_bound,
+        thinned=point.normal.thinned,
     )
 
 
