@@ -89,10 +89,12 @@ def test_an_effect_is_named_without_accelerometers(card):
 
 @pytest.mark.recovery
 def test_nothing_is_named_without_accelerometers_where_nothing_is_hidden(card):
-    """Each election alarms falsely at most once in twenty: not twice in two."""
+    """An election alarms falsely at most once in twenty: if it does, then not on the next flight too."""
     alarms = []
     for seed in (SEED + 1, SEED + 2):
         records = [_without_accelerometers(r) for r in hidden_records({}, seed=seed, seconds=90.0)]
         found = diagnose_flown(records, card)
-        alarms += [(seed, c.name) for c in found.causes[:1]]
-    assert len(alarms) < 2, alarms
+        if not found.causes:
+            return
+        alarms.append((seed, [c.name for c in found.causes]))
+    pytest.fail(f"two alarms in a row: {alarms}")
