@@ -13,6 +13,7 @@ import time
 import tomllib
 from functools import partial
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,11 +22,11 @@ from scipy.optimize import least_squares
 
 from bayes_aero.flight.card import parse_card, read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.output_error import OutputErrorStatus, fit_output_error, sensitivities, trajectories
+from bayes_aero.inference.output_error import OutputErrorStatus, fit_output_error, trajectories
 from bayes_aero.model.dynamics import aircraft_dynamics
 from bayes_aero.model.flights import join
 from bayes_aero.model.model import Model
-from bayes_aero.model.segments import segments
+from bayes_aero.model.segments import segments, simulate
 from bayes_aero.model.system import integrate
 from bayes_aero.physics.atmosphere import GRAVITY
 from bayes_aero.studies.demo import TRUTH, simulate_stall
@@ -164,6 +165,80 @@ class Reference:
         return np.concatenate([slope.reshape(-1, len(x)), own])
 
 
+@eqx.filter_jit
+def sensitivities(flown, theta, departure):
+    """Minus the derivative of the residuals with respect to parameters and initial state: (w, n, c, k + s)."""
+    k, s = theta.shape[0], departure.shape[1]
+    towards = (jnp.concatenate([jnp.eye(k), jnp.zeros((s, k))]), jnp.concatenate([jnp.zeros((k, s)), jnp.eye(s)]))
+
+    def residual(a, b):
+        return simulate(flown, a, departure + b).residual
+
+    slope = jax.vmap(lambda t: jax.jvp(residual, (theta, jnp.zeros(s)), t)[1], out_axes=3)(towards)
+    return -slope
+
+
+def aeroid_runs(reference, flown, aircraft, start, best):
+    """The peer on the same record: initial state given at the optimum, weights too, so it has less to find.
+
+    Its exact gradient needs dynamics in jax.numpy, its differences the same in NumPy. Where it is not installed: none.
+    """
+    try:
+        import aeroid
+    except ImportError:
+        print("aeroid is not installed (bench extra): its rows are left out")
+        return {}
+    a, half = aircraft, 0.5 * 0.792 * aircraft.wing_area
+
+    def model(xp):
+        def forces(x, u, v):
+            V, alpha, q = x[0], x[1], x[3]
+            sin, cos, ratio = xp.sin(alpha), xp.cos(alpha), V / a.reference_speed
+            CL = v["CL0"] + v["CLV"] * ratio + v["CLa"] * alpha
+            CD = v["CD0"] + v["CDV"] * ratio + v["CDa"] * alpha
+            Cm = v["Cm0"] + v["CmV"] * ratio + v["Cma"] * alpha
+            Cm = Cm + v["Cmq"] * q * (a.rate_length / a.reference_speed) + v["Cmde"] * u[0]
+            force, tilt = half * V * V, a.engine_inclination
+            ax = (force * (CL * sin - CD * cos) + u[1] * np.cos(tilt)) / a.mass
+            az = (force * (-CL * cos - CD * sin) - u[1] * np.sin(tilt)) / a.mass
+            return ax, az, (force * a.chord * Cm + u[1] * (np.cos(tilt) * a.engine[2])) / a.Iy
+
+        def dynamics(t, x, u, v):  # noqa: ARG001
+            V, alpha, pitch, q = x[0], x[1], x[2], x[3]
+            ax, az, q_dot = forces(x, u, v)
+            gx, gz = ax - GRAVITY * xp.sin(pitch), az + GRAVITY * xp.cos(pitch)
+            V_dot = gx * xp.cos(alpha) + gz * xp.sin(alpha)
+            alpha_dot = q + (gz * xp.cos(alpha) - gx * xp.sin(alpha)) / xp.maximum(V, 1.0)  # it is tried at V = 0
+            return xp.array([V_dot, alpha_dot, q, q_dot])
+
+        def measured(t, x, u, v):  # noqa: ARG001
+            ax, az, _ = forces(x, u, v)
+            return xp.array([x[0], x[1], x[2], x[3], ax, az])
+
+        names = [f"x_{name}" for name in STATES]
+        parameters = dict(zip(best.names, map(float, start), strict=True))
+        outputs = (*STATES, "ax", "az")
+        return aeroid.Model(names, ["elevator", "thrust"], parameters, dynamics, outputs, measured)
+
+    channels = {name: np.asarray(x) for name, x in flown.flights.channels.items()}
+    kept = (*STATES, "ax", "az", "elevator", "thrust")
+    data = aeroid.FlightData(np.arange(N) * DT, {name: channels[name] for name in kept})
+    weights = dict(zip((*STATES, "ax", "az"), map(float, reference.weight), strict=True))
+    options = {"weights": weights, "x0": reference.begin + best.departure[0]}
+
+    def run(xp, gradient):
+        found = aeroid.identify(model(xp), data, list(best.names), gradient=gradient, **options)
+        off = max(
+            abs(found.parameters[n] - x) / sd for n, x, sd in zip(best.names, best.estimate, best.crb, strict=True)
+        )
+        assert off < 1.0, off  # it holds the initial state, integrates otherwise and has no priors
+        return off
+
+    for gradient, xp in (("fd", np), ("jax", jnp)):
+        print(f"aeroid, gradient {gradient}: ends {run(xp, gradient):.2f} Cramer-Rao deviations from our optimum")
+    return {"aeroid, its differences": lambda: run(np, "fd"), "aeroid, its JAX gradient": lambda: run(jnp, "jax")}
+
+
 def timed(runs, repeats):
     """Median seconds of each, taken in turn so that a slow moment of the machine falls on all."""
     times = {name: [] for name in runs}
@@ -216,6 +291,9 @@ def fits(repeats):
             repeats,
         )
     )
+    peers = aeroid_runs(reference, flown, aircraft, start, best)
+    if peers:
+        told(timed({"bayes_aero, fit": lambda: fit_output_error(flown, start=start)} | peers, 1))
 
 
 def stall(repeats):
