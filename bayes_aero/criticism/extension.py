@@ -103,7 +103,7 @@ def _election(state: State, fit: Fit, seed: int, first: bool) -> Step:
         if explained(state, standing) < WORTH:
             continue
         gain = float(unseen_gain(state, columns_of(state, standing)).sum())
-        if gain <= 0.0:
+        if not gain > 0.0:
             continue
         able.append((standing, gain))
         if standing.score < LEAST_SCORE or standing.log_bayes <= 0.0:

@@ -24,9 +24,10 @@ from bayes_aero.criticism.gain import split_name
 from bayes_aero.criticism.linearisable import Linearisable
 from bayes_aero.criticism.state import linearised
 from bayes_aero.effect import Effect, Stage
+from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.output_error import fit_cascade
+from bayes_aero.inference.output_error import OutputErrorStatus, fit_cascade
 from bayes_aero.model.dynamics import AircraftDynamics, aircraft_dynamics
 from bayes_aero.model.flights import Flights, despiked, join
 from bayes_aero.model.longitudinal import FLIGHT
@@ -47,10 +48,10 @@ class FlownResponses(Linearisable):
     model: Model = eqx.field(static=True)
 
     @classmethod
-    def of(cls, flights: Flights, dynamics: AircraftDynamics) -> FlownResponses:
+    def of(cls, flights: Flights, dynamics: AircraftDynamics, substeps: int = 1) -> FlownResponses:
         """Every manoeuvre in windows."""
         names = tuple(n for n in dynamics.outputs if n in flights.channels)
-        cut = segments(flights, dynamics, outputs=names, window=WINDOW)
+        cut = segments(flights, dynamics, outputs=names, window=WINDOW, substeps=substeps)
         whole = cut.index.shape[1] // FILTER_STEP * FILTER_STEP
         cut = eqx.tree_at(lambda f: (f.index, f.inside), cut, (cut.index[:, :whole], cut.inside[:, :whole]))
         place = np.flatnonzero(cut.inside.reshape(-1, FILTER_STEP).all(axis=1))
@@ -152,13 +153,17 @@ def diagnose_flown(
     model = model or Model.from_card(card)
     flights, outliers = despiked(join(records, card, FLIGHT))
     base = aircraft_dynamics(model, flights)
-    windows = segments(flights, base, window=WINDOW)
-    fit = fit_cascade([windows, windows], [np.array([p.start for p in model.free])])
+    start = np.array([p.start for p in model.free])
+    finer = base.substeps(start, flights)
+    windows = segments(flights, base, window=WINDOW, substeps=finer)
+    fit = fit_cascade([windows, windows], [start])
+    if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
+        raise InputError(f"card {card.name}: {fit.status.value}")
     field = _flyable(field_of(model, flights, (*own_effects(card.effect_files).values(), *extra)))
     theta = np.array([field.neutral[name] for name in field.model.names])
     for name, value in zip(fit.names, fit.estimate, strict=True):
         theta[field.columns([name])[0]] = value
-    responses = FlownResponses.of(flights, AircraftDynamics(field.model, base.altitude))
+    responses = FlownResponses.of(flights, AircraftDynamics(field.model, base.altitude), finer)
     state = linearised(field, responses, responses.outputs, theta)
     found = extend(state, seed=seed, most=most, progress=progress)
     causes = tuple(causes_of(field, [("trajectories", found)], None, progress))
@@ -174,6 +179,7 @@ def diagnose_flown(
         theta=found.state.theta,
         split=split_name(found.state),
         base_moves=moves_of(found),
+        notes=() if fit.status is OutputErrorStatus.CONVERGED else (f"The card's model: {fit.status.value}.",),
     )
 
 

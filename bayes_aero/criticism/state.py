@@ -13,11 +13,13 @@ from bayes_aero.criticism.candidates import Field
 from bayes_aero.criticism.colour import ORDER, colour_of
 from bayes_aero.criticism.linearisable import Linearisable
 from bayes_aero.criticism.regression import Fit, Products
+from bayes_aero.errors import InputError
 from bayes_aero.physics.coefficients import NAMES
 
 REFITS = 8
 ENOUGH = 0.05  # of the deviance
 FOLDS = 6  # of a single manoeuvre
+SHORTEST = 3.0  # times the gap: the least length of a fold
 GUARD = 2.0  # s left out between neighbouring folds of one manoeuvre
 
 
@@ -125,7 +127,13 @@ def folds_of(manoeuvre: Int[np.ndarray, " m"], seconds: float) -> tuple[slice, .
     if manoeuvre[-1] > 0:
         edges = [np.flatnonzero(manoeuvre == k) for k in range(manoeuvre[-1] + 1)]
         return tuple(slice(int(e[0]), int(e[-1]) + 1) for e in edges)
-    cuts = np.linspace(0, len(manoeuvre), FOLDS + 1).astype(int)
+    parts = min(FOLDS, int(len(manoeuvre) * seconds / (SHORTEST * GUARD)))
+    if parts < 2:
+        raise InputError(
+            f"a single manoeuvre of {len(manoeuvre) * seconds:.0f} s is too short to be predicted from its own parts; "
+            f"give one of {2 * SHORTEST * GUARD:.0f} s at least, or a second one"
+        )
+    cuts = np.linspace(0, len(manoeuvre), parts + 1).astype(int)
     gap = max(1, round(GUARD / seconds / 2))
     return tuple(
         slice(int(a) + (gap if a else 0), int(b) - (gap if b < len(manoeuvre) else 0)) for a, b in pairwise(cuts)

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.residuals import TheilParts, theil_parts
+from bayes_aero.effect import Stage
 from bayes_aero.inference.coloured import corrected_covariance
 from bayes_aero.inference.output_error import (
     THINNED,
@@ -35,7 +36,6 @@ BEGIN_COST = 30.0  # taken for the colour's cost until it is measured
 LEFT = ("altitude",)  # reported, not fitted: it adds wind and pressure errors to what attitude and alpha tell already
 DRAWS = 40  # of the posterior, for the probability of staying inside the tolerances
 UNKNOWN = 10.0  # times the joint fit's deviation from which a manoeuvre says nothing of a cause
-FINEST = 8  # integration steps a sample, where the separation point lags
 
 Progress = Callable[[str, float], None]
 
@@ -98,47 +98,64 @@ def fly_both(
     field = diagnosis.aerodynamics.state.field
     causes = [c.name for c in diagnosis.causes]
     added = [e for e in field.model.effects if e.name in causes]
-    base = [e for e in field.model.effects if e.name in field.base]
-    model = _extended(field.model, [*base, *added])
-    dynamics = aircraft_dynamics(model, flights)
+    base = [e for e in field.model.effects if e.name in field.base or not e.parameters]
     found = dict(zip(field.model.names, diagnosis.theta, strict=True))
     before = dict(zip(field.model.names, diagnosis.aerodynamics.base.theta, strict=True))
+    model = _extended(field.model, [*base, *added])
+    ours = _side(model, flights, {name: found[name] for name in model.names})
     neutral = {p.name: field.neutral[p.name] for e in added for p in e.parameters if p.name in model.names}
-    start = np.array([found[name] for name in model.names])
-    bare = np.array([neutral.get(name, before[name]) for name in model.names])
-    outputs = tuple(n for n in dynamics.outputs if n in flights.channels and n not in LEFT)
-    one = len(flights.lengths) == 1
-    step = dynamics.slowest_step(dict(model.fixed) | dict(zip(model.names, start, strict=True)), flights)
-    finer = int(np.clip(np.ceil(float(np.max(flights.channels["dt"])) / step), 1, FINEST))
-    whole = segments(flights, dynamics, outputs=outputs, window=_half(flights) if one else None, substeps=finer)
-    window = segments(flights, dynamics, outputs=outputs, window=WINDOW, substeps=finer)
+    theirs = replace(ours, start=np.array([neutral.get(name, before[name]) for name in model.names]))
+    if any(e.stage is Stage.LAG for e in added):  # a state that the card's model does not have
+        bare = _extended(field.model, base)
+        theirs, neutral = _side(bare, flights, {name: before[name] for name in bare.names}), {}
 
     def tell(text: str, share: float) -> None:
         if progress:
             progress(f"trajectories: {text}", share)
 
     tell("extended model", 0.0)
-    joint = fit_cascade([window, whole], [start], prior_weight=BEGIN_COST)
+    joint = fit_cascade([ours.window, ours.whole], [ours.start], prior_weight=BEGIN_COST)
     cost, _ = colour_cost(joint)
-    joint = fit_output_error(whole, start=joint.estimate, departure=joint.departure, prior_weight=cost)
+    joint = fit_output_error(ours.whole, start=joint.estimate, departure=joint.departure, prior_weight=cost)
     tell("card's model", 0.3)
-    card = fit_cascade([window, whole], [bare], held=neutral, prior_weight=cost)
+    card = fit_cascade([theirs.window, theirs.whole], [theirs.start], held=neutral, prior_weight=cost)
+    own = {p.name for e in added for p in e.parameters}
     paths, held = [], {}
     for name, fit in (("card", card), ("extended", joint)):
-        paths += _paths(fit, whole, name, "fitted", fit.departure, tolerances)
-    for k in range(len(whole.index)):
-        tell("left out", 0.5 + 0.4 * k / len(whole.index))
-        others = _masked(whole, [i for i in range(len(whole.index)) if i != k])
-        label = _label(whole, k)
-        silent = {n: float(joint.estimate[model.names.index(n)]) for n in _silent(joint, others) if n in neutral}
-        held[label] = tuple(silent)
-        seen = _masked(whole, [k])
+        paths += _paths(fit, fit.flown, name, "fitted", fit.departure, tolerances)
+    count = len(ours.whole.index)
+    for k in range(count):
+        tell("left out", 0.5 + 0.4 * k / count)
+        rest = [i for i in range(count) if i != k]
+        values = dict(zip(joint.names, joint.estimate, strict=True))
+        silent = {n: float(values[n]) for n in _silent(joint, _masked(ours.whole, rest)) if n in own}
+        held[_label(ours.whole, k)] = tuple(silent)
         for name, fit, kept in (("card", card, neutral), ("extended", joint, silent)):
-            again = fit_output_error(others, start=fit.estimate, held=kept, prior_weight=cost)
-            paths += _paths(again, seen, name, "unseen", np.zeros_like(fit.departure), tolerances, cost, seed)
+            again = fit_output_error(_masked(fit.flown, rest), start=fit.estimate, held=kept, prior_weight=cost)
+            seen, still = _masked(fit.flown, [k]), np.zeros_like(fit.departure)
+            paths += _paths(again, seen, name, "unseen", still, tolerances, cost, seed)
     deviation = np.sqrt(np.diag(_covariance(joint, cost)))
-    shown = tuple(n for n in dynamics.outputs if n in flights.channels)
+    shown = tuple(n for n in ours.whole.dynamics.outputs if n in flights.channels)
     return Trajectories(tuple(paths), card, joint, deviation, cost, held, shown)
+
+
+@dataclass(frozen=True)
+class _Side:
+    """One model, cut for its fits: windows first, then whole manoeuvres (or the halves of a single one)."""
+
+    window: Flown
+    whole: Flown
+    start: Float[np.ndarray, " k"]
+
+
+def _side(model: Model, flights: Flights, values: Mapping[str, float]) -> _Side:
+    dynamics = aircraft_dynamics(model, flights)
+    start = np.array([values[name] for name in model.names])
+    outputs = tuple(n for n in dynamics.outputs if n in flights.channels and n not in LEFT)
+    half = _half(flights) if len(flights.lengths) == 1 else None
+    finer = dynamics.substeps(start, flights)
+    window, whole = (segments(flights, dynamics, outputs=outputs, window=w, substeps=finer) for w in (WINDOW, half))
+    return _Side(window, whole, start)
 
 
 def _extended(whole: Model, effects: Sequence) -> Model:
@@ -169,12 +186,13 @@ def _label(flown: Flown, row: int) -> str:
 def colour_cost(fit: OutputErrorResult) -> tuple[float, Float[np.ndarray, " k"]]:
     """How many times the residuals' colour multiplies the parameters' variances: median, and each.
 
-    From Morelli and Klein's corrected covariance at every `THINNED`-th sample; the segments' states are among the
-    parameters.
+    From Morelli and Klein's corrected covariance on means over `THINNED` samples (of white residuals a fifth of the
+    variance is left there); the segments' states are among the parameters.
     """
     flown, k = fit.flown, len(fit.estimate)
     residual, S = fit.thinned[0], np.moveaxis(fit.thinned[1:], 0, 3)
-    inside = flown.inside[:, ::THINNED]
+    m = S.shape[1]
+    inside = flown.inside[:, : m * THINNED].reshape(len(S), m, THINNED).all(axis=2)
     w, n, c, wide = S.shape
     own = np.zeros((w, n, c, k + w * (wide - k)))
     own[..., :k] = S[..., :k]
@@ -193,7 +211,7 @@ def colour_cost(fit: OutputErrorResult) -> tuple[float, Float[np.ndarray, " k"]]
     ratio = np.full(k, np.nan)
     places = np.flatnonzero(used[:k])
     ratio[places] = (np.diag(corrected) / np.diag(D))[: len(places)]
-    return max(1.0, float(np.nanmedian(ratio))) * THINNED, ratio * THINNED
+    return max(1.0, THINNED * float(np.nanmedian(ratio))), ratio * THINNED
 
 
 def _covariance(fit: OutputErrorResult, cost: float) -> Float[np.ndarray, "k k"]:

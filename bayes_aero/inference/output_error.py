@@ -11,7 +11,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import NamedTuple
 
@@ -54,7 +54,7 @@ class OutputErrorStatus(Enum):
 class Normal(NamedTuple):
     """Inner products of residual and sensitivities: (w, c, 1 + k + s, 1 + k + s), samples (w,), and what was inside.
 
-    `thinned` are residual and sensitivities themselves, (1 + k + s, w, n, c), at every `THINNED`-th sample.
+    `thinned` are residual and sensitivities themselves, (1 + k + s, w, m, c), means over `THINNED` samples.
     """
 
     gram: Float[np.ndarray, "w c j j"]
@@ -77,7 +77,9 @@ def _normal(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w 
     r, slope, inside = jax.vmap(lambda t: jax.jvp(residual, point, t, has_aux=True), out_axes=(None, 0, None))(towards)
     columns = jnp.concatenate([r[None], -slope])  # j w n c
     gram = jnp.einsum("iwnc,jwnc->wcij", columns, columns)
-    return gram, jnp.sum(inside & flown.inside, axis=1), columns[:, :, ::THINNED]
+    whole = columns.shape[2] // THINNED * THINNED
+    blocks = columns[:, :, :whole].reshape(*columns.shape[:2], -1, THINNED, columns.shape[3]).mean(axis=3)
+    return gram, jnp.sum(inside & flown.inside, axis=1), blocks
 
 
 def _in_parts(flown: Flown, theta: Array, departure: Float[np.ndarray, "w s"], together: bool) -> list[np.ndarray]:
@@ -117,10 +119,10 @@ class Priors:
 
     @classmethod
     def of(cls, flown: Flown, weight: float) -> Priors:
-        """The parameters' priors as normals, counted `weight` times: what coloured residuals cost the likelihood."""
+        """All priors as normals, counted `weight` times: what coloured residuals cost the likelihood."""
         pairs = np.array([p.prior.normal for p in flown.dynamics.free]).reshape(-1, 2)
         deviations = np.array([DEPARTURE.get(name, OTHER_DEPARTURE) for name in flown.dynamics.states])
-        return cls(pairs[:, 0], weight * pairs[:, 1] ** -2.0, deviations**-2.0)
+        return cls(pairs[:, 0], weight * pairs[:, 1] ** -2.0, weight * deviations**-2.0)
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,7 @@ class OutputErrorResult:
     """Estimates of k parameters and of each segment's initial state, with what they rest on.
 
     `covariance` is Cramer and Rao's with the priors' information, `information` the data's alone. `rms` is by segment
-    and output, in the recorded unit. `thinned` are residual and sensitivities at every `THINNED`-th sample.
+    and output, in the recorded unit. `thinned` are means of residual and sensitivities over `THINNED` samples.
     """
 
     flown: Flown
@@ -201,6 +203,7 @@ def fit_output_error(
     theta = np.array([held.get(p.name, x) for p, x in zip(free, theta, strict=True)])
     rest = np.array([p.name in held for p in free], bool)
     lower, upper = np.where(rest, theta, lower), np.where(rest, theta, upper)
+    prior = replace(prior, mean=np.where(rest, theta, prior.mean))  # what is held has no say in the cost
     w, s = flown.index.shape[0], len(flown.dynamics.states)
     here = _look(
         flown, np.clip(theta, lower, upper), np.zeros((w, s)) if departure is None else departure, prior, False

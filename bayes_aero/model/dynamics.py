@@ -16,7 +16,7 @@ from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
 from bayes_aero.model.flights import Flights, response_scales
-from bayes_aero.model.longitudinal import FLIGHT, LATERAL, Longitudinal
+from bayes_aero.model.longitudinal import FLIGHT, LATERAL, LEAST_LAG, Longitudinal
 from bayes_aero.model.model import Model
 from bayes_aero.model.system import System
 from bayes_aero.parameter import Parameter
@@ -24,6 +24,7 @@ from bayes_aero.physics.filters import differentiate, smooth
 
 Values = Mapping[str, Any]
 OUTPUTS = ("airspeed", "alpha", "theta", "q", "altitude", "ax", "az")
+FINEST = 8  # integration steps a sample
 DERIVED = ("alpha_dot", "q_dot", "X", "mach", "density")  # the simulation makes them itself
 
 
@@ -74,6 +75,11 @@ class Dynamics(ABC):
     @abstractmethod
     def values(self, theta: Any) -> dict[str, Any]:
         """All parameter values by name, from the vector of the free ones."""
+
+    def substeps(self, theta: Any, flights: Flights) -> int:
+        """Integration steps a sample that follow the system's fast states, at most `FINEST`."""
+        step = self.slowest_step(self.values(theta), flights)
+        return int(np.clip(np.ceil(float(np.max(flights.channels["dt"])) / step), 1, FINEST))
 
     def slowest_step(self, values: Values, flights: Flights) -> float:  # noqa: ARG002
         """Longest integration step in s that follows the system's fast states."""
@@ -145,25 +151,32 @@ class AircraftDynamics(Dynamics):
         """Half the time constant of the separation point's lag at the highest airspeed."""
         if not self._pattern.lagged:
             return np.inf
-        return 0.5 * float(values["tau1"]) * float(flights.aircraft.chord) / float(flights.channels["airspeed"].max())
+        lag = max(float(values["tau1"]), LEAST_LAG)
+        return 0.5 * lag * float(flights.aircraft.chord) / float(flights.channels["airspeed"].max())
 
 
 def aircraft_dynamics(model: Model, flights: Flights) -> AircraftDynamics:
     """The dynamics of a model for what these flights have recorded; raises `InputError` where they cannot be flown."""
     dynamics = AircraftDynamics(model, altitude="altitude" in flights.channels)
-    have = set(flights.channels)
-    missing = [name for name in (*FLIGHT, *dynamics.inputs) if name not in have]
+    have = set(flights.channels) | {
+        "alpha_dot",
+        "X",
+        *(f"{name}_dot" for name in ("p", "r") if name in flights.channels),
+    }
+    have |= {"density", "mach"} if "altitude" in have else set()
+    asked = [c for e in model.acting for c in e.channels]
+    missing = [name for name in (*FLIGHT, "thrust", "density", *asked) if name not in have]
     if missing:
+        other = ", or altitude" if missing[0] in ("density", "mach") else ""
         raise InputError(
-            f"record {flights.names[0]} has no channel {missing[0]}, without which the aircraft cannot be flown; "
-            "map it on the card, or give its value under [constants]"
+            f"record {flights.names[0]} has no channel {missing[0]}{other}, without which the aircraft cannot be "
+            "flown; map it on the card, or give its value under [constants]"
         )
-    if not have & {"density", "altitude"}:
-        raise InputError(
-            f"record {flights.names[0]} has neither density nor altitude; map one, or give [constants] density"
-        )
-    if any("mach" in e.channels for e in model.acting) and not have & {"mach", "altitude"}:
-        raise InputError(f"record {flights.names[0]} has neither mach nor altitude, which the model's Mach terms need")
+    for effect in model.acting:
+        if effect.stage is Stage.LAG and "tau1" not in {p.name for p in effect.parameters}:
+            raise InputError(
+                f"effect {effect.name} is a lag of the separation point without tau1, which cannot be flown"
+            )
     return dynamics
 
 

@@ -17,7 +17,7 @@ from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import marks, with_sums
+from bayes_aero.model.observations import marks, named_apart, with_sums
 from bayes_aero.physics.coefficients import REQUIRED, Signals, condition
 
 
@@ -71,6 +71,7 @@ def join(records: Sequence[FlightRecord], card: Card, required: Sequence[str] = 
     """Lay the records end to end; channels that are not in every record are left out, `required` ones missed."""
     if not records:
         raise InputError("there is no flight record to work on; name at least one file")
+    named_apart(records)
     for record in records:
         have = with_sums(record, card)
         for need in required:

@@ -26,6 +26,7 @@ from bayes_aero.physics.kinematics import Rotation, lever_arm
 FLIGHT = ("airspeed", "alpha", "theta", "q")
 ENVELOPE = {"airspeed": (5.0, 1500.0), "alpha": (-1.0, 1.2), "theta": (-1.5, 1.5), "q": (-4.0, 4.0), "X": (-0.5, 1.5)}
 LATERAL = ("p", "r", "p_dot", "r_dot", "beta", "phi", "ay")  # at rest where they were not recorded
+LEAST_LAG = 0.2  # chords: some hundredth of a second, and slow enough for the finest step; less is no lag
 TOLERANCE = 1e-12  # rad/s, of alpha-dot
 UNIQUE = 0.1  # least slope of the equation of alpha-dot; at zero two motions meet
 MOST = 60  # iterations: bisection alone would need 45
@@ -93,7 +94,8 @@ class Longitudinal(System):
             derivative.append(moved["altitude"])
         if self.lagged:
             static = self.model.static_separation(self.values, s | {"alpha_dot": rate}, self.aircraft)
-            derivative.append((static - state["X"]) * s["airspeed"] / (self.values["tau1"] * self.aircraft.chord))
+            lag = jnp.maximum(self.values["tau1"], LEAST_LAG) * self.aircraft.chord / s["airspeed"]
+            derivative.append((static - state["X"]) / lag)
         outputs = state | {"ax": fx + arm_x, "az": fz + arm_z, "q_dot": q_dot, "alpha_dot": rate, "X": known["X"]}
         return jnp.stack(derivative), outputs | dict(zip(("CL", "CD", "Cm"), total, strict=True))
 

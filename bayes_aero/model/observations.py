@@ -97,6 +97,14 @@ def with_sums(record: FlightRecord, card: Card) -> dict[str, Float[Array, " n"]]
     return channels
 
 
+def named_apart(records: Sequence[FlightRecord]) -> list[str]:
+    """The records' names; raises `InputError` where two are the same."""
+    names = [record.name for record in records]
+    if len(set(names)) < len(names):
+        raise InputError(f"two records are called {max(names, key=names.count)}; each manoeuvre needs its own name")
+    return names
+
+
 def marks(n: int, dt: float, first: int = 0) -> dict[str, Array]:
     """What effects of stage CHANNEL find beside the channels of one manoeuvre of `n` samples, the first at `first`."""
     index = jnp.arange(n)
@@ -116,9 +124,7 @@ def observe(records: Sequence[FlightRecord], card: Card, model: Model) -> Observ
     """
     if not records:
         raise InputError("there is no flight record to work on; name at least one file")
-    names = [record.name for record in records]
-    if len(set(names)) < len(names):
-        raise InputError(f"two records are called {max(names, key=names.count)}; each manoeuvre needs its own name")
+    names = named_apart(records)
     values = _settled(model)
     aircraft = model.actual_aircraft(values, card.aircraft)
     parts = []

@@ -17,6 +17,7 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.model import Model
 from bayes_aero.report.diagnosed import View, view_of
 from bayes_aero.report.figures import DIAGNOSIS_FIGURES, draw_all
 from bayes_aero.report.tables import write_csv
@@ -50,6 +51,7 @@ class Outcome:
 
 def hide_one(card: Card, seed: int, **options: Any) -> tuple[Hidden, list[FlightRecord]]:
     """One effect that the card's model lacks, drawn at random, hidden in simulated manoeuvres."""
+    Model.from_card(card)  # a card without effects says so before anything is flown
     rng = np.random.default_rng([seed, 4])
     names = [
         e.name

@@ -9,6 +9,7 @@ from typing import Any
 from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.flown import diagnose_flown
 from bayes_aero.criticism.trajectory import Trajectories
+from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.coefficients import REQUIRED
@@ -29,7 +30,8 @@ WHY = (
 
 def lacking(records: Sequence[FlightRecord], card: Card) -> tuple[str, ...]:
     """Channels that coefficients need and some record does not have."""
-    return tuple(n for n in REQUIRED if n not in card.sums and any(not record.has(n) for record in records))
+    given = {*card.sums, *card.constants}
+    return tuple(n for n in REQUIRED if n not in given and any(not record.has(n) for record in records))
 
 
 def run_flown(
@@ -48,6 +50,9 @@ def run_flown(
     source = provenance(card, records, seed, {"max_effects": most})
     found = diagnose_flown(records, card, seed=seed, most=most, progress=progress)
     note = f"Without {several(lacking(records, card))} {WHY}."
+    still = [n for n in ("p", "r", "beta", "phi") if n not in found.aerodynamics.state.responses.flights.channels]
+    if still:
+        note += f" Not recorded, and taken as zero: {several(still)}."
     flown: Trajectories | None = None
 
     def write() -> list[str]:
@@ -58,7 +63,10 @@ def run_flown(
 
     said = write()
     if fly:
-        flown = simulations(found, card, records, seed, progress)
+        try:
+            flown = simulations(found, card, records, seed, progress)
+        except InputError as error:
+            note += f" Trajectories were not compared: {error}"
         said = write()
     return found, flown, said
 

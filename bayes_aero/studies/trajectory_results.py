@@ -11,7 +11,7 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 
 def trajectory_results(flown: Trajectories, card: Card) -> dict[str, Any]:
     """Errors by manoeuvre, model and split; parameters; tolerances with their sources. SI throughout."""
-    names = flown.extended.names
+    names, card_values = flown.extended.names, dict(zip(flown.card.names, flown.card.estimate, strict=True))
     return {
         "fitted_outputs": list(flown.extended.flown.outputs),
         "status": {"card": flown.card.status.name, "extended": flown.extended.status.name},
@@ -25,7 +25,7 @@ def trajectory_results(flown: Trajectories, card: Card) -> dict[str, Any]:
         "held_without": {name: list(held) for name, held in flown.held.items()},
         "parameters": {
             name: {
-                "card": float(flown.card.estimate[i]),
+                "card": float(card_values[name]) if name in card_values else None,
                 "extended": float(flown.extended.estimate[i]),
                 "sd": float(flown.deviation[i]),
                 "unit": flown.extended.parameters[i].unit,

@@ -9,6 +9,8 @@ import pytest
 from matplotlib.image import imread
 
 from bayes_aero.criticism.finding import Unknown, Verdict
+from bayes_aero.criticism.residuals import theil_parts
+from bayes_aero.criticism.trajectory import Error, Path, Trajectories
 from bayes_aero.report.diagnosed import composition
 from bayes_aero.report.figures import DIAGNOSIS_FIGURES, draw_all
 from bayes_aero.report.figures_diagnosis import autocorrelation
@@ -24,7 +26,7 @@ from bayes_aero.report.words_diagnosis import (
     size_text,
 )
 
-DOES_NOT_APPLY = {"gain", "moves"}  # where nothing was added
+DOES_NOT_APPLY = {"gain", "moves", "trajectories_unseen", "trajectories_fitted"}  # nothing was added or flown
 
 
 @pytest.fixture(scope="module")
@@ -36,9 +38,40 @@ def nothing(diagnosed):
     return replace(view, diagnosis=empty, extended=replace(view.card, state=state))
 
 
+@pytest.fixture(scope="module")
+def flown(diagnosed):
+    """The diagnosis with two simulated halves: the card's model off by 1 deg, the extended one by a tenth of it."""
+    (record,) = diagnosed.records
+    paths = []
+    for name, half in (("a, first half", slice(None, 700)), ("a, second half", slice(700, None))):
+        measured = {output: np.array(record[output][half]) for output in ("airspeed", "alpha")}
+        for model, off in (("card", np.deg2rad(1.0)), ("extended", np.deg2rad(0.1))):
+            simulated = {output: x + off for output, x in measured.items()}
+            errors = {
+                output: Error(off, off, theil_parts(x, simulated[output]), 0.02, 1.0, 0.5)
+                for output, x in measured.items()
+            }
+            paths += [
+                Path(name, model, split, True, errors, np.array(record.time[half]), measured, simulated)
+                for split in ("fitted", "unseen")
+            ]
+    shown = object.__new__(Trajectories)  # the fits behind the paths are not drawn
+    object.__setattr__(shown, "paths", tuple(paths))
+    object.__setattr__(shown, "outputs", ("airspeed", "alpha"))
+    return replace(diagnosed.view, trajectories=shown)
+
+
+@pytest.mark.parametrize("split", ["fitted", "unseen"])
+def test_simulated_trajectories_are_told_in_numbers(flown, split):
+    figure = DIAGNOSIS_FIGURES[f"trajectories_{split}"](flown)
+    texts = [text.get_text() for text in figure.axes[2].texts]
+    assert texts == ["RMS: card's 1, extended 0.1"]  # alpha in deg
+    close(figure)
+
+
 @pytest.mark.parametrize("stem", DIAGNOSIS_FIGURES)
-def test_every_figure_draws_complete(stem, diagnosed, tmp_path):
-    figure = DIAGNOSIS_FIGURES[stem](diagnosed.view)
+def test_every_figure_draws_complete(stem, flown, tmp_path):
+    figure = DIAGNOSIS_FIGURES[stem](flown)
     for ax in figure.axes:
         assert ax.has_data(), "empty axes"
         labels = [text for text in (ax.get_xlabel(), ax.get_ylabel()) if text]
