@@ -78,7 +78,7 @@ class Dynamics(ABC):
 
     def substeps(self, theta: Any, flights: Flights) -> int:
         """Integration steps a sample that follow the system's fast states, at most `FINEST`."""
-        step = self.slowest_step(self.values(theta), flights)
+        step = self.slowest_step(self.values(jnp.asarray(theta)), flights)
         return int(np.clip(np.ceil(float(np.max(flights.channels["dt"])) / step), 1, FINEST))
 
     def slowest_step(self, values: Values, flights: Flights) -> float:  # noqa: ARG002
