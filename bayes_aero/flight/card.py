@@ -111,6 +111,7 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
         names = {channel.name for channel in channels} | set(constants) | set(sums)
         linear = parse_linear(table["linear"], names, where)
     model = {} if linear else table["model"]
+    effects = () if linear else _effects(model, where)
     changes = {key: _change(key, value, where) for key, value in section(table, "parameters", where).items()}
     if linear:
         known_keys(changes, linear.parameters, where, "parameter")
@@ -124,7 +125,7 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
         sums=sums,
         sensors=_sensors(section(table, "sensors", where), where),
         tolerances=_tolerances(section(table, "tolerances", where), where),
-        effects=() if linear else _effects(model, where),
+        effects=effects,
         effect_files=_files(model.get("effect_files", []), where),
         fixed=numbers(model.get("fixed", {}), f"{where}: [model] fixed"),
         changes=changes,
