@@ -6,10 +6,14 @@ The public names are those of `__all__`; each is imported when it is first asked
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-import jax
+import os
+import sys
 
-# The information matrix of a stall model spans ten decades; single precision loses its small eigenvalues.
-jax.config.update("jax_enable_x64", True)
+# The information matrix of a stall model spans ten decades; single precision loses its small eigenvalues. The variable
+# is read when jax is imported, so that `bayes-aero --help` need not import it.
+os.environ["JAX_ENABLE_X64"] = "1"
+if "jax" in sys.modules:
+    sys.modules["jax"].config.update("jax_enable_x64", True)
 
 __version__ = "0.1.0"
 

@@ -71,8 +71,13 @@ def _version(name: str) -> str:
 def write_json(content: dict[str, Any], path: Path) -> None:
     """Write whole or not at all; a number that does not exist (NaN, infinity) becomes null."""
     partial = path.with_name(path.name + ".part")
-    partial.write_text(json.dumps(_plain(content), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    partial.write_text(as_json(content), encoding="utf-8")
     os.replace(partial, path)
+
+
+def as_json(content: dict[str, Any]) -> str:
+    """The text of a JSON document, with its last newline."""
+    return json.dumps(_plain(content), indent=2, allow_nan=False) + "\n"
 
 
 def _plain(value: Any) -> Any:

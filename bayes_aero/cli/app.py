@@ -1,0 +1,60 @@
+"""The program: its commands, its exit codes, its one way of telling bad input."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+from bayes_aero import __version__
+from bayes_aero.cli.diagnose import diagnose
+from bayes_aero.cli.effects import effects
+from bayes_aero.cli.identify import identify
+from bayes_aero.cli.terminal import BAD_INPUT, FAILED, INTERRUPTED
+from bayes_aero.errors import InputError
+
+EPILOG = (
+    f"Exit codes: 0 done; {FAILED} a record is not usable (check), or units of a study failed or differ (run); "
+    f"{BAD_INPUT} bad input, told in one sentence; {INTERRUPTED} interrupted, finished stages are kept.\n\n"
+    "Each command's --help ends with an example; a new aircraft starts with: bayes-aero card RECORD."
+)
+
+app = typer.Typer(
+    name="bayes-aero",
+    no_args_is_help=True,
+    add_completion=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    epilog=EPILOG,
+    help="Bayesian identification of non-linear aircraft aerodynamics from flight data.",
+)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"bayes-aero {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
+) -> None:
+    """Bayesian identification of non-linear aircraft aerodynamics from flight data."""
+
+
+for command in (identify, diagnose, effects):
+    app.command()(command)
+
+
+def main() -> None:
+    """Entry point: bad input is one sentence and exit status 2, Ctrl-C is 130."""
+    try:
+        app()
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(BAD_INPUT)
+    except KeyboardInterrupt:
+        print("interrupted; nothing had been written yet", file=sys.stderr)
+        sys.exit(INTERRUPTED)

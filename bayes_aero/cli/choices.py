@@ -1,0 +1,42 @@
+"""Choices of options, written out so that --help need not import the numerical libraries; a test compares them."""
+
+from enum import StrEnum
+
+
+class NoiseModel(StrEnum):
+    """Noise models of the posterior: `model.noise.Colour`."""
+
+    WHITE = "white"
+    AR1 = "ar1"
+    BUFFET_AR1 = "buffet-ar1"
+
+
+class Split(StrEnum):
+    """How data are held back to test the Gaussian process: `inference.splits.SplitKind`."""
+
+    RANDOM = "random"
+    BLOCK = "block"
+    MANOEUVRE = "manoeuvre"
+
+
+class SimulatedNoise(StrEnum):
+    """Noise of a simulated record: `studies.synthetic.NOISES`."""
+
+    NONE = "none"
+    WHITE = "white"
+    AR1 = "ar1"
+    BUFFET = "buffet"
+
+
+class Manoeuvre(StrEnum):
+    """What is flown: `studies.synthetic.MANOEUVRES`."""
+
+    RANDOM_STALL = "random_stall"
+    SLOW_STALL = "slow_stall"
+    ELEVATOR_DOUBLET = "elevator_doublet"
+    ELEVATOR_3211 = "elevator_3211"
+    THRUST_STEPS = "thrust_steps"
+    SPEED_CHANGE = "speed_change"
+    SIDESLIP = "sideslip"
+    BANK_TO_BANK = "bank_to_bank"
+    STABILIZER_STEPS = "stabilizer_steps"

@@ -1,0 +1,115 @@
+"""bayes-aero diagnose."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+
+from bayes_aero.cli.terminal import (
+    JsonOption,
+    ModelOption,
+    ResampleOption,
+    SeedOption,
+    bar,
+    interruptible,
+    kept_stages,
+)
+
+if TYPE_CHECKING:  # the real imports wait until the command needs them
+    from bayes_aero.studies.diagnose import Outcome
+    from bayes_aero.studies.tasks import Flown
+
+
+def diagnose(
+    records: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Flight records (.asc .csv .mat .parquet .nc); none: an effect is hidden and sought."),
+    ] = None,
+    model: ModelOption = "attas",
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("diagnosis"),
+    seed: SeedOption = 0,
+    max_effects: Annotated[int, typer.Option(min=1, help="Effects that each stage may add to the model.")] = 8,
+    resample: ResampleOption = None,
+    predictors: Annotated[
+        bool, typer.Option(help="Compare predictors on unseen data; fly manoeuvres that would separate rival causes.")
+    ] = True,
+    trajectories: Annotated[
+        bool, typer.Option(help="Fly the model through the recorded inputs, before and after the extension.")
+    ] = True,
+    figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
+    json: JsonOption = False,
+) -> None:
+    """Find what a model gets wrong: which cause, how large, what else it could be, what it gains on unseen data.
+
+    Example: bayes-aero diagnose qst01.asc qst02.asc --model attas --out diagnosis
+    """
+    from bayes_aero.flight.card import read_card
+    from bayes_aero.studies.diagnose import hide_one
+    from bayes_aero.studies.identify import read_records
+    from bayes_aero.studies.tasks import Flown, diagnose_records
+
+    card = read_card(model)
+    console = Console(quiet=json)
+    flights, hidden = (read_records(records, card, resample=resample), None) if records else ([], None)
+    with interruptible(kept_stages(out)), bar("reading" if records else "simulating") as tell:
+        if not records:
+            console.print("No record given: an effect is hidden in two simulated manoeuvres, to be found.")
+            hidden, flights = hide_one(card, seed)
+        found = diagnose_records(
+            flights,
+            card,
+            out=out,
+            seed=seed,
+            max_effects=max_effects,
+            predictors=predictors,
+            trajectories=trajectories,
+            figures=figures,
+            hidden=hidden,
+            progress=tell,
+        )
+    if json:
+        typer.echo((out / "diagnosis.json").read_text(encoding="utf-8"), nl=False)
+        return
+    if isinstance(found, Flown):
+        _tell_flown(console, found)
+    else:
+        _tell(console, found)
+    console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
+
+
+def _tell(console: Console, found: Outcome) -> None:
+    from bayes_aero.report.words_diagnosis import cause_table, ranking_table, revealed, sentences
+    from bayes_aero.report.words_trajectory import trajectory_table
+
+    verdict, *rest = sentences(found.view)
+    console.print(verdict, highlight=False, style="bold")
+    table = cause_table(found.view) or ranking_table(found.view)
+    if table is not None:
+        console.print(table)
+    if found.view.trajectories is not None:
+        console.print(trajectory_table(found.view.trajectories))
+    for sentence in rest:
+        console.print(f"• {sentence}", highlight=False)
+    for note in found.notes:
+        console.print(f"! {note}", highlight=False)
+    if found.hidden is not None:
+        for sentence in revealed(found.hidden, found.named):
+            console.print(sentence, highlight=False, style="bold")
+
+
+def _tell_flown(console: Console, found: Flown) -> None:
+    """What trajectories alone have shown."""
+    from bayes_aero.report.words_diagnosis import flown_table
+    from bayes_aero.report.words_trajectory import trajectory_table
+
+    verdict, *rest = found.sentences
+    console.print(verdict, highlight=False, style="bold")
+    trajectories = None if found.trajectories is None else trajectory_table(found.trajectories)
+    for table in (flown_table(found.diagnosis), trajectories):
+        if table is not None:
+            console.print(table)
+    for sentence in rest:
+        console.print(f"• {sentence}", highlight=False)

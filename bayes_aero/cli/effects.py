@@ -1,0 +1,123 @@
+"""bayes-aero effects: the catalogue, and one effect explained."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from bayes_aero.cli.terminal import JsonOption, print_json
+
+SCHEMA = "bayes_aero/effects/1"
+
+
+def _names(incomplete: str) -> list[str]:
+    """Names for shell completion, from the files, so that the numerical libraries stay unloaded."""
+    folder = Path(__file__).resolve().parents[1] / "effects"
+    return sorted(p.stem for p in folder.glob("*.py") if not p.stem.startswith("_") and p.stem.startswith(incomplete))
+
+
+def effects(
+    name: Annotated[
+        str | None, typer.Argument(help="One effect to explain; none: all as a table.", autocompletion=_names)
+    ] = None,
+    model: Annotated[
+        str | None, typer.Option(help="A card, for its own effect files and what its model has.", metavar="CARD")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """List the catalogue of effects, or explain one: claim, formula, parameters, priors, worked example, source.
+
+    Example: bayes-aero effects pitch_rate_bias
+    """
+    from bayes_aero.flight.card import read_card
+    from bayes_aero.studies.catalogue import described, effect_named, known_effects
+
+    card = None if model is None else read_card(model)
+    known = known_effects(card)
+    chosen = known.values() if name is None else [effect_named(name, known)]
+    found = [described(effect, card) for effect in chosen]
+    if json:
+        print_json({"schema": SCHEMA, "effects": found})
+    elif name is None:
+        _table(found)
+    else:
+        _explained(found[0])
+
+
+def _table(found: Sequence[Mapping[str, Any]]) -> None:
+    """By kind; two lines an effect or more, so that 80 columns hold a row."""
+    console = Console()
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
+    table.add_column("effect\n  parameters, unit", no_wrap=True)
+    table.add_column("claim\nwhat it needs")
+    for kind in sorted({effect["kind"] for effect in found}):
+        table.add_section()
+        table.add_row(f"[bold]{kind.upper()}[/]", "")
+        for effect in found:
+            if effect["kind"] != kind:
+                continue
+            name = effect["name"] + (" *" if effect["model"] else "")
+            parameters = [
+                f"  {p['name']}" + ("" if p["unit"] == "1" else f", {p['unit']}") for p in effect["parameters"]
+            ]
+            needs = f"needs {', '.join(effect['needs'])}" if effect["needs"] else "needs nothing"
+            table.add_row(
+                "\n".join([name, *(f"[dim]{p}[/]" for p in parameters)]), f"{effect['claim']}\n[dim]{needs}[/]"
+            )
+    console.print(table)
+    stars = "*: in the card's model. " if any(effect["model"] for effect in found) else ""
+    console.print(f"{len(found)} effects. {stars}bayes-aero effects NAME explains one.", highlight=False)
+
+
+def _explained(effect: Mapping[str, Any]) -> None:
+    console = Console()
+
+    def line(title: str, text: str) -> None:
+        console.print(f"[bold]{title:<12}[/] ", end="")
+        console.print(text, highlight=False, markup=False, soft_wrap=True)
+
+    console.print(f"{effect['name']}: {effect['claim']}", style="bold", highlight=False)
+    stage = "acts on the recorded channels" if effect["stage"] == "channel" else f"acts at the stage {effect['stage']}"
+    line("kind", f"{effect['kind']}; {stage}")
+    line("formula", " ".join(effect["formula"].split()) or "not stated")
+    line("needs", ", ".join(effect["needs"]) or "nothing")
+    if effect["rests_on"]:
+        line("rests on", ", ".join(effect["rests_on"]) + " of other effects in the model")
+    if effect["model"] is not None:
+        line("card", "in the card's model" if effect["model"] else "not in the card's model")
+    if not effect["proposed_by_diagnose"]:
+        line("diagnose", "never proposes it; a card may name it")
+    for p in effect["parameters"]:
+        unit = "" if p["unit"] == "1" else f" {p['unit']}"
+        console.print()
+        line(p["name"], f"{p['description']}{unit and ',' + unit}")
+        line("  neutral", f"{_shown(p['neutral'])}{unit}: there the effect is absent")
+        line("  bounds", f"{_shown(p['bounds'][0])} to {_shown(p['bounds'][1])}")
+        line("  prior", f"{p['prior']['text']} ({p['prior']['source']})")
+        if p["least_worth_modelling"] is not None:
+            least, most = p["least_worth_modelling"], p["largest_plausible"]
+            line("  sizes", f"{_shown(least)} is the least worth modelling, {_shown(most)} the largest plausible")
+    example = effect["example"]
+    known = example["parameters"] | example["signals"] | example["known"]
+    console.print()
+    line("example", f"{_pairs(known)} gives {_pairs(example['increments'])} ({example['source']})")
+    line("source", effect["source"])
+
+
+def _pairs(values: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name} = {_shown(value)}" for name, value in values.items())
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, Sequence):
+        return "(" + ", ".join(_shown(x) for x in value) + ")"
+    if math.isinf(value):
+        return "-infinity" if value < 0.0 else "infinity"
+    return f"{value:g}"

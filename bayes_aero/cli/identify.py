@@ -1,0 +1,80 @@
+"""bayes-aero identify."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from bayes_aero.cli.choices import NoiseModel, Split
+from bayes_aero.cli.terminal import (
+    JsonOption,
+    ModelOption,
+    ResampleOption,
+    SeedOption,
+    bar,
+    interruptible,
+    kept_stages,
+)
+
+
+def identify(
+    records: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Flight records (.asc .csv .mat .parquet .nc); none: two simulated manoeuvres."),
+    ] = None,
+    model: ModelOption = "attas",
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("results"),
+    seed: SeedOption = 0,
+    noise: Annotated[NoiseModel, typer.Option(help="Noise model of the posterior.")] = NoiseModel.AR1,
+    split: Annotated[
+        Split, typer.Option(help="Split whose Gaussian-process hyperparameters are sampled.")
+    ] = Split.RANDOM,
+    resample: ResampleOption = None,
+    gp: Annotated[bool, typer.Option(help="Train the Gaussian processes.")] = True,
+    figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
+    json: JsonOption = False,
+) -> None:
+    """Identify a stall model: maximum likelihood, posterior and Gaussian process side by side.
+
+    Example: bayes-aero identify qst01.asc qst02.asc --model attas --out results
+    """
+    # Imported here: --help and a mistyped option need not wait for the numerical libraries.
+    from bayes_aero.flight.card import read_card
+    from bayes_aero.model.noise import Colour
+    from bayes_aero.report.tables import terminal_table
+    from bayes_aero.report.words import verdict
+    from bayes_aero.studies.demo import demo_records
+    from bayes_aero.studies.identify import identify as run
+    from bayes_aero.studies.identify import read_records
+
+    card = read_card(model)
+    console = Console(quiet=json)
+    if records:
+        flights = read_records(records, card, resample=resample)
+    else:
+        console.print("No record given: two simulated stall manoeuvres are identified.")
+        flights = demo_records()
+    with interruptible(kept_stages(out)), bar("reading") as tell:
+        found = run(
+            flights,
+            card,
+            noise=Colour(noise.value),
+            split=split.value,
+            seed=seed,
+            out=out,
+            gp=gp,
+            figures=figures,
+            progress=tell,
+        )
+    if json:
+        typer.echo((out / "results.json").read_text(encoding="utf-8"), nl=False)
+        return
+    console.print(terminal_table(found))
+    for sentence in verdict(found):
+        console.print(f"• {sentence}", highlight=False)
+    for note in found.notes:
+        console.print(f"! {note}", highlight=False)
+    console.print(f"Results are in {out}", highlight=False, soft_wrap=True)

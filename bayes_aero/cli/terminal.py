@@ -1,0 +1,70 @@
+"""What all commands share: exit codes, the bar, JSON on stdout, and the words of an interruption."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+FAILED = 1
+BAD_INPUT = 2
+INTERRUPTED = 130
+
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines, and nothing else, on stdout.")]
+ModelOption = Annotated[str, typer.Option(help="Card: a .toml file, or a shipped one by name.", metavar="CARD")]
+SeedOption = Annotated[int, typer.Option(min=0, help="Same seed, same command, same machine: same numbers.")]
+ResampleOption = Annotated[float | None, typer.Option(help="Resample unevenly sampled records to this time step in s.")]
+
+
+@contextmanager
+def bar(first: str) -> Iterator[Callable[[str, float], None]]:
+    """A bar with the time left on the terminal, silence elsewhere; tell it a stage and the share of it that is done."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as shown:
+        task = shown.add_task(first, total=1.0)
+        yield lambda text, share: shown.update(task, description=text, completed=share)
+
+
+def print_json(content: Mapping[str, Any]) -> None:
+    """One JSON document on stdout; a number that does not exist (NaN, infinity) is null."""
+    from bayes_aero.studies.provenance import as_json
+
+    sys.stdout.write(as_json(dict(content)))
+
+
+@contextmanager
+def interruptible(resume: Callable[[], str]) -> Iterator[None]:
+    """Turn Ctrl-C into one sentence that says what is kept and how to go on, and exit status 130."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        print(f"interrupted; {resume()}", file=sys.stderr)
+        raise typer.Exit(INTERRUPTED) from None
+
+
+def kept_stages(out: Path) -> Callable[[], str]:
+    """What a command that writes stage by stage has left in `out` since this call."""
+    began = time.time() - 1.0  # file systems round times
+
+    def told() -> str:
+        written = [
+            path.name
+            for path in (sorted(out.iterdir()) if out.is_dir() else [])
+            if path.suffix != ".part" and path.stat().st_mtime >= began
+        ]
+        if not written:
+            return f"no stage had finished, so {out} holds nothing new; give the same command to start again"
+        return (
+            f"the stages that had finished are in {out} ({', '.join(written)}) and can be used as they are; "
+            "the same command does all stages again"
+        )
+
+    return told

@@ -1,0 +1,59 @@
+"""The two jobs on records by their options alone, as the command line and studies give them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from bayes_aero.criticism.finding import Diagnosis
+from bayes_aero.criticism.trajectory import Trajectories
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.studies.diagnose import Hidden, Outcome, run
+from bayes_aero.studies.diagnose_flown import lacking, run_flown
+from bayes_aero.studies.outlook import predictors as compared
+from bayes_aero.studies.outlook import simulations
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Flown:
+    """What trajectories alone have shown, where coefficients cannot be formed."""
+
+    diagnosis: Diagnosis
+    trajectories: Trajectories | None
+    sentences: Sequence[str]
+
+
+def diagnose_records(
+    flights: Sequence[FlightRecord],
+    card: Card,
+    *,
+    out: Path | None,
+    seed: int = 0,
+    max_effects: int = 8,
+    predictors: bool = True,
+    trajectories: bool = True,
+    figures: bool = True,
+    hidden: Hidden | None = None,
+    progress: Progress | None = None,
+) -> Outcome | Flown:
+    """Diagnose, as `bayes-aero diagnose` does: by coefficients, or by trajectories where these cannot be formed."""
+    if lacking(flights, card):
+        return Flown(
+            *run_flown(flights, card, out=out, seed=seed, most=max_effects, fly=trajectories, progress=progress)
+        )
+    return run(
+        flights,
+        card,
+        out=out,
+        seed=seed,
+        most=max_effects,
+        hidden=hidden,
+        predict=(lambda found, _: compared(found, card)) if predictors else None,
+        fly=(lambda found, flown: simulations(found, card, flown, seed, progress)) if trajectories else None,
+        figures=figures,
+        progress=progress,
+    )
