@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from bayes_aero import __version__
+from bayes_aero.cli.check import check
 from bayes_aero.cli.diagnose import diagnose
 from bayes_aero.cli.effects import effects
 from bayes_aero.cli.identify import identify
@@ -44,7 +45,7 @@ def _options(
     """Bayesian identification of non-linear aircraft aerodynamics from flight data."""
 
 
-for command in (identify, diagnose, effects):
+for command in (identify, diagnose, check, effects):
     app.command()(command)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import AIRCRAFT_UNITS, NO_AIRCRAFT, OPTIONAL, Aircraft
-from bayes_aero.flight.card_checks import known_keys, number, numbers, section
+from bayes_aero.flight.card_checks import known_keys, number, numbers, refuse_unfilled, section
 from bayes_aero.flight.card_linear import LinearCard, parse_linear
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.flight.tolerances import TOLERANCES, Tolerance
@@ -97,6 +97,7 @@ def read_card(name_or_path: str | Path) -> Card:
 def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = "") -> Card:
     """Check a card's table and turn it into a `Card`; `where` is named in errors."""
     known_keys(table, SECTIONS, where, "section")
+    refuse_unfilled(table, where)
     needed = ("channels",) if "linear" in table else ("aircraft", "channels", "model")
     for key in needed:
         if not isinstance(table.get(key), dict):
@@ -178,7 +179,7 @@ def _aircraft(table: Mapping[str, Any], where: str) -> Aircraft:
 def _channel(key: str, given: Any, where: str) -> Channel:
     if not isinstance(given, dict):
         raise InputError(f'card {where}: channel {key} must be a table, e.g. {{ column = 13, unit = "deg" }}')
-    known_keys(given, ("column", "label", "unit", "required"), where, f"key of channel {key}")
+    known_keys(given, ("column", "label", "unit", "required", "sign"), where, f"key of channel {key}")
     if "unit" not in given:
         raise InputError(f"card {where}: channel {key} has no unit; state the unit that the file is in")
     column = given.get("column")
@@ -187,12 +188,16 @@ def _channel(key: str, given: Any, where: str) -> Channel:
     if column is None and "label" not in given:
         raise InputError(f"card {where}: channel {key} has neither column nor label; say where it stands in a file")
     label = given.get("label")
+    sign = given.get("sign", 1)
+    if isinstance(sign, bool) or sign not in (1, -1):
+        raise InputError(f"card {where}: channel {key} has sign {sign!r}; write -1 if the file counts the other way")
     return Channel(
         name=key,
         unit=str(given["unit"]),
         label=None if label is None else str(label),
         column=column,
         required=bool(given.get("required", True)),
+        sign=int(sign),
     )
 
 

@@ -26,6 +26,24 @@ def known_keys(table: Mapping[str, Any], known: tuple[str, ...], where: str, wha
             raise InputError(f"card {where}: unknown {what} {key!r}; {hint}")
 
 
+UNFILLED = "TODO"
+"""Stands on a starter card where the user has something to fill in."""
+
+
+def refuse_unfilled(table: Mapping[str, Any], where: str) -> None:
+    """Name the first entry of a starter card that is still to be filled in."""
+    for name, entries in table.items():
+        for key, value in entries.items() if isinstance(entries, dict) else ():
+            parts = value.items() if isinstance(value, dict) else [("", value)]
+            for part, given in parts:
+                if UNFILLED in (str(x)[: len(UNFILLED)] for x in (given if isinstance(given, list) else [given])):
+                    entry = f"{key} {part}".strip()
+                    raise InputError(
+                        f"card {where}: [{name}] {entry} is still {UNFILLED}; fill it in, the comment beside it says "
+                        "what it is"
+                    )
+
+
 def number(value: Any, where: str) -> float:
     """A plain number."""
     if isinstance(value, bool) or not isinstance(value, int | float):

@@ -18,6 +18,8 @@ class Channel:
         column: its column, counted from 1, in files without a header (.asc).
         required: whether a file without it is refused. A channel that is not required is left out of the
             record.
+        sign: -1 where the file counts the other way: a load factor that is positive upward for az, an
+            elevator that is positive trailing edge up.
     """
 
     name: str
@@ -25,6 +27,7 @@ class Channel:
     label: str | None = None
     column: int | None = None
     required: bool = True
+    sign: int = 1
 
     @property
     def heading(self) -> str:

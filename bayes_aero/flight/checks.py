@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import STANDARD_CHANNELS, StandardChannel
 from bayes_aero.flight.record import FlightRecord
 
-__all__ = ["GAP", "JITTER", "MIN_SAMPLES", "check_record"]
+__all__ = ["GAP", "JITTER", "MIN_SAMPLES", "check_record", "failures"]
 
 MIN_SAMPLES = 50
 """The derivative filter alone spans 17 samples and changes its form over the 9 next to either end."""
@@ -31,16 +33,26 @@ def check_record(record: FlightRecord, *, even: bool = True) -> None:
 
     With `even=False` gaps and uneven sampling pass: the record is about to be resampled.
     """
-    _length(record)
-    _finite(record)
-    _plausible(record)
-    _monotonic(record)
-    _rate(record)
-    if even:
-        _evenly_sampled(record)
-    _positive(record)
-    _in_g(record)
-    _varies(record)
+    for check in _checks(even):
+        check(record)
+
+
+def failures(record: FlightRecord, *, even: bool = True) -> list[str]:
+    """Everything that is wrong with a record, one sentence each; `check_record` raises the first."""
+    said = []
+    for check in _checks(even):
+        try:
+            check(record)
+        except InputError as reason:
+            said.append(str(reason))
+            if check in (_length, _monotonic) or not np.isfinite(record.time).all():
+                break  # what follows needs samples and time that increases
+    return said
+
+
+def _checks(even: bool) -> list[Callable[[FlightRecord], None]]:
+    sampled = [_evenly_sampled] if even else []
+    return [_length, _finite, _plausible, _monotonic, _rate, *sampled, _positive, _in_g, _varies]
 
 
 def _at(record: FlightRecord, index: int | np.integer) -> str:

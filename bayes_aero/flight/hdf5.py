@@ -15,7 +15,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.columns import MAX_VALUES, Column, located
 
-__all__ = ["read_hdf5"]
+__all__ = ["list_hdf5", "read_hdf5"]
 
 TIME_LIMIT = 20.0
 """Seconds for the child; a sound record takes about a third of one."""
@@ -38,6 +38,14 @@ def read_hdf5(data: bytes, channels: Sequence[Channel], kind: str) -> dict[str, 
         start += 8 * size
     known = [name for name in reply["available"] if name in columns or name not in by_heading]
     return {channel.name: columns[channel.heading] for channel in located(channels, known, "variable")}
+
+
+def list_hdf5(data: bytes, kind: str) -> list[str]:
+    """Names in the root group."""
+    reply, _ = _ask(data, [], kind)
+    if "error" in reply:
+        raise InputError(f"it is not a readable {kind} ({reply['error']}); is it damaged or misnamed? Write it again")
+    return reply["available"]
 
 
 def _ask(data: bytes, labels: list[str], kind: str) -> tuple[dict, bytes]:

@@ -56,9 +56,9 @@ def read_record(
     """
     name = os.fspath(path)
     try:
-        reader = _reader_for(Path(path))
+        reader = reader_for(Path(path))
         _refuse_odd_cards(channels)
-        data = _bytes_of(Path(path))
+        data = bytes_of(Path(path))
         found = reader(data, channels)
         record = FlightRecord(
             name=Path(path).stem,
@@ -76,7 +76,8 @@ def read_record(
     return record
 
 
-def _reader_for(path: Path) -> Reader:
+def reader_for(path: Path) -> Reader:
+    """The reader of a file, told by its suffix."""
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         given = f"the suffix {path.suffix!r}" if path.suffix else "a file without suffix"
@@ -95,7 +96,7 @@ def _refuse_odd_cards(channels: Sequence[Channel]) -> None:
         raise InputError('channel time is not mapped on the card; add it to [channels] with unit = "s"')
 
 
-def _bytes_of(path: Path) -> bytes:
+def bytes_of(path: Path) -> bytes:
     """The whole file: hashed as read, and no parser can be led to read beyond its end."""
     try:
         if path.is_dir():
@@ -137,4 +138,4 @@ def _in_si(found: Mapping[str, Column], name: str, channels: Sequence[Channel]) 
             f'correct the card: unit = "{column.unit}"'
         )
     standard = STANDARD_CHANNELS.get(name)
-    return to_si(column.values, channel.unit, name, standard.unit if standard else None)
+    return channel.sign * to_si(column.values, channel.unit, name, standard.unit if standard else None)

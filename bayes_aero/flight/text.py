@@ -11,7 +11,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.columns import Column, foreign, located
 
-__all__ = ["read_columns", "read_csv"]
+__all__ = ["csv_headings", "read_columns", "read_csv", "width_of"]
 
 Lines = list[tuple[int, str]]
 """Lines that carry data, each with its number in the file, counted from 1."""
@@ -74,6 +74,17 @@ def read_csv(data: bytes, channels: Sequence[Channel]) -> dict[str, Column]:
         body = [(at, line.replace(",", ".")) for at, line in body]
     values = _numbers(body, indices, wanted, separator)
     return {channel.name: Column(values[:, k], units.get(channel.name)) for k, channel in enumerate(wanted)}
+
+
+def csv_headings(data: bytes) -> list[str]:
+    """The header's cells."""
+    number, header = _lines(data, comments="#")[0]
+    return _cells(header, max(";\t,", key=header.count), number)
+
+
+def width_of(data: bytes) -> int:
+    """Number of columns in a file without a header."""
+    return len(_lines(data, comments="#%")[0][1].split())
 
 
 def _lines(data: bytes, comments: str) -> Lines:

@@ -36,7 +36,7 @@ def write_record(record: FlightRecord, path: str | os.PathLike[str], channels: S
             continue
         standard = STANDARD_CHANNELS.get(channel.name)
         values = from_si(record[channel.name], channel.unit, channel.name, standard.unit if standard else None)
-        columns.append((channel, values))
+        columns.append((channel, channel.sign * values))
     try:
         content = writer(columns)
         partial = target.with_name(f".{target.name}.{os.getpid()}.part")

@@ -1,0 +1,158 @@
+"""What records are worth before anything is fitted to them: channels, sampling, what they can test, sensor agreement."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayes_aero.criticism.candidates import field_of
+from bayes_aero.criticism.sensors import compatibility
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.inspection import RecordReport, inspect_record
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.flights import join
+from bayes_aero.model.longitudinal import FLIGHT
+from bayes_aero.model.model import Model
+from bayes_aero.model.own_effects import own_effects
+from bayes_aero.physics.coefficients import REQUIRED
+from bayes_aero.physics.flightpath import PATH, PATH_NEEDS
+
+SCHEMA = "bayes_aero/check/1"
+DERIVED = ("alpha_dot",)  # formed from recorded channels
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class SensorCheck:
+    """Flight-path consistency: the sensor errors and winds it asks for, and root mean squares before and after, SI."""
+
+    note: str  # why it was not done; empty where it was
+    errors: dict[str, dict[str, Any]]
+    rms: dict[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """All records together. `uses` says of each command why it cannot work on them; empty text: it can."""
+
+    card: Card
+    records: tuple[RecordReport, ...]
+    uses: dict[str, str]
+    not_testable: dict[str, str]
+    sensors: SensorCheck
+
+    @property
+    def usable(self) -> bool:
+        """Whether every record can be read and some command can work on all of them."""
+        return not any(r.problems for r in self.records) and "" in self.uses.values()
+
+
+def check_records(
+    paths: Sequence[Path],
+    card: Card,
+    *,
+    resample: float | None = None,
+    sensors: bool = True,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> CheckReport:
+    """Look at every record, then at what all of them together allow; no aerodynamics is fitted."""
+    looked = []
+    for number, path in enumerate(paths):
+        if progress:
+            progress(f"reading {path.name}", number / len(paths))
+        looked.append(inspect_record(path, card.channels, resample=resample))
+    sound = [r.record for r in looked if r.record is not None]
+    uses, not_testable = _purpose(sound, card) if len(sound) == len(looked) else ({}, {})
+    skipped = SensorCheck("not asked for", {}, {})
+    if sensors and len(sound) < len(looked):
+        skipped = SensorCheck("a record is not usable", {}, {})
+    elif sensors:
+        if progress:
+            progress("do the sensors agree?", 0.5)
+        skipped = _sensors(sound, card, seed)
+    return CheckReport(card, tuple(looked), uses, not_testable, skipped)
+
+
+def _purpose(records: Sequence[FlightRecord], card: Card) -> tuple[dict[str, str], dict[str, str]]:
+    have = set(card.constants) | set(card.sums) | set.intersection(*(set(r.channels) for r in records))
+    if card.linear is not None:
+        missing = [n for n in (*card.linear.states, *card.linear.inputs) if n not in have]
+        return {"linear model (Python)": _lacks(missing)}, {}
+    model = Model.from_card(card)
+    asked = [n for n in model.channels if n not in DERIVED]
+    missing = [n for n in dict.fromkeys((*REQUIRED, *asked)) if n not in have]
+    flown = [n for n in dict.fromkeys((*FLIGHT, "thrust", "density", *asked)) if n not in have]
+    uses = {"identify": _lacks(missing), "diagnose": _lacks(missing)}
+    if missing and not flown:
+        uses["diagnose"] = ""
+        uses["diagnose by coefficients"] = _lacks(missing)
+    flights = join(records, card, ())
+    if "alpha" not in have:
+        return uses, {}
+    return uses, dict(field_of(model, flights, tuple(own_effects(card.effect_files).values())).not_testable)
+
+
+def _lacks(missing: Sequence[str]) -> str:
+    if not missing:
+        return ""
+    return f"no channel {', '.join(missing)}: map {'it' if len(missing) == 1 else 'them'}, or state a constant"
+
+
+def _sensors(records: Sequence[FlightRecord], card: Card, seed: int) -> SensorCheck:
+    have = set(card.constants) | set(card.sums) | set.intersection(*(set(r.channels) for r in records))
+    missing = [n for n in PATH_NEEDS if n not in have]
+    if missing:
+        return SensorCheck(f"the flight path needs {', '.join(missing)}", {}, {})
+    if not np.isfinite(float(card.aircraft.mass)):
+        return SensorCheck("the card states no [aircraft], so nobody knows where the sensors are", {}, {})
+    try:
+        found = compatibility(list(records), card, seed=seed)
+    except InputError as reason:
+        return SensorCheck(str(reason), {}, {})
+    effects = {e.name: e for e in found.state.field.candidates}
+    errors = {
+        name: {
+            "claim": effects[name].claim,
+            "minor": name in found.minor,
+            "parameters": {
+                p.name: {"mean": found.sizes[p.name].mean, "sd": found.sizes[p.name].sd, "unit": p.unit}
+                for p in effects[name].parameters
+            },
+        }
+        for name in (*found.causes, *found.minor)
+    }
+    before = np.sqrt(np.mean((found.base.left(found.base_fit) * found.base.swell) ** 2, axis=0))
+    after = np.sqrt(np.mean((found.state.left(found.fit) * found.state.swell) ** 2, axis=0))
+    return SensorCheck("", errors, {n: (float(a), float(b)) for n, a, b in zip(PATH, before, after, strict=True)})
+
+
+def check_results(report: CheckReport) -> dict[str, Any]:
+    """The report as plain data."""
+    records = []
+    for r in report.records:
+        about = asdict(r)
+        del about["record"]
+        records.append(about | {"sha256": None if r.record is None else r.record.sha256, "usable": not r.problems})
+    return {
+        "schema": SCHEMA,
+        "usable": report.usable,
+        "card": {"name": report.card.name, "title": report.card.title, "sha256": report.card.sha256},
+        "constants": dict(report.card.constants),
+        "sums": {name: list(parts) for name, parts in report.card.sums.items()},
+        "records": records,
+        "uses": {name: {"possible": not why, "why_not": why or None} for name, why in report.uses.items()},
+        "not_testable": report.not_testable,
+        "sensors": {
+            "checked": not report.sensors.note,
+            "why_not": report.sensors.note or None,
+            "agree": None if report.sensors.note else not report.sensors.errors,
+            "errors": report.sensors.errors,
+            "rms": {n: {"before": a, "after": b} for n, (a, b) in report.sensors.rms.items()},
+        },
+    }
