@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from bayes_aero import __version__
+from bayes_aero.cli.card import card
 from bayes_aero.cli.check import check
 from bayes_aero.cli.diagnose import diagnose
 from bayes_aero.cli.effects import effects
@@ -45,7 +46,7 @@ def _options(
     """Bayesian identification of non-linear aircraft aerodynamics from flight data."""
 
 
-for command in (identify, diagnose, check, effects):
+for command in (identify, diagnose, card, check, effects):
     app.command()(command)
 
 

@@ -66,7 +66,7 @@ def read_raw(path: str | os.PathLike[str]) -> RawFile:
         if reader is read_columns:
             labels: list[str | None] = [None] * min(width_of(data), MOST)
         else:
-            labels = list(_labels(Path(path), data))[:MOST]
+            labels = [*_labels(Path(path), data)[:MOST]]
         repeated = tuple(sorted({name for name in labels if name is not None and labels.count(name) > 1}))
         places = [
             Channel(name=str(number), unit="1", label=label, column=number, required=False)

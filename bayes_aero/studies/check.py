@@ -1,4 +1,4 @@
-"""What records are worth before anything is fitted to them: channels, sampling, what they can test, sensor agreement."""
+"""What records are worth before anything is fitted: channels, sampling, what they can test, whether sensors agree."""
 
 from __future__ import annotations
 

@@ -1,0 +1,47 @@
+"""bayes-aero card."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from bayes_aero.errors import InputError
+
+
+def card(
+    record: Annotated[Path, typer.Argument(help="A flight record (.csv .mat .parquet .nc; .asc has no names).")],
+    out: Annotated[
+        Path | None, typer.Option(help="File to write; default: the record's name with .toml, here.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a card that is there.")] = False,
+) -> None:
+    """Write a commented starter card for a new aircraft from a record's columns.
+
+    Names, units and signs are guessed, each with its evidence; what only you know is marked TODO. Until that is filled
+    in, using the card names the first thing that is missing.
+
+    Example: bayes-aero card flight7.csv --out mine.toml
+    """
+    target = out or Path(f"{record.stem}.toml")
+    if target.exists() and not force:
+        raise InputError(f"{target} exists; give --force to overwrite it, or another name with --out")
+    from bayes_aero.studies.starter import starter_card
+
+    text, todo = starter_card(record)
+    partial = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        os.replace(partial, target)
+    except OSError as reason:
+        raise InputError(f"{target} cannot be written ({reason.strerror}); give another name with --out") from None
+    finally:
+        partial.unlink(missing_ok=True)
+    console = Console(highlight=False)
+    console.print(f"The card is in {target}. Read its guesses.", soft_wrap=True)
+    if todo:
+        console.print(f"To be filled in ({len(todo)}): {', '.join(todo)}.")
+    console.print(f"Then: bayes-aero check {record} --model {target}", soft_wrap=True)

@@ -1,0 +1,253 @@
+"""Guess what the columns of an unknown file are: names from headings, units and signs from the values' own physics.
+
+Nothing here is certain, and every guess carries its evidence: it is meant to be read by a person.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+
+import numpy as np
+
+from bayes_aero.flight.aliases import ALIASES, split_heading
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.raw import RawColumn
+from bayes_aero.physics.atmosphere import GRAVITY
+from bayes_aero.units import to_si
+
+ALIKE = 0.84  # likeness of a heading to a known one
+ANGLE = 1.6  # rad; no angle of attack, attitude or deflection of a sound record is larger
+SI = {"thrust": "N"} | {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
+
+
+@dataclass(frozen=True)
+class Guess:
+    """One column taken for a channel; `evidence` says why, in words."""
+
+    channel: str
+    column: RawColumn
+    unit: str | None
+    sign: int = 1
+    evidence: str = ""
+
+    @property
+    def values(self) -> np.ndarray:
+        """As in the file; the median where there is no finite number."""
+        x = np.zeros(1) if self.column.values is None else self.column.values
+        sound = np.isfinite(x)
+        return x if sound.all() else np.where(sound, x, np.median(x[sound]) if sound.any() else 0.0)
+
+    @property
+    def si(self) -> np.ndarray:
+        """In SI; in the file's numbers where the unit is not known."""
+        if self.unit is None:
+            return self.sign * self.values
+        return self.sign * to_si(self.values, self.unit, self.channel, SI.get(self.channel))
+
+    def because(self, text: str, **changes: object) -> Guess:
+        """The guess with a change, and the reason added to the evidence."""
+        return replace(self, evidence=f"{self.evidence}; {text}", **changes)  # type: ignore[arg-type]
+
+
+def guessed(columns: Sequence[RawColumn]) -> tuple[dict[str, Guess], list[RawColumn]]:
+    """Channels by name, and the columns that remain unknown."""
+    found: dict[str, Guess] = {}
+    unknown = []
+    for loose in (False, True):  # exact names first, so that a resemblance never takes a place
+        for column in columns:
+            if any(guess.column is column for guess in found.values()):
+                continue
+            guess = _named(column, loose)
+            if guess is not None and guess.channel not in found:
+                found[guess.channel] = guess
+            elif loose:
+                unknown.append(column)
+    found = _time(found)
+    found = _angles(found)
+    found = _rates(found)
+    found = _accelerations(found)
+    found = _speed_and_height(found)
+    found = {name: _by_size(guess) for name, guess in found.items()}
+    found = _elevator(found)
+    return found, unknown
+
+
+def _named(column: RawColumn, loose: bool) -> Guess | None:
+    if column.label is None or column.values is None:
+        return None
+    key, unit = split_heading(column.label)
+    channel, evidence = ALIASES.get(key), f"the heading {column.label!r}"
+    if channel is None and loose and len(key) > 3:
+        close = get_close_matches(key, ALIASES, n=1, cutoff=ALIKE)
+        channel = ALIASES[close[0]] if close else None
+        evidence += f" resembles {close[0]!r}" if close else ""
+    if channel is None:
+        return None
+    if column.unit:
+        unit = next((u for u in (column.unit, split_heading(f"x [{column.unit}]")[1]) if u and _fits(u, channel)), unit)
+    if unit is not None and not _fits(unit, channel):
+        unit = None
+    return Guess(channel, column, unit, evidence=evidence + (f" and its unit {unit}" if unit else ""))
+
+
+def _fits(unit: str, channel: str) -> bool:
+    """Whether values in this unit can be the channel."""
+    try:
+        to_si(0.0, unit, channel, SI.get(channel))
+    except ValueError:
+        return False
+    return True
+
+
+def _time(found: dict[str, Guess]) -> dict[str, Guess]:
+    guess = found.get("time")
+    if guess is None or guess.unit is not None:
+        return found
+    step = float(np.median(np.diff(guess.values)))
+    unit = "ms" if step > 2.0 else "s"
+    return found | {"time": guess.because(f"its median step is {step:.6g}", unit=unit)}
+
+
+def _step(found: Mapping[str, Guess]) -> float | None:
+    """Median sampling interval, s; None where time is of no use."""
+    if "time" not in found:
+        return None
+    step = float(np.median(np.diff(found["time"].si)))
+    return step if step > 0.0 else None
+
+
+def _angles(found: dict[str, Guess]) -> dict[str, Guess]:
+    """Beyond 1.6 it can only be degrees; smaller ones go with the rest of the file."""
+    angles = {name: g for name, g in found.items() if SI.get(name) == "rad"}
+    large = [n for n, g in angles.items() if g.unit is None and _largest(g) > ANGLE]
+    stated = [g.unit for g in angles.values() if g.unit is not None]
+    degrees = bool(large) or (bool(stated) and all(u == "deg" for u in stated))
+    for name, guess in angles.items():
+        if guess.unit is None:
+            why = f"it reaches {_largest(guess):.3g}"
+            if name not in large:
+                why += ", and other angles of the file are in degrees" if degrees else ", too little for degrees"
+            found[name] = guess.because(why, unit="deg" if degrees else "rad")
+    return found
+
+
+def _rates(found: dict[str, Guess]) -> dict[str, Guess]:
+    """Unit and sign of a rate from the attitude that it changes."""
+    step = _step(found)
+    for name, attitude in (("p", "phi"), ("q", "theta"), ("r", "psi")):
+        guess, angle = found.get(name), found.get(attitude)
+        if guess is None:
+            continue
+        slope = None
+        if step is not None and angle is not None and np.ptp(angle.si) > 0.0:
+            slope = _slope(guess.values, np.gradient(_smooth(np.unwrap(angle.si))) / step)
+        if slope is None or abs(slope) < 1e-3 or name == "r":  # heading alone tells little of the yaw rate
+            unit = guess.unit or ("deg/s" if _largest(guess) > ANGLE or _degrees(found) else "rad/s")
+            found[name] = guess if guess.unit else guess.because(f"it reaches {_largest(guess):.3g}", unit=unit)
+            continue
+        unit = guess.unit or ("rad/s" if abs(slope) > math.sqrt(math.pi / 180.0) else "deg/s")
+        expected = 1.0 if unit == "rad/s" else math.pi / 180.0
+        found[name] = guess.because(
+            f"{attitude} changes at {slope / expected:.2g} times it", unit=unit, sign=1 if slope > 0.0 else -1
+        )
+    return found
+
+
+def _degrees(found: Mapping[str, Guess]) -> bool:
+    units = [g.unit for name, g in found.items() if SI.get(name) == "rad"]
+    return units.count("deg") > len(units) / 2
+
+
+def _accelerations(found: dict[str, Guess]) -> dict[str, Guess]:
+    """Level flight shows gravity: 1, 9.8 or 32 tells the unit of all three, its sign the direction of az."""
+    az = found.get("az")
+    level = None if az is None else float(np.median(az.values))
+    unit = None
+    if az is not None and level:
+        scales = {"g": 1.0, "m/s^2": GRAVITY, "ft/s^2": GRAVITY / 0.3048}
+        unit = az.unit or min(scales, key=lambda u: abs(math.log(abs(level) / scales[u])))
+        why = f"its median is {level:.3g}, and level flight has -1 g"
+        found["az"] = az.because(why, unit=unit, sign=-1 if level > 0.0 else 1)
+    for name in ("ax", "ay"):
+        guess = found.get(name)
+        if guess is not None and guess.unit is None:
+            found[name] = guess.because("as az" if unit else "no az to compare it with", unit=unit or "m/s^2")
+    return found
+
+
+def _speed_and_height(found: dict[str, Guess]) -> dict[str, Guess]:
+    """The climb: height changes by airspeed times the sine of the path angle, which tells the two units together."""
+    speed, height = found.get("airspeed"), found.get("altitude")
+    speeds = {"m/s": 1.0, "kt": 0.514444, "km/h": 1.0 / 3.6, "ft/s": 0.3048}
+    heights = {"m": 1.0, "ft": 0.3048}
+    slope, step = None, _step(found)
+    if step is not None and all(name in found for name in ("airspeed", "altitude", "theta", "alpha")):
+        path = found["theta"].si - found["alpha"].si
+        climb = np.gradient(_smooth(found["altitude"].values)) / step
+        if np.std(path) > 0.01:
+            slope = _slope(found["airspeed"].values * np.sin(_smooth(path)), climb)
+    if slope is not None and slope > 0.0 and speed is not None and height is not None:
+        pairs = [(v, h) for v in speeds for h in heights if speed.unit in (None, v) and height.unit in (None, h)]
+        if pairs:
+            v, h = min(pairs, key=lambda pair: abs(math.log(slope * heights[pair[1]] / speeds[pair[0]])))
+            ratio = slope * heights[h] / speeds[v]
+            why = f"height changes at {ratio:.2g} times airspeed x sin(theta - alpha) in {v} and {h}"
+            return found | {"airspeed": speed.because(why, unit=v), "altitude": height.because(why, unit=h)}
+    for name, unit, other in (("airspeed", "m/s", "kt"), ("calibrated_airspeed", "m/s", "kt"), ("altitude", "m", "ft")):
+        guess = found.get(name)
+        if guess is not None and guess.unit is None:
+            found[name] = guess.because(f"nothing in the file tells {unit} from {other}", unit=unit)
+    return found
+
+
+def _by_size(guess: Guess) -> Guess:
+    """What is left, by the size of its values."""
+    if guess.unit is not None:
+        return guess
+    size, middle = _largest(guess), float(np.median(guess.values))
+    choices = {
+        "static_temperature": ("K" if middle > 150.0 else "degC"),
+        "static_pressure": ("Pa" if size > 1200.0 else "hPa"),
+        "n1_left": ("%" if size > 2.0 else "1"),
+        "n1_right": ("%" if size > 2.0 else "1"),
+        "calibrated_airspeed": "m/s",
+        "radio_altitude": "ft" if size > 13_000.0 else "m",
+    }
+    unit = choices.get(guess.channel, SI.get(guess.channel, "1"))
+    if guess.channel.startswith("thrust") and size < 300.0:
+        unit = "kN"
+    return guess.because(f"it reaches {size:.4g}", unit=unit)
+
+
+def _elevator(found: dict[str, Guess]) -> dict[str, Guess]:
+    """Trailing edge down pitches the nose down: the sign that pitch acceleration shows, alpha and q accounted for."""
+    step = _step(found)
+    if step is None or not all(name in found for name in ("elevator", "q", "alpha")):
+        return found
+    elevator = found["elevator"]
+    q = _smooth(found["q"].si)
+    columns = [elevator.si, found["alpha"].si, q, np.ones_like(q)]
+    slope, *_ = np.linalg.lstsq(np.stack([_smooth(x) for x in columns], axis=1), np.gradient(q) / step, rcond=None)
+    if slope[0] == 0.0 or np.ptp(elevator.si) == 0.0:
+        return found
+    why = f"pitch acceleration follows it with {slope[0]:+.2g} 1/s^2 a rad; trailing edge down positive has a minus"
+    return found | {"elevator": elevator.because(why, sign=-1 if slope[0] > 0.0 else 1)}
+
+
+def _largest(guess: Guess) -> float:
+    return float(np.nanmax(np.abs(guess.values)))
+
+
+def _smooth(x: np.ndarray) -> np.ndarray:
+    """Means of nine samples, so that noise does not swamp a derivative."""
+    return np.convolve(np.pad(x, 4, mode="edge"), np.full(9, 1.0 / 9.0), mode="valid")
+
+
+def _slope(x: np.ndarray, y: np.ndarray) -> float | None:
+    """Least-squares slope of y over x, both without their means."""
+    x, y = x - np.mean(x), y - np.mean(y)
+    power = float(x @ x)
+    return float(x @ y) / power if power > 0.0 else None

@@ -1,0 +1,232 @@
+"""A starter card for a new aircraft: what a record's columns seem to be, and what only its user can know."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from bayes_aero.criticism.accuracy import recording_noise
+from bayes_aero.errors import InputError
+from bayes_aero.flight.aircraft import AIRCRAFT_UNITS, NO_AIRCRAFT, OPTIONAL
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.checks import MIN_SAMPLES
+from bayes_aero.flight.raw import RawColumn, read_raw
+from bayes_aero.model.flights import Flights
+from bayes_aero.physics.atmosphere import air
+from bayes_aero.physics.coefficients import REQUIRED
+from bayes_aero.studies.guess import Guess, guessed
+from bayes_aero.units import from_si
+
+MEANING = {
+    "mass": "of the flight, with fuel and crew",
+    "Ix": "moment of inertia about the roll axis",
+    "Iy": "moment of inertia about the pitch axis",
+    "Iz": "moment of inertia about the yaw axis",
+    "Ixz": 'product of inertia; "0 kg m^2" if nobody knows it',
+    "wing_area": "reference area of CL, CD and Cm",
+    "chord": "mean aerodynamic chord",
+    "half_span": "half the wing span",
+    "aspect_ratio": "span squared over wing area",
+    "tail_arm": "from the centre of gravity to the tailplane's quarter chord",
+}
+POSITION = '["0 m", "0 m", "0 m"]'
+PLACES = {
+    "reference_point": "that Cm is referred to, if it is not the centre of gravity",
+    "accelerometer": "where ax and az are measured",
+    "engine": "where the total thrust acts",
+}
+ATTACHED = (
+    "attached_lift", "elevator_moment", "pitching_moment", "pitch_damping", "profile_drag", "induced_drag",
+)  # fmt: skip
+STALL = (
+    "reattachment_hysteresis", "flow_separation", "separation_lag", "kirchhoff_lift", "separated_drag",
+    "separated_moment",
+)  # fmt: skip
+STALLED = np.deg2rad(12.0)  # alpha beyond which the record is taken to hold a stall
+NEEDED = ("time", *REQUIRED, "elevator")
+LATERAL = ("p", "r")
+KINEMATIC = ("theta", "phi", "beta", "ay", "altitude")
+
+
+def starter_card(path: Path) -> tuple[str, list[str]]:
+    """The text of the card, and what is still to be filled in, in the order in which the card has it."""
+    raw = read_raw(path)
+    longest = max((len(c.values) for c in raw.columns if c.values is not None), default=0)
+    if longest < MIN_SAMPLES:
+        raise InputError(f"{path}: it has {longest} samples; at least {MIN_SAMPLES} are needed to guess from")
+    found, unknown = guessed(raw.columns)
+    lines = [
+        f"# Starter card, written from {path.name}. Read every line: what says 'guess' may be wrong.",
+        "# Fill in what says TODO, then: bayes-aero check RECORD --model THIS_FILE",
+        "",
+        f"title = {_text(path.stem)}",
+        'source = "starter card; state where the constants come from"',
+        "",
+        *_aircraft(),
+        "",
+        *_channels(found, unknown, raw.columns),
+        "",
+        *_sums(found),
+        *_constants(found),
+        *_sensors(found),
+        *_model(found),
+    ]
+    todo = [line.split(" =")[0].strip() for line in lines if '"TODO' in line and not line.startswith("#")]
+    return "\n".join(lines) + "\n", todo
+
+
+def _text(words: str) -> str:
+    """A TOML string on one line."""
+    return json.dumps(words, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _comment(words: str) -> str:
+    return "# " + " ".join("".join(c if c.isprintable() else " " for c in words).split())
+
+
+def _aircraft() -> Iterator[str]:
+    yield "[aircraft]"
+    for key, unit in AIRCRAFT_UNITS.items():
+        if key not in OPTIONAL:
+            said = "a number" if unit == "1" else f'e.g. "1.5 {unit}", other units as well'
+            yield f'{key} = "TODO" # {MEANING[key]}; {said}'
+    yield "# Positions from the centre of gravity, x forward, y right, z down; left out, they are zero."
+    for key, meaning in PLACES.items():
+        yield f"# {key} = {POSITION} # {meaning}"
+
+
+def _channels(found: Mapping[str, Guess], unknown: Sequence[RawColumn], columns: Sequence[RawColumn]) -> Iterator[str]:
+    yield "# The file's columns. sign = -1: the file counts the other way (nz up, elevator trailing edge up)."
+    yield "[channels]"
+    for name in NEEDED:
+        if name in found or name in LATERAL:
+            continue
+        if name == "thrust" and {"thrust_left", "thrust_right"} <= set(found):
+            continue
+        if name in ("density", "thrust"):
+            continue  # among the constants
+        yield from _absent(name)
+    for name, guess in found.items():
+        place = (
+            f"label = {_text(guess.column.label)}"
+            if guess.column.label is not None
+            else f"column = {guess.column.number}"
+        )
+        optional = "" if name in NEEDED or name in KINEMATIC else ", required = false"
+        sign = ", sign = -1" if guess.sign < 0 else ""
+        low, high = float(np.nanmin(guess.values)), float(np.nanmax(guess.values))
+        entry = f"{name} = {{ {place}, unit = {_text(guess.unit or '1')}{sign}{optional} }}"
+        doubt = _implausible(name, guess)
+        if doubt:
+            yield _comment(f"NOT TAKEN, {doubt}; {guess.evidence}:")
+            yield f"# {entry}"
+            if name in NEEDED:
+                yield from _absent(name)
+            continue
+        yield f"{entry} {_comment(f'guess: {guess.evidence}; {low:.5g} to {high:.5g}')}"
+    if unknown:
+        yield "# Columns that nothing was guessed for; names that the program knows are in the README under `card`:"
+    for column in unknown:
+        if column.values is None:
+            yield _comment(f"{column.place}: no numbers")
+            continue
+        low, high = float(np.nanmin(column.values)), float(np.nanmax(column.values))
+        place = f"label = {_text(column.label)}" if column.label is not None else f"column = {column.number}"
+        yield f'# NAME = {{ {place}, unit = "{column.unit or "?"}", required = false }} # {low:.5g} to {high:.5g}'
+    if all(column.label is None for column in columns):
+        yield "# The file has no header, so nothing can be guessed: say which column is what."
+
+
+def _absent(name: str) -> Iterator[str]:
+    standard = STANDARD_CHANNELS.get(name)
+    what, unit = (standard.description, standard.unit) if standard else ("total net thrust", "N")
+    place = "label"
+    if name in ("ax", "az"):
+        yield _comment(
+            f"{name} was not found: {what}. Without it diagnose works from trajectories alone, identify not:"
+        )
+        yield f'# {name} = {{ {place} = "...", unit = "{unit}" }}'
+        return
+    yield f'{name} = {{ {place} = "TODO", unit = "{unit}" }} {_comment(what + "; was not found in the file")}'
+
+
+def _implausible(name: str, guess: Guess) -> str:
+    if name not in STANDARD_CHANNELS:
+        return ""
+    low, high = STANDARD_CHANNELS[name].plausible
+    x = guess.si
+    if x.min() >= low and x.max() <= high:
+        return ""
+    return f"{x.min():.4g} to {x.max():.4g} {STANDARD_CHANNELS[name].unit} is beyond any flight"
+
+
+def _sums(found: Mapping[str, Guess]) -> Iterator[str]:
+    if {"thrust_left", "thrust_right"} <= set(found) and "thrust" not in found:
+        yield from ("[sums]", 'thrust = ["thrust_left", "thrust_right"]', "")
+
+
+def _constants(found: Mapping[str, Guess]) -> Iterator[str]:
+    """Channels that the file lacks and that may stand for the whole record."""
+    lines = []
+    if "density" not in found:
+        if "altitude" in found:
+            height = float(np.mean(found["altitude"].si))
+            density = float(air(jnp.asarray(height))[0])
+            lines.append(
+                f'density = "{density:.4g} kg/m^3" # guess: standard atmosphere at the mean altitude, {height:.0f} m'
+            )
+        else:
+            lines.append(
+                'density = "TODO" # air density, e.g. "0.9 kg/m^3"; was not found in the file, nor an altitude'
+            )
+    if "thrust" not in found and not {"thrust_left", "thrust_right"} <= set(found):
+        lines.append(
+            'thrust = "TODO" # total net thrust, e.g. "2500 N"; was not found in the file. Drag is as good as this'
+        )
+    lines += [f'{name} = "0 rad/s" # guess: not recorded, taken as zero' for name in LATERAL if name not in found]
+    if lines:
+        yield from ("# Held constant over the record, for want of a channel.", "[constants]", *lines, "")
+
+
+def _sensors(found: Mapping[str, Guess]) -> Iterator[str]:
+    yield "# Standard deviations of the sensors' white noise; data sheets know better."
+    yield "[sensors]"
+    wanted = {n: g for n, g in found.items() if n in (*REQUIRED, "thrust") and not _implausible(n, g)}
+    lengths = {len(g.si) for g in wanted.values()}
+    if "time" in found and len(lengths) == 1:
+        n = lengths.pop()
+        channels = {name: jnp.asarray(g.si) for name, g in wanted.items()}
+        flights = Flights(channels, NO_AIRCRAFT, np.zeros(n, int), found["time"].si, (n,), ("record",))
+        for name, deviation in recording_noise(flights).items():
+            if deviation > 0.0:
+                guess = wanted[name]
+                unit = guess.unit or "1"
+                source = STANDARD_CHANNELS[name].unit if name in STANDARD_CHANNELS else "N"
+                size = abs(float(from_si(deviation, unit, name, source)))
+                yield f'{name} = "{size:.2g} {unit}" # guess: what is white in this record'
+    yield ""
+
+
+def _model(found: Mapping[str, Guess]) -> Iterator[str]:
+    reached = float(found["alpha"].si.max()) if "alpha" in found else 0.0
+    stalled = reached > STALLED
+    yield "# bayes-aero effects lists all; diagnose looks for those that are missing."
+    yield "[model]"
+    yield "effects = ["
+    for name in ATTACHED[:1]:
+        yield f'  "{name}",'
+    yield ("" if "mach" in found else "# ") + '  "mach_lift", # needs the Mach number'
+    for name in ATTACHED[1:]:
+        yield f'  "{name}",'
+    yield _comment(
+        f"guess: alpha reaches {np.rad2deg(reached):.3g} deg, {'beyond' if stalled else 'not'} "
+        f"{np.rad2deg(STALLED):.0f} deg, so {'a' if stalled else 'no'} stall is in the record:"
+    )
+    for name in STALL:
+        yield ("" if stalled else "# ") + f'  "{name}",'
+    yield "]"
+    yield ("" if stalled else "# ") + "fixed = { tau1 = 0.0 } # quasi-steady"
