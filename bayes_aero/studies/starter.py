@@ -49,6 +49,7 @@ STALL = (
 STALLED = np.deg2rad(12.0)  # alpha beyond which the record is taken to hold a stall
 NEEDED = ("time", *REQUIRED, "elevator")
 LATERAL = ("p", "r")
+HELD = (*LATERAL, "density", "thrust")  # may be stated as constants
 KINEMATIC = ("theta", "phi", "beta", "ay", "altitude")
 
 
@@ -92,7 +93,7 @@ def _aircraft() -> Iterator[str]:
     yield "[aircraft]"
     for key, unit in AIRCRAFT_UNITS.items():
         if key not in OPTIONAL:
-            said = "a number" if unit == "1" else f'e.g. "1.5 {unit}", other units as well'
+            said = "a number" if unit == "1" else f'write "... {unit}", or another unit of the kind'
             yield f'{key} = "TODO" # {MEANING[key]}; {said}'
     yield "# Positions from the centre of gravity, x forward, y right, z down; left out, they are zero."
     for key, meaning in PLACES.items():
@@ -102,49 +103,51 @@ def _aircraft() -> Iterator[str]:
 def _channels(found: Mapping[str, Guess], unknown: Sequence[RawColumn], columns: Sequence[RawColumn]) -> Iterator[str]:
     yield "# The file's columns. sign = -1: the file counts the other way (nz up, elevator trailing edge up)."
     yield "[channels]"
+    headless = all(column.label is None for column in columns)
+    place = "column" if headless else "label"
     for name in NEEDED:
-        if name in found or name in LATERAL:
-            continue
-        if name == "thrust" and {"thrust_left", "thrust_right"} <= set(found):
-            continue
-        if name in ("density", "thrust"):
-            continue  # among the constants
-        yield from _absent(name)
+        if name not in found and name not in HELD:
+            yield from _absent(name, place)
     for name, guess in found.items():
-        place = (
-            f"label = {_text(guess.column.label)}"
-            if guess.column.label is not None
-            else f"column = {guess.column.number}"
-        )
+        place = _place(guess.column)
         optional = "" if name in NEEDED or name in KINEMATIC else ", required = false"
         sign = ", sign = -1" if guess.sign < 0 else ""
-        low, high = float(np.nanmin(guess.values)), float(np.nanmax(guess.values))
         entry = f"{name} = {{ {place}, unit = {_text(guess.unit or '1')}{sign}{optional} }}"
         doubt = _implausible(name, guess)
         if doubt:
             yield _comment(f"NOT TAKEN, {doubt}; {guess.evidence}:")
             yield f"# {entry}"
             if name in NEEDED:
-                yield from _absent(name)
+                yield from _absent(name, place)
             continue
-        yield f"{entry} {_comment(f'guess: {guess.evidence}; {low:.5g} to {high:.5g}')}"
+        yield f"{entry} {_comment(f'guess: {guess.evidence}; {_range(guess.values)}')}"
     if unknown:
-        yield "# Columns that nothing was guessed for; names that the program knows are in the README under `card`:"
+        rest = [n for n in STANDARD_CHANNELS if n not in found]
+        yield "# Columns that nothing was guessed for. Names that are still free:"
+        for begin in range(0, len(rest), 10):
+            yield f"# {', '.join(rest[begin : begin + 10])}"
     for column in unknown:
         if column.values is None:
             yield _comment(f"{column.place}: no numbers")
             continue
-        low, high = float(np.nanmin(column.values)), float(np.nanmax(column.values))
-        place = f"label = {_text(column.label)}" if column.label is not None else f"column = {column.number}"
-        yield f'# NAME = {{ {place}, unit = "{column.unit or "?"}", required = false }} # {low:.5g} to {high:.5g}'
-    if all(column.label is None for column in columns):
+        unit = _text(column.unit or "?")
+        yield f"# NAME = {{ {_place(column)}, unit = {unit}, required = false }} # {_range(column.values)}"
+    if headless:
         yield "# The file has no header, so nothing can be guessed: say which column is what."
 
 
-def _absent(name: str) -> Iterator[str]:
+def _place(column: RawColumn) -> str:
+    return f"column = {column.number}" if column.label is None else f"label = {_text(column.label)}"
+
+
+def _range(values: np.ndarray) -> str:
+    sound = values[np.isfinite(values)]
+    return f"{sound.min():.5g} to {sound.max():.5g}" if len(sound) else "no finite number"
+
+
+def _absent(name: str, place: str) -> Iterator[str]:
     standard = STANDARD_CHANNELS.get(name)
     what, unit = (standard.description, standard.unit) if standard else ("total net thrust", "N")
-    place = "label"
     if name in ("ax", "az"):
         yield _comment(
             f"{name} was not found: {what}. Without it diagnose works from trajectories alone, identify not:"
