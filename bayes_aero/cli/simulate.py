@@ -1,0 +1,79 @@
+"""bayes-aero simulate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from bayes_aero.cli.choices import Manoeuvre, SimulatedNoise
+from bayes_aero.cli.terminal import JsonOption, ModelOption, SeedOption, bar, interruptible, print_json
+from bayes_aero.errors import InputError
+
+
+def simulate(
+    out: Annotated[Path, typer.Option(help="File to write: .csv .parquet .nc .mat or .asc.")],
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=VALUE, or NAME.PARAMETER=VALUE; in SI or with a unit."),
+    ] = None,
+    manoeuvre: Annotated[Manoeuvre, typer.Option(help="What is flown.")] = Manoeuvre.RANDOM_STALL,
+    noise: Annotated[
+        SimulatedNoise,
+        typer.Option(help="white: sensors; ar1: and coloured disturbances; buffet: these grow with separation."),
+    ] = SimulatedNoise.AR1,
+    noise_scale: Annotated[float, typer.Option(min=0.0, help="Factor on all noise.")] = 1.0,
+    seed: SeedOption = 0,
+    duration: Annotated[float | None, typer.Option(help="Seconds; default 90 (random_stall) or 60.")] = None,
+    dt: Annotated[float, typer.Option(help="Sampling interval in s.")] = 0.04,
+    airspeed: Annotated[float | None, typer.Option(help="At the start, m/s; default: level flight at 6 deg.")] = None,
+    altitude: Annotated[float, typer.Option(help="At the start, m.")] = 5200.0,
+    model: ModelOption = "attas",
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")] = False,
+    json: JsonOption = False,
+) -> None:
+    """Write a synthetic record and, beside it, its truth (FILE.truth.json).
+
+    Geometry, sensors and channels are the card's, the aerodynamics those of the demo aircraft and --effect.
+
+    Example: bayes-aero simulate --effect "pitch_rate_bias=0.3 deg/s" --effect thrust_lag=1 --seed 4 --out flight.csv
+    """
+    if out.exists() and not force:
+        raise InputError(f"{out} exists; give --force to overwrite it, or another name with --out")
+    from bayes_aero.flight.card import read_card
+    from bayes_aero.studies.catalogue import known_effects
+    from bayes_aero.studies.synthetic import Request
+    from bayes_aero.studies.truth import simulate_file
+    from bayes_aero.studies.wanted import parsed_effects
+
+    card = read_card(model)
+    known = known_effects(card)
+    request = Request(
+        parsed_effects(effect or [], known),
+        manoeuvre.value,
+        noise.value,
+        noise_scale,
+        seed,
+        duration,
+        dt,
+        airspeed,
+        altitude,
+    )
+    with interruptible(lambda: "nothing was written; give the same command again"), bar("simulating"):
+        found, truth = simulate_file(request, card, known, out)
+    if json:
+        print_json(truth)
+        return
+    console = Console(highlight=False)
+    record = found.record
+    console.print(
+        f"{manoeuvre.value}: {record.n} samples, {record.time[-1]:g} s, {len(record.channels)} channels → {out}",
+        soft_wrap=True,
+    )
+    for name, values in request.effects.items():
+        console.print(f"hidden in it: {name}, {', '.join(f'{p} = {x:g}' for p, x in values.items())} (SI)")
+    for note in found.notes:
+        console.print(f"! {note}")
+    console.print(f"The truth is in {out}.truth.json", soft_wrap=True)

@@ -1,0 +1,48 @@
+"""A simulated record on disk, with its truth beside it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from bayes_aero.effect import Effect
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.readers import read_record, write_record
+from bayes_aero.studies.provenance import provenance, write_json
+from bayes_aero.studies.synthetic import Request, Synthetic, synthetic
+
+SCHEMA = "bayes_aero/truth/1"
+
+
+def simulate_file(
+    request: Request, card: Card, known: Mapping[str, Effect], out: Path
+) -> tuple[Synthetic, dict[str, Any]]:
+    """Simulate into `out`, in the format of its suffix, and `out`.truth.json; what is written can be read again."""
+    found = synthetic(request, card, known, out.stem)
+    record = found.record
+    write_record(record, out, [c for c in card.channels if record.has(c.name)])
+    try:
+        read_record(out, card.channels)
+    except InputError:
+        out.unlink(missing_ok=True)
+        raise
+    asked = asdict(request) | {"duration": request.seconds}
+    source = provenance(card, [record], request.seed, {k: v for k, v in asked.items() if k not in ("effects", "seed")})
+    del source["inputs"]
+    truth = {
+        "schema": SCHEMA,
+        "file": {"name": out.name, "sha256": hashlib.sha256(out.read_bytes()).hexdigest()},
+        "seed": request.seed,
+        "effects": {name: dict(values) for name, values in request.effects.items()},
+        "parameters": dict(found.parameters),
+        "disturbance": dict(found.disturbance),
+        "sensor_noise": dict(found.sensor_noise),
+        "notes": list(found.notes),
+        "provenance": source,
+    }
+    write_json(truth, out.with_name(out.name + ".truth.json"))
+    return found, truth
