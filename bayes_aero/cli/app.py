@@ -13,6 +13,7 @@ from bayes_aero.cli.check import check
 from bayes_aero.cli.diagnose import diagnose
 from bayes_aero.cli.effects import effects
 from bayes_aero.cli.identify import identify
+from bayes_aero.cli.run import run
 from bayes_aero.cli.simulate import simulate
 from bayes_aero.cli.terminal import BAD_INPUT, FAILED, INTERRUPTED
 from bayes_aero.errors import InputError
@@ -47,7 +48,7 @@ def _options(
     """Bayesian identification of non-linear aircraft aerodynamics from flight data."""
 
 
-for command in (identify, diagnose, simulate, card, check, effects):
+for command in (identify, diagnose, simulate, run, card, check, effects):
     app.command()(command)
 
 

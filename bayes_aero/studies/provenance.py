@@ -70,8 +70,13 @@ def _version(name: str) -> str:
 
 def write_json(content: dict[str, Any], path: Path) -> None:
     """Write whole or not at all; a number that does not exist (NaN, infinity) becomes null."""
+    write_text(as_json(content), path)
+
+
+def write_text(text: str, path: Path) -> None:
+    """Write whole or not at all."""
     partial = path.with_name(path.name + ".part")
-    partial.write_text(as_json(content), encoding="utf-8")
+    partial.write_text(text, encoding="utf-8")
     os.replace(partial, path)
 
 

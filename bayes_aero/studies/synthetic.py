@@ -181,7 +181,9 @@ def _disturbance(rng: np.random.Generator, request: Request, grid: _Grid) -> tup
     for x, name in zip(white.T, ("CL", "CD", "Cm"), strict=True):
         rho = DISTURBANCE[f"rho_{name}"] ** (grid.dt / DT)
         drive = np.concatenate([x[:1], np.sqrt(1.0 - rho**2) * x[1:]])
-        columns.append(_strength(request) * DISTURBANCE[f"sigma_{name}"] * lfilter([1.0], [1.0, -rho], drive))
+        columns.append(
+            _strength(request) * DISTURBANCE[f"sigma_{name}"] * np.asarray(lfilter([1.0], [1.0, -rho], drive))
+        )
     return np.stack(columns, axis=1), BUFFET if request.noise == "buffet" else 0.0
 
 

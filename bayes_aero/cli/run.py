@@ -1,0 +1,133 @@
+"""bayes-aero run."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from bayes_aero.cli.terminal import FAILED, JsonOption, bar, interruptible, print_json
+from bayes_aero.errors import InputError
+
+if TYPE_CHECKING:
+    from bayes_aero.studies.batch import Planned
+    from bayes_aero.studies.study import Study
+
+SCHEMA = "bayes_aero/study/1"
+
+
+def run(
+    study: Annotated[Path, typer.Argument(help="A study (.toml).")],
+    out: Annotated[Path | None, typer.Option(help="Folder for the results; default: STUDY_results, here.")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the units and their state; do nothing.")] = False,
+    verify: Annotated[bool, typer.Option("--verify", help="Do finished units again and compare every number.")] = False,
+    json: JsonOption = False,
+) -> None:
+    """Do a study: every combination of its records, cards, effects, noise models, splits and seeds.
+
+    Each unit gets a folder with its results and provenance. Doing it again does what is missing, failed, or whose
+    inputs have changed; a unit that fails leaves error.txt and the study goes on. A study file:
+
+    records = ["flights/*.csv"]; cards = ["attas"]; seeds = [0, 1]; noise = ["white", "ar1"]; options.gp = false
+
+    Example: bayes-aero run study.toml --out results
+    """
+    if dry_run and verify:
+        raise InputError("--dry-run and --verify exclude each other; give one of them")
+    from bayes_aero.studies.batch import leftovers, plan, run_study
+    from bayes_aero.studies.study import read_study
+
+    asked = read_study(study)
+    folder = out or Path(f"{study.stem}_results")
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} is a file; give another folder with --out")
+    planned = plan(asked, folder)
+    console = Console(highlight=False, quiet=json)
+    rest = leftovers(asked, folder)
+    if rest:
+        console.print(f"! not of this study, left as they are: {', '.join(rest)}", soft_wrap=True)
+    if verify:
+        _verify(console, asked, planned, folder, json)
+        return
+    if dry_run:
+        _listed(console, planned)
+        if json:
+            print_json(_content(asked, folder, [_row(p) for p in planned]))
+        return
+    told: dict[str, Any] = {}
+
+    def resume() -> str:
+        done = sum(p.state.word == "done" for p in plan(asked, folder))
+        return f"{done} of {len(planned)} units are done and kept in {folder}; the same command does the rest"
+
+    with interruptible(resume), bar("reading") as show:
+        told = run_study(
+            asked,
+            folder,
+            planned,
+            tell=lambda n, of, unit, stage: show(f"{n + 1}/{of} {unit.name}: {stage}", n / max(of, 1)),
+        )
+    rows = [_row(p) | dict(told.get(p.unit.name, {})) for p in planned]
+    failed = [row for row in rows if row["state"] != "done"]
+    for row in failed:
+        console.print(f"✗ {row['name']}: {row['error']}", style="red", markup=False, soft_wrap=True)
+    new = len(told) - len(failed)
+    console.print(f"{len(planned)} units: {new} done now, {len(planned) - len(told)} were done, {len(failed)} failed.")
+    console.print(f"Results are in {folder}: units/, units.csv, summary.csv, environment/", soft_wrap=True)
+    if json:
+        print_json(_content(asked, folder, rows))
+    if failed:
+        raise typer.Exit(FAILED)
+
+
+def _row(p: Planned) -> dict[str, Any]:
+    return {"name": p.unit.name, "state": p.state.word, "why": p.state.why, "seconds": None, "error": p.state.why}
+
+
+def _content(study: Study, out: Path, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    return {
+        "schema": SCHEMA,
+        "study": {"file": study.path.name, "title": study.title, "task": study.task, "sha256": study.sha256},
+        "out": str(out),
+        "counts": dict(Counter(row["state"] for row in rows)),
+        "units": rows,
+    }
+
+
+def _listed(console: Console, planned: list[Planned]) -> None:
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
+    for heading in ("unit", "state", "why"):
+        table.add_column(heading, overflow="fold")
+    for p in planned:
+        table.add_row(p.unit.name, p.state.word, p.state.why)
+    console.print(table)
+    counts = Counter(p.state.word for p in planned)
+    console.print(f"{len(planned)} units: {', '.join(f'{n} {word}' for word, n in counts.items())}")
+
+
+def _verify(console: Console, study: Study, planned: list[Planned], out: Path, json: bool) -> None:
+    from bayes_aero.studies.verify import verify_unit
+
+    rows = []
+    with interruptible(lambda: "verification writes nothing; give the same command again"), bar("verifying") as show:
+        for number, p in enumerate(planned):
+            show(f"{number + 1}/{len(planned)} {p.unit.name}", number / len(planned))
+            differences = verify_unit(p.unit, p.folder)
+            rows.append(
+                {"name": p.unit.name, "state": "differs" if differences else "same", "differences": differences}
+            )
+            mark = "✗" if differences else "✓"
+            console.print(f"{mark} {p.unit.name}", markup=False, soft_wrap=True)
+            for sentence in differences:
+                console.print(f"    {sentence}", markup=False, soft_wrap=True)
+    different = sum(bool(row["differences"]) for row in rows)
+    console.print(f"{len(rows)} units: {len(rows) - different} the same, {different} differ.")
+    if json:
+        print_json(_content(study, out, rows))
+    if different:
+        raise typer.Exit(FAILED)

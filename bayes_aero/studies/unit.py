@@ -1,0 +1,203 @@
+"""One unit of a study: what it was made from, whether it still stands, and how it is done, whole or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import socket
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bayes_aero
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card import read_card
+from bayes_aero.model.noise import Colour
+from bayes_aero.studies.environment import environment_id
+from bayes_aero.studies.identify import identify, read_records
+from bayes_aero.studies.provenance import provenance, write_json, write_text
+from bayes_aero.studies.study import Unit, card_of
+from bayes_aero.studies.tasks import diagnose_records
+
+SCHEMA = "bayes_aero/unit/1"
+MANIFEST, ERROR = "unit.json", "error.txt"
+Progress = Callable[[str, float], None]
+Task = Callable[[Unit, Path, Progress | None], None]
+
+
+@dataclass(frozen=True)
+class State:
+    """`word` is done, missing, changed, damaged or failed; `why` says what changed or failed."""
+
+    word: str
+    why: str = ""
+
+
+def fingerprint(unit: Unit) -> dict[str, Any]:
+    """Hashes of all that the unit's numbers depend on, but the versions of libraries."""
+    card = read_card(unit.card)
+    return {
+        "settings": unit.settings,
+        "records": {shown: _sha256(Path(path)) for shown, path in zip(unit.shown, unit.records, strict=True)},
+        "card": card.sha256,
+        "effect_files": {path.name: _sha256(path) for path in card.effect_files},
+        "bayes_aero": bayes_aero.__version__,
+    }
+
+
+def state_of(unit: Unit, folder: Path) -> State:
+    """Whether the unit's folder holds its results, made from the inputs as they are now."""
+    manifest = folder / MANIFEST
+    if not manifest.is_file():
+        return State("missing")
+    try:
+        known = json.loads(manifest.read_text(encoding="utf-8"))
+        files, made_from, state = dict(known["files"]), dict(known["made_from"]), str(known["state"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return State("damaged", f"{MANIFEST} cannot be read")
+    if state != "done":
+        return State("failed", str(known.get("error", "")))
+    here = fingerprint(unit)
+    changed = [key for key in here if here[key] != made_from.get(key)]
+    if changed:
+        return State("changed", _what_changed(changed, here, made_from))
+    for name, sha256 in files.items():
+        path = folder / name
+        if not path.is_file() or _sha256(path) != sha256:
+            return State("damaged", f"{name} is not what was written")
+    return State("done")
+
+
+def _what_changed(changed: list[str], here: Mapping[str, Any], before: Mapping[str, Any]) -> str:
+    words = []
+    for key in changed:
+        if isinstance(here[key], dict) and isinstance(before.get(key), dict):
+            names = sorted(n for n in {*here[key], *before[key]} if here[key].get(n) != before[key].get(n))
+            words.append(f"{key} {', '.join(names)}".replace("_", " "))
+        else:
+            words.append(key.replace("_", " "))
+    return "; ".join(words)
+
+
+def run_unit(
+    given: Mapping[str, Any], folder: str, *, task: Task | None = None, progress: Progress | None = None
+) -> dict[str, Any]:
+    """Do a unit (`Unit.as_json`) into `folder`, which appears when it is complete: with results, or with error.txt.
+
+    A pure function of its description and the files it names, fit to be sent to another process. Returns name, state,
+    seconds and error.
+    """
+    unit, target, began = Unit.of_json(given), Path(folder), time.perf_counter()
+    partial = target.with_name(f".{target.name}.{_host()}.{os.getpid()}.part")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    try:
+        made_from = fingerprint(unit)
+        error = _attempt(unit, partial, task or perform, progress)
+        seconds = round(time.perf_counter() - began, 2)
+        _seal(partial, unit, made_from, error, seconds)
+        _put(partial, target)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return {"name": unit.name, "state": "failed" if error else "done", "seconds": seconds, "error": error}
+
+
+def perform(unit: Unit, out: Path, progress: Progress | None = None) -> None:
+    """The unit's own work: everything that it writes lies in `out`."""
+    card = card_of(unit)
+    options = dict(unit.options)
+    records = read_records([Path(p) for p in unit.records], card, resample=options.pop("resample", None))
+    settings = unit.settings | {"environment": environment_id()}
+    write_json(provenance(card, records, unit.seed, settings), out / "provenance.json")
+    if unit.task == "identify":
+        identify(
+            records,
+            card,
+            noise=Colour(unit.noise or "ar1"),
+            split=unit.split or "random",  # type: ignore[arg-type]
+            seed=unit.seed,
+            out=out,
+            progress=progress,
+            **options,
+        )
+    else:
+        diagnose_records(records, card, seed=unit.seed, out=out, progress=progress, **options)
+
+
+def _attempt(unit: Unit, out: Path, task: Task, progress: Progress | None) -> str:
+    """Empty, or why it failed; bad input in a sentence, a defect with where it happened."""
+    try:
+        task(unit, out, progress)
+    except InputError as reason:
+        write_text(f"{reason}\n", out / ERROR)
+        return str(reason)
+    except Exception as reason:  # the study goes on; the unit keeps the whole story
+        write_text(traceback.format_exc(), out / ERROR)
+        return f"{type(reason).__name__}: {reason}"
+    return ""
+
+
+def _seal(partial: Path, unit: Unit, made_from: Mapping[str, Any], error: str, seconds: float) -> None:
+    """The manifest, written last; everything is on the disk before the folder gets its name."""
+    files = sorted(p for p in partial.rglob("*") if p.is_file())
+    content = {
+        "schema": SCHEMA,
+        "state": "failed" if error else "done",
+        "error": error,
+        "unit": {key: value for key, value in unit.as_json().items() if key not in ("records", "card")},
+        "made_from": dict(made_from),
+        "environment": environment_id(),
+        "seconds": seconds,
+        "files": {p.relative_to(partial).as_posix(): _sha256(p) for p in files},
+    }
+    write_json(content, partial / MANIFEST)
+    for path in (*files, partial / MANIFEST):
+        with path.open("rb") as handle:
+            os.fsync(handle.fileno())
+
+
+def _put(partial: Path, target: Path) -> None:
+    """Give a finished folder its name, in place of what was there."""
+    old = partial.with_suffix(".old")
+    shutil.rmtree(old, ignore_errors=True)
+    if target.exists():
+        os.replace(target, old)
+    os.replace(partial, target)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def sweep(units: Path) -> None:
+    """Remove what runs of this machine that are no more have left half done."""
+    for path in units.glob(".*"):
+        _, *parts = path.name.rsplit(".", 3)
+        ours = len(parts) == 3 and parts[0] == _host() and parts[1].isdigit() and parts[2] in ("part", "old")
+        if ours and not _alive(int(parts[1])):
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def _host() -> str:
+    return re.sub(r"[^A-Za-z0-9-]", "_", socket.gethostname())
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def _sha256(path: Path) -> str:
+    try:
+        with path.open("rb") as handle:
+            return hashlib.file_digest(handle, "sha256").hexdigest()
+    except OSError as reason:
+        raise InputError(f"{path} cannot be read ({reason.strerror}); check the path and its permissions") from None
