@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -136,7 +136,7 @@ def check_results(report: CheckReport) -> dict[str, Any]:
     """The report as plain data."""
     records = []
     for r in report.records:
-        about = asdict(r)
+        about = asdict(replace(r, record=None))
         del about["record"]
         records.append(about | {"sha256": None if r.record is None else r.record.sha256, "usable": not r.problems})
     return {

@@ -98,10 +98,10 @@ def read_study(path: Path) -> Study:
     task = table.get("task", "identify")
     if task not in OPTIONS:
         raise InputError(f"{where}: task is {task!r}; use one of {', '.join(OPTIONS)}")
-    options = _options(table.get("options", {}), task, where)
     for key in ("splits", "noise"):
         if key in table and task != "identify":
             raise InputError(f"{where}: {key} is of no use to the task {task}; take it out")
+    options = _options(table.get("options", {}), task, where)
     sets = _record_sets(table, path.parent, where)
     cards = _cards(table.get("cards", ["attas"]), path.parent, where)
     axes: list[list[Any]] = [

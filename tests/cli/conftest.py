@@ -1,0 +1,45 @@
+"""The program in this process, and one simulated record for all of its tests."""
+
+from __future__ import annotations
+
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from bayes_aero.cli import main
+
+
+@pytest.fixture
+def program(monkeypatch, capsys, tmp_path):
+    """Call with arguments; gives code, out and err. The working directory is a fresh folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["bayes-aero", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stopped:
+            main()
+        code = stopped.value.code
+        out, err = capsys.readouterr()
+        return SimpleNamespace(code=0 if code is None else code, out=out, err=err)
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def flights(tmp_path_factory):
+    """The same short stall, without noise, sound and with a gyro that is off by 0.3 deg/s."""
+    folder = tmp_path_factory.mktemp("simulated")
+    common = ["simulate", "--manoeuvre", "slow_stall", "--duration", "40", "--noise", "none", "--seed", "3"]
+    paths = SimpleNamespace(folder=folder, sound=folder / "sound.csv", biased=folder / "biased.csv")
+    before = sys.argv
+    try:
+        for path, more in ((paths.sound, []), (paths.biased, ["--effect", "pitch_rate_bias=0.3 deg/s"])):
+            sys.argv = ["bayes-aero", *common, *more, "--out", str(path)]
+            with pytest.raises(SystemExit) as stopped:
+                main()
+            assert not stopped.value.code
+    finally:
+        sys.argv = before
+    return paths

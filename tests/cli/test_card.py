@@ -1,0 +1,138 @@
+"""Starter cards: a foreign record's names, units and signs are guessed right, and the rest is asked for."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card import read_card
+from bayes_aero.flight.channel import Channel
+from bayes_aero.flight.readers import read_record, write_record
+
+CONSTANTS = {"mass": "8000 kg", "aspect_ratio": "8", "wing_area": "30 m^2", "Iy": "60000 kg m^2"}
+
+
+@pytest.fixture(scope="module")
+def foreign(flights, card, tmp_path_factory):
+    """The simulated stall as another house would write it; and the record as it was."""
+    record = read_record(flights.sound, card.channels)
+    deg = np.rad2deg
+    table = pd.DataFrame(
+        {
+            "Time (sec)": record.time,
+            "AoA": deg(record["alpha"]),
+            "AOS [deg]": deg(record["beta"]),
+            "KTAS": record["airspeed"] * 3600.0 / 1852.0,
+            "PressAlt_ft": record["altitude"] / 0.3048,
+            "RollRate": deg(record["p"]),
+            "PitchRate": deg(record["q"]),
+            "YawRate": deg(record["r"]),
+            "PitchAngle": deg(record["theta"]),
+            "Bank": deg(record["phi"]),
+            "nx": record["ax"] / 9.80665,
+            "ny": record["ay"] / 9.80665,
+            "nz": -record["az"] / 9.80665,
+            "ElevPos": -deg(record["elevator"]),
+            "FN": (record["thrust_left"] + record["thrust_right"]) / 1000.0,
+            "Xyzzy": record["q"],
+        }
+    )
+    path = tmp_path_factory.mktemp("foreign") / "N123.csv"
+    table.to_csv(path, index=False, float_format="%.9g")
+    return path, record
+
+
+def filled(text):
+    """The card with its TODO entries filled in as a user would."""
+    for key, unit in re.findall(r'^(\w+) = "TODO" # .*?(?:write "\.\.\. ([^"]*)"|$)', text, re.MULTILINE):
+        text = text.replace(f'{key} = "TODO"', f'{key} = "{CONSTANTS.get(key, f"3 {unit}")}"')
+    return text
+
+
+def test_a_foreign_record_is_read_through_its_starter_card(program, foreign, tmp_path):
+    path, truth = foreign
+    done = program("card", path, "--out", "mine.toml")
+    assert done.code == 0, done.err
+    text = (tmp_path / "mine.toml").read_text()
+    table = tomllib.loads(text)
+    assert table["channels"]["az"] == {"label": "nz", "unit": "g", "sign": -1}
+    assert table["channels"]["elevator"]["sign"] == -1
+    assert "Xyzzy" not in str(table)
+    assert "Xyzzy" in text
+    assert text.count("guess") > 15
+
+    (tmp_path / "mine.toml").write_text(filled(text))
+    record = read_record(path, read_card(tmp_path / "mine.toml").channels)
+    for name in ("alpha", "beta", "airspeed", "altitude", "p", "q", "r", "theta", "phi", "ax", "ay", "az", "elevator"):
+        scale = np.abs(truth[name]).max()
+        assert np.allclose(record[name], truth[name], rtol=1e-6, atol=1e-6 * scale), name
+    checked = program("check", path, "--model", "mine.toml", "--no-sensors")
+    assert checked.code == 0, checked.out + checked.err
+    assert "sign turned" in checked.out
+
+
+def test_an_unfilled_card_names_the_first_thing_missing(program, foreign, tmp_path):
+    path, _ = foreign
+    program("card", path, "--out", "mine.toml")
+    done = program("check", path, "--model", "mine.toml")
+    assert done.code == 2
+    assert "[aircraft] mass is still TODO" in done.err
+    assert done.err.count("\n") == 1
+    text = (tmp_path / "mine.toml").read_text().replace('mass = "TODO"', 'mass = "1 t"')
+    (tmp_path / "mine.toml").write_text(text)
+    with pytest.raises(InputError, match=r"\[aircraft\] Ix is still TODO"):
+        read_card(tmp_path / "mine.toml")
+
+
+def test_a_card_is_not_overwritten(program, foreign, tmp_path):
+    (tmp_path / "N123.toml").write_text("mine")
+    done = program("card", foreign[0])
+    assert done.code == 2
+    assert "--force" in done.err
+    assert program("card", foreign[0], "--force").code == 0
+    assert tomllib.loads((tmp_path / "N123.toml").read_text())["title"] == "N123"
+
+
+def test_radians_metres_and_a_hostile_header(program, flights, card, tmp_path):
+    record = read_record(flights.sound, card.channels)
+    table = pd.DataFrame(
+        {
+            "t": record.time,
+            'al"pha\\': record["alpha"],
+            "alpha": record["alpha"],
+            "q": record["q"],
+            "theta": record["theta"],
+            "TAS": record["airspeed"],
+            "h": record["altitude"],
+            "az": record["az"],
+            "]\n[evil": record["q"],
+            "remark": ["climb"] * record.n,
+        }
+    )
+    table.to_csv("plain.csv", index=False)
+    done = program("card", "plain.csv")
+    assert done.code in (0, 2)
+    assert "Traceback" not in done.err
+    table.drop(columns="]\n[evil").to_csv("plain.csv", index=False)
+    done = program("card", "plain.csv")
+    assert done.code == 0, done.err
+    text = (tmp_path / "plain.toml").read_text()
+    units = {name: entry["unit"] for name, entry in tomllib.loads(text)["channels"].items()}
+    assert units["alpha"] == units["theta"] == "rad"
+    assert (units["q"], units["airspeed"], units["altitude"], units["az"]) == ("rad/s", "m/s", "m", "m/s^2")
+    constants = tomllib.loads(text)["constants"]
+    assert float(constants["density"].split()[0]) == pytest.approx(0.72, abs=0.02)  # ISO 2533, 5200 m: 0.7206
+    assert constants["thrust"] == "TODO"
+
+
+def test_a_sign_survives_writing_and_reading(flights, card, tmp_path):
+    record = read_record(flights.sound, card.channels)
+    channels = [Channel("time", "s"), Channel("alpha", "deg"), Channel("az", "g", label="nz", sign=-1)]
+    write_record(record, tmp_path / "up.csv", channels)
+    assert pd.read_csv(tmp_path / "up.csv")["nz"].median() == pytest.approx(1.0, abs=0.15)
+    assert np.allclose(read_record(tmp_path / "up.csv", channels)["az"], record["az"], atol=1e-12)

@@ -1,0 +1,66 @@
+"""Checks of records: all that is wrong at once, what the card takes from where, whether the sensors agree."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+
+def test_a_gyro_bias_is_seen_without_aerodynamics(program, flights):
+    done = program("check", flights.biased, "--json")
+    assert done.code == 0, done.err
+    found = json.loads(done.out)
+    assert found["usable"]
+    assert found["uses"]["identify"]["possible"]
+    assert found["sensors"]["agree"] is False
+    size = found["sensors"]["errors"]["pitch_rate_bias"]["parameters"]["pitch_rate_bias"]
+    assert size["mean"] == pytest.approx(np.deg2rad(0.3), rel=0.05)
+    record = found["records"][0]
+    alpha = next(c for c in record["channels"] if c["name"] == "alpha")
+    assert (alpha["place"], alpha["unit"], alpha["si"]) == ("'ALCG'", "deg", "rad")
+    assert record["samples"] == 1001
+    assert "spoiler_lift" in found["not_testable"]  # no spoiler moved
+
+
+def test_everything_that_is_wrong_is_told_at_once(program, flights):
+    table = pd.read_csv(flights.sound)
+    table.loc[100, "THE"] = np.nan
+    table["ALCG"] *= 57.3  # as if degrees had been converted once too often
+    table["T"] = table["T"].where(table.index < 500, table["T"] + 1.0)
+    table.drop(columns="VTASCG").assign(extra=1.0).to_csv("bad.csv", index=False)
+    done = program("check", "bad.csv", "--no-sensors", "--json")
+    assert done.code == 1
+    record = json.loads(done.out)["records"][0]
+    said = "\n".join(record["problems"])
+    for word in ("theta", "alpha", "gap", "airspeed"):
+        assert word in said
+    assert record["gaps"] == 1
+    assert record["unused"] == ["'extra'"]
+    assert "Traceback" not in done.err
+
+
+def test_what_a_lost_channel_costs_is_said(program, flights, tmp_path):
+    card = tmp_path / "few.toml"
+    text = open_card()
+    card.write_text(text.replace('az = { column = 4, label = "AZCG", unit = "m/s^2" }\n', ""))
+    done = program("check", flights.sound, "--model", card, "--no-sensors")
+    assert done.code == 0, done.err  # diagnose can work from trajectories
+    assert "identify: not possible, no channel az" in done.out
+    assert "not testable, for channel az was not recorded" in done.out
+    assert "'AZCG'" in done.out.split("in the file, not on the card:")[1].splitlines()[0]
+
+
+def open_card():
+    from bayes_aero.flight.card import shipped_cards
+
+    return shipped_cards()["attas"].read_text()
+
+
+def test_a_file_that_is_no_record_is_bad_input(program, tmp_path):
+    (tmp_path / "empty.csv").write_text("")
+    done = program("check", "empty.csv")
+    assert done.code == 2
+    assert "empty.csv" in done.err

@@ -1,0 +1,120 @@
+"""The program itself: help, exit codes, JSON, what an interruption says, the catalogue."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from typing import get_args
+
+import pytest
+
+from bayes_aero.cli import app, choices
+from bayes_aero.cli.terminal import BAD_INPUT, FAILED, INTERRUPTED
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.inference.splits import SplitKind
+from bayes_aero.model.noise import Colour
+from bayes_aero.studies import identify as job
+from bayes_aero.studies import study, synthetic
+
+COMMANDS = sorted(command.callback.__name__ for command in app.registered_commands)
+OWN = """
+from bayes_aero.effect import Effect, Example, Kind, Stage
+from bayes_aero.parameter import Parameter, Prior
+
+EFFECT = Effect(
+    name="my_moment", kind=Kind.AERODYNAMICS, stage=Stage.TOTAL, claim="Mine.",
+    parameters=(Parameter("Cmy", "1", 0.0, 0.0, "mine", Prior("normal", 0.0, 1.0)),),
+    channels=("alpha",), increments=lambda v, s, a, known: {"Cm": v["Cmy"] * s["alpha"]},
+    example=Example({"Cmy": 1.0}, {"alpha": 0.1}, {"Cm": 0.1}, "by hand"), source="mine",
+)
+"""
+
+
+def test_choices_are_those_of_the_libraries():
+    assert {x.value for x in choices.NoiseModel} == {x.value for x in Colour} == set(study.NOISES)
+    assert {x.value for x in choices.Split} == set(get_args(SplitKind)) == set(study.SPLITS)
+    assert [x.value for x in choices.Manoeuvre] == list(synthetic.MANOEUVRES)
+    assert [x.value for x in choices.SimulatedNoise] == list(synthetic.NOISES)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_help_has_an_example(program, command):
+    done = program(command, "--help")
+    assert done.code == 0
+    assert f"Example: bayes-aero {command} " in done.out
+
+
+def test_help_states_the_exit_codes(program):
+    done = program("--help")
+    for code in (FAILED, BAD_INPUT, INTERRUPTED):
+        assert f"{code} " in done.out.split("Exit codes:")[1]
+    for command in COMMANDS:
+        assert f" {command} " in done.out
+
+
+def test_help_waits_for_no_numerical_library():
+    told = "import sys, bayes_aero.cli; print([m for m in ('jax', 'numpy', 'scipy') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_the_module_is_the_program(monkeypatch, capsys):
+    import runpy
+
+    monkeypatch.setattr(sys, "argv", ["bayes-aero", "--version"])
+    with pytest.raises(SystemExit):
+        runpy.run_module("bayes_aero", run_name="__main__")
+    assert "bayes-aero" in capsys.readouterr().out
+
+
+def test_the_catalogue_is_listed_and_explained(program):
+    listed = program("effects").out
+    found = {e["name"]: e for e in json.loads(program("effects", "--json").out)["effects"]}
+    assert set(found) == set(CATALOGUE)
+    assert all(name in listed for name in CATALOGUE)
+    told = program("effects", "pitch_rate_bias").out
+    for words in ("rad/s", "Klein and Morelli", "0.054", "normal, mean 0, deviation 0.01"):
+        assert words in told
+    assert found["flow_separation"]["parameters"][0]["bounds"] == [1.0, 200.0]
+
+
+def test_an_unknown_effect_is_told_with_its_neighbours(program):
+    done = program("effects", "pitch_rat_bias")
+    assert done.code == 2
+    assert "pitch_rate_bias" in done.err
+    assert done.err.count("\n") == 1
+
+
+def test_effects_of_a_card_are_listed_with_it(program, tmp_path):
+    (tmp_path / "mine.py").write_text(OWN)
+    text = study.shipped_cards()["attas"].read_text()
+    (tmp_path / "mine.toml").write_text(text.replace("[model]\n", '[model]\neffect_files = ["mine.py"]\n'))
+    found = json.loads(program("effects", "my_moment", "--model", "mine.toml", "--json").out)["effects"]
+    assert found[0]["claim"] == "Mine."
+    assert found[0]["model"] is False
+    assert program("effects", "my_moment").code == 2
+
+
+def test_an_interruption_says_what_is_kept(program, monkeypatch):
+    def interrupted(*_, out, **__):
+        out.mkdir()
+        (out / "parameters.csv").write_text("")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(job, "identify", interrupted)
+    done = program("identify")
+    assert done.code == INTERRUPTED
+    assert "parameters.csv" in done.err
+    assert "same command" in done.err
+
+
+def test_json_is_all_that_is_on_stdout(program, monkeypatch):
+    def finished(*_, out, **__):
+        out.mkdir()
+        (out / "results.json").write_text('{"schema": "bayes_aero/results/1"}\n')
+
+    monkeypatch.setattr(job, "identify", finished)
+    done = program("identify", "--json")
+    assert done.code == 0
+    assert json.loads(done.out) == {"schema": "bayes_aero/results/1"}

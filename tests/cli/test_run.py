@@ -1,0 +1,225 @@
+"""Studies: units are made once, resumed, redone where inputs changed, verified, and never anywhere else."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from bayes_aero.errors import InputError
+from bayes_aero.studies import identify as job
+from bayes_aero.studies import unit as units
+from bayes_aero.studies.provenance import write_json
+from bayes_aero.studies.study import read_study
+
+STUDY = """
+title = "two records"
+records = ["flights/*.csv"]
+one_by_one = true
+noise = ["white"]
+options.gp = false
+options.figures = false
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, flights):
+    """A study of two records in the working directory."""
+    (tmp_path / "flights").mkdir()
+    for name in ("sound", "biased"):
+        shutil.copy(getattr(flights, name), tmp_path / "flights" / f"{name}.csv")
+    (tmp_path / "study.toml").write_text(STUDY)
+    return tmp_path
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """The task replaced by a quick one whose number depends on the record alone; the units it was called for."""
+    done = []
+
+    def quick(unit, out, *_):
+        done.append(unit.shown[0])
+        number = int(hashlib.sha256(Path(unit.records[0]).read_bytes()).hexdigest()[:6], 16)
+        parameters = {"CLa": {"estimate": number / 7.0, "crb": 0.1, "crb_corrected": 0.2, "unit": "1/rad"}}
+        write_json({"mle": {"status": "converged", "parameters": parameters}}, out / "results.json")
+
+    monkeypatch.setattr(units, "perform", quick)
+    return done
+
+
+def states(program, *more):
+    told = json.loads(program("run", "study.toml", *more, "--json").out)
+    return {row["name"].split("-")[0]: row for row in told["units"]}
+
+
+def test_a_study_is_done_once_and_redone_where_its_inputs_changed(program, folder, calls):
+    assert {row["state"] for row in states(program, "--dry-run").values()} == {"missing"}
+    assert not (folder / "study_results").exists()
+    assert program("run", "study.toml").code == 0
+    assert sorted(calls) == ["flights/biased.csv", "flights/sound.csv"]
+    first = {p: p.read_bytes() for p in (folder / "study_results" / "units").rglob("results.json")}
+    assert program("run", "study.toml").code == 0
+    assert len(calls) == 2
+
+    record = folder / "flights" / "sound.csv"
+    record.write_text(record.read_text() + "\n")
+    planned = states(program, "--dry-run")
+    assert planned["biased"]["state"] == "done"
+    assert planned["sound"]["state"] == "changed"
+    assert "flights/sound.csv" in planned["sound"]["why"]
+    assert program("run", "study.toml").code == 0
+    assert calls[2:] == ["flights/sound.csv"]
+    assert sum(p.read_bytes() != text for p, text in first.items()) == 1
+
+
+def test_an_interrupted_study_goes_on_where_it_stopped(program, folder, calls, monkeypatch):
+    quick = units.perform
+
+    def interrupted(unit, out, *_):
+        if unit.shown[0].endswith("sound.csv"):
+            (out / "half.txt").write_text("half done")
+            raise KeyboardInterrupt
+        quick(unit, out)
+
+    monkeypatch.setattr(units, "perform", interrupted)
+    done = program("run", "study.toml")
+    assert done.code == 130
+    assert "1 of 2 units are done" in done.err
+    assert "same command" in done.err
+    assert len(list((folder / "study_results" / "units").iterdir())) == 1  # nothing half done
+    monkeypatch.setattr(units, "perform", quick)
+    assert program("run", "study.toml").code == 0
+    assert calls == ["flights/biased.csv", "flights/sound.csv"]
+    table = pd.read_csv(folder / "study_results" / "units.csv")
+    assert list(table["state"]) == ["done", "done"]
+
+
+@pytest.mark.usefixtures("calls")
+def test_a_unit_that_fails_says_why_and_stops_nobody(program, folder, monkeypatch):
+    quick = units.perform
+
+    def failing(unit, out, *_):
+        if unit.shown[0].endswith("biased.csv"):
+            raise InputError("this record is too short; give a longer one")
+        quick(unit, out)
+
+    monkeypatch.setattr(units, "perform", failing)
+    done = program("run", "study.toml")
+    assert done.code == 1
+    assert "this record is too short" in done.out
+    root = folder / "study_results" / "units"
+    told = {p.name.split("-")[0]: [f.name for f in p.iterdir()] for p in root.iterdir()}
+    assert "error.txt" in told["biased"]
+    assert "results.json" in told["sound"]
+    monkeypatch.setattr(units, "perform", quick)
+    assert program("run", "study.toml").code == 0  # tried again
+    assert states(program, "--dry-run")["biased"]["state"] == "done"
+
+
+@pytest.mark.usefixtures("calls")
+def test_a_doctored_number_is_found(program, folder):
+    program("run", "study.toml")
+    assert program("run", "study.toml", "--verify").code == 0
+    results = next((folder / "study_results" / "units").glob("sound-*")) / "results.json"
+    content = json.loads(results.read_text())
+    content["mle"]["parameters"]["CLa"]["estimate"] += 1e-9
+    write_json(content, results)
+    assert states(program, "--dry-run")["sound"]["state"] == "damaged"
+    done = program("run", "study.toml", "--verify")
+    assert done.code == 1
+    assert "mle.parameters.CLa.estimate" in done.out
+    assert "1 the same, 1 differ" in done.out
+    assert json.loads(results.read_text()) == content  # verification changes nothing
+
+
+@pytest.mark.usefixtures("calls")
+def test_the_summary_and_the_environment(program, folder):
+    program("run", "study.toml")
+    out = folder / "study_results"
+    table = pd.read_csv(out / "summary.csv")
+    pd.testing.assert_frame_equal(
+        table[["value", "sd"]], pd.read_parquet(out / "summary.parquet")[["value", "sd"]], check_dtype=False
+    )
+    assert list(table["method"]) == ["mle", "mle_corrected"] * 2
+    assert set(table["records"]) == {"flights/sound.csv", "flights/biased.csv"}
+    requirements = (out / "environment" / "requirements.txt").read_text()
+    import jax
+
+    assert f"\njax=={jax.__version__}\n" in requirements
+    assert (out / "study.toml").read_text() == STUDY
+
+
+def test_units_are_real_work(program, folder, monkeypatch):
+    """The runner around `identify`, maximum likelihood alone, so that it is quick."""
+    monkeypatch.setattr(job, "_plan", lambda _: [])
+    (folder / "study.toml").write_text(STUDY.replace("flights/*.csv", "flights/sound.csv"))
+    done = program("run", "study.toml", "--json")
+    assert done.code == 0, done.err
+    (unit,) = (folder / "study_results" / "units").iterdir()
+    made = json.loads((unit / "provenance.json").read_text())
+    record = folder / "flights" / "sound.csv"
+    assert made["inputs"][0]["sha256"] == hashlib.sha256(record.read_bytes()).hexdigest()
+    assert made["settings"]["options"] == {"gp": False, "figures": False}
+    table = pd.read_csv(folder / "study_results" / "summary.csv").set_index(["method", "parameter"])
+    # Noise-free flight of an aircraft whose truth is known: the estimate is the truth but for filters and integration.
+    assert table.loc[("mle", "CLa"), "value"] == pytest.approx(3.6, rel=0.05)
+    assert program("run", "study.toml", "--verify").code == 0
+
+
+def test_units_have_stable_names_inside_the_folder(folder):
+    hostile = folder / "flights" / "..; rm -rf $(x) ü.csv"
+    shutil.copy(folder / "flights" / "sound.csv", hostile)
+    study = read_study(folder / "study.toml")
+    for unit in study.units:
+        assert Path(unit.name).name == unit.name
+        assert not unit.name.startswith(".")
+        assert unit.name.isascii()
+        assert units.Unit.of_json(json.loads(json.dumps(unit.as_json()))) == unit
+    moved = folder / "elsewhere"
+    shutil.copytree(folder / "flights", moved / "flights")
+    shutil.copy(folder / "study.toml", moved)
+    assert [u.name for u in read_study(moved / "study.toml").units] == [u.name for u in study.units]
+
+
+def test_the_units_are_the_product_of_all_lists(folder):
+    text = STUDY + 'seeds = [0, 1]\nsplits = ["random", "block"]\neffects = [[], ["alpha_squared_moment"]]\n'
+    text = text.replace('["white"]', '["white", "ar1", "buffet-ar1"]')
+    # Keys after "options.gp" are still keys of the study: dotted keys open no section.
+    (folder / "study.toml").write_text(text)
+    found = read_study(folder / "study.toml").units
+    assert len(found) == len({unit.name for unit in found}) == 2 * 2 * 2 * 2 * 3
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (("title", "titel"), "did you mean 'title'"),
+        (("flights/*.csv", "flights/none.csv"), "flights/none.csv"),
+        (("flights/*.csv", "flights/*.mat"), "no record matches"),
+        (("flights/*.csv", "/nowhere/*.csv"), "no record matches"),
+        (('["white"]', '["pink"]'), "'pink'"),
+        (('["white"]', '"white"'), "list"),
+        (("options.gp", "options.gpr"), "did you mean 'gp'"),
+        (("gp = false", "gp = 1"), "true or false"),
+        (("one_by_one = true", 'cards = ["nobody"]'), "nobody"),
+        (("one_by_one = true", "seeds = [-1]"), "-1"),
+        (("one_by_one = true", "seeds = [1, 1]"), "twice"),
+        (("one_by_one = true", 'effects = [["thrust_leg"]]'), "thrust_lag"),
+        (("one_by_one = true", 'effects = ["thrust_lag"]'), "lists"),
+        (("one_by_one = true", 'task = "guess"'), "identify, diagnose"),
+        (("one_by_one = true", 'task = "diagnose"'), "noise is of no use"),
+        (("one_by_one = true", "one_by_one = tru"), "TOML"),
+    ],
+)
+def test_a_bad_study_is_one_sentence(program, folder, change, told):
+    assert change[0] in STUDY
+    (folder / "study.toml").write_text(STUDY.replace(*change))
+    done = program("run", "study.toml")
+    assert done.code == 2
+    assert told in done.err
+    assert done.err.count("\n") == 1
+    assert not (folder / "study_results").exists()
