@@ -15,7 +15,7 @@ from bayes_aero.cli.effects import effects
 from bayes_aero.cli.identify import identify
 from bayes_aero.cli.run import run
 from bayes_aero.cli.simulate import simulate
-from bayes_aero.cli.terminal import BAD_INPUT, FAILED, INTERRUPTED
+from bayes_aero.cli.terminal import BAD_INPUT, FAILED, INTERRUPTED, Interrupted
 from bayes_aero.errors import InputError
 
 EPILOG = (
@@ -60,6 +60,10 @@ def main() -> None:
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(BAD_INPUT)
-    except KeyboardInterrupt:
-        print("interrupted; nothing had been written yet", file=sys.stderr)
+    except Interrupted as stopped:
+        print(f"interrupted; {stopped}", file=sys.stderr)
         sys.exit(INTERRUPTED)
+    except SystemExit as stopped:
+        if stopped.code == INTERRUPTED:  # typer's own, before a command had begun its work
+            print("interrupted; nothing had been written yet, give the same command again", file=sys.stderr)
+        raise

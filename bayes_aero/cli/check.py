@@ -59,6 +59,8 @@ def _tell(console: Console, report: CheckReport) -> None:
         _tell_record(console, record)
     for name, value in report.card.constants.items():
         console.print(f"constant from the card: {name} = {value:g} (SI)")
+    if report.card.derived:
+        console.print(f"formed from the altitude, in a standard atmosphere: {', '.join(report.card.derived)}")
     for name, parts in report.card.sums.items():
         console.print(f"sum from the card: {name} = {' + '.join(parts)}")
     for name, why in report.uses.items():

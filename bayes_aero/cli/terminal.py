@@ -40,14 +40,17 @@ def print_json(content: Mapping[str, Any]) -> None:
     sys.stdout.write(as_json(dict(content)))
 
 
+class Interrupted(Exception):
+    """Ctrl-C, with what is kept and how to go on."""
+
+
 @contextmanager
 def interruptible(resume: Callable[[], str]) -> Iterator[None]:
-    """Turn Ctrl-C into one sentence that says what is kept and how to go on, and exit status 130."""
+    """Let Ctrl-C say what is kept and how to go on."""
     try:
         yield
     except KeyboardInterrupt:
-        print(f"interrupted; {resume()}", file=sys.stderr)
-        raise typer.Exit(INTERRUPTED) from None
+        raise Interrupted(resume()) from None
 
 
 def kept_stages(out: Path) -> Callable[[], str]:

@@ -19,9 +19,11 @@ from bayes_aero.parameter import Prior
 from bayes_aero.units import quantity_to_si
 
 SECTIONS = (
-    "title", "source", "aircraft", "channels", "sums", "constants", "sensors", "model", "linear", "parameters", "gp",
-    "tolerances",
+    "title", "source", "aircraft", "channels", "sums", "constants", "derived", "sensors", "model", "linear",
+    "parameters", "gp", "tolerances",
 )  # fmt: skip
+ATMOSPHERE = "standard atmosphere"
+DERIVABLE = {"density": ("altitude",), "mach": ("altitude", "airspeed")}  # and what each is formed from
 PARAMETER_KEYS = ("start", "bounds", "prior")
 POSITIONS = ("reference_point", "accelerometer", "engine")
 POSITIVE = (
@@ -59,6 +61,7 @@ class Card:
     changes: Mapping[str, ParameterChange] = field(default_factory=dict)
     gp_inputs: tuple[str, ...] = ("alpha", "elevator", "q", "airspeed")
     constants: Mapping[str, float] = field(default_factory=dict)  # channels that a file may lack, SI
+    derived: tuple[str, ...] = ()  # channels that a file may lack, formed from others
     linear: LinearCard | None = None
     tolerances: Mapping[str, Tolerance] = field(default_factory=lambda: dict(TOLERANCES))
 
@@ -107,9 +110,10 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
     channels = tuple(_channel(key, value, where) for key, value in table["channels"].items())
     constants = _constants(section(table, "constants", where), channels, where)
     sums = _sums(section(table, "sums", where), channels, constants, where)
+    derived = _derived(section(table, "derived", where), channels, {**constants, **sums}, where)
     linear = None
     if "linear" in table:
-        names = {channel.name for channel in channels} | set(constants) | set(sums)
+        names = {channel.name for channel in channels} | set(constants) | set(sums) | set(derived)
         linear = parse_linear(table["linear"], names, where)
     model = {} if linear else table["model"]
     effects = () if linear else _effects(model, where)
@@ -132,6 +136,7 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
         changes=changes,
         gp_inputs=_gp_inputs(section(table, "gp", where), where),
         constants=constants,
+        derived=derived,
         linear=linear,
     )
 
@@ -218,7 +223,7 @@ def _sums(
 
 def _quantity(key: str, value: Any, label: str, where: str) -> float:
     """A quantity in the SI unit of a channel that the program knows."""
-    unit = STANDARD_CHANNELS[key].unit if key in STANDARD_CHANNELS else "N" if key == "thrust" else None
+    unit = STANDARD_CHANNELS[key].unit if key in STANDARD_CHANNELS else None
     if unit is None:
         raise InputError(f"card {where}: [{label}] {key} is not a channel of the program")
     return quantity_to_si(value, unit, f"card {where}: [{label}] {key}")
@@ -264,6 +269,23 @@ def _constants(table: Mapping[str, Any], channels: tuple[Channel, ...], where: s
         ):
             raise InputError(f"card {where}: [constants] {key} is {table[key]!r}, beyond any flight; check its unit")
     return constants
+
+
+def _derived(
+    table: Mapping[str, Any], channels: tuple[Channel, ...], stated: Mapping[str, Any], where: str
+) -> tuple[str, ...]:
+    """Channels that follow from pressure altitude (and airspeed) in a standard atmosphere, where a file lacks them."""
+    known_keys(table, tuple(DERIVABLE), where, "key of [derived]")
+    mapped = {channel.name for channel in channels}
+    for key, value in table.items():
+        if value != ATMOSPHERE:
+            raise InputError(f"card {where}: [derived] {key} is {value!r}; the only rule is {ATMOSPHERE!r}")
+        if key in stated:
+            raise InputError(f"card {where}: {key} is both in [derived] and in [constants] or [sums]; keep one of them")
+        missing = [name for name in DERIVABLE[key] if name not in mapped]
+        if missing:
+            raise InputError(f"card {where}: [derived] {key} needs {missing[0]}, which [channels] does not map")
+    return tuple(table)
 
 
 def _change(key: str, given: Any, where: str) -> ParameterChange:

@@ -110,6 +110,7 @@ _TABLE = (
     ("n1_right", "1", "right engine speed, fraction", -0.1, 2.0, _PERCENT),
     ("thrust_left", "N", "left net thrust", -1e6, 1e6, 'looks too large: is its unit "N", "kN" or "lbf"?'),
     ("thrust_right", "N", "right net thrust", -1e6, 1e6, 'looks too large: is its unit "N", "kN" or "lbf"?'),
+    ("thrust", "N", "total net thrust", -2e6, 2e6, 'looks too large: is its unit "N", "kN" or "lbf"?'),
     ("fuel_used", "kg", "fuel used", -1e3, 3e5, ""),
     ("static_temperature", "K", "static temperature", 150.0, 350.0, _KELVIN),
     ("static_pressure", "Pa", "static pressure", 1200.0, 1.2e5, _PASCAL),

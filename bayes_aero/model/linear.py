@@ -136,7 +136,9 @@ def _tidy(unit: str) -> str:
 
 def _units(card: Card) -> dict[str, str]:
     """SI unit of every channel of the card, and of its sums, which are in the unit of their first part."""
-    known = {name: STANDARD_CHANNELS[name].unit for name in card.constants if name in STANDARD_CHANNELS}
+    known = {
+        name: STANDARD_CHANNELS[name].unit for name in (*card.constants, *card.derived) if name in STANDARD_CHANNELS
+    }
     for channel in card.channels:
         standard = STANDARD_CHANNELS.get(channel.name)
         known[channel.name] = standard.unit if standard else si_unit(channel.unit, f"channel {channel.name}")

@@ -16,6 +16,7 @@ from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
+from bayes_aero.physics.atmosphere import air
 from bayes_aero.physics.coefficients import REQUIRED, coefficient_noise, coefficients, condition
 from bayes_aero.physics.filters import FILTER_STEP
 
@@ -88,13 +89,25 @@ class Observations(eqx.Module):
 
 
 def with_sums(record: FlightRecord, card: Card) -> dict[str, Float[Array, " n"]]:
-    """The record's channels with the card's constants, where nothing was recorded, and its sums (total thrust)."""
+    """The record's channels with what the card states, where nothing was recorded, and its sums (total thrust)."""
     channels = {name: jnp.full(record.n, value) for name, value in card.constants.items()}
+    channels |= _from_altitude(record, card.derived)
     channels |= {name: jnp.asarray(values) for name, values in record.channels.items()}
     for name, parts in card.sums.items():
         found = (channels[part] if part in channels else jnp.asarray(record[part]) for part in parts)
         channels[name] = sum(found, start=jnp.zeros(record.n))
     return channels
+
+
+def _from_altitude(record: FlightRecord, wanted: Sequence[str]) -> dict[str, Float[Array, " n"]]:
+    """Density and Mach number in a standard atmosphere at the recorded altitude."""
+    if not (wanted and record.has("altitude")):
+        return {}
+    density, sound = air(jnp.asarray(record["altitude"]))
+    found = {"density": density}
+    if record.has("airspeed"):
+        found["mach"] = jnp.asarray(record["airspeed"]) / sound
+    return {name: found[name] for name in wanted if name in found}
 
 
 def named_apart(records: Sequence[FlightRecord]) -> list[str]:

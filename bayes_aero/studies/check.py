@@ -18,6 +18,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.flights import join
 from bayes_aero.model.longitudinal import FLIGHT
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import with_sums
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.physics.coefficients import REQUIRED
 from bayes_aero.physics.flightpath import PATH, PATH_NEEDS
@@ -80,7 +81,7 @@ def check_records(
 
 
 def _purpose(records: Sequence[FlightRecord], card: Card) -> tuple[dict[str, str], dict[str, str]]:
-    have = set(card.constants) | set(card.sums) | set.intersection(*(set(r.channels) for r in records))
+    have = _available(records, card)
     if card.linear is not None:
         missing = [n for n in (*card.linear.states, *card.linear.inputs) if n not in have]
         return {"linear model (Python)": _lacks(missing)}, {}
@@ -98,6 +99,11 @@ def _purpose(records: Sequence[FlightRecord], card: Card) -> tuple[dict[str, str
     return uses, dict(field_of(model, flights, tuple(own_effects(card.effect_files).values())).not_testable)
 
 
+def _available(records: Sequence[FlightRecord], card: Card) -> set[str]:
+    """Channels that every record has, by itself or by what the card states."""
+    return set.intersection(*(set(with_sums(record, card)) for record in records))
+
+
 def _lacks(missing: Sequence[str]) -> str:
     if not missing:
         return ""
@@ -105,7 +111,7 @@ def _lacks(missing: Sequence[str]) -> str:
 
 
 def _sensors(records: Sequence[FlightRecord], card: Card, seed: int) -> SensorCheck:
-    have = set(card.constants) | set(card.sums) | set.intersection(*(set(r.channels) for r in records))
+    have = _available(records, card)
     missing = [n for n in PATH_NEEDS if n not in have]
     if missing:
         return SensorCheck(f"the flight path needs {', '.join(missing)}", {}, {})
@@ -144,6 +150,7 @@ def check_results(report: CheckReport) -> dict[str, Any]:
         "usable": report.usable,
         "card": {"name": report.card.name, "title": report.card.title, "sha256": report.card.sha256},
         "constants": dict(report.card.constants),
+        "derived": list(report.card.derived),
         "sums": {name: list(parts) for name, parts in report.card.sums.items()},
         "records": records,
         "uses": {name: {"possible": not why, "why_not": why or None} for name, why in report.uses.items()},

@@ -20,7 +20,7 @@ from bayes_aero.units import to_si
 
 ALIKE = 0.84  # likeness of a heading to a known one
 ANGLE = 1.6  # rad; no angle of attack, attitude or deflection of a sound record is larger
-SI = {"thrust": "N"} | {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
+SI = {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,11 @@ import numpy as np
 from bayes_aero.criticism.accuracy import recording_noise
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import AIRCRAFT_UNITS, NO_AIRCRAFT, OPTIONAL
+from bayes_aero.flight.card import ATMOSPHERE, DERIVABLE
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.checks import MIN_SAMPLES
 from bayes_aero.flight.raw import RawColumn, read_raw
 from bayes_aero.model.flights import Flights
-from bayes_aero.physics.atmosphere import air
 from bayes_aero.physics.coefficients import REQUIRED
 from bayes_aero.studies.guess import Guess, guessed
 from bayes_aero.units import from_si
@@ -172,20 +172,22 @@ def _sums(found: Mapping[str, Guess]) -> Iterator[str]:
         yield from ("[sums]", 'thrust = ["thrust_left", "thrust_right"]', "")
 
 
+def _derivable(found: Mapping[str, Guess]) -> list[str]:
+    have = {name for name, guess in found.items() if not _implausible(name, guess)}
+    return [name for name, needs in DERIVABLE.items() if name not in have and set(needs) <= have]
+
+
 def _constants(found: Mapping[str, Guess]) -> Iterator[str]:
-    """Channels that the file lacks and that may stand for the whole record."""
+    """Channels that the file lacks, formed from others, or held for the whole record."""
+    derived = _derivable(found)
+    if derived:
+        yield "# Not recorded; formed from pressure altitude (and airspeed). Unlike the day's air by a few per cent."
+        yield "[derived]"
+        yield from (f'{name} = "{ATMOSPHERE}" # guess' for name in derived)
+        yield ""
     lines = []
-    if "density" not in found:
-        if "altitude" in found:
-            height = float(np.mean(found["altitude"].si))
-            density = float(air(jnp.asarray(height))[0])
-            lines.append(
-                f'density = "{density:.4g} kg/m^3" # guess: standard atmosphere at the mean altitude, {height:.0f} m'
-            )
-        else:
-            lines.append(
-                'density = "TODO" # air density, e.g. "0.9 kg/m^3"; was not found in the file, nor an altitude'
-            )
+    if "density" not in found and "density" not in derived:
+        lines.append('density = "TODO" # of the air, e.g. "0.9 kg/m^3"; neither it nor an altitude was found')
     if "thrust" not in found and not {"thrust_left", "thrust_right"} <= set(found):
         lines.append(
             'thrust = "TODO" # total net thrust, e.g. "2500 N"; was not found in the file. Drag is as good as this'
@@ -222,7 +224,8 @@ def _model(found: Mapping[str, Guess]) -> Iterator[str]:
     yield "effects = ["
     for name in ATTACHED[:1]:
         yield f'  "{name}",'
-    yield ("" if "mach" in found else "# ") + '  "mach_lift", # needs the Mach number'
+    mach = "mach" in found or "mach" in _derivable(found)
+    yield ("" if mach else "# ") + '  "mach_lift", # needs the Mach number'
     for name in ATTACHED[1:]:
         yield f'  "{name}",'
     yield _comment(

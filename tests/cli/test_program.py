@@ -109,6 +109,16 @@ def test_an_interruption_says_what_is_kept(program, monkeypatch):
     assert "same command" in done.err
 
 
+def test_an_interruption_while_reading_is_told_too(program, monkeypatch, flights):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(job, "read_records", interrupted)
+    done = program("identify", flights.sound)
+    assert done.code == INTERRUPTED
+    assert "nothing had been written" in done.err
+
+
 def test_json_is_all_that_is_on_stdout(program, monkeypatch):
     def finished(*_, out, **__):
         out.mkdir()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+import tomllib
 from pathlib import Path
 
 import pandas as pd
@@ -14,7 +15,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.studies import identify as job
 from bayes_aero.studies import unit as units
 from bayes_aero.studies.provenance import write_json
-from bayes_aero.studies.study import read_study
+from bayes_aero.studies.study import KEYS, OPTIONS, read_study
 
 STUDY = """
 title = "two records"
@@ -183,6 +184,14 @@ def test_units_have_stable_names_inside_the_folder(folder):
     shutil.copytree(folder / "flights", moved / "flights")
     shutil.copy(folder / "study.toml", moved)
     assert [u.name for u in read_study(moved / "study.toml").units] == [u.name for u in study.units]
+
+
+def test_the_study_in_the_readme_is_one():
+    text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    block = text.split("**A study**")[1].split("`bayes-aero run")[0]
+    table = tomllib.loads("\n".join(line for line in block.splitlines()[1:] if line.startswith("    ")))
+    assert set(table) <= set(KEYS)
+    assert set(table["options"]) <= set(OPTIONS[table["task"]])
 
 
 def test_the_units_are_the_product_of_all_lists(folder):

@@ -10,9 +10,10 @@ import pandas as pd
 import pytest
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card import read_card
+from bayes_aero.flight.card import read_card, shipped_cards
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.readers import read_record, write_record
+from bayes_aero.model.observations import with_sums
 
 CONSTANTS = {"mass": "8000 kg", "aspect_ratio": "8", "wing_area": "30 m^2", "Iy": "60000 kg m^2"}
 
@@ -125,9 +126,39 @@ def test_radians_metres_and_a_hostile_header(program, flights, card, tmp_path):
     units = {name: entry["unit"] for name, entry in tomllib.loads(text)["channels"].items()}
     assert units["alpha"] == units["theta"] == "rad"
     assert (units["q"], units["airspeed"], units["altitude"], units["az"]) == ("rad/s", "m/s", "m", "m/s^2")
-    constants = tomllib.loads(text)["constants"]
-    assert float(constants["density"].split()[0]) == pytest.approx(0.72, abs=0.02)  # ISO 2533, 5200 m: 0.7206
-    assert constants["thrust"] == "TODO"
+    table = tomllib.loads(text)
+    assert table["derived"] == {"density": "standard atmosphere", "mach": "standard atmosphere"}
+    assert table["constants"]["thrust"] == "TODO"
+
+
+def test_density_and_mach_follow_from_the_altitude(flights, card, tmp_path):
+    text = shipped_cards()["attas"].read_text()
+    for label in ("DENSITY", "MACH"):
+        name = label.lower()
+        text = re.sub(rf"^{name} = .*$", "", text, count=1, flags=re.MULTILINE)
+    text += '[derived]\ndensity = "standard atmosphere"\nmach = "standard atmosphere"\n'
+    (tmp_path / "few.toml").write_text(text)
+    few = read_card(tmp_path / "few.toml")
+    record = read_record(flights.sound, few.channels)
+    assert not record.has("density")
+    formed = with_sums(record, few)
+    # ISO 2533: 5000 m 0.7361 kg/m3 and 320.5 m/s; log density and sound are straight lines over 200 m.
+    density = np.exp(np.interp(record["altitude"], [4500.0, 5000.0, 5500.0], np.log([0.7768, 0.7361, 0.6971])))
+    assert np.allclose(formed["density"], density, rtol=5e-4)
+    assert np.allclose(formed["mach"], read_record(flights.sound, card.channels)["mach"], rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ('mach = "ideal gas"', "standard atmosphere"),
+        ('thrust = "standard atmosphere"', "unknown key of [derived]"),
+    ],
+)
+def test_bad_rules_are_one_sentence(tmp_path, line, told):
+    (tmp_path / "bad.toml").write_text(shipped_cards()["attas"].read_text() + f"[derived]\n{line}\n")
+    with pytest.raises(InputError, match=re.escape(told)):
+        read_card(tmp_path / "bad.toml")
 
 
 def test_a_sign_survives_writing_and_reading(flights, card, tmp_path):
