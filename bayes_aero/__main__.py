@@ -1,5 +1,8 @@
 """`python -m bayes_aero` is `bayes-aero`."""
 
+import sys
+
 from bayes_aero.cli import main
 
+sys.argv[0] = "bayes-aero"  # what provenance and help call it
 main()

@@ -15,7 +15,7 @@ from bayes_aero.cli.effects import effects
 from bayes_aero.cli.identify import identify
 from bayes_aero.cli.run import run
 from bayes_aero.cli.simulate import simulate
-from bayes_aero.cli.terminal import BAD_INPUT, FAILED, INTERRUPTED, Interrupted
+from bayes_aero.cli.terminal import BAD_INPUT, FAILED, INTERRUPTED, InterruptionError
 from bayes_aero.errors import InputError
 
 EPILOG = (
@@ -60,7 +60,7 @@ def main() -> None:
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(BAD_INPUT)
-    except Interrupted as stopped:
+    except InterruptionError as stopped:
         print(f"interrupted; {stopped}", file=sys.stderr)
         sys.exit(INTERRUPTED)
     except SystemExit as stopped:

@@ -40,7 +40,7 @@ def print_json(content: Mapping[str, Any]) -> None:
     sys.stdout.write(as_json(dict(content)))
 
 
-class Interrupted(Exception):
+class InterruptionError(Exception):
     """Ctrl-C, with what is kept and how to go on."""
 
 
@@ -50,7 +50,7 @@ def interruptible(resume: Callable[[], str]) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        raise Interrupted(resume()) from None
+        raise InterruptionError(resume()) from None
 
 
 def kept_stages(out: Path) -> Callable[[], str]:

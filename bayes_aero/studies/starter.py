@@ -12,7 +12,7 @@ import numpy as np
 from bayes_aero.criticism.accuracy import recording_noise
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import AIRCRAFT_UNITS, NO_AIRCRAFT, OPTIONAL
-from bayes_aero.flight.card import ATMOSPHERE, DERIVABLE
+from bayes_aero.flight.card_channels import ATMOSPHERE, DERIVABLE
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.checks import MIN_SAMPLES
 from bayes_aero.flight.raw import RawColumn, read_raw

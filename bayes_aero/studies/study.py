@@ -69,7 +69,8 @@ class Unit:
     @property
     def settings(self) -> dict[str, Any]:
         """What was chosen for it, without the paths of a machine."""
-        own = {key: value for key, value in self.as_json().items() if key not in ("name", "records", "card")}
+        own = {key: value for key, value in self.as_json().items() if key not in ("name", "shown", "card_name")}
+        own |= {"records": list(self.shown), "card": self.card_name}
         return {key: value for key, value in own.items() if value is not None}
 
 

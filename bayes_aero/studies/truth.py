@@ -12,6 +12,7 @@ from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.readers import read_record, write_record
+from bayes_aero.flight.writers import WRITERS
 from bayes_aero.studies.provenance import provenance, write_json
 from bayes_aero.studies.synthetic import Request, Synthetic, synthetic
 
@@ -22,6 +23,8 @@ def simulate_file(
     request: Request, card: Card, known: Mapping[str, Effect], out: Path
 ) -> tuple[Synthetic, dict[str, Any]]:
     """Simulate into `out`, in the format of its suffix, and `out`.truth.json; what is written can be read again."""
+    if out.suffix.lower() not in WRITERS:
+        raise InputError(f"{out}: records are written as {', '.join(WRITERS)}; choose one of these suffixes")
     found = synthetic(request, card, known, out.stem)
     record = found.record
     write_record(record, out, [c for c in card.channels if record.has(c.name)])

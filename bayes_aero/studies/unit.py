@@ -150,7 +150,7 @@ def _seal(partial: Path, unit: Unit, made_from: Mapping[str, Any], error: str, s
         "schema": SCHEMA,
         "state": "failed" if error else "done",
         "error": error,
-        "unit": {key: value for key, value in unit.as_json().items() if key not in ("records", "card")},
+        "name": unit.name,
         "made_from": dict(made_from),
         "environment": environment_id(),
         "seconds": seconds,

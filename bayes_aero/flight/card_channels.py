@@ -1,0 +1,99 @@
+"""What a card says of channels: where they stand in a file, sums, constants, and what is formed from others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card_checks import known_keys
+from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
+from bayes_aero.units import quantity_to_si
+
+ATMOSPHERE = "standard atmosphere"
+DERIVABLE = {"density": ("altitude",), "mach": ("altitude", "airspeed")}  # and what each is formed from
+
+
+def parse_channel(key: str, given: Any, where: str) -> Channel:
+    """One entry of [channels]."""
+    if not isinstance(given, dict):
+        raise InputError(f'card {where}: channel {key} must be a table, e.g. {{ column = 13, unit = "deg" }}')
+    known_keys(given, ("column", "label", "unit", "required", "sign"), where, f"key of channel {key}")
+    if "unit" not in given:
+        raise InputError(f"card {where}: channel {key} has no unit; state the unit that the file is in")
+    column = given.get("column")
+    if column is not None and (isinstance(column, bool) or not isinstance(column, int) or column < 1):
+        raise InputError(f"card {where}: channel {key} has column {column!r}; columns are counted from 1")
+    if column is None and "label" not in given:
+        raise InputError(f"card {where}: channel {key} has neither column nor label; say where it stands in a file")
+    label = given.get("label")
+    sign = given.get("sign", 1)
+    if isinstance(sign, bool) or sign not in (1, -1):
+        raise InputError(f"card {where}: channel {key} has sign {sign!r}; write -1 if the file counts the other way")
+    return Channel(
+        name=key,
+        unit=str(given["unit"]),
+        label=None if label is None else str(label),
+        column=column,
+        required=bool(given.get("required", True)),
+        sign=int(sign),
+    )
+
+
+def parse_sums(
+    table: Mapping[str, Any], channels: tuple[Channel, ...], constants: Mapping[str, float], where: str
+) -> dict[str, tuple[str, ...]]:
+    """[sums]: channels that are sums of others."""
+    names = {channel.name for channel in channels} | set(constants)
+    for key, parts in table.items():
+        if key in constants:
+            raise InputError(f"card {where}: {key} is both in [sums] and in [constants]; keep one of them")
+        if not (isinstance(parts, list) and parts):
+            raise InputError(f"card {where}: [sums] {key} must be a list of channel names")
+        missing = [part for part in parts if part not in names]
+        if missing:
+            raise InputError(f"card {where}: [sums] {key} uses {missing[0]}, which [channels] does not map")
+    return {key: tuple(parts) for key, parts in table.items()}
+
+
+def parse_quantity(key: str, value: Any, label: str, where: str) -> float:
+    """A quantity in the SI unit of a channel that the program knows."""
+    unit = STANDARD_CHANNELS[key].unit if key in STANDARD_CHANNELS else None
+    if unit is None:
+        raise InputError(f"card {where}: [{label}] {key} is not a channel of the program")
+    return quantity_to_si(value, unit, f"card {where}: [{label}] {key}")
+
+
+def parse_constants(table: Mapping[str, Any], channels: tuple[Channel, ...], where: str) -> dict[str, float]:
+    """Values of channels that the file may lack; what every file must hold has no constant."""
+    required = {channel.name for channel in channels if channel.required}
+    constants = {key: parse_quantity(key, value, "constants", where) for key, value in table.items()}
+    for key, value in constants.items():
+        if key == "time":
+            raise InputError(f"card {where}: [constants] time cannot be constant; map it under [channels]")
+        if key in required:
+            raise InputError(
+                f"card {where}: {key} is a required channel and in [constants]; drop one, or set required = false"
+            )
+        if key in STANDARD_CHANNELS and not (
+            STANDARD_CHANNELS[key].plausible[0] <= value <= STANDARD_CHANNELS[key].plausible[1]
+        ):
+            raise InputError(f"card {where}: [constants] {key} is {table[key]!r}, beyond any flight; check its unit")
+    return constants
+
+
+def parse_derived(
+    table: Mapping[str, Any], channels: tuple[Channel, ...], stated: Mapping[str, Any], where: str
+) -> tuple[str, ...]:
+    """Channels that follow from pressure altitude (and airspeed) in a standard atmosphere, where a file lacks them."""
+    known_keys(table, tuple(DERIVABLE), where, "key of [derived]")
+    mapped = {channel.name for channel in channels}
+    for key, value in table.items():
+        if value != ATMOSPHERE:
+            raise InputError(f"card {where}: [derived] {key} is {value!r}; the only rule is {ATMOSPHERE!r}")
+        if key in stated:
+            raise InputError(f"card {where}: {key} is both in [derived] and in [constants] or [sums]; keep one of them")
+        missing = [name for name in DERIVABLE[key] if name not in mapped]
+        if missing:
+            raise InputError(f"card {where}: [derived] {key} needs {missing[0]}, which [channels] does not map")
+    return tuple(table)
