@@ -56,7 +56,7 @@ for command in (identify, diagnose, simulate, run, card, check, effects):
 def main() -> None:
     """Entry point: bad input is one sentence and exit status 2, Ctrl-C is 130."""
     try:
-        app()
+        app(prog_name=app.info.name)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(BAD_INPUT)

@@ -21,8 +21,8 @@ def card(
 ) -> None:
     """Write a commented starter card for a new aircraft from a record's columns.
 
-    Names, units and signs are guessed, each with its evidence; what only you know is marked TODO. Until that is filled
-    in, using the card names the first thing that is missing.
+    Names, units and signs are guessed, each with its evidence.
+    What only you know is marked TODO; using the card before names the first.
 
     Example: bayes-aero card flight7.csv --out mine.toml
     """

@@ -30,10 +30,17 @@ def run(
 ) -> None:
     """Do a study: every combination of its records, cards, effects, noise models, splits and seeds.
 
-    Each unit gets a folder with its results and provenance. Doing it again does what is missing, failed, or whose
-    inputs have changed; a unit that fails leaves error.txt and the study goes on. A study file:
+    Each unit gets a folder with its results and provenance.
+    Doing it again does what is missing, failed, or whose inputs have changed.
+    A unit that fails leaves error.txt, and the study goes on. A study file:
 
-    records = ["flights/*.csv"]; cards = ["attas"]; seeds = [0, 1]; noise = ["white", "ar1"]; options.gp = false
+    records = ["flights/*.csv"]
+
+    cards = ["attas"]
+
+    seeds = [0, 1]
+
+    options.gp = false
 
     Example: bayes-aero run study.toml --out results
     """
