@@ -31,6 +31,7 @@ _HOME = {
     "Stage": "effect",
     "diagnose": "api",
     "fit": "api",
+    "gpr": "api",
     "plot": "api",
     "read": "api",
     "read_card": "flight.card",
@@ -39,7 +40,7 @@ _HOME = {
 }
 
 if TYPE_CHECKING:
-    from bayes_aero.api import Diagnosed, Fit, diagnose, fit, plot, read, sample
+    from bayes_aero.api import Diagnosed, Fit, diagnose, fit, gpr, plot, read, sample
     from bayes_aero.effect import Effect, Stage
     from bayes_aero.effects import CATALOGUE
     from bayes_aero.errors import InputError
@@ -64,6 +65,7 @@ __all__ = [
     "__version__",
     "diagnose",
     "fit",
+    "gpr",
     "plot",
     "read",
     "read_card",

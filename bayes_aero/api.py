@@ -7,6 +7,7 @@
     fit = ba.sample(ba.fit(records, card), engine="emcee")
     fit.table()                                # pandas: estimates, bounds, posterior
     ba.plot(fit, "prior_posterior")            # a matplotlib figure
+    ba.gpr(fit).validation()                   # regression beside it, scored on data held back in three ways
     ba.diagnose(records, card).table()         # what is missing from the model, and how large it is
 
 Results hold everything in SI and radians; tables say the units.
@@ -17,7 +18,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, TypeVar
+from typing import Literal, TypeVar, get_args
 
 import pandas as pd
 from matplotlib.figure import Figure
@@ -34,6 +35,8 @@ from bayes_aero.inference.laplace import density_start, find_mode
 from bayes_aero.inference.mle import MleResult, fit_mle
 from bayes_aero.inference.nuts import sample_nuts
 from bayes_aero.inference.posterior import Posterior
+from bayes_aero.inference.splits import SplitKind
+from bayes_aero.inference.validation import validate
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
@@ -41,11 +44,11 @@ from bayes_aero.model.observations import observe
 from bayes_aero.report.diagnosed import View, view_of
 from bayes_aero.report.figures import DIAGNOSIS_FIGURES, FIGURES
 from bayes_aero.report.style import NotDrawn
-from bayes_aero.report.tables import parameter_table
+from bayes_aero.report.tables import parameter_table, validation_table
 from bayes_aero.report.words import verdict
 from bayes_aero.report.words_diagnosis import causes_frame, screen_frame, sentences
 
-__all__ = ["Diagnosed", "Fit", "diagnose", "fit", "plot", "read", "sample"]
+__all__ = ["Diagnosed", "Fit", "diagnose", "fit", "gpr", "plot", "read", "sample"]
 
 Engine = Literal["emcee", "nuts"]
 NoiseName = Literal["white", "ar1", "buffet-ar1"]
@@ -77,6 +80,12 @@ class Fit:
     def table(self) -> pd.DataFrame:
         """Parameters as rows; estimates, bounds, posteriors, each manoeuvre by itself as columns. SI and radians."""
         return parameter_table(self.run)
+
+    def validation(self) -> pd.DataFrame:
+        """Scores of regression (`gpr`) and of maximum likelihood on data held back, by split, fold and coefficient."""
+        if self.run.gp is None:
+            raise InputError("this fit has no Gaussian processes yet; add them with bayes_aero.gpr(fit)")
+        return validation_table(self.run)
 
     def plot(self, figure: str = "forest") -> Figure:
         """One of the figures of `identify`; `bayes_aero.report.figures.FIGURES` names them."""
@@ -160,6 +169,20 @@ def sample(fit: Fit, *, engine: Engine = "emcee", noise: NoiseName = "ar1", seed
     return Fit(replace(run, noise=run.noise if beside else colour, posteriors=posteriors))
 
 
+def gpr(fit: Fit, *, split: SplitKind = "random", seed: int = 0) -> Fit:
+    """The same fit with Gaussian processes of CL, CD and Cm beside it, on the card's `[gp] inputs`; takes minutes.
+
+    They are trained on what each split keeps and scored on what it holds back: `random` samples, 4 s blocks (`block`),
+    a whole manoeuvre (`manoeuvre`; two records or more). Hyperparameters are sampled on the first fold of `split` and
+    taken at their mode elsewhere.
+    """
+    if split not in get_args(SplitKind):
+        raise InputError(f"there is no split {split!r}; choose one of {', '.join(get_args(SplitKind))}")
+    run = fit.run
+    report = validate(run.model, run.observations, run.mle, run.card.gp_inputs, chosen=split, seed=seed)
+    return Fit(replace(run, gp=report))
+
+
 def diagnose(
     records: Sequence[FlightRecord],
     card: str | Card = "attas",
@@ -177,9 +200,16 @@ def diagnose(
     return Diagnosed(view_of(found))
 
 
-def plot(result: Fit | Diagnosed, figure: str | None = None) -> Figure:
-    """`result.plot(figure)`; without a name each kind of result shows its own first figure."""
-    return result.plot() if figure is None else result.plot(figure)
+def plot(result: Fit | Diagnosed, figure: str | None = None, *, width: float | None = None) -> Figure:
+    """`result.plot(figure)`; without a name each kind of result shows its own first figure.
+
+    `width` in inches scales the figure, its letters keep their size: 10 suits a notebook's column.
+    """
+    drawn = result.plot() if figure is None else result.plot(figure)
+    if width is not None:
+        own, height = drawn.get_size_inches()
+        drawn.set_size_inches(width, height * width / own)
+    return drawn
 
 
 def _card(card: str | Card) -> Card:

@@ -17,7 +17,7 @@ from bayes_aero.report.comparison import ordered
 
 PUBLIC = {
     "CATALOGUE", "Card", "Diagnosed", "Effect", "Fit", "FlightRecord", "InputError", "Model", "Parameter", "Prior",
-    "Stage", "__version__", "diagnose", "fit", "plot", "read", "read_card", "sample", "write_record",
+    "Stage", "__version__", "diagnose", "fit", "gpr", "plot", "read", "read_card", "sample", "write_record",
 }  # fmt: skip
 
 
@@ -60,11 +60,15 @@ def test_table_and_plot(fitted):
     assert isinstance(table, pd.DataFrame)
     assert list(table.index) == list(ordered(fitted.mle.names))
     np.testing.assert_allclose(table.loc["Cmq", "crb"], fitted.mle.crb[fitted.mle.names.index("Cmq")])
-    assert isinstance(ba.plot(fitted), matplotlib.figure.Figure)
+    figure = ba.plot(fitted, width=10.0)
+    assert isinstance(figure, matplotlib.figure.Figure)
+    assert figure.get_size_inches()[0] == 10.0
     with pytest.raises(ba.InputError, match="no posterior"):
         ba.plot(fitted, "trace_emcee")
     with pytest.raises(ba.InputError, match="forest"):
         ba.plot(fitted, "florest")
+    with pytest.raises(ba.InputError, match="gpr"):
+        fitted.validation()
 
 
 def test_posteriors_under_different_noise_models_are_kept_apart(fitted):

@@ -1,0 +1,184 @@
+"""What MkDocs cannot do by itself: pages written from the code, the notebooks as pages, formulas without a network.
+
+A line `<!-- generate: NAME -->` on a page is replaced by the markdown that the function of that name here returns.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+from latex2mathml.converter import convert
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.plugins import event_priority
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).resolve().parents[1]
+GENERATE = re.compile(r"^<!-- generate: (\w+) -->$", re.MULTILINE)
+FORMULA = re.compile(r"\$\$(.+?)\$\$|\$([^$\n]+?)\$", re.DOTALL)
+WITH_FORMULAS = ("explanation/", "reference/card.md")  # elsewhere a dollar is a shell's
+NOTES = re.compile(r"^<!-- (run|file [\w.]+) -->\n", re.MULTILINE)  # for tests/test_docs.py
+
+
+@event_priority(100)  # before the notebook plugin looks for notebooks
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add notebooks/*.ipynb, which live beside the docs."""
+    for path in sorted((ROOT / "notebooks").glob("[0-9][0-9]_*.ipynb")):
+        files.append(File(f"notebooks/{path.name}", str(ROOT), config.site_dir, config.use_directory_urls))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Fill in what is generated; turn formulas into MathML, which browsers draw by themselves."""
+    source = page.file.src_uri
+    markdown = GENERATE.sub(lambda found: GENERATED[found[1]](), markdown)
+    markdown = NOTES.sub("", markdown)
+    return FORMULA.sub(_formula, markdown) if source.startswith(WITH_FORMULAS) else markdown
+
+
+def _formula(found: re.Match[str]) -> str:
+    block = found[1] is not None
+    return convert((found[1] or found[2]).strip(), display="block" if block else "inline")
+
+
+def effects() -> str:
+    """The catalogue: a table, and each effect with its parameters."""
+    from bayes_aero import CATALOGUE
+
+    order = sorted(CATALOGUE.values(), key=lambda e: (e.kind.value, e.name))
+    rows = [(f"[`{e.name}`](#{e.name})", e.kind.value, e.claim, ", ".join(p.name for p in e.parameters)) for e in order]
+    said = [f"{len(order)} effects.\n", _table(("effect", "kind", "claim", "parameters"), rows)]
+    for e in order:
+        said.append(f"\n### `{e.name}` {{ #{e.name} }}\n\n{e.claim}\n")
+        said.append(f"`{_plain(e.increments.__doc__)}`\n")
+        if e.parameters:
+            head = ("parameter", "unit", "what it is", "absent at", "start", "bounds", "prior", "worth modelling from")
+            said.append(_table(head, [_parameter(e, p) for p in e.parameters]))
+        facts = [f"stage {e.stage.name.lower()}", "reads " + (", ".join(e.channels) or "nothing")]
+        facts += ["uses " + ", ".join(e.uses)] if e.uses else []
+        facts += [] if e.candidate else ["for cards only: diagnosis does not propose it"]
+        said.append(f"\n{'; '.join(facts)}. Source: {e.source.rstrip('.')}.\n")
+    return "\n".join(said)
+
+
+def _parameter(effect: Any, p: Any) -> tuple[str, ...]:
+    low, high = (_number(x) for x in p.bounds)
+    bounds = "none" if (low, high) == ("-∞", "∞") else f"{low} to {high}"
+    prior = f"{p.prior.family}({_number(p.prior.location)}, {_number(p.prior.scale)}); {p.prior.source}"
+    least = _number(effect.sizes[p.name][0])
+    return f"`{p.name}`", p.unit, p.description, _number(p.neutral), _number(p.start), bounds, prior, least
+
+
+def channels() -> str:
+    """Channels that the program knows."""
+    from bayes_aero.flight.channel import STANDARD_CHANNELS
+
+    rows = [
+        (f"`{c.name}`", c.unit, c.description, f"{_number(c.plausible[0])} to {_number(c.plausible[1])}")
+        for c in STANDARD_CHANNELS.values()
+    ]
+    return _table(("channel", "unit inside", "what it is", "refused outside"), rows)
+
+
+def aircraft() -> str:
+    """Keys of [aircraft]."""
+    from bayes_aero.flight.aircraft import AIRCRAFT_UNITS, OPTIONAL
+
+    rows = [(f"`{key}`", unit, "no" if key in OPTIONAL else "yes") for key, unit in AIRCRAFT_UNITS.items()]
+    return _table(("key", "dimension of", "required"), rows)
+
+
+def tolerances() -> str:
+    """Bands that hold where a card has none."""
+    from bayes_aero.flight.tolerances import TOLERANCES
+
+    return _table(
+        ("output", "half width, SI", "source"), [(f"`{k}`", _number(t.value), t.source) for k, t in TOLERANCES.items()]
+    )
+
+
+def results_schema() -> str:
+    """results.json."""
+    return _schema("results.schema.json")
+
+
+def diagnosis_schema() -> str:
+    """diagnosis.json."""
+    return _schema("diagnosis.schema.json")
+
+
+def _schema(name: str) -> str:
+    text = (ROOT / "bayes_aero" / "studies" / name).read_text(encoding="utf-8")
+    schema = json.loads(text)
+    rows: list[tuple[str, str, str]] = []
+    _walk(schema, "", rows)
+    for key, part in schema.get("$defs", {}).items():
+        rows.append((f"*definition* `{key}`", _type(part), part.get("description", "")))
+        _walk(part, f"{key}.", rows)
+    full = f'??? note "The schema itself, `bayes_aero/studies/{name}`"\n\n    ```json\n'
+    full += "".join(f"    {line}\n" for line in text.splitlines()) + "    ```\n"
+    return f"{schema['description']}\n\n{_table(('key', 'type', 'what it is'), rows)}\n\n{full}"
+
+
+def _walk(part: dict[str, Any], path: str, rows: list[tuple[str, str, str]]) -> None:
+    """Every property below `part`; `*` stands for any name, `[]` for each item."""
+    required = part.get("required", [])
+    named = {**part.get("properties", {}), **{f"({k})": v for k, v in part.get("patternProperties", {}).items()}}
+    for key in required:
+        named.setdefault(key, {})
+    if isinstance(part.get("additionalProperties"), dict):
+        named["*"] = part["additionalProperties"]
+    for key, below in named.items():
+        optional = "" if key in required or not key.isidentifier() else " *(optional)*"
+        rows.append((f"`{path}{key}`{optional}", _type(below), below.get("description", "")))
+        _walk(below, f"{path}{key}.", rows)
+    if isinstance(part.get("items"), dict):
+        _walk(part["items"], f"{path.rstrip('.')}[].", rows)
+
+
+def _type(part: dict[str, Any]) -> str:
+    if "$ref" in part:
+        return "`" + part["$ref"].rsplit("/", 1)[-1] + "`"
+    if "const" in part:
+        return f"`{part['const']}`"
+    if "enum" in part:
+        return ", ".join(f"`{x}`" for x in part["enum"])
+    given = part.get("type", "")
+    kind = " or ".join(given) if isinstance(given, list) else given
+    items = part.get("items")
+    return f"{kind} of {_type(items)}" if kind == "array" and isinstance(items, dict) and _type(items) else kind
+
+
+def cli() -> str:
+    """Commands and options, as typer documents them."""
+    import typer.main
+    from typer.cli import get_docs_for_click
+
+    from bayes_aero.cli import app
+
+    command = typer.main.get_command(app)
+    with command.make_context("bayes-aero", ["--help"], resilient_parsing=True) as context:
+        return get_docs_for_click(obj=command, ctx=context, name="bayes-aero", indent=1)  # type: ignore[arg-type]
+
+
+GENERATED = {
+    f.__name__: f for f in (effects, channels, aircraft, tolerances, results_schema, diagnosis_schema, cli)
+}
+
+
+def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    lines = [head, tuple("---" for _ in head), *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in lines) + "\n"
+
+
+def _plain(text: str | None) -> str:
+    return " ".join((text or "").split()).rstrip(".")
+
+
+def _number(x: float) -> str:
+    if math.isinf(x):
+        return "∞" if x > 0 else "-∞"
+    return f"{x:.6g}"
