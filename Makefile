@@ -6,12 +6,12 @@ BIN := $(VENV)/bin
 PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist worksteal
 STAMP := $(VENV)/.installed
 
-.PHONY: demo picture test check fast clean
+.PHONY: demo picture test check fast docs notebooks clean
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.13")'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test,docs]'
 	touch $(STAMP)
 
 demo: $(STAMP)  ## identify two simulated stall manoeuvres into ./demo (without the Gaussian processes: minutes, not a quarter of an hour)
@@ -32,5 +32,11 @@ fast: $(STAMP)  ## the tests without the statistical recovery studies
 test: check  ## everything
 	$(PYTEST)
 
+docs: $(STAMP)  ## the documentation as a site, into ./site
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+
+notebooks: $(STAMP)  ## execute every notebook again (06 needs the ATTAS records in ../shared/attas)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python notebooks/run.py
+
 clean:
-	rm -rf $(VENV) demo build dist
+	rm -rf $(VENV) demo build dist site .cache

@@ -164,9 +164,7 @@ def cli() -> str:
         return get_docs_for_click(obj=command, ctx=context, name="bayes-aero", indent=1)  # type: ignore[arg-type]
 
 
-GENERATED = {
-    f.__name__: f for f in (effects, channels, aircraft, tolerances, results_schema, diagnosis_schema, cli)
-}
+GENERATED = {f.__name__: f for f in (effects, channels, aircraft, tolerances, results_schema, diagnosis_schema, cli)}
 
 
 def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
