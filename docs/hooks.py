@@ -126,7 +126,7 @@ def _schema(name: str) -> str:
 def _walk(part: dict[str, Any], path: str, rows: list[tuple[str, str, str]]) -> None:
     """Every property below `part`; `*` stands for any name, `[]` for each item."""
     required = part.get("required", [])
-    named = {**part.get("properties", {}), **{f"({k})": v for k, v in part.get("patternProperties", {}).items()}}
+    named = {**part.get("properties", {}), **{_any_of(k): v for k, v in part.get("patternProperties", {}).items()}}
     for key in required:
         named.setdefault(key, {})
     if isinstance(part.get("additionalProperties"), dict):
@@ -137,6 +137,11 @@ def _walk(part: dict[str, Any], path: str, rows: list[tuple[str, str, str]]) -> 
         _walk(below, f"{path}{key}.", rows)
     if isinstance(part.get("items"), dict):
         _walk(part["items"], f"{path.rstrip('.')}[].", rows)
+
+
+def _any_of(pattern: str) -> str:
+    """The names that a pattern of the schemas, ^(a|b)$, allows."""
+    return "{" + ", ".join(pattern.strip("^$()").split("|")) + "}"
 
 
 def _type(part: dict[str, Any]) -> str:
