@@ -19,6 +19,7 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from bayes_aero.errors import InputError
 from bayes_aero.inference.gp import GPFit, Priors, fit_gp
+from bayes_aero.inference.gp.sample import forget_compiled
 from bayes_aero.inference.identification import GPReport, Validation
 from bayes_aero.inference.mle import MleResult, fit_mle
 from bayes_aero.inference.scores import score
@@ -49,11 +50,12 @@ def validate(
     chosen: SplitKind,
     seed: int = 0,
     kinds: tuple[SplitKind, ...] = KINDS,
+    sample: bool = True,
     progress: Callable[[str, float], None] | None = None,
 ) -> GPReport:
     """Train on each split's training points and score on its test points, both models on the same ones.
 
-    Hyperparameters are sampled for the first fold of the `chosen` split and taken at their mode for the others.
+    Hyperparameters are sampled, if `sample`, for the first fold of the `chosen` split; for the others, at their mode.
     A split that the records do not allow (`manoeuvre` with one record) is left out.
     """
     began = time.perf_counter()
@@ -67,7 +69,7 @@ def validate(
     }
     X, z = gp_inputs(observations, inputs), np.asarray(observations.measured)
     tasks = [
-        _Task(kind, number, i, kind == chosen and number == 0)
+        _Task(kind, number, i, sample and kind == chosen and number == 0)
         for kind, folds in splits.items()
         for number in range(len(folds))
         for i in range(len(NAMES))
@@ -121,6 +123,7 @@ def _processes(tasks: int, n: int) -> int:
 def _give_back_memory() -> None:
     """Return to the system what compilers and samplers have left: compiled programs that nobody calls again, and
     glibc's free lists, over half a GB."""
+    forget_compiled()
     jax.clear_caches()
     gc.collect()
     if sys.platform == "linux":

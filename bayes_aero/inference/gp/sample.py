@@ -97,6 +97,15 @@ def _kernel(p: int, priors: Priors, settings: Settings, exact: bool, shapes: tup
     )
 
 
+def forget_compiled() -> None:
+    """Drop the compiled samplers; must go with `jax.clear_caches`, after which numpyro would trace them once more.
+
+    numpyro (0.22) wraps a vectorised kernel's step in another vmap at every start, which only its compiled program,
+    traced at the first one, does not notice.
+    """
+    _kernel.cache_clear()
+
+
 def _summary(theta: np.ndarray, density: np.ndarray, divergences: int) -> Chains:
     """Chains with their R-hat and bulk ESS, by ArviZ."""
     columns = np.moveaxis(theta, -1, 0)

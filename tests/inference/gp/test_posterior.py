@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from bayes_aero.inference import validation
 from bayes_aero.inference.gp import posterior as course
 from bayes_aero.inference.gp.density import log_density
 from bayes_aero.inference.gp.optimum import find_map
@@ -10,7 +11,7 @@ from bayes_aero.inference.gp.posterior import Budget, sample_posterior
 from bayes_aero.inference.gp.priors import Priors
 from bayes_aero.inference.gp.reduced import ReducedData
 from bayes_aero.inference.gp.reweight import SampleStatus, pareto_smooth, reweight, thin
-from bayes_aero.inference.gp.sample import Settings, laplace_root, sample_exact
+from bayes_aero.inference.gp.sample import Settings, laplace_root, sample_emulated, sample_exact
 
 NUTS = Settings(250, 500, 4)
 BUDGET = Budget(exact=400, nuts=NUTS)
@@ -59,6 +60,16 @@ def test_the_same_seed_gives_the_same_numbers(case):
     again = sample_posterior(best, data, Priors(), budget=BUDGET, seed=2)
     np.testing.assert_array_equal(again.weighted.theta, sampled.weighted.theta)
     assert again.weighted.k_hat == sampled.weighted.k_hat
+
+
+def test_it_samples_as_before_after_compiled_programs_were_given_back(case):
+    """As between two coefficients that one process trains."""
+    data, best, first = case
+    short = Settings(20, 20, 2)
+    before = sample_emulated(best.theta, first.emulator, data.n, Priors(), short, seed=1)
+    validation._give_back_memory()
+    after = sample_emulated(best.theta, first.emulator, data.n, Priors(), short, seed=1)
+    np.testing.assert_array_equal(after.theta, before.theta)
 
 
 def test_a_stand_in_much_too_narrow_is_refused(case):
