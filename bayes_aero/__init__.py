@@ -3,11 +3,10 @@
 The public names are those of `__all__`; each is imported when it is first asked for.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING
-
 import os
 import sys
+from importlib import import_module
+from typing import TYPE_CHECKING
 
 # The information matrix of a stall model spans ten decades; single precision loses its small eigenvalues. The variable
 # is read when jax is imported, so that `bayes-aero --help` need not import it.
