@@ -14,11 +14,16 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test,docs]'
 	touch $(STAMP)
 
-demo: $(STAMP)  ## identify two simulated stall manoeuvres into ./demo (without the Gaussian processes: minutes, not a quarter of an hour)
+demo: $(STAMP)  ## identify two simulated stalls (without the Gaussian processes: minutes, not a quarter of an hour); find a hidden effect
 	$(BIN)/bayes-aero identify --no-gp --out demo
+	$(BIN)/bayes-aero diagnose --no-trajectories --out demo/diagnosis
 
-picture: demo  ## the README's picture, from the demo
-	cp demo/figures/crb_vs_credible.png notebooks/uncertainty.png
+picture: $(STAMP)  ## the README's picture
+	mkdir -p picture
+	$(BIN)/bayes-aero simulate --effect thrust_moment=0.8 --noise buffet --seed 3 --force --out picture/stall_1.csv
+	$(BIN)/bayes-aero simulate --effect thrust_moment=0.8 --noise buffet --seed 4 --force --out picture/stall_2.csv
+	$(BIN)/bayes-aero diagnose picture/stall_1.csv picture/stall_2.csv --no-trajectories --no-predictors --out picture
+	cp picture/figures/found.png notebooks/found.png
 
 check: $(STAMP)  ## lint, types, layers
 	$(BIN)/ruff check .
@@ -39,4 +44,4 @@ notebooks: $(STAMP)  ## execute every notebook again (06 needs the ATTAS records
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python notebooks/run.py
 
 clean:
-	rm -rf $(VENV) demo build dist site .cache
+	rm -rf $(VENV) demo picture build dist site .cache
