@@ -1,6 +1,6 @@
 """The stall in two numbers with intervals: the highest steady lift coefficient, and the angle at which it is reached.
 
-Quasi-steady: the model's CL(alpha) at alpha-dot = 0 and zero rates, all else at its median near the stall. The maximum is
+Quasi-steady: CL(alpha) at alpha-dot = 0 and zero rates, all else at its median near the stall. The maximum is
 sought over the angles that were flown; where it lies at their edge the record does not show it, and that is counted.
 """
 
@@ -53,6 +53,11 @@ class Stall:
     alpha_max: Interval
     at_edge: float
     reference: Mapping[str, float]
+
+    def numbers(self) -> dict[str, Any]:
+        """CLmax, its angle (rad) and the share at the edge, for a file."""
+        pairs = (("CL_max", self.CL_max), ("alpha_max", self.alpha_max))
+        return {name: {"median": i.median, "ci95": [i.low, i.high]} for name, i in pairs} | {"at_edge": self.at_edge}
 
     @property
     def seen(self) -> bool:
