@@ -156,11 +156,7 @@ def _peak(ax: Axes, flown: Flown) -> None:
         x, y, xerr=[[x - low], [high - x]], yerr=[[y - s.CL_max.low], [s.CL_max.high - y]], fmt="o", ms=5.0,
         color="black", mec="white", capsize=3.0, zorder=6, label="CLmax and its angle, 95 %",
     )  # fmt: skip
-    text = f"CLmax {y:.3f}\nat {x:.1f} deg"
-    ax.annotate(
-        text, (x, y), xytext=(-12, 10), textcoords="offset points", ha="right", va="bottom", fontsize=9.0,
-        bbox={"fc": "white", "ec": "none", "alpha": 0.8, "pad": 1.0}, zorder=7,
-    )  # fmt: skip
+    ax.text(0.97, 0.05, f"CLmax {y:.3f}\nat {x:.1f} deg", transform=ax.transAxes, ha="right", fontsize=9.5)
 
 
 def _time_spent(ax: Axes, flown: Flown) -> None:

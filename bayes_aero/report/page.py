@@ -19,6 +19,8 @@ from markupsafe import Markup, escape
 
 from bayes_aero import __version__
 
+ACROSS = 150  # characters in a row of a table from which paper is turned
+
 
 @dataclass(frozen=True)
 class Text:
@@ -59,6 +61,13 @@ class Table:
     words: tuple[int, ...] = ()
     note: str = ""
     kind: str = field(default="table", init=False)
+
+    @property
+    def broad(self) -> bool:
+        """Whether it needs a sheet across when printed."""
+        columns = enumerate(zip(*self.rows, strict=True) if self.rows else ())
+        widths = [max(len(cell) for cell in column) if i not in self.words else 25 for i, column in columns]
+        return sum(widths) + 2 * len(widths) > ACROSS
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@
 
   async function draw(place) {
     const found = await Bokeh.embed.embed_item(items[Number(place.dataset.plot)], place.id);
-    for (const view of Array.isArray(found) ? found : Array.from(found)) views.set(place, view);
+    views.set(place, Array.from(found));
     const canvas = place.parentElement;
     const wake = document.createElement("button");  // a swipe on a phone scrolls the page until the plot is tapped
     wake.type = "button";
@@ -17,7 +17,7 @@
   }
 
   function still(place) {  // a canvas of its own, for its size follows the paper while Bokeh's follows the window
-    const view = views.get(place);
+    const view = (views.get(place) || []).find((one) => one.bbox && one.bbox.height > 0);  // not the notifications
     const old = place.parentElement.querySelector(".still");
     if (old) old.remove();
     if (!view) return;
