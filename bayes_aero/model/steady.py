@@ -20,12 +20,12 @@ def conditions(signals: Mapping[str, Any]) -> dict[str, float]:
     """One value of every signal (SI): its median where alpha is in its highest tenth; rates are zero."""
     alpha = np.asarray(signals["alpha"])
     high = alpha >= np.quantile(alpha, 1.0 - NEAR_STALL)
-    found = {}
+    found: dict[str, float] = {}
     for name, values in signals.items():
         array = np.asarray(values)
         if array.shape == alpha.shape and array.dtype.kind == "f":
             found[name] = float(np.median(array[high]))
-    return found | dict.fromkeys(RATES, 0.0)
+    return {**found, **dict.fromkeys(RATES, 0.0)}
 
 
 def steady_flow(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,7 +17,7 @@ from bayes_aero.report.diagnosed import Fitted, View
 from bayes_aero.report.predictions import fitted_coefficients
 from bayes_aero.report.style import COLOURS, NotDrawn, housed, panels
 
-BAND = {"alpha": 0.25, "lw": 0.0}
+BAND: dict[str, Any] = {"alpha": 0.25, "lw": 0.0}
 RATE_COLOURS = ("falling", "measured", "rising")
 
 

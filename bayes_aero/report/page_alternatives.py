@@ -46,7 +46,7 @@ def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
         ),
         "gain": (
             "R² and RMSE on unseen data as the causes are added one after the other, top to bottom.",
-            "Bar chart of scores on unseen data by cause. " + _gained(view),
+            "Bar chart of scores on unseen data by cause. " + gained(view),
         ),
         "moves": (
             "How far each of the card's parameters moved when the causes were added.",
@@ -87,7 +87,7 @@ def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
     }
 
 
-def _gained(view: View) -> str:
+def gained(view: View) -> str:
     measured = [c.gain for c in view.diagnosis.causes if c.gain.before]
     if not measured:
         return ""

@@ -16,8 +16,8 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.diagnosed import Ranking, View, rankings_of
 from bayes_aero.report.figures_flight import SYMBOLS, shown_in
-from bayes_aero.report.page import Block, Fold, Page, Plot, Table, Text, filled, section
-from bayes_aero.report.page_alternatives import diagnosis_alternatives
+from bayes_aero.report.page import Block, Fold, Page, Table, Text, filled, section
+from bayes_aero.report.page_alternatives import diagnosis_alternatives, gained
 from bayes_aero.report.page_diagnosis_tables import (
     calibration,
     causes,
@@ -26,7 +26,16 @@ from bayes_aero.report.page_diagnosis_tables import (
     residuals,
     separating,
 )
-from bayes_aero.report.page_parts import WORDS, at_a_glance, bullets, histories, provenance_blocks, stall_table, symbols
+from bayes_aero.report.page_parts import (
+    WORDS,
+    at_a_glance,
+    bullets,
+    first,
+    histories,
+    provenance_blocks,
+    stall_table,
+    symbols,
+)
 from bayes_aero.report.page_pictures import Gallery
 from bayes_aero.report.page_plots import LOW, Line, Panel
 from bayes_aero.report.page_trajectories import trajectories
@@ -58,6 +67,8 @@ def diagnosis_page(view: View, told: Told) -> Page:
     gallery = Gallery(told.figures, diagnosis_alternatives(view))
     verdict, *rest = diagnosis_sentences(d)
     lead: list[Block] = [Text(one, "lead") for one in told.revealed]
+    if gained(view):
+        lead.append(Text(f"On data that were not fitted, before and after: {gained(view)}", "lead"))
     lead += gallery("headline") or gallery("measured_simulated")
     if not told.figures:
         lead.append(Text("Static pictures were not drawn in this run; tables and interactive figures are complete."))
@@ -201,8 +212,9 @@ def _coefficients(view: View) -> tuple[Block, ...]:
         (f"error of the {models[-1][0]}", models[-1][1], "area"),
     )
     channels = {**view.card.state.responses.flights.channels, **view.card.signals}
-    plots: list[Plot] = []
-    for number, name in enumerate(view.names):
+    shown, more = first(view.names)
+    plots: list[Block] = [*more]
+    for number, name in enumerate(shown):
         mine = view.manoeuvre == number
         panels = []
         for c, coefficient in enumerate(NAMES):

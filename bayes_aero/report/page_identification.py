@@ -14,13 +14,14 @@ from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report import page_tables
 from bayes_aero.report.comparison import chosen_posteriors, engine_label, methods, ordered, usable
 from bayes_aero.report.figures_flight import SYMBOLS, shown_in
-from bayes_aero.report.page import Block, Fold, Page, Plot, Text, filled, section
+from bayes_aero.report.page import Block, Fold, Page, Text, filled, section
 from bayes_aero.report.page_alternatives import identification_alternatives
 from bayes_aero.report.page_parts import (
     DEG,
     WORDS,
     at_a_glance,
     bullets,
+    first,
     histories,
     interval,
     provenance_blocks,
@@ -112,11 +113,12 @@ def _warnings(run: Identification) -> list[str]:
     ]
 
 
-def _histories(run: Identification) -> list[Plot]:
+def _histories(run: Identification) -> list[Block]:
     o = run.observations
     fitted, measured = fitted_coefficients(run), np.asarray(o.measured)
-    plots = []
-    for number, name in enumerate(o.names):
+    shown, told = first(o.names)
+    plots: list[Block] = [*told]
+    for number, name in enumerate(shown):
         mine = o.manoeuvre == number
         panels = [
             Panel(

@@ -19,6 +19,7 @@ from bayes_aero.report.words_trajectory import SYMBOLS
 
 GLANCE = ("airspeed", "alpha", "altitude", "elevator", "q")
 DEG = 180.0 / np.pi
+MOST_SHOWN = 6  # manoeuvres whose time histories are on the page: each costs a browser a second on a phone
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -199,6 +200,13 @@ def symbols(model: Model, names: Iterable[str]) -> Fold:
 
 def _unit(unit: str) -> str:
     return {"1": "-", "c/V": "chords"}.get(unit, unit).replace("^2", "²").replace("^3", "³")
+
+
+def first(names: Sequence[str]) -> tuple[Sequence[str], tuple[Block, ...]]:
+    """The manoeuvres whose time histories are shown, and the sentence that says so where there are more."""
+    if len(names) <= MOST_SHOWN:
+        return names, ()
+    return names[:MOST_SHOWN], (Text(f"The first {MOST_SHOWN} of {len(names)} manoeuvres are shown."),)
 
 
 def histories(

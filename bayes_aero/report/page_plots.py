@@ -68,7 +68,7 @@ def linked(time: Float[np.ndarray, " n"], panels: Sequence[Panel], name: str) ->
     from bokeh.layouts import gridplot
     from bokeh.models import Range1d, Span
 
-    shared = Range1d(float(time[0]), float(time[-1]), bounds="auto", name=name)
+    shared = Range1d(start=float(time[0]), end=float(time[-1]), bounds="auto", name=name)
     cross = Span(dimension="height", line_dash="dotted", line_color="#777777", line_width=1)
     figures = [_panel(time, panel, shared, cross, last=panel is panels[-1]) for panel in panels]
     grid = gridplot([[f] for f in figures], sizing_mode="stretch_width", toolbar_location="above", merge_tools=True)
@@ -113,7 +113,7 @@ def _draw(f: Any, time: np.ndarray, panel: Panel) -> None:
     from bokeh.models import ColumnDataSource, HoverTool
 
     index = extremes([line.values for line in panel.lines])
-    columns = {"t": np.asarray(time[index], np.float32)}
+    columns: dict[str, Any] = {"t": np.asarray(time[index], np.float32)}
     columns |= {f"y{i}": np.asarray(line.values[index], np.float32) for i, line in enumerate(panel.lines)}
     if panel.band is not None:
         columns |= {"low": columns["y0"] - np.float32(panel.band), "high": columns["y0"] + np.float32(panel.band)}
@@ -159,4 +159,4 @@ def _scale(panel: Panel) -> Any:
     band = panel.band or 0.0
     start = max(low - reach, min(below, low - band) - 0.05 * span)
     end = min(high + reach, max(above, high + band) + 0.05 * span)
-    return Range1d(start, end) if end > start else Range1d(low - 1.0, high + 1.0)
+    return Range1d(start=start, end=end) if end > start else Range1d(start=low - 1.0, end=high + 1.0)

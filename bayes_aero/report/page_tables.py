@@ -161,7 +161,7 @@ def validation(identification: Identification) -> Table | None:
             f"{r['gpr_coverage95']:.0%}",
             number(r["gpr_k_hat"], 2),
         )
-        for _, r in frame[frame["fold"] == "all"].iterrows()
+        for r in frame.loc[frame["fold"] == "all"].to_dict(orient="records")
     ]
     return Table(
         "Held-back samples: the stall model (maximum likelihood) beside a Gaussian process (GPR)",

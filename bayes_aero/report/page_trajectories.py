@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import NamedTuple
+
 from bayes_aero.criticism.trajectory import Path, Trajectories
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.report.page import Block, Facts, Fold, Plot, Table, Text
-from bayes_aero.report.page_parts import histories, number
+from bayes_aero.report.page import Block, Facts, Fold, Table, Text
+from bayes_aero.report.page_parts import first, histories, number
 from bayes_aero.report.page_plots import Line, Panel
 from bayes_aero.report.style import COLOURS, bracket, for_people
 from bayes_aero.report.words_trajectory import SYMBOLS, short
@@ -19,6 +22,13 @@ SPLITS = {
     "unseen": "Unseen: flown from the measured initial state by the fit to the other flights",
     "fitted": "Fitted: parameters and initial states fitted to all flights",
 }
+
+
+class _Curve(NamedTuple):
+    path: Path
+    label: str
+    colour: str
+    style: str
 
 
 def trajectories(flown: Trajectories, card: Card) -> tuple[Block, ...]:
@@ -105,33 +115,31 @@ def _kept(flown: Trajectories) -> Table:
     )
 
 
-def _flights(flown: Trajectories, split: str) -> tuple[Plot, ...]:
-    plots = []
-    for number_, name in enumerate(_names(flown, split)):
-        paths = [(p, *rest) for key, *rest in MODELS if (p := flown.path(name, key, split)) is not None]
-        first = paths[0][0]
-        panels = [_panel(output, paths) for output in flown.outputs if output in first.measured]
+def _flights(flown: Trajectories, split: str) -> tuple[Block, ...]:
+    shown, told = first(_names(flown, split))
+    plots: list[Block] = [*told]
+    for order, name in enumerate(shown):
+        curves = [_Curve(p, *how) for key, *how in MODELS if (p := flown.path(name, key, split)) is not None]
+        path = curves[0].path
+        panels = [_panel(output, curves) for output in flown.outputs if output in path.measured]
         legend = (
             ("measured", COLOURS["measured"], "solid"),
-            *((label, colour, style) for _, label, colour, style in paths),
-            (f"error of the {paths[-1][1]}", paths[-1][2], "area"),
+            *((c.label, c.colour, c.style) for c in curves),
+            (f"error of the {curves[-1].label}", curves[-1].colour, "area"),
             ("tolerance", "#999999", "area"),
         )
         what = f"{SPLITS[split]}: measured and simulated outputs"
-        plot = histories(name, f"time-{split}-{number_}", first.time, panels, legend, what)
-        plots.append(Plot(plot.item, plot.legend, plot.alt, f"{SPLITS[split]}. {plot.caption}", f"{name}, {split}"))
+        plot = histories(name, f"time-{split}-{order}", path.time, panels, legend, what)
+        caption = f"{SPLITS[split]}. {plot.caption}"
+        plots.append(replace(plot, caption=caption, title=f"{name}, {split}"))
     return tuple(plots)
 
 
-def _panel(output: str, paths: list[tuple[Path, str, str, str]]) -> Panel:
+def _panel(output: str, curves: list[_Curve]) -> Panel:
     factor = for_people(STANDARD_CHANNELS[output].unit)[1]
-    first = paths[0][0]
-    lines = [Line("measured", COLOURS["measured"], factor * first.measured[output], width=1.0)]
-    lines += [Line(label, colour, factor * path.simulated[output], style) for path, label, colour, style in paths]
-    tolerance = first.errors[output].tolerance
-    return Panel(
-        _label(output),
-        tuple(lines),
-        shade=((0, len(paths)),),
-        band=None if tolerance is None else factor * tolerance,
-    )
+    path = curves[0].path
+    lines = [Line("measured", COLOURS["measured"], factor * path.measured[output], width=1.0)]
+    lines += [Line(c.label, c.colour, factor * c.path.simulated[output], c.style) for c in curves]
+    tolerance = path.errors[output].tolerance
+    band = None if tolerance is None else factor * tolerance
+    return Panel(_label(output), tuple(lines), shade=((0, len(curves)),), band=band)
