@@ -21,6 +21,7 @@ from bayes_aero.inference.output_error import OutputErrorResult, OutputErrorStat
 from bayes_aero.inference.posterior import Marginal, Posterior, PosteriorStatus
 from bayes_aero.inference.scores import score
 from bayes_aero.inference.splits import make_splits
+from bayes_aero.inference.stall import stall_of_posterior
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Observations
@@ -220,6 +221,7 @@ def build(
         mle=fit(model, corrected=corrected, lag1=lag1, status=status),
         alone=alone,
         posteriors=posteriors,
+        stall=stall_of_posterior(model, next(iter(posteriors.values())), o.signals, o.aircraft) if posteriors else None,
         gp=gaussian_process(o, gp_errors or {"random": 0.001, "block": 0.001, "manoeuvre": 0.001}) if gp else None,
     )
 

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.image import imread
 
 from bayes_aero.criticism.finding import Unknown, Verdict
-from bayes_aero.report.diagnosed import composition
+from bayes_aero.report.diagnosed import composition, with_stalls
 from bayes_aero.report.figures import DIAGNOSIS_FIGURES, draw_all
 from bayes_aero.report.figures_diagnosis import autocorrelation
 from bayes_aero.report.style import NotDrawn, close, save
@@ -33,7 +33,7 @@ def nothing(diagnosed):
     view = diagnosed.view
     empty = replace(view.diagnosis, verdict=Verdict.NO_EFFECT, causes=(), unknown=(), sensors=None)
     state = replace(view.extended.state, active=())
-    return replace(view, diagnosis=empty, extended=replace(view.card, state=state))
+    return with_stalls(replace(view, diagnosis=empty, extended=replace(view.card, state=state)))
 
 
 @pytest.mark.parametrize("split", ["fitted", "unseen"])

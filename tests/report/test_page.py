@@ -14,7 +14,6 @@ import xarray as xr
 from PIL import Image
 
 from bayes_aero.inference.posterior import PosteriorStatus
-from bayes_aero.inference.stall import stall_of_posterior
 from bayes_aero.report.page import Fold, Page, Picture, Plot, Table, Text, put_page, render, section, write_page
 from bayes_aero.report.page_diagnosis import Told, diagnosis_page, flown_page
 from bayes_aero.report.page_identification import headline, identification_page
@@ -58,16 +57,9 @@ def page_of(*blocks, **words) -> Page:
 
 
 @pytest.fixture(scope="module")
-def run(full):
-    """An identification with its stall."""
-    o = full.observations
-    return replace(full, stall=stall_of_posterior(full.model, full.posteriors["emcee"], o.signals, o.aircraft))
-
-
-@pytest.fixture(scope="module")
-def html(run):
-    source = provenance(run.card, run.records, 0, {"noise": "ar1"})
-    return render(identification_page(replace(run, notes=("Figure pair was not drawn: it rained",)), source, {}))
+def html(full):
+    source = provenance(full.card, full.records, 0, {"noise": "ar1"})
+    return render(identification_page(replace(full, notes=("Figure pair was not drawn: it rained",)), source, {}))
 
 
 def test_whatever_comes_from_a_run_is_escaped():
@@ -107,18 +99,18 @@ def test_the_outline_is_sound(html):
     assert all(len(text) > 40 and re.search(r"\d", text) for text in outline.alternatives)
 
 
-def test_the_page_tells_the_numbers_of_the_run(html, run):
+def test_the_page_tells_the_numbers_of_the_run(html, full):
     text = Outline(html).text
     for posterior in ("emcee", "NUTS", "Cramér–Rao"):
         assert posterior in text
     assert "Figure pair was not drawn: it rained" in text
-    assert run.records[0].sha256 in text
-    for name in run.mle.names:
+    assert full.records[0].sha256 in text
+    for name in full.mle.names:
         assert name in text
 
 
-def test_parameters_are_those_of_every_method(run):
-    table = parameters(run)
+def test_parameters_are_those_of_every_method(full):
+    table = parameters(full)
     row = next(cells for cells in table.rows if cells[0].startswith("Cmde "))
     assert row[0] == "Cmde [1/rad]"
     assert row[1:3] == ("-0.800 ± 0.010", "-0.800 ± 0.040")  # the bound and four times it
@@ -127,31 +119,31 @@ def test_parameters_are_those_of_every_method(run):
     assert sum(span for _, span in table.groups) == len(table.head) == len(row)
 
 
-def test_a_stall_beyond_the_record_is_said_to_be(run):
-    (table, warning) = stall_table({"emcee": run.stall}, "")
-    assert run.stall.at_edge == 1.0  # lift without separation only rises
+def test_a_stall_beyond_the_record_is_said_to_be(full):
+    (table, warning) = stall_table({"emcee": full.stall}, "")
+    assert full.stall.at_edge == 1.0  # lift without separation only rises
     assert table.rows[0][1].startswith("at least")
     assert table.rows[0][2] == "not shown by this record"
     assert "100%" in warning.text
-    assert "CLmax" not in headline(run)
+    assert "CLmax" not in headline(full)
 
 
-def test_draws_that_did_not_converge_are_warned_of_first(run):
-    bad = replace(run.posteriors["nuts"], status=PosteriorStatus.DIVERGENT)
-    page = identification_page(replace(run, posteriors={**run.posteriors, "nuts": bad}), {}, {})
+def test_draws_that_did_not_converge_are_warned_of_first(full):
+    bad = replace(full.posteriors["nuts"], status=PosteriorStatus.DIVERGENT)
+    page = identification_page(replace(full, posteriors={**full.posteriors, "nuts": bad}), {}, {})
     assert page.lead[0].tone == "warning"
     assert "divergent" in page.lead[0].text
 
 
-def test_coverage_of_a_calibrated_posterior(run):
-    assert coverage(run) is None  # these draws have no predictions
+def test_coverage_of_a_calibrated_posterior(full):
+    assert coverage(full) is None  # these draws have no predictions
     rng = np.random.default_rng(0)
-    posterior = run.posteriors["emcee"]
+    posterior = full.posteriors["emcee"]
     tree = posterior.tree.copy()
     names = {n: (("chain", "draw", "instant"), rng.standard_normal((2, 100, 400))) for n in ("CL", "CD", "Cm")}
     tree["posterior_predictive"] = xr.DataTree(xr.Dataset(names))
     tree["observed_data"] = xr.DataTree(xr.Dataset({n: ("instant", rng.standard_normal(400)) for n in names}))
-    table = coverage(replace(run, posteriors={"emcee": replace(posterior, tree=tree)}))
+    table = coverage(replace(full, posteriors={"emcee": replace(posterior, tree=tree)}))
     assert table is not None
     shares = np.array([[float(cell.rstrip("%")) for cell in row[1:]] for row in table.rows])
     assert shares == pytest.approx(np.tile([50.0, 90.0, 95.0], (3, 1)), abs=8.0)

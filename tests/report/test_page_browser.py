@@ -9,7 +9,6 @@ from itertools import pairwise
 
 import pytest
 
-from bayes_aero.inference.stall import stall_of_posterior
 from bayes_aero.report import figures_comparison, figures_stall
 from bayes_aero.report.figures import draw_all
 from bayes_aero.report.page import section, write_page
@@ -45,12 +44,10 @@ CONTRAST = """() => {
 @pytest.fixture(scope="module")
 def report(full, simulated, card, tmp_path_factory):
     """A page with everything that can be on one, its names hostile."""
-    o = full.observations
     names = (HOSTILE, "plain")
     run = replace(
         full,
-        stall=stall_of_posterior(full.model, full.posteriors["emcee"], o.signals, o.aircraft),
-        observations=replace(o, names=names),
+        observations=replace(full.observations, names=names),
         records=tuple(replace(record, name=name) for record, name in zip(full.records, names, strict=True)),
         alone=dict(zip(names, full.alone.values(), strict=True)),
     )
