@@ -1,4 +1,10 @@
-"""Bayesian identification of non-linear aircraft aerodynamics from flight data."""
+"""Bayesian identification of non-linear aircraft aerodynamics from flight data.
+
+The public names are those of `__all__`; each is imported when it is first asked for.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
 
 import jax
 
@@ -6,3 +12,70 @@ import jax
 jax.config.update("jax_enable_x64", True)
 
 __version__ = "0.1.0"
+
+_HOME = {
+    "CATALOGUE": "effects",
+    "Card": "flight.card",
+    "Diagnosed": "api",
+    "Effect": "effect",
+    "Fit": "api",
+    "FlightRecord": "flight.record",
+    "InputError": "errors",
+    "Model": "model.model",
+    "Parameter": "parameter",
+    "Prior": "parameter",
+    "Stage": "effect",
+    "diagnose": "api",
+    "fit": "api",
+    "plot": "api",
+    "read": "api",
+    "read_card": "flight.card",
+    "sample": "api",
+    "write_record": "flight.writers",
+}
+
+if TYPE_CHECKING:
+    from bayes_aero.api import Diagnosed, Fit, diagnose, fit, plot, read, sample
+    from bayes_aero.effect import Effect, Stage
+    from bayes_aero.effects import CATALOGUE
+    from bayes_aero.errors import InputError
+    from bayes_aero.flight.card import Card, read_card
+    from bayes_aero.flight.record import FlightRecord
+    from bayes_aero.flight.writers import write_record
+    from bayes_aero.model.model import Model
+    from bayes_aero.parameter import Parameter, Prior
+
+__all__ = [
+    "CATALOGUE",
+    "Card",
+    "Diagnosed",
+    "Effect",
+    "Fit",
+    "FlightRecord",
+    "InputError",
+    "Model",
+    "Parameter",
+    "Prior",
+    "Stage",
+    "__version__",
+    "diagnose",
+    "fit",
+    "plot",
+    "read",
+    "read_card",
+    "sample",
+    "write_record",
+]
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name at its first use: `import bayes_aero` itself stays cheap and free of cycles."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'bayes_aero' has no attribute {name!r}")
+    value = getattr(import_module(f"bayes_aero.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

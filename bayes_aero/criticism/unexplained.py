@@ -24,6 +24,7 @@ KNOTS = 6  # of the smooth function of a channel
 PERIODS = tuple(np.round(np.geomspace(0.6, 30.0, 48), 3))  # s
 CHUNKS = 4  # parts of each manoeuvre, by which a sinusoid must predict what it was not fitted to
 LEAST_SHARE = 0.1  # of the remaining variance: less is not worth a verdict
+ALONE_SHARE = 0.3  # the same on a single manoeuvre: blocks of one flight share their slow noise, so they confirm little
 SKIPPED = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot", "alpha_dot")  # responses themselves, not causes
 DRAWN = 100  # noise-only replicates
 ALPHA = 0.02  # false alarms of each family of components; the elections of named effects have their own 5 % each
@@ -83,6 +84,7 @@ def _with(state: State, chosen: Sequence[Component]) -> tuple[float, float]:
 
 def _best(state: State, chosen: Sequence[Component], seed: int) -> tuple[Component, float, float] | None:
     """The component that explains most of what is left, if it is beyond chance and predicts what was left out."""
+    least = LEAST_SHARE if len(state.responses.flights.lengths) > 1 else ALONE_SHARE
     for folds, components in (
         (state.folds, smooth_components(state)),
         (_chunks(state), periodic_components(state)),
@@ -95,7 +97,7 @@ def _best(state: State, chosen: Sequence[Component], seed: int) -> tuple[Compone
             wide = np.concatenate([trial.columns(), own])
             gained = float(unseen_gain(trial, wide).sum())
             share = _share(trial, own)
-            if gained <= 0.0 or share < LEAST_SHARE:
+            if gained <= 0.0 or share < least:
                 continue
             p = _p_value(trial, fit, trial.products.fit(wide, trial.mean, trial.precision), share, seed)
             if p <= ALPHA:

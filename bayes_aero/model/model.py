@@ -70,6 +70,12 @@ class Model:
                 raise InputError(f"card {card.name}: [parameters.{name}] belongs to no effect of the model")
         return replace(model, parameters=tuple(_changed(p, card) for p in model.parameters))
 
+    def extended(self, *effects: str | Effect, fixed: Mapping[str, float] | None = None) -> Model:
+        """This model with effects added, by name or themselves; what it has keeps its starts, bounds and priors."""
+        known = {p.name: p for p in self.parameters}
+        wider = Model.of((*self.effects, *effects), dict(self.fixed) | dict(fixed or {}))
+        return replace(wider, parameters=tuple(known.get(p.name, p) for p in wider.parameters))
+
     @property
     def free(self) -> tuple[Parameter, ...]:
         """The free parameters, in the order of every parameter vector."""

@@ -13,6 +13,7 @@ from bayes_aero.report import (
     figures_comparison,
     figures_diagnosis,
     figures_flight,
+    figures_found,
     figures_posterior,
     figures_prior,
     figures_scatter,
@@ -48,7 +49,7 @@ FIGURES: dict[str, Drawing] = {
 
 
 DIAGNOSIS_FIGURES: dict[str, Callable[[View], Figure]] = {
-    "headline": figures_stall.headline,
+    "found": figures_found.found,
     "measured_simulated": figures_diagnosis.measured_simulated,
     "ranking": figures_diagnosis.ranking,
     "gain": figures_diagnosis.gain,

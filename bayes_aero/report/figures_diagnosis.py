@@ -26,8 +26,8 @@ NOTE = {"bbox": {"fc": "white", "ec": "none", "alpha": 0.85, "pad": 1.5}, "zorde
 TIGHT = {"fc": "white", "ec": "none", "alpha": 0.85, "pad": 0.3}
 
 
-def _models(view: View) -> list[tuple[str, str, Fitted]]:
-    """Label, colour, model: the card's, and the extended one where there is one."""
+def models_of(view: View) -> list[tuple[str, str, Fitted]]:
+    """What is compared: label, colour, model: the card's, and the extended one where there is one."""
     found = [("card's model", COLOURS["before"], view.card)]
     return [*found, ("extended model", COLOURS["after"], view.extended)] if view.changed else found
 
@@ -35,7 +35,7 @@ def _models(view: View) -> list[tuple[str, str, Fitted]]:
 @housed
 def measured_simulated(view: View) -> Figure:
     """Coefficients measured and simulated by both models, the error between them shaded; a column per manoeuvre."""
-    models, count = _models(view), len(view.names)
+    models, count = models_of(view), len(view.names)
     rows = len(NAMES) * len(models)
     figure, axes = panels(rows, count, (column_width(count) * count, 1.75 * rows + 1.2), sharex="col", sharey=False)
     for c, name in enumerate(NAMES):
@@ -185,7 +185,7 @@ def channel_label(name: str) -> tuple[str, float]:
 @housed
 def residual_profiles(view: View) -> Figure:
     """Mean residual over the channels on which the card's model leaves the clearest trace, before and after."""
-    models = _models(view)
+    models = models_of(view)
     figure, axes = panels(len(NAMES), PROFILES, (13.0, 8.2), sharey="row")
     for row, c in zip(axes, range(len(NAMES)), strict=True):
         channels = _clearest(view, c)
@@ -236,7 +236,7 @@ def residual_colour(view: View) -> Figure:
     """Autocorrelation and spectrum of the residuals, before and after."""
     figure, axes = panels(2, len(NAMES), (13.0, 6.4), sharex="row")
     dt = view.seconds
-    for label, colour, fitted in _models(view):
+    for label, colour, fitted in models_of(view):
         for c, name in enumerate(NAMES):
             parts = [fitted.residual[view.manoeuvre == k, c] for k in range(len(view.names))]
             lags, correlation = autocorrelation(parts, round(LONGEST_LAG / dt))

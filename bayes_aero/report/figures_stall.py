@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.stall import Stall
-from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.diagnosed import Fitted, View
 from bayes_aero.report.predictions import fitted_coefficients
 from bayes_aero.report.style import COLOURS, NotDrawn, housed, panels
@@ -39,7 +38,7 @@ class Flown:
 def of_identification(identification: Identification) -> list[Flown]:
     """The one model of a run."""
     if identification.stall is None:
-        raise NotDrawn("this run has no converged posterior from which a stall could be drawn")
+        raise NotDrawn("the stall was not computed: that needs a posterior that converged")
     o = identification.observations
     return [
         Flown(
@@ -59,7 +58,7 @@ def of_identification(identification: Identification) -> list[Flown]:
 def of_view(view: View) -> list[Flown]:
     """The card's model, and the extended one where there is one; each with the sensors as it corrects them."""
     if not view.stalls:
-        raise NotDrawn("no coefficients were formed")
+        raise NotDrawn("the stall was not computed")
     models: list[tuple[str, str, str, Fitted]] = [("card", "card's model", COLOURS["before"], view.card)]
     if "extended" in view.stalls:
         models.append(("extended", "extended model", COLOURS["after"], view.extended))
@@ -197,35 +196,4 @@ def _separation(models: list[Flown]) -> Figure:
         ax.set_title(flown.title or "Separation point")
         ax.legend(loc="lower left", bbox_to_anchor=(0.0, 0.08))
     axes[0, 0].set_ylabel("separation point X [-] (1 attached, 0 separated)")
-    return figure
-
-
-def largest_gain(view: View) -> int:
-    """The coefficient whose residual shrank most, as a share."""
-    before, after = (np.sqrt(np.mean(f.residual**2, axis=0)) for f in (view.card, view.extended))
-    return int(np.argmin(after / before))
-
-
-@housed
-def headline(view: View) -> Figure:
-    """The coefficient that gained most over time: measured, card's model, extended model; two manoeuvres at most."""
-    c = largest_gain(view)
-    name, z = NAMES[c], view.measured[:, c]
-    shown = range(min(2, len(view.names)))
-    models = [("card's model", COLOURS["before"], view.card, "--")]
-    if view.changed:
-        models.append(("extended model", COLOURS["after"], view.extended, "-"))
-    figure, axes = panels(1, len(shown), (10.5, 3.6), sharey=True)
-    for ax, number in zip(axes[0], shown, strict=True):
-        mine = view.manoeuvre == number
-        ax.plot(view.time[mine], z[mine], color=COLOURS["measured"], lw=0.7, label="measured")
-        for label, colour, fitted, dash in models:
-            modelled = z[mine] - fitted.residual[mine, c]
-            share = 1.0 - np.sum(fitted.residual[mine, c] ** 2) / np.sum((z[mine] - z[mine].mean()) ** 2)
-            ax.plot(view.time[mine], modelled, color=colour, ls=dash, lw=1.3, label=f"{label}, R² {share:.2f}")
-        ax.set_title(view.names[number])
-        ax.set_xlabel("time from start of record [s]")
-        ax.legend(loc="upper left", bbox_to_anchor=(0.0, -0.17), ncols=3, fontsize=8.0, columnspacing=1.0)
-        ax.margins(x=0.01)
-    axes[0, 0].set_ylabel(f"{name} [-]")
     return figure

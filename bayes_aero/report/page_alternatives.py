@@ -9,7 +9,7 @@ from bayes_aero.inference.stall import Stall
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.comparison import engine_label, methods
 from bayes_aero.report.diagnosed import View, composition
-from bayes_aero.report.figures_stall import largest_gain
+from bayes_aero.report.figures_found import telling
 from bayes_aero.report.page_parts import DEG, interval
 from bayes_aero.report.style import several
 
@@ -23,7 +23,8 @@ def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
     """Caption and alternative text by stem."""
     before, after = composition(view, view.card), composition(view, view.extended)
     lag = {name: (before[name]["lag1"], after[name]["lag1"]) for name in NAMES}
-    best = NAMES[largest_gain(view)]
+    at, number = telling(view)
+    best = NAMES[at]
     leaders = "; ".join(
         f"{r.stage}: {several(f'{s.effect} {s.score:.1f}' for s in r.standings[:3])}" for r in view.rankings
     )
@@ -34,11 +35,13 @@ def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
         f", {after[best]['r2']:.2f} with the extended one" if view.changed else ""
     )
     return {
-        "headline": (
-            f"{best} over time, the coefficient that gains most: measured, by the card's model and, where causes "
-            f"were found, by "
-            "the extended model (fitted to all manoeuvres).",
-            f"Time history of {best} for {several(view.names[:2])}. {change}, over all manoeuvres.",
+        "found": (
+            f"Left: {best} of {view.names[number]}, where the extension gains most, measured and by each model, the "
+            f"error "
+            "shaded. Right: the first election; a bar is a candidate's score, named causes are coloured and carry "
+            "their size.",
+            f"Time history of {best} for {view.names[number]}; over all manoeuvres {change}. Scores of the candidates, "
+            f"leading: {leaders}.",
         ),
         "ranking": (
             "Score of every candidate before anything was added; named causes coloured.",

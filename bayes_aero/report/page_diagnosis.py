@@ -69,7 +69,7 @@ def diagnosis_page(view: View, told: Told) -> Page:
     lead: list[Block] = [Text(one, "lead") for one in told.revealed]
     if gained(view):
         lead.append(Text(f"On data that were not fitted, before and after: {gained(view)}", "lead"))
-    lead += gallery("headline") or gallery("measured_simulated")
+    lead += gallery("found") or gallery("measured_simulated")
     if not told.figures:
         lead.append(Text("Static pictures were not drawn in this run; tables and interactive figures are complete."))
     return Page(

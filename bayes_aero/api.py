@@ -1,0 +1,195 @@
+"""The package from Python: read, compose, fit, sample, diagnose, plot; what the command line does, in a few calls.
+
+    import bayes_aero as ba
+
+    card = ba.read_card("attas")
+    records = ba.read(["qst01.asc", "qst02.asc"], card)
+    fit = ba.sample(ba.fit(records, card), engine="emcee")
+    fit.table()                                # pandas: estimates, bounds, posterior
+    ba.plot(fit, "prior_posterior")            # a matplotlib figure
+    ba.diagnose(records, card).table()         # what is missing from the model, and how large it is
+
+Results hold everything in SI and radians; tables say the units.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, TypeVar
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from bayes_aero.criticism.diagnosis import diagnose as run_diagnosis
+from bayes_aero.effect import Effect
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card import Card, read_card
+from bayes_aero.flight.readers import read_record
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.ensemble import sample_ensemble
+from bayes_aero.inference.identification import Identification
+from bayes_aero.inference.laplace import density_start, find_mode
+from bayes_aero.inference.mle import MleResult, fit_mle
+from bayes_aero.inference.nuts import sample_nuts
+from bayes_aero.inference.posterior import Posterior
+from bayes_aero.model.density import Density
+from bayes_aero.model.model import Model
+from bayes_aero.model.noise import Colour, Noise
+from bayes_aero.model.observations import observe
+from bayes_aero.report.diagnosed import View, view_of
+from bayes_aero.report.figures import DIAGNOSIS_FIGURES, FIGURES
+from bayes_aero.report.style import NotDrawn
+from bayes_aero.report.tables import parameter_table
+from bayes_aero.report.words import verdict
+from bayes_aero.report.words_diagnosis import causes_frame, screen_frame, sentences
+
+__all__ = ["Diagnosed", "Fit", "diagnose", "fit", "plot", "read", "sample"]
+
+Engine = Literal["emcee", "nuts"]
+NoiseName = Literal["white", "ar1", "buffet-ar1"]
+Shown = TypeVar("Shown")
+ENGINES = {"emcee": sample_ensemble, "nuts": sample_nuts}
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A model fitted to records: maximum likelihood, and the posteriors sampled so far."""
+
+    run: Identification
+
+    @property
+    def mle(self) -> MleResult:
+        """Estimates, Cramer-Rao and colour-corrected bounds, residual covariance, status."""
+        return self.run.mle
+
+    @property
+    def posteriors(self) -> Mapping[str, Posterior]:
+        """Posteriors by engine (`emcee`, `nuts`; `white` beside a coloured one), each with its ArviZ DataTree."""
+        return self.run.posteriors
+
+    @property
+    def sentences(self) -> list[str]:
+        """What the numbers say, and where methods disagree."""
+        return verdict(self.run)
+
+    def table(self) -> pd.DataFrame:
+        """Parameters as rows; estimates, bounds, posteriors, each manoeuvre by itself as columns. SI and radians."""
+        return parameter_table(self.run)
+
+    def plot(self, figure: str = "forest") -> Figure:
+        """One of the figures of `identify`; `bayes_aero.report.figures.FIGURES` names them."""
+        return _drawn(FIGURES, figure, self.run)
+
+
+@dataclass(frozen=True)
+class Diagnosed:
+    """What a model gets wrong, the causes found, and what the extended model gains."""
+
+    view: View
+
+    @property
+    def verdict(self) -> str:
+        """`no_effect`, `explained`, `partly_explained` or `unexplained`."""
+        return self.view.diagnosis.verdict.value
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Names of the causes in the order found."""
+        return tuple(cause.name for cause in self.view.diagnosis.causes)
+
+    @property
+    def sentences(self) -> list[str]:
+        """The verdict, a sentence for each cause, and what else the reader should know."""
+        return sentences(self.view)
+
+    def table(self) -> pd.DataFrame:
+        """A row for each parameter of each cause: size, interval, probability, gain on unseen data. SI and radians."""
+        return causes_frame(self.view)
+
+    def screen(self) -> pd.DataFrame:
+        """Every candidate of the catalogue with its score and family-wise p-value."""
+        return screen_frame(self.view)
+
+    def plot(self, figure: str = "measured_simulated") -> Figure:
+        """One of the figures of `diagnose`; `bayes_aero.report.figures.DIAGNOSIS_FIGURES` names them."""
+        return _drawn(DIAGNOSIS_FIGURES, figure, self.view)
+
+
+def read(
+    paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    card: str | Card = "attas",
+    *,
+    resample: float | None = None,
+) -> list[FlightRecord]:
+    """Read and check flight records, a manoeuvre a file; `resample` s for unevenly sampled ones."""
+    one = isinstance(paths, str | os.PathLike)
+    channels = _card(card).channels
+    return [read_record(path, channels, resample=resample) for path in ([paths] if one else paths)]
+
+
+def fit(
+    records: Sequence[FlightRecord], card: str | Card = "attas", *, model: Model | None = None, seed: int = 0
+) -> Fit:
+    """Maximum likelihood (Gauss-Newton) of `model`, by default the card's, to all records jointly and to each alone."""
+    card = _card(card)
+    model = model or Model.from_card(card)
+    observations = observe(records, card, model)
+    joint = fit_mle(model, observations, seed=seed)
+    several = range(len(records)) if len(records) > 1 else range(0)
+    alone = {observations.names[i]: fit_mle(model, observations.only(i), seed=seed) for i in several}
+    return Fit(Identification(card, model, tuple(records), observations, Colour.AR1, joint, alone, {}))
+
+
+def sample(fit: Fit, *, engine: Engine = "emcee", noise: NoiseName = "ar1", seed: int = 0) -> Fit:
+    """The same fit with a posterior added, by emcee or by NUTS.
+
+    Posteriors of one fit that stand beside each other have one noise model; only `white` may be added to another one
+    (by emcee), as what the usual assumption would have given.
+    """
+    if engine not in ENGINES:
+        raise InputError(f"there is no engine {engine!r}; choose one of {', '.join(ENGINES)}")
+    colour, run = Colour(noise), fit.run
+    beside = colour is Colour.WHITE and run.noise is not Colour.WHITE and any(k != "white" for k in run.posteriors)
+    if run.posteriors and colour is not run.noise and not beside:
+        raise InputError(f"this fit has posteriors under {run.noise.value} noise; sample a new fit under {noise}")
+    density = Density.of(run.observations, run.model, Noise(colour))
+    posterior = ENGINES[engine](density, find_mode(density, density_start(density, run.mle)), seed=seed)
+    posteriors = run.posteriors | {"white" if beside else engine: posterior}
+    return Fit(replace(run, noise=run.noise if beside else colour, posteriors=posteriors))
+
+
+def diagnose(
+    records: Sequence[FlightRecord],
+    card: str | Card = "attas",
+    *,
+    model: Model | None = None,
+    candidates: Sequence[Effect] = (),
+    seed: int = 0,
+    max_effects: int = 8,
+) -> Diagnosed:
+    """Find what `model`, by default the card's, gets wrong; `candidates` of one's own stand beside the catalogue's.
+
+    Predictors are not compared, trajectories not flown and no files written; `bayes-aero diagnose` does that.
+    """
+    found = run_diagnosis(records, _card(card), model=model, extra=candidates, seed=seed, most=max_effects)
+    return Diagnosed(view_of(found))
+
+
+def plot(result: Fit | Diagnosed, figure: str | None = None) -> Figure:
+    """`result.plot(figure)`; without a name each kind of result shows its own first figure."""
+    return result.plot() if figure is None else result.plot(figure)
+
+
+def _card(card: str | Card) -> Card:
+    return card if isinstance(card, Card) else read_card(card)
+
+
+def _drawn(figures: Mapping[str, Callable[[Shown], Figure]], name: str, shown: Shown) -> Figure:
+    if name not in figures:
+        raise InputError(f"there is no figure {name!r}; choose one of {', '.join(figures)}")
+    try:
+        return figures[name](shown)
+    except NotDrawn as reason:
+        raise InputError(f"the figure {name} has nothing to show: {reason}") from None

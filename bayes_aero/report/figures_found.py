@@ -1,0 +1,96 @@
+"""A diagnosis in one picture: where the card's model fails most, who stood for election, what the extension leaves."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from bayes_aero.criticism.finding import Cause
+from bayes_aero.inference.scores import score
+from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.diagnosed import Ranking, View
+from bayes_aero.report.figures_diagnosis import NOTE, TIGHT, models_of
+from bayes_aero.report.style import COLOURS, housed
+from bayes_aero.report.words_diagnosis import size_text
+
+SHOWN = 10  # candidates
+
+
+@housed
+def found(view: View) -> Figure:
+    """The coefficient that gains most, by each model with its error shaded, and the election that named the cause."""
+    models = models_of(view)
+    rows = "ab"[: len(models)]
+    figure = Figure(figsize=(11.0, 1.9 * len(models) + 1.0), layout="constrained")
+    ranking = _decisive(view)
+    beside = "" if ranking is None else "R"
+    axes = figure.subplot_mosaic(";".join(row + beside for row in rows), width_ratios=[1.7, 1.0][: 1 + len(beside)])
+    c, number = telling(view)
+    mine = view.manoeuvre == number
+    z, t = view.measured[mine, c], view.time[mine]
+    for row, (label, colour, fitted) in zip(rows, models, strict=True):
+        ax, simulated = axes[row], z - fitted.residual[mine, c]
+        ax.fill_between(t, z, simulated, color=colour, alpha=0.35, lw=0.0)
+        ax.plot(t, z, color=COLOURS["measured"], lw=0.6)
+        ax.plot(t, simulated, color=colour, lw=1.0)
+        ax.margins(x=0.01, y=0.2)
+        ax.text(0.01, 0.97, f"{label}: R² = {score(z, simulated).r2:.3f}", transform=ax.transAxes, va="top", **NOTE)
+        ax.set_ylabel(f"{NAMES[c]} [-]")
+    axes[rows[0]].set_title("Measured (black) and simulated, the error shaded")
+    axes[rows[-1]].set_xlabel(f"time from start of {view.names[number]} [s]")
+    if ranking is not None:
+        _election(axes["R"], ranking, view)
+    return figure
+
+
+def telling(view: View) -> tuple[int, int]:
+    """Coefficient and manoeuvre whose share of explained variance the extension raises most."""
+    best = (-np.inf, 0, 0)
+    for number in range(len(view.names)):
+        mine = view.manoeuvre == number
+        for c in range(len(NAMES)):
+            z = view.measured[mine, c]
+            before, after = (score(z, z - m.residual[mine, c]).r2 for m in (view.card, view.extended))
+            best = max(best, (after - before if view.changed else -before, c, number))
+    return best[1], best[2]
+
+
+def _decisive(view: View) -> Ranking | None:
+    """The first election of the stage that named the first cause; without a cause, of the last stage."""
+    stages = {r.stage: r for r in view.rankings}
+    if view.diagnosis.causes:
+        return stages.get(view.diagnosis.causes[0].stage)
+    return view.rankings[-1] if view.rankings else None
+
+
+def _election(ax: Axes, ranking: Ranking, view: View) -> None:
+    """The highest scores; named causes in colour, with the size they have in the end."""
+    named = {c.name: c for c in view.diagnosis.causes}
+    leaders = ranking.standings[:SHOWN]
+    scores = np.array([s.score for s in leaders])
+    widest = float(np.nanmax([*scores, ranking.threshold, 1e-9]))
+    colours = [COLOURS["chosen" if s.effect in named else "candidate"] for s in leaders]
+    ax.barh(range(len(leaders)), scores, height=0.75, color=colours)
+    for y, s in enumerate(leaders):
+        if s.effect in named and s.score > 0.5 * widest:  # room for the size inside the bar
+            box = {**TIGHT, "fc": COLOURS["chosen"], "alpha": 1.0}
+            look = {"x": s.score - 0.01 * widest, "ha": "right", "color": "white", "bbox": box}
+        else:
+            look = {"x": s.score + 0.01 * widest, "ha": "left", "color": "black", "bbox": TIGHT}
+        text = _sizes(named[s.effect]) if s.effect in named else f"{s.score:.1f}"
+        ax.text(y=y, s=text, va="center", fontsize=7.5, zorder=5, **look)
+    if np.isfinite(ranking.threshold):
+        ax.axvline(ranking.threshold, color=COLOURS["measured"], ls="--", lw=1.0)
+        text = f"dashed: noise alone exceeds\n{ranking.threshold:.1f} in 5 % of replicates"
+        ax.text(0.99, 0.02, text, transform=ax.transAxes, va="bottom", ha="right", **NOTE)
+    ax.set_yticks(range(len(leaders)), [s.effect for s in leaders])
+    ax.set_ylim(len(leaders) - 0.4, -0.6)
+    ax.set_xlim(0.0, 1.12 * widest)
+    ax.grid(False, axis="y")
+    ax.set_xlabel("estimate over its deviation, colour included [-]")
+    ax.set_title(f"Which cause? First election, {ranking.stage}")
+
+
+def _sizes(cause: Cause) -> str:
+    return ", ".join(f"{name} = {size_text(x.mean, x.sd, x.unit)}" for name, x in cause.parameters.items())

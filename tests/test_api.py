@@ -1,0 +1,85 @@
+"""The public names, and what a user does with them in a few lines."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import replace
+
+import matplotlib.figure
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+import bayes_aero as ba
+from bayes_aero.inference.posterior import Posterior, PosteriorStatus
+from bayes_aero.report.comparison import ordered
+
+PUBLIC = {
+    "CATALOGUE", "Card", "Diagnosed", "Effect", "Fit", "FlightRecord", "InputError", "Model", "Parameter", "Prior",
+    "Stage", "__version__", "diagnose", "fit", "plot", "read", "read_card", "sample", "write_record",
+}  # fmt: skip
+
+
+def test_public_names_are_locked():
+    """Adding or removing one is a decision: it changes this list."""
+    assert set(ba.__all__) == PUBLIC
+    assert {name for name in PUBLIC if getattr(ba, name, None) is None} == set()
+
+
+def test_public_names_are_documented_and_typed():
+    for name in sorted(PUBLIC - {"CATALOGUE", "__version__"}):
+        thing = getattr(ba, name)
+        assert inspect.getdoc(thing), name
+        if inspect.isfunction(thing):
+            assert "return" in thing.__annotations__, name
+
+
+def test_an_unknown_name_is_said_to_be_one():
+    with pytest.raises(AttributeError, match="no attribute 'identfy'"):
+        ba.identfy  # noqa: B018
+
+
+@pytest.fixture(scope="module")
+def fitted(clean_records, card):
+    """A model composed in three lines and fitted."""
+    model = ba.Model.from_card(card).extended("thrust_moment")
+    return ba.fit(clean_records, card, model=model)
+
+
+def test_a_composed_model_keeps_the_card_s_priors_and_finds_nothing_where_nothing_is(fitted, card):
+    base = ba.Model.from_card(card)
+    kept = {p.name: p for p in fitted.run.model.parameters}
+    assert all(kept[p.name] == p for p in base.parameters)
+    i = fitted.mle.names.index("thrust_arm")
+    assert abs(fitted.mle.estimate[i]) < 0.05  # m; the simulation's line of thrust goes through the centre of gravity
+
+
+def test_table_and_plot(fitted):
+    table = fitted.table()
+    assert isinstance(table, pd.DataFrame)
+    assert list(table.index) == list(ordered(fitted.mle.names))
+    np.testing.assert_allclose(table.loc["Cmq", "crb"], fitted.mle.crb[fitted.mle.names.index("Cmq")])
+    assert isinstance(ba.plot(fitted), matplotlib.figure.Figure)
+    with pytest.raises(ba.InputError, match="no posterior"):
+        ba.plot(fitted, "trace_emcee")
+    with pytest.raises(ba.InputError, match="forest"):
+        ba.plot(fitted, "florest")
+
+
+def test_posteriors_under_different_noise_models_are_kept_apart(fitted):
+    """Side by side they would be read as engines that disagree."""
+    sampled = Posterior("emcee", "ar1", fitted.mle.names, xr.DataTree(), {}, PosteriorStatus.CONVERGED, 0.0)
+    beside = ba.Fit(replace(fitted.run, posteriors={"emcee": sampled}))
+    with pytest.raises(ba.InputError, match="under ar1 noise"):
+        ba.sample(beside, engine="nuts", noise="buffet-ar1")
+
+
+def test_diagnosed_says_what_the_view_holds(diagnosed):
+    a_view = diagnosed.view
+    found = ba.Diagnosed(a_view)
+    assert found.verdict == a_view.diagnosis.verdict.value
+    assert set(found.table()["cause"]) == set(found.causes)
+    assert found.sentences[0]
+    assert {"name", "score", "p_value"} <= set(found.screen().columns)
+    assert isinstance(ba.plot(found), matplotlib.figure.Figure)
