@@ -45,6 +45,18 @@ def test_results_follow_the_schema(flown):
     assert (folder / "first" / "posterior_nuts.nc").is_file()
 
 
+def test_the_page_and_the_file_tell_the_same_stall(flown):
+    folder, _, _ = flown
+    results = json.loads((folder / "first" / "results.json").read_text())
+    assert results["notes"] == []
+    stall = results["stall"]
+    assert stall["CL_max"]["ci95"][0] < stall["CL_max"]["median"] < stall["CL_max"]["ci95"][1]
+    page = (folder / "first" / "report.html").read_text()
+    assert f"{stall['CL_max']['median']:.3f} (" in page
+    assert "was not made" not in page
+    assert not list((folder / "first").glob("*.part"))
+
+
 def test_same_seed_same_numbers(flown):
     folder, paths, _ = flown
     again = run("identify", *paths, "--out", "again", "--noise", "white", "--no-gp", "--no-figures", cwd=folder)
@@ -97,3 +109,6 @@ def test_diagnose_writes_and_tells_what_it_found(tmp_path, diagnosed, card):
         assert cause["name"] in done.stdout
     assert (tmp_path / "diagnosis" / "screen.csv").is_file()
     assert not (tmp_path / "diagnosis" / "figures").exists()
+    page = (tmp_path / "diagnosis" / "report.html").read_text()
+    assert "was not made" not in page
+    assert all(cause["claim"] in page for cause in found["causes"])

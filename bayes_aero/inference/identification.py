@@ -13,6 +13,7 @@ from bayes_aero.inference.gp import GPFit
 from bayes_aero.inference.mle import MleResult
 from bayes_aero.inference.posterior import Posterior
 from bayes_aero.inference.scores import Scores
+from bayes_aero.inference.stall import Stall
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour
 from bayes_aero.model.observations import Observations
@@ -58,7 +59,8 @@ class Identification:
     """One run on one set of records.
 
     `alone` holds the maximum-likelihood fit of each manoeuvre by itself. `posteriors` has `emcee` and `nuts` under
-    the chosen noise model `noise`, and `white`, by emcee, where that is another one.
+    the chosen noise model `noise`, and `white`, by emcee, where that is another one. `stall` is over the draws of the
+    first of them.
     """
 
     card: Card
@@ -70,5 +72,6 @@ class Identification:
     alone: dict[str, MleResult]
     posteriors: dict[str, Posterior]
     gp: GPReport | None = None
+    stall: Stall | None = None
     notes: tuple[str, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)

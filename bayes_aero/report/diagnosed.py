@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,9 +19,12 @@ from bayes_aero.criticism.residuals import details, theil_parts
 from bayes_aero.criticism.state import State, moved, refitted
 from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.inference.scores import score
+from bayes_aero.inference.stall import Stall, stall_of
 from bayes_aero.physics.coefficients import NAMES
 
 LEVELS = (0.5, 0.9, 0.95)
+DRAWS = 400  # of a model's parameters, for the intervals of its stall
+NOT_SIGNALS = ("X", "measured", "modelled", "residual", *NAMES)
 FALSE_ALARMS = 0.05  # share of noise-only replicates whose best score is beyond the threshold
 
 
@@ -80,6 +83,7 @@ class View:
     rankings: tuple[Ranking, ...]
     moves: Mapping[str, Move]
     trajectories: Trajectories | None = None
+    stalls: Mapping[str, Stall] = field(default_factory=dict)  # by model: card, and extended where it differs
 
     @property
     def changed(self) -> bool:
@@ -110,6 +114,12 @@ def view_of(diagnosis: Diagnosis) -> View:
         rankings=tuple(rankings_of(diagnosis)),
         moves=_moves(card, after),
     )
+
+
+def with_stalls(view: View) -> View:
+    """The same with the stall of the card's model, and of the extended one where there is one."""
+    models = {"card": view.card, "extended": view.extended} if view.changed else {"card": view.card}
+    return replace(view, stalls={name: _stall(fitted) for name, fitted in models.items()})
 
 
 def _card(diagnosis: Diagnosis) -> tuple[State, Fit]:
@@ -158,12 +168,35 @@ def _standings(extension: Extension, poll: Poll) -> list[Standing]:
     return sorted(found.values(), key=lambda s: -s.score)
 
 
-def _deviations(fitted: Fitted) -> dict[str, float]:
+def _covariance(fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
+    """Which parameters were fitted, and the covariance of their estimates that coloured residuals leave."""
     state, fit = fitted.state, fitted.fit
+    own = np.flatnonzero(fit.columns < len(state.theta))
     covariance = uncertainty(state, fit, colour_of(state.left(fit), state.folds))
+    return fit.columns[own], covariance[np.ix_(own, own)]
+
+
+def _deviations(fitted: Fitted) -> dict[str, float]:
+    columns, covariance = _covariance(fitted)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    free = state.field.model.names
-    return {free[c]: float(x) for c, x in zip(fit.columns, sd, strict=True) if c < len(free)}
+    free = fitted.state.field.model.names
+    return {free[c]: float(x) for c, x in zip(columns, sd, strict=True)}
+
+
+def _stall(fitted: Fitted) -> Stall:
+    """The stall of a fitted model; its parameters are drawn from the normal distribution of their estimates."""
+    state = fitted.state
+    columns, covariance = _covariance(fitted)
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    white = np.random.default_rng(0).standard_normal((DRAWS, len(columns)))
+    draws = np.tile(state.theta, (DRAWS, 1))
+    draws[:, columns] += (white * np.sqrt(np.maximum(values, 0.0))) @ vectors.T * scale
+    lower, upper = (np.array([p.bounds[i] for p in state.field.model.free], float) for i in (0, 1))
+    lower, upper = np.minimum(lower, state.theta), np.maximum(upper, state.theta)
+    model, flights = state.field.model, state.responses.flights
+    signals = {name: fitted.signals[name] for name in fitted.signals if name not in NOT_SIGNALS}
+    return stall_of(model, np.clip(draws, lower, upper), signals, flights.aircraft)
 
 
 def _moves(before: Fitted, after: Fitted) -> dict[str, Move]:

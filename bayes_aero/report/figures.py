@@ -17,6 +17,7 @@ from bayes_aero.report import (
     figures_posterior,
     figures_prior,
     figures_scatter,
+    figures_stall,
     figures_trajectory,
 )
 from bayes_aero.report.diagnosed import View
@@ -32,6 +33,8 @@ FIGURES: dict[str, Drawing] = {
     "fig7_correlation_CD": figures_scatter.correlation_CD,
     "fig8_validation_Cm": figures_flight.validation_Cm,
     "fig9_correlation_Cm": figures_scatter.correlation_Cm,
+    "stall": figures_stall.stall,
+    "separation": figures_stall.separation,
     "forest": figures_comparison.forest,
     "crb_vs_credible": figures_comparison.crb_vs_credible,
     "prior_posterior": figures_prior.prior_posterior,
@@ -51,6 +54,8 @@ DIAGNOSIS_FIGURES: dict[str, Callable[[View], Figure]] = {
     "ranking": figures_diagnosis.ranking,
     "gain": figures_diagnosis.gain,
     "moves": figures_diagnosis.moves,
+    "stall_models": figures_stall.stall_models,
+    "separation_models": figures_stall.separation_models,
     "residual_profiles": figures_diagnosis.residual_profiles,
     "residual_colour": figures_diagnosis.residual_colour,
     "trajectories_unseen": figures_trajectory.trajectories_unseen,

@@ -57,7 +57,7 @@ def forest(identification: Identification) -> Figure:
     names = ordered(identification.mle.names)
     table = {name: _rows(identification, name) for name in names}
     labels = list(dict.fromkeys(row.label for rows in table.values() for row in rows))
-    columns = min(3, len(names))
+    columns = min(2, len(names))  # three would not be legible on a page
     figure, axes = grid_of(len(names), columns, (5.4, 0.2 * len(labels) + 0.85))
     for number, (ax, name) in enumerate(zip(axes, names, strict=True)):
         _forest_panel(ax, table[name], labels, first=number % columns == 0)

@@ -26,7 +26,7 @@ def found(view: View) -> Figure:
     ranking = _decisive(view)
     beside = "" if ranking is None else "R"
     axes = figure.subplot_mosaic(";".join(row + beside for row in rows), width_ratios=[1.7, 1.0][: 1 + len(beside)])
-    c, number = _telling(view)
+    c, number = telling(view)
     mine = view.manoeuvre == number
     z, t = view.measured[mine, c], view.time[mine]
     for row, (label, colour, fitted) in zip(rows, models, strict=True):
@@ -44,7 +44,7 @@ def found(view: View) -> Figure:
     return figure
 
 
-def _telling(view: View) -> tuple[int, int]:
+def telling(view: View) -> tuple[int, int]:
     """Coefficient and manoeuvre whose share of explained variance the extension raises most."""
     best = (-np.inf, 0, 0)
     for number in range(len(view.names)):

@@ -17,6 +17,8 @@ import numpy as np
 from matplotlib import style as mpl_style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.ticker import LogFormatter
 
 from bayes_aero.inference.identification import Identification
 
@@ -81,9 +83,25 @@ def housed(draw: Callable[[Shown], Figure]) -> Callable[[Shown], Figure]:
     @wraps(draw)
     def styled(shown: Shown) -> Figure:
         with mpl_style.context(["default", RC]):
-            return draw(shown)
+            figure = draw(shown)
+        _take_literally(figure)
+        return figure
 
     return styled
+
+
+def _take_literally(figure: Figure) -> None:
+    """Texts as they stand: a dollar sign in the name of a record is no formula. Powers of ten of log axes stay."""
+    powers = set()
+    for ax in figure.axes:
+        for axis in (ax.xaxis, ax.yaxis):
+            if isinstance(axis.get_major_formatter(), LogFormatter):
+                powers |= {
+                    text for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks()) for text in tick.findobj(Text)
+                }
+    for text in figure.findobj(Text):
+        if text not in powers:
+            text.set_parse_math(False)
 
 
 def panels(rows: int, columns: int, size: tuple[float, float], **options: Any) -> tuple[Figure, np.ndarray]:

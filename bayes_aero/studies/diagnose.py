@@ -18,10 +18,12 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
-from bayes_aero.report.diagnosed import View, view_of
+from bayes_aero.report.diagnosed import View, view_of, with_stalls
 from bayes_aero.report.figures import DIAGNOSIS_FIGURES, draw_all
+from bayes_aero.report.page import put_page
+from bayes_aero.report.page_diagnosis import Told, diagnosis_page
 from bayes_aero.report.tables import write_csv
-from bayes_aero.report.words_diagnosis import causes_frame, screen_frame, sentences
+from bayes_aero.report.words_diagnosis import causes_frame, revealed, screen_frame, sentences
 from bayes_aero.studies.diagnosis_results import diagnosis_results
 from bayes_aero.studies.hidden import draw_hidden, flyable
 from bayes_aero.studies.outlook import separations
@@ -90,7 +92,8 @@ def run(
     figures: bool = True,
     progress: Progress | None = None,
 ) -> Outcome:
-    """Diagnose, as `bayes-aero diagnose` does; with `out` it writes diagnosis.json, causes.csv, screen.csv, figures.
+    """Diagnose, as `bayes-aero diagnose` does; with `out` it writes diagnosis.json, causes.csv, screen.csv,
+    figures and report.html.
 
     `most` is the number of effects that each stage may add. `predict` adds the comparison of predictors, which may
     fail (the reason is then a note), and the manoeuvres that would separate ambiguity sets. `fly` adds simulated
@@ -143,12 +146,34 @@ def run(
         except InputError as error:
             outcome = replace(outcome, notes=(*outcome.notes, f"Trajectories were not simulated: {error}"))
         write()
-    if figures and out is not None:
-        _, failed = draw_all(DIAGNOSIS_FIGURES, outcome.view, out / "figures", progress)
-        if failed:
-            said = (f"Figure {name} was not drawn: {why}" for name, why in failed.items())
-            outcome = replace(outcome, notes=(*outcome.notes, *said))
-            write()
+    if out is None:
+        return outcome
+    try:
+        outcome = replace(outcome, view=with_stalls(outcome.view))
+    except Exception as reason:  # an effect of the user's own may not bear a steady flow; the rest stands
+        outcome = replace(outcome, notes=(*outcome.notes, f"Stall left out: {type(reason).__name__}: {reason}"))
+    drawn: list[Path] = []
+    if figures:
+        drawn, failed = draw_all(DIAGNOSIS_FIGURES, outcome.view, out / "figures", progress)
+        said = (f"Figure {name} was not drawn: {why}" for name, why in failed.items())
+        outcome = replace(outcome, notes=(*outcome.notes, *said))
+    write()
+    if progress:
+        progress("report", 0.0)
+    told = Told(
+        card,
+        records,
+        source,
+        {path.stem: path for path in drawn},
+        predictors,
+        separating,
+        revealed(hidden, named) if hidden else (),
+        outcome.notes,
+    )
+    failure = put_page(lambda: diagnosis_page(outcome.view, told), out)
+    if failure:
+        outcome = replace(outcome, notes=(*outcome.notes, failure))
+        write()
     return outcome
 
 

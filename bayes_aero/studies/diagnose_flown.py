@@ -14,6 +14,8 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.coefficients import REQUIRED
 from bayes_aero.report.diagnosed import rankings_of
+from bayes_aero.report.page import put_page
+from bayes_aero.report.page_diagnosis import Told, flown_page
 from bayes_aero.report.style import several
 from bayes_aero.report.words_diagnosis import diagnosis_sentences
 from bayes_aero.studies.diagnosis_results import SCHEMA, cause_results, noise_results, record_results, screen
@@ -44,7 +46,7 @@ def run_flown(
     fly: bool = True,
     progress: Progress | None = None,
 ) -> tuple[Diagnosis, Trajectories | None, list[str]]:
-    """Diagnose from trajectories; with `out` it writes diagnosis.json. Returns also the sentences of the finding."""
+    """Diagnose from trajectories; `out` gets diagnosis.json, report.html. Returns the sentences of the finding too."""
     if out is not None:
         writable(out)
     source = provenance(card, records, seed, {"max_effects": most})
@@ -68,6 +70,9 @@ def run_flown(
         except InputError as error:
             note += f" Trajectories were not compared: {error}"
         said = write()
+    if out is not None:
+        failure = put_page(lambda: flown_page(found, flown, said, Told(card, records, source)), out)
+        said += [failure] if failure else []
     return found, flown, said
 
 

@@ -59,6 +59,7 @@ def diagnosis_results(
         "residuals": {"before": composition(view, view.card), "after": composition(view, view.extended)},
         "predictors": dict(predictors or {}),
         "trajectories": {} if view.trajectories is None else trajectory_results(view.trajectories, card),
+        "stall": {name: stall.numbers() for name, stall in view.stalls.items()},
         "separating": [dict(one) for one in separating],
         "notes": [*d.notes, *notes],
         "provenance": dict(provenance),

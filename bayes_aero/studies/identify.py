@@ -20,13 +20,17 @@ from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.laplace import density_start, find_mode
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.nuts import sample_nuts
+from bayes_aero.inference.posterior import PosteriorStatus
 from bayes_aero.inference.splits import SplitKind
+from bayes_aero.inference.stall import stall_of_posterior
 from bayes_aero.inference.validation import validate
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import observe
 from bayes_aero.report.figures import write_figures
+from bayes_aero.report.page import put_page
+from bayes_aero.report.page_identification import identification_page
 from bayes_aero.report.tables import paper_table, parameter_table, validation_table, write_csv
 from bayes_aero.report.words import verdict
 from bayes_aero.studies.provenance import provenance, writable, write_json
@@ -83,11 +87,32 @@ def identify(
         except InputError as error:  # too large for the exact process: said, and the rest stands
             run = replace(run, notes=(*run.notes, f"Gaussian process left out: {error}"))
         writer.stage(run, gp_done=True)
+    with _timed(seconds, "stall", progress):
+        run = _with_stall(run)
+    drawn: list[Path] = []
     if figures and out is not None:
         with _timed(seconds, "figures", progress):
-            _, failed = write_figures(run, out / "figures", progress=progress)
+            drawn, failed = write_figures(run, out / "figures", progress=progress)
         run = replace(run, notes=(*run.notes, *(f"Figure {name} was not drawn: {why}" for name, why in failed.items())))
-        writer.stage(run)
+    writer.stage(run)
+    if out is not None:
+        with _timed(seconds, "report", progress):
+            failure = put_page(lambda: identification_page(run, writer.source, {p.stem: p for p in drawn}), out)
+        if failure:
+            run = replace(run, notes=(*run.notes, failure))
+            writer.stage(run)
+    return run
+
+
+def _with_stall(run: Identification) -> Identification:
+    """With CLmax and its angle from the first posterior that converged; without one they are left out."""
+    for key, posterior in run.posteriors.items():
+        if key != "white" and posterior.status is PosteriorStatus.CONVERGED:
+            o = run.observations
+            try:
+                return replace(run, stall=stall_of_posterior(run.model, posterior, o.signals, o.aircraft))
+            except Exception as reason:  # an effect of the user's own may not bear a steady flow; the rest stands
+                return replace(run, notes=(*run.notes, f"Stall left out: {type(reason).__name__}: {reason}"))
     return run
 
 

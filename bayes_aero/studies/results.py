@@ -33,6 +33,8 @@ def results(identification: Identification, verdict: list[str], provenance: dict
             for engine, posterior in identification.posteriors.items()
         }
         found["posterior"]["status"] = {k: _status(v) for k, v in identification.posteriors.items()}
+    if identification.stall is not None:
+        found["stall"] = identification.stall.numbers()
     if identification.gp is not None:
         found["gpr"] = _gpr(identification.gp)
     found["verdict"] = verdict

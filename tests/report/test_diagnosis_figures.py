@@ -9,9 +9,7 @@ import pytest
 from matplotlib.image import imread
 
 from bayes_aero.criticism.finding import Unknown, Verdict
-from bayes_aero.criticism.residuals import theil_parts
-from bayes_aero.criticism.trajectory import Error, Path, Trajectories
-from bayes_aero.report.diagnosed import composition
+from bayes_aero.report.diagnosed import composition, with_stalls
 from bayes_aero.report.figures import DIAGNOSIS_FIGURES, draw_all
 from bayes_aero.report.figures_diagnosis import autocorrelation
 from bayes_aero.report.style import NotDrawn, close, save
@@ -35,30 +33,7 @@ def nothing(diagnosed):
     view = diagnosed.view
     empty = replace(view.diagnosis, verdict=Verdict.NO_EFFECT, causes=(), unknown=(), sensors=None)
     state = replace(view.extended.state, active=())
-    return replace(view, diagnosis=empty, extended=replace(view.card, state=state))
-
-
-@pytest.fixture(scope="module")
-def flown(diagnosed):
-    """The diagnosis with two simulated halves: the card's model off by 1 deg, the extended one by a tenth of it."""
-    (record,) = diagnosed.records
-    paths = []
-    for name, half in (("a, first half", slice(None, 700)), ("a, second half", slice(700, None))):
-        measured = {output: np.array(record[output][half]) for output in ("airspeed", "alpha")}
-        for model, off in (("card", np.deg2rad(1.0)), ("extended", np.deg2rad(0.1))):
-            simulated = {output: x + off for output, x in measured.items()}
-            errors = {
-                output: Error(off, off, theil_parts(x, simulated[output]), 0.02, 1.0, 0.5)
-                for output, x in measured.items()
-            }
-            paths += [
-                Path(name, model, split, True, errors, np.array(record.time[half]), measured, simulated)
-                for split in ("fitted", "unseen")
-            ]
-    shown = object.__new__(Trajectories)  # the fits behind the paths are not drawn
-    object.__setattr__(shown, "paths", tuple(paths))
-    object.__setattr__(shown, "outputs", ("airspeed", "alpha"))
-    return replace(diagnosed.view, trajectories=shown)
+    return with_stalls(replace(view, diagnosis=empty, extended=replace(view.card, state=state)))
 
 
 @pytest.mark.parametrize("split", ["fitted", "unseen"])

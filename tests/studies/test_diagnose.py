@@ -80,6 +80,29 @@ def test_a_figure_that_fails_loses_nothing(repeated, card, tmp_path, monkeypatch
     assert (tmp_path / "figures" / "colour.png").stat().st_size > 10_000
 
 
+def test_a_page_that_fails_loses_nothing(repeated, card, tmp_path, monkeypatch):
+    def bad(*_):
+        raise ValueError("no such luck")
+
+    monkeypatch.setattr(job, "diagnosis_page", bad)
+    found = run(repeated.records, card, out=tmp_path, figures=False)
+    assert found.notes == ("report.html was not written: ValueError: no such luck",)
+    assert validated(tmp_path / "diagnosis.json")["notes"] == list(found.notes)
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_a_stall_that_cannot_be_computed_loses_nothing(repeated, card, tmp_path, monkeypatch):
+    def bad(*_):
+        raise ValueError("no such luck")
+
+    monkeypatch.setattr(job, "with_stalls", bad)
+    found = run(repeated.records, card, out=tmp_path, figures=False)
+    assert found.notes == ("Stall left out: ValueError: no such luck",)
+    page = (tmp_path / "report.html").read_text()
+    assert found.notes[0] in page
+    assert "was not made" not in page
+
+
 def test_predictors_are_written_and_may_fail(repeated, card, tmp_path):
     def fails(*_):
         raise InputError("too large")

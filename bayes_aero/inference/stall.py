@@ -1,0 +1,125 @@
+"""The stall in two numbers with intervals: the highest steady lift coefficient, and the angle at which it is reached.
+
+Quasi-steady: CL(alpha) at alpha-dot = 0 and zero rates, all else at its median near the stall. The maximum is
+sought over the angles that were flown; where it lies at their edge the record does not show it, and that is counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.inference.posterior import Posterior
+from bayes_aero.model.model import Model
+from bayes_aero.model.steady import conditions, steady_flow
+
+POINTS = 241  # angles: less than 0.1 deg apart over 20 deg, and the maximum is found between them
+DRAWS = 400
+LEVELS = (0.025, 0.5, 0.975)
+RATE_SHARES = (0.05, 0.95)  # quantiles of the recorded alpha-dot at which separation is shown beside the steady one
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Median and equal-tailed 95 % interval."""
+
+    median: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Stall:
+    """The steady stall of one model. Angles in rad, rates in rad/s; bands are the 2.5, 50 and 97.5 % quantiles.
+
+    `CL_max` and `alpha_max` are over all draws. `at_edge` is the share of draws whose maximum is the first or last
+    angle flown: the true one lies beyond, so `CL_max` is then only a lower limit.
+    """
+
+    alpha: Float[np.ndarray, " g"]
+    CL: Float[np.ndarray, "3 g"]
+    CD: Float[np.ndarray, "3 g"]
+    rates: Float[np.ndarray, " r"]
+    X: Float[np.ndarray, "r 3 g"]  # over alpha, at each alpha-dot of `rates`
+    CL_max: Interval
+    alpha_max: Interval
+    at_edge: float
+    reference: Mapping[str, float]
+
+    def numbers(self) -> dict[str, Any]:
+        """CLmax, its angle (rad) and the share at the edge, for a file."""
+        pairs = (("CL_max", self.CL_max), ("alpha_max", self.alpha_max))
+        return {name: {"median": i.median, "ci95": [i.low, i.high]} for name, i in pairs} | {"at_edge": self.at_edge}
+
+    @property
+    def seen(self) -> bool:
+        """Whether the maximum lies inside the angles flown for (nearly) every draw."""
+        return self.at_edge < 0.025
+
+
+def stall_of(model: Model, draws: Float[np.ndarray, "m k"], signals: Mapping[str, Any], aircraft: Aircraft) -> Stall:
+    """The stall over draws of the free parameters (columns as `model.names`), within the angles that `signals` hold."""
+    thin = draws[np.unique(np.linspace(0, len(draws) - 1, min(DRAWS, len(draws))).astype(int))]
+    flown = np.asarray(signals["alpha"])
+    alpha = np.linspace(float(flown.min()), float(flown.max()), POINTS)
+    low, high = np.quantile(np.asarray(signals["alpha_dot"]), RATE_SHARES)
+    rates = np.array([min(low, 0.0), 0.0, max(high, 0.0)])
+    reference = conditions(signals)
+    held = {name: jnp.asarray(value) for name, value in reference.items()}
+    found = _flows(model, jnp.asarray(thin), jnp.asarray(alpha), jnp.asarray(rates), held, aircraft)
+    X, CL, CD = (np.asarray(found[name]) for name in ("X", "CL", "CD"))  # (m, rates, angles)
+    steady, drag = CL[:, 1], CD[:, 1]
+    peak, place, edge = maxima(alpha, steady)
+    return Stall(
+        alpha=alpha,
+        CL=np.quantile(steady, LEVELS, axis=0),
+        CD=np.quantile(drag, LEVELS, axis=0),
+        rates=rates,
+        X=np.moveaxis(np.quantile(X, LEVELS, axis=0), 0, 1),
+        CL_max=_interval(peak),
+        alpha_max=_interval(place),
+        at_edge=float(np.mean(edge)),
+        reference=reference,
+    )
+
+
+def stall_of_posterior(model: Model, posterior: Posterior, signals: Mapping[str, Any], aircraft: Aircraft) -> Stall:
+    """The same from a posterior, whose noise parameters are left aside."""
+    return stall_of(model, posterior.draws()[:, [posterior.names.index(n) for n in model.names]], signals, aircraft)
+
+
+def maxima(x: Float[np.ndarray, " g"], y: Float[np.ndarray, "m g"]):
+    """Largest value of every row, where it is (a parabola through three points of even spacing), and if at an edge."""
+    i = np.argmax(y, axis=1)
+    edge = (i == 0) | (i == len(x) - 1)
+    j = np.clip(i, 1, len(x) - 2)
+    rows = np.arange(len(y))
+    before, here, after = y[rows, j - 1], y[rows, j], y[rows, j + 1]
+    bend = np.where(edge, -1.0, before - 2.0 * here + after)
+    shift = np.where(edge | (bend >= 0.0), 0.0, 0.5 * (before - after) / np.where(bend < 0.0, bend, -1.0))
+    step = x[1] - x[0]
+    peak = np.where(edge, y[rows, i], here - 0.25 * (before - after) * shift)
+    return peak, np.where(edge, x[i], x[j] + shift * step), edge
+
+
+def _interval(values: Float[np.ndarray, " m"]) -> Interval:
+    low, median, high = np.quantile(values, LEVELS)
+    return Interval(float(median), float(low), float(high))
+
+
+@eqx.filter_jit
+def _flows(
+    model: Model, thetas: Float[Array, "m k"], alpha: Float[Array, " g"], rates: Float[Array, " r"], reference, aircraft
+):
+    def one(theta):
+        return jax.vmap(lambda rate: steady_flow(model, theta, alpha, rate, reference, aircraft))(rates)
+
+    return jax.lax.map(one, thetas)

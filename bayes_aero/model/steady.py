@@ -1,0 +1,48 @@
+"""Steady flow: what a model says of lift, drag and separation when the angle of attack stays where it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.model.model import Model
+
+NEAR_STALL = 0.1  # share of the samples, those of the highest angle of attack, whose conditions stand for the stall's
+RATES = ("alpha_dot", "beta_dot", "p", "q", "r", "p_dot", "q_dot", "r_dot")
+
+
+def conditions(signals: Mapping[str, Any]) -> dict[str, float]:
+    """One value of every signal (SI): its median where alpha is in its highest tenth; rates are zero."""
+    alpha = np.asarray(signals["alpha"])
+    high = alpha >= np.quantile(alpha, 1.0 - NEAR_STALL)
+    found: dict[str, float] = {}
+    for name, values in signals.items():
+        array = np.asarray(values)
+        if array.shape == alpha.shape and array.dtype.kind == "f":
+            found[name] = float(np.median(array[high]))
+    return {**found, **dict.fromkeys(RATES, 0.0)}
+
+
+def steady_flow(
+    model: Model,
+    theta: Float[Array, " k"],
+    alpha: Float[Array, " g"],
+    alpha_dot: Float[Array, ""],
+    reference: Mapping[str, Any],
+    aircraft: Aircraft,
+) -> dict[str, Float[Array, " g"]]:
+    """X, CL, CD, Cm over `alpha` (rad), every other signal held at `reference`; separation follows without a lag.
+
+    `alpha_dot` (rad/s) other than zero gives the quasi-steady flow of a model with hysteresis.
+    """
+    signals = {name: jnp.full_like(alpha, value) for name, value in reference.items()}
+    signals |= {"alpha": alpha, "alpha_dot": jnp.full_like(alpha, alpha_dot)}
+    values = model.values(theta)
+    X = model.static_separation(values, signals, aircraft)
+    known = model.flow(values, signals, aircraft, X)
+    return {name: known[name] for name in ("X", "CL", "CD", "Cm")}

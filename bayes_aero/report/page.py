@@ -1,0 +1,214 @@
+"""The report of a run as one self-contained HTML page: what stands on it, and how it gets to disk.
+
+A page is a tree of plain blocks, so that what is said is separate from how it looks. Everything is escaped by Jinja2;
+the only text that is not is the package's own style, script and plotting library. Nothing is fetched from a network.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+from markupsafe import Markup, escape
+
+from bayes_aero import __version__
+
+ACROSS = 150  # characters in a row of a table from which paper is turned
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph; `tone` is plain, lead or warning."""
+
+    text: str
+    tone: str = "plain"
+    kind: str = field(default="text", init=False)
+
+
+@dataclass(frozen=True)
+class Points:
+    """Sentences, one a bullet."""
+
+    items: tuple[str, ...]
+    kind: str = field(default="points", init=False)
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Name and value, one a line."""
+
+    items: tuple[tuple[str, str], ...]
+    kind: str = field(default="facts", init=False)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows under headings; the first cell of a row is its heading. `groups` span several headings each.
+
+    `words` are the columns that hold text (left-aligned) beside the first.
+    """
+
+    caption: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    groups: tuple[tuple[str, int], ...] = ()
+    words: tuple[int, ...] = ()
+    note: str = ""
+    kind: str = field(default="table", init=False)
+
+    @property
+    def broad(self) -> bool:
+        """Whether it needs a sheet across when printed."""
+        columns = enumerate(zip(*self.rows, strict=True) if self.rows else ())
+        widths = [max(len(cell) for cell in column) if i not in self.words else 25 for i, column in columns]
+        return sum(widths) + 2 * len(widths) > ACROSS
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A static figure: `source` is a data URI, `alt` says in words and numbers what it shows.
+
+    `width` and `height` in pixels of the picture, `natural` its width on a screen at which its text has nominal size.
+    """
+
+    source: str
+    alt: str
+    caption: str
+    width: int
+    height: int
+    natural: int
+    kind: str = field(default="picture", init=False)
+
+
+@dataclass(frozen=True)
+class Plot:
+    """An interactive figure: what Bokeh needs to draw it, a legend (label, colour, style) and words as for a "
+    "picture."""
+
+    item: Mapping[str, Any]
+    legend: tuple[tuple[str, str, str], ...]
+    alt: str
+    caption: str
+    title: str = ""
+    kind: str = field(default="plot", init=False)
+
+
+@dataclass(frozen=True)
+class Fold:
+    """Blocks behind a line that opens them."""
+
+    title: str
+    blocks: tuple[Block, ...]
+    kind: str = field(default="fold", init=False)
+
+
+Block = Text | Points | Facts | Table | Picture | Plot | Fold
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading with its blocks; `key` is its anchor."""
+
+    key: str
+    title: str
+    blocks: tuple[Block, ...]
+
+
+@dataclass(frozen=True)
+class Page:
+    """A report: a verdict in one sentence, one picture, then sections."""
+
+    title: str
+    subtitle: str
+    verdict: str
+    lead: tuple[Block, ...]
+    sections: tuple[Section, ...]
+
+
+def section(key: str, title: str, make: Callable[[], Iterable[Block]]) -> Section:
+    """A section whose blocks `make` builds; should it fail, the section says why and the page stands."""
+    try:
+        return Section(key, title, tuple(make()))
+    except Exception as reason:  # whatever it is, the other sections stand; it is told in its place
+        return Section(key, title, (Text(f"This part was not made: {type(reason).__name__}: {reason}", "warning"),))
+
+
+def filled(*sections: Section) -> tuple[Section, ...]:
+    """The sections that have something in them."""
+    return tuple(section for section in sections if section.blocks)
+
+
+def render(page: Page) -> str:
+    """The page as HTML."""
+    environment = Environment(
+        loader=PackageLoader("bayes_aero.report", "templates"),
+        autoescape=select_autoescape(default=True, default_for_string=True),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    plots = [*_plots(page.lead), *(plot for section in page.sections for plot in _plots(section.blocks))]
+    environment.filters["breakable"] = _breakable
+    numbers = {id(plot): number for number, plot in enumerate(plots)}
+    return environment.get_template("page.html").render(
+        page=page,
+        library=_library() if plots else "",
+        plots=Markup(_script_json([plot.item for plot in plots])),
+        number=lambda plot: numbers[id(plot)],
+        version=__version__,
+        written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+    )
+
+
+def write_page(page: Page, path: Path) -> Path:
+    """Write the page whole or not at all."""
+    partial = path.with_name(path.name + ".part")
+    try:
+        partial.write_text(render(page), encoding="utf-8")
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+    return path
+
+
+def put_page(make: Callable[[], Page], folder: Path) -> str | None:
+    """Write `report.html` into `folder`; a page that cannot be made costs nothing else, and the reason is returned."""
+    try:
+        write_page(make(), folder / "report.html")
+    except Exception as reason:  # the numbers are on disk already; whatever it is, they stand
+        return f"report.html was not written: {type(reason).__name__}: {reason}"
+    return None
+
+
+def _breakable(name: str) -> Markup:
+    """A name that may be broken behind its underscores."""
+    return escape(name).replace("_", Markup("_<wbr>"))
+
+
+def _plots(blocks: Iterable[Block]) -> Iterable[Plot]:
+    for block in blocks:
+        if isinstance(block, Plot):
+            yield block
+        elif isinstance(block, Fold):
+            yield from _plots(block.blocks)
+
+
+def _script_json(content: Any) -> str:
+    """JSON that cannot end the script element it stands in."""
+    text = json.dumps(content, separators=(",", ":"), allow_nan=True)
+    for sign in "<>&\u2028\u2029":
+        text = text.replace(sign, f"\\u{ord(sign):04x}")
+    return text
+
+
+def _library() -> Markup:
+    """BokehJS without widgets, tables and MathJax, which would be fetched."""
+    from bokeh.resources import Resources
+
+    return Markup("\n".join(Resources(mode="inline", components=["bokeh"]).js_raw))

@@ -1,0 +1,279 @@
+"""The report of a diagnosis: what is wrong, why, how large, what it gains, what stays open."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayes_aero.criticism.finding import Cause, Diagnosis
+from bayes_aero.criticism.trajectory import Trajectories
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.diagnosed import Ranking, View, rankings_of
+from bayes_aero.report.figures_flight import SYMBOLS, shown_in
+from bayes_aero.report.page import Block, Fold, Page, Table, Text, filled, section
+from bayes_aero.report.page_alternatives import diagnosis_alternatives, gained
+from bayes_aero.report.page_diagnosis_tables import (
+    calibration,
+    causes,
+    moved,
+    predictors,
+    residuals,
+    separating,
+)
+from bayes_aero.report.page_parts import (
+    WORDS,
+    at_a_glance,
+    bullets,
+    first,
+    histories,
+    provenance_blocks,
+    stall_table,
+    symbols,
+)
+from bayes_aero.report.page_pictures import Gallery
+from bayes_aero.report.page_plots import LOW, Line, Panel
+from bayes_aero.report.page_trajectories import trajectories
+from bayes_aero.report.style import COLOURS, bracket, several
+from bayes_aero.report.words_diagnosis import diagnosis_sentences
+from bayes_aero.report.words_trajectory import trajectory_sentences
+
+CONTEXT = ("alpha", "elevator", "stabilizer", "thrust", "airspeed")
+LEADERS = 10  # candidates of a stage that are listed
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a diagnosis page needs beside the finding; `notes` are stages that were left out and why."""
+
+    card: Card
+    records: Sequence[FlightRecord]
+    source: Mapping[str, Any]
+    figures: Mapping[str, Path] = field(default_factory=dict)
+    predictors: Mapping[str, Any] = field(default_factory=dict)
+    separating: Sequence[Mapping[str, Any]] = ()
+    revealed: Sequence[str] = ()
+    notes: Sequence[str] = ()
+
+
+def diagnosis_page(view: View, told: Told) -> Page:
+    """The page of a diagnosis from coefficients."""
+    d = view.diagnosis
+    gallery = Gallery(told.figures, diagnosis_alternatives(view))
+    verdict, *rest = diagnosis_sentences(d)
+    lead: list[Block] = [Text(one, "lead") for one in told.revealed]
+    if gained(view):
+        lead.append(Text(f"On data that were not fitted, before and after: {gained(view)}", "lead"))
+    lead += gallery("found") or gallery("measured_simulated")
+    if not told.figures:
+        lead.append(Text("Static pictures were not drawn in this run; tables and interactive figures are complete."))
+    return Page(
+        title=f"Diagnosis: {told.card.title}",
+        subtitle="What the model gets wrong, why, and what mending it gains",
+        verdict=verdict,
+        lead=tuple(lead),
+        sections=filled(
+            section("records", "The records at a glance", lambda: at_a_glance(told.records, told.card)),
+            section("causes", "What is wrong, and the cause", lambda: _causes(view.diagnosis, view.rankings, gallery)),
+            section("gain", "What the extension gains on unseen data", lambda: _gain(view, gallery)),
+            section("open", "What cannot be told apart, and what stays unexplained", lambda: _open(d, told, rest)),
+            section("fit", "Measured and simulated coefficients", lambda: _coefficients(view)),
+            section("trajectories", "Trajectories, before and after", lambda: _flown(view.trajectories, told)),
+            section("stall", "The stall", lambda: _stall(view, gallery)),
+            section("parameters", "How the card's parameters moved", lambda: _parameters(view, gallery)),
+            section("predictors", "Which predictor to use", lambda: _predictors(told)),
+            section("diagnostics", "Diagnostics", lambda: _diagnostics(view, gallery)),
+            section("provenance", "Provenance", lambda: provenance_blocks(told.source, told.notes)),
+        ),
+    )
+
+
+def flown_page(d: Diagnosis, flown: Trajectories | None, said: Sequence[str], told: Told) -> Page:
+    """The page of a diagnosis from trajectories alone; `said` are its sentences, the verdict first."""
+    gallery = Gallery({}, {})
+    return Page(
+        title=f"Diagnosis: {told.card.title}",
+        subtitle="What the model gets wrong, from trajectories alone: the record has no coefficients",
+        verdict=said[0],
+        lead=(Text("The record lacks what lift, drag and moment coefficients are formed from; see the last finding."),),
+        sections=filled(
+            section("records", "The records at a glance", lambda: at_a_glance(told.records, told.card)),
+            section("causes", "What is wrong, and the cause", lambda: _causes(d, rankings_of(d), gallery)),
+            section("open", "Findings in full", lambda: bullets(said[1:])),
+            section("trajectories", "Trajectories, before and after", lambda: _flown(flown, told)),
+            section(
+                "stall",
+                "The stall",
+                lambda: (
+                    Text("CLmax and the stall angle are not given: without accelerometers lift is not measured."),
+                ),
+            ),
+            section("provenance", "Provenance", lambda: provenance_blocks(told.source, told.notes)),
+        ),
+    )
+
+
+def _causes(d: Diagnosis, rankings: Sequence[Ranking], gallery: Gallery) -> tuple[Block, ...]:
+    blocks: list[Block] = []
+    if d.causes:
+        blocks += [
+            Text(
+                "Each cause is one effect of the catalogue that the card's model lacks. Sizes are estimates with one "
+                "standard "
+                "deviation; the probability is that the effect is in the model at all."
+            ),
+            causes(d),
+        ]
+    else:
+        blocks.append(Text("No cause was named. The candidates that came closest:"))
+    if d.minor:
+        verb = "are" if len(d.minor) > 1 else "is"
+        blocks.append(Text(f"Too small to be worth a name, yet in the model: {several(d.minor)} {verb} carried along."))
+    listed = [_leaders(ranking, d.causes) for ranking in rankings]
+    blocks += [WORDS, Fold("Every candidate's score before anything was added", (*listed, *gallery.folded("ranking")))]
+    return tuple(blocks)
+
+
+def _leaders(ranking: Ranking, named: Sequence[Cause]) -> Table:
+    names = {c.name for c in named if c.stage == ranking.stage}
+    rows = tuple(
+        (s.effect, s.kind, f"{s.score:.1f}", f"{s.p_value:.3f}", "yes" if s.effect in names else "")
+        for s in ranking.standings[:LEADERS]
+    )
+    beyond = f" Noise alone exceeds {ranking.threshold:.1f} once in twenty." if np.isfinite(ranking.threshold) else ""
+    return Table(
+        f"Leading candidates of the stage “{ranking.stage}”",
+        ("effect", "kind", "score", "p", "named"),
+        rows,
+        words=(1,),
+        note=f"Score: estimate over its deviation, the residual's colour counted.{beyond} p is family-wise over all "
+        "candidates. screen.csv has them all.",
+    )
+
+
+def _gain(view: View, gallery: Gallery) -> tuple[Block, ...]:
+    measured = [c for c in view.diagnosis.causes if c.gain.before]
+    if not measured:
+        return (Text("Nothing was added, so there is no gain to report."),)
+    head, rows = ["coefficient"], []
+    for when in ("before", "after"):
+        head += [f"R² {when}", f"RMSE {when} [-]"]
+    last = measured[-1]
+    for name in NAMES:
+        if name not in last.gain.before:
+            continue
+        a, b = measured[0].gain.before[name], last.gain.after[name]
+        rows.append((name, f"{a.r2:.3f}", f"{a.rmse:.4f}", f"{b.r2:.3f}", f"{b.rmse:.4f}"))
+    what = (
+        "each manoeuvre predicted from the others"
+        if view.diagnosis.split == "manoeuvre"
+        else "each stretch from the others"
+    )
+    return (
+        Table(
+            f"Unseen data ({what}): the card's model before, with all causes after",
+            tuple(head),
+            tuple(rows),
+            note="5 Hz means. R² below zero: worse than a constant.",
+        ),
+        *gallery("gain"),
+    )
+
+
+def _open(d: Diagnosis, told: Told, rest: Sequence[str]) -> tuple[Block, ...]:
+    blocks: list[Block] = []
+    sets = [f"{c.name} or {several(c.ambiguous_with)}" for c in d.causes if c.ambiguous_with]
+    if sets:
+        blocks.append(Text(f"Equally good explanations on this record: {'; '.join(sets)}."))
+    else:
+        blocks.append(Text("No named cause has a rival that explains the record about as well."))
+    blocks += separating(told.separating)
+    unknown = [one for one in rest if one.startswith("Unexplained")]
+    blocks += bullets(unknown) or (Text("No structure is left that a recorded channel would predict."),)
+    others = [s for s in rest if s not in unknown and not any(s.startswith(f"{c.name}: ") for c in d.causes)]
+    blocks.append(
+        Fold("Noise, and effects that this record cannot test", bullets(others) or (Text("Nothing to say."),))
+    )
+    return tuple(blocks)
+
+
+def _coefficients(view: View) -> tuple[Block, ...]:
+    models = [("card's model", COLOURS["before"], view.card, "dashed")]
+    if view.changed:
+        models.append(("extended model", COLOURS["after"], view.extended, "solid"))
+    legend = (
+        ("measured", COLOURS["measured"], "solid"),
+        *((label, colour, style) for label, colour, _, style in models),
+        (f"error of the {models[-1][0]}", models[-1][1], "area"),
+    )
+    channels = {**view.card.state.responses.flights.channels, **view.card.signals}
+    shown, more = first(view.names)
+    plots: list[Block] = [*more]
+    for number, name in enumerate(shown):
+        mine = view.manoeuvre == number
+        panels = []
+        for c, coefficient in enumerate(NAMES):
+            z = view.measured[mine, c]
+            lines = [Line("measured", COLOURS["measured"], z, width=1.0)]
+            lines += [Line(label, colour, z - f.residual[mine, c], style) for label, colour, f, style in models]
+            panels.append(Panel(f"{coefficient} [-]", tuple(lines), shade=((0, len(models)),)))
+        for channel in CONTEXT:
+            if channel in channels and np.ptp(np.asarray(channels[channel])[mine]) > 0.0:
+                unit, factor = shown_in(channel)
+                values = factor * np.asarray(channels[channel], float)[mine]
+                label = f"{SYMBOLS.get(channel, channel)} {bracket(unit)}"
+                panels.append(Panel(label, (Line("measured", COLOURS["measured"], values),), height=LOW))
+        what = "Coefficients measured and simulated by the card's and the extended model, and the controls,"
+        plots.append(histories(name, f"time-coefficients-{number}", view.time[mine], panels, legend, what))
+    return (
+        Text(
+            "Lift, drag and pitching-moment coefficients from the accelerometers and rate gyros, and both models "
+            "fitted to all "
+            "manoeuvres. The error of the extended model is shaded."
+        ),
+        *plots,
+    )
+
+
+def _flown(flown: Trajectories | None, told: Told) -> tuple[Block, ...]:
+    if flown is None:
+        return (Text("No trajectories were simulated in this run."),)
+    remarks = [s for s in trajectory_sentences(flown) if "within tolerance" not in s]  # the table has those
+    return (*trajectories(flown, told.card), *bullets(remarks))
+
+
+def _stall(view: View, gallery: Gallery) -> tuple[Block, ...]:
+    if not view.stalls:
+        return (Text("CLmax and the stall angle are not given: no coefficients were formed."),)
+    labels = {"card": "card's model", "extended": "extended model"}
+    what = "Intervals come from normal draws with the covariance of the fit, the residuals' colour counted."
+    return (
+        *stall_table({labels[key]: s for key, s in view.stalls.items()}, what),
+        *gallery("stall_models", "separation_models"),
+    )
+
+
+def _parameters(view: View, gallery: Gallery) -> tuple[Block, ...]:
+    if not view.moves:
+        return ()
+    return (moved(view), symbols(view.card.state.field.model, view.moves), *gallery("moves"))
+
+
+def _predictors(told: Told) -> tuple[Block, ...]:
+    if not told.predictors:
+        return (Text("Predictors were not compared in this run."),)
+    return (predictors(told.predictors),)
+
+
+def _diagnostics(view: View, gallery: Gallery) -> tuple[Block, ...]:
+    return (
+        Fold(
+            "Residuals: size, composition, colour, calibration",
+            (residuals(view), calibration(view), *gallery.folded("residual_profiles", "residual_colour")),
+        ),
+    )

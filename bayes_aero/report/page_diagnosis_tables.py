@@ -1,0 +1,164 @@
+"""Tables of a diagnosis for the page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from bayes_aero.criticism.finding import Cause, Diagnosis
+from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.comparison import decimals
+from bayes_aero.report.diagnosed import LEVELS, View, composition
+from bayes_aero.report.page import Block, Table, Text
+from bayes_aero.report.page_parts import number
+from bayes_aero.report.style import bracket, for_people, several
+from bayes_aero.report.words_diagnosis import probability, size_text
+
+PREDICTORS = {
+    "card": "card's model",
+    "gp": "Gaussian process alone",
+    "extended": "extended model",
+    "extended_gp": "extended model + Gaussian process of what it leaves",
+}
+
+
+def causes(d: Diagnosis) -> Table:
+    """Each cause with what it means, size, certainty, rivals and gain."""
+    gained = any(c.gain.before for c in d.causes)
+    head = ["cause", "what it means", "size", "95 % interval", "probability", "p"]
+    head += ["log density gained\non unseen data"] if gained else []
+    head += ["or, as likely"]
+    rows = []
+    for c in d.causes:
+        row = [c.name, c.claim, _sizes(c), _intervals(c), probability(c.probability), number(c.p_value, 2)]
+        if gained:
+            row.append(f"{c.gain.elpd:+.1f} ± {c.gain.elpd_se:.1f}" if c.gain.before else "–")
+        rows.append((*row, several(c.ambiguous_with) or "–"))
+    return Table(
+        "Causes, in the order in which they were found",
+        tuple(head),
+        tuple(rows),
+        words=(1,),
+        note="A negative gain means: fitted here, not confirmed on the other data.",
+    )
+
+
+def _sizes(c: Cause) -> str:
+    several_names = len(c.parameters) > 1
+    return "; ".join(
+        f"{f'{name} ' if several_names else ''}{size_text(s.mean, s.sd, s.unit).replace('c/V', 'chords')}"
+        for name, s in c.parameters.items()
+    )
+
+
+def _intervals(c: Cause) -> str:
+    texts = []
+    for s in c.parameters.values():
+        factor = for_people(s.unit)[1]
+        places = decimals(factor * s.sd) if s.sd > 0.0 else 4
+        texts.append(f"{factor * s.ci95[0]:.{places}f} to {factor * s.ci95[1]:.{places}f}")
+    return "; ".join(texts)
+
+
+def separating(found: Sequence[Mapping[str, Any]]) -> list[Block]:
+    """Which standard manoeuvre would tell rivals apart."""
+    blocks: list[Block] = []
+    for one in found:
+        if not one["manoeuvres"]:
+            blocks.append(Text(f"{str(one['status'])[:1].upper()}{str(one['status'])[1:]}."))
+            continue
+        rows = tuple((str(m["manoeuvre"]).replace("_", " "), f"{m['deviations']:.1f}") for m in one["manoeuvres"][:5])
+        blocks += [
+            Table(
+                f"Manoeuvres that would separate {several(one['effects'])}",
+                ("manoeuvre", "separation [deviations]"),
+                rows,
+                note=f"Two deviations or more would settle it. "
+                f"{str(one['status'])[:1].upper()}{str(one['status'])[1:]}.",
+            )
+        ]
+    return blocks
+
+
+def moved(view: View) -> Table:
+    """The card's own parameters before and after."""
+    rows = []
+    for name, m in view.moves.items():
+        unit, factor = for_people(m.unit)
+        before = size_text(factor * m.before, factor * m.sd_before, "1")
+        after = size_text(factor * m.after, factor * m.sd_after, "1")
+        change = (m.after - m.before) / m.sd_after if m.sd_after > 0.0 else float("nan")
+        rows.append((f"{name} {bracket('chords' if unit == 'c/V' else unit)}", before, after, f"{change:+.1f}"))
+    return Table(
+        "The card's parameters, fitted without and with the causes",
+        ("parameter", "card's model", "extended model", "change\n[deviations]"),
+        tuple(rows),
+        note="± is one deviation, the residuals' colour counted.",
+    )
+
+
+def predictors(found: Mapping[str, Any]) -> Table:
+    """R2, RMSE and coverage of every predictor on data that it was not fitted to."""
+    groups, head = [("", 1)], ["predictor"]
+    for name in NAMES:
+        groups.append((name, 3))
+        head += ["R²", "RMSE [-]", "inside\n95 %"]
+    rows = []
+    for key, row in found.items():
+        cells = [PREDICTORS.get(key, key)]
+        for name in NAMES:
+            s = row.get(name)
+            cells += ["–"] * 3 if s is None else [f"{s['r2']:.3f}", f"{s['rmse']:.4f}", f"{s['coverage95']:.0%}"]
+        rows.append(tuple(cells))
+    return Table(
+        "Predictors on unseen data, 5 Hz means",
+        tuple(head),
+        tuple(rows),
+        tuple(groups),
+        note="“Inside 95 %” is the share of samples inside the predictor's 95 % interval; far below 95 % it is too "
+        "sure.",
+    )
+
+
+def residuals(view: View) -> Table:
+    """Each coefficient's residuals before and after: scores, Theil's parts, colour."""
+    models = [("card's", view.card)] + ([("extended", view.extended)] if view.changed else [])
+    found = {label: composition(view, fitted) for label, fitted in models}
+    rows = []
+    for name in NAMES:
+        for label, numbers in found.items():
+            n = numbers[name]
+            rows.append(
+                (
+                    f"{name}, {label}",
+                    f"{n['r2']:.3f}",
+                    f"{n['rmse']:.4f}",
+                    f"{n['theil']:.3f}",
+                    *(f"{n[f'theil_{part}']:.0%}" for part in ("bias", "variance", "covariance")),
+                    f"{n['lag1']:+.2f}",
+                )
+            )
+    return Table(
+        "Residuals at the recorded rate, all manoeuvres fitted jointly",
+        ("", "R²", "RMSE [-]", "Theil U", "bias", "variance", "covariance", "lag-1\ncorrelation"),
+        tuple(rows),
+        (("", 4), ("Theil's shares of the squared error", 3), ("", 1)),
+        note="A good model leaves covariance only (noise): bias is a constant offset, variance a wrong amplitude.",
+    )
+
+
+def calibration(view: View) -> Table:
+    """Share of residuals inside the noise model's bands."""
+    models = [("card's", view.card)] + ([("extended", view.extended)] if view.changed else [])
+    found = {label: composition(view, fitted) for label, fitted in models}
+    rows = tuple(
+        (f"{name}, {label}", *(f"{numbers[name]['calibration'][f'{level:g}']:.0%}" for level in LEVELS))
+        for name in NAMES
+        for label, numbers in found.items()
+    )
+    return Table(
+        "Calibration: share of 5 Hz residuals inside the fitted noise's bands",
+        ("", *(f"{level:.0%}".replace("%", " %") for level in LEVELS)),
+        rows,
+        note="A right noise model shows the heading's share in each column.",
+    )

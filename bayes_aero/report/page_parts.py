@@ -1,0 +1,269 @@
+"""Parts of a page that every command shows: the records at a glance, the stall in numbers, where it all came from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.stall import Interval, Stall
+from bayes_aero.model.model import Model
+from bayes_aero.report.page import Block, Facts, Fold, Plot, Points, Table, Text
+from bayes_aero.report.page_plots import MOST, Panel, linked
+from bayes_aero.report.style import for_people, several
+from bayes_aero.report.words_trajectory import SYMBOLS
+
+GLANCE = ("airspeed", "alpha", "altitude", "elevator", "q")
+DEG = 180.0 / np.pi
+MOST_SHOWN = 6  # manoeuvres whose time histories are on the page: each costs a browser a second on a phone
+
+
+def number(value: float, digits: int = 3) -> str:
+    """Significant digits without an exponent where people read numbers; a dash where there is none."""
+    if not np.isfinite(value):
+        return "–"
+    if value != 0.0 and not 1e-4 <= abs(value) < 1e6:
+        return f"{value:.{digits - 1}e}"
+    return f"{value:.{digits}g}" if abs(value) < 10.0**digits else f"{value:.0f}"
+
+
+def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...]:
+    """What was flown and recorded."""
+    shown = [name for name in GLANCE if any(record.has(name) for record in records)]
+    heads = [f"{_name(name)}\n[{for_people(STANDARD_CHANNELS[name].unit)[0]}]" for name in shown]
+    rows = [
+        (
+            record.name,
+            f"{record.time[-1] - record.time[0]:.1f}",
+            str(record.n),
+            f"{1.0 / record.dt:.4g}",
+            str(len(record.channels)),
+            *(_range(record, name) for name in shown),
+        )
+        for record in records
+    ]
+    channels = sorted({name for record in records for name in record.channels})
+    total = sum(float(record.time[-1] - record.time[0]) for record in records)
+    many = f"{len(records)} manoeuvres" if len(records) > 1 else "One manoeuvre"
+    return (
+        Text(f"{many}, {total:.0f} s in all. Aircraft and model: {card.title} (card “{card.name}”)."),
+        Table(
+            "Records: smallest to largest value of the main channels",
+            ("record", "duration\n[s]", "samples", "rate\n[Hz]", "channels", *heads),
+            tuple(rows),
+        ),
+        Fold("Channels and signs", (Facts(tuple((n, _described(n)) for n in channels)), Text(CONVENTIONS))),
+    )
+
+
+CONVENTIONS = (
+    "Body axes: x forward, y right, z down. CL and CD are in stability axes about the centre of gravity, Cm about the "
+    "aerodynamic reference point. Elevator trailing edge down is positive, so Cmde is negative. Pitch rate enters as "
+    "q c/V "
+    "(many texts use q c/2V, which doubles Cmq). tau1 and tau2 are in chords travelled: times c/V they are seconds."
+)
+
+
+WORDS = Fold(
+    "Words used here",
+    (
+        Facts(
+            (
+                (
+                    "Cramér–Rao bound",
+                    "The usual standard deviation of a maximum-likelihood estimate. It takes every "
+                    "sample's error to be independent of its neighbours'.",
+                ),
+                (
+                    "Corrected bound",
+                    "The same, widened for residuals whose neighbouring samples are correlated (coloured).",
+                ),
+                (
+                    "White, AR(1) noise",
+                    "Noise models: independent samples, and samples that follow their predecessor in part.",
+                ),
+                (
+                    "Posterior, 95 % interval",
+                    "What is known of a parameter after the data, from prior and "
+                    "likelihood; the interval holds it with 95 % probability if model and noise model are right.",
+                ),
+                ("emcee, NUTS", "Two independent ways to draw from the same posterior. They should agree."),
+                (
+                    "Lag-1 correlation",
+                    "Correlation of a residual with the one a sample earlier: 0 for independent "
+                    "errors, near 1 for slow ones.",
+                ),
+                (
+                    "R², r, RMSE, Theil U",
+                    "Share of variance explained; correlation; root-mean-square error; Theil's "
+                    "inequality coefficient, 0 for a perfect fit.",
+                ),
+                (
+                    "Separation point X",
+                    "Where along the chord the flow separates: 1 at the trailing edge (attached), "
+                    "0 at the leading edge (stalled).",
+                ),
+                (
+                    "Unseen data",
+                    "Data that the model was not fitted to: another manoeuvre, or another stretch of a single one.",
+                ),
+            )
+        ),
+    ),
+)
+
+
+def _name(channel: str) -> str:
+    return {"elevator": "elevator", "q": "pitch rate q"}.get(
+        channel, f"{channel} {SYMBOLS[channel]}" if channel in SYMBOLS else channel
+    )
+
+
+def _range(record: FlightRecord, name: str) -> str:
+    if not record.has(name):
+        return "–"
+    factor = for_people(STANDARD_CHANNELS[name].unit)[1]
+    low, high = (factor * float(f(record[name])) for f in (np.min, np.max))
+    places = 0 if abs(high) >= 1000.0 else 1
+    return f"{low:.{places}f} to {high:.{places}f}"
+
+
+def _described(name: str) -> str:
+    if name not in STANDARD_CHANNELS:
+        return "a channel of the card's own"
+    channel = STANDARD_CHANNELS[name]
+    return f"{channel.description} [{channel.unit.replace('^2', '²').replace('^3', '³')}]"
+
+
+def interval(value: Interval, factor: float = 1.0, places: int = 3) -> str:
+    """Median and 95 % interval."""
+    low, middle, high = (factor * x for x in (value.low, value.median, value.high))
+    return f"{middle:.{places}f} ({low:.{places}f} to {high:.{places}f})"
+
+
+def stall_table(stalls: Mapping[str, Stall], what: str) -> tuple[Block, ...]:
+    """CLmax and its angle for each model, with a warning where the record does not show them."""
+    rows = []
+    for label, s in stalls.items():
+        flown = f"{s.alpha[0] * DEG:.1f} to {s.alpha[-1] * DEG:.1f}"
+        edge = f"{s.at_edge:.0%}" if s.at_edge in (0.0, 1.0) or s.at_edge >= 0.01 else "< 1%"
+        peak, angle = interval(s.CL_max), interval(s.alpha_max, DEG, 1)
+        if not s.seen:
+            peak = f"at least {peak}"
+            angle = "not shown by this record" if s.at_edge > 0.5 else f"at least {angle}"
+        rows.append((label, peak, angle, flown, edge))
+    first = next(iter(stalls.values()))
+    held = [
+        f"{name} {number(first.reference[key] * factor)} {unit}".strip()
+        for key, name, factor, unit in (
+            ("airspeed", "V", 1.0, "m/s"),
+            ("mach", "Mach", 1.0, ""),
+            ("elevator", "elevator", DEG, "deg"),
+        )
+        if key in first.reference
+    ]
+    blocks: list[Block] = [
+        Table(
+            "Steady stall: highest lift coefficient and its angle of attack, with 95 % intervals",
+            ("model", "CLmax [-]", "at α [deg]", "α flown [deg]", "maximum at\nthe edge"),
+            tuple(rows),
+            words=(1, 2),
+            note=f"Steady means α̇ = 0 and no rotation, all else as near the stall ({', '.join(held)}). {what} "
+            f"“Maximum at "
+            "the edge” is the share of draws whose largest CL is at the last angle flown: the true maximum then lies "
+            "beyond the record.",
+        )
+    ]
+    blocks += [
+        Text(
+            f"{label[:1].upper() + label[1:]}: for {s.at_edge:.0%} of the draws CL still rises at the edge of the "
+            f"angles flown, so the record "
+            "gives a lower limit of CLmax, not the stall angle.",
+            "warning",
+        )
+        for label, s in stalls.items()
+        if not s.seen
+    ]
+    return tuple(blocks)
+
+
+def symbols(model: Model, names: Iterable[str]) -> Fold:
+    """What each parameter is."""
+    known = {p.name: p for p in model.parameters}
+    facts = [(f"{n} [{_unit(known[n].unit)}]", known[n].description) for n in names if n in known]
+    return Fold("What the parameters mean", (Facts(tuple(facts)), Text(CONVENTIONS)))
+
+
+def _unit(unit: str) -> str:
+    return {"1": "-", "c/V": "chords"}.get(unit, unit).replace("^2", "²").replace("^3", "³")
+
+
+def first(names: Sequence[str]) -> tuple[Sequence[str], tuple[Block, ...]]:
+    """The manoeuvres whose time histories are shown, and the sentence that says so where there are more."""
+    if len(names) <= MOST_SHOWN:
+        return names, ()
+    return names[:MOST_SHOWN], (Text(f"The first {MOST_SHOWN} of {len(names)} manoeuvres are shown."),)
+
+
+def histories(
+    name: str, key: str, time: np.ndarray, panels: Sequence[Panel], legend: tuple[tuple[str, str, str], ...], what: str
+) -> Plot:
+    """One manoeuvre's panels; `what` begins the words that describe them."""
+    labels = several(panel.label for panel in panels)
+    thinned = (
+        f" Drawn from {len(time)} samples, thinned so that every peak stays (least and largest value of each stretch)."
+        if len(time) > MOST
+        else ""
+    )
+    spans = "; ".join(
+        f"{panel.label} from {number(float(np.nanmin(panel.lines[0].values)))} to "
+        f"{number(float(np.nanmax(panel.lines[0].values)))}"
+        for panel in panels
+    )
+    return Plot(
+        item=linked(time - time[0], panels, key),
+        legend=legend,
+        alt=f"{what} of {name} over {time[-1] - time[0]:.0f} s: {labels}. Measured: {spans}.",
+        caption="Drag across to zoom (all panels follow), Ctrl and wheel to zoom, ↺ to reset; point at a curve for "
+        "values." + thinned,
+        title=name,
+    )
+
+
+def provenance_blocks(source: Mapping[str, Any], notes: Sequence[str] = (), seconds: Mapping[str, float] | None = None):
+    """Inputs, versions and the command: all that is needed to make the run again."""
+    inputs = tuple((i["name"], i["source"], i["sha256"] or "–") for i in source.get("inputs", ()))
+    card = source.get("card", {})
+    files = tuple((f["name"], "effects", f["sha256"]) for f in source.get("effect_files", ()))
+    facts = [
+        ("Command", str(source.get("command", "–"))),
+        ("Seed", str(source.get("seed", "–"))),
+        *((str(k).replace("_", " "), str(v)) for k, v in dict(source.get("settings", {})).items()),
+        ("Written", str(source.get("written", "–"))),
+        *((str(k), str(v)) for k, v in dict(source.get("platform", {})).items()),
+    ]
+    blocks: list[Block] = [Text(note, "warning") for note in notes]
+    blocks += [
+        Facts(tuple(facts)),
+        Table(
+            "Inputs",
+            ("name", "file", "SHA-256"),
+            (*inputs, (str(card.get("name", "–")), "card", str(card.get("sha256", "–"))), *files),
+            words=(1, 2),
+        ),
+        Fold("Versions", (Facts(tuple((k, str(v)) for k, v in dict(source.get("versions", {})).items())),)),
+    ]
+    if seconds:
+        spent = several(f"{stage} {number(float(s), 2)} s" for stage, s in seconds.items())
+        blocks.append(Text(f"Time spent: {spent}."))
+    return tuple(blocks)
+
+
+def bullets(items: Iterable[str]) -> tuple[Block, ...]:
+    """A list, or nothing."""
+    given = tuple(items)
+    return (Points(given),) if given else ()

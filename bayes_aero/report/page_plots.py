@@ -1,0 +1,162 @@
+"""Time histories that can be zoomed: panels over one time axis, drawn by Bokeh in the browser."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+MOST = 1600  # points a line: more than a screen has columns
+PANEL, AXIS = 150, 44  # pixels: height of a panel, and of the time axis below the last
+LOW = 105  # of a panel that only gives context
+INK, GRID = "#222222", "#dddddd"
+
+
+@dataclass(frozen=True)
+class Line:
+    """One curve in the units of its panel; `style` is solid, dashed or dotted."""
+
+    label: str
+    colour: str
+    values: Float[np.ndarray, " n"]
+    style: str = "solid"
+    width: float = 1.4
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Curves over time; the first one sets the scale.
+
+    `shade` pairs lines (by index) between which the difference is filled with the second one's colour. `band` is half
+    the width of a tolerance about the first line.
+    """
+
+    label: str  # with unit
+    lines: tuple[Line, ...]
+    shade: tuple[tuple[int, int], ...] = ()
+    band: float | None = None
+    height: int = PANEL
+
+
+def extremes(columns: Sequence[Float[np.ndarray, " n"]], most: int = MOST) -> Int[np.ndarray, " m"]:
+    """Indices that keep every column's shape at some `most` points: least and largest of each in equal stretches.
+
+    All kept points are recorded samples, the first and the last among them; a shorter record is kept whole. Several
+    columns share the indices of all, so that there may be up to `most` for each of them.
+    """
+    n = len(columns[0])
+    if n <= most:
+        return np.arange(n)
+    edges = np.linspace(0, n, most // 2 + 1).astype(int)
+    keep: Bool[np.ndarray, " n"] = np.zeros(n, bool)
+    keep[[0, -1]] = True
+    for values in columns:
+        finite = np.isfinite(values)
+        low, high = np.where(finite, values, np.inf), np.where(finite, values, -np.inf)
+        for a, b in pairwise(edges):
+            keep[[a + int(np.argmin(low[a:b])), a + int(np.argmax(high[a:b]))]] = True
+    return np.flatnonzero(keep)
+
+
+def linked(time: Float[np.ndarray, " n"], panels: Sequence[Panel], name: str) -> dict[str, Any]:
+    """Bokeh's JSON of the panels below each other over one shared time axis (s), called `name` in the document."""
+    from bokeh.embed import json_item
+    from bokeh.layouts import gridplot
+    from bokeh.models import Range1d, Span
+
+    shared = Range1d(start=float(time[0]), end=float(time[-1]), bounds="auto", name=name)
+    cross = Span(dimension="height", line_dash="dotted", line_color="#777777", line_width=1)
+    figures = [_panel(time, panel, shared, cross, last=panel is panels[-1]) for panel in panels]
+    grid = gridplot([[f] for f in figures], sizing_mode="stretch_width", toolbar_location="above", merge_tools=True)
+    grid.toolbar.logo = None
+    return dict(json_item(grid))
+
+
+def _panel(time: np.ndarray, panel: Panel, shared: Any, cross: Any, *, last: bool) -> Any:
+    from bokeh.models import BoxZoomTool, CrosshairTool, PanTool, ResetTool, SaveTool, WheelZoomTool
+    from bokeh.plotting import figure
+
+    box = BoxZoomTool(dimensions="width")
+    f = figure(
+        height=panel.height + (AXIS if last else 0),
+        sizing_mode="stretch_width",
+        x_range=shared,
+        y_range=_scale(panel),
+        y_axis_label=panel.label,
+        x_axis_label="time from start of record [s]" if last else None,
+        tools=[
+            box,
+            PanTool(dimensions="width"),
+            WheelZoomTool(dimensions="width", modifiers={"ctrl": True}),
+            ResetTool(),
+            SaveTool(),
+            CrosshairTool(overlay=cross),
+        ],
+        active_drag=box,
+        min_border_left=66,
+        min_border_right=8,
+        min_border_top=6,
+        min_border_bottom=6,
+        background_fill_color="#ffffff",
+        border_fill_color="#ffffff",
+    )
+    _draw(f, time, panel)
+    _dress(f, last, panel.height)
+    return f
+
+
+def _draw(f: Any, time: np.ndarray, panel: Panel) -> None:
+    from bokeh.models import ColumnDataSource, HoverTool
+
+    index = extremes([line.values for line in panel.lines])
+    columns: dict[str, Any] = {"t": np.asarray(time[index], np.float32)}
+    columns |= {f"y{i}": np.asarray(line.values[index], np.float32) for i, line in enumerate(panel.lines)}
+    if panel.band is not None:
+        columns |= {"low": columns["y0"] - np.float32(panel.band), "high": columns["y0"] + np.float32(panel.band)}
+    source = ColumnDataSource(columns)
+    if panel.band is not None:
+        f.varea("t", "low", "high", source=source, fill_color="#999999", fill_alpha=0.28)
+    for first, second in panel.shade:
+        f.varea("t", f"y{first}", f"y{second}", source=source, fill_color=panel.lines[second].colour, fill_alpha=0.25)
+    shown = [
+        f.line("t", f"y{i}", source=source, color=line.colour, line_dash=line.style, line_width=line.width)
+        for i, line in enumerate(panel.lines)
+    ]
+    tips = [("time", "@t{0.00} s"), *((line.label, f"@y{i}{{0.[0000]}}") for i, line in enumerate(panel.lines))]
+    f.add_tools(HoverTool(renderers=[shown[0]], mode="vline", tooltips=tips, line_policy="nearest"))
+
+
+def _dress(f: Any, last: bool, panel_height: int) -> None:
+    f.xaxis.visible = last
+    f.grid.grid_line_color = GRID
+    f.outline_line_color = "#bbbbbb"
+    for axis in (f.xaxis, f.yaxis):
+        axis.axis_label_text_font_size = "13px"
+        axis.axis_label_text_font_style = "normal"
+        axis.axis_label_text_color = INK
+        axis.major_label_text_font_size = "12px"
+        axis.major_label_text_color = INK
+        axis.minor_tick_line_color = None
+    f.yaxis.ticker.desired_num_ticks = 4 if panel_height >= PANEL else 3
+
+
+def _scale(panel: Panel) -> Any:
+    """The first line's span, widened for its tolerance; a simulation that has lost the flight would flatten all "
+    "else."""
+    from bokeh.models import Range1d
+
+    first = panel.lines[0].values[np.isfinite(panel.lines[0].values)]
+    low, high = (float(first.min()), float(first.max())) if first.size else (0.0, 1.0)
+    span = max(high - low, 1e-9 * max(1.0, abs(high)))
+    others = [line.values[np.isfinite(line.values)] for line in panel.lines[1:]]
+    below = min([low, *(float(x.min()) for x in others if x.size)])
+    above = max([high, *(float(x.max()) for x in others if x.size)])
+    reach = max(0.35 * span, 1.5 * (panel.band or 0.0))
+    band = panel.band or 0.0
+    start = max(low - reach, min(below, low - band) - 0.05 * span)
+    end = min(high + reach, max(above, high + band) + 0.05 * span)
+    return Range1d(start=start, end=end) if end > start else Range1d(start=low - 1.0, end=high + 1.0)

@@ -1,0 +1,145 @@
+"""Simulated trajectories on the page: errors before and after, and the flights themselves with tolerance bands."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+from bayes_aero.criticism.trajectory import Path, Trajectories
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.report.page import Block, Facts, Fold, Table, Text
+from bayes_aero.report.page_parts import first, histories, number
+from bayes_aero.report.page_plots import Line, Panel
+from bayes_aero.report.style import COLOURS, bracket, for_people
+from bayes_aero.report.words_trajectory import SYMBOLS, short
+
+MODELS = (
+    ("card", "card's model", COLOURS["before"], "dashed"),
+    ("extended", "extended model", COLOURS["after"], "solid"),
+)
+SPLITS = {
+    "unseen": "Unseen: flown from the measured initial state by the fit to the other flights",
+    "fitted": "Fitted: parameters and initial states fitted to all flights",
+}
+
+
+class _Curve(NamedTuple):
+    path: Path
+    label: str
+    colour: str
+    style: str
+
+
+def trajectories(flown: Trajectories, card: Card) -> tuple[Block, ...]:
+    """Tables, then the unseen flights, then the fitted ones behind a fold."""
+    blocks: list[Block] = [
+        Text(
+            "Both models flown through the recorded inputs, without any correction on the way. “Unseen” flights were "
+            "not used "
+            "in the fit; the grey band is the tolerance about the measurement."
+        ),
+        _errors(flown),
+        _kept(flown),
+    ]
+    unseen, fitted = (_flights(flown, split) for split in ("unseen", "fitted"))
+    blocks += unseen
+    if fitted:
+        blocks.append(Fold("The same, fitted to all flights", fitted))
+    sources = tuple(
+        (f"{SYMBOLS.get(n, n)} ± {number(factor * t.value)} {unit}", t.source)
+        for n, t in card.tolerances.items()
+        if n in flown.outputs
+        for unit, factor in (for_people(STANDARD_CHANNELS[n].unit),)
+    )
+    if sources:
+        blocks.append(Fold("Where the tolerances come from", (Facts(sources),)))
+    return tuple(blocks)
+
+
+def _label(output: str) -> str:
+    unit, _ = for_people(STANDARD_CHANNELS[output].unit)
+    return f"{SYMBOLS.get(output, output)} {bracket(unit)}"
+
+
+def _names(flown: Trajectories, split: str) -> list[str]:
+    return list(dict.fromkeys(p.manoeuvre for p in flown.paths if p.split == split))
+
+
+def _errors(flown: Trajectories) -> Table:
+    head, groups, rows = ["flight"], [("", 1)], []
+    for output in flown.outputs:
+        groups.append((_label(output), 2))
+        head += ["before", "after"]
+    for split in ("fitted", "unseen"):
+        for name in _names(flown, split):
+            cells = [f"{name}, {split}"]
+            for output in flown.outputs:
+                factor = for_people(STANDARD_CHANNELS[output].unit)[1]
+                for key, *_ in MODELS:
+                    path = flown.path(name, key, split)
+                    cells.append("–" if path is None else short(factor * path.errors[output].rms))
+            rows.append(tuple(cells))
+    return Table(
+        "Root-mean-square error of the simulated trajectory: card's model before, extended model after",
+        tuple(head),
+        tuple(rows),
+        tuple(groups),
+    )
+
+
+def _kept(flown: Trajectories) -> Table:
+    banded = [n for n in flown.outputs if any(p.errors[n].within is not None for p in flown.paths)]
+    rows = []
+    for split in ("fitted", "unseen"):
+        for name in _names(flown, split):
+            cells = [f"{name}, {split}"]
+            for output in banded:
+                for key, *_ in MODELS:
+                    path = flown.path(name, key, split)
+                    within = None if path is None else path.errors[output].within
+                    cells.append("–" if within is None else f"{within:.0%}")
+            path = flown.path(name, "extended", split)
+            chances = [] if path is None else [path.errors[n].probability for n in banded]
+            known = [c for c in chances if c is not None]
+            rows.append((*cells, f"{min(known):.0%}" if known else "–"))
+    head = ["flight", *(["before", "after"] * len(banded)), "whole flight inside,\nweakest output"]
+    return Table(
+        "Share of the time inside the tolerance",
+        tuple(head),
+        tuple(rows),
+        (("", 1), *((_label(n), 2) for n in banded), ("probability", 1)),
+        note="The last column is the posterior probability that the extended model's whole flight stays inside, for "
+        "the output "
+        "that is least likely to.",
+    )
+
+
+def _flights(flown: Trajectories, split: str) -> tuple[Block, ...]:
+    shown, told = first(_names(flown, split))
+    plots: list[Block] = [*told]
+    for order, name in enumerate(shown):
+        curves = [_Curve(p, *how) for key, *how in MODELS if (p := flown.path(name, key, split)) is not None]
+        path = curves[0].path
+        panels = [_panel(output, curves) for output in flown.outputs if output in path.measured]
+        legend = (
+            ("measured", COLOURS["measured"], "solid"),
+            *((c.label, c.colour, c.style) for c in curves),
+            (f"error of the {curves[-1].label}", curves[-1].colour, "area"),
+            ("tolerance", "#999999", "area"),
+        )
+        what = f"{SPLITS[split]}: measured and simulated outputs"
+        plot = histories(name, f"time-{split}-{order}", path.time, panels, legend, what)
+        caption = f"{SPLITS[split]}. {plot.caption}"
+        plots.append(replace(plot, caption=caption, title=f"{name}, {split}"))
+    return tuple(plots)
+
+
+def _panel(output: str, curves: list[_Curve]) -> Panel:
+    factor = for_people(STANDARD_CHANNELS[output].unit)[1]
+    path = curves[0].path
+    lines = [Line("measured", COLOURS["measured"], factor * path.measured[output], width=1.0)]
+    lines += [Line(c.label, c.colour, factor * c.path.simulated[output], c.style) for c in curves]
+    tolerance = path.errors[output].tolerance
+    band = None if tolerance is None else factor * tolerance
+    return Panel(_label(output), tuple(lines), shade=((0, len(curves)),), band=band)

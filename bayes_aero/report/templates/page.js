@@ -1,0 +1,49 @@
+(function () {
+  "use strict";
+  const items = JSON.parse(document.getElementById("plots").textContent);
+  const places = Array.from(document.querySelectorAll("[data-plot]"));
+  const views = new Map();
+
+  async function draw(place) {
+    const found = await Bokeh.embed.embed_item(items[Number(place.dataset.plot)], place.id);
+    views.set(place, Array.from(found));
+    const canvas = place.parentElement;
+    const wake = document.createElement("button");  // a swipe on a phone scrolls the page until the plot is tapped
+    wake.type = "button";
+    wake.className = "wake";
+    wake.innerHTML = "<span>tap to zoom</span>";
+    wake.addEventListener("click", () => canvas.classList.add("awake"));
+    canvas.append(wake);
+  }
+
+  function still(place) {  // a canvas of its own, for its size follows the paper while Bokeh's follows the window
+    const view = (views.get(place) || []).find((one) => one.bbox && one.bbox.height > 0);  // not the notifications
+    const old = place.parentElement.querySelector(".still");
+    if (old) old.remove();
+    if (!view) return;
+    try {
+      const copy = view.export("png", true).canvas;
+      copy.className = "still";
+      copy.removeAttribute("style");
+      copy.setAttribute("aria-hidden", "true");
+      place.parentElement.append(copy);
+    } catch (reason) {
+      console.warn("plot not printed: " + reason);
+    }
+  }
+
+  let opened = [];
+  window.addEventListener("beforeprint", () => {
+    opened = Array.from(document.querySelectorAll("details:not([open])"));
+    for (const one of opened) one.open = true;
+    places.forEach(still);
+  });
+  window.addEventListener("afterprint", () => {
+    for (const one of opened) one.open = false;
+  });
+
+  (async function () {
+    for (const place of places) await draw(place);
+    document.documentElement.dataset.drawn = String(places.length);
+  })();
+})();

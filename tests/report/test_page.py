@@ -1,0 +1,240 @@
+"""The report page: everything escaped, whole or not at all, true to its numbers, and thinned without losing a peak."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import xarray as xr
+from PIL import Image
+
+from bayes_aero.inference.posterior import PosteriorStatus
+from bayes_aero.report.page import Fold, Page, Picture, Plot, Table, Text, put_page, render, section, write_page
+from bayes_aero.report.page_diagnosis import Told, diagnosis_page, flown_page
+from bayes_aero.report.page_identification import headline, identification_page
+from bayes_aero.report.page_parts import stall_table
+from bayes_aero.report.page_pictures import Gallery, embedded
+from bayes_aero.report.page_plots import Line, Panel, extremes, linked
+from bayes_aero.report.page_tables import coverage, parameters
+from bayes_aero.studies.provenance import provenance
+
+HOSTILE = """<script>alert(1)</script>"'&$$x$$</title>"""
+
+
+class Outline(HTMLParser):
+    """Headings, images, scripts and all text of a page."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.headings: list[int] = []
+        self.alternatives: list[str] = []
+        self.scripts = 0
+        self.text = ""
+        self.scopeless = 0
+        self.feed(html)
+
+    def handle_starttag(self, tag, attrs):
+        given = dict(attrs)
+        if re.fullmatch("h[1-6]", tag):
+            self.headings.append(int(tag[1]))
+        self.alternatives += [given.get("alt") or ""] if tag == "img" else []
+        self.alternatives += [given.get("aria-label") or ""] if given.get("role") == "img" else []
+        self.scripts += tag == "script"
+        self.scopeless += tag == "th" and "scope" not in given
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def page_of(*blocks, **words) -> Page:
+    whole = {"title": "t", "subtitle": "s", "verdict": "v", "lead": ()} | words
+    return Page(**whole, sections=(section("a", "A", lambda: blocks),))
+
+
+@pytest.fixture(scope="module")
+def html(full):
+    source = provenance(full.card, full.records, 0, {"noise": "ar1"})
+    return render(identification_page(replace(full, notes=("Figure pair was not drawn: it rained",)), source, {}))
+
+
+def test_whatever_comes_from_a_run_is_escaped():
+    table = Table(HOSTILE, (HOSTILE, "b"), ((HOSTILE, HOSTILE),), ((HOSTILE, 2),), note=HOSTILE)
+    picture = Picture("data:,", HOSTILE, HOSTILE, 3, 2, 2)
+    panel = Panel("CL [-]", (Line("measured", "#000000", np.arange(3.0)),))
+    item = {**linked(np.arange(3.0), [panel], "time"), "more": HOSTILE}
+    plot = Plot(item, ((HOSTILE, "#000000", "solid"),), HOSTILE, HOSTILE, HOSTILE)
+    page = page_of(
+        Text(HOSTILE), table, picture, plot, Fold(HOSTILE, (Text(HOSTILE),)), title=HOSTILE, subtitle=HOSTILE,
+        verdict=HOSTILE,
+    )  # fmt: skip
+    html = render(page)
+    assert "<script>alert" not in html
+    outline = Outline(html)
+    assert outline.scripts == 3  # the library, the data, the page's own
+    assert outline.text.count(HOSTILE) >= 12  # and is shown as it is
+    data = re.search(r'<script type="application/json" id="plots">(.*?)</script>', html, re.S)
+    assert data is not None
+    assert json.loads(data[1])[0]["more"] == HOSTILE
+
+
+def test_a_page_asks_nothing_of_a_network(html):
+    own = re.sub(r"<script>.*?</script>", "", html, flags=re.S)  # the library is watched in a browser
+    assert re.findall(r"""(?:src|href)\s*=\s*["']data:""", own)
+    assert not re.search(r"""(?:src|href)\s*=\s*["'](?!data:|#)""", own)
+    assert "@import" not in own
+    assert "default-src 'none'" in html
+
+
+def test_the_outline_is_sound(html):
+    outline = Outline(html)
+    assert outline.headings.count(1) == 1
+    assert all(b - a <= 1 for a, b in zip([0, *outline.headings], outline.headings, strict=False))
+    assert outline.scopeless == 0
+    assert outline.alternatives
+    assert all(len(text) > 40 and re.search(r"\d", text) for text in outline.alternatives)
+
+
+def test_the_page_tells_the_numbers_of_the_run(html, full):
+    text = Outline(html).text
+    for posterior in ("emcee", "NUTS", "Cramér–Rao"):
+        assert posterior in text
+    assert "Figure pair was not drawn: it rained" in text
+    assert full.records[0].sha256 in text
+    for name in full.mle.names:
+        assert name in text
+
+
+def test_parameters_are_those_of_every_method(full):
+    table = parameters(full)
+    row = next(cells for cells in table.rows if cells[0].startswith("Cmde "))
+    assert row[0] == "Cmde [1/rad]"
+    assert row[1:3] == ("-0.800 ± 0.010", "-0.800 ± 0.040")  # the bound and four times it
+    assert "-0.840 to -0.760" not in row[3]
+    assert row[-1] == "42.4"  # 60 bounds apart, each off by one: 60/sqrt 2
+    assert sum(span for _, span in table.groups) == len(table.head) == len(row)
+
+
+def test_a_stall_beyond_the_record_is_said_to_be(full):
+    (table, warning) = stall_table({"emcee": full.stall}, "")
+    assert full.stall.at_edge == 1.0  # lift without separation only rises
+    assert table.rows[0][1].startswith("at least")
+    assert table.rows[0][2] == "not shown by this record"
+    assert "100%" in warning.text
+    assert "CLmax" not in headline(full)
+
+
+def test_draws_that_did_not_converge_are_warned_of_first(full):
+    bad = replace(full.posteriors["nuts"], status=PosteriorStatus.DIVERGENT)
+    page = identification_page(replace(full, posteriors={**full.posteriors, "nuts": bad}), {}, {})
+    assert page.lead[0].tone == "warning"
+    assert "divergent" in page.lead[0].text
+
+
+def test_coverage_of_a_calibrated_posterior(full):
+    assert coverage(full) is None  # these draws have no predictions
+    rng = np.random.default_rng(0)
+    posterior = full.posteriors["emcee"]
+    tree = posterior.tree.copy()
+    names = {n: (("chain", "draw", "instant"), rng.standard_normal((2, 100, 400))) for n in ("CL", "CD", "Cm")}
+    tree["posterior_predictive"] = xr.DataTree(xr.Dataset(names))
+    tree["observed_data"] = xr.DataTree(xr.Dataset({n: ("instant", rng.standard_normal(400)) for n in names}))
+    table = coverage(replace(full, posteriors={"emcee": replace(posterior, tree=tree)}))
+    assert table is not None
+    shares = np.array([[float(cell.rstrip("%")) for cell in row[1:]] for row in table.rows])
+    assert shares == pytest.approx(np.tile([50.0, 90.0, 95.0], (3, 1)), abs=8.0)
+
+
+def test_a_part_that_fails_does_not_cost_the_page(tmp_path):
+    def fails():
+        raise ValueError("no such luck")
+
+    page = Page("t", "s", "v", (), (section("a", "Lift", fails), section("b", "Drag", lambda: (Text("fine"),))))
+    text = Outline(render(page)).text
+    assert "This part was not made: ValueError: no such luck" in text
+    assert "fine" in text
+    assert put_page(lambda: page, tmp_path) is None
+    assert put_page(fails, tmp_path / "other") == "report.html was not written: ValueError: no such luck"
+
+
+def test_a_page_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
+    path = write_page(page_of(Text("first")), tmp_path / "report.html")
+
+    def breaks(*_):
+        raise OSError("disk full")
+
+    monkeypatch.setattr("bayes_aero.report.page.os.replace", breaks)
+    with pytest.raises(OSError, match="disk full"):
+        write_page(page_of(Text("second")), path)
+    assert "first" in path.read_text()
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_thinning_keeps_every_peak():
+    rng = np.random.default_rng(1)
+    columns = [np.cumsum(rng.standard_normal(20_000)), rng.standard_normal(20_000)]
+    columns[1][12_345] = 40.0
+    keep = extremes(columns, 1000)
+    assert len(keep) <= 2 * 1000 + 2
+    assert keep[0] == 0
+    assert keep[-1] == 19_999
+    assert 12_345 in keep
+    edges = np.linspace(0, 20_000, 501).astype(int)
+    for values in columns:
+        for a, b in pairwise(edges):
+            shown = values[keep[(keep >= a) & (keep < b)]]
+            assert shown.min() == values[a:b].min()
+            assert shown.max() == values[a:b].max()
+    assert np.array_equal(extremes(columns, 30_000), np.arange(20_000))
+    columns[0][:] = np.nan  # a channel that dropped out
+    assert len(extremes(columns, 1000)) <= 2 * 1000 + 2
+
+
+def test_pictures_are_small_and_keep_their_look(tmp_path):
+    wide = Image.new("RGB", (3000, 600), "white")
+    wide.paste((0, 114, 178), (0, 0, 1500, 600))
+    wide.save(tmp_path / "wide.png")
+    source, size, natural = embedded(tmp_path / "wide.png", 1000)
+    assert size == (1000, 200)
+    assert natural == 1920  # 3000 pixels at 150 to the inch, 96 on a screen
+    assert source.startswith("data:image/png;base64,")
+    gallery = Gallery({"wide": tmp_path / "wide.png"}, {"wide": ("caption", "alt 1")})
+    (picture,) = gallery("wide", "absent")
+    assert (picture.caption, picture.alt) == ("caption", "alt 1")
+
+
+def test_a_diagnosis_tells_causes_gain_and_what_is_open(diagnosed, flown, card):
+    d = flown.diagnosis
+    separating = [
+        {"effects": ["a", "b"], "status": "s", "manoeuvres": [{"manoeuvre": "slow_stall", "deviations": 3.2}]}
+    ]
+    told = Told(
+        card,
+        diagnosed.records,
+        provenance(card, diagnosed.records, 0, {}),
+        {},
+        {},
+        separating,
+        ("Hidden was x.",),
+        ("n",),
+    )
+    page = diagnosis_page(flown, told)
+    assert not [s.title for s in page.sections if any("was not made" in getattr(b, "text", "") for b in s.blocks)]
+    text = Outline(render(page)).text
+    for cause in d.causes:
+        assert cause.claim in text
+    for part in ("slow stall", "Hidden was x.", "Trajectories, before and after", "Share of the time", "CLmax"):
+        assert part in text
+    assert [row[0] for row in next(b for b in page.sections[2].blocks if isinstance(b, Table)).rows] == [
+        "CL",
+        "CD",
+        "Cm",
+    ]
+    only = flown_page(d, flown.trajectories, ["A verdict.", "A finding."], told)
+    text = Outline(render(only)).text
+    assert "A verdict." in text
+    assert "without accelerometers" in text
