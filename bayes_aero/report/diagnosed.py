@@ -12,7 +12,7 @@ from scipy import stats
 
 from bayes_aero.criticism.colour import colour_of
 from bayes_aero.criticism.election import Poll, uncertainty
-from bayes_aero.criticism.extension import Extension
+from bayes_aero.criticism.extension import Extension, explained
 from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.regression import Fit
 from bayes_aero.criticism.residuals import details, theil_parts
@@ -40,12 +40,16 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Standing:
-    """One candidate of a stage's first election, at its best: `estimate` and `sd` by parameter."""
+    """One candidate of a stage's first election, at its best: `estimate` and `sd` by parameter.
+
+    `explains` is the share of the remaining variance that it would take away, by which candidates are taken in turn.
+    """
 
     effect: str
     kind: str
     score: float
     p_value: float
+    explains: float
     estimate: Mapping[str, tuple[float, float]]
 
 
@@ -164,7 +168,9 @@ def _standings(extension: Extension, poll: Poll) -> list[Standing]:
         effect = next(e for e in field.model.effects if e.name == s.effect)
         at = [extension.base.theta[i] for i in field.columns(field.parameters_of(s.effect))]
         sizes = {p.name: (float(x + d), sd) for p, x, d, sd in zip(effect.parameters, at, s.step, s.sd, strict=False)}
-        found[s.effect] = Standing(s.effect, effect.kind.value, s.score, poll.p_value(s.score), sizes)
+        found[s.effect] = Standing(
+            s.effect, effect.kind.value, s.score, poll.p_value(s.score), explained(extension.base, s), sizes
+        )
     return sorted(found.values(), key=lambda s: -s.score)
 
 

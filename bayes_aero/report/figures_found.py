@@ -65,30 +65,40 @@ def _decisive(view: View) -> Ranking | None:
 
 
 def _election(ax: Axes, ranking: Ranking, view: View) -> None:
-    """The highest scores; named causes in colour, with the size they have in the end."""
+    """Candidates in the order in which they are considered; named causes in colour, with their size in the end."""
     named = {c.name: c for c in view.diagnosis.causes}
-    leaders = ranking.standings[:SHOWN]
-    scores = np.array([s.score for s in leaders])
-    widest = float(np.nanmax([*scores, ranking.threshold, 1e-9]))
-    colours = [COLOURS["chosen" if s.effect in named else "candidate"] for s in leaders]
-    ax.barh(range(len(leaders)), scores, height=0.75, color=colours)
-    for y, s in enumerate(leaders):
-        if s.effect in named and s.score > 0.5 * widest:  # room for the size inside the bar
-            box = {**TIGHT, "fc": COLOURS["chosen"], "alpha": 1.0}
-            look = {"x": s.score - 0.01 * widest, "ha": "right", "color": "white", "bbox": box}
+    leaders = sorted(ranking.standings, key=lambda s: -s.explains)[:SHOWN]
+    share = 100.0 * np.array([s.explains for s in leaders])
+    widest = float(np.max([*share, 1e-9]))
+    for y, (s, x) in enumerate(zip(leaders, share, strict=True)):
+        chance = np.isfinite(ranking.threshold) and s.score < ranking.threshold
+        ax.barh(
+            y,
+            x,
+            height=0.75,
+            color=COLOURS["chosen" if s.effect in named else "candidate"],
+            alpha=0.45 if chance else 1.0,
+        )
+        text = _sizes(named[s.effect]) if s.effect in named else f"score {s.score:.1f}"
+        if x > 0.5 * widest:
+            box = {**TIGHT, "fc": COLOURS["chosen" if s.effect in named else "candidate"], "alpha": 1.0}
+            look = {
+                "x": x - 0.01 * widest,
+                "ha": "right",
+                "color": "white" if s.effect in named else "black",
+                "bbox": box,
+            }
         else:
-            look = {"x": s.score + 0.01 * widest, "ha": "left", "color": "black", "bbox": TIGHT}
-        text = _sizes(named[s.effect]) if s.effect in named else f"{s.score:.1f}"
+            look = {"x": x + 0.01 * widest, "ha": "left", "color": "black", "bbox": TIGHT}
         ax.text(y=y, s=text, va="center", fontsize=7.5, zorder=5, **look)
     if np.isfinite(ranking.threshold):
-        ax.axvline(ranking.threshold, color=COLOURS["measured"], ls="--", lw=1.0)
-        text = f"dashed: noise alone exceeds\n{ranking.threshold:.1f} in 5 % of replicates"
+        text = f"pale: score below {ranking.threshold:.1f}, which noise\nalone exceeds in 5 % of replicates"
         ax.text(0.99, 0.02, text, transform=ax.transAxes, va="bottom", ha="right", **NOTE)
     ax.set_yticks(range(len(leaders)), [s.effect for s in leaders])
     ax.set_ylim(len(leaders) - 0.4, -0.6)
-    ax.set_xlim(0.0, 1.12 * widest)
+    ax.set_xlim(0.0, 1.03 * widest)
     ax.grid(False, axis="y")
-    ax.set_xlabel("estimate over its deviation, colour included [-]")
+    ax.set_xlabel("share of the variance left that it explains [%]")
     ax.set_title(f"Which cause? First election, {ranking.stage}")
 
 
