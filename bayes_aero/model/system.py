@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from bayes_aero.model.tangent import between, later, tangent_flight
+
 Row = Mapping[str, Any]
 """Inputs or outputs at one instant, by name."""
 
@@ -58,35 +60,53 @@ def integrate(
     Fixed steps suffice for flight: the largest eigenvalue is some 7 /s. A fast state (the lag of the separation point)
     needs `substeps`.
     """
-    bounds = [system.envelope.get(name, (-FAR, FAR)) for name in system.states]
-    lower, upper = (jnp.array([b[i] for b in bounds]) for i in (0, 1))
+    now = {name: jnp.asarray(x) for name, x in inputs.items()}
+    return Trajectory(*_flight(system, start, now, dt=jnp.asarray(dt), substeps=substeps))
+
+
+def _advance(system: System, x: Any, now: Row, then: Row, dt: Any, substeps: int) -> Array:
+    """The state a sample later."""
     h = dt / substeps
 
-    def advance(x, now, change, share):
-        """One step from `share` of the sample time on."""
-
-        def at(extra):
-            return {name: now[name] + (share + extra / substeps) * change[name] for name in now}
-
-        k1, outputs = system.motion(x, at(0.0))
+    def step(number, x):
+        at = lambda node: between(now, then, (number + node) / substeps)  # noqa: E731
         middle = at(0.5)
-        k2, _ = system.motion(x + 0.5 * h * k1, middle)
-        k3, _ = system.motion(x + 0.5 * h * k2, middle)
-        k4, _ = system.motion(x + h * k3, at(1.0))
-        return x + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4), outputs
+        k1 = system.motion(x, at(0.0))[0]
+        k2 = system.motion(x + 0.5 * h * k1, middle)[0]
+        k3 = system.motion(x + 0.5 * h * k2, middle)[0]
+        k4 = system.motion(x + h * k3, at(1.0))[0]
+        return x + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
 
-    def step(carry, rows):
-        x, inside = carry
-        now, then = rows
-        change = {name: then[name] - now[name] for name in now}
-        new, outputs = advance(x, now, change, 0.0)
-        if substeps > 1:
-            new = jax.lax.fori_loop(1, substeps, lambda i, y: advance(y, now, change, i / substeps)[0], new)
-        sound = inside & jnp.all(jnp.isfinite(new)) & jnp.all((new >= lower) & (new <= upper))
-        return (jnp.where(sound, new, x), sound), (x, outputs, inside)
+    return step(0, x) if substeps == 1 else jax.lax.fori_loop(0, substeps, step, x)
 
-    now = {name: jnp.asarray(x) for name, x in inputs.items()}
-    then = {name: jnp.concatenate([x[1:], x[-1:]]) for name, x in now.items()}
-    begin = jnp.all(jnp.isfinite(start))
-    _, (states, outputs, inside) = jax.lax.scan(step, (start, begin), (now, then))
-    return Trajectory(states, outputs, inside)
+
+@eqx.filter_custom_jvp
+def _flight(system, start, inputs, *, dt, substeps):
+    """Only the state is found one sample after the other; envelope and outputs follow for all samples at once."""
+    bounds = [system.envelope.get(name, (-FAR, FAR)) for name in system.states]
+    lower, upper = (jnp.array([b[i] for b in bounds]) for i in (0, 1))
+
+    def further(x, rows):
+        return _advance(system, x, *rows, dt, substeps), x
+
+    _, x = jax.lax.scan(further, start, (inputs, later(inputs)))
+    sound = jnp.all(jnp.isfinite(x), axis=1)
+    sound &= jnp.all((x >= lower) & (x <= upper), axis=1) | (jnp.arange(len(x)) == 0)
+    inside = jnp.cumsum(~sound) == 0
+    last = x[jnp.maximum(jnp.sum(inside) - 1, 0)]
+    x = jnp.where(inside[:, None], x, last)
+    outputs = jax.vmap(lambda x, u: system.motion(x, u)[1])(x, inputs)
+    return x, outputs, inside
+
+
+@_flight.def_jvp
+def _flight_jvp(primals, tangents, *, dt, substeps):
+    system, start, inputs = primals
+    t_system, t_start, t_inputs = tangents
+    flown = _flight(system, start, inputs, dt=dt, substeps=substeps)
+    t_inputs = {name: t for name, t in t_inputs.items() if t is not None}
+    t_start = jnp.zeros_like(start) if t_start is None else t_start
+    row = jax.tree.map(lambda y: y[None], (flown[0], flown[2], inputs, dt))
+    moved = jax.tree.map(lambda y: y[None], (t_start, t_inputs))
+    dx, outputs = jax.tree.map(lambda y: y[0], tangent_flight(substeps)(system, *row, t_system, *moved))
+    return flown, (dx, outputs, None)

@@ -1,0 +1,157 @@
+"""Sensitivities of a flight whose states are known: the derivative of its integration, for a fraction of its time.
+
+The loop of `system.integrate` has a derivative that needs no loop but a linear one: those of `motion` at every stage of
+every sample are had at once, then products of s by s follow each other. Directions are the last axis: what they share
+is computed once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+NODES, AHEAD, WEIGHTS = (0.0, 0.5, 0.5, 1.0), (0.5, 0.5, 1.0, 0.0), (1.0, 2.0, 2.0, 1.0)  # the four stages of a step
+
+Channels = Mapping[str, Any]
+
+
+def later(inputs: Channels) -> dict[str, Array]:
+    """Inputs a sample later; the last stay. Samples are the last axis."""
+    return {name: jnp.concatenate([x[..., 1:], x[..., -1:]], axis=-1) for name, x in inputs.items()}
+
+
+def between(now: Channels, then: Channels, share: Any) -> dict[str, Any]:
+    """Inputs at `share` of the way to the next sample."""
+    return {name: now[name] + share * (then[name] - now[name]) for name in now}
+
+
+@lru_cache
+def tangent_flight(substeps: int):
+    """Derivative of states (w, n, s) and outputs (w, n) of w segments in one direction.
+
+    Under `jax.vmap` segments are laid beside segments, and directions beside directions.
+    """
+
+    @jax.custom_batching.custom_vmap
+    def tangent(system, x, inside, inputs, dt, t_system, t_start, t_inputs):
+        one = jax.tree.map(lambda t: t[..., None], (t_system, t_start, t_inputs))
+        found = _along(system, x, inside, inputs, dt, *one, substeps)
+        return jax.tree.map(lambda t: t[..., 0], found)
+
+    @tangent.def_vmap
+    def _(size, batched, *arguments):
+        (system, *flight, t_system, t_start, t_inputs), marks = arguments, jax.tree.map(bool, batched)
+        alike = not any(jax.tree.leaves(marks[0]))
+        if alike and not any(jax.tree.leaves(marks[:5])):  # directions
+            last = [_last(t, m, size) for t, m in zip(arguments[5:], marks[5:], strict=True)]
+            found = _along(system, *flight, *last, substeps)
+            found = jax.tree.map(lambda t: jnp.moveaxis(t, -1, 0), found)
+        elif alike and not any(jax.tree.leaves(marks[5])):  # segments
+            own = [_laid(t, m, size) for t, m in zip((*flight, t_start, t_inputs), (*marks[1:5], *marks[6:]), strict=True)]
+            found = tangent(system, *own[:4], t_system, *own[4:])
+            found = jax.tree.map(lambda t: t.reshape(size, -1, *t.shape[1:]), found)
+        else:
+            axes = jax.tree.map(lambda m: 0 if m else None, tuple(marks))
+            found = jax.vmap(lambda *a: tangent.fun(*a), axes)(*arguments)
+        return found, jax.tree.map(lambda _: True, found)
+
+    return tangent
+
+
+def _last(tree: Any, marks: Any, size: int) -> Any:
+    """Directions, which come first or not at all, as the last axis."""
+    give = lambda t, m: jnp.moveaxis(t, 0, -1) if m else jnp.broadcast_to(t[..., None], (*t.shape, size))  # noqa: E731
+    return jax.tree.map(give, tree, marks)
+
+
+def _laid(tree: Any, marks: Any, size: int) -> Any:
+    """A new axis of segments merged with the one that is there."""
+
+    def give(t, m):
+        wide = t if m else jnp.broadcast_to(t, (size, *t.shape))
+        return wide.reshape(-1, *wide.shape[2:])
+
+    return jax.tree.map(give, tree, marks)
+
+
+def _along(
+    system: Any,
+    x: Float[Array, "w n s"],
+    inside: Bool[Array, "w n"],
+    inputs: Channels,
+    dt: Float[Array, " w"],
+    t_system: Any,
+    t_start: Float[Array, "w s d"],
+    t_inputs: Channels,
+    substeps: int,
+) -> tuple[Float[Array, "w n s d"], dict[str, Float[Array, "w n d"]]]:
+    """In d directions."""
+    w, n, s = x.shape
+    h = (dt / substeps)[:, None, None]
+    shares = jnp.array([(number + node) / substeps for number in range(substeps) for node in NODES])
+    at = lambda now, then: jax.vmap(lambda r: between(now, then, r))(shares)  # noqa: E731
+    u = at(inputs, later(inputs))  # m w n
+    t_first = {name: jnp.moveaxis(t, -1, 0) for name, t in t_inputs.items()}
+    t_u = {name: jnp.moveaxis(t, 1, -1) for name, t in at(t_first, later(t_first)).items()}  # m w n d
+    points = _stage_points(system, x, u, h, substeps)
+
+    def own(x, u, t_u):
+        def direct(t_system, t_u):
+            known = dict.fromkeys(u) | t_u
+            there, found = eqx.filter_jvp(lambda s, v: s.motion(x, v), (system, u), (t_system, known))
+            return jax.tree.map(lambda y, t: jnp.zeros_like(y) if t is None else t, there, found)
+
+        return jax.jacfwd(lambda y: system.motion(y, u))(x), jax.vmap(direct, in_axes=-1, out_axes=-1)(t_system, t_u)
+
+    flat = lambda tree: jax.tree.map(lambda y: y.reshape(-1, *y.shape[3:]), tree)  # noqa: E731
+    found = jax.vmap(own)(*flat((points, u, t_u)))
+    (A, C), (b, d) = jax.tree.map(lambda y: y.reshape(4 * substeps, w, n, *y.shape[1:]), found)
+    moved = jnp.concatenate([inside[:, 1:], jnp.ones((w, 1), bool)], axis=1)[None, :, :, None, None]
+    A, b = jnp.where(moved, A, 0.0), jnp.where(moved, b, 0.0)  # outside the envelope the state stays
+    dx = _recurrence(jnp.moveaxis(A, 2, 0), jnp.moveaxis(b, 2, 0), t_start, h)
+    outputs = {name: jnp.sum(C[name][0][..., None] * dx, axis=2) + d[name][0] for name in C}
+    return dx, outputs
+
+
+def _stage_points(system: Any, x: Float[Array, "w n s"], u: Channels, h: Any, substeps: int) -> Float[Array, "m w n s"]:
+    """Where the integration asks for the motion, all samples at once."""
+    motion = jax.vmap(jax.vmap(lambda x, u: system.motion(x, u)[0]))
+
+    def further(carry, stage):
+        begin, gathered, point = carry
+        u, ahead, weight, last = stage
+        k = motion(point, u)
+        gathered = gathered + weight * k
+        begin = jnp.where(last, begin + h / 6.0 * gathered, begin)
+        return (begin, jnp.where(last, 0.0, gathered), begin + jnp.where(last, 0.0, ahead) * h * k), point
+
+    table = [jnp.tile(jnp.array(row), substeps) for row in (AHEAD, WEIGHTS, (False, False, False, True))]
+    return jax.lax.scan(further, (x, jnp.zeros_like(x), x), (u, *table))[1]
+
+
+def _recurrence(
+    A: Float[Array, "n m w s s"], b: Float[Array, "n m w s d"], begin: Float[Array, "w s d"], h: Any
+) -> Float[Array, "w n s d"]:
+    """Sensitivities of the states from those of the motion at every stage."""
+
+    def slope(A, b, dx):
+        return jnp.sum(A[..., None] * dx[:, None], axis=2) + b
+
+    def further(dx, row):
+        A, b = row
+        new = dx
+        for i in range(0, A.shape[0], 4):
+            k1 = slope(A[i], b[i], new)
+            k2 = slope(A[i + 1], b[i + 1], new + 0.5 * h * k1)
+            k3 = slope(A[i + 2], b[i + 2], new + 0.5 * h * k2)
+            k4 = slope(A[i + 3], b[i + 3], new + h * k3)
+            new = new + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+        return new, dx
+
+    return jnp.moveaxis(jax.lax.scan(further, begin, (A, b))[1], 0, 1)
