@@ -18,14 +18,8 @@ from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.residuals import TheilParts, theil_parts
 from bayes_aero.effect import Stage
 from bayes_aero.inference.coloured import corrected_covariance
-from bayes_aero.inference.output_error import (
-    THINNED,
-    OutputErrorResult,
-    OutputErrorStatus,
-    fit_cascade,
-    fit_output_error,
-    trajectories,
-)
+from bayes_aero.inference.output_error import fit_cascade, fit_output_error, trajectories
+from bayes_aero.inference.output_error_result import THINNED, OutputErrorResult, OutputErrorStatus
 from bayes_aero.model.dynamics import aircraft_dynamics
 from bayes_aero.model.flights import Flights
 from bayes_aero.model.model import Model
@@ -190,7 +184,7 @@ def colour_cost(fit: OutputErrorResult) -> tuple[float, Float[np.ndarray, " k"]]
     variance is left there); the segments' states are among the parameters.
     """
     flown, k = fit.flown, len(fit.estimate)
-    residual, S = fit.thinned[0], np.moveaxis(fit.thinned[1:], 0, 3)
+    residual, S = fit.thinned[..., 0], fit.thinned[..., 1:]
     m = S.shape[1]
     inside = flown.inside[:, : m * THINNED].reshape(len(S), m, THINNED).all(axis=2)
     w, n, c, wide = S.shape

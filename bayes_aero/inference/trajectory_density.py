@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_aero.inference.output_error import DEPARTURE, OTHER_DEPARTURE, OutputErrorResult
+from bayes_aero.inference.flown_normal import DEPARTURE, OTHER_DEPARTURE
+from bayes_aero.inference.output_error_result import OutputErrorResult
 from bayes_aero.model.log_density import LogDensity
 from bayes_aero.model.segments import Flown, simulate
 from bayes_aero.parameter import Parameter, Prior

@@ -1,0 +1,174 @@
+"""The normal equations of an output-error step: residuals and sensitivities of all segments, their products, the priors.
+
+Initial states belong to one segment each and are eliminated there.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_aero.model.segments import Flown, simulate
+
+DEPARTURE = {"airspeed": 1.0, "alpha": 0.01, "theta": 0.01, "q": 0.01, "altitude": 3.0, "X": 0.1}
+"""Standard deviation of the measured initial state, SI: what the sensors of a flight test allow; our choice."""
+OTHER_DEPARTURE = 0.05
+TINY, HUGE = 1e-300, 1e100  # a sensitivity beyond HUGE is that of a motion that is not unique
+OUTSIDE = 1e6  # cost of a trajectory that is all outside the envelope: worse than any inside
+
+
+def departures(states: tuple[str, ...]) -> Float[np.ndarray, " s"]:
+    """Standard deviations of the measured initial state."""
+    return np.array([DEPARTURE.get(name, OTHER_DEPARTURE) for name in states])
+
+
+@dataclass(frozen=True)
+class Priors:
+    """Normal priors of the step: mean and precision of theta (k,) and of the states' departures (s,).
+
+    Precisions have been multiplied by `weight`: what coloured residuals cost the likelihood.
+    """
+
+    mean: Float[np.ndarray, " k"]
+    precision: Float[np.ndarray, " k"]
+    states: Float[np.ndarray, " s"]
+    weight: float = 1.0
+
+    @classmethod
+    def of(cls, flown: Flown, weight: float) -> Priors:
+        """All priors as normals, counted `weight` times."""
+        pairs = np.array([p.prior.normal for p in flown.dynamics.free]).reshape(-1, 2)
+        deviations = departures(flown.dynamics.states)
+        return cls(pairs[:, 0], weight * pairs[:, 1] ** -2.0, weight * deviations**-2.0, weight)
+
+
+class Normal(NamedTuple):
+    """Inner products of residual and sensitivities: (w, c, 1 + k + s, 1 + k + s), samples (w,), and what was inside.
+
+    `columns` are residual and sensitivities themselves, (w, n, c, 1 + k + s) in parts that follow each other along w.
+    """
+
+    gram: Float[np.ndarray, "w c j j"]
+    count: Float[np.ndarray, " w"]
+    inside: float
+    columns: tuple[np.ndarray, ...]
+
+
+@eqx.filter_jit
+def _normal(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w s"]):
+    """Grams, samples inside the envelope, columns; sensitivities forward, in all directions at once."""
+    k, s = theta.shape[0], departure.shape[1]
+
+    def residual(theta, shared):
+        found = simulate(flown, theta, departure + shared)
+        return found.residual, found.trajectory.inside
+
+    point = (theta, jnp.zeros(s))
+    towards = (jnp.concatenate([jnp.eye(k), jnp.zeros((s, k))]), jnp.concatenate([jnp.zeros((k, s)), jnp.eye(s)]))
+    r, slope, inside = jax.vmap(lambda t: jax.jvp(residual, point, t, has_aux=True), out_axes=(None, -1, None))(towards)
+    columns = jnp.concatenate([r[..., None], -slope], axis=-1)  # w n c j
+    return jnp.einsum("wnci,wncj->wcij", columns, columns), jnp.sum(inside & flown.inside, axis=1), columns
+
+
+class Looks:
+    """Looks at one set of segments from many points; the segments are shared out among the cores.
+
+    XLA leaves a scan to one of them. The first look is taken part by part, lest every thread compile for itself.
+    """
+
+    def __init__(self, flown: Flown, prior: Priors):
+        w = len(flown.index)
+        size = -(-w // min(w, os.cpu_count() or 1))
+        self.prior = prior
+        self.count = flown.inside.sum(axis=1).astype(float)
+        self._rows = [np.minimum(np.arange(a, a + size), w - 1) for a in range(0, w, size)]  # the last may repeat
+        self._parts = [_on_device(flown, rows) for rows in self._rows]
+        self._compiled = False
+
+    def __call__(self, theta: Float[np.ndarray, " k"], departure: Float[np.ndarray, "w s"]) -> Point:
+        """Cost and normal equations there."""
+        at, w = jnp.asarray(theta), len(departure)
+
+        def one(part, rows):
+            gram, inside, columns = _normal(part, at, jnp.asarray(departure[rows]))
+            return np.asarray(gram), np.asarray(inside), np.asarray(columns)
+
+        if len(self._parts) > 1 and self._compiled:
+            with ThreadPoolExecutor(len(self._parts)) as pool:
+                found = list(pool.map(one, self._parts, self._rows))
+        else:
+            found = list(map(one, self._parts, self._rows))
+        self._compiled = True
+        gram, within, columns = zip(*found, strict=True)
+        gram, within = np.concatenate(gram)[:w], np.concatenate(within)[:w]
+        return _point(theta, departure, Normal(gram, self.count, float(within.sum() / self.count.sum()), columns), self.prior)
+
+
+def _on_device(flown: Flown, rows: np.ndarray) -> Flown:
+    """Some of the segments, handed over once for all looks."""
+    fewer = flown.index[rows], flown.inside[rows], flown.dt[rows]
+    part = eqx.tree_at(lambda f: (f.index, f.inside, f.dt), flown, fewer)
+    return jax.tree.map(jnp.asarray, part)
+
+
+class Point(NamedTuple):
+    """Where a look was taken, and what was seen."""
+
+    theta: Float[np.ndarray, " k"]
+    departure: Float[np.ndarray, "w s"]
+    normal: Normal
+    R: Float[np.ndarray, " c"]
+    cost: float
+
+
+def _point(theta: np.ndarray, departure: np.ndarray, normal: Normal, prior: Priors) -> Point:
+    gram, total = normal.gram, normal.count.sum()
+    if not np.all(np.abs(gram) < HUGE):
+        return Point(theta, departure, normal._replace(inside=0.0), np.ones(gram.shape[1]), math.inf)
+    R = np.maximum(gram[:, :, 0, 0].sum(axis=0) / total, TINY)
+    cost = 0.5 * total * float(np.sum(np.log(R)))
+    cost += 0.5 * float(prior.precision @ (theta - prior.mean) ** 2) + 0.5 * float(np.sum(departure**2 @ prior.states))
+    if normal.inside < 1.0:
+        cost += OUTSIDE * (1.0 - normal.inside)
+    return Point(theta, departure, normal, R, cost)
+
+
+class Local(NamedTuple):
+    """What was eliminated: the segments' own states, given the step of theta."""
+
+    inverse: Float[np.ndarray, "w s s"]
+    cross: Float[np.ndarray, "w s k"]
+    gradient: Float[np.ndarray, "w s"]
+    gain: float
+
+    def step(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, "w s"]:
+        """Best departure of every segment after a step of theta."""
+        return np.einsum("wij,wj->wi", self.inverse, self.gradient - self.cross @ theta)
+
+
+def reduced(point: Point, prior: Priors) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"], Local]:
+    """Information and gradient of theta with every segment's state at its best."""
+    k = len(point.theta)
+    N = np.einsum("wcij,c->wij", point.normal.gram, 1.0 / point.R)
+    A = N[:, 1 : k + 1, 1 : k + 1].sum(axis=0) + np.diag(prior.precision)
+    g = N[:, 1 : k + 1, 0].sum(axis=0) - prior.precision * (point.theta - prior.mean)
+    own = N[:, k + 1 :, k + 1 :] + np.diag(prior.states)
+    cross, gradient = N[:, k + 1 :, 1 : k + 1], N[:, k + 1 :, 0] - prior.states * point.departure
+    # By Cholesky factors: where a trial is unstable, A less cross' own^-1 cross loses all its digits otherwise.
+    L = np.linalg.cholesky(own)
+    Y, y = np.linalg.solve(L, cross), np.linalg.solve(L, gradient[:, :, None])[:, :, 0]
+    A = A - np.einsum("wia,wib->ab", Y, Y)
+    g = g - np.einsum("wia,wi->a", Y, y)
+    gain = 0.5 * float(np.sum(y**2))
+    inverse = np.linalg.inv(L)
+    inverse = np.swapaxes(inverse, 1, 2) @ inverse
+    return A, g, Local(inverse, cross, gradient, gain)

@@ -1,0 +1,164 @@
+"""What an output-error fit found: estimates, their deviations under white and under coloured residuals, and a status."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.inference.coloured import corrected_covariance
+from bayes_aero.inference.flown_normal import Point, Priors, reduced
+from bayes_aero.model.segments import Flown
+from bayes_aero.parameter import Parameter
+
+THINNED = 5  # samples, for the colour of the residuals
+HELD = 0.9  # posterior over prior deviation from which a parameter is said to be held by its prior
+
+
+class OutputErrorStatus(Enum):
+    """How the fit ended; the value is what to tell the user."""
+
+    CONVERGED = "converged"
+    AT_BOUND = "converged with a parameter at its bound: its deviation means little; widen the bound or fix it"
+    NOT_CONVERGED = "stopped before the optimum: start nearer, or begin with shorter windows; do not use the numbers"
+    LEFT_ENVELOPE = (
+        "the simulation leaves the flight envelope at every parameter value tried: the model cannot fly this record; "
+        "check signs and units, or begin with shorter windows"
+    )
+
+
+@dataclass(frozen=True)
+class OutputErrorResult:
+    """Estimates of k parameters and of each segment's initial state, with what they rest on.
+
+    `covariance` is Cramer and Rao's with the priors' information, `information` the data's alone. `rms` is by segment
+    and output, in the recorded unit. `columns` are residual and sensitivities (parameters, then initial state).
+    """
+
+    flown: Flown
+    parameters: tuple[Parameter, ...]
+    estimate: Float[np.ndarray, " k"]
+    departure: Float[np.ndarray, "w s"]
+    R: Float[np.ndarray, " c"]
+    cost: float
+    covariance: Float[np.ndarray, "k k"]
+    information: Float[np.ndarray, "k k"]
+    priors: Priors
+    rms: Float[np.ndarray, "w c"]
+    status: OutputErrorStatus
+    iterations: int
+    at_bound: tuple[str, ...]
+    columns: Float[np.ndarray, "w n c j"]
+    eliminated: Float[np.ndarray, "w s k"]  # what a unit of theta moves the best initial states by, but for its sign
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def sd(self) -> Float[np.ndarray, " k"]:
+        """Standard deviations, priors counted, residuals taken as white."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def crb(self) -> Float[np.ndarray, " k"]:
+        """Cramer-Rao standard deviations: the data alone, residuals taken as white. Infinite where there is nothing."""
+        scale = np.sqrt(np.diag(self.information))
+        known = scale > 0.0
+        found = np.full(len(scale), np.inf)
+        part = self.information[np.ix_(known, known)] / np.outer(scale[known], scale[known])
+        values, vectors = np.linalg.eigh(part)
+        if len(values) and values[0] > 1e-13:
+            found[known] = np.sqrt(np.diag((vectors / values) @ vectors.T)) / scale[known]
+        return found
+
+    @cached_property
+    def corrected(self) -> Float[np.ndarray, "k k"]:
+        """Covariance that allows for the residuals' colour, priors counted; segments are taken as independent.
+
+        With D = `covariance` it is D (M + P) D: M the scores' covariance under the residuals' autocovariance, P that
+        of the priors; D itself where residuals are white. Sources: Maine and Iliff, NASA RP-1077 (1981); Morelli and
+        Klein, J. Aircraft 1997.
+        """
+        if not math.isfinite(self.cost):
+            return self.covariance
+        k, inside = len(self.estimate), self.flown.inside
+        S, own = self.columns[..., 1 : k + 1], self.columns[..., k + 1 :]
+        S = S - np.einsum("wncs,wsk->wnck", own, self.eliminated)  # initial states at their best
+        segment = np.broadcast_to(np.arange(len(inside))[:, None], inside.shape)[inside]
+        start = np.diff(segment, prepend=-1) != 0
+        D, weight = self.covariance, self.priors.weight
+        found = corrected_covariance(D, S[inside], self.R, self.columns[..., 0][inside], segment, start)
+        said = np.diag(self.priors.precision)
+        said = said + np.einsum("wsa,s,wsb->ab", self.eliminated, self.priors.states, self.eliminated)
+        return found + weight * D @ said @ D
+
+    @property
+    def sd_corrected(self) -> Float[np.ndarray, " k"]:
+        """Standard deviations, priors counted, that allow for the residuals' colour."""
+        return np.sqrt(np.diag(self.corrected))
+
+    @property
+    def thinned(self) -> Float[np.ndarray, "w m c j"]:
+        """Means of residual and sensitivities over `THINNED` samples."""
+        w, n, c, j = self.columns.shape
+        whole = n // THINNED * THINNED
+        return self.columns[:, :whole].reshape(w, -1, THINNED, c, j).mean(axis=2)
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        """Parameters of which the record says next to nothing: their priors hold them."""
+        prior = self.priors.precision**-0.5
+        return tuple(n for n, sd, own in zip(self.names, self.sd, prior, strict=True) if sd > HELD * own)
+
+
+def result_of(
+    flown: Flown,
+    point: Point,
+    prior: Priors,
+    *,
+    converged: bool,
+    iterations: int,
+    active: np.ndarray,
+    rest: np.ndarray,
+) -> OutputErrorResult:
+    """The result at a point; parameters that `rest` have no deviation, `active` ones lie at a bound."""
+    w, s = point.departure.shape
+    A, eliminated = np.diag(prior.precision), np.zeros((w, s, len(point.theta)))
+    if math.isfinite(point.cost):
+        A, _, local = reduced(point, prior)
+        eliminated = local.inverse @ local.cross
+    free = flown.dynamics.free
+    at_bound = tuple(p.name for p, a in zip(free, active & ~rest, strict=True) if a)
+    if point.normal.inside < 1.0:
+        status = OutputErrorStatus.LEFT_ENVELOPE
+    elif not converged:
+        status = OutputErrorStatus.NOT_CONVERGED
+    else:
+        status = OutputErrorStatus.AT_BOUND if at_bound else OutputErrorStatus.CONVERGED
+    moving = np.ix_(~rest, ~rest)
+    scale = np.sqrt(np.diag(A)[~rest])
+    covariance = np.zeros_like(A)
+    covariance[moving] = np.linalg.pinv(A[moving] / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+    return OutputErrorResult(
+        flown=flown,
+        parameters=free,
+        estimate=point.theta,
+        departure=point.departure,
+        R=point.R,
+        cost=point.cost,
+        covariance=covariance,
+        information=A - np.diag(prior.precision),
+        priors=prior,
+        rms=np.sqrt(point.normal.gram[:, :, 0, 0] / np.maximum(point.normal.count, 1.0)[:, None]),
+        status=status,
+        iterations=iterations,
+        at_bound=at_bound,
+        columns=np.concatenate(point.normal.columns)[:w],
+        eliminated=eliminated,
+    )
