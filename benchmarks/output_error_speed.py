@@ -3,10 +3,10 @@
     OPENBLAS_NUM_THREADS=1 python benchmarks/output_error_speed.py [--repeats 5]
 
 First: 600 samples of phugoid and short period, 4 states, 11 linear aerodynamic parameters, both from the same start.
-least_squares gets the residual covariance of the optimum as weights, which our fit has to find; so does aeroid 0.5 (where
-installed), with the initial state too. Priors are flat, for aeroid has none. Second: simulation and Jacobian of one
-stall manoeuvre, against the same equations written down for this one case. Compilation comes before the clock; every
-pair is first shown to compute the same. Times are the best of several runs, taken in turn, for each contestant.
+least_squares gets the residual covariance of the optimum as weights, which our fit has to find; so does aeroid 0.5
+(where installed), with the initial state too. Priors are flat, for aeroid has none. Second: simulation and Jacobian of
+one stall manoeuvre, against the same equations written down for this one case. Compilation comes before the clock;
+every pair is first shown to compute the same. Times are the best of several runs, taken in turn, for each contestant.
 """
 
 import argparse

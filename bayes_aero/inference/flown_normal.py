@@ -1,4 +1,4 @@
-"""The normal equations of an output-error step: residuals and sensitivities of all segments, their products, the priors.
+"""Normal equations of an output-error step: residuals, sensitivities, their products, and the priors.
 
 Initial states belong to one segment each and are eliminated there.
 """
@@ -110,7 +110,8 @@ class Looks:
         self._compiled = True
         gram, within, columns = zip(*found, strict=True)
         gram, within = np.concatenate(gram)[:w], np.concatenate(within)[:w]
-        return _point(theta, departure, Normal(gram, self.count, float(within.sum() / self.count.sum()), columns), self.prior)
+        normal = Normal(gram, self.count, float(within.sum() / self.count.sum()), columns)
+        return _point(theta, departure, normal, self.prior)
 
 
 def _on_device(flown: Flown, rows: np.ndarray) -> Flown:

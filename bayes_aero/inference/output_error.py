@@ -17,7 +17,9 @@ from jaxtyping import Array, Float
 from bayes_aero.inference.flown_normal import TINY, Looks, Priors, reduced
 from bayes_aero.inference.mle import solve
 from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus, result_of
+from bayes_aero.model.biases import biased_dynamics
 from bayes_aero.model.segments import Flown, simulate
+from bayes_aero.parameter import Prior
 
 MAX_ITERATIONS, EARLY = 60, 12  # of the last stage of a cascade, and of those before
 DECREMENT = 2e-5  # expected gain in log-likelihood of one more step, at which it stops
@@ -40,8 +42,18 @@ def fit_output_error(
     held: Mapping[str, float] | None = None,
     prior_weight: float = 1.0,
     most: int = MAX_ITERATIONS,
+    biases: Mapping[str, Prior] | None = None,
 ) -> OutputErrorResult:
-    """Fit all segments together from one start (default: the parameters' own); parameters `held` keep their value."""
+    """Fit all segments together from one start (default: the parameters' own); parameters `held` keep their value.
+
+    `biases` names outputs that were recorded with a constant error of each manoeuvre's own, and their priors; these
+    errors are then parameters too (`bias_output_1` and so on), after those of `start`.
+    """
+    if biases:
+        own = len(flown.dynamics.free)
+        flown = replace(flown, dynamics=biased_dynamics(flown.dynamics, flown.flights, biases))
+        if start is not None and len(start) == own:
+            start = np.append(start, [p.prior.normal[0] for p in flown.dynamics.free[own:]])
     free, held = flown.dynamics.free, held or {}
     lower, upper = (np.array([p.bounds[i] for p in free], float) for i in (0, 1))
     prior = Priors.of(flown, prior_weight)
@@ -91,15 +103,17 @@ def fit_cascade(
     *,
     held: Mapping[str, float] | None = None,
     prior_weight: float = 1.0,
+    biases: Mapping[str, Prior] | None = None,
 ) -> OutputErrorResult:
     """Fit the first stage's short windows from every start, then each later stage from the best so far.
 
     Windows keep an unstable or poorly started simulation on its path, but hide slow errors of the model; so the last
     stage should be whole manoeuvres.
     """
-    first = [fit_output_error(stages[0], start=s, held=held, prior_weight=prior_weight, most=EARLY) for s in starts]
+    options = {"held": held, "prior_weight": prior_weight, "biases": biases}
+    first = [fit_output_error(stages[0], start=s, most=EARLY, **options) for s in starts]
     best = min(first, key=lambda found: (found.status is OutputErrorStatus.LEFT_ENVELOPE, found.cost))
     for number, stage in enumerate(stages[1:], start=2):
         most = MAX_ITERATIONS if number == len(stages) else EARLY
-        best = fit_output_error(stage, start=best.estimate, held=held, prior_weight=prior_weight, most=most)
+        best = fit_output_error(stage, start=best.estimate, most=most, **options)
     return best

@@ -1,4 +1,4 @@
-"""What an output-error fit found: estimates, their deviations under white and under coloured residuals, and a status."""
+"""What an output-error fit found: estimates, their deviations under white and coloured residuals, and a status."""
 
 from __future__ import annotations
 

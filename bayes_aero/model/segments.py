@@ -98,7 +98,7 @@ def simulate(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w
 
     def fly(start, away, inputs, dt):
         first = {name: x[0] for name, x in inputs.items()}
-        return integrate(system, system.settled(start, first) + away, inputs, dt, flown.substeps)
+        return integrate(system, system.settled(start, first) + away, inputs, dt, flown.substeps, flown.outputs)
 
     trajectory = jax.vmap(fly)(begin, departure, drives, jnp.asarray(flown.dt))
     true = jnp.stack([channels[name][flown.index] for name in flown.outputs], axis=2)

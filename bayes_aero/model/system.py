@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -34,7 +34,7 @@ class System(eqx.Module):
 
     @abstractmethod
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
-        """Derivative of the state and the outputs (states among them), from the state and the inputs."""
+        """Derivative of the state, and outputs by name, from state and inputs; one named as a state is that state."""
 
     def settled(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:  # noqa: ARG002
         """The state in which a manoeuvre begins, given what was measured; states without a sensor are filled in."""
@@ -53,15 +53,23 @@ class Trajectory(NamedTuple):
 
 
 def integrate(
-    system: System, start: Float[Array, " s"], inputs: Mapping[str, Float[Array, " n"]], dt: Any, substeps: int = 1
+    system: System,
+    start: Float[Array, " s"],
+    inputs: Mapping[str, Float[Array, " n"]],
+    dt: Any,
+    substeps: int = 1,
+    outputs: Sequence[str] | None = None,
 ) -> Trajectory:
     """Fourth-order Runge-Kutta at the sample time `dt` (s), or `substeps` times finer; inputs linear between samples.
 
     Fixed steps suffice for flight: the largest eigenvalue is some 7 /s. A fast state (the lag of the separation point)
-    needs `substeps`.
+    needs `substeps`. `outputs` are those that are wanted (default: all). Derivatives are forward ones only, with
+    respect to system, start and inputs.
     """
     now = {name: jnp.asarray(x) for name, x in inputs.items()}
-    return Trajectory(*_flight(system, start, now, dt=jnp.asarray(dt), substeps=substeps))
+    every = jax.eval_shape(system.motion, start, {name: x[0] for name, x in now.items()})[1]
+    wanted = tuple(every if outputs is None else outputs)
+    return Trajectory(*_flight(system, start, now, dt=jnp.asarray(dt), substeps=substeps, outputs=wanted))
 
 
 def _advance(system: System, x: Any, now: Row, then: Row, dt: Any, substeps: int) -> Array:
@@ -81,13 +89,14 @@ def _advance(system: System, x: Any, now: Row, then: Row, dt: Any, substeps: int
 
 
 @eqx.filter_custom_jvp
-def _flight(system, start, inputs, *, dt, substeps):
+def _flight(system, start, inputs, *, dt, substeps, outputs):
     """Only the state is found one sample after the other; envelope and outputs follow for all samples at once."""
     bounds = [system.envelope.get(name, (-FAR, FAR)) for name in system.states]
     lower, upper = (jnp.array([b[i] for b in bounds]) for i in (0, 1))
 
     def further(x, rows):
-        return _advance(system, x, *rows, dt, substeps), x
+        now, then = rows
+        return _advance(system, x, now, then, dt, substeps), x
 
     _, x = jax.lax.scan(further, start, (inputs, later(inputs)))
     sound = jnp.all(jnp.isfinite(x), axis=1)
@@ -95,18 +104,20 @@ def _flight(system, start, inputs, *, dt, substeps):
     inside = jnp.cumsum(~sound) == 0
     last = x[jnp.maximum(jnp.sum(inside) - 1, 0)]
     x = jnp.where(inside[:, None], x, last)
-    outputs = jax.vmap(lambda x, u: system.motion(x, u)[1])(x, inputs)
-    return x, outputs, inside
+    found = jax.vmap(lambda x, u: system.motion(x, u)[1])(x, inputs)
+    found |= {name: x[:, i] for i, name in enumerate(system.states)}
+    return x, {name: found[name] for name in outputs}, inside
 
 
 @_flight.def_jvp
-def _flight_jvp(primals, tangents, *, dt, substeps):
+def _flight_jvp(primals, tangents, *, dt, substeps, outputs):
     system, start, inputs = primals
     t_system, t_start, t_inputs = tangents
-    flown = _flight(system, start, inputs, dt=dt, substeps=substeps)
+    flown = _flight(system, start, inputs, dt=dt, substeps=substeps, outputs=outputs)
     t_inputs = {name: t for name, t in t_inputs.items() if t is not None}
     t_start = jnp.zeros_like(start) if t_start is None else t_start
     row = jax.tree.map(lambda y: y[None], (flown[0], flown[2], inputs, dt))
     moved = jax.tree.map(lambda y: y[None], (t_start, t_inputs))
-    dx, outputs = jax.tree.map(lambda y: y[0], tangent_flight(substeps)(system, *row, t_system, *moved))
-    return flown, (dx, outputs, None)
+    along = tangent_flight(substeps, outputs)
+    dx, found = jax.tree.map(lambda y: y[0], along(system, *row, t_system, *moved))
+    return flown, (dx, found, None)

@@ -1,8 +1,8 @@
 """Sensitivities of a flight whose states are known: the derivative of its integration, for a fraction of its time.
 
 The loop of `system.integrate` has a derivative that needs no loop but a linear one: those of `motion` at every stage of
-every sample are had at once, then products of s by s follow each other. Directions are the last axis: what they share
-is computed once.
+every sample are had at once, backward, for it has fewer results than there are parameters; then products of s by s
+follow each other. Directions are the last axis.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ def between(now: Channels, then: Channels, share: Any) -> dict[str, Any]:
 
 
 @lru_cache
-def tangent_flight(substeps: int):
-    """Derivative of states (w, n, s) and outputs (w, n) of w segments in one direction.
+def tangent_flight(substeps: int, outputs: tuple[str, ...]):
+    """Derivative of states (w, n, s) and `outputs` (w, n) of w segments in one direction.
 
     Under `jax.vmap` segments are laid beside segments, and directions beside directions.
     """
 
     @jax.custom_batching.custom_vmap
     def tangent(system, x, inside, inputs, dt, t_system, t_start, t_inputs):
-        one = jax.tree.map(lambda t: t[..., None], (t_system, t_start, t_inputs))
-        found = _along(system, x, inside, inputs, dt, *one, substeps)
+        towards = jax.tree.map(lambda t: t[..., None], (t_system, t_start, t_inputs))
+        found = _along(system, x, inside, inputs, dt, towards, substeps, outputs)
         return jax.tree.map(lambda t: t[..., 0], found)
 
     @tangent.def_vmap
@@ -49,16 +49,18 @@ def tangent_flight(substeps: int):
         (system, *flight, t_system, t_start, t_inputs), marks = arguments, jax.tree.map(bool, batched)
         alike = not any(jax.tree.leaves(marks[0]))
         if alike and not any(jax.tree.leaves(marks[:5])):  # directions
-            last = [_last(t, m, size) for t, m in zip(arguments[5:], marks[5:], strict=True)]
-            found = _along(system, *flight, *last, substeps)
+            x, inside, inputs, dt = flight
+            towards = tuple(_last(t, m, size) for t, m in zip(arguments[5:], marks[5:], strict=True))
+            found = _along(system, x, inside, inputs, dt, towards, substeps, outputs)
             found = jax.tree.map(lambda t: jnp.moveaxis(t, -1, 0), found)
         elif alike and not any(jax.tree.leaves(marks[5])):  # segments
-            own = [_laid(t, m, size) for t, m in zip((*flight, t_start, t_inputs), (*marks[1:5], *marks[6:]), strict=True)]
+            trees, known = (*flight, t_start, t_inputs), (*marks[1:5], *marks[6:])
+            own = [_laid(t, m, size) for t, m in zip(trees, known, strict=True)]
             found = tangent(system, *own[:4], t_system, *own[4:])
             found = jax.tree.map(lambda t: t.reshape(size, -1, *t.shape[1:]), found)
         else:
             axes = jax.tree.map(lambda m: 0 if m else None, tuple(marks))
-            found = jax.vmap(lambda *a: tangent.fun(*a), axes)(*arguments)
+            found = jax.vmap(tangent.fun, axes)(*arguments)
         return found, jax.tree.map(lambda _: True, found)
 
     return tangent
@@ -86,13 +88,13 @@ def _along(
     inside: Bool[Array, "w n"],
     inputs: Channels,
     dt: Float[Array, " w"],
-    t_system: Any,
-    t_start: Float[Array, "w s d"],
-    t_inputs: Channels,
+    towards: tuple[Any, Any, Any],
     substeps: int,
+    outputs: tuple[str, ...],
 ) -> tuple[Float[Array, "w n s d"], dict[str, Float[Array, "w n d"]]]:
-    """In d directions."""
-    w, n, s = x.shape
+    """In d directions `towards`, of the system's numbers (..., d), the start (w, s, d) and inputs (w, n, d)."""
+    t_system, t_start, t_inputs = towards
+    (w, n, s), directions = x.shape, t_start.shape[-1]
     h = (dt / substeps)[:, None, None]
     shares = jnp.array([(number + node) / substeps for number in range(substeps) for node in NODES])
     at = lambda now, then: jax.vmap(lambda r: between(now, then, r))(shares)  # noqa: E731
@@ -100,23 +102,38 @@ def _along(
     t_first = {name: jnp.moveaxis(t, -1, 0) for name, t in t_inputs.items()}
     t_u = {name: jnp.moveaxis(t, 1, -1) for name, t in at(t_first, later(t_first)).items()}  # m w n d
     points = _stage_points(system, x, u, h, substeps)
+    read = tuple(name for name in outputs if name not in system.states)
+    moving, still = eqx.partition(system, jax.tree.map(lambda t: t is not None, t_system, is_leaf=lambda t: t is None))
 
-    def own(x, u, t_u):
-        def direct(t_system, t_u):
-            known = dict.fromkeys(u) | t_u
-            there, found = eqx.filter_jvp(lambda s, v: s.motion(x, v), (system, u), (t_system, known))
-            return jax.tree.map(lambda y, t: jnp.zeros_like(y) if t is None else t, there, found)
+    def own(x, u):
+        """Derivatives (s + r, ...) of motion and outputs: by the state, by the system's numbers (p,), by inputs."""
 
-        return jax.jacfwd(lambda y: system.motion(y, u))(x), jax.vmap(direct, in_axes=-1, out_axes=-1)(t_system, t_u)
+        def all_of(x, moving, inputs):
+            slope, found = eqx.combine(moving, still).motion(x, u | inputs)
+            return jnp.concatenate([slope, jnp.stack([found[name] for name in read])]) if read else slope
 
-    flat = lambda tree: jax.tree.map(lambda y: y.reshape(-1, *y.shape[3:]), tree)  # noqa: E731
-    found = jax.vmap(own)(*flat((points, u, t_u)))
-    (A, C), (b, d) = jax.tree.map(lambda y: y.reshape(4 * substeps, w, n, *y.shape[1:]), found)
+        back = jax.vjp(all_of, x, moving, {name: u[name] for name in t_u})[1]
+        by_x, by_system, by_u = jax.vmap(back)(jnp.eye(s + len(read)))
+        return by_x, _flat(by_system, s + len(read)), by_u
+
+    wide = lambda y: y.reshape(-1, *y.shape[3:])  # noqa: E731
+    by_x, by_system, by_u = jax.vmap(own)(wide(points), jax.tree.map(wide, u))
+    numbers = [t.reshape(-1, directions) for t in jax.tree.leaves(t_system)]
+    direct = by_system @ jnp.concatenate([jnp.zeros((0, directions)), *numbers])
+    for name, t in t_u.items():
+        direct = direct + by_u[name][:, :, None] * wide(t)[:, None, :]
+    by_x, direct = (y.reshape(4 * substeps, w, n, *y.shape[1:]) for y in (by_x, direct))
     moved = jnp.concatenate([inside[:, 1:], jnp.ones((w, 1), bool)], axis=1)[None, :, :, None, None]
-    A, b = jnp.where(moved, A, 0.0), jnp.where(moved, b, 0.0)  # outside the envelope the state stays
+    A, b = (jnp.where(moved, y[:, :, :, :s], 0.0) for y in (by_x, direct))  # outside the envelope the state stays
     dx = _recurrence(jnp.moveaxis(A, 2, 0), jnp.moveaxis(b, 2, 0), t_start, h)
-    outputs = {name: jnp.sum(C[name][0][..., None] * dx, axis=2) + d[name][0] for name in C}
-    return dx, outputs
+    dy = jnp.sum(by_x[0, :, :, s:, :, None] * dx[:, :, None], axis=3) + direct[0, :, :, s:]
+    found = {name: dy[:, :, i] for i, name in enumerate(read)}
+    return dx, found | {name: dx[:, :, system.states.index(name)] for name in outputs if name not in found}
+
+
+def _flat(tree: Any, rows: int) -> Float[Array, "r p"]:
+    """All leaves (r, ...) side by side."""
+    return jnp.concatenate([jnp.zeros((rows, 0)), *(y.reshape(rows, -1) for y in jax.tree.leaves(tree))], axis=1)
 
 
 def _stage_points(system: Any, x: Float[Array, "w n s"], u: Channels, h: Any, substeps: int) -> Float[Array, "m w n s"]:
