@@ -1,0 +1,152 @@
+"""Simulated manoeuvres beside the recorded ones: their errors, and the chance that they stay inside tolerances."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_aero.criticism.residuals import TheilParts, theil_parts
+from bayes_aero.inference.output_error import trajectories
+from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.model.segments import Flown, simulate
+
+DRAWS = 40  # of the posterior, for the probability of staying inside the tolerances
+
+
+@dataclass(frozen=True)
+class Error:
+    """One output of one manoeuvre: root mean square and largest error (SI), Theil's coefficient and its parts.
+
+    `within` is the share of samples inside the tolerance, `probability` the posterior's that all of them are.
+    """
+
+    rms: float
+    largest: float
+    theil: TheilParts
+    tolerance: float | None
+    within: float | None
+    probability: float | None
+
+
+@dataclass(frozen=True)
+class Path:
+    """One simulated manoeuvre. `split` is fitted (jointly, initial state too) or unseen (from the measured state)."""
+
+    manoeuvre: str
+    model: str  # card or extended
+    split: str
+    inside: bool  # the flight envelope
+    errors: Mapping[str, Error]
+    time: Float[np.ndarray, " n"]
+    measured: Mapping[str, np.ndarray]
+    simulated: Mapping[str, np.ndarray]
+
+
+def label(flown: Flown, row: int) -> str:
+    name = flown.flights.names[int(flown.manoeuvre[row])]
+    if len(flown.flights.lengths) > 1:
+        return name
+    return f"{name}, {'first' if row == 0 else 'second'} half"
+
+
+def paths_of(
+    fit: OutputErrorResult,
+    flown: Flown,
+    model: str,
+    split: str,
+    departure: Float[np.ndarray, "w s"],
+    tolerances: Mapping[str, float],
+    cost: float = 1.0,
+    seed: int = 0,
+) -> list[Path]:
+    """Every segment of `flown` that counts, simulated with the parameters of `fit`."""
+    shown = tuple(n for n in flown.dynamics.outputs if n in flown.flights.channels)
+    wide = replace(flown, outputs=shown)
+    theta = jnp.asarray(fit.estimate)
+    found = trajectories(wide, theta, jnp.asarray(departure))
+    probability: Mapping[tuple[int, str], float] = {}
+    if split == "unseen" and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
+        probability = _probabilities(fit, wide, tolerances, cost, seed)
+    paths = []
+    for row in map(int, np.flatnonzero(flown.inside.any(axis=1))):
+        keep = flown.inside[row]
+        measured, residual = np.asarray(found.measured[row])[keep], np.asarray(found.residual[row])[keep]
+        errors = {
+            name: _error(measured[:, c], residual[:, c], tolerances.get(name), probability.get((row, name)))
+            for c, name in enumerate(shown)
+        }
+        index = flown.index[row][keep]
+        paths.append(
+            Path(
+                manoeuvre=label(flown, row),
+                model=model,
+                split=split,
+                inside=bool(np.asarray(found.trajectory.inside[row])[keep].all()),
+                errors=errors,
+                time=flown.flights.time[index],
+                measured={name: measured[:, c] for c, name in enumerate(shown)},
+                simulated={name: measured[:, c] - residual[:, c] for c, name in enumerate(shown)},
+            )
+        )
+    return paths
+
+
+def _error(measured: np.ndarray, residual: np.ndarray, tolerance: float | None, probability: float | None) -> Error:
+    size = np.abs(residual)
+    return Error(
+        rms=float(np.sqrt(np.mean(residual**2))),
+        largest=float(size.max()),
+        theil=theil_parts(measured, measured - residual),
+        tolerance=tolerance,
+        within=None if tolerance is None else float(np.mean(size <= tolerance)),
+        probability=probability,
+    )
+
+
+def posterior_covariance(fit: OutputErrorResult, cost: float) -> Float[np.ndarray, "k k"]:
+    """Of the parameters, under a likelihood that counts each sample for one in `cost`, and their priors."""
+    return cost * fit.covariance
+
+
+@eqx.filter_jit
+def _drawn(flown: Flown, thetas: Float[Array, "m k"], departure: Float[Array, "w s"]):
+    """Largest error of every segment and output for each draw: (m, w, c); infinite outside the envelope."""
+
+    def one(theta):
+        found = simulate(flown, theta, departure)
+        inside = jnp.all(found.trajectory.inside | ~flown.inside, axis=1)
+        largest = jnp.max(jnp.abs(found.residual), axis=1)
+        return jnp.where(inside[:, None] & jnp.isfinite(largest), largest, jnp.inf)
+
+    return jax.lax.map(one, thetas)
+
+
+def _probabilities(
+    fit: OutputErrorResult, flown: Flown, tolerances: Mapping[str, float], cost: float, seed: int
+) -> dict[tuple[int, str], float]:
+    """Share of posterior draws whose whole trajectory stays inside each tolerance."""
+    moving = np.flatnonzero(fit.sd > 0.0)
+    covariance = posterior_covariance(fit, cost)[np.ix_(moving, moving)]
+    scale = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    white = np.random.default_rng(seed).standard_normal((DRAWS, len(moving)))
+    thetas = np.tile(fit.estimate, (DRAWS, 1))
+    thetas[:, moving] += (white * np.sqrt(np.maximum(values, 0.0))) @ vectors.T * scale
+    lower, upper = (np.array([p.bounds[i] for p in fit.parameters], float) for i in (0, 1))
+    largest = np.asarray(
+        _drawn(
+            flown, jnp.asarray(np.clip(thetas, lower, upper)), jnp.zeros((len(flown.index), len(flown.dynamics.states)))
+        )
+    )
+    return {
+        (row, name): float(np.mean(largest[:, row, c] <= tolerances[name]))
+        for row in range(largest.shape[1])
+        for c, name in enumerate(flown.outputs)
+        if name in tolerances
+    }
