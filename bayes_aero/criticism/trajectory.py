@@ -5,7 +5,7 @@ Every manoeuvre is left out in turn. A single one is cut in two halves, each flo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import equinox as eqx
@@ -72,6 +72,8 @@ def fly_both(
         bare = _extended(field.model, base)
         theirs, neutral = _side(bare, flights, {name: before[name] for name in bare.names}), {}
 
+    own = {p.name for e in added for p in e.parameters}
+
     def tell(text: str, share: float) -> None:
         if progress:
             progress(f"trajectories: {text}", share)
@@ -81,8 +83,10 @@ def fly_both(
     cost, _ = colour_cost(joint)
     joint = fit_output_error(ours.whole, start=joint.estimate, departure=joint.departure, prior_weight=cost)
     tell("card's model", 0.3)
-    card = fit_cascade([theirs.window, theirs.whole], [theirs.start], held=neutral, prior_weight=cost)
-    own = {p.name for e in added for p in e.parameters}
+    fitted = dict(zip(joint.names, joint.estimate, strict=True))
+    shared = np.array([fitted[name] for name in theirs.whole.dynamics.names])
+    starts = [theirs.start, _from_card(theirs, own), shared]  # a model with something missing may have several optima
+    card = fit_cascade([theirs.window, theirs.whole], starts, held=neutral, prior_weight=cost)
     paths, held = [], {}
     for name, fit in (("card", card), ("extended", joint)):
         paths += paths_of(fit, fit.flown, name, "fitted", fit.departure, tolerances)
@@ -119,6 +123,12 @@ def _side(model: Model, flights: Flights, values: Mapping[str, float]) -> _Side:
     finer = dynamics.substeps(start, flights)
     window, whole = (segments(flights, dynamics, outputs=outputs, window=w, substeps=finer) for w in (WINDOW, half))
     return _Side(window, whole, start)
+
+
+def _from_card(side: _Side, own: Collection[str]) -> Float[np.ndarray, " k"]:
+    """The start that the card states; causes keep the size that the coefficients give them."""
+    free = side.whole.dynamics.free
+    return np.array([x if p.name in own else p.start for p, x in zip(free, side.start, strict=True)])
 
 
 def _extended(whole: Model, effects: Sequence) -> Model:

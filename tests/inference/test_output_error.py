@@ -259,6 +259,15 @@ def test_biases_of_manoeuvres_are_recovered_and_free_the_parameters():
     assert plain.sd[k] > 3.0 * found.sd[k]
 
 
+def test_a_second_of_flight_without_input_is_fitted_and_says_what_it_cannot_tell():
+    """25 samples before the elevator moves: numbers are finite, and its derivatives are held by their priors."""
+    found = fit_output_error(flown_of(SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH, n=25), 6, ("alpha", "q")))
+    assert found.status is OutputErrorStatus.CONVERGED
+    assert {"Zde", "Mde", "az0"} <= set(found.held)
+    for array in (found.estimate, found.sd, found.sd_corrected, found.departure, found.rms):
+        assert np.all(np.isfinite(array))
+
+
 def test_a_bias_of_what_was_not_recorded_is_refused():
     with pytest.raises(InputError, match="altitude cannot have a bias"):
         fit_output_error(coloured_flown(5, 0.0), biases={"altitude": Prior("normal", 0.0, 1.0)})
