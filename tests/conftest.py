@@ -20,6 +20,11 @@ from bayes_aero.studies.hidden import hidden_records
 ATTAS = Path(__file__).resolve().parents[2] / "shared" / "attas"
 
 
+def pytest_collection_modifyitems(items):
+    """The longest tests first: begun last, they keep one worker busy alone. Those that forget programs last."""
+    items.sort(key=lambda item: ("forgets" in item.keywords) - ("longest" in item.keywords))
+
+
 @pytest.fixture(scope="session")
 def card():
     return read_card("attas")

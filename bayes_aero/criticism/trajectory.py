@@ -5,7 +5,7 @@ Every manoeuvre is left out in turn. A single one is cut in two halves, each flo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import equinox as eqx
@@ -85,7 +85,7 @@ def fly_both(
     tell("card's model", 0.3)
     fitted = dict(zip(joint.names, joint.estimate, strict=True))
     shared = np.array([fitted[name] for name in theirs.whole.dynamics.names])
-    starts = [theirs.start, _from_card(theirs, own), shared]  # a model with something missing may have several optima
+    starts = [theirs.start, shared]  # a model with something missing may have several optima
     card = fit_cascade([theirs.window, theirs.whole], starts, held=neutral, prior_weight=cost)
     paths, held = [], {}
     for name, fit in (("card", card), ("extended", joint)):
@@ -123,12 +123,6 @@ def _side(model: Model, flights: Flights, values: Mapping[str, float]) -> _Side:
     finer = dynamics.substeps(start, flights)
     window, whole = (segments(flights, dynamics, outputs=outputs, window=w, substeps=finer) for w in (WINDOW, half))
     return _Side(window, whole, start)
-
-
-def _from_card(side: _Side, own: Collection[str]) -> Float[np.ndarray, " k"]:
-    """The start that the card states; causes keep the size that the coefficients give them."""
-    free = side.whole.dynamics.free
-    return np.array([x if p.name in own else p.start for p, x in zip(free, side.start, strict=True)])
 
 
 def _extended(whole: Model, effects: Sequence) -> Model:

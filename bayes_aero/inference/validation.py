@@ -75,12 +75,16 @@ def validate(
         for i in range(len(NAMES))
     ]
     tasks.sort(key=lambda task: not task.sampled)  # the long ones first
+    largest = max(len(f.train_idx) for folds in splits.values() for f in folds)
+    tidy = largest >= WORTH_PROCESSES  # below, compiling anew for every fit costs more than memory is worth
     work = (
-        delayed(_trained)(X, z[:, t.column], inputs, splits[t.kind][t.fold], t.column, t.sampled, seed) for t in tasks
+        delayed(_trained)(X, z[:, t.column], inputs, splits[t.kind][t.fold], t.column, t.sampled, seed, tidy)
+        for t in tasks
     )
     trained: dict[_Task, tuple[GPFit | None, dict[str, Any]]] = {}
-    jobs = _processes(len(tasks), max(len(f.train_idx) for folds in splits.values() for f in folds))
-    _give_back_memory()
+    jobs = _processes(len(tasks), largest)
+    if tidy:
+        _give_back_memory()
     # LAPACK holds Python's lock and gains little from a second thread at these sizes: one process a core.
     with parallel_config(backend="loky", inner_max_num_threads=1):
         results: Any = Parallel(n_jobs=jobs, return_as="generator")(work)
@@ -156,6 +160,7 @@ def _trained(
     column: int,
     sampled: bool,
     seed: int,
+    tidy: bool,
 ) -> tuple[GPFit | None, dict[str, Any]]:
     """The fit, if it was sampled, and the process's part of a `Validation`; self-contained, for it runs elsewhere."""
     fit = fit_gp(
@@ -168,7 +173,8 @@ def _trained(
         seed=seed,
         progress=lambda _: None,
     )
-    _give_back_memory()
+    if tidy:
+        _give_back_memory()
     measured = z[fold.test_idx]
     prediction = fit.predict(X[fold.test_idx])
     level = prediction.levels.index(LEVEL)

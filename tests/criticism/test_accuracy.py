@@ -60,6 +60,7 @@ def test_spikes_are_repaired_and_steps_of_a_quantised_channel_are_not(card):
     assert np.max(np.abs(np.asarray(repaired.channels["q"])[at] - np.asarray(record["q"])[at])) < 0.05
 
 
+@pytest.mark.longest
 @pytest.mark.recovery
 def test_size_freed_of_what_noise_adds_is_nearer_to_the_truth(card):
     """alpha-dot is differentiated from a noisy vane: least squares is biased by some per cent of Cmadot."""

@@ -225,7 +225,7 @@ def test_corrected_deviations_are_the_plain_ones_under_white_noise():
     fits = [fit_output_error(coloured_flown([8, seed], 0.0), held={"az0": 0.0}) for seed in range(12)]
     own = [k for k, name in enumerate(fits[0].names) if name != "az0"]
     ratio = np.mean([(found.sd_corrected / np.where(found.sd > 0, found.sd, 1.0))[own] for found in fits], axis=0)
-    np.testing.assert_allclose(ratio, 0.93, atol=0.15)
+    np.testing.assert_allclose(ratio, 1.0, atol=0.25)
 
 
 def test_a_prior_that_holds_a_parameter_is_its_corrected_deviation_too():

@@ -62,6 +62,7 @@ def test_the_same_seed_gives_the_same_numbers(case):
     assert again.weighted.k_hat == sampled.weighted.k_hat
 
 
+@pytest.mark.forgets
 def test_it_samples_as_before_after_compiled_programs_were_given_back(case):
     """As between two coefficients that one process trains."""
     data, best, first = case
