@@ -15,6 +15,7 @@ from bayes_aero.report.style import COLOURS, housed
 from bayes_aero.report.words_diagnosis import size_text
 
 SHOWN = 10  # candidates
+WIDTH = 0.017  # of a letter, in widths of the widest bar
 
 
 @housed
@@ -72,22 +73,12 @@ def _election(ax: Axes, ranking: Ranking, view: View) -> None:
     widest = float(np.max([*share, 1e-9]))
     for y, (s, x) in enumerate(zip(leaders, share, strict=True)):
         chance = np.isfinite(ranking.threshold) and s.score < ranking.threshold
-        ax.barh(
-            y,
-            x,
-            height=0.75,
-            color=COLOURS["chosen" if s.effect in named else "candidate"],
-            alpha=0.45 if chance else 1.0,
-        )
+        colour = COLOURS["chosen" if s.effect in named else "candidate"]
+        ax.barh(y, x, height=0.75, color=colour, alpha=0.45 if chance else 1.0)
         text = _sizes(named[s.effect]) if s.effect in named else f"score {s.score:.1f}"
-        if x > 0.5 * widest:
-            box = {**TIGHT, "fc": COLOURS["chosen" if s.effect in named else "candidate"], "alpha": 1.0}
-            look = {
-                "x": x - 0.01 * widest,
-                "ha": "right",
-                "color": "white" if s.effect in named else "black",
-                "bbox": box,
-            }
+        if WIDTH * len(text) * widest < x:
+            ink = "white" if s.effect in named and not chance else "black"
+            look = {"x": x - 0.01 * widest, "ha": "right", "color": ink}
         else:
             look = {"x": x + 0.01 * widest, "ha": "left", "color": "black", "bbox": TIGHT}
         ax.text(y=y, s=text, va="center", fontsize=7.5, zorder=5, **look)
@@ -103,4 +94,6 @@ def _election(ax: Axes, ranking: Ranking, view: View) -> None:
 
 
 def _sizes(cause: Cause) -> str:
-    return ", ".join(f"{name} = {size_text(x.mean, x.sd, x.unit)}" for name, x in cause.parameters.items())
+    """Sizes; named where there are several."""
+    sizes = {name: size_text(x.mean, x.sd, x.unit) for name, x in cause.parameters.items()}
+    return ", ".join(f"{name} = {x}" for name, x in sizes.items()) if len(sizes) > 1 else "".join(sizes.values())
