@@ -221,7 +221,7 @@ def test_corrected_intervals_cover_the_truth_under_coloured_noise():
 
 
 def test_corrected_deviations_are_the_plain_ones_under_white_noise():
-    """On average a little below: each flight's autocovariance is itself uncertain, and fitted residuals vary a little less."""
+    """On average: each flight's autocovariance is itself uncertain, and fitted residuals vary a little less."""
     fits = [fit_output_error(coloured_flown([8, seed], 0.0), held={"az0": 0.0}) for seed in range(12)]
     own = [k for k, name in enumerate(fits[0].names) if name != "az0"]
     ratio = np.mean([(found.sd_corrected / np.where(found.sd > 0, found.sd, 1.0))[own] for found in fits], axis=0)
