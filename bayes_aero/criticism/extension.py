@@ -39,8 +39,7 @@ class Step:
 class Extension:
     """The state before and after, with fits and elections; sizes of what is in.
 
-    `causes` are worth a name: more likely than not as large as the least departure worth modelling. `minor` are
-    nuisances.
+    `causes` are worth a name: as large, within a deviation, as the least departure worth modelling; `minor` are not.
     """
 
     base: State
@@ -197,7 +196,7 @@ def _worth(state: State, found: Mapping[str, Size]) -> tuple[tuple[str, ...], tu
     causes, minor = [], []
     for name in state.active:
         effect = next(e for e in state.field.candidates if e.name == name)
-        away = {p: abs(found[p].mean - state.field.neutral[p]) for p in effect.sizes if p in found}
+        away = {p: abs(found[p].mean - state.field.neutral[p]) + found[p].sd for p in effect.sizes if p in found}
         large = not away or any(away[p] >= effect.sizes[p][0] for p in away)
         (causes if large else minor).append(name)
     return tuple(causes), tuple(minor)

@@ -148,9 +148,9 @@ def _proxies(extension: Extension) -> tuple[Component, float, tuple[str, ...]] |
         for i in np.argsort(deviance)[:LOOKED_AT]:
             columns = trial.component_columns[i]
             gained = float(unseen_gain(taken_out, np.concatenate([bare, columns]), bare).sum())
-            margin = gained - BETTER * max(known, 0.0) - 6.0 * state.temper
-            if margin > 0.0 and (best is None or margin > best[0]):
-                best = (margin, components[i], _share(taken_out, columns))
+            margin, share = gained - BETTER * max(known, 0.0) - 6.0 * state.temper, _share(taken_out, columns)
+            if margin > 0.0 and share >= LEAST_SHARE and (best is None or margin > best[0]):
+                best = (margin, components[i], share)
     return None if best is None else (best[1], best[2], extension.causes)
 
 
