@@ -63,6 +63,10 @@ class FlownResponses(Linearisable):
         return eqx.tree_at(lambda f: f.flights, self.windows, self.flights)
 
     @property
+    def _nameless(self) -> FlownResponses:
+        return replace(self, flights=self.flights.nameless, windows=self.windows.nameless)
+
+    @property
     def outputs(self) -> tuple[str, ...]:
         """Names of the channels that are compared."""
         return self.windows.outputs
@@ -89,19 +93,19 @@ class FlownResponses(Linearisable):
         self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
     ) -> tuple[Float[Array, "m c"], Mapping[str, Array]]:
         """Residuals of the windows, begun at their measured states."""
-        return _evaluate(self, jnp.asarray(theta)), {}
+        return _evaluate(self._nameless, jnp.asarray(theta)), {}
 
     def slopes(
         self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
         """Residuals and minus their derivatives in these directions."""
-        residual, slope = _slopes(self, jnp.asarray(theta), jnp.asarray(directions))
+        residual, slope = _slopes(self._nameless, jnp.asarray(theta), jnp.asarray(directions))
         return np.asarray(residual), -np.asarray(slope)
 
     def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:
         """Sensitivities to the initial state of each window."""
         keep = [self.outputs.index(name) for name in outputs]
-        slope = -np.asarray(_state_slopes(self, jnp.asarray(theta)))[:, :, keep]  # s m c
+        slope = -np.asarray(_state_slopes(self._nameless, jnp.asarray(theta)))[:, :, keep]  # s m c
         window = np.repeat(np.arange(len(self.windows.index)), self.windows.index.shape[1] // FILTER_STEP)[self.place]
         s, m, c = slope.shape
         S = np.zeros((m, c, len(self.windows.index) * s))

@@ -139,11 +139,8 @@ def _probabilities(
     thetas = np.tile(fit.estimate, (DRAWS, 1))
     thetas[:, moving] += (white * np.sqrt(np.maximum(values, 0.0))) @ vectors.T * scale
     lower, upper = (np.array([p.bounds[i] for p in fit.parameters], float) for i in (0, 1))
-    largest = np.asarray(
-        _drawn(
-            flown, jnp.asarray(np.clip(thetas, lower, upper)), jnp.zeros((len(flown.index), len(flown.dynamics.states)))
-        )
-    )
+    still = jnp.zeros((len(flown.index), len(flown.dynamics.states)))
+    largest = np.asarray(_drawn(flown.nameless, jnp.asarray(np.clip(thetas, lower, upper)), still))
     return {
         (row, name): float(np.mean(largest[:, row, c] <= tolerances[name]))
         for row in range(largest.shape[1])

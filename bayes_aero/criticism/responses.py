@@ -7,6 +7,7 @@ compiled function gives the residuals and their sensitivity to all parameters of
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -66,14 +67,18 @@ class Responses(Linearisable):
         self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
     ) -> tuple[Float[Array, "m c"], dict[str, Array]]:
         """Residuals at parameters `theta` (the model's free ones), and what explains them, by name, at full rate."""
-        return _evaluate(self, theta)
+        return _evaluate(self._nameless, theta)
 
     def slopes(
         self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
         """Residuals and minus their derivatives in these directions."""
-        residual, slope = _linearise(self, jnp.asarray(theta), jnp.asarray(directions))
+        residual, slope = _linearise(self._nameless, jnp.asarray(theta), jnp.asarray(directions))
         return np.asarray(residual), np.asarray(slope)
+
+    @property
+    def _nameless(self) -> Responses:
+        return replace(self, flights=self.flights.nameless)
 
     def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:  # noqa: ARG002
         """A constant for each manoeuvre and flight-path output: where the integral began."""

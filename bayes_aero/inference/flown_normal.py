@@ -91,7 +91,7 @@ class Looks:
         self.prior = prior
         self.count = flown.inside.sum(axis=1).astype(float)
         self._rows = [np.minimum(np.arange(a, a + size), w - 1) for a in range(0, w, size)]  # the last may repeat
-        self._parts = [_on_device(flown, rows) for rows in self._rows]
+        self._parts = [_on_device(flown.nameless, rows) for rows in self._rows]
         self._compiled = False
 
     def __call__(self, theta: Float[np.ndarray, " k"], departure: Float[np.ndarray, "w s"]) -> Point:

@@ -18,7 +18,7 @@ from bayes_aero.inference.flown_normal import TINY, Looks, Priors, reduced
 from bayes_aero.inference.mle import solve
 from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus, result_of
 from bayes_aero.model.biases import biased_dynamics
-from bayes_aero.model.segments import Flown, simulate
+from bayes_aero.model.segments import Flown, Simulated, simulate
 from bayes_aero.parameter import Prior
 
 MAX_ITERATIONS, EARLY = 60, 12  # of the last stage of a cascade, and of those before
@@ -28,10 +28,12 @@ BEGIN_DAMPING, LEAST_DAMPING = 1e-2, 1e-4  # relative to the information's diago
 WORTH = 0.05  # least share of the expected gain that a step must bring
 
 
-@eqx.filter_jit
-def trajectories(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w s"]):
+_simulate = eqx.filter_jit(simulate)
+
+
+def trajectories(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w s"]) -> Simulated:
     """`segments.simulate`, compiled."""
-    return simulate(flown, theta, departure)
+    return _simulate(flown.nameless, theta, departure)
 
 
 def fit_output_error(

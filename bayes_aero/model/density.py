@@ -22,7 +22,7 @@ class Density(LogDensity):
     leaves: another data set of the same size does not compile anew.
     """
 
-    observations: Observations
+    observations: Observations = eqx.field(converter=lambda given: given.nameless)
     model: Model = eqx.field(static=True)
     noise: Noise = eqx.field(static=True)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -40,6 +41,11 @@ class Flights(eqx.Module):
     def recorded(self) -> tuple[str, ...]:
         """Names of the recorded channels and card sums, without what was added."""
         return tuple(name for name in self.channels if name not in ADDED)
+
+    @property
+    def nameless(self) -> Flights:
+        """The same without names, on which no number depends: compiled programs then serve records of any name."""
+        return replace(self, names=())
 
     def conditioned(self, channels: Mapping[str, Array]) -> Signals:
         """Smoothed and differentiated signals, manoeuvre by manoeuvre."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -46,6 +47,11 @@ class Observations(eqx.Module):
     def dt(self) -> float:
         """Sample time in s (the median over all manoeuvres)."""
         return float(np.median(np.asarray(self.signals["dt"])))
+
+    @property
+    def nameless(self) -> Observations:
+        """The same without names, on which no number depends: compiled programs then serve records of any name."""
+        return replace(self, names=())
 
     def subset(self, index: Int[np.ndarray, " m"]) -> Observations:
         """The samples `index`, kept in time order.

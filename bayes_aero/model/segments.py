@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -31,6 +32,11 @@ class Flown(eqx.Module):
     outputs: tuple[str, ...] = eqx.field(static=True)
     begin: int = eqx.field(static=True, default=2)  # samples from which the measured initial state is read
     substeps: int = eqx.field(static=True, default=1)
+
+    @property
+    def nameless(self) -> Flown:
+        """The same of flights without names; see there."""
+        return replace(self, flights=self.flights.nameless)
 
     @property
     def manoeuvre(self) -> Int[np.ndarray, " w"]:
