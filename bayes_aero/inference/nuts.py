@@ -6,13 +6,14 @@ import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from numpyro.infer import NUTS
-from numpyro.infer.hmc import HMCState
+from numpyro.infer.hmc import HMCState, hmc
 
 from bayes_aero.inference.laplace import Mode
 from bayes_aero.inference.posterior import Posterior, PosteriorStatus, assemble, constrain_draws, converged, diagnose
@@ -25,6 +26,41 @@ BLOCK = 300  # draws per chain between two looks at the diagnostics
 MAX_BLOCKS = 8
 DIVERGENT_SHARE = 0.005
 FIELDS = ("diverging", "num_steps", "accept_prob", "potential_energy")
+
+
+def _potential(density: LogDensity, centre: Float[Array, " k"], factor: Float[Array, "k k"]):
+    """Of whitened coordinates."""
+    return lambda v: -density(centre + factor @ v)
+
+
+@cache
+def _kernel(warmup: int):
+    """numpyro's functional NUTS, whose data are arguments: MCMC would compile anew for every data set, chain and block.
+
+    One for every length of warm-up, which it keeps to itself once it was begun.
+    """
+    del warmup
+    return hmc(potential_fn_gen=_potential, algo="NUTS")
+
+
+@eqx.filter_jit
+def _begin(target: tuple[LogDensity, Array, Array], warmup: int, key: Array, v: Float[Array, " k"]) -> HMCState:
+    begin, _ = _kernel(warmup)
+    key, _ = jax.random.split(key)  # as numpyro's NUTS does: the same draws
+    return begin(v, warmup, dense_mass=True, target_accept_prob=0.95, model_args=target, rng_key=key)
+
+
+@eqx.filter_jit
+def _stretch(
+    target: tuple[LogDensity, Array, Array], warmup: int, state: HMCState
+) -> tuple[HMCState, tuple[Array, dict[str, Array]]]:
+    _, sample = _kernel(warmup)
+
+    def step(state: HMCState, _: None):
+        state = sample(state, target)  # adapts for as long as state.i is below `warmup`
+        return state, (state.z, {name: getattr(state, name) for name in FIELDS})
+
+    return jax.lax.scan(step, state, None, length=STRETCH)
 
 
 def sample_nuts(
@@ -45,34 +81,17 @@ def sample_nuts(
     """
     began = time.perf_counter()
     start_key, run_key = jax.random.split(jax.random.PRNGKey(seed))
-
-    centre, factor = jnp.asarray(mode.u), jnp.asarray(mode.factor)
-
-    def potential(v: Float[Array, " k"]) -> Float[Array, ""]:
-        return -density(centre + factor @ v)
-
-    # The kernel is driven here: numpyro's MCMC would compile the whole sampler anew for every chain and every block.
-    kernel = NUTS(potential_fn=potential, dense_mass=True, target_accept_prob=0.95)
-    begin = jax.jit(lambda key, v: kernel.init(key, warmup, v, (), {}))
-
-    @jax.jit
-    def stretch(state: HMCState) -> tuple[HMCState, tuple[Array, dict[str, Array]]]:
-        def step(state: HMCState, _: None):
-            state = kernel.sample(state, (), {})  # adapts for as long as state.i is below `warmup`
-            return state, (state.z, {name: getattr(state, name) for name in FIELDS})
-
-        return jax.lax.scan(step, state, None, length=STRETCH)
-
+    target = density, jnp.asarray(mode.u), jnp.asarray(mode.factor)
     starts = jax.random.normal(start_key, (chains, density.size))
-    states = [begin(key, v) for key, v in zip(jax.random.split(run_key, chains), starts, strict=True)]
-    compiled = stretch.lower(states[0]).compile()  # before the threads ask for it, each on its own
+    states = [_begin(target, warmup, key, v) for key, v in zip(jax.random.split(run_key, chains), starts, strict=True)]
 
     def advance(states: list[HMCState]) -> list[tuple[HMCState, tuple[Array, dict[str, Array]]]]:
-        with ThreadPoolExecutor(min(chains, os.cpu_count() or 1)) as pool:
-            return list(pool.map(lambda state: jax.block_until_ready(compiled(state)), states))
+        with ThreadPoolExecutor(min(len(states), os.cpu_count() or 1)) as pool:
+            return list(pool.map(lambda state: jax.block_until_ready(_stretch(target, warmup, state)), states))
 
-    for _ in range(-(-warmup // STRETCH)):
-        states = [state for state, _ in advance(states)]
+    for number in range(-(-warmup // STRETCH)):  # the first chain begins alone: the others find what it compiled
+        ends = advance(states) if number else [*advance(states[:1]), *advance(states[1:])]
+        states = [state for state, _ in ends]
     blocks, fields = [], []
     while True:
         for _ in range(BLOCK // STRETCH):
