@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from bayes_aero.cli.choices import NoiseModel, Split
 from bayes_aero.cli.terminal import (
@@ -17,6 +16,7 @@ from bayes_aero.cli.terminal import (
     bar,
     interruptible,
     kept_stages,
+    teller,
 )
 
 
@@ -51,7 +51,7 @@ def identify(
     from bayes_aero.studies.identify import read_records
 
     card = read_card(model)
-    console = Console(quiet=json)
+    console = teller(quiet=json, highlight=True)
     if records:
         flights = read_records(records, card, resample=resample)
     else:

@@ -3,7 +3,8 @@
 The HDF5 library is C code that can loop for ever on a damaged file (fuzzing found such files soon), and nothing
 interrupts a loop in C. The parent, `hdf5.py`, gives this process a time limit instead.
 
-In: the file on stdin, the wanted labels as JSON in argv[1], the most samples a channel may have in argv[2].
+In: the file on stdin, the wanted labels as JSON in argv[1], the most samples a channel may have in argv[2], that
+all may have together in argv[3].
 Out: one line of JSON, then the float64 samples of the vectors in its order. Failures: {"error": ...}.
 """
 
@@ -36,11 +37,13 @@ def _scalar(attributes, key, default):
     return float(np.asarray(attributes[key]).reshape(-1)[0]) if key in attributes else default
 
 
-def _read(dataset, label, most):
+def _read(dataset, label, most, room):
     if dataset.dtype.kind not in "fiub":
         return None, f"holds {dataset.dtype} where numbers should be; store it as plain numbers"
     if dataset.size is None or dataset.size > most:
         return None, f"claims {dataset.size} samples, more than {most}; is the file damaged?"
+    if dataset.size > room:
+        return None, "is more than all channels together may hold; is the file damaged? Otherwise cut the record"
     if dataset.ndim != 1 and dataset.size != max(dataset.shape, default=1):
         return None, f"has shape {dataset.shape} where one value a sample should be; split it up"
     if dataset.external or dataset.is_virtual:
@@ -61,7 +64,7 @@ def _read(dataset, label, most):
 
 def main():
     _limit_memory()
-    labels, most = json.loads(sys.argv[1]), int(sys.argv[2])
+    labels, most, room = json.loads(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     found: list = []
     reply: dict = {}
     try:
@@ -71,11 +74,12 @@ def main():
                 link = file.get(label, getlink=True) if label in reply["available"] else None
                 if not isinstance(link, h5py.HardLink) or not isinstance(file[label], h5py.Dataset):
                     continue
-                column, problem = _read(file[label], label, most)
+                column, problem = _read(file[label], label, most, room)
                 if column is None:
                     reply["problem"] = [label, problem]
                     break
                 found.append(column)
+                room -= column[1].size
     except Exception as reason:
         reply = {"error": " ".join(str(reason).split())[:120] or type(reason).__name__}
         found = []

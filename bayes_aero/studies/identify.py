@@ -33,7 +33,8 @@ from bayes_aero.report.page import put_page
 from bayes_aero.report.page_identification import identification_page
 from bayes_aero.report.tables import paper_table, parameter_table, validation_table, write_csv
 from bayes_aero.report.words import verdict
-from bayes_aero.studies.provenance import provenance, writable, write_json
+from bayes_aero.studies.folder import writable
+from bayes_aero.studies.provenance import provenance, write_json
 from bayes_aero.studies.results import results
 
 Progress = Callable[[str, float], None]
