@@ -68,13 +68,13 @@ def kept_stages(out: Path) -> Callable[[], str]:
         written = [
             path.name
             for path in (sorted(out.iterdir()) if out.is_dir() else [])
-            if path.suffix != ".part" and path.stat().st_mtime >= began
+            if path.suffix != ".part" and not path.name.startswith(".") and path.stat().st_mtime >= began
         ]
         if not written:
             return f"no stage had finished, so {out} holds nothing new; give the same command to start again"
         return (
             f"the stages that had finished are in {out} ({', '.join(written)}) and can be used as they are; "
-            "the same command does all stages again"
+            "the same command does all stages again, but goes on with an unfinished chain of emcee"
         )
 
     return told

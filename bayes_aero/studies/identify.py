@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.readers import read_record
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.checkpoint import Checkpoint
 from bayes_aero.inference.ensemble import sample_ensemble
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.laplace import density_start, find_mode
@@ -33,11 +35,13 @@ from bayes_aero.report.page import put_page
 from bayes_aero.report.page_identification import identification_page
 from bayes_aero.report.tables import paper_table, parameter_table, validation_table, write_csv
 from bayes_aero.report.words import verdict
+from bayes_aero.studies.environment import environment
 from bayes_aero.studies.folder import writable
 from bayes_aero.studies.provenance import provenance, write_json
 from bayes_aero.studies.results import results
 
 Progress = Callable[[str, float], None]
+CHAINS = ".chains"
 
 
 def read_records(paths: Sequence[Path], card: Card, *, resample: float | None = None) -> list[FlightRecord]:
@@ -55,9 +59,13 @@ def identify(
     out: Path | None = None,
     gp: bool = True,
     figures: bool = True,
+    resume: bool = True,
     progress: Progress | None = None,
 ) -> Identification:
     """Fit, sample and compare, as `bayes-aero identify` does; with `out` every stage is written as it ends.
+
+    With `out` and `resume` emcee's chains are on disk as they grow, in `out`/.chains until the run is complete: the
+    same call after a kill goes on with them, if records, card, settings and versions are the same.
 
     `split` chooses the split whose Gaussian-process hyperparameters are sampled; scores are given for all splits.
     """
@@ -71,12 +79,17 @@ def identify(
     run = Identification(card, model, tuple(records), observations, noise, mle, alone, {}, seconds=seconds)
     writer = _Writer(out, provenance(card, records, seed, {"noise": noise.value, "split": split}))
     writer.stage(run)
+    chains = None if out is None else out / CHAINS
+    stores = None if chains is None or not resume else _stores(chains, card, records, seed)
 
     for key, colour, engine in _plan(noise):
         with _timed(seconds, key, progress):
             density = Density.of(observations, model, Noise(colour))
             mode = find_mode(density, density_start(density, mle))
-            posterior = engine(density, mode, seed=seed, progress=progress)
+            kept: dict[str, Any] = {}
+            if stores is not None and engine is sample_ensemble:
+                kept["checkpoint"] = stores(f"{key}_{colour.value}")
+            posterior = engine(density, mode, seed=seed, progress=progress, **kept)
         run = replace(run, posteriors=run.posteriors | {key: posterior})
         writer.stage(run, posterior_name=key)
 
@@ -102,7 +115,17 @@ def identify(
         if failure:
             run = replace(run, notes=(*run.notes, failure))
             writer.stage(run)
+    if chains is not None:
+        shutil.rmtree(chains, ignore_errors=True)
     return run
+
+
+def _stores(folder: Path, card: Card, records: Sequence[FlightRecord], seed: int) -> Callable[[str], Checkpoint]:
+    """Where the chain of each posterior is kept while it grows, and all that its numbers rest on."""
+    source = provenance(card, records, seed, {})
+    made_from = {key: source[key] for key in ("seed", "inputs", "card", "effect_files")}
+    made_from |= {"sources": [r.source for r in records], "environment": environment()}
+    return lambda key: Checkpoint(folder / key, made_from | {"posterior": key})
 
 
 def _with_stall(run: Identification) -> Identification:

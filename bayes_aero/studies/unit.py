@@ -125,6 +125,7 @@ def perform(unit: Unit, out: Path, progress: Progress | None = None) -> None:
             split=unit.split or "random",  # type: ignore[arg-type]
             seed=unit.seed,
             out=out,
+            resume=False,  # a unit is done anew: its folder is another one
             progress=progress,
             **options,
         )

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 ODD = (
     None, True, 0, -1, 1, 10**12, 10**30, 10**5000, 2**63, 0.5, -0.0, 1e308, 5e-324, math.nan, math.inf, -math.inf, "",
     " ", "1e999 kg", "9**9**9**9", "nan", "-1 m", "1 furlong", "ü°\u202e", "a\nb", "\x1b[31m", "../../etc/passwd",
-   
+
     "/dev/zero", "[red]", "</script>", "x" * 5000, [], [[]], {}, [1, 2], ["a", "a"], {"a": {"a": {}}},
     [[[[[[[[[[[[[[[[1]]]]]]]]]]]]]]]],
 )  # fmt: skip
