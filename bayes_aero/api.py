@@ -169,17 +169,27 @@ def sample(fit: Fit, *, engine: Engine = "emcee", noise: NoiseName = "ar1", seed
     return Fit(replace(run, noise=run.noise if beside else colour, posteriors=posteriors))
 
 
-def gpr(fit: Fit, *, split: SplitKind = "random", sample: bool = True, seed: int = 0) -> Fit:
+def gpr(fit: Fit, *, split: SplitKind = "random", sample: bool = True, approximate: bool = False, seed: int = 0) -> Fit:
     """The same fit with Gaussian processes of CL, CD and Cm beside it, on the card's `[gp] inputs`; takes minutes.
 
     They are trained on what each split keeps and scored on what it holds back: `random` samples, 4 s blocks (`block`),
     a whole manoeuvre (`manoeuvre`; two records or more). Hyperparameters are taken at their mode, and on the first fold
-    of `split`, the one that figures show, sampled as well, unless `sample` is false.
+    of `split`, the one that figures show, sampled as well, unless `sample` is false. `approximate` allows more samples
+    than the exact process can take; how far that is from it stands in the status of each coefficient.
     """
     if split not in get_args(SplitKind):
         raise InputError(f"there is no split {split!r}; choose one of {', '.join(get_args(SplitKind))}")
     run = fit.run
-    report = validate(run.model, run.observations, run.mle, run.card.gp_inputs, chosen=split, sample=sample, seed=seed)
+    report = validate(
+        run.model,
+        run.observations,
+        run.mle,
+        run.card.gp_inputs,
+        chosen=split,
+        sample=sample,
+        approximate=approximate,
+        seed=seed,
+    )
     return Fit(replace(run, gp=report))
 
 

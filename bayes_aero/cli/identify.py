@@ -34,6 +34,10 @@ def identify(
     ] = Split.RANDOM,
     resample: ResampleOption = None,
     gp: Annotated[bool, typer.Option(help="Train the Gaussian processes.")] = True,
+    approximate_gp: Annotated[
+        bool,
+        typer.Option("--approximate-gp", help="Approximate those of more samples than the exact one can take."),
+    ] = False,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
     json: JsonOption = False,
 ) -> None:
@@ -66,6 +70,7 @@ def identify(
             seed=seed,
             out=out,
             gp=gp,
+            approximate_gp=approximate_gp,
             figures=figures,
             progress=tell,
         )

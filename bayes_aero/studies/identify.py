@@ -58,6 +58,7 @@ def identify(
     seed: int = 0,
     out: Path | None = None,
     gp: bool = True,
+    approximate_gp: bool = False,
     figures: bool = True,
     resume: bool = True,
     progress: Progress | None = None,
@@ -96,7 +97,16 @@ def identify(
     if gp:
         try:
             with _timed(seconds, "gp", progress):
-                report = validate(model, observations, mle, card.gp_inputs, chosen=split, seed=seed, progress=progress)
+                report = validate(
+                    model,
+                    observations,
+                    mle,
+                    card.gp_inputs,
+                    chosen=split,
+                    seed=seed,
+                    approximate=approximate_gp,
+                    progress=progress,
+                )
             run = replace(run, gp=report)
         except InputError as error:  # too large for the exact process: said, and the rest stands
             run = replace(run, notes=(*run.notes, f"Gaussian process left out: {error}"))
