@@ -2,7 +2,8 @@
 
 SE is replaced by Q = K_nz K_zz^-1 K_zn through q inducing points z (Nystroem; predictions as in Titsias 2009,
 "Variational learning of inducing variables"), n q^2 instead of n^3: R becomes V'V + g I with V = L^-1 K_zn and
-L L' = K_zz, and by the inversion lemma R^-1 b = (b - V' B^-1 V b / g) / g with B = I + V V' / g. All else is as in `reduced.py`.
+L L' = K_zz, and by the inversion lemma R^-1 b = (b - V' B^-1 V b / g) / g with B = I + V V' / g. All else is as in
+`reduced.py`.
 
 The points are chosen greedily, each where the ones before leave most variance (partial pivoted Cholesky; Burt,
 Rasmussen and van der Wilk 2020, JMLR 21(131)), at the most probable length scales.
