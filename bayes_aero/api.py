@@ -32,7 +32,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.ensemble import sample_ensemble
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.laplace import density_start, find_mode
-from bayes_aero.inference.mle import MleResult, fit_mle
+from bayes_aero.inference.mle import MleResult, fit_alone, fit_mle
 from bayes_aero.inference.nuts import sample_nuts
 from bayes_aero.inference.posterior import Posterior
 from bayes_aero.inference.splits import SplitKind
@@ -141,13 +141,13 @@ def read(
 def fit(
     records: Sequence[FlightRecord], card: str | Card = "attas", *, model: Model | None = None, seed: int = 0
 ) -> Fit:
-    """Maximum likelihood (Gauss-Newton) of `model`, by default the card's, to all records jointly and to each alone."""
+    """Maximum likelihood (Gauss-Newton) of `model`, by default the card's, to all records jointly and to each alone
+    (up to 24 of them)."""
     card = _card(card)
     model = model or Model.from_card(card)
     observations = observe(records, card, model)
     joint = fit_mle(model, observations, seed=seed)
-    several = range(len(records)) if len(records) > 1 else range(0)
-    alone = {observations.names[i]: fit_mle(model, observations.only(i), seed=seed) for i in several}
+    alone = fit_alone(model, observations, seed=seed)
     return Fit(Identification(card, model, tuple(records), observations, Colour.AR1, joint, alone, {}))
 
 

@@ -16,6 +16,7 @@ from contextlib import suppress
 import h5py
 import numpy as np
 
+TOO_MUCH = "and the others claim more values than a record may have; is the file damaged? Otherwise cut the record"
 MEMORY = 8 << 30
 """Bytes of address space for this process; a damaged header may ask for any amount."""
 
@@ -37,13 +38,16 @@ def _scalar(attributes, key, default):
     return float(np.asarray(attributes[key]).reshape(-1)[0]) if key in attributes else default
 
 
-def _read(dataset, label, most, room):
+def _is_dataset(file, label, available):
+    link = file.get(label, getlink=True) if label in available else None
+    return isinstance(link, h5py.HardLink) and isinstance(file[label], h5py.Dataset)
+
+
+def _read(dataset, label, most):
     if dataset.dtype.kind not in "fiub":
         return None, f"holds {dataset.dtype} where numbers should be; store it as plain numbers"
     if dataset.size is None or dataset.size > most:
         return None, f"claims {dataset.size} samples, more than {most}; is the file damaged?"
-    if dataset.size > room:
-        return None, "is more than all channels together may hold; is the file damaged? Otherwise cut the record"
     if dataset.ndim != 1 and dataset.size != max(dataset.shape, default=1):
         return None, f"has shape {dataset.shape} where one value a sample should be; split it up"
     if dataset.external or dataset.is_virtual:
@@ -70,16 +74,15 @@ def main():
     try:
         with h5py.File(io.BytesIO(sys.stdin.buffer.read()), "r") as file:
             reply["available"] = [str(name)[:100] for name, _ in zip(file, range(1000), strict=False)]
-            for label in labels:
-                link = file.get(label, getlink=True) if label in reply["available"] else None
-                if not isinstance(link, h5py.HardLink) or not isinstance(file[label], h5py.Dataset):
-                    continue
-                column, problem = _read(file[label], label, most, room)
+            wanted = {label: file[label] for label in labels if _is_dataset(file, label, reply["available"])}
+            sizes = [getattr(dataset, "size", None) or 0 for dataset in wanted.values()]
+            whole = sum(sizes) if max(sizes, default=0) <= most else 0  # one too large is told below
+            for label, dataset in wanted.items():
+                column, problem = _read(dataset, label, most) if whole <= room else (None, TOO_MUCH)
                 if column is None:
                     reply["problem"] = [label, problem]
                     break
                 found.append(column)
-                room -= column[1].size
     except Exception as reason:
         reply = {"error": " ".join(str(reason).split())[:120] or type(reason).__name__}
         found = []

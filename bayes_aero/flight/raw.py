@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,7 +24,7 @@ __all__ = ["RawColumn", "RawFile", "read_raw"]
 MOST = 2000
 """Columns beyond this are not looked at."""
 
-MOST_READS = 200
+PATIENCE = 20.0  # seconds
 
 
 @dataclass(frozen=True)
@@ -90,14 +91,13 @@ def read_raw(path: str | os.PathLike[str]) -> RawFile:
 def _read(reader: Reader, data: bytes, places: Sequence[Channel]) -> dict[str, Column]:
     """All columns at once; where one is no numbers, each half on its own, so that only it is lost.
 
-    After `MOST_READS` halves whatever has not been read is taken for no numbers.
+    When `PATIENCE` is over, whatever has not been read is taken for no numbers.
     """
     found: dict[str, Column] = {}
     failure = InputError("it holds no column of numbers; is it the right file?")
     left = deque([list(places)])
-    for _ in range(MOST_READS):
-        if not left:
-            break
+    began = time.monotonic()
+    while left and time.monotonic() - began < PATIENCE:
         some = left.popleft()
         try:
             found |= reader(data, some)

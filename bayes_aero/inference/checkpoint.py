@@ -129,7 +129,9 @@ def _write(path: Path, content: bytes | BurnIn | Stretch) -> None:
         if isinstance(content, bytes):
             handle.write(content)
         else:
-            np.savez(handle, **{f.name: np.asarray(getattr(content, f.name)) for f in fields(content)})
+            np.savez(
+                handle, allow_pickle=False, **{f.name: np.asarray(getattr(content, f.name)) for f in fields(content)}
+            )
         handle.flush()
         os.fsync(handle.fileno())
     os.replace(partial, path)

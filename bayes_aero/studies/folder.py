@@ -34,6 +34,6 @@ def refuse_ways_out(folder: Path) -> None:
 
 
 def safe_name(words: str) -> str:
-    """`words` as the beginning of a file's name on every system: no leading full stop, no device of Windows."""
-    words = words.lstrip(".")
+    """`words` as the beginning of a file's name on every system: no leading full stop or dash, no device of Windows."""
+    words = words.lstrip(".-")
     return f"_{words}" if words.split(".")[0].split("-")[0].lower() in RESERVED else words

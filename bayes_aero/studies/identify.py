@@ -20,7 +20,7 @@ from bayes_aero.inference.checkpoint import Checkpoint
 from bayes_aero.inference.ensemble import sample_ensemble
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.laplace import density_start, find_mode
-from bayes_aero.inference.mle import fit_mle
+from bayes_aero.inference.mle import MOST_ALONE, fit_alone, fit_mle
 from bayes_aero.inference.nuts import sample_nuts
 from bayes_aero.inference.posterior import PosteriorStatus
 from bayes_aero.inference.splits import SplitKind
@@ -33,6 +33,7 @@ from bayes_aero.model.observations import observe
 from bayes_aero.report.figures import write_figures
 from bayes_aero.report.page import put_page
 from bayes_aero.report.page_identification import identification_page
+from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.tables import paper_table, parameter_table, validation_table, write_csv
 from bayes_aero.report.words import verdict
 from bayes_aero.studies.environment import environment
@@ -75,9 +76,9 @@ def identify(
     seconds: dict[str, float] = {}
     with _timed(seconds, "mle", progress):
         mle = fit_mle(model, observations, seed=seed)
-        several = range(len(records)) if len(records) > 1 else range(0)
-        alone = {observations.names[i]: fit_mle(model, observations.only(i), seed=seed) for i in several}
-    run = Identification(card, model, tuple(records), observations, noise, mle, alone, {}, seconds=seconds)
+        alone = fit_alone(model, observations, seed=seed)
+    notes = _many(len(records))
+    run = Identification(card, model, tuple(records), observations, noise, mle, alone, {}, notes=notes, seconds=seconds)
     writer = _Writer(out, provenance(card, records, seed, {"noise": noise.value, "split": split}))
     writer.stage(run)
     chains = None if out is None else out / CHAINS
@@ -128,6 +129,16 @@ def identify(
     if chains is not None:
         shutil.rmtree(chains, ignore_errors=True)
     return run
+
+
+def _many(manoeuvres: int) -> tuple[str, ...]:
+    """What is left out because there are so many."""
+    said = []
+    if manoeuvres > MOST_ALONE:
+        said.append(f"{manoeuvres} manoeuvres are fitted jointly; beyond {MOST_ALONE} none is fitted by itself.")
+    if manoeuvres > MOST_MANOEUVRES:
+        said.append(f"Figures with a panel for each manoeuvre are drawn for up to {MOST_MANOEUVRES} of them.")
+    return tuple(said)
 
 
 def _stores(folder: Path, card: Card, records: Sequence[FlightRecord], seed: int) -> Callable[[str], Checkpoint]:

@@ -202,7 +202,7 @@ def _cards(given: Any, folder: Path, where: str, trust_effects: bool) -> dict[tu
     """Cards by (name as given, absolute path), read once so that a bad one stops the study before it starts."""
     cards = {}
     for name in _list(given, str, where, "cards"):
-        path = shipped_cards().get(name, folder / name)
+        path: Path = shipped_cards().get(name) or folder / name
         if not is_file(path):
             known = ", ".join(shipped_cards())
             raise InputError(f"{where}: card {name!r} does not exist; give a .toml file beside the study, or {known}")
