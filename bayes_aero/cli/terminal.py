@@ -72,9 +72,10 @@ def kept_stages(out: Path) -> Callable[[], str]:
         ]
         if not written:
             return f"no stage had finished, so {out} holds nothing new; give the same command to start again"
+        chains = " but goes on with the chain of emcee that was begun" if (out / ".chains").is_dir() else ""
         return (
             f"the stages that had finished are in {out} ({', '.join(written)}) and can be used as they are; "
-            "the same command does all stages again, but goes on with an unfinished chain of emcee"
+            f"the same command does all stages again{chains and f',{chains}'}"
         )
 
     return told
