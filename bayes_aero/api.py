@@ -32,7 +32,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.ensemble import sample_ensemble
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.laplace import density_start, find_mode
-from bayes_aero.inference.mle import MleResult, fit_mle
+from bayes_aero.inference.mle import MleResult, fit_alone, fit_mle
 from bayes_aero.inference.nuts import sample_nuts
 from bayes_aero.inference.posterior import Posterior
 from bayes_aero.inference.splits import SplitKind
@@ -141,13 +141,13 @@ def read(
 def fit(
     records: Sequence[FlightRecord], card: str | Card = "attas", *, model: Model | None = None, seed: int = 0
 ) -> Fit:
-    """Maximum likelihood (Gauss-Newton) of `model`, by default the card's, to all records jointly and to each alone."""
+    """Maximum likelihood (Gauss-Newton) of `model`, by default the card's, to all records jointly and to each alone
+    (up to 24 of them)."""
     card = _card(card)
     model = model or Model.from_card(card)
     observations = observe(records, card, model)
     joint = fit_mle(model, observations, seed=seed)
-    several = range(len(records)) if len(records) > 1 else range(0)
-    alone = {observations.names[i]: fit_mle(model, observations.only(i), seed=seed) for i in several}
+    alone = fit_alone(model, observations, seed=seed)
     return Fit(Identification(card, model, tuple(records), observations, Colour.AR1, joint, alone, {}))
 
 
@@ -169,17 +169,27 @@ def sample(fit: Fit, *, engine: Engine = "emcee", noise: NoiseName = "ar1", seed
     return Fit(replace(run, noise=run.noise if beside else colour, posteriors=posteriors))
 
 
-def gpr(fit: Fit, *, split: SplitKind = "random", sample: bool = True, seed: int = 0) -> Fit:
+def gpr(fit: Fit, *, split: SplitKind = "random", sample: bool = True, approximate: bool = False, seed: int = 0) -> Fit:
     """The same fit with Gaussian processes of CL, CD and Cm beside it, on the card's `[gp] inputs`; takes minutes.
 
     They are trained on what each split keeps and scored on what it holds back: `random` samples, 4 s blocks (`block`),
     a whole manoeuvre (`manoeuvre`; two records or more). Hyperparameters are taken at their mode, and on the first fold
-    of `split`, the one that figures show, sampled as well, unless `sample` is false.
+    of `split`, the one that figures show, sampled as well, unless `sample` is false. `approximate` allows more samples
+    than the exact process can take; how far that is from it stands in the status of each coefficient.
     """
     if split not in get_args(SplitKind):
         raise InputError(f"there is no split {split!r}; choose one of {', '.join(get_args(SplitKind))}")
     run = fit.run
-    report = validate(run.model, run.observations, run.mle, run.card.gp_inputs, chosen=split, sample=sample, seed=seed)
+    report = validate(
+        run.model,
+        run.observations,
+        run.mle,
+        run.card.gp_inputs,
+        chosen=split,
+        sample=sample,
+        approximate=approximate,
+        seed=seed,
+    )
     return Fit(replace(run, gp=report))
 
 

@@ -1,5 +1,25 @@
 """The one exception that a user of the package is meant to read."""
 
+import re
+
+LONGEST = 1200
+"""Characters of a sentence; what a hostile file makes longer loses its middle."""
+
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+
 
 class InputError(ValueError):
-    """Bad input, told in one sentence: what is wrong, where (file, channel, sample) and how to mend it."""
+    """Bad input, told in one sentence: what is wrong, where (file, channel, sample) and how to mend it.
+
+    Names from files stand in the sentence, and it goes to a terminal: line ends, escape sequences and signs that turn
+    the direction of writing are spelled out.
+    """
+
+    def __init__(self, sentence: object = "") -> None:
+        super().__init__(plain_line(str(sentence)))
+
+
+def plain_line(text: str) -> str:
+    """One line without control characters, at most `LONGEST` long."""
+    line = _CONTROL.sub(lambda found: ascii(found[0])[1:-1], text)
+    return line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"

@@ -16,7 +16,7 @@ from bayes_aero.cli.identify import identify
 from bayes_aero.cli.run import run
 from bayes_aero.cli.simulate import simulate
 from bayes_aero.cli.terminal import BAD_INPUT, FAILED, INTERRUPTED, InterruptionError
-from bayes_aero.errors import InputError
+from bayes_aero.errors import InputError, plain_line
 
 EPILOG = (
     f"Exit codes: 0 done; {FAILED} a record is not usable (check), or units of a study failed or differ (run); "
@@ -59,6 +59,13 @@ def main() -> None:
         app(prog_name=app.info.name)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
+        sys.exit(BAD_INPUT)
+    except OSError as error:  # a full disk, a name that is too long: whatever the sentences before have not foreseen
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"error: {plain_line(f'{where}{error.strerror or error}')}; check the path and the disk", file=sys.stderr)
+        sys.exit(BAD_INPUT)
+    except MemoryError:
+        print("error: there is not enough memory for this; take fewer or shorter records", file=sys.stderr)
         sys.exit(BAD_INPUT)
     except InterruptionError as stopped:
         print(f"interrupted; {stopped}", file=sys.stderr)

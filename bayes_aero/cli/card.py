@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
+from bayes_aero.cli.terminal import teller
 from bayes_aero.errors import InputError
 
 
@@ -40,7 +40,7 @@ def card(
         raise InputError(f"{target} cannot be written ({reason.strerror}); give another name with --out") from None
     finally:
         partial.unlink(missing_ok=True)
-    console = Console(highlight=False)
+    console = teller()
     console.print(f"The card is in {target}. Read its guesses.", soft_wrap=True)
     if todo:
         console.print(f"To be filled in ({len(todo)}): {', '.join(todo)}.")

@@ -19,6 +19,7 @@ from bayes_aero.cli.terminal import (
     bar,
     interruptible,
     print_json,
+    teller,
 )
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ def check(
     if json:
         print_json(check_results(report))
     else:
-        _tell(Console(highlight=False), report)
+        _tell(teller(), report)
     if not report.usable:
         raise typer.Exit(FAILED)
 
@@ -71,12 +72,14 @@ def _tell(console: Console, report: CheckReport) -> None:
     for why, names in reasons.items():
         console.print(f"not testable, for {why}: {', '.join(names)}")
     _tell_sensors(console, report)
-    console.print("[bold green]Usable.[/]" if report.usable else "[bold red]Not usable as it is.[/]")
+    word, colour = ("Usable.", "green") if report.usable else ("Not usable as it is.", "red")
+    console.print(word, style=f"bold {colour}")
 
 
 def _tell_record(console: Console, r: RecordReport) -> None:
     rate = f"{1.0 / r.dt:.4g} Hz" if r.dt > 0.0 else "no sampling rate"
-    console.print(f"[bold]{r.path}[/]: {r.samples} samples, {r.duration:.6g} s, {rate}", soft_wrap=True)
+    console.print(r.path, style="bold", end="", soft_wrap=True)
+    console.print(f": {r.samples} samples, {r.duration:.6g} s, {rate}", soft_wrap=True)
     if r.gaps or r.uneven:
         console.print(f"{r.gaps} gaps, {r.uneven} uneven steps")
     table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
@@ -91,9 +94,9 @@ def _tell_record(console: Console, r: RecordReport) -> None:
     if r.missing:
         console.print(f"on the card, not in the file (not required): {', '.join(r.missing)}")
     if r.unused:
-        console.print(f"in the file, not on the card: {', '.join(r.unused)}", markup=False)
+        console.print(f"in the file, not on the card: {', '.join(r.unused)}")
     for problem in r.problems:
-        console.print(f"✗ {problem}", style="red", markup=False)
+        console.print(f"✗ {problem}", style="red")
 
 
 def _tell_sensors(console: Console, report: CheckReport) -> None:

@@ -16,6 +16,7 @@ from bayes_aero.cli.terminal import (
     bar,
     interruptible,
     kept_stages,
+    teller,
 )
 
 if TYPE_CHECKING:  # the real imports wait until the command needs them
@@ -52,7 +53,7 @@ def diagnose(
     from bayes_aero.studies.tasks import Flown, diagnose_records
 
     card = read_card(model)
-    console = Console(quiet=json)
+    console = teller(quiet=json, highlight=True)
     flights, hidden = (read_records(records, card, resample=resample), None) if records else ([], None)
     with interruptible(kept_stages(out)), bar("reading" if records else "simulating") as tell:
         if not records:

@@ -9,10 +9,10 @@ from typing import Annotated, Any
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
-from bayes_aero.cli.terminal import JsonOption, print_json
+from bayes_aero.cli.terminal import JsonOption, print_json, teller
 
 SCHEMA = "bayes_aero/effects/1"
 
@@ -53,13 +53,13 @@ def effects(
 
 def _table(found: Sequence[Mapping[str, Any]]) -> None:
     """By kind; two lines an effect or more, so that 80 columns hold a row."""
-    console = Console()
+    console = teller(highlight=True)
     table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
     table.add_column("effect\n  parameters, unit", no_wrap=True)
     table.add_column("claim\nwhat it needs")
     for kind in sorted({effect["kind"] for effect in found}):
         table.add_section()
-        table.add_row(f"[bold]{kind.upper()}[/]", "")
+        table.add_row(Text(kind.upper(), "bold"), "")
         for effect in found:
             if effect["kind"] != kind:
                 continue
@@ -69,7 +69,8 @@ def _table(found: Sequence[Mapping[str, Any]]) -> None:
             ]
             needs = f"needs {', '.join(effect['needs'])}" if effect["needs"] else "needs nothing"
             table.add_row(
-                "\n".join([name, *(f"[dim]{p}[/]" for p in parameters)]), f"{effect['claim']}\n[dim]{needs}[/]"
+                Text.assemble(name, *(part for p in parameters for part in ("\n", (p, "dim")))),
+                Text.assemble(effect["claim"], "\n", (needs, "dim")),
             )
     console.print(table)
     stars = "*: in the card's model. " if any(effect["model"] for effect in found) else ""
@@ -77,11 +78,11 @@ def _table(found: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _explained(effect: Mapping[str, Any]) -> None:
-    console = Console()
+    console = teller(highlight=True)
 
     def line(title: str, text: str) -> None:
-        console.print(f"[bold]{title:<12}[/] ", end="")
-        console.print(text, highlight=False, markup=False, soft_wrap=True)
+        console.print(f"{title:<12} ", end="", style="bold")
+        console.print(text, highlight=False, soft_wrap=True)
 
     console.print(f"{effect['name']}: {effect['claim']}", style="bold", highlight=False)
     stage = "acts on the recorded channels" if effect["stage"] == "channel" else f"acts at the stage {effect['stage']}"

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from bayes_aero.cli.choices import NoiseModel, Split
 from bayes_aero.cli.terminal import (
@@ -17,6 +16,7 @@ from bayes_aero.cli.terminal import (
     bar,
     interruptible,
     kept_stages,
+    teller,
 )
 
 
@@ -34,6 +34,10 @@ def identify(
     ] = Split.RANDOM,
     resample: ResampleOption = None,
     gp: Annotated[bool, typer.Option(help="Train the Gaussian processes.")] = True,
+    approximate_gp: Annotated[
+        bool,
+        typer.Option("--approximate-gp", help="Approximate those of more samples than the exact one can take."),
+    ] = False,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
     json: JsonOption = False,
 ) -> None:
@@ -51,7 +55,7 @@ def identify(
     from bayes_aero.studies.identify import read_records
 
     card = read_card(model)
-    console = Console(quiet=json)
+    console = teller(quiet=json, highlight=True)
     if records:
         flights = read_records(records, card, resample=resample)
     else:
@@ -66,6 +70,7 @@ def identify(
             seed=seed,
             out=out,
             gp=gp,
+            approximate_gp=approximate_gp,
             figures=figures,
             progress=tell,
         )

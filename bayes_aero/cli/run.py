@@ -11,7 +11,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from bayes_aero.cli.terminal import FAILED, JsonOption, bar, interruptible, print_json
+from bayes_aero.cli.terminal import FAILED, JsonOption, bar, interruptible, print_json, teller
 from bayes_aero.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,6 +26,10 @@ def run(
     out: Annotated[Path | None, typer.Option(help="Folder for the results; default: STUDY_results, here.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="List the units and their state; do nothing.")] = False,
     verify: Annotated[bool, typer.Option("--verify", help="Do finished units again and compare every number.")] = False,
+    trust_effects: Annotated[
+        bool,
+        typer.Option("--trust-effects", help="Run the effect files (Python) of its cards; read them first."),
+    ] = False,
     json: JsonOption = False,
 ) -> None:
     """Do a study: every combination of its records, cards, effects, noise models, splits and seeds.
@@ -49,12 +53,12 @@ def run(
     from bayes_aero.studies.batch import leftovers, plan, run_study
     from bayes_aero.studies.study import read_study
 
-    asked = read_study(study)
+    asked = read_study(study, trust_effects=trust_effects)
     folder = out or Path(f"{study.stem}_results")
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is a file; give another folder with --out")
     planned = plan(asked, folder)
-    console = Console(highlight=False, quiet=json)
+    console = teller(quiet=json)
     rest = leftovers(asked, folder)
     if rest:
         console.print(f"! not of this study, left as they are: {', '.join(rest)}", soft_wrap=True)
@@ -82,7 +86,7 @@ def run(
     rows = [_row(p) | dict(told.get(p.unit.name, {})) for p in planned]
     failed = [row for row in rows if row["state"] != "done"]
     for row in failed:
-        console.print(f"✗ {row['name']}: {row['error']}", style="red", markup=False, soft_wrap=True)
+        console.print(f"✗ {row['name']}: {row['error']}", style="red", soft_wrap=True)
     new = len(told) - len(failed)
     console.print(f"{len(planned)} units: {new} done now, {len(planned) - len(told)} were done, {len(failed)} failed.")
     console.print(f"Results are in {folder}: units/, units.csv, summary.csv, environment/", soft_wrap=True)
@@ -129,9 +133,9 @@ def _verify(console: Console, study: Study, planned: list[Planned], out: Path, j
                 {"name": p.unit.name, "state": "differs" if differences else "same", "differences": differences}
             )
             mark = "✗" if differences else "✓"
-            console.print(f"{mark} {p.unit.name}", markup=False, soft_wrap=True)
+            console.print(f"{mark} {p.unit.name}", soft_wrap=True)
             for sentence in differences:
-                console.print(f"    {sentence}", markup=False, soft_wrap=True)
+                console.print(f"    {sentence}", soft_wrap=True)
     different = sum(bool(row["differences"]) for row in rows)
     console.print(f"{len(rows)} units: {len(rows) - different} the same, {different} differ.")
     if json:

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from bayes_aero.cli.choices import Manoeuvre, SimulatedNoise
-from bayes_aero.cli.terminal import JsonOption, ModelOption, SeedOption, bar, interruptible, print_json
+from bayes_aero.cli.terminal import JsonOption, ModelOption, SeedOption, bar, interruptible, print_json, teller
 from bayes_aero.errors import InputError
 
 
@@ -66,7 +65,7 @@ def simulate(
     if json:
         print_json(truth)
         return
-    console = Console(highlight=False)
+    console = teller()
     record = found.record
     console.print(
         f"{manoeuvre.value}: {record.n} samples, {record.time[-1]:g} s, {len(record.channels)} channels → {out}",

@@ -19,15 +19,22 @@ INTERRUPTED = 130
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines, and nothing else, on stdout.")]
 ModelOption = Annotated[str, typer.Option(help="Card: a .toml file, or a shipped one by name.", metavar="CARD")]
-SeedOption = Annotated[int, typer.Option(min=0, help="Same seed, same command, same machine: same numbers.")]
+SeedOption = Annotated[
+    int, typer.Option(min=0, max=2**32 - 1, help="Same seed, same command, same machine: same numbers.")
+]
 ResampleOption = Annotated[float | None, typer.Option(help="Resample unevenly sampled records to this time step in s.")]
+
+
+def teller(*, quiet: bool = False, highlight: bool = False) -> Console:
+    """A console for words that may hold names from files: square brackets in them are no markup."""
+    return Console(quiet=quiet, highlight=highlight, markup=False)
 
 
 @contextmanager
 def bar(first: str) -> Iterator[Callable[[str, float], None]]:
     """A bar with the time left on the terminal, silence elsewhere; tell it a stage and the share of it that is done."""
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as shown:
         task = shown.add_task(first, total=1.0)
         yield lambda text, share: shown.update(task, description=text, completed=share)
@@ -61,13 +68,14 @@ def kept_stages(out: Path) -> Callable[[], str]:
         written = [
             path.name
             for path in (sorted(out.iterdir()) if out.is_dir() else [])
-            if path.suffix != ".part" and path.stat().st_mtime >= began
+            if path.suffix != ".part" and not path.name.startswith(".") and path.stat().st_mtime >= began
         ]
         if not written:
             return f"no stage had finished, so {out} holds nothing new; give the same command to start again"
+        chains = " but goes on with the chain of emcee that was begun" if (out / ".chains").is_dir() else ""
         return (
             f"the stages that had finished are in {out} ({', '.join(written)}) and can be used as they are; "
-            "the same command does all stages again"
+            f"the same command does all stages again{chains and f',{chains}'}"
         )
 
     return told

@@ -11,7 +11,7 @@ import numpy as np
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
-from bayes_aero.flight.columns import MAX_VALUES, Column, foreign, located, vector
+from bayes_aero.flight.columns import MAX_VALUES, MOST_HEADINGS, Column, foreign, located, refuse_huge, vector
 from bayes_aero.flight.hdf5 import read_hdf5
 
 __all__ = ["read_mat", "read_netcdf", "read_parquet"]
@@ -46,7 +46,7 @@ def read_mat(data: bytes, channels: Sequence[Channel]) -> dict[str, Column]:
                 f"one numeric "
                 f"vector a channel (a struct: save(file, '-struct', 'name'))"
             )
-        _refuse_huge(channel, float(np.prod([float(extent) for extent in shape])))
+        refuse_huge(channel, float(np.prod([float(extent) for extent in shape])), len(wanted))
     with foreign("MATLAB file"), warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)
         values = loadmat(io.BytesIO(data), variable_names=[channel.heading for channel in wanted])
@@ -56,8 +56,11 @@ def read_mat(data: bytes, channels: Sequence[Channel]) -> dict[str, Column]:
 def _bounded_mat(data: bytes) -> None:
     """Refuse a compressed element that claims to unpack into more than a record can hold."""
     order = "little" if data[126:128] == b"IM" else "big"
-    position = 128
+    position, count = 128, 0
     while position + 8 <= len(data):
+        count += 1
+        if count > MOST_HEADINGS:
+            raise InputError(f"it has more than {MOST_HEADINGS} variables; is it a flight record?")
         kind = int.from_bytes(data[position : position + 4], order)
         size = int.from_bytes(data[position + 4 : position + 8], order)
         if kind == 15:  # miCOMPRESSED
@@ -81,6 +84,8 @@ def read_parquet(data: bytes, channels: Sequence[Channel]) -> dict[str, Column]:
     with foreign("Parquet file"):
         file = pq.ParquetFile(pa.BufferReader(data))
         schema = file.schema_arrow
+        groups = (file.metadata.row_group(i).num_rows for i in range(file.metadata.num_row_groups))
+        rows = max(file.metadata.num_rows, sum(groups))
     wanted = located(channels, list(schema.names), "column")
     for channel in wanted:
         field = schema.field(channel.heading)
@@ -91,7 +96,7 @@ def read_parquet(data: bytes, channels: Sequence[Channel]) -> dict[str, Column]:
                 f"it as plain "
                 f"numbers, and time as seconds"
             )
-        _refuse_huge(channel, file.metadata.num_rows)
+        refuse_huge(channel, rows, len(wanted))
     with foreign("Parquet file"):
         table = file.read(columns=[channel.heading for channel in wanted], use_threads=False)
         columns = {}
@@ -115,23 +120,15 @@ def read_netcdf(data: bytes, channels: Sequence[Channel]) -> dict[str, Column]:
         file = netcdf_file(io.BytesIO(data), "r", mmap=False, maskandscale=True)
         available = [str(name) for name in file.variables]
     columns = {}
-    for channel in located(channels, available, "variable"):
+    wanted = located(channels, available, "variable")
+    for channel in wanted:
         variable = file.variables[channel.heading]
         with foreign("NetCDF file"):
             raw = np.asarray(variable.data)
-            _refuse_huge(channel, raw.size)
+            refuse_huge(channel, raw.size, len(wanted))
             vector(raw, channel.name)  # before masking, which can fail on odd types
             values = np.ma.filled(np.ma.asarray(variable[:]).astype(np.float64), np.nan)
             unit = getattr(variable, "units", None)
         text = unit.decode("latin-1") if isinstance(unit, bytes) else None
         columns[channel.name] = Column(vector(values, channel.name), text)
     return columns
-
-
-def _refuse_huge(channel: Channel, size: float) -> None:
-    if size > MAX_VALUES:
-        raise InputError(
-            f"channel {channel.name} ({channel.heading!r}) claims {size:.0f} samples, more than "
-            f"{MAX_VALUES}; "
-            f"is the file damaged? Write it again"
-        )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +20,7 @@ from bayes_aero.flight.card_channels import (
 from bayes_aero.flight.card_checks import known_keys, number, numbers, refuse_unfilled, section
 from bayes_aero.flight.card_linear import LinearCard, parse_linear
 from bayes_aero.flight.channel import Channel
+from bayes_aero.flight.tables import is_file, read_table
 from bayes_aero.flight.tolerances import TOLERANCES, Tolerance
 from bayes_aero.parameter import Prior
 from bayes_aero.units import quantity_to_si
@@ -81,24 +81,17 @@ def shipped_cards() -> dict[str, Path]:
 
 
 def read_card(name_or_path: str | Path) -> Card:
-    """Read a card from a file, or a shipped one by name (`attas`)."""
-    path = Path(name_or_path)
-    if not path.is_file():
-        cards = shipped_cards()
-        if str(name_or_path) not in cards:
-            raise InputError(
-                f"there is no card {str(name_or_path)!r}: give a .toml file or one of {', '.join(cards) or 'none'}"
-            )
-        path = cards[str(name_or_path)]
-    try:
-        raw = path.read_bytes()
-        table = tomllib.loads(raw.decode("utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"card {path}: not valid TOML ({error}); mend that line") from None
-    except OSError as error:
+    """Read a card: a shipped one by its name (`attas`), any other from its file.
+
+    A shipped card's name always means that card, whatever lies in the working directory; `./attas` is a file.
+    """
+    cards = shipped_cards()
+    path = cards.get(str(name_or_path), Path(name_or_path))
+    if not is_file(path):
         raise InputError(
-            f"card {path}: cannot be read ({error.strerror}); check the path and its permissions"
-        ) from None
+            f"there is no card {str(name_or_path)[:200]!r}: give a .toml file or one of {', '.join(cards) or 'none'}"
+        )
+    raw, table = read_table(path, "card")
     return parse_card(table, path.stem, str(path), hashlib.sha256(raw).hexdigest())
 
 
@@ -160,7 +153,13 @@ def _files(given: Any, where: str) -> tuple[Path, ...]:
     """Paths as the card gives them, relative to its own folder."""
     if not (isinstance(given, list) and all(isinstance(name, str) for name in given)):
         raise InputError(f"card {where}: [model] effect_files must be a list of paths of Python files")
-    return tuple((Path(where).parent / name).resolve() for name in given)
+    for name in given:
+        if not name.isprintable() or not name.strip():
+            raise InputError(f"card {where}: [model] effect_files has {name!r}, which is no path of a Python file")
+    try:
+        return tuple((Path(where).parent / name).resolve() for name in given)
+    except OSError as error:
+        raise InputError(f"card {where}: [model] effect_files cannot be found ({error}); correct the path") from None
 
 
 def _aircraft(table: Mapping[str, Any], where: str) -> Aircraft:

@@ -10,6 +10,7 @@ from bayes_aero.flight.card_checks import known_keys
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.units import quantity_to_si
 
+MOST_COLUMNS = 2000
 ATMOSPHERE = "standard atmosphere"
 DERIVABLE = {"density": ("altitude",), "mach": ("altitude", "airspeed")}  # and what each is formed from
 
@@ -24,6 +25,8 @@ def parse_channel(key: str, given: Any, where: str) -> Channel:
     column = given.get("column")
     if column is not None and (isinstance(column, bool) or not isinstance(column, int) or column < 1):
         raise InputError(f"card {where}: channel {key} has column {column!r}; columns are counted from 1")
+    if column is not None and column > MOST_COLUMNS:
+        raise InputError(f"card {where}: channel {key} has column {column}; no file has more than {MOST_COLUMNS}")
     if column is None and "label" not in given:
         raise InputError(f"card {where}: channel {key} has neither column nor label; say where it stands in a file")
     label = given.get("label")

@@ -23,7 +23,7 @@ def known_keys(table: Mapping[str, Any], known: tuple[str, ...], where: str, wha
         if key not in known:
             close = get_close_matches(key, known, n=1)
             hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known)}"
-            raise InputError(f"card {where}: unknown {what} {key!r}; {hint}")
+            raise InputError(f"card {where}: unknown {what} {key[:60]!r}; {hint}")
 
 
 UNFILLED = "TODO"
@@ -47,7 +47,7 @@ def refuse_unfilled(table: Mapping[str, Any], where: str) -> None:
 def number(value: Any, where: str) -> float:
     """A plain number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"card {where}: {value!r} is not a number")
+        raise InputError(f"card {where}: {str(value)[:60]!r} is not a number")
     return float(value)
 
 

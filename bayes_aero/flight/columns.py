@@ -12,10 +12,17 @@ import numpy as np
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
 
-__all__ = ["MAX_VALUES", "Column", "foreign", "located", "vector"]
+__all__ = ["MAX_VALUES", "MOST_VALUES_IN_ALL", "Column", "foreign", "located", "refuse_huge", "vector"]
 
 MAX_VALUES = 20_000_000
 """Most samples that one channel may have; held against the file's header before memory is taken."""
+
+
+MOST_VALUES_IN_ALL = 100_000_000
+"""Most samples of all channels together: 0.8 GB. A compressed file of some kB can claim any number."""
+
+MOST_HEADINGS = 2000
+"""Most columns of a file; searching for a name among millions would take hours."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +35,8 @@ class Column:
 
 def located(channels: Sequence[Channel], available: Sequence[str], kind: str) -> list[Channel]:
     """The channels whose heading is among `available`; a required one must be, and none may be twice."""
+    if len(available) > MOST_HEADINGS:
+        raise InputError(f"it has {len(available)} {kind}s, more than {MOST_HEADINGS}; is it a flight record?")
     found = []
     for channel in channels:
         count = available.count(channel.heading)
@@ -56,6 +65,20 @@ def _absent(channel: Channel, available: Sequence[str], kind: str) -> str:
         f"channel {channel.name}: no {kind} is called {channel.heading!r}; {hint} "
         f"correct its label on the card, or set required = false"
     )
+
+
+def refuse_huge(channel: Channel, size: float, channels: int) -> None:
+    """Hold what a header claims for one of so many `channels` against what a record can have."""
+    if size > MAX_VALUES:
+        raise InputError(
+            f"channel {channel.name} ({channel.heading!r}) claims {size:.0f} samples, more than {MAX_VALUES}; "
+            f"is the file damaged? Write it again"
+        )
+    if size * channels > MOST_VALUES_IN_ALL:
+        raise InputError(
+            f"{channels} channels of {size:.0f} samples, as {channel.name} ({channel.heading!r}) claims, are more than "
+            f"{MOST_VALUES_IN_ALL} values; is the file damaged? Otherwise cut the record"
+        )
 
 
 def vector(values: np.ndarray, name: str) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
-from bayes_aero.flight.columns import MAX_VALUES, Column, located
+from bayes_aero.flight.columns import MAX_VALUES, MOST_VALUES_IN_ALL, Column, located
 
 __all__ = ["list_hdf5", "read_hdf5"]
 
@@ -51,7 +51,7 @@ def list_hdf5(data: bytes, kind: str) -> list[str]:
 def _ask(data: bytes, labels: list[str], kind: str) -> tuple[dict, bytes]:
     child = Path(__file__).with_name("hdf5_child.py")
     # -P: the child must not take this folder's text.py and the like for libraries.
-    command = [sys.executable, "-P", str(child), json.dumps(labels), str(MAX_VALUES)]
+    command = [sys.executable, "-P", str(child), json.dumps(labels), str(MAX_VALUES), str(MOST_VALUES_IN_ALL)]
     try:
         done = subprocess.run(command, input=data, capture_output=True, timeout=TIME_LIMIT, check=False)
     except subprocess.TimeoutExpired as reason:

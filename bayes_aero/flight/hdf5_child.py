@@ -3,7 +3,8 @@
 The HDF5 library is C code that can loop for ever on a damaged file (fuzzing found such files soon), and nothing
 interrupts a loop in C. The parent, `hdf5.py`, gives this process a time limit instead.
 
-In: the file on stdin, the wanted labels as JSON in argv[1], the most samples a channel may have in argv[2].
+In: the file on stdin, the wanted labels as JSON in argv[1], the most samples a channel may have in argv[2], that
+all may have together in argv[3].
 Out: one line of JSON, then the float64 samples of the vectors in its order. Failures: {"error": ...}.
 """
 
@@ -15,6 +16,7 @@ from contextlib import suppress
 import h5py
 import numpy as np
 
+TOO_MUCH = "and the others claim more values than a record may have; is the file damaged? Otherwise cut the record"
 MEMORY = 8 << 30
 """Bytes of address space for this process; a damaged header may ask for any amount."""
 
@@ -34,6 +36,11 @@ def _text(value):
 def _scalar(attributes, key, default):
     """A numeric attribute of CF conventions, or the default."""
     return float(np.asarray(attributes[key]).reshape(-1)[0]) if key in attributes else default
+
+
+def _is_dataset(file, label, available):
+    link = file.get(label, getlink=True) if label in available else None
+    return isinstance(link, h5py.HardLink) and isinstance(file[label], h5py.Dataset)
 
 
 def _read(dataset, label, most):
@@ -61,17 +68,17 @@ def _read(dataset, label, most):
 
 def main():
     _limit_memory()
-    labels, most = json.loads(sys.argv[1]), int(sys.argv[2])
+    labels, most, room = json.loads(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     found: list = []
     reply: dict = {}
     try:
         with h5py.File(io.BytesIO(sys.stdin.buffer.read()), "r") as file:
             reply["available"] = [str(name)[:100] for name, _ in zip(file, range(1000), strict=False)]
-            for label in labels:
-                link = file.get(label, getlink=True) if label in reply["available"] else None
-                if not isinstance(link, h5py.HardLink) or not isinstance(file[label], h5py.Dataset):
-                    continue
-                column, problem = _read(file[label], label, most)
+            wanted = {label: file[label] for label in labels if _is_dataset(file, label, reply["available"])}
+            sizes = [getattr(dataset, "size", None) or 0 for dataset in wanted.values()]
+            whole = sum(sizes) if max(sizes, default=0) <= most else 0  # one too large is told below
+            for label, dataset in wanted.items():
+                column, problem = _read(dataset, label, most) if whole <= room else (None, TOO_MUCH)
                 if column is None:
                     reply["problem"] = [label, problem]
                     break

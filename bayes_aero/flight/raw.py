@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import os
+import time
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +23,8 @@ __all__ = ["RawColumn", "RawFile", "read_raw"]
 
 MOST = 2000
 """Columns beyond this are not looked at."""
+
+PATIENCE = 20.0  # seconds
 
 
 @dataclass(frozen=True)
@@ -85,20 +89,24 @@ def read_raw(path: str | os.PathLike[str]) -> RawFile:
 
 
 def _read(reader: Reader, data: bytes, places: Sequence[Channel]) -> dict[str, Column]:
-    """All columns at once; where one is no numbers, each on its own, so that only it is lost."""
-    try:
-        return reader(data, places)
-    except InputError:
-        found: dict[str, Column] = {}
-        failure = InputError("it holds no column of numbers; is it the right file?")
-        for place in places:
-            try:
-                found |= reader(data, [place])
-            except InputError as reason:
-                failure = reason
-        if not found:
-            raise failure from None
-        return found
+    """All columns at once; where one is no numbers, each half on its own, so that only it is lost.
+
+    When `PATIENCE` is over, whatever has not been read is taken for no numbers.
+    """
+    found: dict[str, Column] = {}
+    failure = InputError("it holds no column of numbers; is it the right file?")
+    left = deque([list(places)])
+    began = time.monotonic()
+    while left and time.monotonic() - began < PATIENCE:
+        some = left.popleft()
+        try:
+            found |= reader(data, some)
+        except InputError as reason:
+            failure, half = reason, len(some) // 2
+            left.extend([some[:half], some[half:]] if half else [])
+    if not found:
+        raise failure from None
+    return found
 
 
 def _labels(path: Path, data: bytes) -> list[str]:

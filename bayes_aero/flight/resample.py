@@ -14,7 +14,7 @@ __all__ = ["MAX_GAP", "resample_record"]
 MAX_GAP = 5.0
 """Longest step, in median steps, that is bridged; beyond it interpolation would invent flight data."""
 
-MAX_SAMPLES = 10_000_000
+MAX_SAMPLES = 5_000_000
 
 # Angles that jump by a full turn in files; interpolating across the jump would sweep through the whole
 # circle.

@@ -13,6 +13,9 @@ from bayes_aero.flight.columns import Column, foreign, located
 
 __all__ = ["csv_headings", "read_columns", "read_csv", "width_of"]
 
+MOST_LINES, LONGEST_LINE = 5_000_000, 200_000
+"""Far beyond any record; each line costs some hundred bytes of memory beside its own."""
+
 Lines = list[tuple[int, str]]
 """Lines that carry data, each with its number in the file, counted from 1."""
 
@@ -91,11 +94,20 @@ def _lines(data: bytes, comments: str) -> Lines:
     """Decode; drop comments and blank lines."""
     if b"\0" in data:
         raise InputError("it is not a text file (it holds NUL bytes); is it misnamed, or UTF-16? Save it as UTF-8 text")
+    count = data.count(b"\n") + data.count(b"\r")
+    if count > MOST_LINES:
+        raise InputError(f"it has {count} lines, more than {MOST_LINES}; cut it to the manoeuvre")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("latin-1")  # older loggers: only the degree sign in a unit line is at stake
     rows = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    longest = max(rows, key=len)
+    if len(longest) > LONGEST_LINE:
+        number = rows.index(longest) + 1
+        raise InputError(
+            f"line {number} has {len(longest)} characters, more than {LONGEST_LINE}; is it a table at all?"
+        )
     # Only whole lines are comments: "#" occurs inside names, as in "N1 engine #2".
     lines = [
         (number, row.strip(" "))

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayes_aero.inference.checkpoint import BurnIn, Checkpoint, Stretch
 from bayes_aero.inference.laplace import Mode
 from bayes_aero.inference.posterior import Posterior, assemble, constrain_draws, converged, diagnose
 from bayes_aero.model.log_density import LogDensity
@@ -66,35 +67,80 @@ class _Target:
         return np.where(bad, -np.inf, value)
 
 
-def _sampler(target: _Target, walkers: int, proposal: _Independent, seed: int) -> emcee.EnsembleSampler:
+def _sampler(
+    target: _Target,
+    walkers: int,
+    proposal: _Independent,
+    seed: int | None,
+    backend: emcee.backends.Backend | None = None,
+) -> emcee.EnsembleSampler:
+    """With `backend` it goes on behind that chain, from the state of the generator that is kept with it."""
     size = target.density.size
     moves = [(emcee.moves.MHMove(proposal), INDEPENDENT), (emcee.moves.DEMove(), 1.0 - INDEPENDENT)]
-    sampler = emcee.EnsembleSampler(walkers, size, target, moves=moves, vectorize=True)
-    sampler.random_state = np.random.RandomState(seed).get_state()  # emcee takes this generator only
+    sampler = emcee.EnsembleSampler(walkers, size, target, moves=moves, vectorize=True, backend=backend)
+    if backend is None:
+        sampler.random_state = np.random.RandomState(seed).get_state()  # emcee takes this generator only
     return sampler
 
 
-def _burnt_in(target: _Target, walkers: int, ensembles: int, seed: int) -> list[emcee.EnsembleSampler]:
-    """Ensembles ready to be kept, with the proposal fitted to what all of them found while burning in.
+def _burnt_in(
+    target: _Target, walkers: int, ensembles: int, seed: int, store: Checkpoint | None, known: BurnIn | None
+) -> BurnIn:
+    """Where the ensembles begin, with the proposal fitted to what all of them found while burning in.
 
     The fit is repeated while it still raises the acceptance much: a skewed posterior is reached in several rounds.
+    `known` is what an earlier run has left of it.
     """
     size = target.density.size
-    proposal, before = _Independent(np.zeros(size), np.eye(size)), 0.0
-    begin = np.random.default_rng(seed).standard_normal((ensembles, walkers, size)) * 0.5
-    for number in range(ROUNDS):
+    if known is None:
+        begin = np.random.default_rng(seed).standard_normal((ensembles, walkers, size)) * 0.5
+        known = BurnIn(begin, np.zeros(size), np.eye(size), 0.0, 0, False, 0)
+    target.rejected = known.rejected
+    while not known.over:
+        number, begin, before = known.rounds, known.begin, known.accepted
+        proposal = _Independent(known.centre, known.factor)
         samplers = [_sampler(target, walkers, proposal, _seed(seed, i, number)) for i in range(ensembles)]
         _advance(samplers, BURN_IN, begin)
         begin = np.stack([np.asarray(s.get_chain())[-1] for s in samplers])
         found = np.concatenate([np.asarray(s.get_chain(discard=BURN_IN // 3, flat=True)) for s in samplers])
-        proposal = _Independent(found.mean(axis=0), np.linalg.cholesky(np.cov(found.T)))
         accepted = float(np.mean([s.acceptance_fraction for s in samplers]))
-        if accepted < ENOUGH_GAINED * before:
-            break
-        before = accepted
-    samplers = [_sampler(target, walkers, proposal, _seed(seed, i, ROUNDS)) for i in range(ensembles)]
-    _advance(samplers, CHUNK, begin)
+        over = accepted < ENOUGH_GAINED * before or number + 1 == ROUNDS
+        factor = np.linalg.cholesky(np.cov(found.T))
+        known = BurnIn(begin, found.mean(axis=0), factor, accepted, number + 1, over, target.rejected)
+        if store:
+            store.keep_burn_in(known)
+    return known
+
+
+def _continued(
+    target: _Target, walkers: int, ensembles: int, seed: int, known: BurnIn, steps: Stretch | None
+) -> list[emcee.EnsembleSampler]:
+    """Samplers after the burn-in, with the steps that they have made already."""
+    proposal = _Independent(known.centre, known.factor)
+    if steps is None:
+        samplers = [_sampler(target, walkers, proposal, _seed(seed, i, ROUNDS)) for i in range(ensembles)]
+        _advance(samplers, CHUNK, known.begin)
+        return samplers
+    target.rejected = steps.rejected
+    samplers = []
+    for i, state in enumerate(steps.random_states):
+        backend = emcee.backends.Backend()
+        backend.reset(walkers, target.density.size)
+        backend.chain, backend.log_prob, backend.accepted = steps.chain[i], steps.log_prob[i], steps.accepted[i]
+        backend.iteration, backend.random_state = steps.chain.shape[1], state
+        samplers.append(_sampler(target, walkers, proposal, None, backend))
     return samplers
+
+
+def _keep(samplers: list[emcee.EnsembleSampler], target: _Target, store: Checkpoint, kept: int) -> int:
+    """Put the steps beyond the `kept` ones on disk; the number of all."""
+    steps = samplers[0].iteration
+    if steps > kept:
+        backends = [s.backend for s in samplers]
+        chain, log_prob = (np.stack([getattr(b, key)[kept:steps] for b in backends]) for key in ("chain", "log_prob"))
+        accepted, states = np.stack([b.accepted for b in backends]), [b.random_state for b in backends]
+        store.keep(Stretch.of(chain, log_prob, accepted, states, target.rejected), kept)
+    return steps
 
 
 def _seed(seed: int, ensemble: int, number: int) -> int:
@@ -133,18 +179,26 @@ def sample_ensemble(
     max_steps: int = MAX_STEPS,
     progress: Callable[[str, float], None] | None = None,
     predictive: bool = True,
+    checkpoint: Checkpoint | None = None,
 ) -> Posterior:
     """Sample until every parameter reaches the targets of ESS and R-hat and the run spans many autocorrelation times.
 
     Moves, chosen by measurement (benchmarks/README.md): independence proposals from a Student t fitted to the burn-in,
     mixed with differential evolution. The proposal is frozen before the kept draws begin. `progress(text, share)` is
-    called after every stretch of steps.
+    called after every stretch of steps. With a `checkpoint` every stretch is on disk before the next begins, and a run
+    that was killed goes on behind the last one, to the chain that it would have had.
     """
     began = time.perf_counter()
     walkers = 2 * (density.size + 2)
     target = _Target(density, mode)
-    samplers = _burnt_in(target, walkers, ensembles, seed)
+    settings = np.array([seed, ensembles, walkers, CHUNK, BURN_IN, ROUNDS])
+    known, steps_made = checkpoint.begin(mode.u, mode.factor, settings) if checkpoint else (None, None)
+    known = _burnt_in(target, walkers, ensembles, seed, checkpoint, known)
+    samplers = _continued(target, walkers, ensembles, seed, known, steps_made)
+    kept = 0 if steps_made is None else samplers[0].iteration
     while True:
+        if checkpoint:
+            kept = _keep(samplers, target, checkpoint, kept)
         tau = _autocorrelation_time(samplers)
         steps = samplers[0].iteration
         if progress:

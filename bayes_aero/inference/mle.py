@@ -25,6 +25,7 @@ from bayes_aero.physics.coefficients import NAMES
 MAX_ITERATIONS = 100
 DECREMENT = 1e-7  # expected gain in log-likelihood of one more step, at which it stops: 5e-4 of a Cramer-Rao deviation
 SINGULAR = 1e-11  # smallest eigenvalue of the information scaled to unit diagonal
+MOST_ALONE = 24  # manoeuvres that are fitted one by one, too
 FROZEN_X = 0.05  # a separation point that moves less than this over a record says nothing of the stall
 
 
@@ -200,6 +201,16 @@ def fit_mle(
         for run, good in zip(runs, sound, strict=True)
     )
     return _report(model, observations, best, any(sound), table)
+
+
+def fit_alone(model: Model, observations: Observations, *, seed: int = 0) -> dict[str, MleResult]:
+    """Each manoeuvre by itself, by name; none where there is one only, or more than `MOST_ALONE`.
+
+    Every length of a manoeuvre is compiled anew, some seconds each.
+    """
+    count = len(observations.names)
+    alone = range(count) if 1 < count <= MOST_ALONE else range(0)
+    return {observations.names[i]: fit_mle(model, observations.only(i), seed=seed) for i in alone}
 
 
 def _report(

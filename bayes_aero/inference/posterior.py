@@ -23,6 +23,7 @@ from bayes_aero.physics.coefficients import NAMES
 TARGET_ESS = 400.0
 TARGET_RHAT = 1.01
 PREDICTIVE_DRAWS = 50  # per chain, for the groups with one value per sample
+PREDICTIVE_VALUES = 20_000_000  # of each of these groups; a record of 200,000 samples keeps fewer draws
 
 
 class PosteriorStatus(Enum):
@@ -161,7 +162,8 @@ def _sample_groups(
     density: Density, draws: np.ndarray, prior: np.ndarray, rng: np.random.Generator
 ) -> dict[str, dict[str, np.ndarray]]:
     chains, length, size = draws.shape
-    kept = min(PREDICTIVE_DRAWS, length)
+    most = PREDICTIVE_VALUES // (3 * chains * density.observations.n)
+    kept = min(PREDICTIVE_DRAWS, length, max(2, most))
     thin = np.linspace(0, length - 1, kept).astype(int)
     shape = (chains, kept, density.observations.n, 3)
     white = rng.standard_normal((chains * kept, *shape[2:]))

@@ -20,6 +20,7 @@ SplitKind = Literal["random", "block", "manoeuvre"]
 Index = Int[np.ndarray, " n"] | Int[jax.Array, " n"]
 
 TRAIN_SHARE = 0.7  # the seed paper's 70/30
+MOST_FOLDS = 10  # of manoeuvres; more than so many are held back in groups, or training grows with their square
 BLOCK_SECONDS = 4.0  # our choice: about 100 samples, longer than the memory of the residuals (1-2 s)
 
 
@@ -43,7 +44,8 @@ def make_splits(
     """Splits of the samples whose manoeuvre is `manoeuvre_index` (n,), sampled every `dt` seconds.
 
     `random` and `block` give one 70/30 split (ask again with another seed for more); `manoeuvre` gives one
-    fold for each manoeuvre, held back while all the others train: for two, both directions.
+    fold for each manoeuvre (beyond ten for each of ten groups), held back while all the others train: for two, both
+    directions.
     """
     index = np.asarray(manoeuvre_index)
     if index.ndim != 1 or index.size < 10:
@@ -96,4 +98,7 @@ def _manoeuvre(index: np.ndarray) -> list[Split]:
             "A manoeuvre split needs at least two records, one to train on and one to predict; "
             "add a record or use the block split."
         )
-    return [_split(f"manoeuvre {held}", index != held) for held in names]
+    if names.size <= MOST_FOLDS:
+        return [_split(f"manoeuvre {held}", index != held) for held in names]
+    groups = np.array_split(names, MOST_FOLDS)
+    return [_split(f"manoeuvres {held[0]} to {held[-1]}", ~np.isin(index, held)) for held in groups]

@@ -19,6 +19,7 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from bayes_aero.errors import InputError
 from bayes_aero.inference.gp import GPFit, Priors, fit_gp
+from bayes_aero.inference.gp.fit import MAX_SAMPLES, too_many
 from bayes_aero.inference.gp.sample import forget_compiled
 from bayes_aero.inference.identification import GPReport, Validation
 from bayes_aero.inference.mle import MleResult, fit_mle
@@ -51,12 +52,13 @@ def validate(
     seed: int = 0,
     kinds: tuple[SplitKind, ...] = KINDS,
     sample: bool = True,
+    approximate: bool = False,
     progress: Callable[[str, float], None] | None = None,
 ) -> GPReport:
     """Train on each split's training points and score on its test points, both models on the same ones.
 
     Hyperparameters are sampled, if `sample`, for the first fold of the `chosen` split; for the others, at their mode.
-    A split that the records do not allow (`manoeuvre` with one record) is left out.
+    A split that the records do not allow (`manoeuvre` with one record) is left out. `approximate`: see `fit_gp`.
     """
     began = time.perf_counter()
     if len(observations.names) < 2:
@@ -76,9 +78,14 @@ def validate(
     ]
     tasks.sort(key=lambda task: not task.sampled)  # the long ones first
     largest = max(len(f.train_idx) for folds in splits.values() for f in folds)
+    if largest > MAX_SAMPLES and not approximate:
+        raise InputError(too_many(largest))
+    largest = min(largest, MAX_SAMPLES)
     tidy = largest >= WORTH_PROCESSES  # below, compiling anew for every fit costs more than memory is worth
     work = (
-        delayed(_trained)(X, z[:, t.column], inputs, splits[t.kind][t.fold], t.column, t.sampled, seed, tidy)
+        delayed(_trained)(
+            X, z[:, t.column], inputs, splits[t.kind][t.fold], t.column, t.sampled, seed, tidy, approximate
+        )
         for t in tasks
     )
     trained: dict[_Task, tuple[GPFit | None, dict[str, Any]]] = {}
@@ -161,6 +168,7 @@ def _trained(
     sampled: bool,
     seed: int,
     tidy: bool,
+    approximate: bool,
 ) -> tuple[GPFit | None, dict[str, Any]]:
     """The fit, if it was sampled, and the process's part of a `Validation`; self-contained, for it runs elsewhere."""
     fit = fit_gp(
@@ -171,6 +179,7 @@ def _trained(
         priors=Priors.quasi_steady(),
         sample=sampled,
         seed=seed,
+        approximate=approximate,
         progress=lambda _: None,
     )
     if tidy:
@@ -185,6 +194,12 @@ def _trained(
         "gp_scores": score(measured, prediction.mean),
         "coverage": prediction.coverage(measured),
         "k_hat": float(fit.k_hat) if np.isfinite(fit.k_hat) else None,
-        "status": fit.status.value if sampled else fit.map_status.value,
+        "status": _status(fit, sampled),
     }
     return fit if sampled else None, part
+
+
+def _status(fit: GPFit, sampled: bool) -> str:
+    """How it ended and, where it is approximated, how well."""
+    ended = fit.status.value if sampled else fit.map_status.value
+    return ended if fit.approximation is None else f"{ended} Approximated: {fit.approximation.sentence}."

@@ -18,8 +18,8 @@ from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import marks, named_apart, with_sums
-from bayes_aero.physics.coefficients import REQUIRED, Signals, condition
+from bayes_aero.model.observations import MARKS, named_apart, plain_marks, with_sums
+from bayes_aero.physics.coefficients import REQUIRED, Signals, condition_joined
 
 
 class Flights(eqx.Module):
@@ -49,12 +49,7 @@ class Flights(eqx.Module):
 
     def conditioned(self, channels: Mapping[str, Array]) -> Signals:
         """Smoothed and differentiated signals, manoeuvre by manoeuvre."""
-        begin, parts = 0, []
-        for length in self.lengths:
-            piece = {name: values[begin : begin + length] for name, values in channels.items()}
-            parts.append(condition(piece, piece["dt"][0]))
-            begin += length
-        return {name: jnp.concatenate([part[name] for part in parts]) for name in parts[0]}
+        return condition_joined(channels, *(self.channels[name] for name in ("dt", "first", "last")))
 
 
 def response_scales(
@@ -70,7 +65,7 @@ def response_scales(
     return jax.jvp(correct, (own,), ({name: jnp.ones_like(x) for name, x in own.items()},))[1]
 
 
-ADDED = ("dt", "start", "elapsed", "first", "last")
+ADDED = MARKS
 
 
 def join(records: Sequence[FlightRecord], card: Card, required: Sequence[str] = REQUIRED) -> Flights:
@@ -85,11 +80,11 @@ def join(records: Sequence[FlightRecord], card: Card, required: Sequence[str] = 
                 raise InputError(f"record {record.name} has no channel {need}; map it on the card")
     parts, offset = [], 0
     for record in records:
-        parts.append(with_sums(record, card) | marks(record.n, record.dt, offset))
+        parts.append(with_sums(record, card) | plain_marks(record.n, record.dt, offset))
         offset += record.n
     shared = set.intersection(*(set(part) for part in parts))
     return Flights(
-        channels={name: jnp.concatenate([jnp.asarray(part[name]) for part in parts]) for name in sorted(shared)},
+        channels={name: jnp.asarray(np.concatenate([part[name] for part in parts])) for name in sorted(shared)},
         aircraft=card.aircraft,
         manoeuvre=np.repeat(np.arange(len(records)), [record.n for record in records]),
         time=np.concatenate([np.asarray(record.time) for record in records]),

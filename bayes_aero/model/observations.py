@@ -9,7 +9,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
@@ -18,7 +18,7 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import air
-from bayes_aero.physics.coefficients import REQUIRED, coefficient_noise, coefficients, condition
+from bayes_aero.physics.coefficients import REQUIRED, coefficient_noise, coefficients, condition_joined
 from bayes_aero.physics.filters import FILTER_STEP
 
 
@@ -94,25 +94,29 @@ class Observations(eqx.Module):
         return eqx.tree_at(lambda o: o.measured, self, jnp.asarray(measured))
 
 
-def with_sums(record: FlightRecord, card: Card) -> dict[str, Float[Array, " n"]]:
-    """The record's channels with what the card states, where nothing was recorded, and its sums (total thrust)."""
-    channels = {name: jnp.full(record.n, value) for name, value in card.constants.items()}
+def with_sums(record: FlightRecord, card: Card) -> dict[str, Float[np.ndarray, " n"]]:
+    """The record's channels with what the card states, where nothing was recorded, and its sums (total thrust).
+
+    As NumPy arrays: for JAX every new length of a record is another program to compile.
+    """
+    channels = {name: np.full(record.n, value) for name, value in card.constants.items()}
     channels |= _from_altitude(record, card.derived)
-    channels |= {name: jnp.asarray(values) for name, values in record.channels.items()}
+    channels |= record.channels
     for name, parts in card.sums.items():
-        found = (channels[part] if part in channels else jnp.asarray(record[part]) for part in parts)
-        channels[name] = sum(found, start=jnp.zeros(record.n))
+        found = (channels[part] if part in channels else record[part] for part in parts)
+        channels[name] = sum(found, start=np.zeros(record.n))
     return channels
 
 
-def _from_altitude(record: FlightRecord, wanted: Sequence[str]) -> dict[str, Float[Array, " n"]]:
+def _from_altitude(record: FlightRecord, wanted: Sequence[str]) -> dict[str, Float[np.ndarray, " n"]]:
     """Density and Mach number in a standard atmosphere at the recorded altitude."""
     if not (wanted and record.has("altitude")):
         return {}
-    density, sound = air(jnp.asarray(record["altitude"]))
+    longer = np.resize(record["altitude"], 1 << (record.n - 1).bit_length())  # few lengths, few programs
+    density, sound = (np.asarray(values)[: record.n] for values in air(jnp.asarray(longer)))
     found = {"density": density}
     if record.has("airspeed"):
-        found["mach"] = jnp.asarray(record["airspeed"]) / sound
+        found["mach"] = record["airspeed"] / sound
     return {name: found[name] for name in wanted if name in found}
 
 
@@ -124,15 +128,23 @@ def named_apart(records: Sequence[FlightRecord]) -> list[str]:
     return names
 
 
+MARKS = ("dt", "start", "elapsed", "first", "last")
+
+
 def marks(n: int, dt: float, first: int = 0) -> dict[str, Array]:
     """What effects of stage CHANNEL find beside the channels of one manoeuvre of `n` samples, the first at `first`."""
-    index = jnp.arange(n)
+    return {name: jnp.asarray(values) for name, values in plain_marks(n, dt, first).items()}
+
+
+def plain_marks(n: int, dt: float, first: int) -> dict[str, Shaped[np.ndarray, " n"]]:
+    """`marks` as NumPy arrays."""
+    index = np.arange(n)
     return {
-        "dt": jnp.full(n, dt),
+        "dt": np.full(n, dt),
         "start": index == 0,
         "elapsed": index * dt,
-        "first": jnp.full(n, first),
-        "last": jnp.full(n, first + n - 1),
+        "first": np.full(n, first),
+        "last": np.full(n, first + n - 1),
     }
 
 
@@ -146,31 +158,29 @@ def observe(records: Sequence[FlightRecord], card: Card, model: Model) -> Observ
     names = named_apart(records)
     values = _settled(model)
     aircraft = model.actual_aircraft(values, card.aircraft)
-    parts = []
-    for number, record in enumerate(records):
+    parts, offset = [], 0
+    for record in records:
         channels = with_sums(record, card)
         for need in dict.fromkeys((*REQUIRED, *model.channels)):
             if need not in channels and need != "alpha_dot":
                 raise InputError(
                     f"record {record.name} has no channel {need}, which the model needs; map it on the card"
                 )
-        beside = marks(record.n, record.dt)
-        true = model.corrected(values, channels | beside, aircraft)
-        signals = condition({name: true[name] for name in channels}, record.dt)
-        z = jnp.stack(coefficients(signals, aircraft), axis=-1)
-        noise = coefficient_noise(signals, aircraft, card.sensors, record.dt)
-        start = np.arange(record.n) == 0
-        signals = signals | {"dt": beside["dt"], "start": beside["start"]}
-        parts.append((signals, z, noise, start, np.full(record.n, number), np.asarray(record.time)))
-    shared = set.intersection(*(set(part[0]) for part in parts))
-    signals = {key: jnp.concatenate([part[0][key] for part in parts]) for key in sorted(shared)}
+        parts.append(channels | plain_marks(record.n, record.dt, offset))
+        offset += record.n
+    shared = set.intersection(*(set(part) for part in parts))
+    joined = {key: jnp.asarray(np.concatenate([part[key] for part in parts])) for key in sorted(shared)}
+    beside = {key: joined.pop(key) for key in MARKS}
+    true = model.corrected(values, joined | beside, aircraft)
+    signals = condition_joined({key: true[key] for key in joined}, *(beside[key] for key in ("dt", "first", "last")))
+    noise = coefficient_noise(signals, aircraft, card.sensors, beside["dt"])
     return Observations(
-        signals=signals,
-        measured=jnp.concatenate([part[1] for part in parts]),
-        sensor_noise=jnp.concatenate([part[2] for part in parts]),
-        start=jnp.asarray(np.concatenate([part[3] for part in parts])),
-        manoeuvre=np.concatenate([part[4] for part in parts]),
-        time=np.concatenate([part[5] for part in parts]),
+        signals=dict(sorted((signals | {key: beside[key] for key in ("dt", "start")}).items())),
+        measured=jnp.stack(coefficients(signals, aircraft), axis=-1),
+        sensor_noise=jnp.asarray(noise),
+        start=beside["start"],
+        manoeuvre=np.repeat(np.arange(len(records)), [record.n for record in records]),
+        time=np.concatenate([np.asarray(record.time) for record in records]),
         aircraft=aircraft,
         names=tuple(names),
     )

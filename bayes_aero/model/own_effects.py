@@ -12,18 +12,20 @@ from bayes_aero.effect import Effect
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 
+MOST_BYTES = 1 << 20
+
 
 def own_effects(files: Sequence[Path]) -> dict[str, Effect]:
     """Every `Effect` at the top level of `files`, by name.
 
-    The files are run: they are code, trusted as the card that names them is. Read once for each content, so that the
-    same effect is the same object, and what was compiled for it serves again.
+    The files are run: they are code. Whoever names a card by its path trusts its files; a study must be told to. Read
+    once for each content, so that the same effect is the same object, and what was compiled for it serves again.
     """
     found: dict[str, Effect] = {}
     for path in files:
         try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
+            text = _text(path)
+        except (OSError, ValueError) as error:
             raise InputError(f"effect file {path} cannot be read ({error}); mend the path on the card") from None
         for effect in _run(path, text):
             if effect.name in CATALOGUE or effect.name in found:
@@ -39,6 +41,16 @@ def own_effects(files: Sequence[Path]) -> dict[str, Effect]:
     return found
 
 
+def _text(path: Path) -> str:
+    if not path.is_file():
+        raise FileNotFoundError("there is no such file")
+    with path.open("rb") as handle:
+        raw = handle.read(MOST_BYTES + 1)
+    if len(raw) > MOST_BYTES:
+        raise ValueError(f"it has more than {MOST_BYTES} bytes")
+    return raw.decode("utf-8")
+
+
 @lru_cache(maxsize=32)
 def _run(path: Path, text: str) -> tuple[Effect, ...]:
     module = ModuleType(f"own_effects_{path.stem}_{abs(hash((path, text))):x}")
@@ -46,7 +58,7 @@ def _run(path: Path, text: str) -> tuple[Effect, ...]:
     sys.modules[module.__name__] = module  # dataclasses look their module up there
     try:
         exec(compile(text, str(path), "exec"), module.__dict__)
-    except Exception as error:  # whatever a user's code may raise
+    except (Exception, SystemExit) as error:  # whatever a user's code may raise
         del sys.modules[module.__name__]
         raise InputError(f"effect file {path} does not run: {type(error).__name__}: {error}") from None
     defined = (value for value in vars(module).values() if isinstance(value, Effect))

@@ -7,16 +7,23 @@ Source: Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, ch. 1
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.physics.filters import SMOOTHED_DERIVATIVE_GAIN, SMOOTHING_GAIN, differentiate, smooth
+from bayes_aero.physics.filters import (
+    SMOOTHED_DERIVATIVE_GAIN,
+    SMOOTHING_GAIN,
+    differentiate,
+    differentiate_joined,
+    smooth,
+    smooth_joined,
+)
 from bayes_aero.physics.frames import lift_drag_from_body
 from bayes_aero.physics.kinematics import Rotation, lever_arm
 
@@ -26,6 +33,7 @@ RATES = ("p", "q", "r")
 REQUIRED = ("ax", "az", "p", "q", "r", "alpha", "airspeed", "density", "thrust")
 
 Signals = dict[str, Float[Array, "*n"]]
+Filter = Callable[[Float[Array, " n"]], Float[Array, " n"]]
 
 
 class Coefficients(NamedTuple):
@@ -41,13 +49,31 @@ def condition(channels: Mapping[str, Float[Array, " n"]], dt: float | Float[Arra
 
     Adds `alpha_dot`, `p_dot`, `q_dot`, `r_dot` (derivatives of the smoothed signals), replacing recorded ones.
     """
+    return _conditioned(channels, smooth, lambda x: differentiate(x, dt))
+
+
+def condition_joined(
+    channels: Mapping[str, Float[Array, " n"]],
+    dt: Float[Array, " n"],
+    first: Int[Array, " n"],
+    last: Int[Array, " n"],
+) -> Signals:
+    """`condition` of manoeuvres laid end to end, `first` and `last` being the ends of each sample's own."""
+    return _conditioned(
+        channels,
+        lambda x: smooth_joined(x, first, last),
+        lambda x: differentiate_joined(x, dt, first, last),
+    )
+
+
+def _conditioned(channels: Mapping[str, Any], smoothing: Filter, derivative: Filter) -> Signals:
     signals = {name: jnp.asarray(values) for name, values in channels.items()}
     # One filter over all channels stacked compiles several times faster than one filter each.
     names = [name for name in SMOOTHED if name in signals]
-    smoothed = jax.vmap(smooth)(jnp.stack([signals[name] for name in (*names, *RATES)]))
+    smoothed = jax.vmap(smoothing)(jnp.stack([signals[name] for name in (*names, *RATES)]))
     signals |= dict(zip(names, smoothed, strict=False))
     derived = (signals["alpha"], *smoothed[len(names) :])
-    slopes = jax.vmap(lambda x: differentiate(x, dt))(jnp.stack(derived))
+    slopes = jax.vmap(derivative)(jnp.stack(derived))
     return signals | dict(zip(("alpha_dot", *(f"{name}_dot" for name in RATES)), slopes, strict=True))
 
 
@@ -76,7 +102,10 @@ def coefficients(signals: Mapping[str, Float[Array, "*n"]], aircraft: Aircraft) 
 
 
 def coefficient_noise(
-    signals: Mapping[str, Float[Array, " n"]], aircraft: Aircraft, sensor_sd: Mapping[str, float], dt: float
+    signals: Mapping[str, Float[Array, " n"]],
+    aircraft: Aircraft,
+    sensor_sd: Mapping[str, float],
+    dt: float | Float[Array, " n"],
 ) -> Float[np.ndarray, "n 3"]:
     """Standard deviation of CL, CD, Cm per sample from independent white sensor noise of deviation `sensor_sd` (SI).
 
@@ -84,15 +113,16 @@ def coefficient_noise(
     away from the outer eight samples; a raw rate and the derivative of its smoothed self are uncorrelated at one
     sample because the one filter is even and the other odd.
     """
-    sd = {name: value * (SMOOTHING_GAIN if name in SMOOTHED else 1.0) for name, value in sensor_sd.items()}
+    noisy = {name: value for name, value in sensor_sd.items() if value != 0.0}
+    sd: dict[str, Any] = {name: value * (SMOOTHING_GAIN if name in SMOOTHED else 1.0) for name, value in noisy.items()}
     for name in ("p", "q", "r"):
-        if name in sensor_sd:
-            sd[f"{name}_dot"] = sensor_sd[name] * SMOOTHED_DERIVATIVE_GAIN / dt
+        if name in noisy:
+            sd[f"{name}_dot"] = noisy[name] * SMOOTHED_DERIVATIVE_GAIN / dt
     variance = 0.0
     for name, value in sd.items():
-        if name not in signals or value == 0.0:
+        if name not in signals:
             continue
         perturbed = {k: jnp.ones_like(v) if k == name else jnp.zeros_like(v) for k, v in signals.items()}
         _, slope = jax.jvp(lambda s: coefficients(s, aircraft), (dict(signals),), (perturbed,))
-        variance = variance + jnp.square(jnp.stack(slope, axis=-1) * value)
+        variance = variance + jnp.square(jnp.stack(slope, axis=-1) * jnp.asarray(value)[..., None])
     return np.asarray(jnp.sqrt(jnp.broadcast_to(variance, (signals["alpha"].shape[0], 3))))

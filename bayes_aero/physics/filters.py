@@ -72,6 +72,32 @@ def differentiate(x: Float[Array, " n"], dt: float | Float[Array, ""] | Float[Ar
     return jnp.concatenate([body[:1], body[:1], body, body[-1:], body[-1:]]) / dt
 
 
+def smooth_joined(x: Float[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"]) -> Float[Array, " n"]:
+    """`smooth` of manoeuvres laid end to end; `first` and `last` are the ends of the one that a sample belongs to.
+
+    One program for any number of manoeuvres of any lengths: cut into pieces, every new length would be compiled.
+    """
+    inside = _inside(x.shape[0], first, last)
+    wide, short = (jnp.convolve(x, jnp.asarray(kernel), mode="same") for kernel in (SPENCER, SHORT_SMOOTHER))
+    return jnp.where(inside >= 7, wide, jnp.where(inside >= 3, short, x))
+
+
+def differentiate_joined(
+    x: Float[Array, " n"], dt: Float[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"]
+) -> Float[Array, " n"]:
+    """`differentiate` of manoeuvres laid end to end, each at least 20 samples long."""
+    n = x.shape[0]
+    inner, near = (_central(jnp.pad(x, len(weights)), weights) for weights in (EIGHTH_ORDER, FOURTH_ORDER))
+    slope = jnp.where(_inside(n, first, last) >= 8, inner, near)
+    return slope[jnp.clip(jnp.arange(n), first + 2, last - 2)] / dt
+
+
+def _inside(n: int, first: Int[Array, " n"], last: Int[Array, " n"]) -> Int[Array, " n"]:
+    """Samples to the nearer end of the manoeuvre."""
+    place = jnp.arange(n)
+    return jnp.minimum(place - first, last - place)
+
+
 def recurrence(keep: Float[Array, "n ..."], drive: Float[Array, "n ..."]) -> Float[Array, "n ..."]:
     """x[k] = keep[k] x[k-1] + drive[k] along the first axis, x before the first sample being zero.
 

@@ -15,7 +15,7 @@ from bayes_aero.inference.scores import Scores, score
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.diagnosed import Fitted, Ranking, View
 from bayes_aero.report.figures_flight import SYMBOLS, shown_in
-from bayes_aero.report.style import COLOURS, NotDrawn, bracket, column_width, for_people, housed, panels
+from bayes_aero.report.style import COLOURS, NotDrawn, bracket, column_width, for_people, housed, panels, refuse_many
 from bayes_aero.report.words_diagnosis import SPLITS, size_text
 
 RESPONSES = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot")  # what the forces make, not what makes them
@@ -36,6 +36,7 @@ def models_of(view: View) -> list[tuple[str, str, Fitted]]:
 def measured_simulated(view: View) -> Figure:
     """Coefficients measured and simulated by both models, the error between them shaded; a column per manoeuvre."""
     models, count = models_of(view), len(view.names)
+    refuse_many(count)
     rows = len(NAMES) * len(models)
     figure, axes = panels(rows, count, (column_width(count) * count, 1.75 * rows + 1.2), sharex="col", sharey=False)
     for c, name in enumerate(NAMES):

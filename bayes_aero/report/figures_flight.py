@@ -12,7 +12,7 @@ from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.scores import score
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.predictions import Predicted, broken, clock, predicted, what_is_shown
-from bayes_aero.report.style import COLOURS, NotDrawn, bracket, column_width, for_people, housed, panels
+from bayes_aero.report.style import COLOURS, NotDrawn, bracket, column_width, for_people, housed, panels, refuse_many
 
 # Channels of figure 1, in the seed paper's order, then what else tells a manoeuvre.
 HISTORY = ("alpha", "theta", "q", "elevator", "ax", "az", "airspeed", "altitude", "mach", "thrust")
@@ -46,6 +46,7 @@ def _channel(identification: Identification, record: FlightRecord, name: str) ->
 def time_history(identification: Identification) -> Figure:
     """What was flown: one column per manoeuvre, one row per channel, angles in degrees."""
     records = identification.records
+    refuse_many(len(records))
     values = {name: [_channel(identification, record, name) for record in records] for name in HISTORY}
     rows = [name for name, columns in values.items() if any(c is not None for c in columns)]
     width = column_width(len(records))
@@ -82,6 +83,7 @@ def gpr_fit(identification: Identification) -> Figure:
     if identification.gp is None:
         raise NotDrawn("this run has no Gaussian process")
     count = len(identification.observations.names)
+    refuse_many(count)
     figure, axes = panels(len(NAMES), count, (column_width(count) * count, 8.0), sharex="col", sharey="row")
     for row, name in zip(axes, NAMES, strict=True):
         points = predicted(identification, name)
@@ -99,6 +101,7 @@ def gpr_fit(identification: Identification) -> Figure:
 def _validation(identification: Identification, name: str) -> Figure:
     """One coefficient over time, measured and predicted, with the errors below; a column per manoeuvre."""
     count = len(identification.observations.names)
+    refuse_many(count)
     size = (column_width(count) * count, 6.5)
     figure, axes = panels(2, count, size, sharex="col", sharey="row", height_ratios=(2, 1))
     points = predicted(identification, name)

@@ -10,7 +10,7 @@ from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.scores import score
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.predictions import predicted, what_is_shown
-from bayes_aero.report.style import COLOURS, column_width, housed, panels
+from bayes_aero.report.style import COLOURS, column_width, housed, panels, refuse_many
 
 
 def _correlation(identification: Identification, name: str) -> Figure:
@@ -64,6 +64,7 @@ def hysteresis(identification: Identification) -> Figure:
     if points.gp is not None:
         sources.append(("GPR", points.index, points.gp))
     rows = len(o.names)
+    refuse_many(rows)
     size = (4.4 * len(sources), min(3.6, 0.8 * column_width(rows)) * rows + 0.9)
     figure, axes = panels(rows, len(sources), size, sharex=True, sharey=True)
     for number, row in enumerate(axes):

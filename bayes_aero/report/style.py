@@ -69,6 +69,10 @@ RC: dict[str, Any] = {
 }
 
 
+MOST_MANOEUVRES = 12
+"""Manoeuvres for which figures with a panel for each are drawn."""
+
+
 class NotDrawn(Exception):  # noqa: N818 - not an error: the run simply has nothing to show there
     """The run holds nothing for this figure; the text says what is missing."""
 
@@ -109,6 +113,12 @@ def panels(rows: int, columns: int, size: tuple[float, float], **options: Any) -
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, **options)
     return figure, axes
+
+
+def refuse_many(manoeuvres: int) -> None:
+    """Say that there are too many for a figure with a panel for each; the page shows the first ones."""
+    if manoeuvres > MOST_MANOEUVRES:
+        raise NotDrawn(f"it has a panel for each manoeuvre, and {manoeuvres} are more than {MOST_MANOEUVRES}")
 
 
 def grid_of(count: int, columns: int, cell: tuple[float, float], **options: Any) -> tuple[Figure, list[Axes]]:

@@ -11,6 +11,7 @@ from typing import Any
 
 from bayes_aero.errors import InputError
 from bayes_aero.studies.environment import write_environment
+from bayes_aero.studies.folder import writable
 from bayes_aero.studies.provenance import write_text
 from bayes_aero.studies.study import Study, Unit
 from bayes_aero.studies.summary import write_summary
@@ -67,7 +68,8 @@ def run_study(
 def prepare(study: Study, out: Path) -> None:
     """The results folder with the study's copy and the environment."""
     try:
-        (out / UNITS).mkdir(parents=True, exist_ok=True)
+        writable(out)
+        writable(out / UNITS)
         sweep(out / UNITS)
         text = study.path.read_text(encoding="utf-8")
         copy = out / COPY

@@ -25,9 +25,10 @@ from bayes_aero.report.page_diagnosis import Told, diagnosis_page
 from bayes_aero.report.tables import write_csv
 from bayes_aero.report.words_diagnosis import causes_frame, revealed, screen_frame, sentences
 from bayes_aero.studies.diagnosis_results import diagnosis_results
+from bayes_aero.studies.folder import writable
 from bayes_aero.studies.hidden import draw_hidden, flyable
 from bayes_aero.studies.outlook import separations
-from bayes_aero.studies.provenance import provenance, writable, write_json
+from bayes_aero.studies.provenance import provenance, write_json
 
 Progress = Callable[[str, float], None]
 Hidden = Mapping[str, Mapping[str, float]]

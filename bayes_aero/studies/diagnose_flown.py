@@ -19,8 +19,9 @@ from bayes_aero.report.page_diagnosis import Told, flown_page
 from bayes_aero.report.style import several
 from bayes_aero.report.words_diagnosis import diagnosis_sentences
 from bayes_aero.studies.diagnosis_results import SCHEMA, cause_results, noise_results, record_results, screen
+from bayes_aero.studies.folder import writable
 from bayes_aero.studies.outlook import simulations
-from bayes_aero.studies.provenance import provenance, writable, write_json
+from bayes_aero.studies.provenance import provenance, write_json
 from bayes_aero.studies.trajectory_results import trajectory_results
 
 Progress = Callable[[str, float], None]

@@ -51,9 +51,10 @@ def write_environment(out: Path) -> Path:
     folder = first
     if known.is_file():
         try:
-            if json.loads(known.read_text(encoding="utf-8")).get("id") != own:
-                folder = out / f"environment-{own}"
-        except ValueError:
+            same = json.loads(known.read_text(encoding="utf-8"))["id"] == own
+        except (ValueError, KeyError, TypeError, RecursionError):
+            same = False
+        if not same:
             folder = out / f"environment-{own}"
     if not (folder / "environment.json").is_file():
         folder.mkdir(parents=True, exist_ok=True)

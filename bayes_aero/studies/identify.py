@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -15,10 +16,11 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.readers import read_record
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.checkpoint import Checkpoint
 from bayes_aero.inference.ensemble import sample_ensemble
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.laplace import density_start, find_mode
-from bayes_aero.inference.mle import fit_mle
+from bayes_aero.inference.mle import MOST_ALONE, fit_alone, fit_mle
 from bayes_aero.inference.nuts import sample_nuts
 from bayes_aero.inference.posterior import PosteriorStatus
 from bayes_aero.inference.splits import SplitKind
@@ -31,12 +33,16 @@ from bayes_aero.model.observations import observe
 from bayes_aero.report.figures import write_figures
 from bayes_aero.report.page import put_page
 from bayes_aero.report.page_identification import identification_page
+from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.tables import paper_table, parameter_table, validation_table, write_csv
 from bayes_aero.report.words import verdict
-from bayes_aero.studies.provenance import provenance, writable, write_json
+from bayes_aero.studies.environment import environment
+from bayes_aero.studies.folder import writable
+from bayes_aero.studies.provenance import provenance, write_json
 from bayes_aero.studies.results import results
 
 Progress = Callable[[str, float], None]
+CHAINS = ".chains"
 
 
 def read_records(paths: Sequence[Path], card: Card, *, resample: float | None = None) -> list[FlightRecord]:
@@ -53,10 +59,15 @@ def identify(
     seed: int = 0,
     out: Path | None = None,
     gp: bool = True,
+    approximate_gp: bool = False,
     figures: bool = True,
+    resume: bool = True,
     progress: Progress | None = None,
 ) -> Identification:
     """Fit, sample and compare, as `bayes-aero identify` does; with `out` every stage is written as it ends.
+
+    With `out` and `resume` emcee's chains are on disk as they grow, in `out`/.chains until the run is complete: the
+    same call after a kill goes on with them, if records, card, settings and versions are the same.
 
     `split` chooses the split whose Gaussian-process hyperparameters are sampled; scores are given for all splits.
     """
@@ -65,24 +76,38 @@ def identify(
     seconds: dict[str, float] = {}
     with _timed(seconds, "mle", progress):
         mle = fit_mle(model, observations, seed=seed)
-        several = range(len(records)) if len(records) > 1 else range(0)
-        alone = {observations.names[i]: fit_mle(model, observations.only(i), seed=seed) for i in several}
-    run = Identification(card, model, tuple(records), observations, noise, mle, alone, {}, seconds=seconds)
+        alone = fit_alone(model, observations, seed=seed)
+    notes = _many(len(records))
+    run = Identification(card, model, tuple(records), observations, noise, mle, alone, {}, notes=notes, seconds=seconds)
     writer = _Writer(out, provenance(card, records, seed, {"noise": noise.value, "split": split}))
     writer.stage(run)
+    chains = None if out is None else out / CHAINS
+    stores = None if chains is None or not resume else _stores(chains, card, records, seed)
 
     for key, colour, engine in _plan(noise):
         with _timed(seconds, key, progress):
             density = Density.of(observations, model, Noise(colour))
             mode = find_mode(density, density_start(density, mle))
-            posterior = engine(density, mode, seed=seed, progress=progress)
+            kept: dict[str, Any] = {}
+            if stores is not None and engine is sample_ensemble:
+                kept["checkpoint"] = stores(f"{key}_{colour.value}")
+            posterior = engine(density, mode, seed=seed, progress=progress, **kept)
         run = replace(run, posteriors=run.posteriors | {key: posterior})
         writer.stage(run, posterior_name=key)
 
     if gp:
         try:
             with _timed(seconds, "gp", progress):
-                report = validate(model, observations, mle, card.gp_inputs, chosen=split, seed=seed, progress=progress)
+                report = validate(
+                    model,
+                    observations,
+                    mle,
+                    card.gp_inputs,
+                    chosen=split,
+                    seed=seed,
+                    approximate=approximate_gp,
+                    progress=progress,
+                )
             run = replace(run, gp=report)
         except InputError as error:  # too large for the exact process: said, and the rest stands
             run = replace(run, notes=(*run.notes, f"Gaussian process left out: {error}"))
@@ -101,7 +126,27 @@ def identify(
         if failure:
             run = replace(run, notes=(*run.notes, failure))
             writer.stage(run)
+    if chains is not None:
+        shutil.rmtree(chains, ignore_errors=True)
     return run
+
+
+def _many(manoeuvres: int) -> tuple[str, ...]:
+    """What is left out because there are so many."""
+    said = []
+    if manoeuvres > MOST_ALONE:
+        said.append(f"{manoeuvres} manoeuvres are fitted jointly; beyond {MOST_ALONE} none is fitted by itself.")
+    if manoeuvres > MOST_MANOEUVRES:
+        said.append(f"Figures with a panel for each manoeuvre are drawn for up to {MOST_MANOEUVRES} of them.")
+    return tuple(said)
+
+
+def _stores(folder: Path, card: Card, records: Sequence[FlightRecord], seed: int) -> Callable[[str], Checkpoint]:
+    """Where the chain of each posterior is kept while it grows, and all that its numbers rest on."""
+    source = provenance(card, records, seed, {})
+    made_from = {key: source[key] for key in ("seed", "inputs", "card", "effect_files")}
+    made_from |= {"sources": [r.source for r in records], "environment": environment()}
+    return lambda key: Checkpoint(folder / key, made_from | {"posterior": key})
 
 
 def _with_stall(run: Identification) -> Identification:

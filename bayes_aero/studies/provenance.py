@@ -15,7 +15,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 
@@ -34,14 +33,6 @@ PACKAGES = (
     "scipy",
     "xarray",
 )
-
-
-def writable(folder: Path) -> None:
-    """Make the folder for results, or say why it cannot be."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot write to {folder} ({error.strerror}); give another folder with --out") from None
 
 
 def provenance(card: Card, records: Sequence[FlightRecord], seed: int, settings: dict[str, Any]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import itertools
 import json
 import os
 import re
-import tomllib
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from difflib import get_close_matches
@@ -17,8 +17,10 @@ from typing import Any
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card, read_card, shipped_cards
 from bayes_aero.flight.readers import READERS
+from bayes_aero.flight.tables import is_file, read_table
 from bayes_aero.model.model import Model
 from bayes_aero.studies.catalogue import effect_named, known_effects
+from bayes_aero.studies.folder import safe_name
 
 KEYS = (
     "title", "task", "records", "one_by_one", "cards", "seeds", "splits", "noise", "effects", "options",
@@ -26,12 +28,13 @@ KEYS = (
 NOISES = ("white", "ar1", "buffet-ar1")
 SPLITS = ("random", "block", "manoeuvre")
 OPTIONS: dict[str, dict[str, type]] = {
-    "identify": {"gp": bool, "figures": bool, "resample": float},
+    "identify": {"gp": bool, "approximate_gp": bool, "figures": bool, "resample": float},
     "diagnose": {
         "max_effects": int, "predictors": bool, "trajectories": bool, "figures": bool, "resample": float,
     },
 }  # fmt: skip
 MOST_UNITS = 100_000
+LARGEST_SEED = 2**32 - 1  # that every generator takes
 LONGEST = 90  # characters of a unit's name before its hash
 
 
@@ -85,26 +88,24 @@ class Study:
     units: tuple[Unit, ...]
 
 
-def read_study(path: Path) -> Study:
-    """Read and check a study; whatever is wrong is one sentence."""
-    try:
-        raw = path.read_bytes()
-        table = tomllib.loads(raw.decode("utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"study {path}: not valid TOML ({error}); mend that line") from None
-    except OSError as error:
-        raise InputError(f"study {path}: cannot be read ({error.strerror}); check the path") from None
+def read_study(path: Path, *, trust_effects: bool = False) -> Study:
+    """Read and check a study; whatever is wrong is one sentence.
+
+    A card that names effect files is refused unless `trust_effects`: they are code, and the user has named the study
+    only, not them and not the card.
+    """
+    raw, table = read_table(path, "study")
     where = f"study {path}"
     _known(table, KEYS, where, "key")
     task = table.get("task", "identify")
-    if task not in OPTIONS:
+    if not isinstance(task, str) or task not in OPTIONS:
         raise InputError(f"{where}: task is {task!r}; use one of {', '.join(OPTIONS)}")
     for key in ("splits", "noise"):
         if key in table and task != "identify":
             raise InputError(f"{where}: {key} is of no use to the task {task}; take it out")
     options = _options(table.get("options", {}), task, where)
     sets = _record_sets(table, path.parent, where)
-    cards = _cards(table.get("cards", ["attas"]), path.parent, where)
+    cards = _cards(table.get("cards", ["attas"]), path.parent, where, trust_effects)
     axes: list[list[Any]] = [
         sets,
         list(cards),
@@ -142,7 +143,7 @@ def _unit(
     parts = [records[0].stem + more, Path(card[0]).stem, *effects, noise, split, f"seed{seed}"]
     words = "-".join(re.sub(r"[^A-Za-z0-9+_.]", "_", part) for part in parts if part)
     identity = hashlib.sha256(json.dumps(unit.settings, sort_keys=True).encode()).hexdigest()[:8]
-    return replace(unit, name=f"{words[:LONGEST].lstrip('.')}-{identity}")
+    return replace(unit, name=f"{safe_name(words[:LONGEST])}-{identity}")
 
 
 def _known(table: Mapping[str, Any], known: Sequence[str], where: str, what: str) -> None:
@@ -158,8 +159,9 @@ def _list(given: Any, kind: type, where: str, key: str) -> list[Any]:
     if not fits:
         words = {str: 'texts, e.g. ["a", "b"]', int: "whole numbers, e.g. [0, 1]", list: 'lists, e.g. [[], ["a"]]'}
         raise InputError(f"{where}: {key} must be a list of {words[kind]}")
-    if any(given.count(x) > 1 for x in given):
-        raise InputError(f"{where}: {key} lists {next(x for x in given if given.count(x) > 1)!r} twice")
+    counts = Counter(map(repr, given))
+    if len(counts) < len(given):
+        raise InputError(f"{where}: {key} lists {counts.most_common(1)[0][0]} twice")
     return given
 
 
@@ -180,7 +182,7 @@ def _matching(pattern: str, folder: Path, where: str) -> list[Path]:
     """Files of a pattern, relative to the study's folder, in the order of their names."""
     if not any(c in pattern for c in "*?["):
         path = folder / pattern
-        if not path.is_file():
+        if not is_file(path):
             raise InputError(f"{where}: record {pattern!r} does not exist; it is looked for in {folder.resolve()}")
         return [path.resolve()]
     start = Path(pattern).anchor
@@ -196,15 +198,22 @@ def _matching(pattern: str, folder: Path, where: str) -> list[Path]:
     return files
 
 
-def _cards(given: Any, folder: Path, where: str) -> dict[tuple[str, str], Card]:
+def _cards(given: Any, folder: Path, where: str, trust_effects: bool) -> dict[tuple[str, str], Card]:
     """Cards by (name as given, absolute path), read once so that a bad one stops the study before it starts."""
     cards = {}
     for name in _list(given, str, where, "cards"):
-        path = folder / name if (folder / name).is_file() else shipped_cards().get(name)
-        if path is None:
+        path: Path = shipped_cards().get(name) or folder / name
+        if not is_file(path):
             known = ", ".join(shipped_cards())
             raise InputError(f"{where}: card {name!r} does not exist; give a .toml file beside the study, or {known}")
-        cards[name, str(path.resolve())] = read_card(path.resolve())
+        card = read_card(path.resolve())
+        if card.effect_files and not trust_effects:
+            files = ", ".join(str(file) for file in card.effect_files)
+            raise InputError(
+                f"{where}: card {name!r} names effect files, which are code and would be run ({files}); read them, "
+                "then give --trust-effects"
+            )
+        cards[name, str(path.resolve())] = card
     return cards
 
 
@@ -234,8 +243,8 @@ def _chosen(given: Any, known: Sequence[str], where: str, key: str) -> list[str]
 
 def _seeds(given: Any, where: str) -> list[int]:
     for seed in _list(given, int, where, "seeds"):
-        if seed < 0:
-            raise InputError(f"{where}: seeds lists {seed}; a seed is zero or more")
+        if not 0 <= seed <= LARGEST_SEED:
+            raise InputError(f"{where}: seeds lists {seed}; a seed lies between 0 and {LARGEST_SEED}")
     return given
 
 

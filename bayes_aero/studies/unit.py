@@ -18,6 +18,7 @@ from typing import Any
 import bayes_aero
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card
+from bayes_aero.flight.tables import is_file
 from bayes_aero.model.noise import Colour
 from bayes_aero.studies.environment import environment_id
 from bayes_aero.studies.identify import identify, read_records
@@ -59,7 +60,7 @@ def state_of(unit: Unit, folder: Path) -> State:
     try:
         known = json.loads(manifest.read_text(encoding="utf-8"))
         files, made_from, state = dict(known["files"]), dict(known["made_from"]), str(known["state"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return State("damaged", f"{MANIFEST} cannot be read")
     if state != "done":
         return State("failed", str(known.get("error", "")))
@@ -69,7 +70,8 @@ def state_of(unit: Unit, folder: Path) -> State:
         return State("changed", _what_changed(changed, here, made_from))
     for name, sha256 in files.items():
         path = folder / name
-        if not path.is_file() or _sha256(path) != sha256:
+        inside = ".." not in Path(name).parts and not Path(name).is_absolute()
+        if not (inside and is_file(path)) or _sha256(path) != sha256:
             return State("damaged", f"{name} is not what was written")
     return State("done")
 
@@ -123,6 +125,7 @@ def perform(unit: Unit, out: Path, progress: Progress | None = None) -> None:
             split=unit.split or "random",  # type: ignore[arg-type]
             seed=unit.seed,
             out=out,
+            resume=False,  # a unit is done anew: its folder is another one
             progress=progress,
             **options,
         )

@@ -47,7 +47,7 @@ def _compared(disk: Path, again: Path) -> Iterator[str]:
 def _json(path: Path) -> Any:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return None
     return {k: v for k, v in content.items() if k not in APART} if isinstance(content, dict) else content
 

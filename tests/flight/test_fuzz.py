@@ -1,12 +1,14 @@
 """Whatever bytes a file holds, reading it ends soon, in a record or in an InputError."""
 
+import warnings
 from contextlib import suppress
 from pathlib import Path
 
+import fuzzing
 import numpy as np
 import pytest
 from flight_samples import CHANNELS, sound
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bayes_aero.errors import InputError
@@ -60,11 +62,15 @@ def read(folder: Path, suffix: str, content: bytes, channels=CHANNELS) -> Flight
     """The record, or None where the content was refused, properly."""
     path = folder / f"fuzz{suffix}"
     path.write_bytes(content)
-    try:
-        record = read_record(path, channels)
-    except InputError as error:
-        message = str(error)
-    else:
+    with warnings.catch_warnings(record=True) as leaked:
+        warnings.simplefilter("always")
+        try:
+            record = read_record(path, channels)
+            message = ""
+        except InputError as error:
+            message = str(error)
+    assert not leaked, leaked
+    if not message:
         assert all(np.isfinite(record[name]).all() for name in record.names)
         return record
     assert message.startswith(f"{path}: ")
@@ -74,11 +80,7 @@ def read(folder: Path, suffix: str, content: bytes, channels=CHANNELS) -> Flight
 
 
 def examples(suffix: str, share: float = 1.0):
-    return settings(
-        max_examples=max(8, int(share * EXAMPLES[suffix])),
-        deadline=None if suffix == ".nc" else 2000,
-        suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
-    )
+    return fuzzing.examples(share * EXAMPLES[suffix], None if suffix == ".nc" else 5.0)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

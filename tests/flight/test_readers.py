@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from flight_samples import CHANNELS, sound
 
-from bayes_aero.errors import InputError
+from bayes_aero.errors import InputError, plain_line
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.readers import READERS, read_record, write_record
 from bayes_aero.flight.record import FlightRecord
@@ -22,7 +22,7 @@ def told(path: Path, channels, *words: str, **options: object) -> str:
     with pytest.raises(InputError) as caught:
         read_record(path, channels, **options)
     message = str(caught.value)
-    assert message.startswith(f"{path}: ")
+    assert message.startswith(f"{plain_line(str(path))}: ")
     assert "\n" not in message
     for word in words:
         assert word in message, f"{word!r} is not in {message!r}"

@@ -71,3 +71,12 @@ def test_what_cannot_be_split_is_refused_in_words(kind, index, says):
 def test_an_unknown_split_is_refused():
     with pytest.raises(Exception, match="alternate"):  # InputError, or the type hook before it
         make_splits("alternate", np.zeros(100, int), DT, 0)
+
+
+def test_many_manoeuvres_are_held_back_in_ten_groups():
+    index = np.repeat(np.arange(25), 4)
+    folds = make_splits("manoeuvre", index, 0.04, 0)
+    assert len(folds) == 10
+    assert np.array_equal(np.sort(np.concatenate([f.test_idx for f in folds])), np.arange(100))
+    for fold in folds:
+        assert not set(index[fold.test_idx]) & set(index[fold.train_idx])

@@ -128,3 +128,22 @@ def test_slope_of_advance_in_the_delay_is_the_time_derivative():
 
     _, slope = jax.jvp(move, (jnp.asarray(0.0),), (jnp.asarray(1.0),))
     np.testing.assert_allclose(slope[2:-2], 2.0 * np.cos(2.0 * np.arange(n) * dt)[2:-2], atol=1e-3)
+
+
+def test_joined_manoeuvres_are_filtered_as_each_alone(rng):
+    pieces = [rng.normal(size=n) for n in (20, 61, 400, 33)]
+    lengths = [len(x) for x in pieces]
+    first = np.repeat(np.cumsum([0, *lengths[:-1]]), lengths)
+    last = first + np.repeat(lengths, lengths) - 1
+    x, ends = jnp.asarray(np.concatenate(pieces)), (jnp.asarray(first), jnp.asarray(last))
+    dt = np.repeat([0.04, 0.02, 0.01, 0.04], lengths)
+    alone = np.concatenate([filters.smooth(jnp.asarray(piece)) for piece in pieces])
+    np.testing.assert_allclose(np.asarray(filters.smooth_joined(x, *ends)), alone, rtol=1e-13, atol=1e-14)
+    alone = np.concatenate(
+        [
+            filters.differentiate(jnp.asarray(piece), d)
+            for piece, d in zip(pieces, (0.04, 0.02, 0.01, 0.04), strict=True)
+        ]
+    )
+    found = np.asarray(filters.differentiate_joined(x, jnp.asarray(dt), *ends))
+    np.testing.assert_allclose(found, alone, rtol=1e-12, atol=1e-11)

@@ -14,6 +14,7 @@ import xarray as xr
 from PIL import Image
 
 from bayes_aero.inference.posterior import PosteriorStatus
+from bayes_aero.report.figures import FIGURES
 from bayes_aero.report.page import Fold, Page, Picture, Plot, Table, Text, put_page, render, section, write_page
 from bayes_aero.report.page_diagnosis import Told, diagnosis_page, flown_page
 from bayes_aero.report.page_identification import headline, identification_page
@@ -21,6 +22,7 @@ from bayes_aero.report.page_parts import stall_table
 from bayes_aero.report.page_pictures import Gallery, embedded
 from bayes_aero.report.page_plots import Line, Panel, extremes, linked
 from bayes_aero.report.page_tables import coverage, parameters
+from bayes_aero.report.style import NotDrawn
 from bayes_aero.studies.provenance import provenance
 
 HOSTILE = """<script>alert(1)</script>"'&$$x$$</title>"""
@@ -238,3 +240,28 @@ def test_a_diagnosis_tells_causes_gain_and_what_is_open(diagnosed, flown, card):
     text = Outline(render(only)).text
     assert "A verdict." in text
     assert "without accelerometers" in text
+
+
+def test_a_long_record_with_a_hostile_name_makes_a_page_of_bearable_size(make, monkeypatch):
+    """200,000 samples: what is drawn is thinned, which the page says; the name of a file is shown, never run."""
+    monkeypatch.setitem(make.__globals__, "N", 200_000)
+    run = make(manoeuvres=1, gp=False)
+    run = replace(
+        run,
+        card=replace(run.card, title=HOSTILE),
+        records=tuple(replace(record, name=HOSTILE) for record in run.records),
+        observations=replace(run.observations, names=(HOSTILE,)),
+    )
+    page = render(identification_page(run, provenance(run.card, run.records, 0, {"noise": HOSTILE}), {}))
+    assert len(page.encode()) < 10_000_000
+    assert "thinned so that every peak stays" in page
+    assert "<script>alert" not in page
+    outline = Outline(page)
+    assert outline.scripts == 3
+    assert HOSTILE in outline.text
+
+
+def test_figures_with_a_panel_for_each_manoeuvre_are_left_out_where_there_are_many(make, monkeypatch):
+    monkeypatch.setattr("bayes_aero.report.style.MOST_MANOEUVRES", 1)
+    with pytest.raises(NotDrawn, match="2 are more than 1"):
+        FIGURES["fig1_time_history"](make(manoeuvres=2, gp=False))

@@ -1,0 +1,85 @@
+"""TOML files that people write, cards and studies: read with bounds on what a hostile one can ask for."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from bayes_aero.errors import InputError
+
+__all__ = ["is_file", "read_table"]
+
+MOST_BYTES = 1 << 18
+"""A card has some 5 kB, a study that lists 3000 records 200."""
+
+MOST_DEPTH, MOST_NAME, LARGEST = 12, 200, 2**63
+# tomllib's time grows with the square of the parts of a dotted key. A part is matched from its beginning only.
+_DOTTED = re.compile(r"""(?:(?<![\w-])[\w-]+|"[^"\n]{0,200}"|'[^'\n]{0,200}')[ \t]*\.[ \t]*""")
+MOST_DOTS = 12
+
+
+def read_table(path: Path, what: str) -> tuple[bytes, dict[str, Any]]:
+    """The file's bytes and its table; `what` ("card", "study") begins the sentence where it cannot be had."""
+    where = f"{what} {path}"
+    try:
+        if not path.is_file():
+            raise InputError(f"{where}: it is no file; check the path")
+        with path.open("rb") as handle:
+            raw = handle.read(MOST_BYTES + 1)
+    except (OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{where}: cannot be read ({reason}); check the path and its permissions") from None
+    if len(raw) > MOST_BYTES:
+        raise InputError(f"{where}: it has more than {MOST_BYTES} bytes; is it a {what} at all?")
+    try:
+        text = raw.decode("utf-8")
+        _refuse_long_keys(text)
+        table = tomllib.loads(text)
+    except RecursionError:
+        raise InputError(f"{where}: not valid TOML (nested too deeply); mend it") from None
+    except ValueError as error:  # TOMLDecodeError, UnicodeDecodeError, and Python's bound on the digits of a number
+        raise InputError(f"{where}: not valid TOML ({error}); mend that line") from None
+    _refuse_monsters(table, where)
+    return raw, table
+
+
+def is_file(path: Path) -> bool:
+    """Whether it is a file; a name that no file can have (too long, with NUL) is none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def _refuse_long_keys(text: str) -> None:
+    for number, line in enumerate(text.split("\n"), 1):
+        if line.count(".") <= MOST_DOTS:
+            continue
+        run, end = 0, -1
+        for part in _DOTTED.finditer(line):
+            run = run + 1 if part.start() == end else 1
+            end = part.end()
+            if run > MOST_DOTS:
+                raise ValueError(f"a name of more than {MOST_DOTS} parts, line {number}")
+
+
+def _refuse_monsters(table: dict[str, Any], where: str) -> None:
+    """Numbers, names and nesting that no card needs, and that would trip whatever looks at them later."""
+    left: list[tuple[Any, int]] = [(table, 0)]
+    while left:
+        value, depth = left.pop()
+        if depth > MOST_DEPTH:
+            raise InputError(f"{where}: it is nested deeper than {MOST_DEPTH}; mend it")
+        if isinstance(value, dict):
+            for key, inner in value.items():
+                if len(key) > MOST_NAME or not key.isprintable():
+                    raise InputError(f"{where}: {key[:40]!r} is no name for an entry; mend it")
+                left.append((inner, depth + 1))
+        elif isinstance(value, list):
+            left += [(inner, depth + 1) for inner in value]
+        elif isinstance(value, int) and not -LARGEST <= value < LARGEST:
+            raise InputError(f"{where}: a whole number has more than 18 digits; correct it")

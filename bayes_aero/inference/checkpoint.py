@@ -1,0 +1,147 @@
+"""A chain on disk as it grows, so that a run that was killed goes on where it stopped and ends in the same chain.
+
+emcee's own HDFBackend opens its file at every step of every ensemble, which costs more than the steps do here, and a
+kill while it writes can spoil all of it. Here every stretch of steps is a file of its own, complete or absent.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+import shutil
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from bayes_aero.errors import InputError
+
+ABOUT, BURN_IN, STEPS = "about.json", "burn_in.npz", "steps_{:08d}.npz"
+UNREADABLE = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile)
+
+
+@dataclass(frozen=True)
+class BurnIn:
+    """Between two rounds of burning in: the proposal so far, where the walkers stand, and whether it is over."""
+
+    begin: Float[np.ndarray, "ensemble walker k"]
+    centre: Float[np.ndarray, " k"]
+    factor: Float[np.ndarray, "k k"]
+    accepted: float
+    rounds: int
+    over: bool
+    rejected: int
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Steps of all ensembles, with what is counted up to their end and the state of each generator there."""
+
+    chain: Float[np.ndarray, "ensemble step walker k"]
+    log_prob: Float[np.ndarray, "ensemble step walker"]
+    accepted: Float[np.ndarray, "ensemble walker"]
+    keys: Int[np.ndarray, "ensemble 624"]  # of numpy's MT19937
+    places: Float[np.ndarray, "ensemble 3"]  # position, whether a normal number is left over, and that number
+    rejected: int
+
+    @property
+    def random_states(self) -> list[tuple[str, np.ndarray, int, int, float]]:
+        """As `numpy.random.RandomState.set_state` takes them."""
+        rows = zip(self.keys.astype(np.uint32), self.places, strict=True)
+        return [("MT19937", keys, int(place), int(left), float(number)) for keys, (place, left, number) in rows]
+
+    @classmethod
+    def of(cls, chain: np.ndarray, log_prob: np.ndarray, accepted: np.ndarray, states: Any, rejected: int) -> Stretch:
+        """From what emcee's samplers hold."""
+        keys = np.stack([state[1] for state in states]).astype(np.int64)
+        places = np.array([[float(x) for x in state[2:5]] for state in states])
+        return cls(chain, log_prob, accepted, keys, places, rejected)
+
+
+Part = TypeVar("Part", BurnIn, Stretch)
+
+
+class Checkpoint:
+    """A folder that belongs to one run: `made_from` are all settings, inputs and versions that its numbers rest on.
+
+    What another run has left there is thrown away. Nothing in it is code: plain arrays and JSON.
+    """
+
+    def __init__(self, folder: Path, made_from: Mapping[str, Any]) -> None:
+        self.folder, self.made_from = folder, json.dumps(made_from, sort_keys=True, default=str)
+
+    def begin(self, *arrays: np.ndarray) -> tuple[BurnIn | None, Stretch | None]:
+        """What a run from the very same beginning (`arrays` too) has left: its burn-in, and its steps as one."""
+        digest = hashlib.sha256(self.made_from.encode())
+        for array in arrays:
+            digest.update(str(array.shape).encode() + np.ascontiguousarray(array).tobytes())
+        identity = digest.hexdigest()
+        try:
+            known = json.loads((self.folder / ABOUT).read_text(encoding="utf-8")) == {"made_from": identity}
+        except UNREADABLE:
+            known = False
+        if known:
+            return _read(self.folder / BURN_IN, BurnIn), self._steps()
+        shutil.rmtree(self.folder, ignore_errors=True)
+        try:
+            self.folder.mkdir(parents=True)
+            _write(self.folder / ABOUT, json.dumps({"made_from": identity}).encode())
+        except OSError as reason:
+            raise InputError(f"cannot write to {self.folder} ({reason.strerror}); give another folder") from None
+        return None, None
+
+    def _steps(self) -> Stretch | None:
+        """All stretches that follow each other without a hole."""
+        parts: list[Stretch] = []
+        count = 0
+        while (part := _read(self.folder / STEPS.format(count), Stretch)) is not None:
+            parts.append(part)
+            count += part.chain.shape[1]
+        if not parts:
+            return None
+        chain, log_prob = (np.concatenate([getattr(p, key) for p in parts], axis=1) for key in ("chain", "log_prob"))
+        last = parts[-1]
+        return Stretch(chain, log_prob, last.accepted, last.keys, last.places, last.rejected)
+
+    def keep_burn_in(self, part: BurnIn) -> None:
+        """Put the burn-in so far on disk."""
+        _write(self.folder / BURN_IN, part)
+
+    def keep(self, part: Stretch, before: int) -> None:
+        """Put a stretch that follows `before` steps on disk."""
+        _write(self.folder / STEPS.format(before), part)
+
+    def remove(self) -> None:
+        """The run is complete and its results are on disk."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def _write(path: Path, content: bytes | BurnIn | Stretch) -> None:
+    """Whole or not at all, and on the disk before it has its name."""
+    partial = path.with_name(path.name + ".part")
+    with partial.open("wb") as handle:
+        if isinstance(content, bytes):
+            handle.write(content)
+        else:
+            np.savez(
+                handle, allow_pickle=False, **{f.name: np.asarray(getattr(content, f.name)) for f in fields(content)}
+            )
+        handle.flush()
+        os.fsync(handle.fileno())
+    os.replace(partial, path)
+
+
+def _read(path: Path, kind: type[Part]) -> Part | None:
+    """None where the file is absent, damaged or not what it should be."""
+    try:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as stored:
+            found = {f.name: stored[f.name] for f in fields(kind)}
+        return kind(**{name: x.item() if x.ndim == 0 else x for name, x in found.items()})
+    except UNREADABLE:
+        return None

@@ -1,0 +1,240 @@
+"""How time and memory grow with the length of a record, with the number of manoeuvres, and with the approximate GP.
+
+    OPENBLAS_NUM_THREADS=1 python benchmarks/scaling.py [samples | manoeuvres | gp | page | checkpoint ...]
+
+Every row is a process of its own, so that its peak memory is its own. Compilation is counted apart: what a second fit
+of the same shape takes is `again`. Exponents are of a power law between neighbouring rows: 1 is linear.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+SAMPLES = (2_000, 20_000, 200_000)
+MANOEUVRES = (5, 50, 500)
+GP = (4_000, 20_000, 100_000)
+STEPS = 20  # of emcee's four ensembles
+
+
+def long_record(n: int, seed: int = 0):
+    """A simulated stall flown again and again, each time with other noise: 25 Hz."""
+    from bayes_aero.flight.record import FlightRecord
+    from bayes_aero.studies.demo import simulate_stall
+
+    base = simulate_stall(0, sensor_noise=0.0, disturbance=0.0)
+    rng = np.random.default_rng(seed)
+    deviation = {name: 0.02 * np.std(x) for name, x in base.channels.items()}
+    there_and_back = {k: np.concatenate([x, x[::-1]]) for k, x in base.channels.items()}  # no jump at the seams
+    channels = {k: np.resize(x, n) + deviation[k] * rng.standard_normal(n) for k, x in there_and_back.items()}
+    return FlightRecord.from_arrays(f"long_{seed}", np.arange(n) * base.dt, channels)
+
+
+def samples(n: int) -> dict[str, float]:
+    """Read a CSV file, fit, and a fixed number of emcee's steps under AR(1) noise."""
+    from bayes_aero.flight.card import read_card
+    from bayes_aero.flight.readers import read_record, write_record
+    from bayes_aero.inference import ensemble
+    from bayes_aero.inference.laplace import density_start, find_mode
+    from bayes_aero.inference.mle import fit_mle
+    from bayes_aero.model.density import Density
+    from bayes_aero.model.model import Model
+    from bayes_aero.model.noise import Colour, Noise
+    from bayes_aero.model.observations import observe
+
+    card = read_card("attas")
+    model = Model.from_card(card)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "record.csv"
+        record = long_record(n)
+        write_record(record, path, [c for c in card.channels if record.has(c.name)])
+        times = {"MB": path.stat().st_size / 1e6}
+        clock = Clock(times)
+        record = read_record(path, card.channels)
+        clock("read")
+    observations = observe([record], card, model)
+    clock("observe")
+    mle = fit_mle(model, observations, extra_starts=0)
+    clock("mle")
+    fit_mle(model, observations, extra_starts=0)
+    clock("again")
+    density = Density.of(observations, model, Noise(Colour.AR1))
+    mode = find_mode(density, density_start(density, mle))
+    clock("mode")
+    target = ensemble._Target(density, mode)
+    walkers = 2 * (density.size + 2)
+    proposal = ensemble._Independent(np.zeros(density.size), np.eye(density.size))
+    samplers = [ensemble._sampler(target, walkers, proposal, i) for i in range(ensemble.ENSEMBLES)]
+    begin = 0.5 * np.random.default_rng(0).standard_normal((len(samplers), walkers, density.size))
+    ensemble._advance(samplers, 2, begin)
+    clock("compile")
+    ensemble._advance(samplers, STEPS)
+    clock("emcee")
+    return times
+
+
+def manoeuvres(count: int) -> dict[str, float]:
+    """One joint fit of manoeuvres of 500 to 1000 samples, hardly two of one length."""
+    from bayes_aero.flight.card import read_card
+    from bayes_aero.inference.mle import fit_mle
+    from bayes_aero.model.model import Model
+    from bayes_aero.model.observations import observe
+
+    card = read_card("attas")
+    model = Model.from_card(card)
+    rng = np.random.default_rng(0)
+    whole = [long_record(4000, seed) for seed in range(10)]
+    records = []
+    for k in range(count):
+        record, first, length = whole[k % 10], int(rng.integers(0, 3000)), int(rng.integers(500, 1000))
+        channels = {name: x[first : first + length] for name, x in record.channels.items()}
+        records.append(type(record).from_arrays(f"m{k}", record.time[:length], channels))
+    times: dict[str, float] = {"samples": float(sum(r.n for r in records))}
+    clock = Clock(times)
+    observations = observe(records, card, model)
+    clock("observe")
+    fit_mle(model, observations, extra_starts=0)
+    clock("mle")
+    fit_mle(model, observations, extra_starts=0)
+    clock("again")
+    return times
+
+
+def gp(n: int) -> dict[str, float]:
+    """Train and predict 1000 points: exact where it can be had, and approximated."""
+    from bayes_aero.inference.gp import Priors, fit_gp
+    from bayes_aero.inference.gp import fit as fitting
+
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(n + 1000, 4))
+    truth = np.sin(1.5 * X[:, 0]) + 0.3 * X[:, 1] * X[:, 0] + 0.1 * X[:, 2]
+    y = truth + 0.1 * rng.standard_normal(len(X))
+    times: dict[str, float] = {}
+    clock = Clock(times)
+    limit, fitting.MAX_SAMPLES = fitting.MAX_SAMPLES, 3500
+    fit = fit_gp(X[:n], y[:n], sample=False, approximate=True, priors=Priors.quasi_steady(), progress=lambda _: None)
+    clock("fit")
+    mean = fit.predict(X[n:]).mean
+    clock("predict")
+    told = fit.approximation
+    assert told is not None
+    times |= {"points": told.inducing, "against_exact": told.against_exact[0], "halved": told.halved[0]}
+    times["rmse"] = float(np.sqrt(np.mean((mean - truth[n:]) ** 2)))
+    fitting.MAX_SAMPLES = limit
+    if n <= limit:
+        exact = fit_gp(X[:n], y[:n], sample=False, priors=Priors.quasi_steady(), progress=lambda _: None)
+        clock("exact")
+        parts = exact.predict(X[n:])
+        times["exact_rmse"] = float(np.sqrt(np.mean((parts.mean - truth[n:]) ** 2)))
+        times["off"] = float(np.sqrt(np.mean(((mean - parts.mean) / parts.sd) ** 2)))
+    return times
+
+
+def page(n: int) -> dict[str, float]:
+    """`identify` without Gaussian processes, of one record: seconds of every stage, and the size of what it writes."""
+    from bayes_aero.flight.card import read_card
+    from bayes_aero.studies.identify import identify
+
+    with tempfile.TemporaryDirectory() as folder:
+        found = identify([long_record(n)], read_card("attas"), gp=False, out=Path(folder))
+        sizes = {f"{p.name} MB": p.stat().st_size / 1e6 for p in Path(folder).iterdir() if p.is_file()}
+    return dict(found.seconds) | sizes
+
+
+def checkpoint(steps: int) -> dict[str, float]:
+    """Share of emcee's time that keeping its chain on disk takes: two demo manoeuvres, AR(1) noise."""
+    from bayes_aero.flight.card import read_card
+    from bayes_aero.inference.checkpoint import Checkpoint
+    from bayes_aero.inference.ensemble import sample_ensemble
+    from bayes_aero.inference.laplace import density_start, find_mode
+    from bayes_aero.inference.mle import fit_mle
+    from bayes_aero.model.density import Density
+    from bayes_aero.model.model import Model
+    from bayes_aero.model.noise import Colour, Noise
+    from bayes_aero.model.observations import observe
+    from bayes_aero.studies.demo import demo_records
+
+    spent = [0.0]
+
+    class Watched(Checkpoint):
+        def keep(self, part, before):
+            began = time.process_time()
+            super().keep(part, before)
+            spent[0] += time.process_time() - began
+
+    card = read_card("attas")
+    model = Model.from_card(card)
+    observations = observe(demo_records(), card, model)
+    density = Density.of(observations, model, Noise(Colour.AR1))
+    mode = find_mode(density, density_start(density, fit_mle(model, observations, extra_starts=0)))
+    times: dict[str, float] = {}
+    clock = Clock(times)
+    sample_ensemble(density, mode, max_steps=100, predictive=False)
+    clock("first")
+    with tempfile.TemporaryDirectory() as folder:
+        sample_ensemble(density, mode, max_steps=steps, predictive=False, checkpoint=Watched(Path(folder) / "c", {}))
+        clock("emcee")
+        times["MB"] = sum(p.stat().st_size for p in Path(folder).rglob("*") if p.is_file()) / 1e6
+    return times | {"keeping": spent[0], "share": spent[0] / times["emcee"]}
+
+
+class Clock:
+    """Seconds of processor time between calls, of all threads: other work on the machine counts little."""
+
+    def __init__(self, into: dict[str, float]) -> None:
+        self.into, self.last = into, time.process_time()
+
+    def __call__(self, name: str) -> None:
+        now = time.process_time()
+        self.into[name], self.last = now - self.last, now
+
+
+KINDS = {
+    "samples": (samples, SAMPLES),
+    "manoeuvres": (manoeuvres, MANOEUVRES),
+    "gp": (gp, GP),
+    "page": (page, SAMPLES),
+    "checkpoint": (checkpoint, (1000,)),
+}
+
+
+def main() -> None:
+    """Run the rows asked for."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("kinds", nargs="*", default=["samples", "manoeuvres", "gp"])
+    parser.add_argument("--one", nargs=2)
+    parser.add_argument("--sizes", type=int, nargs="*")
+    options = parser.parse_args()
+    if options.one:
+        kind, size = options.one
+        found = KINDS[kind][0](int(size))
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+        print(json.dumps(found | {"GiB": peak}))
+        return
+    for kind in options.kinds:
+        before: dict[str, float] = {}
+        for size in options.sizes or KINDS[kind][1]:
+            command = [sys.executable, __file__, "--one", kind, str(size)]
+            done = subprocess.run(command, stdout=subprocess.PIPE, check=True, text=True)
+            row = json.loads(done.stdout.splitlines()[-1])
+            cells = []
+            for key, value in row.items():
+                grown = ""
+                if before.get("_size") and before.get(key, 0.0) > 0.0 and value > 0.0:
+                    grown = f" ({math.log(value / before[key]) / math.log(size / before['_size']):.2f})"
+                cells.append(f"{key} {value:.3g}{grown}")
+            print(f"{kind} {size}: {', '.join(cells)}", flush=True)
+            before = row | {"_size": float(size)}
+
+
+if __name__ == "__main__":
+    main()

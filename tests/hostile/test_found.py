@@ -1,0 +1,235 @@
+"""What fuzzing and thinking like an attacker have found, one example each; none may come back."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+
+import h5py
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from flight.flight_samples import CHANNELS, sound
+from scipy.io import savemat
+
+from bayes_aero.errors import LONGEST, InputError
+from bayes_aero.flight import text
+from bayes_aero.flight.card import read_card, shipped_cards
+from bayes_aero.flight.channel import Channel
+from bayes_aero.flight.raw import read_raw
+from bayes_aero.flight.readers import READERS, read_record, write_record
+from bayes_aero.model.own_effects import own_effects
+from bayes_aero.studies import environment, unit
+from bayes_aero.studies.study import read_study
+from bayes_aero.studies.verify import verify_unit
+
+NESTED = "[" * 100_000 + "]" * 100_000
+
+
+@pytest.fixture(autouse=True)
+def soon():
+    began = time.perf_counter()
+    yield
+    assert time.perf_counter() - began < 20.0
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("x = " + "[" * 5000 + "]" * 5000, "nested too deeply"),
+        ("x = " + "{a = " * 30 + "1" + "}" * 30, "nested deeper than"),
+        ("x = " + "1" * 5000, "not valid TOML"),  # Python refuses to read so many digits
+        ("x = 0x" + "f" * 5000, "more than 18 digits"),  # reads them, but float() and str() do not take them
+        (".".join("a" * 50_000) + " = 1", "more than 12 parts"),  # tomllib: the square of the parts, hours
+        ("[" + " . ".join(['"a"'] * 20_000) + "]", "more than 12 parts"),
+        ('title = "' + "x" * 300_000 + '"', "more than 262144 bytes"),
+        ('"' + "k" * 1000 + '" = 1', "is no name"),
+        ('"a\\u001b[31m" = 1', "is no name"),
+        ("\0", "not valid TOML"),
+    ],
+)
+@pytest.mark.parametrize("read", [read_card, read_study])
+def test_tables_that_no_one_writes(tmp_path, read, content, said):
+    (tmp_path / "odd.toml").write_text(content)
+    with pytest.raises(InputError, match=said) as refused:
+        read(tmp_path / "odd.toml")
+    assert len(str(refused.value)) < LONGEST
+
+
+@pytest.mark.parametrize("read", [read_card, read_study])
+@pytest.mark.parametrize("name", ["x" * 300, "a\0b", "/dev/zero", "/dev/null/x", "."])
+def test_names_that_no_table_has(read, name):
+    from pathlib import Path
+
+    with pytest.raises(InputError):
+        read(Path(name))
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("task = { a = 1 }", "task is"),  # unhashable
+        (f"seeds = [{', '.join(map(str, range(30_000)))}, 0]", "lists 0 twice"),  # was the square of their number
+        ("seeds = [4294967296]", "between 0 and"),
+        ('records = ["a\\u0000b.csv"]', "does not exist"),
+        (f'records = ["{"x" * 300}.csv"]', "does not exist"),
+        (f'cards = ["{"x" * 300}.toml"]', "does not exist"),
+        ("[options]\nresample = nan", "must be positive"),
+    ],
+)
+def test_studies_that_no_one_writes(tmp_path, line, said):
+    (tmp_path / "a.csv").write_text("time\n0\n")
+    records = "" if line.startswith("records") else 'records = ["a.csv"]\n'
+    (tmp_path / "study.toml").write_text(records + line)
+    with pytest.raises(InputError, match=said):
+        read_study(tmp_path / "study.toml")
+
+
+def test_a_sentence_is_one_line_and_cannot_speak_to_the_terminal():
+    said = str(InputError("channel 'a\n\x1b]0;title\x07\u202e\ud800' " + "x" * 10_000))
+    assert said.isprintable()
+    assert "\\x1b" in said
+    assert len(said) < LONGEST + 10
+    assert said.encode()
+
+
+@pytest.mark.parametrize("suffix", [".mat", ".parquet", ".nc", "v7.mat"])
+def test_small_files_that_claim_gigabytes(tmp_path, suffix, monkeypatch):
+    """Ten channels of many zeros each: some kB compressed or never written."""
+    count, rows = 10, 19_000_000 if suffix in (".nc", "v7.mat") else 190_000
+    if rows < 1_000_000:  # zeros must be written there; the limit of all is the thing
+        for module in ("columns", "binary"):
+            monkeypatch.setattr(f"bayes_aero.flight.{module}.MOST_VALUES_IN_ALL", 1_000_000, raising=False)
+    channels = (Channel("time", "s", "T", 1), *(Channel(f"c{i}", "1", f"C{i}", i) for i in range(2, count + 1)))
+    path = tmp_path / f"big{suffix}"
+    if suffix in (".nc", "v7.mat"):
+        with h5py.File(path, "w", userblock_size=512 if suffix == "v7.mat" else 0) as file:
+            for channel in channels:
+                file.create_dataset(channel.heading, (rows,), "f8", chunks=(1_000_000,), compression="gzip")
+    elif suffix == ".mat":
+        zeros = np.zeros(rows)
+        savemat(path, {channel.heading: zeros for channel in channels}, do_compression=True)
+    else:
+        zeros = pa.array(np.zeros(rows))
+        pq.write_table(pa.table({channel.heading: zeros for channel in channels}), path)
+    assert path.stat().st_size < 5_000_000
+    with pytest.raises(InputError, match=r"more (values )?than"):
+        read_record(path, channels)
+
+
+@pytest.mark.parametrize("shape", [(10**12,), (10**12, 1), (2**62,)])
+def test_an_hdf5_header_that_claims_more_than_there_is(tmp_path, shape):
+    with h5py.File(tmp_path / "big.nc", "w") as file:
+        for channel in CHANNELS:
+            file.create_dataset(channel.heading, shape, "f8", chunks=(1000, *[1] * (len(shape) - 1)))
+    with pytest.raises(InputError, match="claims"):
+        read_record(tmp_path / "big.nc", CHANNELS)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".asc"])
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"1," * 50_000_000, "characters, more than"),  # one line of 100 MB
+        (b"9" * 100_000_000, "characters, more than"),
+        (b"1,2\n" * 6_000_000, "lines, more than"),
+        (b"\n" * 50_000_000, "lines, more than"),
+        (b"\r" * 50_000_000, "lines, more than"),
+        (b"T,ALCG\n" + b"9" * 150_000 + b",1\n" + b"1,2\n" * 60, "column"),
+    ],
+)
+def test_text_that_is_no_table(tmp_path, suffix, content, said):
+    path = tmp_path / f"odd{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=said if suffix == ".csv" or "column" not in said else "."):
+        read_record(path, CHANNELS)
+
+
+def test_thousands_of_columns(tmp_path):
+    (tmp_path / "wide.csv").write_text("\n".join(",".join(f"{k}{i}" for i in range(5000)) for k in ("c", "1", "2")))
+    with pytest.raises(InputError, match="5000 columns, more than"):
+        read_record(tmp_path / "wide.csv", CHANNELS)
+
+
+def test_many_columns_of_words_are_not_read_one_by_one(tmp_path, monkeypatch):
+    calls = []
+    reader = READERS[".csv"]
+    monkeypatch.setitem(READERS, ".csv", lambda data, some: calls.append(1) or reader(data, some))
+    monkeypatch.setattr("bayes_aero.flight.raw.PATIENCE", 3.0)
+    rows = [
+        ",".join(f"c{i}" for i in range(1000)) + ",t",
+        *(",".join(["1"] * 500 + ["word"] * 500) + f",{0.1 * k}" for k in range(9)),
+    ]
+    (tmp_path / "words.csv").write_text("\n".join(rows))
+    found = {column.label: column for column in read_raw(tmp_path / "words.csv").columns}
+    assert found["t"].values is not None
+    assert found["c7"].values is not None
+    assert found["c700"].values is None
+    assert len(calls) < 1100  # twice the words at most
+
+
+def test_a_grid_of_a_trillion_samples_is_refused(tmp_path):
+    write_record(sound(60), tmp_path / "sound.csv", CHANNELS)
+    with pytest.raises(InputError, match="makes more than"):
+        read_record(tmp_path / "sound.csv", CHANNELS, resample=1e-12)
+
+
+def test_a_column_far_out_is_refused(tmp_path):
+    text_of = shipped_cards()["attas"].read_text()
+    assert "column = 1," in text_of
+    (tmp_path / "far.toml").write_text(text_of.replace("column = 1,", "column = 1000000000000,", 1))
+    with pytest.raises(InputError, match="no file has more than"):
+        read_card(tmp_path / "far.toml")
+
+
+@pytest.mark.parametrize("content", [NESTED, "[]", "null", '{"id": []}', "\xff"])
+def test_damaged_json_in_a_results_folder(tmp_path, monkeypatch, content):
+    """Deep nesting raised RecursionError, a list AttributeError."""
+    folder = tmp_path / "environment"
+    folder.mkdir()
+    (folder / "environment.json").write_text(content)
+    assert environment.write_environment(tmp_path).name.startswith("environment-")
+    (tmp_path / unit.MANIFEST).write_text(content)
+    one = unit.Unit("u", "identify", (), (), "attas", "attas", 0, None, None, ())
+    assert unit.state_of(one, tmp_path).word == "damaged"
+    for name in ("/etc/hostname", "../../../../../../etc/hostname", "a\0b", "x" * 300):
+        made_from = unit.fingerprint(one)
+        manifest = {"files": {name: ""}, "made_from": made_from, "state": "done"}
+        unit.write_json(manifest, tmp_path / unit.MANIFEST)
+        assert unit.state_of(one, tmp_path).word == "damaged"
+    monkeypatch.setattr(unit, "perform", lambda *_: None)
+    assert verify_unit(one, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [("import sys\nsys.exit(0)\n", "SystemExit"), ("x = 1\n" * 300_000, "more than"), (b"\xff\xfe", "cannot be read")],
+)
+def test_effect_files_that_are_none(tmp_path, source, said):
+    (tmp_path / "mine.py").write_bytes(source if isinstance(source, bytes) else source.encode())
+    with pytest.raises(InputError, match=said):
+        own_effects([tmp_path / "mine.py"])
+
+
+@pytest.mark.parametrize("name", ["/dev/zero", "nowhere.py", "."])
+def test_effect_files_that_are_no_files(tmp_path, name):
+    with pytest.raises(InputError, match="no such file"):
+        own_effects([tmp_path / name])
+
+
+def test_text_limits_are_beyond_any_record():
+    assert text.MOST_LINES > 20 * 200_000
+    assert text.LONGEST_LINE > 2000 * 25
+
+
+@pytest.mark.parametrize("name", ["con.x.csv", "NUL.csv", "..csv.csv", ".hidden.csv", "-rf.csv", "a" * 200 + ".csv"])
+def test_names_of_units_are_names_of_folders_everywhere(tmp_path, name):
+    shutil.copy(shipped_cards()["attas"], tmp_path / name)
+    (tmp_path / "study.toml").write_text(f'records = ["{name}"]\ntitle = "../../x"\n')
+    (only,) = read_study(tmp_path / "study.toml").units
+    assert os.path.basename(only.name) == only.name
+    assert only.name[0] not in ".-"
+    assert only.name.split(".")[0].lower() not in {"con", "nul"}
+    assert len(only.name) <= 110
