@@ -41,7 +41,7 @@ def test_corrected_gives_back_what_was_flown(name, card):
     (flight,) = hidden_flights(effects, seed=11, manoeuvres=1, **QUIET)
     record = flight.record
     model = Model.of([name])
-    recorded = with_sums(record, card)
+    recorded = {key: jnp.asarray(x) for key, x in with_sums(record, card).items()}
     found = model.corrected(effects[name], recorded | marks(record.n, record.dt), card.aircraft)
     changed = 0.0
     for channel in recorded:
