@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -14,6 +13,7 @@ from jaxtyping import Array, Float
 from numpyro.infer import NUTS
 from numpyro.infer.hmc import HMCState
 
+from bayes_aero.inference.cores import cores
 from bayes_aero.inference.laplace import Mode
 from bayes_aero.inference.posterior import Posterior, PosteriorStatus, assemble, constrain_draws, converged, diagnose
 from bayes_aero.model.log_density import LogDensity
@@ -68,7 +68,7 @@ def sample_nuts(
     compiled = stretch.lower(states[0]).compile()  # before the threads ask for it, each on its own
 
     def advance(states: list[HMCState]) -> list[tuple[HMCState, tuple[Array, dict[str, Array]]]]:
-        with ThreadPoolExecutor(min(chains, os.cpu_count() or 1)) as pool:
+        with ThreadPoolExecutor(min(chains, cores())) as pool:
             return list(pool.map(lambda state: jax.block_until_ready(compiled(state)), states))
 
     for _ in range(-(-warmup // STRETCH)):

@@ -52,13 +52,16 @@ def identify(
     split: SplitKind = "random",
     seed: int = 0,
     out: Path | None = None,
+    sample: bool = True,
     gp: bool = True,
     figures: bool = True,
+    page: bool = True,
     progress: Progress | None = None,
 ) -> Identification:
     """Fit, sample and compare, as `bayes-aero identify` does; with `out` every stage is written as it ends.
 
-    `split` chooses the split whose Gaussian-process hyperparameters are sampled; scores are given for all splits.
+    Without `sample` maximum likelihood alone stands for the parameters; without `page` no report.html is made. `split`
+    chooses the split whose Gaussian-process hyperparameters are sampled; scores are given for all splits.
     """
     model = Model.from_card(card)
     observations = observe(records, card, model)
@@ -71,7 +74,7 @@ def identify(
     writer = _Writer(out, provenance(card, records, seed, {"noise": noise.value, "split": split}))
     writer.stage(run)
 
-    for key, colour, engine in _plan(noise):
+    for key, colour, engine in _plan(noise) if sample else ():
         with _timed(seconds, key, progress):
             density = Density.of(observations, model, Noise(colour))
             mode = find_mode(density, density_start(density, mle))
@@ -95,7 +98,7 @@ def identify(
             drawn, failed = write_figures(run, out / "figures", progress=progress)
         run = replace(run, notes=(*run.notes, *(f"Figure {name} was not drawn: {why}" for name, why in failed.items())))
     writer.stage(run)
-    if out is not None:
+    if page and out is not None:
         with _timed(seconds, "report", progress):
             failure = put_page(lambda: identification_page(run, writer.source, {p.stem: p for p in drawn}), out)
         if failure:
