@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from bayes_aero.studies.batch import Doer, Planned
     from bayes_aero.studies.study import Study
 
+SILENCE = 15.0  # seconds without workers after which that is told also where there is no terminal
 SCHEMA = "bayes_aero/study/1"
 
 
@@ -135,12 +137,12 @@ def _cluster(
         raise InputError(
             f'--workers and --scheduler need {reason.name}; install it with: pip install "bayes-aero[cluster]"'
         ) from None
-    waits = False
+    speak = time.monotonic() + SILENCE
 
     def tell(done: int, of: int, what: str) -> None:
-        nonlocal waits
-        if what.startswith("waiting") and not waits:
-            waits = True
+        nonlocal speak
+        if what.startswith("waiting") and time.monotonic() > speak:
+            speak = float("inf")  # once; a terminal shows it all the time
             print(f"{what}; Ctrl-C stops", file=sys.stderr)
         show(f"{done}/{of} done, {what}", done / max(of, 1))
 

@@ -35,7 +35,7 @@ LOOK, COUNT, PAUSE = (
     0.5,
 )  # seconds between looks at units in work, at how many workers there are, at a lost line
 STUMBLES = 5  # lost connections in a row after which the study is given up
-QUIET = ("distributed", "distributed.nanny", "tornado", "asyncio")
+QUIET = ("distributed", "tornado", "asyncio")
 OWN_CLUSTER = {
     # Units hold no data that could be moved to disk or given away: a worker that is paused would never come back.
     "distributed.worker.memory.target": False,
@@ -107,6 +107,7 @@ def _doer(client: Client, units: Path, tell: Told, remedy: str) -> Doer:
             yield from _Study(client, driver, tell, remedy).done(list(given))
         finally:
             Path(driver.token).unlink(missing_ok=True)
+            sweep(units)
 
     return do
 
@@ -129,19 +130,19 @@ class _Study:
                 while waiting and len(self.running) < self.workers:
                     unit = waiting.popleft()
                     self.running[self._submit(*unit)] = unit
-                ended = [future for future in self.running if future.done()]
-                if any(future.cancelled() for future in ended):
-                    raise ConnectionError("units in work were dropped")
+                ended = {future: self._outcome(future, *unit) for future, unit in self.running.items() if future.done()}
                 self.stumbled = 0
+            except (InputError, StoppedError):
+                raise
             except Exception as reason:  # whatever a client without its scheduler raises
                 self._reconnect(reason, finished, len(given))
                 waiting.extendleft(reversed(self.running.values()))
                 self.running.clear()
                 continue
-            for future in ended:
-                unit = self.running.pop(future)
-                yield self._outcome(future, *unit)
+            for future, outcome in ended.items():
+                del self.running[future]
                 finished += 1
+                yield outcome
             what = f"{len(self.running)} in work on {self.workers} workers"
             self.tell(finished, len(given), what if self.workers else f"waiting for workers at {self.address}")
             if not ended:
@@ -159,9 +160,9 @@ class _Study:
         )
 
     def _outcome(self, future: Future, given: Mapping[str, Any], folder: str) -> Mapping[str, Any]:
-        reason = cast(BaseException, future.exception()) if future.status == "error" else None
-        if reason is None:
-            return future.result()
+        if future.status != "error":
+            return cast("dict[str, Any]", future.result())
+        reason = cast(BaseException, future.exception())
         if isinstance(reason, InputError):
             raise reason
         if isinstance(reason, KilledWorker):
@@ -215,7 +216,8 @@ def _deaf() -> Iterator[None]:
 @contextmanager
 def _quiet() -> Iterator[None]:
     """What Dask logs of lost connections and dead workers is told in our own words."""
-    loggers = [logging.getLogger(name) for name in QUIET]
+    names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in QUIET]
+    loggers = [logging.getLogger(name) for name in names]
     before = [logger.level for logger in loggers]
     for logger in loggers:
         logger.setLevel(logging.CRITICAL + 1)
