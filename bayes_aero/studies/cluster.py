@@ -11,6 +11,7 @@ import uuid
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any, cast
 
@@ -66,21 +67,32 @@ def local(workers: int, memory: int, units: Path, tell: Told) -> Iterator[Doer]:
         stack.callback(sweep, units)
         stack.enter_context(_quiet())
         stack.enter_context(dask.config.set(OWN_CLUSTER))
-        with _deaf():
-            cluster = LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                processes=True,
-                memory_limit=memory,
-                host="127.0.0.1",
-                dashboard_address=None,  # type: ignore[arg-type]  # none: its port may be taken
-                silence_logs=logging.CRITICAL,
-                env=variables(),
-            )
-            stack.callback(_close, cluster)
-            client = Client(cluster)
-            stack.callback(_close, client)
+        try:
+            client = _begun(stack, workers, memory)
+        except (OSError, RuntimeError) as reason:
+            raise InputError(
+                f"{workers} workers cannot be started here ({_first_line(reason)}); mend that, or leave --workers out"
+            ) from None
         yield _doer(client, units, tell, f"give each worker more than --memory {format_bytes(memory)}")
+
+
+def _begun(stack: ExitStack, workers: int, memory: int) -> Client:
+    with _deaf():
+        cluster = LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=memory,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",  # any port that is free; its pages are left out
+            scheduler_kwargs={"dashboard": False},
+            silence_logs=logging.CRITICAL,
+            env=variables(),
+        )
+        stack.callback(_close, cluster)
+        client = Client(cluster)
+        stack.callback(_close, client)
+    return client
 
 
 @contextmanager
@@ -206,6 +218,7 @@ def _deaf() -> Iterator[None]:
     if not hasattr(signal, "pthread_sigmask") or threading.current_thread() is not threading.main_thread():
         yield
         return
+    resource_tracker.ensure_running()  # the first process to be begun would begin it, and hear again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
