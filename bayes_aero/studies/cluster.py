@@ -71,7 +71,7 @@ def local(workers: int, memory: int, units: Path, tell: Told) -> Iterator[Doer]:
             client = _begun(stack, workers, memory)
         except (OSError, RuntimeError) as reason:
             raise InputError(
-                f"{workers} workers cannot be started here ({_first_line(reason)}); mend that, or leave --workers out"
+                f"{workers} workers cannot be started here ({_short(reason)}); mend that, or leave --workers out"
             ) from None
         yield _doer(client, units, tell, f"give each worker more than --memory {format_bytes(memory)}")
 
@@ -103,7 +103,7 @@ def remote(address: str, units: Path, tell: Told) -> Iterator[Doer]:
             client = Client(address)
         except (OSError, ValueError, TypeError, ImportError) as reason:
             raise InputError(
-                f"--scheduler {address} does not answer ({_first_line(reason)}); check that it runs, and that the "
+                f"--scheduler {address} does not answer ({_short(reason)}); check that it runs, and that the "
                 "address is the one that it printed, e.g. tcp://node1:8786"
             ) from None
         try:
@@ -183,7 +183,7 @@ class _Study:
                 given, folder, f"its process died {deaths} times, most likely for want of memory; {self.remedy}"
             )
         raise StoppedError(
-            f"the cluster at {self.address} cannot do units ({_first_line(reason)}); see that its scheduler and its "
+            f"the cluster at {self.address} cannot do units ({_short(reason)}); see that its scheduler and its "
             "workers run this version of bayes-aero with its extra `cluster`"
         )
 
@@ -197,7 +197,7 @@ class _Study:
         if self.client.status != "running":
             raise StoppedError(f"the scheduler at {self.address} is lost")
         if self.stumbled > STUMBLES:
-            raise StoppedError(f"the scheduler at {self.address} does not do what it is asked ({_first_line(reason)})")
+            raise StoppedError(f"the scheduler at {self.address} does not do what it is asked ({_short(reason)})")
 
 
 def _work(given: str, folder: str, driver: Driver) -> dict[str, Any]:
@@ -241,6 +241,7 @@ def _quiet() -> Iterator[None]:
             logger.setLevel(level)
 
 
-def _first_line(reason: BaseException) -> str:
+def _short(reason: BaseException) -> str:
+    """The first sentence of what Dask says."""
     lines = str(reason).strip().splitlines() or [type(reason).__name__]
-    return lines[0].strip().rstrip(".:")
+    return lines[0].partition(". ")[0].strip().rstrip(".:")
