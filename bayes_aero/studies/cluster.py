@@ -140,8 +140,8 @@ class _Study:
             try:
                 self._count()
                 while waiting and len(self.running) < self.workers:
-                    unit = waiting.popleft()
-                    self.running[self._submit(*unit)] = unit
+                    self.running[self._submit(*waiting[0])] = waiting[0]
+                    waiting.popleft()
                 ended = {future: self._outcome(future, *unit) for future, unit in self.running.items() if future.done()}
                 self.stumbled = 0
             except (InputError, StoppedError):
