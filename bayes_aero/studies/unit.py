@@ -15,13 +15,10 @@ from typing import Any
 import bayes_aero
 from bayes_aero.errors import InputError, no_space
 from bayes_aero.flight.card import read_card
-from bayes_aero.model.noise import Colour
 from bayes_aero.studies.durable import beside, put_folder
 from bayes_aero.studies.environment import environment_id
-from bayes_aero.studies.identify import identify, read_records
 from bayes_aero.studies.provenance import provenance, write_json, write_text
 from bayes_aero.studies.study import Unit, card_of
-from bayes_aero.studies.tasks import diagnose_records
 
 SCHEMA = "bayes_aero/unit/1"
 MANIFEST, ERROR = "unit.json", "error.txt"
@@ -139,6 +136,10 @@ def _full(target: Path) -> str:
 
 def perform(unit: Unit, out: Path, progress: Progress | None = None) -> None:
     """The unit's own work: everything that it writes lies in `out`."""
+    from bayes_aero.model.noise import Colour  # here, since whoever only hands units out needs none of these
+    from bayes_aero.studies.identify import identify, read_records
+    from bayes_aero.studies.tasks import diagnose_records
+
     card = card_of(unit)
     options = dict(unit.options)
     records = read_records([Path(p) for p in unit.records], card, resample=options.pop("resample", None))

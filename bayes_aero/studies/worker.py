@@ -23,7 +23,6 @@ from jax.experimental.compilation_cache import compilation_cache
 
 from bayes_aero.errors import InputError
 from bayes_aero.inference.cores import VARIABLE as CORES
-from bayes_aero.inference.validation import give_back_memory
 from bayes_aero.studies.durable import beside, host, sweep
 from bayes_aero.studies.environment import environment
 from bayes_aero.studies.provenance import PACKAGES
@@ -102,7 +101,13 @@ def work(given: Mapping[str, Any], folder: str, driver: Driver, memory: int | No
         finally:
             sys.argv = before
             if memory and psutil.Process().memory_info().rss > FULL_SHARE * memory:
-                give_back_memory()
+                _forget()
+
+
+def _forget() -> None:
+    from bayes_aero.inference.validation import give_back_memory  # here, since it is slow to import
+
+    give_back_memory()
 
 
 @cache

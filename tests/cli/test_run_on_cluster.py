@@ -121,7 +121,7 @@ def driving(place, *more, study="study.toml"):
 
 
 def ended(process):
-    out, err = process.communicate(timeout=120)
+    out, err = process.communicate(timeout=300)
     assert "Traceback" not in err, err
     return SimpleNamespace(code=process.returncode, out=out, err=err)
 
@@ -157,7 +157,7 @@ def gone(processes):
     return all(with_no_process(one.status) in ([], psutil.STATUS_ZOMBIE) for one in processes)
 
 
-def wait_for(what, seconds=60.0):
+def wait_for(what, seconds=300.0):
     until = time.monotonic() + seconds
     while not (found := what()):
         assert time.monotonic() < until, "it never came"
@@ -225,7 +225,7 @@ def test_a_killed_driver_takes_its_own_workers_along(folder, cluster, undisturbe
         orphans = at_work(driver.pid)
         driver.kill()
         assert len(orphans) == 1
-        wait_for(lambda: gone(orphans), seconds=20.0)
+        wait_for(lambda: gone(orphans), seconds=60.0)
     assert len(finished(folder)) < UNITS
     assert run(folder, "--scheduler", cluster.address).code == 0
     same(folder, undisturbed)
@@ -252,8 +252,8 @@ def test_ctrl_c_stops_at_once_and_says_how_to_go_on(folder, cluster, undisturbed
         os.killpg(driver.pid, signal.SIGINT)  # as a terminal does: to the workers too
         began = time.monotonic()
         done = ended(driver)
-        assert time.monotonic() - began < 15.0
-        wait_for(lambda: gone(children), seconds=5.0)
+        assert time.monotonic() - began < 30.0
+        wait_for(lambda: gone(children), seconds=30.0)
     assert done.code == 130
     assert re.match(r"interrupted; \d of 10 units are done and kept in study_results; the same command", done.err)
     assert done.err.count("\n") == 1

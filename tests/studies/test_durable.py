@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import json
 import os
-import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -137,7 +136,8 @@ def test_a_full_disk_is_no_failure_of_the_unit(tmp_path, given, number):
 def test_a_file_that_may_not_grow_is_a_full_disk(tmp_path, given):
     """The system's own refusal, in a process of its own: no file may exceed 100 kB."""
     code = (
-        "import json, sys; from pathlib import Path; from bayes_aero.studies.unit import run_unit\n"
+        "import json, resource, sys; from bayes_aero.studies.unit import run_unit\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
         "def task(unit, out, *_):\n"
         "    import h5py, numpy\n"
         "    with h5py.File(out / 'x.nc', 'w') as f: f['x'] = numpy.random.default_rng(0).normal(size=100_000)\n"
@@ -146,7 +146,6 @@ def test_a_file_that_may_not_grow_is_a_full_disk(tmp_path, given):
     )
     ended = subprocess.run(
         [sys.executable, "-c", code, json.dumps(given), str(tmp_path / "units" / "record-1")],
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000)),
         env=os.environ | {"JAX_PLATFORMS": "cpu"}, capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip
     assert ended.stdout.startswith(f"InputError the disk of {tmp_path / 'units'} is full"), ended.stderr

@@ -50,7 +50,7 @@ def test_a_folder_that_is_not_shared_is_told(driver):
 
 def test_what_is_compiled_is_forgotten_when_memory_runs_short(driver, monkeypatch):
     forgot = []
-    monkeypatch.setattr(worker, "give_back_memory", lambda: forgot.append(True))
+    monkeypatch.setattr("bayes_aero.inference.validation.give_back_memory", lambda: forgot.append(True))
     work({"name": "one"}, "", driver, 1 << 50)
     work({"name": "one"}, "", driver, None)
     assert not forgot
