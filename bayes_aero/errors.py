@@ -1,6 +1,14 @@
-"""The one exception that a user of the package is meant to read."""
+"""The one exception that a user of the package is meant to read, and the failure that no stage may put up with."""
 
+from __future__ import annotations
+
+import errno
+import os
 import re
+
+_NO_SPACE = tuple(
+    getattr(errno, name) for name in ("ENOSPC", "EDQUOT", "EFBIG") if hasattr(errno, name)
+)  # disk, quota, largest file allowed
 
 LONGEST = 1200
 """Characters of a sentence; what a hostile file makes longer loses its middle."""
@@ -23,3 +31,14 @@ def plain_line(text: str) -> str:
     """One line without control characters, at most `LONGEST` long."""
     line = _CONTROL.sub(lambda found: ascii(found[0])[1:-1], text)
     return line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
+
+
+def no_space(error: BaseException | None) -> bool:
+    """Whether an error, or what led to it, says that no more can be written; libraries keep only the words of it."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in _NO_SPACE:
+            return True
+        if any(f"errno = {number}," in str(error) or os.strerror(number) in str(error) for number in _NO_SPACE):
+            return True
+        error = error.__cause__ or error.__context__
+    return False

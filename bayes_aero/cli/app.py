@@ -19,7 +19,8 @@ from bayes_aero.cli.terminal import BAD_INPUT, FAILED, INTERRUPTED, Interruption
 from bayes_aero.errors import InputError, plain_line
 
 EPILOG = (
-    f"Exit codes: 0 done; {FAILED} a record is not usable (check), or units of a study failed or differ (run); "
+    f"Exit codes: 0 done; {FAILED} a record is not usable (check), or units of a study failed or differ, or its "
+    "cluster was lost (run); "
     f"{BAD_INPUT} bad input, told in one sentence; {INTERRUPTED} interrupted, finished stages are kept.\n\n"
     "Each command's --help ends with an example; a new aircraft starts with: bayes-aero card RECORD."
 )

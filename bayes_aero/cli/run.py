@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import sys
+import time
 from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,9 +19,10 @@ from bayes_aero.cli.terminal import FAILED, JsonOption, bar, interruptible, prin
 from bayes_aero.errors import InputError
 
 if TYPE_CHECKING:
-    from bayes_aero.studies.batch import Planned
+    from bayes_aero.studies.batch import Doer, Planned
     from bayes_aero.studies.study import Study
 
+SILENCE = 15.0  # seconds without workers after which that is told also where there is no terminal
 SCHEMA = "bayes_aero/study/1"
 
 
@@ -30,6 +35,9 @@ def run(
         bool,
         typer.Option("--trust-effects", help="Run the effect files (Python) of its cards; read them first."),
     ] = False,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes of this machine to share the units.")] = None,
+    memory: Annotated[str | None, typer.Option(help="For each worker, e.g. 4GiB; default: an equal share.")] = None,
+    scheduler: Annotated[str | None, typer.Option(help="A Dask cluster, e.g. tcp://node1:8786.")] = None,
     json: JsonOption = False,
 ) -> None:
     """Do a study: every combination of its records, cards, effects, noise models, splits and seeds.
@@ -46,11 +54,12 @@ def run(
 
     options.gp = false
 
-    Example: bayes-aero run study.toml --out results
+    With --workers the units are shared out among processes; with --scheduler among the workers of a Dask cluster.
+
+    Example: bayes-aero run study.toml --out results --workers 4
     """
-    if dry_run and verify:
-        raise InputError("--dry-run and --verify exclude each other; give one of them")
-    from bayes_aero.studies.batch import leftovers, plan, run_study
+    _check(dry_run, verify, workers, memory, scheduler)
+    from bayes_aero.studies.batch import UNITS, StoppedError, leftovers, plan, run_study
     from bayes_aero.studies.study import read_study
 
     asked = read_study(study, trust_effects=trust_effects)
@@ -76,13 +85,23 @@ def run(
         done = sum(p.state.word == "done" for p in plan(asked, folder))
         return f"{done} of {len(planned)} units are done and kept in {folder}; the same command does the rest"
 
-    with interruptible(resume), bar("reading") as show:
-        told = run_study(
-            asked,
-            folder,
-            planned,
-            tell=lambda n, of, unit, stage: show(f"{n + 1}/{of} {unit.name}: {stage}", n / max(of, 1)),
-        )
+    due = sum(p.state.word != "done" for p in planned)
+    try:
+        with (
+            interruptible(resume),
+            bar("reading", over=3600.0) as show,
+            _cluster(workers if due else None, memory, scheduler if due else None, folder / UNITS, show) as doer,
+        ):
+            told = run_study(
+                asked,
+                folder,
+                planned,
+                tell=lambda n, of, unit, stage: show(f"{n + 1}/{of} {unit.name}: {stage}", n / max(of, 1)),
+                doer=doer,
+            )
+    except StoppedError as reason:
+        print(f"error: {reason}; {resume()}", file=sys.stderr)
+        raise typer.Exit(FAILED) from None
     rows = [_row(p) | dict(told.get(p.unit.name, {})) for p in planned]
     failed = [row for row in rows if row["state"] != "done"]
     for row in failed:
@@ -94,6 +113,50 @@ def run(
         print_json(_content(asked, folder, rows))
     if failed:
         raise typer.Exit(FAILED)
+
+
+def _check(dry_run: bool, verify: bool, workers: int | None, memory: str | None, scheduler: str | None) -> None:
+    """Options that go together."""
+    if dry_run and verify:
+        raise InputError("--dry-run and --verify exclude each other; give one of them")
+    if workers and scheduler:
+        raise InputError("--workers and --scheduler exclude each other; give one of them")
+    if memory and not workers:
+        raise InputError("--memory is for the processes of --workers; give how many")
+    if (dry_run or verify) and (workers or scheduler):
+        raise InputError("--dry-run and --verify are done in this process; leave --workers and --scheduler out")
+
+
+@contextmanager
+def _cluster(
+    workers: int | None, memory: str | None, scheduler: str | None, units: Path, show: Callable[[str, float], None]
+) -> Iterator[Doer | None]:
+    """What does the units: a Dask cluster where one is asked for."""
+    if not workers and not scheduler:
+        yield None
+        return
+    try:
+        from bayes_aero.studies import cluster
+    except ModuleNotFoundError as reason:
+        raise InputError(
+            f'--workers and --scheduler need {reason.name}; install it with: pip install "bayes-aero[cluster]"'
+        ) from None
+    speak = time.monotonic() + SILENCE
+
+    def tell(done: int, of: int, what: str) -> None:
+        nonlocal speak
+        if what.startswith("waiting") and time.monotonic() > speak:
+            speak = float("inf")  # once; a terminal shows it all the time
+            print(f"{what}; Ctrl-C stops", file=sys.stderr)
+        show(f"{done}/{of} done, {what}", done / max(of, 1))
+
+    if workers:
+        show(f"starting {workers} workers", 0.0)
+        begun = cluster.local(workers, cluster.memory_of(memory, workers), units, tell)
+    else:
+        begun = cluster.remote(str(scheduler), units, tell)
+    with begun as doer:
+        yield doer
 
 
 def _row(p: Planned) -> dict[str, Any]:

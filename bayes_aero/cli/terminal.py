@@ -31,11 +31,15 @@ def teller(*, quiet: bool = False, highlight: bool = False) -> Console:
 
 
 @contextmanager
-def bar(first: str) -> Iterator[Callable[[str, float], None]]:
-    """A bar with the time left on the terminal, silence elsewhere; tell it a stage and the share of it that is done."""
+def bar(first: str, over: float = 30.0) -> Iterator[Callable[[str, float], None]]:
+    """A bar with the time left on the terminal, silence elsewhere; tell it a stage and the share of it that is done.
+
+    The time left is estimated from the last `over` seconds.
+    """
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as shown:
+    hidden = not console.is_terminal
+    with Progress(*columns, console=console, transient=True, disable=hidden, speed_estimate_period=over) as shown:
         task = shown.add_task(first, total=1.0)
         yield lambda text, share: shown.update(task, description=text, completed=share)
 

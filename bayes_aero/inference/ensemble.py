@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -15,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_aero.inference.checkpoint import BurnIn, Checkpoint, Stretch
+from bayes_aero.inference.cores import cores
 from bayes_aero.inference.laplace import Mode
 from bayes_aero.inference.posterior import Posterior, assemble, constrain_draws, converged, diagnose
 from bayes_aero.model.log_density import LogDensity
@@ -151,7 +151,7 @@ def _seed(seed: int, ensemble: int, number: int) -> int:
 def _advance(samplers: list[emcee.EnsembleSampler], steps: int, begin: np.ndarray | None = None) -> None:
     """Every ensemble by `steps`, one thread a core: they share nothing, and the density runs outside Python's lock."""
     starts = [None] * len(samplers) if begin is None else list(begin)
-    with ThreadPoolExecutor(min(len(samplers), os.cpu_count() or 1)) as pool:
+    with ThreadPoolExecutor(min(len(samplers), cores())) as pool:
         list(pool.map(lambda sampler, start: sampler.run_mcmc(start, steps), samplers, starts))
 
 

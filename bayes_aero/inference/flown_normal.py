@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayes_aero.inference.cores import cores
 from bayes_aero.model.segments import Flown, simulate
 
 DEPARTURE = {"airspeed": 1.0, "alpha": 0.01, "theta": 0.01, "q": 0.01, "altitude": 3.0, "X": 0.1}
@@ -103,7 +104,7 @@ class Looks:
             return np.asarray(gram), np.asarray(inside), np.asarray(columns)
 
         if len(self._parts) > 1 and self._compiled:
-            with ThreadPoolExecutor(len(self._parts)) as pool:
+            with ThreadPoolExecutor(min(len(self._parts), cores())) as pool:
                 found = list(pool.map(one, self._parts, self._rows))
         else:
             found = list(map(one, self._parts, self._rows))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -15,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpyro.infer.hmc import HMCState, hmc
 
+from bayes_aero.inference.cores import cores
 from bayes_aero.inference.laplace import Mode
 from bayes_aero.inference.posterior import Posterior, PosteriorStatus, assemble, constrain_draws, converged, diagnose
 from bayes_aero.model.log_density import LogDensity
@@ -86,7 +86,7 @@ def sample_nuts(
     states = [_begin(target, warmup, key, v) for key, v in zip(jax.random.split(run_key, chains), starts, strict=True)]
 
     def advance(states: list[HMCState]) -> list[tuple[HMCState, tuple[Array, dict[str, Array]]]]:
-        with ThreadPoolExecutor(min(len(states), os.cpu_count() or 1)) as pool:
+        with ThreadPoolExecutor(min(len(states), cores())) as pool:
             return list(pool.map(lambda state: jax.block_until_ready(_stretch(target, warmup, state)), states))
 
     for number in range(-(-warmup // STRETCH)):  # the first chain begins alone: the others find what it compiled

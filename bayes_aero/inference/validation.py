@@ -14,10 +14,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from joblib import Parallel, cpu_count, delayed, parallel_config
+from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from bayes_aero.errors import InputError
+from bayes_aero.inference.cores import cores
 from bayes_aero.inference.gp import GPFit, Priors, fit_gp
 from bayes_aero.inference.gp.fit import MAX_SAMPLES, too_many
 from bayes_aero.inference.gp.sample import forget_compiled
@@ -91,7 +92,7 @@ def validate(
     trained: dict[_Task, tuple[GPFit | None, dict[str, Any]]] = {}
     jobs = _processes(len(tasks), largest)
     if tidy:
-        _give_back_memory()
+        give_back_memory()
     # LAPACK holds Python's lock and gains little from a second thread at these sizes: one process a core.
     with parallel_config(backend="loky", inner_max_num_threads=1):
         results: Any = Parallel(n_jobs=jobs, return_as="generator")(work)
@@ -128,10 +129,10 @@ def _processes(tasks: int, n: int) -> int:
         return 1
     each = 8 * 8 * n**2 + 2**30
     free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") if sys.platform == "linux" else 2 * each
-    return max(1, min(tasks, cpu_count(), free // each))
+    return max(1, min(tasks, cores(), free // each))
 
 
-def _give_back_memory() -> None:
+def give_back_memory() -> None:
     """Return to the system what compilers and samplers have left: compiled programs that nobody calls again, and
     glibc's free lists, over half a GB."""
     forget_compiled()
@@ -183,7 +184,7 @@ def _trained(
         progress=lambda _: None,
     )
     if tidy:
-        _give_back_memory()
+        give_back_memory()
     measured = z[fold.test_idx]
     prediction = fit.predict(X[fold.test_idx])
     level = prediction.levels.index(LEVEL)

@@ -8,6 +8,7 @@ from typing import TypeVar
 
 from matplotlib.figure import Figure
 
+from bayes_aero.errors import no_space
 from bayes_aero.inference.identification import Identification
 from bayes_aero.report import (
     figures_comparison,
@@ -93,6 +94,8 @@ def draw_all(
         except NotDrawn:
             continue
         except Exception as reason:  # whatever it is, the other figures and the results stand; it is reported by name
+            if no_space(reason):
+                raise
             failed[stem] = f"{type(reason).__name__}: {reason}"
     if progress:
         progress("figures", 1.0)

@@ -18,6 +18,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 from markupsafe import Markup, escape
 
 from bayes_aero import __version__
+from bayes_aero.errors import no_space
 
 ACROSS = 150  # characters in a row of a table from which paper is turned
 
@@ -182,6 +183,8 @@ def put_page(make: Callable[[], Page], folder: Path) -> str | None:
     try:
         write_page(make(), folder / "report.html")
     except Exception as reason:  # the numbers are on disk already; whatever it is, they stand
+        if no_space(reason):
+            raise
         return f"report.html was not written: {type(reason).__name__}: {reason}"
     return None
 

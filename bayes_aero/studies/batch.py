@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from bayes_aero.errors import InputError
+from bayes_aero.studies.durable import sweep
 from bayes_aero.studies.environment import write_environment
 from bayes_aero.studies.folder import writable
 from bayes_aero.studies.provenance import write_text
 from bayes_aero.studies.study import Study, Unit
 from bayes_aero.studies.summary import write_summary
-from bayes_aero.studies.unit import State, run_unit, state_of, sweep
+from bayes_aero.studies.unit import State, run_unit, state_of
 
 UNITS, COPY = "units", "study.toml"
 Told = Callable[[int, int, Unit, str], None]
 """Is told how many units are done, of how many, which one is in work, and its stage."""
+
+
+class StoppedError(Exception):
+    """Why the rest of a study cannot be done now, in one sentence; what is finished is kept."""
+
 
 Doer = Callable[[Iterable[tuple[Mapping[str, Any], str]]], Iterator[Mapping[str, Any]]]
 """Takes (description, folder) of units and yields what `run_unit` returns, in any order: here a cluster goes in."""
@@ -60,8 +66,17 @@ def run_study(
     try:
         for outcome in (doer or partial(_one_by_one, tell=tell))(work):
             said[str(outcome["name"])] = outcome
-    finally:
+    except BaseException:
+        with suppress(OSError):  # what stopped the study is told, not that its tables could not be written either
+            write_summary(study.units, out / UNITS, out)
+        raise
+    try:
         write_summary(study.units, out / UNITS, out)
+    except OSError as error:
+        raise InputError(
+            f"the tables of {out} cannot be written ({error.strerror}), but all units are kept; mend that and give the "
+            "same command again"
+        ) from None
     return said
 
 
@@ -90,10 +105,4 @@ def _one_by_one(work: Iterable[tuple[Mapping[str, Any], str]], tell: Told | None
                 tell(number, len(units), unit, text)
 
         progress("reading", 0.0)
-        _refuse_full(Path(folder))
         yield run_unit(given, folder, progress=progress)
-
-
-def _refuse_full(folder: Path) -> None:
-    if shutil.disk_usage(folder.parent).free < 1 << 20:
-        raise InputError(f"the disk of {folder.parent} is full; free some space and give the same command again")

@@ -58,10 +58,12 @@ def identify(
     split: SplitKind = "random",
     seed: int = 0,
     out: Path | None = None,
+    sample: bool = True,
     gp: bool = True,
     approximate_gp: bool = False,
     figures: bool = True,
     resume: bool = True,
+    page: bool = True,
     progress: Progress | None = None,
 ) -> Identification:
     """Fit, sample and compare, as `bayes-aero identify` does; with `out` every stage is written as it ends.
@@ -69,7 +71,8 @@ def identify(
     With `out` and `resume` emcee's chains are on disk as they grow, in `out`/.chains until the run is complete: the
     same call after a kill goes on with them, if records, card, settings and versions are the same.
 
-    `split` chooses the split whose Gaussian-process hyperparameters are sampled; scores are given for all splits.
+    Without `sample` maximum likelihood alone stands for the parameters; without `page` no report.html is made. `split`
+    chooses the split whose Gaussian-process hyperparameters are sampled; scores are given for all splits.
     """
     model = Model.from_card(card)
     observations = observe(records, card, model)
@@ -84,7 +87,7 @@ def identify(
     chains = None if out is None else out / CHAINS
     stores = None if chains is None or not resume else _stores(chains, card, records, seed)
 
-    for key, colour, engine in _plan(noise):
+    for key, colour, engine in _plan(noise) if sample else ():
         with _timed(seconds, key, progress):
             density = Density.of(observations, model, Noise(colour))
             mode = find_mode(density, density_start(density, mle))
@@ -120,7 +123,7 @@ def identify(
             drawn, failed = write_figures(run, out / "figures", progress=progress)
         run = replace(run, notes=(*run.notes, *(f"Figure {name} was not drawn: {why}" for name, why in failed.items())))
     writer.stage(run)
-    if out is not None:
+    if page and out is not None:
         with _timed(seconds, "report", progress):
             failure = put_page(lambda: identification_page(run, writer.source, {p.stem: p for p in drawn}), out)
         if failure:

@@ -28,7 +28,14 @@ KEYS = (
 NOISES = ("white", "ar1", "buffet-ar1")
 SPLITS = ("random", "block", "manoeuvre")
 OPTIONS: dict[str, dict[str, type]] = {
-    "identify": {"gp": bool, "approximate_gp": bool, "figures": bool, "resample": float},
+    "identify": {
+        "sample": bool,
+        "gp": bool,
+        "approximate_gp": bool,
+        "figures": bool,
+        "page": bool,
+        "resample": float,
+    },
     "diagnose": {
         "max_effects": int, "predictors": bool, "trajectories": bool, "figures": bool, "resample": float,
     },

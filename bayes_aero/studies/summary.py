@@ -10,6 +10,7 @@ from typing import Any
 
 import pandas as pd
 
+from bayes_aero.studies.durable import sync
 from bayes_aero.studies.study import Unit
 from bayes_aero.studies.unit import MANIFEST
 
@@ -137,6 +138,7 @@ def _write(table: pd.DataFrame, path: Path) -> None:
         else:
             text = [c for c in table.columns if c not in ("seed", "seconds", "value", "sd", "low95", "high95")]
             table.astype(dict.fromkeys(text, "string")).to_parquet(partial, index=False)
+        sync(partial)
         os.replace(partial, path)
     finally:
         partial.unlink(missing_ok=True)

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import re
 import shutil
-import socket
 import time
 import traceback
 from collections.abc import Callable, Mapping
@@ -16,18 +13,17 @@ from pathlib import Path
 from typing import Any
 
 import bayes_aero
-from bayes_aero.errors import InputError
+from bayes_aero.errors import InputError, no_space
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.tables import is_file
-from bayes_aero.model.noise import Colour
+from bayes_aero.studies.durable import beside, put_folder
 from bayes_aero.studies.environment import environment_id
-from bayes_aero.studies.identify import identify, read_records
 from bayes_aero.studies.provenance import provenance, write_json, write_text
 from bayes_aero.studies.study import Unit, card_of
-from bayes_aero.studies.tasks import diagnose_records
 
 SCHEMA = "bayes_aero/unit/1"
 MANIFEST, ERROR = "unit.json", "error.txt"
+LEAST_FREE = 1 << 20  # bytes on the disk below which no unit is begun
 Progress = Callable[[str, float], None]
 Task = Callable[[Unit, Path, Progress | None], None]
 
@@ -93,25 +89,59 @@ def run_unit(
     """Do a unit (`Unit.as_json`) into `folder`, which appears when it is complete: with results, or with error.txt.
 
     A pure function of its description and the files it names, fit to be sent to another process. Returns name, state,
-    seconds and error.
+    seconds and error. A disk on which nothing can be written is no failure of the unit: it is told, and nothing stays.
     """
-    unit, target, began = Unit.of_json(given), Path(folder), time.perf_counter()
-    partial = target.with_name(f".{target.name}.{_host()}.{os.getpid()}.part")
+    return _made(Unit.of_json(given), Path(folder), lambda unit, out: _attempt(unit, out, task or perform, progress))
+
+
+def fail_unit(given: Mapping[str, Any], folder: str, error: str) -> dict[str, Any]:
+    """Put on record that a unit failed where it could not say so itself, as one that kills its process."""
+
+    def written(_: Unit, out: Path) -> str:
+        write_text(f"{error}\n", out / ERROR)
+        return error
+
+    return _made(Unit.of_json(given), Path(folder), written)
+
+
+def _made(unit: Unit, target: Path, attempt: Callable[[Unit, Path], str]) -> dict[str, Any]:
+    began, partial = time.perf_counter(), beside(target)
     shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
     try:
+        partial.mkdir(parents=True)
+        if shutil.disk_usage(partial).free < LEAST_FREE:
+            raise InputError(_full(target))
         made_from = fingerprint(unit)
-        error = _attempt(unit, partial, task or perform, progress)
+        error = attempt(unit, partial)
         seconds = round(time.perf_counter() - began, 2)
         _seal(partial, unit, made_from, error, seconds)
-        _put(partial, target)
+        put_folder(partial, target)
+    except Exception as reason:
+        if no_space(reason):
+            raise InputError(_full(target)) from None
+        if isinstance(reason, OSError):
+            raise InputError(
+                f"cannot write to {target.parent} ({reason.strerror}); mend that and give the same command again"
+            ) from None
+        raise
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     return {"name": unit.name, "state": "failed" if error else "done", "seconds": seconds, "error": error}
 
 
+def _full(target: Path) -> str:
+    return (
+        f"the disk of {target.parent} is full; units that were done are kept: free some space and give the same "
+        "command again"
+    )
+
+
 def perform(unit: Unit, out: Path, progress: Progress | None = None) -> None:
     """The unit's own work: everything that it writes lies in `out`."""
+    from bayes_aero.model.noise import Colour  # here, since whoever only hands units out needs none of these
+    from bayes_aero.studies.identify import identify, read_records
+    from bayes_aero.studies.tasks import diagnose_records
+
     card = card_of(unit)
     options = dict(unit.options)
     records = read_records([Path(p) for p in unit.records], card, resample=options.pop("resample", None))
@@ -138,16 +168,20 @@ def _attempt(unit: Unit, out: Path, task: Task, progress: Progress | None) -> st
     try:
         task(unit, out, progress)
     except InputError as reason:
+        if no_space(reason):
+            raise
         write_text(f"{reason}\n", out / ERROR)
         return str(reason)
     except Exception as reason:  # the study goes on; the unit keeps the whole story
+        if no_space(reason):
+            raise
         write_text(traceback.format_exc(), out / ERROR)
         return f"{type(reason).__name__}: {reason}"
     return ""
 
 
 def _seal(partial: Path, unit: Unit, made_from: Mapping[str, Any], error: str, seconds: float) -> None:
-    """The manifest, written last; everything is on the disk before the folder gets its name."""
+    """The manifest, written last."""
     files = sorted(p for p in partial.rglob("*") if p.is_file())
     content = {
         "schema": SCHEMA,
@@ -160,42 +194,6 @@ def _seal(partial: Path, unit: Unit, made_from: Mapping[str, Any], error: str, s
         "files": {p.relative_to(partial).as_posix(): _sha256(p) for p in files},
     }
     write_json(content, partial / MANIFEST)
-    for path in (*files, partial / MANIFEST):
-        with path.open("rb") as handle:
-            os.fsync(handle.fileno())
-
-
-def _put(partial: Path, target: Path) -> None:
-    """Give a finished folder its name, in place of what was there."""
-    old = partial.with_suffix(".old")
-    shutil.rmtree(old, ignore_errors=True)
-    if target.exists():
-        os.replace(target, old)
-    os.replace(partial, target)
-    shutil.rmtree(old, ignore_errors=True)
-
-
-def sweep(units: Path) -> None:
-    """Remove what runs of this machine that are no more have left half done."""
-    for path in units.glob(".*"):
-        _, *parts = path.name.rsplit(".", 3)
-        ours = len(parts) == 3 and parts[0] == _host() and parts[1].isdigit() and parts[2] in ("part", "old")
-        if ours and not _alive(int(parts[1])):
-            shutil.rmtree(path, ignore_errors=True)
-
-
-def _host() -> str:
-    return re.sub(r"[^A-Za-z0-9-]", "_", socket.gethostname())
-
-
-def _alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
-    return True
 
 
 def _sha256(path: Path) -> str:

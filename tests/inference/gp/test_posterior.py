@@ -68,7 +68,7 @@ def test_it_samples_as_before_after_compiled_programs_were_given_back(case):
     data, best, first = case
     short = Settings(20, 20, 2)
     before = sample_emulated(best.theta, first.emulator, data.n, Priors(), short, seed=1)
-    validation._give_back_memory()
+    validation.give_back_memory()
     after = sample_emulated(best.theta, first.emulator, data.n, Priors(), short, seed=1)
     np.testing.assert_array_equal(after.theta, before.theta)
 

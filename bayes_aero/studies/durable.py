@@ -1,0 +1,91 @@
+"""Folders that appear whole, and stay through a loss of power: written under another name, flushed, then renamed."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import shutil
+import socket
+from contextlib import suppress
+from pathlib import Path
+
+PART, OLD = "part", "old"
+
+
+def beside(target: Path) -> Path:
+    """The name under which this process makes `target`: hidden, and telling which process of which machine."""
+    return target.with_name(f".{target.name}.{host()}.{os.getpid()}.{PART}")
+
+
+def put_folder(made: Path, target: Path) -> None:
+    """Give a folder that is complete its name, in place of what was there; first it is on the disk, then it is named.
+
+    Between the two renames a kill leaves what was there under a hidden name; `sweep` puts it back.
+    """
+    sync_tree(made)
+    aside = made.with_suffix(f".{OLD}")
+    while True:
+        shutil.rmtree(aside, ignore_errors=True)
+        with suppress(FileNotFoundError):
+            os.replace(target, aside)
+        try:
+            os.replace(made, target)
+            break
+        except OSError as reason:
+            if reason.errno not in (errno.ENOTEMPTY, errno.EEXIST):  # those: another process has just put its own there
+                raise
+    sync(target.parent)
+    shutil.rmtree(aside, ignore_errors=True)
+
+
+def sync_tree(folder: Path) -> None:
+    """Every file and every folder below, and the folder itself, on the disk."""
+    for path in sorted(folder.rglob("*"), reverse=True):
+        sync(path)
+    sync(folder)
+
+
+def sync(path: Path) -> None:
+    """A file's content, or the names in a folder, on the disk."""
+    if path.is_dir() and not hasattr(os, "O_DIRECTORY"):
+        return  # Windows neither can nor need
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError as reason:
+        if reason.errno != errno.EINVAL:  # a file system that cannot flush folders
+            raise
+    finally:
+        os.close(handle)
+
+
+def sweep(folder: Path) -> None:
+    """Remove what processes of this machine that are no more have left half done, and put back what they had moved."""
+    for path in folder.glob(".*"):
+        name, *parts = path.name[1:].rsplit(".", 3)
+        ours = len(parts) == 3 and parts[0] == host() and parts[1].isdigit() and parts[2] in (PART, OLD)
+        if not ours or _alive(int(parts[1])):
+            continue
+        if parts[2] == OLD and not (folder / name).exists():
+            with suppress(OSError):  # a neighbour may sweep too
+                os.replace(path, folder / name)
+        elif path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def host() -> str:
+    """This machine's name, fit for a file's."""
+    return re.sub(r"[^A-Za-z0-9-]", "_", socket.gethostname())
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True

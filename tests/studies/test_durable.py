@@ -1,0 +1,175 @@
+"""Folders that appear whole: what a kill at any moment leaves, and a disk on which nothing can be written."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from bayes_aero.errors import InputError, no_space
+from bayes_aero.report.page import put_page
+from bayes_aero.studies import durable
+from bayes_aero.studies.durable import beside, put_folder, sweep
+from bayes_aero.studies.unit import ERROR, MANIFEST, fail_unit, run_unit
+
+
+@pytest.fixture
+def dead():
+    """The number of a process that is no more."""
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+    return process.pid
+
+
+def filled(folder: Path, text: str) -> Path:
+    folder.mkdir()
+    (folder / "results.json").write_text(text)
+    return folder
+
+
+def test_what_was_there_makes_way(tmp_path):
+    target = filled(tmp_path / "unit", "old")
+    put_folder(filled(beside(target), "new"), target)
+    assert (target / "results.json").read_text() == "new"
+    assert [path.name for path in tmp_path.iterdir()] == ["unit"]
+
+
+def test_a_kill_between_the_renames_leaves_what_was_there(tmp_path, monkeypatch, dead):
+    target = filled(tmp_path / "unit", "old")
+    replace = os.replace
+
+    def killed(source, to):
+        if Path(to) == target:
+            raise KeyboardInterrupt
+        replace(source, to)
+
+    monkeypatch.setattr(os, "getpid", lambda: dead)
+    monkeypatch.setattr(os, "replace", killed)
+    with pytest.raises(KeyboardInterrupt):
+        put_folder(filled(beside(target), "new"), target)
+    assert not target.exists()
+    monkeypatch.undo()
+    sweep(tmp_path)
+    assert (target / "results.json").read_text() == "old"
+    assert [path.name for path in tmp_path.iterdir()] == ["unit"]
+
+
+def test_a_neighbour_that_puts_the_same_unit_first_is_replaced(tmp_path, monkeypatch):
+    target = tmp_path / "unit"
+    replace, raced = os.replace, []
+
+    def racing(source, to):
+        if Path(to) == target and not raced:
+            raced.append(filled(target, "neighbour"))
+        replace(source, to)
+
+    monkeypatch.setattr(os, "replace", racing)
+    put_folder(filled(beside(target), "ours"), target)
+    assert raced
+    assert (target / "results.json").read_text() == "ours"
+    assert [path.name for path in tmp_path.iterdir()] == ["unit"]
+
+
+def test_everything_is_on_the_disk_before_it_is_named(tmp_path, monkeypatch):
+    """Files first, then their folders; the folder that holds the name last of all."""
+    target = tmp_path / "unit"
+    made = filled(beside(target), "new")
+    (made / "figures").mkdir()
+    (made / "figures" / "one.png").write_text("picture")
+    done = []
+    flush = os.fsync
+
+    def flushing(handle):
+        done.append((Path(os.readlink(f"/proc/self/fd/{handle}")).name, target.exists()))
+        flush(handle)
+
+    if sys.platform != "linux":
+        pytest.skip("open files are told by name in /proc only")
+    monkeypatch.setattr(os, "fsync", flushing)
+    put_folder(made, target)
+    names = [name for name, _ in done]
+    assert set(names) == {"results.json", "one.png", "figures", made.name, tmp_path.name}
+    assert names.index("one.png") < names.index("figures") < names.index(made.name)
+    assert [named for _, named in done] == [False] * 4 + [True]
+
+
+def test_only_the_dead_of_this_machine_are_swept(tmp_path, dead):
+    alive, elsewhere = f".unit.{durable.host()}.{os.getpid()}.part", f".unit.other.{dead}.part"
+    token = tmp_path / f".driver.{durable.host()}.{dead}.part"
+    token.write_text("word")
+    for name in (alive, elsewhere, f".unit.{durable.host()}.{dead}.part"):
+        filled(tmp_path / name, "half")
+    sweep(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([alive, elsewhere])
+
+
+@pytest.fixture
+def given(tmp_path):
+    """A unit of a record that exists."""
+    (tmp_path / "record.csv").write_text("time\n0\n")
+    return {
+        "name": "record-1", "task": "identify", "records": [str(tmp_path / "record.csv")], "shown": ["record.csv"],
+        "card": str(Path(__file__).parents[2] / "models" / "attas.toml"), "card_name": "attas", "seed": 0,
+        "split": "random", "noise": "white", "effects": [], "options": {},
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
+def test_a_full_disk_is_no_failure_of_the_unit(tmp_path, given, number):
+    def task(_, out, *__):
+        (out / "half.txt").write_text("half done")
+        try:
+            raise OSError(number, os.strerror(number))
+        except OSError:
+            raise RuntimeError("a library's own words") from None
+
+    with pytest.raises(InputError, match=r"the disk of .*units is full; .* give the same command again"):
+        run_unit(given, str(tmp_path / "units" / "record-1"), task=task)
+    assert not list((tmp_path / "units").iterdir())
+
+
+def test_a_file_that_may_not_grow_is_a_full_disk(tmp_path, given):
+    """The system's own refusal, in a process of its own: no file may exceed 100 kB."""
+    code = (
+        "import json, resource, sys; from bayes_aero.studies.unit import run_unit\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
+        "def task(unit, out, *_):\n"
+        "    import h5py, numpy\n"
+        "    with h5py.File(out / 'x.nc', 'w') as f: f['x'] = numpy.random.default_rng(0).normal(size=100_000)\n"
+        "try: run_unit(json.loads(sys.argv[1]), sys.argv[2], task=task)\n"
+        "except ValueError as reason: print(type(reason).__name__, reason)\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", code, json.dumps(given), str(tmp_path / "units" / "record-1")],
+        env=os.environ | {"JAX_PLATFORMS": "cpu"}, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert ended.stdout.startswith(f"InputError the disk of {tmp_path / 'units'} is full"), ended.stderr
+    assert not list((tmp_path / "units").iterdir())
+
+
+def test_a_page_that_finds_no_space_is_not_left_out_in_silence(tmp_path):
+    def page():
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with pytest.raises(OSError, match="No space left"):
+        put_page(page, tmp_path)
+
+
+def test_h5py_names_the_number_in_words_alone():
+    assert no_space(OSError("Unable to write (file write failed: time = now, errno = 28, error message = 'x')"))
+    assert not no_space(OSError("Unable to open (errno = 2, error message = 'No such file or directory')"))
+    assert not no_space(ValueError("no"))
+
+
+def test_a_failure_told_from_outside_is_kept_as_one_told_from_inside(tmp_path, given):
+    told = fail_unit(given, str(tmp_path / "units" / "record-1"), "its process died")
+    assert (told["state"], told["error"]) == ("failed", "its process died")
+    folder = tmp_path / "units" / "record-1"
+    assert (folder / ERROR).read_text() == "its process died\n"
+    manifest = json.loads((folder / MANIFEST).read_text())
+    assert (manifest["state"], manifest["error"], list(manifest["files"])) == ("failed", "its process died", [ERROR])
