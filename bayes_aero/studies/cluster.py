@@ -35,6 +35,7 @@ LOOK, COUNT, PAUSE = (
     1.0,
     0.5,
 )  # seconds between looks at units in work, at how many workers there are, at a lost line
+PATIENCE = 120.0  # seconds in which a worker of this machine that died is started again
 STUMBLES = 5  # lost connections in a row after which the study is given up
 QUIET = ("distributed", "tornado", "asyncio")
 OWN_CLUSTER = {
@@ -73,7 +74,7 @@ def local(workers: int, memory: int, units: Path, tell: Told) -> Iterator[Doer]:
             raise InputError(
                 f"{workers} workers cannot be started here ({_short(reason)}); mend that, or leave --workers out"
             ) from None
-        yield _doer(client, units, tell, f"give each worker more than --memory {format_bytes(memory)}")
+        yield _doer(client, units, tell, f"give each worker more than --memory {format_bytes(memory)}", PATIENCE)
 
 
 def _begun(stack: ExitStack, workers: int, memory: int) -> Client:
@@ -112,11 +113,11 @@ def remote(address: str, units: Path, tell: Told) -> Iterator[Doer]:
             _close(client)
 
 
-def _doer(client: Client, units: Path, tell: Told, remedy: str) -> Doer:
+def _doer(client: Client, units: Path, tell: Told, remedy: str, patience: float = float("inf")) -> Doer:
     def do(given: Iterable[tuple[Mapping[str, Any], str]]) -> Iterator[Mapping[str, Any]]:
         driver = Driver.of(units)
         try:
-            yield from _Study(client, driver, tell, remedy).done(list(given))
+            yield from _Study(client, driver, tell, remedy, patience).done(list(given))
         finally:
             Path(driver.token).unlink(missing_ok=True)
             sweep(units)
@@ -127,11 +128,12 @@ def _doer(client: Client, units: Path, tell: Told, remedy: str) -> Doer:
 class _Study:
     """Units handed out as workers become free: one for each, so that a dying worker takes no other unit with it."""
 
-    def __init__(self, client: Client, driver: Driver, tell: Told, remedy: str) -> None:
+    def __init__(self, client: Client, driver: Driver, tell: Told, remedy: str, patience: float) -> None:
         self.client, self.driver, self.tell, self.remedy = client, driver, tell, remedy
         self.address = client.scheduler.addr if client.scheduler else "the scheduler"
         self.running: dict[Future, tuple[Mapping[str, Any], str]] = {}
         self.workers, self.counted, self.stumbled = 0, -COUNT, 0
+        self.patience, self.seen = patience, time.monotonic()
 
     def done(self, given: list[tuple[Mapping[str, Any], str]]) -> Iterator[Mapping[str, Any]]:
         """What `run_unit` returns for each unit, as they end."""
@@ -164,6 +166,10 @@ class _Study:
         """How many processes there are to work, asked now and then."""
         if time.monotonic() - self.counted > COUNT:
             self.workers, self.counted = len(cast("dict[str, int]", self.client.nthreads())), time.monotonic()
+            if self.workers:
+                self.seen = self.counted
+            elif self.counted - self.seen > self.patience:
+                raise StoppedError(f"all workers have ended, and none could be started again in {self.patience:.0f} s")
 
     def _submit(self, given: Mapping[str, Any], folder: str) -> Future:
         text, place = json.dumps(given), str(Path(folder).resolve())
