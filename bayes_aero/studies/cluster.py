@@ -91,7 +91,7 @@ def _begun(stack: ExitStack, workers: int, memory: int) -> Client:
             env=variables(),
         )
         stack.callback(_close, cluster)
-        client = Client(cluster)
+        client = Client(cluster, set_as_default=False)
         stack.callback(_close, client)
     return client
 
@@ -101,7 +101,7 @@ def remote(address: str, units: Path, tell: Told) -> Iterator[Doer]:
     """The workers of a scheduler that runs already, now or later; they stay."""
     with _quiet():
         try:
-            client = Client(address)
+            client = Client(address, set_as_default=False)  # else a failed one stays the default
         except (OSError, ValueError, TypeError, ImportError) as reason:
             raise InputError(
                 f"--scheduler {address} does not answer ({_short(reason)}); check that it runs, and that the "

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from bayes_aero.inference.ensemble import sample_ensemble
 from bayes_aero.inference.laplace import density_start, find_mode
@@ -24,16 +24,19 @@ Z95 = 1.959963984540054
 
 @dataclass(frozen=True)
 class Coverage:
-    """`inside[m, r, k]`: method m's interval of parameter k covered the truth in replicate r; `width` is its length."""
+    """`inside[m, r, k]` is 1 where method m's interval of parameter k covered the truth in replicate r, else 0.
+
+    `width` is its length. Both are NaN where a method was not tried.
+    """
 
     names: tuple[str, ...]
-    inside: Bool[np.ndarray, "methods replicates k"]
+    inside: Float[np.ndarray, "methods replicates k"]
     width: Float[np.ndarray, "methods replicates k"]
     converged: Float[np.ndarray, " replicates"]
 
     def table(self) -> pd.DataFrame:
         """Share covered, a row per parameter and one for all, a column per method."""
-        shares = pd.DataFrame(self.inside.mean(axis=1).T, index=list(self.names), columns=list(METHODS))
+        shares = pd.DataFrame(np.nanmean(self.inside, axis=1).T, index=list(self.names), columns=list(METHODS))
         shares.loc["all"] = shares.mean()
         return shares
 
@@ -46,6 +49,7 @@ def coverage_study(
     *,
     replicates: int,
     seed: int,
+    white: int | None = None,
     ensembles: int = 2,
     max_steps: int = 1000,
     progress: Callable[[str, float], None] | None = None,
@@ -53,7 +57,8 @@ def coverage_study(
     """Simulate coefficients from `truth` with AR(1) noise, infer them in four ways, count covered parameters.
 
     `observations` lend their signals only. Intervals: estimate +- 1.96 bounds, and equal-tailed posterior intervals.
-    Every replicate is counted, converged or not; `converged` is the share of its two posteriors that were.
+    Every replicate is counted, converged or not; `converged` is the share of its posteriors that were. The posterior
+    under white noise, which is there to be seen failing, is sampled for the first `white` replicates (default: all).
     """
     theta = np.array([truth[name] for name in model.names])
     maker = Density(observations, model, Noise(Colour.AR1))
@@ -61,13 +66,17 @@ def coverage_study(
     rng = np.random.default_rng(seed)
     inside, width, good = [], [], []
     for replicate in range(replicates):
-        white = jnp.asarray(rng.standard_normal((observations.n, 3)))
-        data = observations.with_measured(maker.replicate(x_true, white))
+        draws = jnp.asarray(rng.standard_normal((observations.n, 3)))
+        data = observations.with_measured(maker.replicate(x_true, draws))
         mle = fit_mle(model, data, start=theta, extra_starts=0)
         low = [mle.estimate - Z95 * mle.crb, mle.estimate - Z95 * mle.crb_corrected]
         high = [mle.estimate + Z95 * mle.crb, mle.estimate + Z95 * mle.crb_corrected]
         sound = []
         for colour in (Colour.WHITE, Colour.AR1):
+            if colour is Colour.WHITE and white is not None and replicate >= white:
+                low.append(np.full(len(theta), np.nan))
+                high.append(np.full(len(theta), np.nan))
+                continue
             density = Density(data, model, Noise(colour))
             mode = find_mode(density, density_start(density, mle))
             posterior = sample_ensemble(
@@ -77,7 +86,9 @@ def coverage_study(
             low.append(ends[:, 0])
             high.append(ends[:, 1])
             sound.append(posterior.status.name == "CONVERGED")
-        inside.append([(a <= theta) & (theta <= b) for a, b in zip(low, high, strict=True)])
+        inside.append(
+            [np.where(np.isnan(a), np.nan, (a <= theta) & (theta <= b)) for a, b in zip(low, high, strict=True)]
+        )
         width.append([b - a for a, b in zip(low, high, strict=True)])
         good.append(np.mean(sound))
         if progress:

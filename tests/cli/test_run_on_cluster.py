@@ -322,6 +322,7 @@ def test_an_address_that_does_not_answer_is_one_sentence(program, folder, monkey
         done = program("run", "study.toml", "--scheduler", address)
     assert done.code == 2
     assert re.fullmatch(rf"error: --scheduler {re.escape(address)} does not answer [^\n]+\n", done.err), done.err
+    assert dask.config.get("scheduler", None) is None  # else xarray would look for that client from now on
     assert not finished(folder)
 
 
