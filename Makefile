@@ -31,11 +31,12 @@ check: $(STAMP)  ## lint, types, layers
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	PYTHONPATH=. $(BIN)/lint-imports
 
-fast: $(STAMP)  ## the tests without the statistical recovery studies
-	$(PYTEST) -m "not recovery"
+fast: $(STAMP)  ## the tests without the statistical recovery studies and those on a cluster
+	$(PYTEST) -m "not recovery and not cluster"
 
-test: check  ## everything
-	$(PYTEST)
+test: check  ## everything; studies on a cluster by themselves, for they start workers of their own and wait for them
+	$(PYTEST) -m "not cluster"
+	$(PYTEST) -n 0 -m cluster
 
 docs: $(STAMP)  ## the documentation as a site, into ./site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
