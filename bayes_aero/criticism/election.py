@@ -95,6 +95,33 @@ class Projected:
             covariances.append(bread @ meat[np.ix_(place, place)] @ bread)
         return estimates, covariances
 
+    def between(
+        self, residual: Float[np.ndarray, "m c"], estimates: Sequence[np.ndarray], stretch: Int[np.ndarray, " m"]
+    ) -> list[np.ndarray]:
+        """Covariance of each block's estimate from how far the stretches disagree about it, whatever the colour within.
+
+        Cluster-robust (Liang and Zeger 1986, Biometrika 73, 13), with the estimate itself taken out.
+        """
+        count, found = int(stretch.max()) + 1, []
+        for place, estimate in zip(self.place, estimates, strict=True):
+            P = self.P[:, :, place]
+            rows = np.einsum("mci,c,mc->mi", P, 1.0 / self.variance, residual - P @ estimate, optimize=True)
+            sums = np.zeros((count, len(place)))
+            np.add.at(sums, stretch, rows)
+            bread = inverse(self.information[np.ix_(place, place)])
+            found.append(bread @ (sums.T @ sums) @ bread * count / (count - 1.0))
+        return found
+
+
+def _score(estimate: np.ndarray, covariance: np.ndarray, freedom: int) -> float:
+    score = equivalent(estimate, covariance)
+    return as_normal(score, freedom) if freedom else score
+
+
+def as_normal(score: float, freedom: int) -> float:
+    """Student's score as the normal one of the same tail probability."""
+    return float(stats.norm.isf(max(stats.t.sf(score, freedom), 1e-300)))
+
 
 def equivalent(estimate: np.ndarray, covariance: np.ndarray) -> float:
     """Wald statistic as the standard score of one parameter with the same tail probability."""
@@ -137,6 +164,12 @@ def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, wit
     again = [colour_of(without_active(state, fit, e), state.folds) for e in drawn]
     colour = unbiased(colour, again)
     estimates, covariances = projected.scores(residual, colour, state.folds)
+    stretch = state.responses.stretch
+    freedom = 0 if stretch is None else int(stretch.max())
+    if stretch is not None:
+        wider = projected.between(residual, estimates, stretch)
+        pairs = zip(estimates, covariances, wider, strict=True)
+        covariances = [C if equivalent(b, C) < equivalent(b, W) else W for b, C, W in pairs]
     gains = _gains(state, products, mean, columns, [b[1] for b in blocks], fit)
     found = []
     for j, (effect, own, value) in enumerate(blocks):
@@ -150,7 +183,7 @@ def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, wit
                 columns=tuple(int(i) for i in own),
                 value=value,
                 gain=float(gains[0][j]) if possible else 0.0,
-                score=equivalent(estimates[j], covariances[j]) if possible else 0.0,
+                score=_score(estimates[j], covariances[j], freedom) if possible else 0.0,
                 inflation=float(np.max(variance / white)),
                 log_bayes=log_bayes(estimates[j], covariances[j], mean[own], state.precision[own] / state.temper),
                 step=tuple(float(x) for x in step),
@@ -223,6 +256,19 @@ def uncertainty(state: State, fit: Fit, colour: Colour) -> Float[np.ndarray, "k 
     """Covariance of the active columns' estimates that coloured residuals leave."""
     bread = inverse(fit.normal)
     return bread @ colour.meat(state.scaled[:, :, fit.columns], fit.variance, state.folds) @ bread
+
+
+def between_stretches(state: State, fit: Fit) -> Float[np.ndarray, "k k"]:
+    """Covariance of the active columns' estimates from how far the stretches disagree (see `Projected.between`)."""
+    stretch = state.responses.stretch
+    assert stretch is not None
+    left = state.left(fit)
+    rows = np.einsum("mci,c,mc->mi", state.scaled[:, :, fit.columns], 1.0 / fit.variance, left, optimize=True)
+    count = int(stretch.max()) + 1
+    sums = np.zeros((count, rows.shape[1]))
+    np.add.at(sums, stretch, rows)
+    bread = inverse(fit.normal)
+    return bread @ (sums.T @ sums) @ bread * count / (count - 1.0)
 
 
 def columns_of(state: State, standing: Standing) -> Int[np.ndarray, " k"]:

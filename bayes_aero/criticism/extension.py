@@ -7,10 +7,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy import stats
 
 from bayes_aero.criticism.accuracy import Size, sizes
 from bayes_aero.criticism.colour import colour_of
-from bayes_aero.criticism.election import REPLICATES, Poll, Standing, columns_of, log_bayes, poll, uncertainty
+from bayes_aero.criticism.election import (
+    REPLICATES,
+    Poll,
+    Standing,
+    as_normal,
+    between_stretches,
+    columns_of,
+    equivalent,
+    log_bayes,
+    poll,
+    uncertainty,
+)
 from bayes_aero.criticism.regression import Fit
 from bayes_aero.criticism.second_look import SecondLook
 from bayes_aero.criticism.state import State, moved, refitted, swelling
@@ -20,6 +32,7 @@ ALPHA = 0.05  # family-wise rate of false alarms of each election
 SECOND_ALPHA = 0.02  # of the second look at leaders that passed for slow noise
 TRIED = 8  # leaders considered in one election
 WORTH = 0.04  # share of a coefficient's remaining variance that an effect must explain: imperfect regressors fake less
+FITTED = 3  # leaders that are fitted to be judged by the stretches' disagreement
 SHARE = 0.02  # of a leader's gain: another that gains more than this beyond it takes its place
 
 Progress = Callable[[str, float], None]
@@ -112,12 +125,36 @@ def _election(state: State, fit: Fit, seed: int, first: bool) -> Step:
         p = found.p_value(standing.score)
         if p <= ALPHA:
             return Step(standing.effect, p, found, gain)
+    if state.responses.stretch is not None:  # no stationary colour holds, with a leader in or out
+        for standing, gain in able[:FITTED]:
+            if (p := _between_stretches(state, standing, found)) <= SECOND_ALPHA:
+                return Step(standing.effect, p, found, gain)
+        able = []
     for standing, gain in able:
         look = SecondLook(state, standing, seed=seed)
         if look.score >= LEAST_SCORE and look.log_bayes > 0.0 and (p := look.p_value()) <= SECOND_ALPHA:
             return Step(standing.effect, p, found, gain)
     highest = max((s.score for s in found.standings), default=0.0)
     return Step(None, found.p_value(highest) if len(found.nulls) else float("nan"), found, float("nan"))
+
+
+def _between_stretches(state: State, standing: Standing, among: Poll) -> float:
+    """p-value of a leader by how far the stretches disagree about it once it is in and all is fitted again.
+
+    A large effect that is out bends the first-order residuals, and the stretches then seem to disagree more than they
+    do. Bonferroni over all candidates.
+    """
+    wider, fit = refitted(added(state, standing))
+    names = wider.field.parameters_of(standing.effect)
+    columns = wider.field.columns(names)
+    if not np.all(np.isin(columns, fit.columns)):
+        return 1.0
+    at = [int(np.flatnonzero(fit.columns == c)[0]) for c in columns]
+    away = wider.theta[columns] - np.array([wider.field.neutral[name] for name in names])
+    covariance = between_stretches(wider, fit)[np.ix_(at, at)]
+    freedom = int(np.max(wider.responses.stretch))  # pyright: ignore[reportArgumentType, reportCallIssue]
+    score = as_normal(equivalent(away, covariance), freedom)
+    return min(1.0, 2.0 * len(among.standings) * float(stats.norm.sf(score)))
 
 
 def explained(state: State, standing: Standing) -> float:

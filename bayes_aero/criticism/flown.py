@@ -77,6 +77,11 @@ class FlownResponses(Linearisable):
         return self.flights.manoeuvre[self.windows.index[:, ::FILTER_STEP].ravel()[self.place]]
 
     @property
+    def stretch(self) -> Int[np.ndarray, " m"]:
+        """The window of each block: what disturbs the flight gathers from its beginning on."""
+        return np.repeat(np.arange(len(self.windows.index)), self.windows.index.shape[1] // FILTER_STEP)[self.place]
+
+    @property
     def seconds(self) -> float:
         """Length of a block, s."""
         return FILTER_STEP * float(np.median(self.windows.dt))
@@ -106,7 +111,7 @@ class FlownResponses(Linearisable):
         """Sensitivities to the initial state of each window."""
         keep = [self.outputs.index(name) for name in outputs]
         slope = -np.asarray(_state_slopes(self._nameless, jnp.asarray(theta)))[:, :, keep]  # s m c
-        window = np.repeat(np.arange(len(self.windows.index)), self.windows.index.shape[1] // FILTER_STEP)[self.place]
+        window = self.stretch
         s, m, c = slope.shape
         S = np.zeros((m, c, len(self.windows.index) * s))
         for w in range(len(self.windows.index)):

@@ -36,6 +36,11 @@ class Linearisable(eqx.Module):
     def seconds(self) -> float:
         """Length of a block, s."""
 
+    @property
+    def stretch(self) -> Int[np.ndarray, " m"] | None:
+        """The stretch of each block, where residuals begin anew with every stretch and no stationary colour holds."""
+        return None
+
     @abstractmethod
     def block(self, x: Float[Array, "n ..."] | Float[np.ndarray, "n ..."]) -> Float[Array, "m ..."]:
         """Means over blocks of anything sampled at the recorded rate."""
