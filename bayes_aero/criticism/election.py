@@ -102,15 +102,21 @@ class Projected:
 
         Cluster-robust (Liang and Zeger 1986, Biometrika 73, 13), with the estimate itself taken out.
         """
-        count, found = int(stretch.max()) + 1, []
+        found = []
         for place, estimate in zip(self.place, estimates, strict=True):
             P = self.P[:, :, place]
             rows = np.einsum("mci,c,mc->mi", P, 1.0 / self.variance, residual - P @ estimate, optimize=True)
-            sums = np.zeros((count, len(place)))
-            np.add.at(sums, stretch, rows)
             bread = inverse(self.information[np.ix_(place, place)])
-            found.append(bread @ (sums.T @ sums) @ bread * count / (count - 1.0))
+            found.append(bread @ _disagreement(rows, stretch) @ bread)
         return found
+
+
+def _disagreement(rows: Float[np.ndarray, "m k"], stretch: Int[np.ndarray, " m"]) -> Float[np.ndarray, "k k"]:
+    """Sum over stretches of the outer products of what each contributes to the normal equations."""
+    count = int(stretch.max()) + 1
+    sums = np.zeros((count, rows.shape[1]))
+    np.add.at(sums, stretch, rows)
+    return sums.T @ sums * count / (count - 1.0)
 
 
 def _score(estimate: np.ndarray, covariance: np.ndarray, freedom: int) -> float:
@@ -264,11 +270,8 @@ def between_stretches(state: State, fit: Fit) -> Float[np.ndarray, "k k"]:
     assert stretch is not None
     left = state.left(fit)
     rows = np.einsum("mci,c,mc->mi", state.scaled[:, :, fit.columns], 1.0 / fit.variance, left, optimize=True)
-    count = int(stretch.max()) + 1
-    sums = np.zeros((count, rows.shape[1]))
-    np.add.at(sums, stretch, rows)
     bread = inverse(fit.normal)
-    return bread @ (sums.T @ sums) @ bread * count / (count - 1.0)
+    return bread @ _disagreement(rows, stretch) @ bread
 
 
 def columns_of(state: State, standing: Standing) -> Int[np.ndarray, " k"]:
