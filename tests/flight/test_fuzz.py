@@ -80,7 +80,7 @@ def read(folder: Path, suffix: str, content: bytes, channels=CHANNELS) -> Flight
 
 
 def examples(suffix: str, share: float = 1.0):
-    return fuzzing.examples(share * EXAMPLES[suffix], None if suffix == ".nc" else 5.0)
+    return fuzzing.examples(share * EXAMPLES[suffix], None if suffix == ".nc" else 2.0)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
