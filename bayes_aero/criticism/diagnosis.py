@@ -20,6 +20,7 @@ from bayes_aero.criticism.unexplained import unexplained
 from bayes_aero.effect import Effect, Kind
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.cores import blas_threads
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.flights import Flights, despiked, join
 from bayes_aero.model.model import Model
@@ -37,6 +38,7 @@ POSSIBLE = 2.0  # score that an effect needs on its own to be a rival at all
 Progress = Callable[[str, float], None]
 
 
+@blas_threads(0)
 def diagnose(
     records: Sequence[FlightRecord],
     card: Card,

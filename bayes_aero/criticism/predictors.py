@@ -24,6 +24,7 @@ from bayes_aero.criticism.extension import Extension
 from bayes_aero.criticism.gain import UNSEEN_STEPS, split_name
 from bayes_aero.criticism.state import State, moved, optimum
 from bayes_aero.errors import InputError
+from bayes_aero.inference.cores import blas_threads
 from bayes_aero.inference.scores import score
 from bayes_aero.physics.coefficients import NAMES
 
@@ -91,6 +92,7 @@ def compare(extension: Extension, inputs: Sequence[str], *, seed: int = 0) -> Co
     return compare_states(extension.state, inputs, seed=seed)
 
 
+@blas_threads(0)
 def compare_states(extended: State, inputs: Sequence[str], *, seed: int = 0) -> Comparison:
     """The same for a state of the coefficients; the card's model is the state with nothing added.
 

@@ -17,6 +17,7 @@ from bayes_aero.criticism.flown_colour import colour_cost
 from bayes_aero.criticism.flown_paths import Error as Error
 from bayes_aero.criticism.flown_paths import Path, label, paths_of, posterior_covariance
 from bayes_aero.effect import Stage
+from bayes_aero.inference.cores import blas_threads
 from bayes_aero.inference.output_error import fit_cascade, fit_output_error
 from bayes_aero.inference.output_error_result import OutputErrorResult
 from bayes_aero.model.dynamics import aircraft_dynamics
@@ -49,6 +50,7 @@ class Trajectories:
         return next((p for p in self.paths if (p.manoeuvre, p.model, p.split) == (manoeuvre, model, split)), None)
 
 
+@blas_threads(0)
 def fly_both(
     flights: Flights,
     diagnosis: Diagnosis,

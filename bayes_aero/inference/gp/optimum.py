@@ -90,7 +90,7 @@ class Profile:
             by_w[-1] += by_theta[-1]
             return -float(value), -by_w
 
-        options = {"maxiter": 300, "ftol": 1e-15, "gtol": 1e-7}
+        options = {"maxiter": 300, "ftol": 1e-12, "gtol": 1e-5}
         best = minimize(
             negative, self.w, jac=True, method="L-BFGS-B", bounds=[SD_BOUNDS] * self.w.size, options=options
         )

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.special import ndtr
 
+from bayes_aero.inference.cores import blas_threads
 from bayes_aero.inference.gp.kernel import noise_to_signal, scaled_distance_kernel
 from bayes_aero.inference.gp.reduced import ReducedData, factorise
 
@@ -52,6 +53,13 @@ def gaussian_parts(
     With R, F, D of `reduced.py`, S = R^-1 F (D^-1 + F'R^-1 F)^-1 and k_*: the explicit-basis form (Rasmussen and
     Williams 2006, eq. 2.42) with a proper prior D on the basis. One factorisation and one triangular solve.
     """
+    with blas_threads(data.n):
+        return _gaussian_parts(theta, data, x_new)
+
+
+def _gaussian_parts(
+    theta: Float[np.ndarray, " p"], data: ReducedData, x_new: Float[np.ndarray, "k d"]
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     d = data.x.shape[1]
     factor = factorise(noise_to_signal(theta), data)
     if factor.lower is None or factor.v is None:

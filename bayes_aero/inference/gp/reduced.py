@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import get_lapack_funcs
 
+from bayes_aero.inference.cores import blas_threads
 from bayes_aero.inference.gp.kernel import scaled_distance_kernel
 
 dpotrf, dpotrs, dpotri = get_lapack_funcs(("potrf", "potrs", "potri"), dtype=np.float64)
@@ -106,6 +107,11 @@ def reduced_stats(u: Float[np.ndarray, " u"], data: ReducedData) -> ReducedStats
 
 def stats_and_gradient(u: Float[np.ndarray, " u"], data: ReducedData) -> tuple[ReducedStats, ReducedGradient]:
     """logdet, gram and their derivatives with respect to u: one factorisation and one inversion."""
+    with blas_threads(data.n):
+        return _stats_and_gradient(u, data)
+
+
+def _stats_and_gradient(u: Float[np.ndarray, " u"], data: ReducedData) -> tuple[ReducedStats, ReducedGradient]:
     d, m = data.x.shape[1], data.fy.shape[1]
     x, g = data.x / np.exp(u[:d]), float(np.exp(u[d]))
     se = scaled_distance_kernel(x, x)
