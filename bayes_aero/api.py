@@ -45,8 +45,10 @@ from bayes_aero.report.diagnosed import View, view_of
 from bayes_aero.report.figures import DIAGNOSIS_FIGURES, FIGURES
 from bayes_aero.report.style import NotDrawn
 from bayes_aero.report.tables import parameter_table, validation_table
+from bayes_aero.report.unseen import scores_frame
 from bayes_aero.report.words import verdict
 from bayes_aero.report.words_diagnosis import causes_frame, screen_frame, sentences
+from bayes_aero.studies.outlook import predictors
 
 __all__ = ["Diagnosed", "Fit", "diagnose", "fit", "gpr", "plot", "read", "sample"]
 
@@ -116,6 +118,17 @@ class Diagnosed:
     def table(self) -> pd.DataFrame:
         """A row for each parameter of each cause: size, interval, probability, gain on unseen data. SI and radians."""
         return causes_frame(self.view)
+
+    def scores(self) -> pd.DataFrame:
+        """Card's and extended model on each manoeuvre and coefficient, fitted to it and to the others alone."""
+        return scores_frame(self.view)
+
+    def predictors(self, card: str | Card = "attas") -> pd.DataFrame:
+        """Scores on unseen data by predictor and coefficient: card's model, a Gaussian process of the card's `[gp]
+        inputs`, the extended model, and that with a Gaussian process of what it leaves. Takes half a minute."""
+        table = predictors(self.view.diagnosis, _card(card))
+        rows = {(p, c): scores or {} for p, row in table.items() for c, scores in row.items()}
+        return pd.DataFrame.from_dict(rows, orient="index").rename_axis(["predictor", "coefficient"])
 
     def screen(self) -> pd.DataFrame:
         """Every candidate of the catalogue with its score and family-wise p-value."""

@@ -9,10 +9,11 @@ import numpy as np
 
 from bayes_aero.criticism.accuracy import filtered_channels
 from bayes_aero.criticism.candidates import Field, field_of
+from bayes_aero.criticism.confirmation import Confirmation, confirmation
 from bayes_aero.criticism.election import Standing, poll
 from bayes_aero.criticism.extension import Extension, extend
 from bayes_aero.criticism.finding import Cause, Diagnosis, Gain, Verdict
-from bayes_aero.criticism.gain import LeftOut, gains, measured_blocks, split_name, truncated
+from bayes_aero.criticism.gain import LeftOut, gain, gained, measured_blocks, split_name, truncated
 from bayes_aero.criticism.residuals import noise_report
 from bayes_aero.criticism.responses import Responses
 from bayes_aero.criticism.state import State, linearised
@@ -79,7 +80,8 @@ def diagnose(
     aerodynamics = extend(linearised(later, responses, NAMES, theta), seed=seed + 1000, most=most, progress=progress)
     stages = [("flight path", sensors)] if sensors is not None else []
     stages.append(("coefficients", aerodynamics))
-    causes = causes_of(field, stages, aerodynamics if gains_wanted else None, progress)
+    confirmations = {stage: confirmation(one.state) for stage, one in stages} if gains_wanted else {}
+    causes = causes_of(field, stages, confirmations, progress)
     left = unexplained(aerodynamics, seed=seed + 2000)
     kept = [c for c in causes if c.name not in left.replaced]
     verdict = verdict_of(kept, left.unknown)
@@ -96,6 +98,7 @@ def diagnose(
         theta=aerodynamics.state.theta,
         split=split_name(aerodynamics.state),
         base_moves=moves_of(aerodynamics),
+        kept=confirmations["coefficients"].kept if gains_wanted else aerodynamics.state.active,
         notes=_notes(flights),
     )
 
@@ -135,15 +138,17 @@ def _kinematic_priors(field: Field, sensors: Extension | None) -> dict[str, Prio
 def causes_of(
     field: Field,
     stages: Sequence[tuple[str, Extension]],
-    measured_with: Extension | None,
+    confirmations: Mapping[str, Confirmation],
     progress: Progress | None,
 ) -> list[Cause]:
-    """What every stage named; gains on unseen data where the coefficients' extension is given to measure them with."""
+    """What every stage named; with gains on unseen data where these were asked to confirm it (the last stage's are the
+    coefficients)."""
     found: list[Cause] = []
     for stage, extension in stages:
         if not extension.causes:
             continue
-        measured = {} if measured_with is None else _gains_of(extension, measured_with, progress)
+        sure = confirmations.get(stage)
+        measured = {} if sure is None else _gains_of(extension, stages[-1][1], sure.kept, progress)
         for name in extension.causes:
             effect = next(e for e in field.candidates if e.name == name)
             probability, others = _rivals(extension, name)
@@ -159,6 +164,8 @@ def causes_of(
                     parameters={p.name: extension.sizes[p.name] for p in effect.parameters},
                     gain=measured.get(name, NO_GAIN),
                     excited=_excited(extension.state, name),
+                    confirmed=sure is None or name in sure.kept,
+                    missed=NOTHING if sure is None else sure.missed[name],
                 )
             )
     return found
@@ -174,46 +181,54 @@ def _excited(state: State, name: str) -> bool:
     return bool(spread.min() >= EXCITED * spread.max())
 
 
-NO_GAIN = Gain(float("nan"), float("nan"), "not measured", {}, {})
+NOTHING = (float("nan"), float("nan"))
+NO_GAIN = Gain(*NOTHING, "not measured", {}, {})
 
 
-def _gains_of(extension: Extension, aerodynamics: Extension, progress: Progress | None) -> dict[str, Gain]:
-    """Gains of an extension's causes on left-out folds; nuisances count from the first."""
-    state = extension.state
-    base_effects = extension.minor
-    chain = [truncated(state, (*base_effects, *extension.causes[:k])) for k in range(len(extension.causes) + 1)]
-    left = []
-    for number, one in enumerate(chain):
+def _gains_of(
+    extension: Extension, aerodynamics: Extension, kept: Sequence[str], progress: Progress | None
+) -> dict[str, Gain]:
+    """Gains of an extension's causes on left-out folds, each beside nuisances and the confirmed causes before it."""
+    state, causes = extension.state, extension.causes
+    nuisances = [name for name in extension.minor if name in kept]
+    pairs: dict[str, tuple[LeftOut, LeftOut]] = {}
+    base = before = LeftOut.refitted(truncated(state, nuisances))
+    for number, name in enumerate(causes):
         if progress:
-            progress("gain on unseen data", number / len(chain))
-        left.append(LeftOut(one))
+            progress("gain on unseen data", number / len(causes))
+        after = LeftOut.refitted(truncated(state, (*nuisances, *_sure(causes, number, kept), name)))
+        pairs[name] = before, after
+        before = after if name in kept else before
     if state.outputs != NAMES:
-        return _sensor_gains(extension, aerodynamics, left)
-    found = gains(left[0], left[1:], state, measured_blocks(state))
-    return dict(zip(extension.causes, found, strict=True))
+        return _sensor_gains(extension, aerodynamics, kept, pairs)
+    measured = measured_blocks(state)
+    return {name: gain(base, *pair, state, measured) for name, pair in pairs.items()}
 
 
-def _sensor_gains(extension: Extension, aerodynamics: Extension, left: list[LeftOut]) -> dict[str, Gain]:
+def _sure(causes: Sequence[str], number: int, kept: Sequence[str]) -> list[str]:
+    """Confirmed causes before the one of that number."""
+    return [name for name in causes[:number] if name in kept]
+
+
+def _sensor_gains(
+    extension: Extension, aerodynamics: Extension, kept: Sequence[str], pairs: Mapping[str, tuple[LeftOut, LeftOut]]
+) -> dict[str, Gain]:
     """Density gained on the flight path, and what each correction does to the card's fit of the coefficients."""
-    state = extension.state
-    card = aerodynamics.base
-    fields = []
-    for k in range(len(extension.causes) + 1):
+    state, card = extension.state, aerodynamics.base
+
+    def corrected(sensors: Sequence[str]) -> LeftOut:
         theta = card.theta.copy()
-        for effect in extension.state.active:
-            names = state.field.parameters_of(effect)
-            if effect not in extension.causes[:k]:
+        for effect in state.active:
+            if effect not in sensors:
+                names = state.field.parameters_of(effect)
                 theta[state.field.columns(names)] = [state.field.neutral[name] for name in names]
-        one = linearised(card.field, card.responses, NAMES, theta, (), card.swell, card.temper)
-        fields.append(LeftOut(one))
-    measured = measured_blocks(card)
-    found = {}
-    for k, name in enumerate(extension.causes):
-        difference = (left[k + 1].density() - left[k].density()) / state.temper
-        parts = np.array([p.sum() for p in np.array_split(difference, max(2, round(len(difference) / 50)))])
-        se = float(np.sqrt(len(parts)) * parts.std(ddof=1))
-        scores = fields[0].scores(measured), fields[k + 1].scores(measured)
-        found[name] = Gain(float(parts.sum()), se, split_name(state), *scores)
+        return LeftOut.refitted(linearised(card.field, card.responses, NAMES, theta, (), card.swell, card.temper))
+
+    measured, found = measured_blocks(card), {}
+    base = corrected(()).scores(measured)
+    for number, name in enumerate(extension.causes):
+        after = corrected([*_sure(extension.causes, number, kept), name]).scores(measured)
+        found[name] = Gain(*gained(*pairs[name], state), split_name(state), base, after)
     return found
 
 

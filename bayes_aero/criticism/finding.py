@@ -25,7 +25,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Gain:
-    """What a cause gains on data that were not fitted; before: with all earlier causes, or the card's model alone.
+    """What a cause gains on data that were not fitted; before: with all earlier causes that are confirmed.
 
     `elpd` is the sum of log predictive densities gained, divided by what the colour costs (`temper`); `elpd_se` its
     deviation from sums over 10 s. `before` and `after` score each coefficient: card's model, and with all so far.
@@ -40,7 +40,11 @@ class Gain:
 
 @dataclass(frozen=True)
 class Cause:
-    """One named effect. `stage` tells where it was found: the flight path (sensors) or the coefficients."""
+    """One named effect. `stage` tells where it was found: the flight path (sensors) or the coefficients.
+
+    `confirmed`: unseen data miss it when it is taken out, by the log density `missed` with its deviation; what is not
+    confirmed stays out of the model that is flown and compared (see `confirmation`).
+    """
 
     name: str
     kind: str
@@ -52,6 +56,8 @@ class Cause:
     parameters: Mapping[str, Size]
     gain: Gain
     excited: bool = True
+    confirmed: bool = True
+    missed: tuple[float, float] = (float("nan"), float("nan"))
 
 
 @dataclass(frozen=True)
@@ -101,4 +107,5 @@ class Diagnosis:
     theta: Float[np.ndarray, " k"]
     split: str
     base_moves: Mapping[str, tuple[float, float, float]]  # base parameter: before, after, deviation after
+    kept: tuple[str, ...] = ()  # additions to the coefficients that unseen data confirm
     notes: tuple[str, ...] = ()

@@ -175,7 +175,7 @@ def diagnose_flown(
     responses = FlownResponses.of(flights, AircraftDynamics(field.model, base.altitude), finer)
     state = linearised(field, responses, responses.outputs, theta)
     found = extend(state, seed=seed, most=most, progress=progress)
-    causes = tuple(causes_of(field, [("trajectories", found)], None, progress))
+    causes = tuple(causes_of(field, [("trajectories", found)], {}, progress))
     return Diagnosis(
         verdict=verdict_of(causes, ()),
         causes=causes,

@@ -59,9 +59,12 @@ def fly_both(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Trajectories:
-    """Fit the card's model and the extended one to the trajectories, jointly and with each manoeuvre left out."""
+    """Fit the card's model and the extended one to the trajectories, jointly and with each manoeuvre left out.
+
+    The extended one has the causes that unseen data confirm.
+    """
     field = diagnosis.aerodynamics.state.field
-    causes = [c.name for c in diagnosis.causes]
+    causes = [c.name for c in diagnosis.causes if c.confirmed]
     added = [e for e in field.model.effects if e.name in causes]
     base = [e for e in field.model.effects if e.name in field.base or not e.parameters]
     found = dict(zip(field.model.names, diagnosis.theta, strict=True))

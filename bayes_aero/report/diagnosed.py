@@ -14,11 +14,12 @@ from bayes_aero.criticism.colour import colour_of
 from bayes_aero.criticism.election import Poll, uncertainty
 from bayes_aero.criticism.extension import Extension, explained
 from bayes_aero.criticism.finding import Diagnosis
+from bayes_aero.criticism.gain import truncated
 from bayes_aero.criticism.regression import Fit
 from bayes_aero.criticism.residuals import details, theil_parts
 from bayes_aero.criticism.state import State, moved, refitted
 from bayes_aero.criticism.trajectory import Trajectories
-from bayes_aero.inference.scores import score
+from bayes_aero.inference.scores import Scores, score
 from bayes_aero.inference.stall import Stall, stall_of
 from bayes_aero.physics.coefficients import NAMES
 
@@ -104,7 +105,7 @@ class View:
 def view_of(diagnosis: Diagnosis) -> View:
     """Refit the card's model without any correction of the sensors, and evaluate both models at the recorded rate."""
     last = diagnosis.aerodynamics
-    card, after = _fitted(*_card(diagnosis)), _fitted(last.state, last.fit)
+    card, after = _fitted(*_card(diagnosis)), _fitted(*_extended(diagnosis))
     flights = last.state.responses.flights
     begin = np.cumsum([0, *flights.lengths[:-1]])
     return View(
@@ -135,6 +136,14 @@ def _card(diagnosis: Diagnosis) -> tuple[State, Fit]:
         for name in base.field.parameters_of(effect):
             theta[base.field.columns([name])[0]] = base.field.neutral[name]
     return refitted(moved(base, theta))
+
+
+def _extended(diagnosis: Diagnosis) -> tuple[State, Fit]:
+    """The extension as far as unseen data confirm it."""
+    last = diagnosis.aerodynamics
+    if set(diagnosis.kept) == set(last.state.active):
+        return last.state, last.fit
+    return refitted(truncated(last.state, diagnosis.kept))
 
 
 def _fitted(state: State, fit: Fit) -> Fitted:
@@ -252,3 +261,12 @@ def _lag1(residual: Float[np.ndarray, " n"], manoeuvre: Int[np.ndarray, " n"]) -
     """Correlation of neighbouring samples, within manoeuvres."""
     parts = [residual[manoeuvre == k] - residual[manoeuvre == k].mean() for k in range(int(manoeuvre[-1]) + 1)]
     return float(sum(np.sum(p[1:] * p[:-1]) for p in parts) / sum(np.sum(p**2) for p in parts))
+
+
+def unseen_scores(d: Diagnosis) -> tuple[Mapping[str, Scores], Mapping[str, Scores]] | None:
+    """Scores of each coefficient on unseen data: the card's model, and with all causes that are confirmed."""
+    measured = [c.gain for c in d.causes if c.gain.before]
+    if not measured:
+        return None
+    confirmed = [c.gain for c in d.causes if c.gain.before and c.confirmed]
+    return measured[0].before, confirmed[-1].after if confirmed else measured[0].before

@@ -106,18 +106,21 @@ def gain(view: View) -> Figure:
     if not causes:
         raise NotDrawn("no cause was added")
     links: list[tuple[str, dict[str, Scores]]] = [("card's model", dict(causes[0].gain.before))]
-    stage = causes[0].stage
+    colours, stage = [COLOURS["before"]], causes[0].stage
     for cause in causes:
         if cause.stage != stage:
             links.append(("sensors corrected", dict(cause.gain.before)))
+            colours.append(COLOURS["candidate"])
             stage = cause.stage
-        links.append((f"+ {cause.name}", dict(cause.gain.after)))
+        links.append((f"+ {cause.name}" if cause.confirmed else f"(+ {cause.name})", dict(cause.gain.after)))
+        colours.append(COLOURS["candidate"] if cause.confirmed else COLOURS["unconfirmed"])
+    last = max((k for k, colour in enumerate(colours) if k and colour == COLOURS["candidate"]), default=0)
+    colours[last] = COLOURS["after"] if last else colours[0]
     place = np.arange(len(links))
     figure, axes = panels(2, len(NAMES), (13.0, 2 * (0.30 * len(links) + 1.0) + 0.8), sharey=True)
     for row, (key, label) in zip(axes, (("r2", "R²"), ("rmse", "RMSE")), strict=True):
         for ax, name in zip(row, NAMES, strict=True):
             values = np.array([getattr(scores[name], key) for _, scores in links])
-            colours = [COLOURS["before"], *[COLOURS["candidate"]] * (len(links) - 2), COLOURS["after"]]
             shown = np.maximum(values, -1.0) if key == "r2" else values
             ax.barh(place, shown, color=colours, height=0.7)
             for y, x, value in zip(place, shown, values, strict=True):
@@ -131,7 +134,8 @@ def gain(view: View) -> Figure:
             ticks = MaxNLocator(5).tick_values(*ax.get_xlim())
             ax.set_xticks([x for x in ticks if left <= x and (key == "rmse" or x <= 1.0)])
             ax.set_xlabel(f"{label} of {name} [-]")
-    figure.suptitle(f"On unseen data ({SPLITS[view.diagnosis.split]}), cause after cause")
+    brackets = "; in brackets: not confirmed, and not in what follows" if any(not c.confirmed for c in causes) else ""
+    figure.suptitle(f"On unseen data ({SPLITS[view.diagnosis.split]}), cause after cause{brackets}")
     return figure
 
 

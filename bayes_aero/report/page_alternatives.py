@@ -8,7 +8,7 @@ from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.stall import Stall
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.comparison import engine_label, methods
-from bayes_aero.report.diagnosed import View, composition
+from bayes_aero.report.diagnosed import View, composition, unseen_scores
 from bayes_aero.report.figures_found import telling
 from bayes_aero.report.page_parts import DEG, interval
 from bayes_aero.report.style import several
@@ -91,10 +91,10 @@ def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
 
 
 def gained(view: View) -> str:
-    measured = [c.gain for c in view.diagnosis.causes if c.gain.before]
-    if not measured:
+    scores = unseen_scores(view.diagnosis)
+    if scores is None:
         return ""
-    first, last = measured[0].before, measured[-1].after
+    first, last = scores
     return (
         several(f"{n} R² from {first[n].r2:.2f} to {last[n].r2:.2f}" for n in NAMES if n in first and n in last) + "."
     )

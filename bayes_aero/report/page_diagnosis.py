@@ -14,7 +14,7 @@ from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.coefficients import NAMES
-from bayes_aero.report.diagnosed import Ranking, View, rankings_of
+from bayes_aero.report.diagnosed import Ranking, View, rankings_of, unseen_scores
 from bayes_aero.report.figures_flight import SYMBOLS, shown_in
 from bayes_aero.report.page import Block, Fold, Page, Table, Text, filled, section
 from bayes_aero.report.page_alternatives import diagnosis_alternatives, gained
@@ -157,17 +157,16 @@ def _leaders(ranking: Ranking, named: Sequence[Cause]) -> Table:
 
 
 def _gain(view: View, gallery: Gallery) -> tuple[Block, ...]:
-    measured = [c for c in view.diagnosis.causes if c.gain.before]
-    if not measured:
+    scores = unseen_scores(view.diagnosis)
+    if scores is None:
         return (Text("Nothing was added, so there is no gain to report."),)
     head, rows = ["coefficient"], []
     for when in ("before", "after"):
         head += [f"R² {when}", f"RMSE {when} [-]"]
-    last = measured[-1]
     for name in NAMES:
-        if name not in last.gain.before:
+        if name not in scores[1]:
             continue
-        a, b = measured[0].gain.before[name], last.gain.after[name]
+        a, b = scores[0][name], scores[1][name]
         rows.append((name, f"{a.r2:.3f}", f"{a.rmse:.4f}", f"{b.r2:.3f}", f"{b.rmse:.4f}"))
     what = (
         "each manoeuvre predicted from the others"
@@ -176,7 +175,7 @@ def _gain(view: View, gallery: Gallery) -> tuple[Block, ...]:
     )
     return (
         Table(
-            f"Unseen data ({what}): the card's model before, with all causes after",
+            f"Unseen data ({what}): the card's model before, with all confirmed causes after",
             tuple(head),
             tuple(rows),
             note="5 Hz means. R² below zero: worse than a constant.",

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from bayes_aero.criticism.finding import Cause, Diagnosis
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.comparison import decimals
@@ -23,23 +25,24 @@ PREDICTORS = {
 
 
 def causes(d: Diagnosis) -> Table:
-    """Each cause with what it means, size, certainty, rivals and gain."""
-    gained = any(c.gain.before for c in d.causes)
+    """Each cause with what it means, size, certainty, rivals, and how unseen data miss it."""
+    asked = any(np.isfinite(c.missed[0]) for c in d.causes)
     head = ["cause", "what it means", "size", "95 % interval", "probability", "p"]
-    head += ["log density gained\non unseen data"] if gained else []
+    head += ["log density of unseen\ndata if taken out"] if asked else []
     head += ["or, as likely"]
     rows = []
     for c in d.causes:
         row = [c.name, c.claim, _sizes(c), _intervals(c), probability(c.probability), number(c.p_value, 2)]
-        if gained:
-            row.append(f"{c.gain.elpd:+.1f} ± {c.gain.elpd_se:.1f}" if c.gain.before else "–")
+        if asked:
+            said = f"{-c.missed[0]:+.1f} ± {c.missed[1]:.1f}" if np.isfinite(c.missed[0]) else "–"
+            row.append(said if c.confirmed else f"{said}: not confirmed")
         rows.append((*row, several(c.ambiguous_with) or "–"))
     return Table(
         "Causes, in the order in which they were found",
         tuple(head),
         tuple(rows),
         words=(1,),
-        note="A negative gain means: fitted here, not confirmed on the other data.",
+        note="What unseen data do not miss beyond chance (one-sided, 5 %) is named, but is not in the extended model.",
     )
 
 

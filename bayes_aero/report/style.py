@@ -40,6 +40,7 @@ COLOURS = {
     "rising": "#882255",
     "falling": "#2a9d8f",
     "before": "#0072B2",
+    "unconfirmed": "#d0d0d0",
     "after": "#D55E00",
     "chosen": "#D55E00",
     "candidate": "#9fb8c9",

@@ -61,11 +61,14 @@ def _cause(cause: Cause) -> str:
         said += f" On this record {several(cause.ambiguous_with)} would explain it about as well."
     if not cause.excited:
         said += " Not every manoeuvre excites it."
-    gain = cause.gain
-    if np.isfinite(gain.elpd):
-        what = "unseen data are predicted" if gain.elpd > 0.0 else "unseen data are not predicted better, rather worse"
-        better = " better" if gain.elpd > 0.0 else ""
-        said += f" With it {what}{better}: log density {gain.elpd:+.1f} ± {gain.elpd_se:.1f}."
+    lost, sd = cause.missed
+    if np.isfinite(lost) and cause.confirmed:
+        said += f" Taken out, unseen data are predicted worse: log density {-lost:+.1f} ± {sd:.1f}."
+    elif np.isfinite(lost):
+        said += (
+            f" Unseen data do not confirm it (taken out: log density {-lost:+.1f} ± {sd:.1f}): the extended model does "
+            "without it."
+        )
     return said
 
 
@@ -113,7 +116,8 @@ def cause_table(view: View) -> Table | None:
         return None
     table = Table(
         title=f"Causes; R² on unseen data ({SPLITS[d.split]}), before → after",
-        caption="Before: the card's model; once sensors are corrected, with corrected sensors. ±: one deviation.",
+        caption="Before: the card's model; once sensors are corrected, with corrected sensors. ±: one deviation. "
+        "*: not confirmed on unseen data, not in the extended model.",
         box=SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
         pad_edge=False,
@@ -126,7 +130,8 @@ def cause_table(view: View) -> Table | None:
         table.add_column(f"R² {name}", justify="right", no_wrap=True)
     for cause in d.causes:
         sizes = "\n".join(size_text(s.mean, s.sd, s.unit) for s in cause.parameters.values())
-        table.add_row(cause.name, sizes, probability(cause.probability), *(_r2(cause, name) for name in NAMES))
+        name = cause.name if cause.confirmed else f"{cause.name}*"
+        table.add_row(name, sizes, probability(cause.probability), *(_r2(cause, c) for c in NAMES))
     return table
 
 
@@ -189,6 +194,7 @@ def causes_frame(view: View) -> pd.DataFrame:
                 "cause": cause.name,
                 "kind": cause.kind,
                 "stage": cause.stage,
+                "confirmed": cause.confirmed,
                 "parameter": name,
                 "mean": size.mean,
                 "sd": size.sd,

@@ -10,6 +10,7 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.output_error import OutputErrorResult, OutputErrorStatus
 from bayes_aero.report.style import for_people, several
 
+TAIL = 6  # characters of a manoeuvre's name
 SYMBOLS = {"airspeed": "V", "alpha": "α", "theta": "θ", "altitude": "h"}
 
 
@@ -40,8 +41,13 @@ def trajectory_table(flown: Trajectories) -> Table:
                 _, factor = for_people(STANDARD_CHANNELS[output].unit)
                 pair = [flown.path(name, model, split) for model in ("card", "extended")]
                 cells.append(" → ".join("-" if p is None else short(factor * p.errors[output].rms) for p in pair))
-            table.add_row(name, split, *cells)
+            table.add_row(_tail(name), split, *cells)
     return table
+
+
+def _tail(name: str) -> str:
+    """What tells records apart is mostly the end of their names, and a terminal has little room."""
+    return name if len(name) <= TAIL + 1 else f"…{name[-TAIL:]}"
 
 
 def trajectory_sentences(flown: Trajectories) -> list[str]:

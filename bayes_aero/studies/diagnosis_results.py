@@ -114,6 +114,8 @@ def cause_results(cause: Cause) -> dict[str, Any]:
         "probability": cause.probability,
         "p_value": cause.p_value,
         "excited": cause.excited,
+        "confirmed": cause.confirmed,
+        "missed": {"elpd": cause.missed[0], "elpd_se": cause.missed[1]},
         "ambiguous_with": list(cause.ambiguous_with),
         "parameters": {
             name: {"mean": size.mean, "sd": size.sd, "ci95": list(size.ci95), "unit": size.unit}

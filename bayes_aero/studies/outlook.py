@@ -8,7 +8,8 @@ from typing import Any
 
 from bayes_aero.criticism.design import separating
 from bayes_aero.criticism.finding import Diagnosis
-from bayes_aero.criticism.predictors import compare
+from bayes_aero.criticism.gain import truncated
+from bayes_aero.criticism.predictors import compare_states
 from bayes_aero.criticism.trajectory import Progress, Trajectories, fly_both
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
@@ -21,7 +22,7 @@ SETS = 2  # ambiguity sets for which manoeuvres are flown: each compiles a fligh
 
 def predictors(diagnosis: Diagnosis, card: Card) -> dict[str, Any]:
     """Card's model, Gaussian process, extended model and that with its discrepancy, by coefficient, on unseen data."""
-    found = compare(diagnosis.aerodynamics, card.gp_inputs)
+    found = compare_states(truncated(diagnosis.aerodynamics.state, diagnosis.kept), card.gp_inputs)
     return {
         name: {c: None if scores is None else asdict(scores) for c, scores in row.items()}
         for name, row in found.table.items()
