@@ -65,10 +65,8 @@ def _cause(cause: Cause) -> str:
     if np.isfinite(lost) and cause.confirmed:
         said += f" Taken out, unseen data are predicted worse: log density {-lost:+.1f} ± {sd:.1f}."
     elif np.isfinite(lost):
-        said += (
-            f" Unseen data do not confirm it (taken out: log density {-lost:+.1f} ± {sd:.1f}): the extended model does "
-            "without it."
-        )
+        model = "simulation" if cause.stage == "flight path" else "extended model"
+        said += f" Unseen data do not confirm it (taken out: log density {-lost:+.1f} ± {sd:.1f}); the {model} does without it."
     return said
 
 
