@@ -66,7 +66,8 @@ def _cause(cause: Cause) -> str:
         said += f" Taken out, unseen data are predicted worse: log density {-lost:+.1f} ± {sd:.1f}."
     elif np.isfinite(lost):
         model = "simulation" if cause.stage == "flight path" else "extended model"
-        said += f" Unseen data do not confirm it (taken out: log density {-lost:+.1f} ± {sd:.1f}); the {model} does without it."
+        said += f" Unseen data do not confirm it (taken out: log density {-lost:+.1f} ± {sd:.1f})"
+        said += f"; the {model} does without it."
     return said
 
 
