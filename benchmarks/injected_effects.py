@@ -3,7 +3,7 @@
     python benchmarks/injected_effects.py RECORD RECORD [--draws 1] [--seed 0]
 
 Each effect of `INJECTED` at a random size within its range, either sign. Found: named with a size that moved by the
-injected one, against the diagnosis of the records as they are.
+injected one, against the diagnosis of the records as they are; or no longer named, where the injected one cancels it.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from bayes_aero.criticism.diagnosis import diagnose
+from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.readers import read_record
 from bayes_aero.studies.injected import injected
@@ -65,11 +66,14 @@ def main() -> None:
             after = sizes_of(found)
             old, new = before.get(parameter, (0.0, 0.0)), after.get(parameter)
             also = [c.name for c in found.causes if name in c.ambiguous_with]
-            by = "itself" if new else f"within {also[0]}" if also else "minor" if name in found.minor else "no"
-            moved = new[0] - old[0] if new else float("nan")
-            named, total = named + (by not in ("no", "minor")), total + 1
             wanted = size * (1.0 + old[0]) if parameter.endswith("_scale") else size  # scale factors multiply
-            near += abs(moved - wanted) < 1.96 * np.hypot(old[1], new[1]) + 0.1 * abs(size) if new else 0
+            least = CATALOGUE[name].sizes[parameter][0]
+            cancels = new is None and abs(old[0] + wanted) < least  # what was there before is gone, and rightly unnamed
+            by = "itself" if new else "cancelled" if cancels else f"within {also[0]}" if also else "no"
+            moved = new[0] - old[0] if new else -old[0] if cancels else float("nan")
+            named, total = named + (by != "no"), total + 1
+            allowed = least if cancels else 1.96 * np.hypot(old[1], new[1] if new else 0.0) + 0.1 * abs(size)
+            near += bool(abs(moved - wanted) < allowed)
             was = f"{old[0]:8.4g}+-{old[1]:.2g}"
             now = f"{new[0]:8.4g}+-{new[1]:.2g}" if new else "-"
             print(
@@ -77,7 +81,7 @@ def main() -> None:
                 f"{', '.join(c.name for c in found.causes if c.name not in known | {name}) or 'none'}",
                 flush=True,
             )
-    print(f"named or in an ambiguity set {named} of {total}; moved by the injected size "
+    print(f"named, in an ambiguity set, or cancelled {named} of {total}; moved by the injected size "
           f"(within the intervals and a tenth) {near} of {total}")  # fmt: skip
 
 
