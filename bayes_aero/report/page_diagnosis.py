@@ -132,8 +132,9 @@ def _causes(d: Diagnosis, rankings: Sequence[Ranking], gallery: Gallery) -> tupl
     else:
         blocks.append(Text("No cause was named. The candidates that came closest:"))
     if d.minor:
-        verb = "are" if len(d.minor) > 1 else "is"
-        blocks.append(Text(f"Too small to be worth a name, yet in the model: {several(d.minor)} {verb} carried along."))
+        verb = "were" if len(d.minor) > 1 else "was"
+        said = f"{several(d.minor)} {verb} carried along while causes were sought"
+        blocks.append(Text(f"Too small to be worth a name: {said}."))
     listed = [_leaders(ranking, d.causes) for ranking in rankings]
     blocks += [WORDS, Fold("Every candidate's score before anything was added", (*listed, *gallery.folded("ranking")))]
     return tuple(blocks)

@@ -74,8 +74,8 @@ def _cause(cause: Cause) -> str:
 def _minor(d: Diagnosis) -> list[str]:
     if not d.minor:
         return []
-    verb = "are" if len(d.minor) > 1 else "is"
-    return [f"Too small to be worth a name, yet in the model: {several(d.minor)} {verb} carried as a nuisance."]
+    verb = "were" if len(d.minor) > 1 else "was"
+    return [f"Too small to be worth a name: {several(d.minor)} {verb} carried along while causes were sought."]
 
 
 def _unknown(d: Diagnosis) -> list[str]:
@@ -232,7 +232,7 @@ def revealed(effects: Mapping[str, Mapping[str, float]], named: Mapping[str, str
     said = {
         "first": "It was named first.",
         "named": "It was named, though not first.",
-        "minor": "It is in the extended model, but too small to be worth a name.",
+        "minor": "It was found, but is too small to be worth a name.",
         "ambiguous": "It was reported as indistinguishable from a named cause.",
         "missed": "It was not found.",
     }
