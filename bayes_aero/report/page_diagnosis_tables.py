@@ -28,21 +28,22 @@ def causes(d: Diagnosis) -> Table:
     """Each cause with what it means, size, certainty, rivals, and how unseen data miss it."""
     asked = any(np.isfinite(c.missed[0]) for c in d.causes)
     head = ["cause", "what it means", "size", "95 % interval", "probability", "p"]
-    head += ["log density of unseen\ndata if taken out"] if asked else []
+    head += ["unseen data\nif taken out"] if asked else []
     head += ["or, as likely"]
     rows = []
     for c in d.causes:
         row = [c.name, c.claim, _sizes(c), _intervals(c), probability(c.probability), number(c.p_value, 2)]
         if asked:
             said = f"{-c.missed[0]:+.1f} ± {c.missed[1]:.1f}" if np.isfinite(c.missed[0]) else "–"
-            row.append(said if c.confirmed else f"{said}: not confirmed")
+            row.append(said if c.confirmed else f"{said} *")
         rows.append((*row, several(c.ambiguous_with) or "–"))
     return Table(
         "Causes, in the order in which they were found",
         tuple(head),
         tuple(rows),
         words=(1,),
-        note="What unseen data do not miss beyond chance (one-sided, 5 %) is named, but is not in the extended model.",
+        note="Unseen data if taken out: their log density. *: not missed beyond chance (one-sided, 5 %), so not "
+        "confirmed: named, but not in the extended model.",
     )
 
 
