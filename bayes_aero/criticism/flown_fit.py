@@ -95,11 +95,12 @@ def fit_flown(
     with np.errstate(over="ignore", invalid="ignore"):  # a first guess may fly anywhere
         paths = paths_of(replace(fit, estimate=first), whole, START, START, still, bands)
         paths += paths_of(fit, whole, FITTED, FITTED, fit.departure, bands)
-    return FlownFit(fit, first, tuple(paths), _initial(fit), cost, shown, dict(units), window)
+    return FlownFit(fit, first, tuple(paths), _initial(fit, shown), cost, shown, dict(units), window)
 
 
-def _initial(fit: OutputErrorResult) -> dict[str, dict[str, tuple[float, float]]]:
-    flown = trajectories(fit.flown, jnp.asarray(fit.estimate), jnp.asarray(fit.departure))
+def _initial(fit: OutputErrorResult, shown: tuple[str, ...]) -> dict[str, dict[str, tuple[float, float]]]:
+    wide = replace(fit.flown, outputs=shown)  # as the paths, for which it is compiled already
+    flown = trajectories(wide, jnp.asarray(fit.estimate), jnp.asarray(fit.departure))
     begin = np.asarray(flown.trajectory.states)[:, 0]
     states = fit.flown.dynamics.states
     return {

@@ -131,8 +131,9 @@ def result_of(
     w, s = point.departure.shape
     A, eliminated = np.diag(prior.precision), np.zeros((w, s, len(point.theta)))
     if math.isfinite(point.cost):
-        A, _, local = reduced(point, prior)
-        eliminated = local.inverse @ local.cross
+        found, _, local = reduced(point, prior)
+        if np.all(np.diag(found) > 0.0):  # else rounding has eaten what an unstable flight says
+            A, eliminated = found, local.inverse @ local.cross
     free = flown.dynamics.free
     at_bound = tuple(p.name for p, a in zip(free, active & ~rest, strict=True) if a)
     if point.normal.inside < 1.0:
