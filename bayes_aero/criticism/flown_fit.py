@@ -1,4 +1,4 @@
-"""One model fitted to trajectories by itself: parameters, initial states, the residuals' colour, each flight's errors."""
+"""One model fitted to trajectories by itself: parameters, initial states, the residuals' colour, errors by flight."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ def fly_sentences(flown: FlownFit) -> list[str]:
             f"The residuals are coloured: they multiply variances {short(flown.colour_cost)} times in the median, and "
             "the Cramér-Rao bound is too small; use the corrected deviation."
         )
-    if fit.held:
+    if fit.held and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         said.append(f"The trajectories say next to nothing of {several(fit.held)}; the prior holds.")
     lost = [p.manoeuvre for p in flown.paths if p.model == FITTED and not p.inside]
     if lost:
