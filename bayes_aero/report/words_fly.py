@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 from rich.box import SIMPLE_HEAD
@@ -17,19 +19,26 @@ MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound"}
 COLOURED = 1.5  # times by which the colour must multiply variances to be worth a sentence; our choice
 
 
-def parameter_frame(flown: FlownFit) -> pd.DataFrame:
-    """Parameters as rows, SI and radians; `crb` is infinite where the data alone do not determine a parameter."""
+def parameter_rows(flown: FlownFit) -> dict[str, dict[str, Any]]:
+    """By parameter, SI and radians; `crb` is infinite where the data alone do not determine it."""
     fit = flown.fit
-    columns = {
-        "unit": [p.unit for p in fit.parameters],
-        "start": flown.start,
-        "estimate": fit.estimate,
-        "crb": fit.crb,
-        "sd_corrected": fit.sd_corrected,
-        "held_by_prior": [name in fit.held for name in fit.names],
-        "at_bound": [name in fit.at_bound for name in fit.names],
+    return {
+        name: {
+            "unit": fit.parameters[i].unit,
+            "start": float(flown.start[i]),
+            "estimate": float(fit.estimate[i]),
+            "crb": float(crb),
+            "sd_corrected": float(sd),
+            "held_by_prior": name in fit.held,
+            "at_bound": name in fit.at_bound,
+        }
+        for i, (name, crb, sd) in enumerate(zip(fit.names, fit.crb, fit.sd_corrected, strict=True))
     }
-    return pd.DataFrame(columns, index=pd.Index(fit.names, name="parameter"))
+
+
+def parameter_frame(flown: FlownFit) -> pd.DataFrame:
+    """The same as a table."""
+    return pd.DataFrame.from_dict(parameter_rows(flown), orient="index").rename_axis("parameter")
 
 
 def parameter_table(flown: FlownFit) -> Table:
@@ -44,11 +53,11 @@ def parameter_table(flown: FlownFit) -> Table:
     for head in ("estimate", "CRB", "sd corr."):
         table.add_column(head, justify="right")
     table.add_column("")
-    for name, row in parameter_frame(flown).iterrows():
+    for name, row in parameter_rows(flown).items():
         marks = [words for key, words in MARKS.items() if row[key]]
         crb = f"{row['crb']:.2g}" if np.isfinite(row["crb"]) else "-"
-        sd = float(row["sd_corrected"])
-        table.add_row(str(name), row["unit"], concise(row["estimate"], sd), crb, f"{sd:.2g}", ", ".join(marks))
+        sd = row["sd_corrected"]
+        table.add_row(name, row["unit"], concise(row["estimate"], sd), crb, f"{sd:.2g}", ", ".join(marks))
     return table
 
 

@@ -28,7 +28,7 @@ from bayes_aero.report.figures import draw_all
 from bayes_aero.report.figures_fly import fly_figures
 from bayes_aero.report.style import MOST_MANOEUVRES, several
 from bayes_aero.report.tables import write_csv
-from bayes_aero.report.words_fly import fly_sentences, parameter_frame
+from bayes_aero.report.words_fly import fly_sentences, parameter_frame, parameter_rows
 from bayes_aero.studies.diagnosis_results import record_results
 from bayes_aero.studies.folder import writable
 from bayes_aero.studies.provenance import provenance, write_json
@@ -137,7 +137,7 @@ def _starts(
 def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], source: dict[str, Any]) -> dict[str, Any]:
     """trajectories.json: plain numbers and text, SI and radians (trajectories.schema.json beside this file)."""
     flown = found.flown
-    fit, frame = flown.fit, parameter_frame(flown)
+    fit = flown.fit
     units = {name: flown.units.get(name, "1") for name in fit.flown.dynamics.states}
     return {
         "schema": SCHEMA,
@@ -151,7 +151,7 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
         "iterations": fit.iterations,
         "cost": fit.cost,
         "colour_cost": flown.colour_cost,
-        "parameters": {str(name): row.to_dict() for name, row in frame.iterrows()},
+        "parameters": parameter_rows(flown),
         "initial_states": {
             manoeuvre: {n: {"value": x, "departure": d, "unit": units[n]} for n, (x, d) in states.items()}
             for manoeuvre, states in flown.initial.items()
