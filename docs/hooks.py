@@ -110,6 +110,11 @@ def diagnosis_schema() -> str:
     return _schema("diagnosis.schema.json")
 
 
+def trajectories_schema() -> str:
+    """trajectories.json."""
+    return _schema("trajectories.schema.json")
+
+
 def _schema(name: str) -> str:
     text = (ROOT / "bayes_aero" / "studies" / name).read_text(encoding="utf-8")
     schema = json.loads(text)
@@ -169,7 +174,8 @@ def cli() -> str:
         return get_docs_for_click(obj=command, ctx=context, name="bayes-aero", indent=1)  # type: ignore[arg-type]
 
 
-GENERATED = {f.__name__: f for f in (effects, channels, aircraft, tolerances, results_schema, diagnosis_schema, cli)}
+SCHEMAS = (results_schema, diagnosis_schema, trajectories_schema)
+GENERATED = {f.__name__: f for f in (effects, channels, aircraft, tolerances, *SCHEMAS, cli)}
 
 
 def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:

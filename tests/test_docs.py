@@ -77,8 +77,8 @@ def test_reference_explains_every_key_of_a_card(site):
         assert f"<code>[{section}]</code>" in card or f"<code>[{section}.NAME]</code>" in card, section
 
 
-@pytest.mark.parametrize("name", ["results", "diagnosis"])
-def test_reference_lists_every_key_of_both_schemas(site, name):
+@pytest.mark.parametrize("name", ["results", "diagnosis", "trajectories"])
+def test_reference_lists_every_key_of_the_schemas(site, name):
     page = text_of(site / "reference" / "schemas.html")
 
     def keys(part):

@@ -12,6 +12,7 @@ from bayes_aero.cli.card import card
 from bayes_aero.cli.check import check
 from bayes_aero.cli.diagnose import diagnose
 from bayes_aero.cli.effects import effects
+from bayes_aero.cli.fly import fly
 from bayes_aero.cli.identify import identify
 from bayes_aero.cli.run import run
 from bayes_aero.cli.simulate import simulate
@@ -19,8 +20,8 @@ from bayes_aero.cli.terminal import BAD_INPUT, FAILED, INTERRUPTED, Interruption
 from bayes_aero.errors import InputError, plain_line
 
 EPILOG = (
-    f"Exit codes: 0 done; {FAILED} a record is not usable (check), or units of a study failed or differ, or its "
-    "cluster was lost (run); "
+    f"Exit codes: 0 done; {FAILED} a record is not usable (check), a fit did not converge or cannot fly "
+    "(fly), or units of a study failed or differ, or its cluster was lost (run); "
     f"{BAD_INPUT} bad input, told in one sentence; {INTERRUPTED} interrupted, finished stages are kept.\n\n"
     "Each command's --help ends with an example; a new aircraft starts with: bayes-aero card RECORD."
 )
@@ -50,7 +51,7 @@ def _options(
     """Bayesian identification of non-linear aircraft aerodynamics from flight data."""
 
 
-for command in (identify, diagnose, simulate, run, card, check, effects):
+for command in (identify, diagnose, fly, simulate, run, card, check, effects):
     app.command()(command)
 
 

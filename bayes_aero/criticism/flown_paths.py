@@ -36,7 +36,10 @@ class Error:
 
 @dataclass(frozen=True)
 class Path:
-    """One simulated manoeuvre. `split` is fitted (jointly, initial state too) or unseen (from the measured state)."""
+    """One simulated manoeuvre. `split` is fitted (jointly, initial state too) or unseen (from the measured state).
+
+    A fit by itself (`flown_fit`) has the model `start` or `fitted`, and the split of the same name.
+    """
 
     manoeuvre: str
     model: str  # card or extended
@@ -49,8 +52,9 @@ class Path:
 
 
 def label(flown: Flown, row: int) -> str:
+    """The manoeuvre's name; of the halves of a single one, which."""
     name = flown.flights.names[int(flown.manoeuvre[row])]
-    if len(flown.flights.lengths) > 1:
+    if len(flown.flights.lengths) > 1 or len(flown.index) == 1:
         return name
     return f"{name}, {'first' if row == 0 else 'second'} half"
 

@@ -24,6 +24,7 @@ DEPARTURE = {"airspeed": 1.0, "alpha": 0.01, "theta": 0.01, "q": 0.01, "altitude
 """Standard deviation of the measured initial state, SI: what the sensors of a flight test allow; our choice."""
 OTHER_DEPARTURE = 0.05
 TINY, HUGE = 1e-300, 1e100  # a sensitivity beyond HUGE is that of a motion that is not unique
+TRACE = 1e-12  # of a diagonal: beyond rounding, within nothing that a record tells
 OUTSIDE = 1e6  # cost of a trajectory that is all outside the envelope: worse than any inside
 
 
@@ -157,6 +158,14 @@ class Local(NamedTuple):
         return np.einsum("wij,wj->wi", self.inverse, self.gradient - self.cross @ theta)
 
 
+def _cholesky(own: Float[np.ndarray, "w s s"]) -> Float[np.ndarray, "w s s"]:
+    """Factors; where rounding has eaten the smallest directions of an unstable flight, with a trace of the diagonal."""
+    try:
+        return np.linalg.cholesky(own)
+    except np.linalg.LinAlgError:
+        return np.linalg.cholesky(own + TRACE * own * np.eye(own.shape[-1]))
+
+
 def reduced(point: Point, prior: Priors) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"], Local]:
     """Information and gradient of theta with every segment's state at its best."""
     k = len(point.theta)
@@ -166,7 +175,7 @@ def reduced(point: Point, prior: Priors) -> tuple[Float[np.ndarray, "k k"], Floa
     own = N[:, k + 1 :, k + 1 :] + np.diag(prior.states)
     cross, gradient = N[:, k + 1 :, 1 : k + 1], N[:, k + 1 :, 0] - prior.states * point.departure
     # By Cholesky factors: where a trial is unstable, A less cross' own^-1 cross loses all its digits otherwise.
-    L = np.linalg.cholesky(own)
+    L = _cholesky(own)
     Y, y = np.linalg.solve(L, cross), np.linalg.solve(L, gradient[:, :, None])[:, :, 0]
     A = A - np.einsum("wia,wib->ab", Y, Y)
     g = g - np.einsum("wia,wi->a", Y, y)

@@ -116,7 +116,9 @@ class _Descent:
 
 def solve(A: np.ndarray, g: np.ndarray, damping: float) -> np.ndarray:
     """(A + damping diag A)^-1 g with unit-diagonal scaling; least squares where A is singular."""
-    scale = np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
+    size, tiny = np.diag(A), np.finfo(float).tiny
+    # A diagonal that rounding has eaten (of an unstable flight) counts as the largest, lest its row overflow.
+    scale = np.sqrt(np.where(size > 0.0, np.maximum(size, tiny), np.max(size, initial=tiny)))
     scaled = A / np.outer(scale, scale) + damping * np.eye(len(g))
     return np.linalg.lstsq(scaled, g / scale, rcond=1e-14)[0] / scale
 

@@ -16,6 +16,7 @@ from bayes_aero.model.segments import Flown
 from bayes_aero.parameter import Parameter
 
 THINNED = 5  # samples, for the colour of the residuals
+INDEFINITE = -1e-14  # least eigenvalue of a scaled information matrix: below, it is more than rounding of a sound one
 HELD = 0.9  # posterior over prior deviation from which a parameter is said to be held by its prior
 
 
@@ -117,6 +118,14 @@ class OutputErrorResult:
         return tuple(n for n, sd, own in zip(self.names, self.sd, prior, strict=True) if sd > HELD * own)
 
 
+def _sound(A: Float[np.ndarray, "k k"]) -> bool:
+    """Whether an information matrix is one: of an unstable flight rounding may have made it indefinite."""
+    size = np.diag(A)
+    if not np.all(size > 0.0):
+        return False
+    return bool(np.linalg.eigvalsh(A / np.sqrt(np.outer(size, size)))[0] > INDEFINITE)
+
+
 def result_of(
     flown: Flown,
     point: Point,
@@ -131,8 +140,9 @@ def result_of(
     w, s = point.departure.shape
     A, eliminated = np.diag(prior.precision), np.zeros((w, s, len(point.theta)))
     if math.isfinite(point.cost):
-        A, _, local = reduced(point, prior)
-        eliminated = local.inverse @ local.cross
+        found, _, local = reduced(point, prior)
+        if _sound(found):
+            A, eliminated = found, local.inverse @ local.cross
     free = flown.dynamics.free
     at_bound = tuple(p.name for p, a in zip(free, active & ~rest, strict=True) if a)
     if point.normal.inside < 1.0:

@@ -104,7 +104,7 @@ def linear_dynamics(card: Card) -> LinearDynamics:
     """The linear system that a card states, its starts, bounds and priors in place."""
     if card.linear is None:
         raise InputError(f"card {card.name} has no section [linear]; add it, or use its [model]")
-    units = _units(card)
+    units = channel_units(card)
     parameters = []
     for name in card.linear.parameters:
         unit, text = _meaning(name, card.linear, units)
@@ -134,7 +134,7 @@ def _tidy(unit: str) -> str:
     return si_unit(unit.replace("/(1)", "").replace("(1)", "1")).replace("**", "^")
 
 
-def _units(card: Card) -> dict[str, str]:
+def channel_units(card: Card) -> dict[str, str]:
     """SI unit of every channel of the card, and of its sums, which are in the unit of their first part."""
     known = {
         name: STANDARD_CHANNELS[name].unit for name in (*card.constants, *card.derived) if name in STANDARD_CHANNELS

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bayes_aero.criticism.trajectory import Path
@@ -11,6 +14,8 @@ from bayes_aero.report.style import COLOURS, NotDrawn, bracket, column_width, fo
 from bayes_aero.report.words_trajectory import SYMBOLS, short
 
 MODELS = (("card", "card's model", COLOURS["before"]), ("extended", "extended model", COLOURS["after"]))
+Curve = tuple[Path, str, str]
+"""A path with its label and colour."""
 
 
 def _shown(view: View, split: str) -> Figure:
@@ -20,31 +25,38 @@ def _shown(view: View, split: str) -> Figure:
     names = list(dict.fromkeys(p.manoeuvre for p in flown.paths if p.split == split))
     if not names:
         raise NotDrawn(f"no manoeuvre is {split}")
-    outputs = flown.outputs
-    size = (column_width(len(names)) * len(names), 1.35 * len(outputs) + 1.3)
-    figure, axes = panels(len(outputs), len(names), size, sharex="col", sharey="row")
-    for column, name in enumerate(names):
-        paths = [(p, label, colour) for key, label, colour in MODELS if (p := flown.path(name, key, split)) is not None]
-        for row, output in enumerate(outputs):
-            _panel(axes[row, column], paths, output)
-        axes[0, column].set_title(name)
-        axes[-1, column].set_xlabel("time from start of record [s]")
-    for row, output in enumerate(outputs):
-        unit, _ = for_people(STANDARD_CHANNELS[output].unit)
-        axes[row, 0].set_ylabel(f"{SYMBOLS.get(output, output)} {bracket(unit)}")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
-    figure.align_ylabels(list(axes[:, 0]))
+    columns = {
+        name: [(p, label, colour) for key, label, colour in MODELS if (p := flown.path(name, key, split)) is not None]
+        for name in names
+    }
     told = {
         "unseen": "Simulated from the measured initial state, with parameters fitted without this stretch of flight",
         "fitted": "Simulated with parameters fitted to all of it",
     }
-    figure.suptitle(told[split])
+    return over_measured(columns, {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}, told[split])
+
+
+def over_measured(columns: Mapping[str, Sequence[Curve]], outputs: Mapping[str, str], title: str) -> Figure:
+    """A row of panels for each output (with its SI unit), a column for each manoeuvre."""
+    tall = 1.35 if len(outputs) > 1 else 2.6
+    size = (column_width(len(columns)) * len(columns), tall * len(outputs) + 1.3)
+    figure, axes = panels(len(outputs), len(columns), size, sharex="col", sharey="row")
+    for column, (name, curves) in enumerate(columns.items()):
+        for row, (output, unit) in enumerate(outputs.items()):
+            _panel(axes[row, column], curves, output, unit)
+        axes[0, column].set_title(name)
+        axes[-1, column].set_xlabel("time from start of record [s]")
+    for row, (output, unit) in enumerate(outputs.items()):
+        axes[row, 0].set_ylabel(f"{SYMBOLS.get(output, output)} {bracket(for_people(unit)[0])}")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    figure.align_ylabels(list(axes[:, 0]))
+    figure.suptitle(title)
     return figure
 
 
-def _panel(ax, paths: list[tuple[Path, str, str]], output: str) -> None:
-    _, factor = for_people(STANDARD_CHANNELS[output].unit)
+def _panel(ax: Axes, paths: Sequence[Curve], output: str, unit: str) -> None:
+    _, factor = for_people(unit)
     first = paths[0][0]
     time, measured = first.time - first.time[0], factor * first.measured[output]
     tolerance = first.errors[output].tolerance

@@ -84,12 +84,12 @@ def _purpose(records: Sequence[FlightRecord], card: Card) -> tuple[dict[str, str
     have = _available(records, card)
     if card.linear is not None:
         missing = [n for n in (*card.linear.states, *card.linear.inputs) if n not in have]
-        return {"linear model (Python)": _lacks(missing)}, {}
+        return {"fly": _lacks(missing)}, {}
     model = Model.from_card(card)
     asked = [n for n in model.channels if n not in DERIVED]
     missing = [n for n in dict.fromkeys((*REQUIRED, *asked)) if n not in have]
     flown = [n for n in dict.fromkeys((*FLIGHT, "thrust", "density", *asked)) if n not in have]
-    uses = {"identify": _lacks(missing), "diagnose": _lacks(missing)}
+    uses = {"identify": _lacks(missing), "diagnose": _lacks(missing), "fly": _lacks(flown)}
     if missing and not flown:
         uses["diagnose"] = ""
         uses["diagnose by coefficients"] = _lacks(missing)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from bayes_aero.criticism.trajectory import Error, Path, Trajectories
@@ -21,7 +22,7 @@ def trajectory_results(flown: Trajectories, card: Card) -> dict[str, Any]:
             for name, t in card.tolerances.items()
             if name in flown.outputs
         },
-        "paths": [_path(path) for path in flown.paths],
+        "paths": [path_results(path) for path in flown.paths],
         "held_without": {name: list(held) for name, held in flown.held.items()},
         "parameters": {
             name: {
@@ -37,19 +38,21 @@ def trajectory_results(flown: Trajectories, card: Card) -> dict[str, Any]:
     }
 
 
-def _path(path: Path) -> dict[str, Any]:
+def path_results(path: Path, units: Mapping[str, str] | None = None) -> dict[str, Any]:
+    """One simulated manoeuvre; `units` of outputs (SI) for channels that the program does not know by name."""
+    known = units or {name: STANDARD_CHANNELS[name].unit for name in path.errors}
     return {
         "manoeuvre": path.manoeuvre,
         "model": path.model,
         "split": path.split,
         "inside_envelope": path.inside,
-        "outputs": {name: _error(name, error) for name, error in path.errors.items()},
+        "outputs": {name: _error(known[name], error) for name, error in path.errors.items()},
     }
 
 
-def _error(name: str, error: Error) -> dict[str, Any]:
+def _error(unit: str, error: Error) -> dict[str, Any]:
     return {
-        "unit": STANDARD_CHANNELS[name].unit,
+        "unit": unit,
         "rms": error.rms,
         "largest": error.largest,
         "theil": error.theil.theil,

@@ -1,0 +1,62 @@
+"""bayes-aero fly."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bayes_aero.cli.terminal import (
+    FAILED,
+    JsonOption,
+    ModelOption,
+    ResampleOption,
+    SeedOption,
+    bar,
+    interruptible,
+    kept_stages,
+    teller,
+)
+
+
+def fly(
+    records: Annotated[list[Path], typer.Argument(help="Flight records (.asc .csv .mat .parquet .nc).")],
+    model: ModelOption = "attas",
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("trajectories"),
+    windows: Annotated[
+        float, typer.Option(help="Length of the windows that are fitted before whole manoeuvres, in s.")
+    ] = 12.0,
+    seed: SeedOption = 0,
+    resample: ResampleOption = None,
+    figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
+    json: JsonOption = False,
+) -> None:
+    """Fit a card's model to trajectories (output error): flown through the recorded inputs, initial states fitted too.
+
+    For cards with a model of effects and for linear ones. Exit code 0: converged; 1: not, or the model cannot fly.
+
+    Example: bayes-aero fly run1.csv run2.csv --model short_period.toml --out trajectories
+    """
+    from bayes_aero.flight.card import read_card
+    from bayes_aero.report.words_fly import error_table, parameter_table
+    from bayes_aero.studies.fly import RESULTS
+    from bayes_aero.studies.fly import fly as run
+    from bayes_aero.studies.identify import read_records
+
+    card = read_card(model)
+    console = teller(quiet=json, highlight=True)
+    flights = read_records(records, card, resample=resample)
+    with interruptible(kept_stages(out)), bar("reading") as tell:
+        found = run(flights, card, out=out, window=windows, seed=seed, figures=figures, progress=tell)
+    if json:
+        typer.echo((out / RESULTS).read_text(encoding="utf-8"), nl=False)
+    console.print(parameter_table(found.flown))
+    console.print(error_table(found.flown))
+    for sentence in found.sentences:
+        console.print(f"• {sentence}", highlight=False)
+    for note in found.notes:
+        console.print(f"! {note}", highlight=False)
+    console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
+    if not found.flown.converged:
+        raise typer.Exit(FAILED)

@@ -1,0 +1,109 @@
+"""One model fitted to trajectories by itself: parameters, initial states, the residuals' colour, errors by flight."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.criticism.flown_colour import colour_cost
+from bayes_aero.criticism.flown_paths import Path, label, paths_of
+from bayes_aero.criticism.trajectory import BEGIN_COST, LEFT, WINDOW
+from bayes_aero.inference.cores import blas_threads
+from bayes_aero.inference.output_error import fit_cascade, fit_output_error, trajectories
+from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.model.dynamics import AircraftDynamics, Dynamics
+from bayes_aero.model.flights import Flights
+from bayes_aero.model.segments import segments
+
+START, FITTED = "start", "fitted"
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class FlownFit:
+    """A fit to whole manoeuvres. `paths` have the model `start` (first values, measured initial state) or `fitted`.
+
+    `initial` is the state at each manoeuvre's first sample, and by how much it departs from the measured one, SI.
+    """
+
+    fit: OutputErrorResult
+    start: Float[np.ndarray, " k"]
+    paths: tuple[Path, ...]
+    initial: Mapping[str, Mapping[str, tuple[float, float]]]
+    colour_cost: float  # how many times the colour multiplies variances; NaN where the model could not fly
+    outputs: tuple[str, ...]  # all that were recorded; those fitted are the fit's own
+    units: Mapping[str, str]  # SI, of channels
+    window: float  # s, of the first fits
+
+    @property
+    def converged(self) -> bool:
+        """Whether the numbers can be used; a parameter may be at its bound."""
+        return self.fit.status in (OutputErrorStatus.CONVERGED, OutputErrorStatus.AT_BOUND)
+
+    @property
+    def manoeuvres(self) -> tuple[str, ...]:
+        """Their names."""
+        return tuple(dict.fromkeys(p.manoeuvre for p in self.paths))
+
+    def path(self, manoeuvre: str, model: str) -> Path:
+        """One of the paths."""
+        return next(p for p in self.paths if (p.manoeuvre, p.model) == (manoeuvre, model))
+
+
+@blas_threads(0)
+def fit_flown(
+    flights: Flights,
+    dynamics: Dynamics,
+    units: Mapping[str, str],
+    *,
+    starts: Sequence[Float[np.ndarray, " k"]] = (),
+    window: float = WINDOW,
+    tolerances: Mapping[str, float] | None = None,
+    progress: Progress | None = None,
+) -> FlownFit:
+    """Fit windows of `window` s from the parameters' own start and every one of `starts`, then whole manoeuvres.
+
+    The colour is measured on the way and the last fit weighs its priors by it, as `trajectory.fly_both` does.
+    """
+
+    def tell(text: str, share: float) -> None:
+        if progress:
+            progress(text, share)
+
+    first = np.array([p.start for p in dynamics.free])
+    shown = tuple(name for name in dynamics.outputs if name in flights.channels)
+    chosen = tuple(n for n in shown if n not in LEFT) if isinstance(dynamics, AircraftDynamics) else None
+    finer = dynamics.substeps(first, flights)
+    short, whole = (segments(flights, dynamics, outputs=chosen, window=w, substeps=finer) for w in (window, None))
+    stages = [whole] if len(short.index) == len(whole.index) else [short, whole]
+    tell("windows, then whole manoeuvres", 0.0)
+    fit = fit_cascade(stages, [first, *starts], prior_weight=BEGIN_COST)
+    if len(stages) == 1 and fit.status is OutputErrorStatus.NOT_CONVERGED:  # a first stage stops early
+        fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, prior_weight=BEGIN_COST)
+    cost = math.nan
+    if math.isfinite(fit.cost) and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
+        tell("colour of the residuals", 0.7)
+        cost, _ = colour_cost(fit)
+        fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, prior_weight=cost)
+    tell("errors of the trajectories", 0.9)
+    bands, still = tolerances or {}, np.zeros_like(fit.departure)
+    with np.errstate(over="ignore", invalid="ignore"):  # a first guess may fly anywhere
+        paths = paths_of(replace(fit, estimate=first), whole, START, START, still, bands)
+        paths += paths_of(fit, whole, FITTED, FITTED, fit.departure, bands)
+    return FlownFit(fit, first, tuple(paths), _initial(fit, shown), cost, shown, dict(units), window)
+
+
+def _initial(fit: OutputErrorResult, shown: tuple[str, ...]) -> dict[str, dict[str, tuple[float, float]]]:
+    wide = replace(fit.flown, outputs=shown)  # as the paths, for which it is compiled already
+    flown = trajectories(wide, jnp.asarray(fit.estimate), jnp.asarray(fit.departure))
+    begin = np.asarray(flown.trajectory.states)[:, 0]
+    states = fit.flown.dynamics.states
+    return {
+        label(fit.flown, row): {n: (float(begin[row, s]), float(fit.departure[row, s])) for s, n in enumerate(states)}
+        for row in range(len(begin))
+    }

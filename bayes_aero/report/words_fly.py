@@ -1,0 +1,113 @@
+"""What a fit to trajectories says by itself: tables for a terminal and for files, and sentences."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from bayes_aero.criticism.flown_fit import FITTED, START, FlownFit
+from bayes_aero.inference.output_error_result import OutputErrorStatus
+from bayes_aero.report.style import for_people, several
+from bayes_aero.report.tables import concise
+from bayes_aero.report.words_trajectory import SYMBOLS, short
+
+MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound"}
+COLOURED = 1.5  # times by which the colour must multiply variances to be worth a sentence; our choice
+
+
+def parameter_rows(flown: FlownFit) -> dict[str, dict[str, Any]]:
+    """By parameter, SI and radians; `crb` is infinite where the data alone do not determine it."""
+    fit = flown.fit
+    return {
+        name: {
+            "unit": fit.parameters[i].unit,
+            "start": float(flown.start[i]),
+            "estimate": float(fit.estimate[i]),
+            "crb": float(crb),
+            "sd_corrected": float(sd),
+            "held_by_prior": name in fit.held,
+            "at_bound": name in fit.at_bound,
+        }
+        for i, (name, crb, sd) in enumerate(zip(fit.names, fit.crb, fit.sd_corrected, strict=True))
+    }
+
+
+def parameter_frame(flown: FlownFit) -> pd.DataFrame:
+    """The same as a table."""
+    return pd.DataFrame.from_dict(parameter_rows(flown), orient="index").rename_axis("parameter")
+
+
+def parameter_table(flown: FlownFit) -> Table:
+    """Estimate, both deviations and marks."""
+    table = _table(
+        f"Parameters fitted to trajectories: {flown.fit.status.name.lower().replace('_', ' ')}",
+        "SI and radians. CRB: Cramér-Rao, the data alone, residuals taken as white. sd corr.: with their colour and "
+        "the priors; in brackets behind the estimate in units of its last digit.",
+    )
+    for head in ("", "unit"):
+        table.add_column(head, no_wrap=True)
+    for head in ("estimate", "CRB", "sd corr."):
+        table.add_column(head, justify="right")
+    table.add_column("")
+    for name, row in parameter_rows(flown).items():
+        marks = [words for key, words in MARKS.items() if row[key]]
+        crb = f"{row['crb']:.2g}" if np.isfinite(row["crb"]) else "-"
+        sd = row["sd_corrected"]
+        table.add_row(name, row["unit"], concise(row["estimate"], sd), crb, f"{sd:.2g}", ", ".join(marks))
+    return table
+
+
+def error_table(flown: FlownFit) -> Table:
+    """Every manoeuvre and output: error at the first values and of the fit, Theil's coefficient and its parts."""
+    table = _table(
+        "Error of the simulated trajectory",
+        "Start: first values of the parameters, measured initial state. Theil's U, and the shares of bias, variance "
+        "and covariance in the mean square error.",
+    )
+    for head in ("manoeuvre", "output"):
+        table.add_column(head)
+    for head in ("RMS: start → fitted", "largest", "U", "bias", "var.", "cov."):
+        table.add_column(head, justify="right")
+    for name in flown.manoeuvres:
+        before, after = flown.path(name, START), flown.path(name, FITTED)
+        for output, error in after.errors.items():
+            unit, factor = for_people(flown.units[output])
+            theil = error.theil
+            left = "" if output in flown.fit.flown.outputs else ", not fitted"
+            table.add_row(
+                name,
+                f"{SYMBOLS.get(output, output)} [{unit}]{left}",
+                f"{short(factor * before.errors[output].rms)} → {short(factor * error.rms)}",
+                short(factor * error.largest),
+                f"{theil.theil:.3f}",
+                *(f"{share:.0%}" for share in (theil.bias, theil.variance, theil.covariance)),
+            )
+    return table
+
+
+def fly_sentences(flown: FlownFit) -> list[str]:
+    """How the fit ended, what the colour costs, what the records do not say, which first values could not fly."""
+    fit = flown.fit
+    bound = f" ({several(fit.at_bound)})" if fit.at_bound else ""
+    said = [f"The fit {fit.status.value}{bound}."]
+    if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
+        said = [f"The fit failed: {fit.status.value}."]
+    elif flown.colour_cost >= COLOURED:
+        said.append(
+            f"The residuals are coloured: they multiply variances {short(flown.colour_cost)} times in the median, and "
+            "the Cramér-Rao bound is too small; use the corrected deviation."
+        )
+    if fit.held and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
+        said.append(f"The trajectories say next to nothing of {several(fit.held)}; the prior holds.")
+    lost = [p.manoeuvre for p in flown.paths if p.model == FITTED and not p.inside]
+    if lost:
+        said.append(f"Outside the flight envelope at the end of the fit: {several(lost)}.")
+    return said
+
+
+def _table(title: str, caption: str) -> Table:
+    return Table(title=title, caption=caption, box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False)

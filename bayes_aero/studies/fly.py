@@ -1,0 +1,176 @@
+"""Output error as a job: records in, parameters fitted to their trajectories out; the numbers are on disk first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.criticism.flown_fit import FlownFit, fit_flown
+from bayes_aero.criticism.trajectory import WINDOW
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.mle import fit_mle
+from bayes_aero.model.dynamics import Dynamics, aircraft_dynamics
+from bayes_aero.model.flights import Flights, despiked, join
+from bayes_aero.model.linear import channel_units, linear_dynamics
+from bayes_aero.model.longitudinal import FLIGHT
+from bayes_aero.model.model import Model
+from bayes_aero.model.observations import observe
+from bayes_aero.report.figures import draw_all
+from bayes_aero.report.figures_fly import fly_figures
+from bayes_aero.report.style import MOST_MANOEUVRES, several
+from bayes_aero.report.tables import write_csv
+from bayes_aero.report.words_fly import fly_sentences, parameter_frame, parameter_rows
+from bayes_aero.studies.diagnosis_results import record_results
+from bayes_aero.studies.folder import writable
+from bayes_aero.studies.provenance import provenance, write_json
+from bayes_aero.studies.trajectory_results import path_results
+
+SCHEMA = "bayes_aero/trajectories/1"
+SHORTEST = 1.0  # s of a window: two ends of the straight line from which the initial state is read
+RESULTS = "trajectories.json"
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A fit with what is said of it."""
+
+    flown: FlownFit
+    sentences: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def fly(
+    records: Sequence[FlightRecord],
+    card: Card,
+    *,
+    out: Path | None = None,
+    window: float = WINDOW,
+    seed: int = 0,
+    figures: bool = True,
+    progress: Progress | None = None,
+) -> Flight:
+    """Fit the card's model to the records' trajectories, as `bayes-aero fly` does; with `out` it writes
+    trajectories.json, parameters.csv and figures.
+
+    A model of effects starts from the card's values and, where coefficients can be formed, from their fit, too (`seed`
+    is that fit's). Windows of `window` s are fitted first.
+    """
+    if not (math.isfinite(window) and window >= SHORTEST):
+        raise InputError(f"windows of {window:g} s cannot be flown; give at least {SHORTEST:g} s")
+    flights, dynamics, notes = _flights(records, card)
+    if out is not None:
+        writable(out)
+    source = provenance(card, records, seed, {"windows": window})
+    flown = fit_flown(
+        flights,
+        dynamics,
+        {name: STANDARD_CHANNELS[name].unit for name in STANDARD_CHANNELS} | channel_units(card),
+        starts=_starts(records, card, dynamics, seed, progress),
+        window=window,
+        tolerances={name: tolerance.value for name, tolerance in card.tolerances.items()},
+        progress=progress,
+    )
+    found = Flight(flown, tuple(fly_sentences(flown)), tuple(notes))
+    if out is None:
+        return found
+    write_csv(parameter_frame(flown), out / "parameters.csv")
+    write_json(fly_results(found, card, records, source), out / RESULTS)
+    if figures:
+        _, failed = draw_all(fly_figures(flown), flown, out / "figures", progress)
+        said = [f"Figure {name} was not drawn: {why}" for name, why in failed.items()]
+        if len(records) > MOST_MANOEUVRES:
+            said.append(f"Figures are drawn for up to {MOST_MANOEUVRES} manoeuvres.")
+        found = replace(found, notes=(*found.notes, *said))
+        if said:
+            write_json(fly_results(found, card, records, source), out / RESULTS)
+    return found
+
+
+def _flights(records: Sequence[FlightRecord], card: Card) -> tuple[Flights, Dynamics, list[str]]:
+    """The records end to end without spikes, what flies them, and what to say of it."""
+    notes: list[str] = []
+    if card.linear is not None:
+        dynamics: Dynamics = linear_dynamics(card)
+        flights, spikes = despiked(join(records, card, dynamics.inputs))
+    else:
+        flights, spikes = despiked(join(records, card, FLIGHT))
+        dynamics = aircraft_dynamics(Model.from_card(card), flights)
+        still = [n for n in ("p", "r", "beta", "phi") if n not in flights.channels]
+        notes += [f"Not recorded, and taken as zero: {several(still)}."] if still else []
+    unseen = [n for n in dynamics.states if n not in flights.channels and n in STANDARD_CHANNELS]
+    notes += [f"States that were not recorded begin at zero or as fitted: {several(unseen)}."] if unseen else []
+    if spikes:
+        counts = several(f"{count} of {name}" for name, count in spikes.items())
+        notes.append(f"Isolated spikes were replaced by the median of their neighbours: {counts}.")
+    return flights, dynamics, notes
+
+
+def _starts(
+    records: Sequence[FlightRecord], card: Card, dynamics: Dynamics, seed: int, progress: Progress | None
+) -> list[Float[np.ndarray, " k"]]:
+    """What a fit of the coefficients finds, where they can be formed: a trajectory has optima far from the flight."""
+    if card.linear is not None:
+        return []
+    if progress:
+        progress("coefficients", 0.0)
+    model = Model.from_card(card)
+    try:
+        found = fit_mle(model, observe(records, card, model), seed=seed)
+    except InputError:
+        return []
+    near = dict(zip(found.names, found.estimate, strict=True))
+    lower, upper = (np.array([p.bounds[i] for p in dynamics.free], float) for i in (0, 1))
+    start = np.array([near.get(p.name, p.start) for p in dynamics.free])
+    return [np.clip(start, lower, upper)] if np.all(np.isfinite(start)) else []
+
+
+def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], source: dict[str, Any]) -> dict[str, Any]:
+    """trajectories.json: plain numbers and text, SI and radians (trajectories.schema.json beside this file)."""
+    flown = found.flown
+    fit = flown.fit
+    units = {name: flown.units.get(name, "1") for name in fit.flown.dynamics.states}
+    return {
+        "schema": SCHEMA,
+        "card": {"name": card.name, "title": card.title},
+        "records": record_results(records),
+        "status": fit.status.name.lower(),
+        "converged": flown.converged,
+        "sentences": list(found.sentences),
+        "fitted_outputs": list(fit.flown.outputs),
+        "windows": flown.window,
+        "iterations": fit.iterations,
+        "cost": fit.cost,
+        "colour_cost": flown.colour_cost,
+        "parameters": parameter_rows(flown),
+        "initial_states": {
+            manoeuvre: {n: {"value": x, "departure": d, "unit": units[n]} for n, (x, d) in states.items()}
+            for manoeuvre, states in flown.initial.items()
+        },
+        "residual_sd": dict(zip(fit.flown.outputs, np.sqrt(fit.R), strict=True)),
+        "tolerances": {
+            name: {"value": t.value, "unit": flown.units[name], "source": t.source}
+            for name, t in card.tolerances.items()
+            if name in flown.outputs
+        },
+        "paths": [_path(path, flown.units) for path in flown.paths],
+        "notes": list(found.notes),
+        "provenance": source,
+    }
+
+
+def _path(path: Any, units: Any) -> dict[str, Any]:
+    told = path_results(path, units)
+    del told["split"]  # the same as its model here
+    for error in told["outputs"].values():
+        del error["probability_within"]  # of unseen flight only
+    return told

@@ -1,0 +1,165 @@
+"""Output error from the command line: truth recovered, what is written, exit codes, both kinds of card."""
+
+from __future__ import annotations
+
+import json
+from importlib import resources
+
+import jsonschema
+import numpy as np
+import pandas as pd
+import pytest
+from linear_cards import (
+    LATERAL,
+    LATERAL_TRUTH,
+    SHORT_PERIOD,
+    SHORT_PERIOD_TRUTH,
+    card_of,
+    lateral_flight,
+    record_of,
+    short_period_flight,
+)
+
+from bayes_aero.flight.readers import write_record
+
+NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15, "p": 0.004, "r": 0.003, "p_dot": 0.03}
+SCHEMA = json.loads(resources.files("bayes_aero.studies").joinpath("trajectories.schema.json").read_text())
+
+
+def written(folder, text, channels, name="flight", seed=1):
+    """Card and record as files; the true channels are those of the matrix exponential, with white noise."""
+    card, record = folder / "card.toml", folder / f"{name}.csv"
+    card.write_text(text)
+    noisy = record_of(channels, noise=NOISE, rng=np.random.default_rng(seed), name=name)
+    write_record(noisy, record, [c for c in card_of(text).channels if noisy.has(c.name) or c.name == "time"])
+    return card, record
+
+
+def told(done):
+    """The JSON on standard output, which must follow the schema."""
+    found = json.loads(done.out)
+    jsonschema.Draft202012Validator.check_schema(SCHEMA)
+    jsonschema.validate(found, SCHEMA)
+    return found
+
+
+def test_the_short_period_is_recovered_and_written(program, tmp_path):
+    card, first = written(tmp_path, SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH), "one", 1)
+    other = short_period_flight(SHORT_PERIOD_TRUTH, x0=(0.04, -0.02))
+    _, second = written(tmp_path, SHORT_PERIOD, other, "two", 2)
+    done = program("fly", first, second, "--model", card, "--windows", "5", "--out", "out", "--json")
+    assert done.code == 0, done.err
+    found = told(done)
+    assert done.out == (tmp_path / "out" / "trajectories.json").read_text()
+    assert (found["status"], found["windows"], found["notes"]) == ("converged", 5.0, [])
+    assert {r["name"] for r in found["records"]} == set(found["initial_states"]) == {"one", "two"}
+    assert set(found["parameters"]) == set(SHORT_PERIOD_TRUTH)
+    for name, p in found["parameters"].items():
+        assert abs(p["estimate"] - SHORT_PERIOD_TRUTH[name]) < 3.0 * p["sd_corrected"], name
+        assert p["sd_corrected"] < max(0.05 * abs(SHORT_PERIOD_TRUTH[name]), 0.003), name
+        assert p["sd_corrected"] == pytest.approx(p["crb"], rel=0.4)  # the noise is white
+        assert not p["held_by_prior"]
+        assert not p["at_bound"]
+    for name, sd in found["residual_sd"].items():
+        assert sd == pytest.approx(NOISE[name], rel=0.1)
+    for manoeuvre, q in {"one": 0.01, "two": -0.02}.items():
+        assert found["initial_states"][manoeuvre]["alpha"]["value"] == pytest.approx(0.04, abs=0.002)
+        assert found["initial_states"][manoeuvre]["q"]["value"] == pytest.approx(q, abs=0.003)
+    table = pd.read_csv(tmp_path / "out" / "parameters.csv", index_col=0)
+    assert table["estimate"].to_dict() == {n: p["estimate"] for n, p in found["parameters"].items()}
+    for path in found["paths"]:
+        for name, error in path["outputs"].items():
+            shares = [error[f"theil_{part}"] for part in ("bias", "variance", "covariance")]
+            assert sum(shares) == pytest.approx(1.0), name
+            assert (error["rms"] < 1.15 * NOISE[name]) == (path["model"] == "fitted")
+    drawn = {path.name for path in (tmp_path / "out" / "figures").iterdir()}
+    assert drawn == {f"trajectory_{name}.png" for name in ("alpha", "q", "az")}
+
+
+def test_lateral_motion_is_recovered_and_told(program, tmp_path):
+    card, record = written(tmp_path, LATERAL, lateral_flight(LATERAL_TRUTH), seed=3)
+    done = program("fly", record, "--model", card, "--no-figures")
+    assert done.code == 0, done.err
+    assert "The fit converged." in done.out
+    table = pd.read_csv(tmp_path / "trajectories" / "parameters.csv", index_col=0)
+    assert set(table.index) == set(LATERAL_TRUTH)
+    for name, row in table.iterrows():
+        assert abs(row["estimate"] - LATERAL_TRUTH[name]) < 4.0 * row["sd_corrected"], name
+        assert row["sd_corrected"] < 0.05 * abs(LATERAL_TRUTH[name]) + 0.01, name
+        assert name in done.out
+    assert not (tmp_path / "trajectories" / "figures").exists()
+
+
+def test_what_a_still_elevator_does_not_tell_is_marked(program, tmp_path):
+    still = short_period_flight(SHORT_PERIOD_TRUTH | {"Zde": 0.0, "Mde": 0.0}, x0=(0.1, -0.1))
+    still["elevator"] = np.zeros_like(still["elevator"])
+    card, record = written(tmp_path, SHORT_PERIOD, still)
+    done = program("fly", record, "--model", card, "--no-figures", "--json")
+    assert done.code == 0, done.err
+    parameters = told(done)["parameters"]
+    assert {name for name, p in parameters.items() if p["held_by_prior"]} == {"Zde", "Mde"}
+    assert parameters["Mde"]["crb"] is None
+    done = program("fly", record, "--model", card, "--no-figures")
+    assert done.out.count("held by its prior") == 2
+
+
+@pytest.mark.parametrize("required", [True, False])
+def test_a_record_without_a_needed_channel_is_one_sentence(program, tmp_path, required):
+    channels = short_period_flight(SHORT_PERIOD_TRUTH)
+    del channels["elevator"]
+    text = SHORT_PERIOD
+    if not required:
+        text = text.replace('label = "de", unit = "deg" }', 'label = "de", unit = "deg", required = false }')
+    card, record = written(tmp_path, text, channels)
+    done = program("fly", record, "--model", card)
+    assert done.code == 2
+    assert done.err.count("\n") == 1
+    assert "flight" in done.err
+    assert ("elevator" if not required else "'de'") in done.err
+    assert not (tmp_path / "trajectories").exists()
+
+
+@pytest.mark.parametrize("windows", ["0.2", "nan"])
+def test_windows_that_cannot_be_flown_are_refused(program, tmp_path, windows):
+    card, record = written(tmp_path, SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH, n=100))
+    done = program("fly", record, "--model", card, "--windows", windows)
+    assert done.code == 2
+    assert "at least 1 s" in done.err
+    assert not (tmp_path / "trajectories").exists()
+
+
+def test_a_model_that_cannot_fly_is_exit_code_one(program, tmp_path):
+    """A static instability that doubles every 50 ms, fixed on the card."""
+    text = SHORT_PERIOD.replace("Zq = 1.0", "Zq = 1.0\nMalpha = 200.0")
+    card, record = written(tmp_path, text, short_period_flight(SHORT_PERIOD_TRUTH))
+    done = program("fly", record, "--model", card, "--no-figures", "--json")
+    assert done.code == 1
+    found = told(done)
+    assert (found["status"], found["converged"]) == ("left_envelope", False)
+    assert "cannot fly this record" in found["sentences"][0]
+
+
+def test_a_model_of_effects_flies_a_stall(program, tmp_path):
+    """Without noise, so that the truth is what comes out; in one window, which compiles less."""
+    simulated = ("--manoeuvre", "slow_stall", "--duration", "24", "--noise", "none", "--seed", "5")
+    assert program("simulate", *simulated, "--out", "stall.csv").code == 0
+    done = program("fly", "stall.csv", "--windows", "60", "--no-figures", "--json")
+    assert done.code == 0, done.err
+    found = told(done)
+    assert "altitude" not in found["fitted_outputs"]
+    start, fitted = (next(p for p in found["paths"] if p["model"] == model) for model in ("start", "fitted"))
+    assert set(fitted["outputs"]) == {*found["fitted_outputs"], "altitude"}
+    for name in found["fitted_outputs"]:
+        assert fitted["outputs"][name]["rms"] < 0.01 * start["outputs"][name]["rms"], name
+    truth = json.loads((tmp_path / "stall.csv.truth.json").read_text())["parameters"]
+    told_of = {name for name, p in found["parameters"].items() if not p["held_by_prior"]}
+    assert set(found["parameters"]) - told_of <= {"tau2"}  # alpha hardly falls while the flow is separated
+    for name in told_of:
+        assert found["parameters"][name]["estimate"] == pytest.approx(truth[name], rel=0.002), name
+
+
+def test_check_says_that_a_linear_card_can_be_flown(program, tmp_path):
+    card, record = written(tmp_path, SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH))
+    done = program("check", record, "--model", card, "--json")
+    assert done.code == 0, done.err
+    assert json.loads(done.out)["uses"] == {"fly": {"possible": True, "why_not": None}}
