@@ -1,0 +1,92 @@
+"""Against the peers, side by side in one run: the same data, model and stopping accuracy; a Markdown table comes out.
+
+    OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 python benchmarks/peers [RECORD ...] [--blocks fits ...] [--out FILE]
+
+Without a record the simulated manoeuvres are used. `--quick` takes below a minute and says nothing of speed. Peers come
+with the `peers` extra; one that is not installed is told as such. Every contender is a process of its own, one after
+the other, so that its peak memory is its own; a peer that does without JAX does not load it. This process imports
+nothing but the standard library, for on Linux a child's peak memory begins at that of its parent.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # reference.py and other files that benchmarks share
+
+from table import BLOCKS, page
+
+
+def parsed() -> argparse.Namespace:
+    """The command line; `--one` and `--folder` are for the processes that this one starts."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("records", nargs="*", type=Path)
+    parser.add_argument("--blocks", nargs="+", choices=list(BLOCKS), default=list(BLOCKS), metavar="BLOCK",
+                        help=f"of {', '.join(BLOCKS)}")  # fmt: skip
+    parser.add_argument("--sizes", nargs="+", type=int, default=[500, 1000, 2000], help="samples of the GPs")
+    parser.add_argument("--steps", type=int, default=3000, help="of the peers' ensembles")
+    parser.add_argument("--repeats", type=int, default=7, help="warm runs, at most")
+    parser.add_argument("--seconds", type=float, default=120.0, help="no warm run is begun beyond these")
+    parser.add_argument("--cores", type=int, help="that every contender may use (Linux)")
+    parser.add_argument("--quick", action="store_true", help="small sizes, one warm run: shows that everything works")
+    parser.add_argument("--out", type=Path, help="where the table goes, too")
+    parser.add_argument("--one", nargs=3, help=argparse.SUPPRESS)
+    parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.quick:
+        options.sizes, options.steps, options.repeats, options.seconds = [60], 60, 1, 5.0
+    missing = [str(path) for path in options.records if not path.is_file()]
+    if missing:
+        parser.error(f"no record at {', '.join(missing)}; give paths of records, or none for the simulated ones")
+    return options
+
+
+def child(options: argparse.Namespace, folder: str, *one: str) -> dict:
+    """What the process of one contender has found; {"failed": why} where it has not."""
+    environment = dict(os.environ)
+    if not options.quick:
+        environment.pop("JAX_COMPILATION_CACHE_DIR", None)  # a first call compiles
+    command = [sys.executable, str(Path(__file__).parent), *sys.argv[1:], "--folder", folder, "--one", *one]
+    done = subprocess.run(command, check=False, stdout=subprocess.PIPE, text=True, env=environment)
+    if done.returncode:
+        return {"failed": f"ended with code {done.returncode}"}
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def main() -> None:
+    """Prepare the data, run every contender, print the table."""
+    options = parsed()
+    if options.one:
+        from contender import run_one  # the only way to NumPy in this file
+
+        print(json.dumps(run_one(*options.one, options)))
+        return
+    found = {}
+    with tempfile.TemporaryDirectory() as folder:
+        facts = child(options, folder, "prepare", "", "0")
+        if "failed" in facts:
+            sys.exit("The data could not be prepared; see the message above.")
+        for block in options.blocks:
+            for size in options.sizes if BLOCKS[block].sized else [0]:
+                rows = found[block, size] = {}
+                for name in BLOCKS[block].contenders:
+                    print(f"{block} {size or ''}: {name}", file=sys.stderr, flush=True)
+                    rows[name] = child(options, folder, block, name, str(size))
+    facts |= {"cores": options.cores or os.cpu_count(), "python": platform.python_version(), "quick": options.quick}
+    text = page(found, facts)
+    print(text)
+    if options.out:
+        partial = options.out.with_name(options.out.name + ".part")
+        partial.write_text(text + "\n")
+        partial.replace(options.out)
+
+
+if __name__ == "__main__":
+    main()
