@@ -51,7 +51,9 @@ def parsed() -> argparse.Namespace:
 def child(options: argparse.Namespace, folder: str, *one: str) -> dict:
     """What the process of one contender has found; {"failed": why} where it has not."""
     environment = dict(os.environ)
-    if not options.quick:
+    if options.quick and "JAX_COMPILATION_CACHE_DIR" in environment:
+        environment["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+    elif not options.quick:
         environment.pop("JAX_COMPILATION_CACHE_DIR", None)  # a first call compiles
     command = [sys.executable, str(Path(__file__).parent), *sys.argv[1:], "--folder", folder, "--one", *one]
     done = subprocess.run(command, check=False, stdout=subprocess.PIPE, text=True, env=environment)

@@ -17,12 +17,15 @@ if TYPE_CHECKING:
     import numpy as np
     from reference import Reference, WhitePosterior
 
+    from bayes_aero.model.model import Model
+    from bayes_aero.model.observations import Observations
+
 
 @dataclass(frozen=True)
 class Problem:
     """What all contenders are given, in plain NumPy; arrays follow the model's 14 parameters, `u` the density's 17."""
 
-    records: list[Path]
+    ours: Path  # what `stall` reads
     reference: Reference
     posterior: WhitePosterior
     start: np.ndarray
@@ -34,6 +37,14 @@ class Problem:
     processes: dict[int, tuple[np.ndarray, np.ndarray]]  # scaled inputs (n, 4) and output (n,), by n
 
 
+def stall(problem: Problem) -> tuple[Model, Observations]:
+    """The package's own model and observations; only this loads JAX."""
+    from bayes_aero.flight.card import read_card
+    from bayes_aero.model.model import Model
+
+    return Model.from_card(read_card("attas")), pickle.loads(problem.ours.read_bytes())
+
+
 def run_one(block: str, name: str, size: str, options: argparse.Namespace) -> dict[str, Any]:
     """Numbers of one contender of one block, or of the preparation."""
     if options.cores and hasattr(os, "sched_setaffinity"):
@@ -42,7 +53,7 @@ def run_one(block: str, name: str, size: str, options: argparse.Namespace) -> di
     if block == "prepare":
         from problem import prepare
 
-        problem, facts = prepare(options)
+        problem, facts = prepare(options, options.folder / "ours.pickle")
         path.write_bytes(pickle.dumps(problem))
         return facts
     module = importlib.import_module(block)

@@ -10,28 +10,24 @@ import argparse
 from collections.abc import Callable
 
 import numpy as np
-from contender import Problem
+from contender import Problem, stall
 
 Run = Callable[[int], np.ndarray]
 
 
 def ours(problem: Problem, _: int, __: argparse.Namespace) -> Run:
     """The fit alone."""
-    from reference import load
-
     from bayes_aero.inference.mle import descend
 
-    _, model, observations = load(problem.records)
+    model, observations = stall(problem)
     return lambda _: descend(model, observations, problem.start).theta
 
 
 def ours_with_bounds(problem: Problem, _: int, __: argparse.Namespace) -> Run:
     """As a user calls it: with Cramer-Rao bounds and those corrected for colour."""
-    from reference import load
-
     from bayes_aero.inference.mle import fit_mle
 
-    _, model, observations = load(problem.records)
+    model, observations = stall(problem)
     return lambda _: fit_mle(model, observations, extra_starts=0).estimate
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import pickle
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -20,9 +22,12 @@ from bayes_aero.model.observations import Observations
 INPUTS = ("alpha", "elevator", "q", "airspeed")
 
 
-def prepare(options: argparse.Namespace) -> tuple[Problem, dict]:
-    """The problem, and what the table says of it."""
+def prepare(options: argparse.Namespace, ours: Path) -> tuple[Problem, dict]:
+    """The problem, and what the table says of it; the package's observations go to the file `ours`."""
     _, model, observations = load(options.records)
+    if options.quick:
+        observations = observations.thinned()
+    ours.write_bytes(pickle.dumps(observations))
     best = fit_mle(model, observations, extra_starts=0)
     if best.status is not MleStatus.CONVERGED:
         raise SystemExit(
@@ -37,10 +42,10 @@ def prepare(options: argparse.Namespace) -> tuple[Problem, dict]:
         for theta in (start, best.estimate)
     ]
     near = mode.unwhiten(np.random.default_rng(1).standard_normal((10, density.size)))
-    ours = np.array([float(density(jnp.asarray(u))) for u in near])
-    apart.append(agree(ours, np.array([posterior(u) for u in near])))
+    values = np.array([float(density(jnp.asarray(u))) for u in near])
+    apart.append(agree(values, np.array([posterior(u) for u in near])))
     problem = Problem(
-        records=options.records,
+        ours=ours,
         reference=reference,
         posterior=posterior,
         start=start,

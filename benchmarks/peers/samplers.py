@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from contender import Problem
+from contender import Problem, stall
 
 BALL = 0.5  # of the Laplace approximation's deviation, as in `sample_ensemble`
 BURN_IN = 5.0  # autocorrelation times that are left out, emcee's own advice
@@ -33,13 +33,11 @@ def ours(engine: str) -> Callable[[Problem, int, argparse.Namespace], Run]:
     """`sample_ensemble` or `sample_nuts`, as `identify` runs them; their burn-in always counts."""
 
     def prepared(problem: Problem, _: int, options: argparse.Namespace) -> Run:
-        from reference import load
-
         from bayes_aero.inference.laplace import Mode, ModeStatus
         from bayes_aero.model.density import Density
         from bayes_aero.model.noise import Colour, Noise
 
-        _, model, observations = load(problem.records)
+        model, observations = stall(problem)
         density = Density(observations, model, Noise(Colour.WHITE))
         mode = Mode(problem.u, problem.factor, problem.posterior(problem.u), ModeStatus.CONVERGED)
         if engine == "emcee":
