@@ -25,7 +25,7 @@ from table import BLOCKS, page
 
 
 def parsed() -> argparse.Namespace:
-    """The command line; `--one` and `--folder` are for the processes that this one starts."""
+    """The command line; `--one` is for the processes that this one starts."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("records", nargs="*", type=Path)
     parser.add_argument("--blocks", nargs="+", choices=list(BLOCKS), default=list(BLOCKS), metavar="BLOCK",
@@ -37,8 +37,8 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--cores", type=int, help="that every contender may use (Linux)")
     parser.add_argument("--quick", action="store_true", help="small sizes, one warm run: shows that everything works")
     parser.add_argument("--out", type=Path, help="where the table goes, too")
+    parser.add_argument("--folder", type=Path, help="keeps the prepared data, which a run of the same ones reads again")
     parser.add_argument("--one", nargs=3, help=argparse.SUPPRESS)
-    parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.quick:
         options.sizes, options.steps, options.repeats, options.seconds = [60], 60, 1, 5.0
@@ -48,18 +48,45 @@ def parsed() -> argparse.Namespace:
     return options
 
 
-def child(options: argparse.Namespace, folder: str, *one: str) -> dict:
+def child(options: argparse.Namespace, folder: Path, *one: str) -> dict:
     """What the process of one contender has found; {"failed": why} where it has not."""
     environment = dict(os.environ)
     if options.quick and "JAX_COMPILATION_CACHE_DIR" in environment:
         environment["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
     elif not options.quick:
         environment.pop("JAX_COMPILATION_CACHE_DIR", None)  # a first call compiles
-    command = [sys.executable, str(Path(__file__).parent), *sys.argv[1:], "--folder", folder, "--one", *one]
+    command = [sys.executable, str(Path(__file__).parent), *sys.argv[1:], "--folder", str(folder), "--one", *one]
     done = subprocess.run(command, check=False, stdout=subprocess.PIPE, text=True, env=environment)
     if done.returncode:
         return {"failed": f"ended with code {done.returncode}"}
     return json.loads(done.stdout.splitlines()[-1])
+
+
+def prepared(options: argparse.Namespace, folder: Path) -> dict:
+    """Facts of the data in `folder`, which are put there unless they are there."""
+    facts = folder / "facts.json"
+    asked = {"of": [str(path) for path in options.records], "sizes": options.sizes, "quick": options.quick}
+    if facts.is_file():
+        known = json.loads(facts.read_text())
+        if asked.items() <= known.items():
+            return known
+        facts.unlink()
+    folder.mkdir(parents=True, exist_ok=True)
+    if "failed" in child(options, folder, "prepare", "", "0"):
+        sys.exit("The data could not be prepared; see the message above.")
+    return json.loads(facts.read_text())
+
+
+def raced(options: argparse.Namespace, folder: Path) -> dict[tuple[str, int], dict[str, dict]]:
+    """The numbers of every contender, by block and size."""
+    found: dict[tuple[str, int], dict[str, dict]] = {}
+    for block in options.blocks:
+        for size in options.sizes if BLOCKS[block].sized else [0]:
+            rows = found[block, size] = {}
+            for name in BLOCKS[block].contenders:
+                print(f"{block} {size or ''}: {name}", file=sys.stderr, flush=True)
+                rows[name] = child(options, folder, block, name, str(size))
+    return found
 
 
 def main() -> None:
@@ -70,18 +97,11 @@ def main() -> None:
 
         print(json.dumps(run_one(*options.one, options)))
         return
-    found = {}
-    with tempfile.TemporaryDirectory() as folder:
-        facts = child(options, folder, "prepare", "", "0")
-        if "failed" in facts:
-            sys.exit("The data could not be prepared; see the message above.")
-        for block in options.blocks:
-            for size in options.sizes if BLOCKS[block].sized else [0]:
-                rows = found[block, size] = {}
-                for name in BLOCKS[block].contenders:
-                    print(f"{block} {size or ''}: {name}", file=sys.stderr, flush=True)
-                    rows[name] = child(options, folder, block, name, str(size))
-    facts |= {"cores": options.cores or os.cpu_count(), "python": platform.python_version(), "quick": options.quick}
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = options.folder or Path(temporary)
+        facts = prepared(options, folder)
+        found = raced(options, folder)
+    facts |= {"cores": options.cores or os.cpu_count(), "python": platform.python_version()}
     text = page(found, facts)
     print(text)
     if options.out:

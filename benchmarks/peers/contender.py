@@ -21,16 +21,18 @@ if TYPE_CHECKING:
     from bayes_aero.model.observations import Observations
 
 
+PROBLEM, OURS = "problem.pickle", "observations.pickle"
+
+
 @dataclass(frozen=True)
 class Problem:
     """What all contenders are given, in plain NumPy; arrays follow the model's 14 parameters, `u` the density's 17."""
 
-    ours: Path  # what `stall` reads
+    folder: Path  # where it lies, with our own observations
     reference: Reference
     posterior: WhitePosterior
     start: np.ndarray
     R: np.ndarray  # residual covariance of the optimum, (3,), which peers get as weights
-    estimate: np.ndarray
     u: np.ndarray  # posterior mode
     factor: np.ndarray  # lower Cholesky factor of the inverse curvature there
     names: tuple[str, ...]
@@ -42,22 +44,20 @@ def stall(problem: Problem) -> tuple[Model, Observations]:
     from bayes_aero.flight.card import read_card
     from bayes_aero.model.model import Model
 
-    return Model.from_card(read_card("attas")), pickle.loads(problem.ours.read_bytes())
+    return Model.from_card(read_card("attas")), pickle.loads((problem.folder / OURS).read_bytes())
 
 
 def run_one(block: str, name: str, size: str, options: argparse.Namespace) -> dict[str, Any]:
     """Numbers of one contender of one block, or of the preparation."""
     if options.cores and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: options.cores])
-    path = options.folder / "problem.pickle"
     if block == "prepare":
         from problem import prepare
 
-        problem, facts = prepare(options, options.folder / "ours.pickle")
-        path.write_bytes(pickle.dumps(problem))
-        return facts
+        prepare(options)
+        return {}
     module = importlib.import_module(block)
-    problem = pickle.loads(path.read_bytes())  # written by `prepare` a moment ago, in a folder of our own
+    problem = pickle.loads((options.folder / PROBLEM).read_bytes())  # the benchmark's own file
     try:
         run = module.CONTENDERS[name](problem, int(size), options)
     except ModuleNotFoundError as missing:

@@ -85,7 +85,7 @@ tinygp's. aeroid has trajectories only, no algebraic model of the coefficients."
 
 def page(found: dict[tuple[str, int], dict[str, dict]], facts: dict) -> str:
     """All tables as Markdown."""
-    what = f"{facts['records']} {'real' if facts['real'] else 'simulated'} manoeuvres"
+    what = f"{facts['manoeuvres']} manoeuvres ({'records given' if facts['of'] else 'simulated'})"
     lines = [
         f"{what}, {facts['samples']} samples, {facts['cores']} cores, Python {facts['python']}, JAX on "
         f"{facts['device']}; models and densities of both sides at most {facts['apart']:.0e} apart. Warm: median of "
