@@ -81,6 +81,8 @@ def raced(options: argparse.Namespace, folder: Path) -> dict[tuple[str, int], di
     """The numbers of every contender, by block and size."""
     found: dict[tuple[str, int], dict[str, dict]] = {}
     for block in options.blocks:
+        if block.startswith("jet") and not (folder / "jet.pickle").is_file():
+            child(options, folder, "prepare", "jet", "0")
         for size in options.sizes if BLOCKS[block].sized else [0]:
             rows = found[block, size] = {}
             for name in BLOCKS[block].contenders:

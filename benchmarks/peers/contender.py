@@ -51,6 +51,11 @@ def run_one(block: str, name: str, size: str, options: argparse.Namespace) -> di
     """Numbers of one contender of one block, or of the preparation."""
     if options.cores and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: options.cores])
+    if block == "prepare" and name:
+        from jet import prepare_jet
+
+        prepare_jet(options.folder)
+        return {}
     if block == "prepare":
         from problem import prepare
 

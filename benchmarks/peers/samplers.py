@@ -16,6 +16,7 @@ import numpy as np
 from contender import Problem, stall
 
 BALL = 0.5  # of the Laplace approximation's deviation, as in `sample_ensemble`
+QUICK = {"emcee": {"max_steps": 100, "ensembles": 2}, "NUTS": {"warmup": 100, "max_blocks": 1, "chains": 2}}
 BURN_IN = 5.0  # autocorrelation times that are left out, emcee's own advice
 
 
@@ -42,12 +43,9 @@ def ours(engine: str) -> Callable[[Problem, int, argparse.Namespace], Run]:
         mode = Mode(problem.u, problem.factor, problem.posterior(problem.u), ModeStatus.CONVERGED)
         if engine == "emcee":
             from bayes_aero.inference.ensemble import sample_ensemble as sample
-
-            limit = {"max_steps": 100, "ensembles": 2} if options.quick else {}
         else:
             from bayes_aero.inference.nuts import sample_nuts as sample
-
-            limit = {"warmup": 100, "max_blocks": 1, "chains": 2} if options.quick else {}
+        limit = QUICK[engine] if options.quick else {}
 
         def run(seed: int) -> Drawn:
             found = sample(density, mode, seed=seed, predictive=False, **limit)
@@ -66,14 +64,22 @@ def begin(problem: Problem, seed: int) -> np.ndarray:
     return problem.u + BALL * normal @ problem.factor.T
 
 
-def end_to_end(problem: Problem, chain: np.ndarray) -> Drawn:
-    """Chain (step, walker, 17) of u without its burn-in; half of the walkers make a chain, or R-hat had one only."""
+def halves(chain: np.ndarray) -> tuple[np.ndarray, float]:
+    """A chain (step, walker, k) without its burn-in, and the share that is left.
+
+    Walkers are laid end to end, those of one half of the ensemble as a chain: R-hat of one chain alone is not defined.
+    """
     import emcee
 
     tau = float(np.max(emcee.autocorr.integrated_time(chain, tol=0, quiet=True)))
     discard = min(int(BURN_IN * tau), len(chain) // 2)
-    laid = np.swapaxes(chain[discard:], 0, 1).reshape(2, -1, chain.shape[2])
-    return Drawn(problem.posterior.bounded(laid)[0], 1.0 - discard / len(chain))
+    return np.swapaxes(chain[discard:], 0, 1).reshape(2, -1, chain.shape[2]), 1.0 - discard / len(chain)
+
+
+def end_to_end(problem: Problem, chain: np.ndarray) -> Drawn:
+    """The draws of a chain (step, walker, 17) of u."""
+    u, kept = halves(chain)
+    return Drawn(problem.posterior.bounded(u)[0], kept)
 
 
 def stock_emcee(problem: Problem, _: int, options: argparse.Namespace) -> Run:
@@ -113,26 +119,31 @@ def lmfit_emcee(problem: Problem, _: int, options: argparse.Namespace) -> Run:
     return run
 
 
-def judge(problem: Problem, _: int, warm: list[tuple[float, Drawn]]) -> dict[str, float]:
+def worth(warm: list[tuple[float, Drawn]], names: tuple[str, ...]) -> dict:
     """Medians over the runs of the least ESS and of its rates; the worst R-hat; means, to see that they agree."""
     from bayes_aero.inference.posterior import diagnose
 
     ess, rate, free, rhat = [], [], [], []
     for seconds, drawn in warm:
-        marginals = diagnose(drawn.x, problem.names)
+        marginals = diagnose(drawn.x, names)
         least = min(m.ess_bulk for m in marginals.values())
         ess.append(least)
         rate.append(least / seconds)
         free.append(least / (seconds * drawn.kept))
         rhat.append(max(m.rhat for m in marginals.values()))
-    x = np.concatenate([drawn.x.reshape(-1, len(problem.names)) for _, drawn in warm])
+    x = np.concatenate([drawn.x.reshape(-1, len(names)) for _, drawn in warm])
     told = {"ess": statistics.median(ess), "rate": statistics.median(rate), "free": statistics.median(free)}
     return told | {"rhat": max(rhat), "mean": x.mean(axis=0).tolist(), "sd": x.std(axis=0).tolist()}
 
 
+def judge(problem: Problem, _: int, warm: list[tuple[float, Drawn]]) -> dict:
+    """As `worth`."""
+    return worth(warm, problem.names)
+
+
 CONTENDERS = {
     "bayes_aero, emcee": ours("emcee"),
-    "bayes_aero, NUTS": ours("nuts"),
+    "bayes_aero, NUTS": ours("NUTS"),
     "emcee": stock_emcee,
     "lmfit emcee": lmfit_emcee,
 }

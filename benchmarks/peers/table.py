@@ -35,6 +35,17 @@ FIRST = Metric("first", "first call, s", ".3g", why="ours is compiled in its fir
 MEMORY = Metric("memory", "peak, MiB", ".0f", why="JAX, its compiler and our own imports are loaded")
 WARM = Metric("warm", "warm, s", ".3g", why="not explained yet")
 
+COST = Metric("cost", "above the best, nats", ".1e", why="it is nearer the optimum")
+DRAWS = (
+    Metric("first", "first run, s", ".3g"),
+    Metric("warm", "warm, s", ".3g"),
+    Metric("ess", "least ESS", ".0f", more=True),
+    Metric("rhat", "worst R-hat", ".3f"),
+    Metric("rate", "ESS a second", ".3g", more=True, why="not explained yet"),
+    Metric("free", "the same, burn-in free", ".3g", more=True, why="not explained yet"),
+    MEMORY,
+)
+
 BLOCKS = {
     "fits": Block(
         "Maximum likelihood of the stall model",
@@ -42,20 +53,12 @@ BLOCKS = {
             "bayes_aero", "bayes_aero, with both bounds", "scipy least_squares, trf", "scipy least_squares, lm",
             "lmfit leastsq, with covariance",
         ),
-        (FIRST, WARM, Metric("cost", "above the best, nats", ".1e", why="it is nearer the optimum"), MEMORY),
+        (FIRST, WARM, COST, MEMORY),
     ),
     "samplers": Block(
         "Posterior of the stall model, white noise",
         ("bayes_aero, emcee", "bayes_aero, NUTS", "emcee", "lmfit emcee"),
-        (
-            Metric("first", "first run, s", ".3g"),
-            Metric("warm", "warm, s", ".3g"),
-            Metric("ess", "least ESS", ".0f", more=True),
-            Metric("rhat", "worst R-hat", ".3f"),
-            Metric("rate", "ESS a second", ".3g", more=True, why="not explained yet"),
-            Metric("free", "the same, burn-in free", ".3g", more=True, why="not explained yet"),
-            MEMORY,
-        ),
+        DRAWS,
     ),
     "processes": Block(
         "Exact GP of CL over alpha, elevator, q and V",
@@ -68,6 +71,14 @@ BLOCKS = {
         ),
         sized=True,
     ),
+    "jet": Block(
+        "Output error of a small jet, 600 samples, 11 parameters",
+        ("bayes_aero", "aeroid, its differences", "aeroid, JAX gradient"),
+        (FIRST, WARM, COST, MEMORY),
+    ),
+    "jet_samplers": Block(
+        "Posterior of the small jet", ("bayes_aero, emcee", "bayes_aero, NUTS", "aeroid, MCMC"), DRAWS
+    ),
 }  # fmt: skip
 
 SAYS = {
@@ -78,9 +89,14 @@ a fixed number of steps. In `burn-in free` the peers' burn-in of five autocorrel
 Ours runs its ensembles and chains on all cores, a peer on one: `--cores 1` compares them on one.""",
     "processes": """Same kernel, start, data and stop of L-BFGS-B; maximum marginal likelihood without priors, evaluated
 for all by one textbook formula.""",
+    "jet": """aeroid is given the initial state and the weights of the optimum, which ours has to find; with JAX it
+compiles in every call, as a user of `identify` has it.""",
+    "jet_samplers": """Ours samples the four initial states, too; aeroid is given them. Burn-in and steps as for the
+stall; aeroid's density is JAX's (`backend="jax"`), one walker at a time.""",
 }
 NOT_RUN = """GPflow is not raced: it needs TensorFlow. GPJax is not either: its exact GP is the same JAX program as
-tinygp's. aeroid has trajectories only, no algebraic model of the coefficients."""
+tinygp's. aeroid has no algebraic model of coefficients, so it
+runs on trajectories."""
 
 
 def page(found: dict[tuple[str, int], dict[str, dict]], facts: dict) -> str:
