@@ -2,7 +2,7 @@
 
     OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 python benchmarks/peers [RECORD ...] [--blocks fits ...] [--out FILE]
 
-Without a record the simulated manoeuvres are used. `--quick` takes below a minute and says nothing of speed. Peers come
+Without a record the simulated manoeuvres are used. `--quick` takes a minute and says nothing of speed. Peers come
 with the `peers` extra; one that is not installed is told as such. Every contender is a process of its own, one after
 the other, so that its peak memory is its own; a peer that does without JAX does not load it. This process imports
 nothing but the standard library, for on Linux a child's peak memory begins at that of its parent.
@@ -28,8 +28,8 @@ def parsed() -> argparse.Namespace:
     """The command line; `--one` is for the processes that this one starts."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("records", nargs="*", type=Path)
-    parser.add_argument("--blocks", nargs="+", choices=list(BLOCKS), default=list(BLOCKS), metavar="BLOCK",
-                        help=f"of {', '.join(BLOCKS)}")  # fmt: skip
+    parser.add_argument("--blocks", nargs="+", choices=list(BLOCKS), metavar="BLOCK",
+                        help=f"of {', '.join(BLOCKS)}; all of them, with --quick the first three")  # fmt: skip
     parser.add_argument("--sizes", nargs="+", type=int, default=[500, 1000, 2000], help="samples of the GPs")
     parser.add_argument("--steps", type=int, default=3000, help="of the peers' ensembles")
     parser.add_argument("--repeats", type=int, default=7, help="warm runs, at most")
@@ -40,6 +40,7 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--folder", type=Path, help="keeps the prepared data, which a run of the same ones reads again")
     parser.add_argument("--one", nargs=3, help=argparse.SUPPRESS)
     options = parser.parse_args()
+    options.blocks = options.blocks or list(BLOCKS)[: 3 if options.quick else None]
     if options.quick:
         options.sizes, options.steps, options.repeats, options.seconds = [60], 60, 1, 5.0
     missing = [str(path) for path in options.records if not path.is_file()]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 SAME = 1e-2  # nats within which two optima are one: a hundredth of what a standard deviation costs, and less
 AHEAD = 1.05  # a peer is ahead where it is better by this factor
+TARGET_ESS = 400  # as in bayes_aero.inference.posterior, which this file does without
 FAR_APART = 0.3  # standard deviations between two means from which the draws are not of one posterior, or too few
 
 
@@ -159,5 +160,7 @@ def ahead(block: Block, name: str, row: dict, ours: dict) -> str:
         if apart > FAR_APART:
             said.append(f"its means are {apart:.1f} deviations from ours: its run is too short to compare")
     if "cost" in row and row["cost"] - ours["cost"] > SAME:
-        said.append(f"it stopped {row['cost'] - ours['cost']:.2g} nats short of ours")
+        said.append(f"it ends {row['cost'] - ours['cost']:.2g} nats short of ours, in a lesser optimum or before it")
+    if row.get("ess", math.inf) < TARGET_ESS:
+        said.append(f"its draws miss the ESS of {TARGET_ESS} at which ours stops")
     return "; ".join(said) or "we lead"
