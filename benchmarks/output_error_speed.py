@@ -19,6 +19,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from aeroid_jet import jet_model
 from bare_stall import bare_jacobian
 from scipy.optimize import least_squares
 
@@ -102,6 +103,12 @@ def problem():
     channels |= {k: np.asarray(flight.outputs[k]) + sd * rng.standard_normal(N) for k, sd in SENSORS.items()}
     flights = join([FlightRecord.from_arrays("jet", t, channels)], card, ())
     return segments(flights, aircraft_dynamics(dynamics.model, flights)), card.aircraft
+
+
+def wrong_start(names):
+    """The truth, each value wrong by up to 15 %."""
+    rng = np.random.default_rng(5)
+    return np.array([VALUES[name] * (1.0 + rng.uniform(-0.15, 0.15)) for name in names])
 
 
 def numpy_response(theta, begin, names, aircraft, elevator, thrust):
@@ -194,45 +201,14 @@ def aeroid_runs(reference, flown, aircraft, start, best):
     except ImportError:
         print("aeroid is not installed (bench extra): its rows are left out")
         return {}
-    a, half = aircraft, 0.5 * 0.792 * aircraft.wing_area
-
-    def model(xp):
-        def forces(x, u, v):
-            V, alpha, q = x[0], x[1], x[3]
-            sin, cos, ratio = xp.sin(alpha), xp.cos(alpha), V / a.reference_speed
-            CL = v["CL0"] + v["CLV"] * ratio + v["CLa"] * alpha
-            CD = v["CD0"] + v["CDV"] * ratio + v["CDa"] * alpha
-            Cm = v["Cm0"] + v["CmV"] * ratio + v["Cma"] * alpha
-            Cm = Cm + v["Cmq"] * q * (a.rate_length / a.reference_speed) + v["Cmde"] * u[0]
-            force, tilt = half * V * V, a.engine_inclination
-            ax = (force * (CL * sin - CD * cos) + u[1] * np.cos(tilt)) / a.mass
-            az = (force * (-CL * cos - CD * sin) - u[1] * np.sin(tilt)) / a.mass
-            return ax, az, (force * a.chord * Cm + u[1] * (np.cos(tilt) * a.engine[2])) / a.Iy
-
-        def dynamics(t, x, u, v):  # noqa: ARG001
-            V, alpha, pitch, q = x[0], x[1], x[2], x[3]
-            ax, az, q_dot = forces(x, u, v)
-            gx, gz = ax - GRAVITY * xp.sin(pitch), az + GRAVITY * xp.cos(pitch)
-            V_dot = gx * xp.cos(alpha) + gz * xp.sin(alpha)
-            alpha_dot = q + (gz * xp.cos(alpha) - gx * xp.sin(alpha)) / xp.maximum(V, 1.0)  # it is tried at V = 0
-            return xp.array([V_dot, alpha_dot, q, q_dot])
-
-        def measured(t, x, u, v):  # noqa: ARG001
-            ax, az, _ = forces(x, u, v)
-            return xp.array([x[0], x[1], x[2], x[3], ax, az])
-
-        names = [f"x_{name}" for name in STATES]
-        parameters = dict(zip(best.names, map(float, start), strict=True))
-        outputs = (*STATES, "ax", "az")
-        return aeroid.Model(names, ["elevator", "thrust"], parameters, dynamics, outputs, measured)
-
     channels = {name: np.asarray(x) for name, x in flown.flights.channels.items()}
     kept = (*STATES, "ax", "az", "elevator", "thrust")
     data = aeroid.FlightData(np.arange(N) * DT, {name: channels[name] for name in kept})
     weights = dict(zip((*STATES, "ax", "az"), map(float, reference.weight), strict=True))
     options = {"weights": weights, "x0": reference.begin + best.departure[0]}
 
-    models = {xp: model(xp) for xp in (np, jnp)}
+    parameters = dict(zip(best.names, map(float, start), strict=True))
+    models = {xp: jet_model(xp, aircraft, GRAVITY, STATES, parameters) for xp in (np, jnp)}
 
     def run(xp, gradient):
         found = aeroid.identify(models[xp], data, list(best.names), gradient=gradient, **options)
@@ -288,8 +264,7 @@ def fits(repeats):
     """Phugoid and short period."""
     flown, aircraft = problem()
     names = flown.dynamics.names
-    rng = np.random.default_rng(5)
-    start = np.array([VALUES[name] * (1.0 + rng.uniform(-0.15, 0.15)) for name in names])
+    start = wrong_start(names)
     best = fit_output_error(flown, start=start)
     assert best.status is OutputErrorStatus.CONVERGED, best.status
     reference = Reference(flown, aircraft, best)

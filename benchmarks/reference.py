@@ -9,22 +9,28 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import log_expit
 
-from bayes_aero.flight.card import Card, read_card
-from bayes_aero.flight.readers import read_record
-from bayes_aero.model.density import Density
-from bayes_aero.model.model import Model
-from bayes_aero.model.observations import Observations, observe
-from bayes_aero.studies.demo import demo_records
+if TYPE_CHECKING:  # a peer's process reads a pickled reference and must not carry the weight of JAX
+    from bayes_aero.flight.card import Card
+    from bayes_aero.model.density import Density
+    from bayes_aero.model.model import Model
+    from bayes_aero.model.observations import Observations
 
 PARAMETERS = ("CL0", "CLa", "CLaM", "Cmde", "Cm0", "Cma", "Cmq", "CD0", "e", "tau2", "a1", "alpha_star", "CDX", "CmX")
 
 
 def load(paths: list[Path]) -> tuple[Card, Model, Observations]:
     """The ATTAS card, its model, and the records at `paths` (none: the simulated ones of the package)."""
+    from bayes_aero.flight.card import read_card
+    from bayes_aero.flight.readers import read_record
+    from bayes_aero.model.model import Model
+    from bayes_aero.model.observations import observe
+    from bayes_aero.studies.demo import demo_records
+
     card = read_card("attas")
     model = Model.from_card(card)
     records = [read_record(path, card.channels) for path in paths] if paths else demo_records()
@@ -44,8 +50,8 @@ class Reference:
         self.alpha, self.mach, self.elevator = s["alpha"], s["mach"], s["elevator"]
         self.qhat = s["q"] * a.chord / s["airspeed"]
         self.falling = a.chord / s["airspeed"] * np.minimum(s["alpha_dot"], 0.0)  # rad a chord, where alpha falls
-        self.lever = a.chord / a.tail_arm
-        self.pi_aspect = math.pi * a.aspect_ratio
+        self.lever = float(a.chord / a.tail_arm)
+        self.pi_aspect = math.pi * float(a.aspect_ratio)
 
     def __call__(self, theta: np.ndarray) -> np.ndarray:
         """CL, CD, Cm as rows, (3, n)."""
@@ -91,14 +97,18 @@ class WhitePosterior:
         self.constant = -float(np.sum(np.log(scale))) - 0.5 * len(scale) * math.log(2.0 * math.pi)
         self.constant += float(np.sum(self.half)) * math.log(2.0) - 1.5 * self.n * math.log(2.0 * math.pi)
 
+    def bounded(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters of `u`, (..., 17), within their bounds, and the logarithm of the map's Jacobian, (...)."""
+        x, above, inner = u.copy(), u[..., self.above], u[..., self.between]
+        x[..., self.above] = self.lower[self.above] + np.exp(above)
+        log_share = log_expit(inner)
+        x[..., self.between] = self.lower[self.between] + self.width * np.exp(log_share)
+        slope = np.sum(above, axis=-1) + np.sum(log_share + log_expit(-inner), axis=-1) + self.log_width
+        return x, slope
+
     def __call__(self, u: np.ndarray) -> float:
         """Log-density at `u`, shape (17,)."""
-        x = u.copy()
-        x[self.above] = self.lower[self.above] + np.exp(u[self.above])
-        inner = u[self.between]
-        log_share = log_expit(inner)
-        x[self.between] = self.lower[self.between] + self.width * np.exp(log_share)
-        slope = np.sum(u[self.above]) + np.sum(log_share + log_expit(-inner)) + self.log_width
+        x, slope = self.bounded(u)
         if np.any(x[self.half] < self.floor):
             return -math.inf
         z = x.copy()

@@ -13,7 +13,7 @@ from bayes_aero.inference.gp.density import log_density, log_likelihood_device
 from bayes_aero.inference.gp.priors import Priors
 from bayes_aero.inference.gp.reduced import ReducedData
 
-BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "gp_speed.py"
+BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "scikit_learn_gp.py"
 
 
 def textbook_covariance(theta, x):
@@ -82,7 +82,7 @@ def _through_the_cholesky(theta, x, y):
 
 def test_value_and_gradient_are_scikit_learns(problem):
     pytest.importorskip("sklearn")
-    spec = importlib.util.spec_from_file_location("gp_speed", BENCHMARK)
+    spec = importlib.util.spec_from_file_location("scikit_learn_gp", BENCHMARK)
     bench = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(bench)
     data, theta = problem(30, n=80, d=4)

@@ -1,0 +1,117 @@
+"""Against the peers, side by side in one run: the same data, model and stopping accuracy; a Markdown table comes out.
+
+    OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 python benchmarks/peers [RECORD ...] [--blocks fits ...] [--out FILE]
+
+Without a record the simulated manoeuvres are used. `--quick` takes a minute and says nothing of speed. Peers come
+with the `peers` extra; one that is not installed is told as such. Every contender is a process of its own, one after
+the other, so that its peak memory is its own; a peer that does without JAX does not load it. This process imports
+nothing but the standard library, for on Linux a child's peak memory begins at that of its parent.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # reference.py and other files that benchmarks share
+
+from table import BLOCKS, page
+
+
+def parsed() -> argparse.Namespace:
+    """The command line; `--one` is for the processes that this one starts."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("records", nargs="*", type=Path)
+    parser.add_argument("--blocks", nargs="+", choices=list(BLOCKS), metavar="BLOCK",
+                        help=f"of {', '.join(BLOCKS)}; all of them, with --quick the first three")  # fmt: skip
+    parser.add_argument("--sizes", nargs="+", type=int, default=[500, 1000, 2000], help="samples of the GPs")
+    parser.add_argument("--steps", type=int, default=3000, help="of the peers' ensembles")
+    parser.add_argument("--repeats", type=int, default=7, help="warm runs, at most")
+    parser.add_argument("--seconds", type=float, default=120.0, help="no warm run is begun beyond these")
+    parser.add_argument("--cores", type=int, help="that every contender may use (Linux)")
+    parser.add_argument("--quick", action="store_true", help="small sizes, one warm run: shows that everything works")
+    parser.add_argument("--out", type=Path, help="where the table goes, too")
+    parser.add_argument("--folder", type=Path, help="keeps the prepared data, which a run of the same ones reads again")
+    parser.add_argument("--one", nargs=3, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    options.blocks = options.blocks or list(BLOCKS)[: 3 if options.quick else None]
+    if options.quick:
+        options.sizes, options.steps, options.repeats, options.seconds = [60], 60, 1, 5.0
+    missing = [str(path) for path in options.records if not path.is_file()]
+    if missing:
+        parser.error(f"no record at {', '.join(missing)}; give paths of records, or none for the simulated ones")
+    return options
+
+
+def child(options: argparse.Namespace, folder: Path, *one: str) -> dict:
+    """What the process of one contender has found; {"failed": why} where it has not."""
+    environment = dict(os.environ)
+    if options.quick and "JAX_COMPILATION_CACHE_DIR" in environment:
+        environment["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+    elif not options.quick:
+        environment.pop("JAX_COMPILATION_CACHE_DIR", None)  # a first call compiles
+    command = [sys.executable, str(Path(__file__).parent), *sys.argv[1:], "--folder", str(folder), "--one", *one]
+    done = subprocess.run(command, check=False, stdout=subprocess.PIPE, text=True, env=environment)
+    if done.returncode:
+        return {"failed": f"ended with code {done.returncode}"}
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def prepared(options: argparse.Namespace, folder: Path) -> dict:
+    """Facts of the data in `folder`, which are put there unless they are there."""
+    facts = folder / "facts.json"
+    asked = {"of": [str(path) for path in options.records], "sizes": options.sizes, "quick": options.quick}
+    if facts.is_file():
+        known = json.loads(facts.read_text())
+        if asked.items() <= known.items():
+            return known
+        facts.unlink()
+    folder.mkdir(parents=True, exist_ok=True)
+    if "failed" in child(options, folder, "prepare", "", "0"):
+        sys.exit("The data could not be prepared; see the message above.")
+    return json.loads(facts.read_text())
+
+
+def raced(options: argparse.Namespace, folder: Path) -> dict[tuple[str, int], dict[str, dict]]:
+    """The numbers of every contender, by block and size."""
+    found: dict[tuple[str, int], dict[str, dict]] = {}
+    for block in options.blocks:
+        if block.startswith("jet") and not (folder / "jet.pickle").is_file():
+            child(options, folder, "prepare", "jet", "0")
+        for size in options.sizes if BLOCKS[block].sized else [0]:
+            rows = found[block, size] = {}
+            for name in BLOCKS[block].contenders:
+                print(f"{block} {size or ''}: {name}", file=sys.stderr, flush=True)
+                rows[name] = child(options, folder, block, name, str(size))
+    return found
+
+
+def main() -> None:
+    """Prepare the data, run every contender, print the table."""
+    options = parsed()
+    if options.one:
+        from contender import run_one  # the only way to NumPy in this file
+
+        print(json.dumps(run_one(*options.one, options)))
+        return
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = options.folder or Path(temporary)
+        facts = prepared(options, folder)
+        found = raced(options, folder)
+    facts |= {"cores": options.cores or os.cpu_count(), "python": platform.python_version()}
+    text = page(found, facts)
+    print(text)
+    if options.out:
+        partial = options.out.with_name(options.out.name + ".part")
+        partial.write_text(text + "\n")
+        partial.replace(options.out)
+
+
+if __name__ == "__main__":
+    main()
