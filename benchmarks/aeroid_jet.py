@@ -1,5 +1,7 @@
 """The small jet of `output_error_speed.py` as a user of aeroid 0.5 writes it, for the benchmarks that race it."""
 
+from contextlib import contextmanager
+
 import numpy as np
 
 
@@ -35,3 +37,27 @@ def jet_model(xp, aircraft, gravity, states, parameters):
 
     names = [f"x_{name}" for name in states]
     return aeroid.Model(names, ["elevator", "thrust"], parameters, dynamics, (*states, "ax", "az"), measured)
+
+
+class KeptRollout:
+    """aeroid's compiled simulation of one problem, kept; aeroid itself compiles anew in every call."""
+
+    def __init__(self):
+        self.made = None
+
+    @contextmanager
+    def __call__(self):
+        """While it lasts, aeroid gets what it made before."""
+        from aeroid import autodiff
+
+        plain = autodiff._JaxRollout
+
+        def kept(*positional, **named):
+            self.made = self.made or plain(*positional, **named)
+            return self.made
+
+        autodiff._JaxRollout = kept
+        try:
+            yield
+        finally:
+            autodiff._JaxRollout = plain

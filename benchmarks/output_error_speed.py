@@ -13,13 +13,13 @@ import argparse
 import time
 import tomllib
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from aeroid_jet import jet_model
+from aeroid_jet import KeptRollout, jet_model
 from bare_stall import bare_jacobian
 from scipy.optimize import least_squares
 
@@ -218,20 +218,11 @@ def aeroid_runs(reference, flown, aircraft, start, best):
         assert off < (NEAR if gradient == "jax" else 0.1), off  # with differences it integrates by other steps
         return off
 
-    plain = aeroid.autodiff._JaxRollout
-    once = lru_cache(lambda key: plain(*made[key][0], **made[key][1]))  # its rollout, compiled before the clock
-    made = {}
+    rollout = KeptRollout()
 
     def warm():
-        def kept(*positional, **named):
-            made.setdefault(0, (positional, named))
-            return once(0)
-
-        aeroid.autodiff._JaxRollout = kept
-        try:
+        with rollout():
             return run(jnp, "jax")
-        finally:
-            aeroid.autodiff._JaxRollout = plain
 
     for name, ends in (("differences", run(np, "fd")), ("JAX gradient", run(jnp, "jax")), ("the same, kept", warm())):
         print(f"aeroid, {name}: ends {ends:.4f} Cramer-Rao deviations from our optimum")

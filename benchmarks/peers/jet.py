@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import pickle
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -123,18 +124,21 @@ def aeroid_problem(jet: Jet, how: str) -> tuple[aeroid.Model, aeroid.FlightData]
     return model, aeroid.FlightData(jet.time, jet.channels)
 
 
-def aeroid_with(how: str) -> Callable[[Problem, int, argparse.Namespace], Callable[[int], Found]]:
-    """aeroid.identify, with its differences or JAX's gradient; the latter it compiles in every call."""
+def aeroid_with(how: str, kept: bool = False) -> Callable[[Problem, int, argparse.Namespace], Callable[[int], Found]]:
+    """aeroid.identify, with its differences or JAX's gradient, which it compiles in every call unless it is `kept`."""
 
     def prepared(problem: Problem, _: int, __: argparse.Namespace) -> Callable[[int], Found]:
         import aeroid
+        from aeroid_jet import KeptRollout
 
         jet = jet_of(problem)
         model, data = aeroid_problem(jet, how)
+        held = KeptRollout() if kept else nullcontext
         weights = {name: 1.0 / sigma for name, sigma in jet.sigma.items()}
 
         def run(_: int) -> Found:
-            found = aeroid.identify(model, data, list(jet.names), gradient=how, weights=weights, x0=jet.begin)
+            with held():
+                found = aeroid.identify(model, data, list(jet.names), gradient=how, weights=weights, x0=jet.begin)
             return Found(np.array([found.parameters[name] for name in jet.names]), jet.begin)
 
         return run
@@ -158,4 +162,5 @@ CONTENDERS = {
     "bayes_aero": ours,
     "aeroid, its differences": aeroid_with("fd"),
     "aeroid, JAX gradient": aeroid_with("jax"),
+    "the same, kept compiled by us": aeroid_with("jax", kept=True),
 }
