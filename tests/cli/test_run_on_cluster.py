@@ -219,7 +219,8 @@ def test_a_killed_driver_costs_what_was_in_work(folder, cluster, undisturbed):
     same(folder, undisturbed)
 
 
-def test_a_killed_driver_takes_its_own_workers_along(folder, cluster, undisturbed):
+def test_a_killed_driver_takes_its_own_workers_along(folder, cluster, undisturbed, monkeypatch):
+    monkeypatch.setitem(ENVIRONMENT, "QUICK_SECONDS", "2.0")
     with driving(folder, "--workers", "1") as driver:
         wait_for(lambda: finished(folder))
         orphans = at_work(driver.pid)
@@ -245,7 +246,8 @@ def test_a_lost_scheduler_is_told_and_costs_what_was_in_work(folder, cluster, un
     same(folder, undisturbed)
 
 
-def test_ctrl_c_stops_at_once_and_says_how_to_go_on(folder, cluster, undisturbed):
+def test_ctrl_c_stops_at_once_and_says_how_to_go_on(folder, cluster, undisturbed, monkeypatch):
+    monkeypatch.setitem(ENVIRONMENT, "QUICK_SECONDS", "2.0")  # quicker ones may be over before the signal
     with driving(folder, "--workers", "2") as driver:
         wait_for(lambda: finished(folder))
         children = descendants(driver.pid)
