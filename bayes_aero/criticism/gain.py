@@ -43,7 +43,7 @@ class LeftOut:
 
     @classmethod
     def first_order(cls, state: State, effects: Sequence[str]) -> LeftOut:
-        """With only `effects` of those that are in, from the sensitivities where the state stands: a thousandth of
+        """With only `effects` of those that are in, from the sensitivities where the state stands: a hundredth of
         the time of `refitted`."""
         own = [state.field.columns(state.field.parameters_of(e)) for e in state.active if e not in effects]
         gone = np.concatenate([np.zeros(0, int), *own])
