@@ -13,16 +13,24 @@ from markupsafe import escape
 
 from bayes_aero.flight.readers import write_record
 
-ENVIRONMENT = os.environ | {"JAX_PLATFORMS": "cpu"}
 
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """The program in a process of its own; programs that one has compiled serve the next."""
+    compiled = str(tmp_path_factory.mktemp("compiled"))
+    environment = {"JAX_COMPILATION_CACHE_DIR": compiled} | os.environ | {"JAX_PLATFORMS": "cpu"}
 
-def run(*arguments, cwd):
-    command = [sys.executable, "-c", "from bayes_aero.cli import main; main()", *map(str, arguments)]
-    return subprocess.run(command, cwd=cwd, env=ENVIRONMENT, capture_output=True, text=True, timeout=600, check=False)
+    def program(*arguments, cwd):
+        command = [sys.executable, "-c", "from bayes_aero.cli import main; main()", *map(str, arguments)]
+        return subprocess.run(
+            command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=600, check=False
+        )
+
+    return program
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory, clean_records, card):
+def flown(tmp_path_factory, clean_records, card, run):
     """Both simulated manoeuvres as CSV files, and the results of one run on them."""
     folder = tmp_path_factory.mktemp("flown")
     paths = []
@@ -58,7 +66,7 @@ def test_the_page_and_the_file_tell_the_same_stall(flown):
     assert not list((folder / "first").glob("*.part"))
 
 
-def test_same_seed_same_numbers(flown):
+def test_same_seed_same_numbers(flown, run):
     folder, paths, _ = flown
     again = run("identify", *paths, "--out", "again", "--noise", "white", "--no-gp", "--no-figures", cwd=folder)
     assert again.returncode == 0, again.stderr
@@ -86,7 +94,7 @@ def test_table_and_place_of_results_are_printed(flown):
         (["diagnose", "--max-effects", "0"], "max-effects"),
     ],
 )
-def test_bad_input_is_one_sentence(tmp_path, arguments, told):
+def test_bad_input_is_one_sentence(tmp_path, run, arguments, told):
     (tmp_path / "empty.csv").write_text("")
     (tmp_path / "bad.toml").write_text('[aircraft]\n[channels]\n[model]\nefects = ["attached_lift"]\n')
     done = run(*arguments, cwd=tmp_path)
@@ -97,7 +105,7 @@ def test_bad_input_is_one_sentence(tmp_path, arguments, told):
     assert not Path(tmp_path / "diagnosis").exists()
 
 
-def test_diagnose_writes_and_tells_what_it_found(tmp_path, diagnosed, card):
+def test_diagnose_writes_and_tells_what_it_found(tmp_path, diagnosed, card, run):
     (record,) = diagnosed.records
     write_record(record, tmp_path / "a.csv", [c for c in card.channels if record.has(c.name) or c.name == "time"])
     done = run("diagnose", "a.csv", "--max-effects", "1", "--no-figures", "--no-trajectories", cwd=tmp_path)
