@@ -14,6 +14,7 @@ from scipy import optimize
 
 from bayes_aero.inference.mle import MleResult
 from bayes_aero.model.log_density import LogDensity
+from bayes_aero.parameter import Prior
 from bayes_aero.physics.coefficients import NAMES
 
 FLOOR = 1e-8  # smallest curvature, relative to the largest, that is taken at face value
@@ -52,6 +53,10 @@ def value_and_gradient(density: LogDensity, u: Float[np.ndarray, " k"]) -> tuple
     return float(value), np.asarray(slope)
 
 
+def _usable(value: float, slope: np.ndarray) -> bool:
+    return bool(np.isfinite(value) and np.isfinite(slope).all())
+
+
 def _curvature(density: LogDensity, u: np.ndarray, step: np.ndarray) -> np.ndarray:
     """Negative Hessian by central differences of the exact gradient; symmetric by construction."""
     rows = []
@@ -70,11 +75,17 @@ def _factor(H: np.ndarray) -> tuple[np.ndarray, bool]:
     Away from the mode H may have negative eigenvalues; their size is still the right scale to move by (saddle-free
     Newton), so absolute values are taken, and a floor keeps a flat direction finite.
     """
-    scale = np.sqrt(np.maximum(np.abs(np.diag(H)), np.finfo(float).tiny))
+    known = np.isfinite(H).all(axis=1)
+    if not known.all():  # no density nearby in that direction: taken to be as steep as the steepest
+        H = np.where(
+            np.outer(known, known), H, np.diag(np.where(known, 0.0, np.abs(np.diag(H)[known]).max(initial=1.0)))
+        )
+    own = np.abs(np.diag(H))
+    scale = np.sqrt(np.maximum(own, FLOOR**2 * own.max()))
     eigenvalues, vectors = np.linalg.eigh(H / np.outer(scale, scale))
     floor = FLOOR * np.abs(eigenvalues).max()
     covariance = (vectors / np.maximum(np.abs(eigenvalues), floor)) @ vectors.T / np.outer(scale, scale)
-    return np.linalg.cholesky((covariance + covariance.T) / 2.0), bool(eigenvalues[0] > floor)
+    return np.linalg.cholesky((covariance + covariance.T) / 2.0), bool(known.all() and eigenvalues[0] > floor)
 
 
 def _climb(density: LogDensity, u: np.ndarray, factor: np.ndarray) -> np.ndarray:
@@ -82,7 +93,7 @@ def _climb(density: LogDensity, u: np.ndarray, factor: np.ndarray) -> np.ndarray
 
     def negative(v: np.ndarray) -> tuple[float, np.ndarray]:
         value, slope = value_and_gradient(density, u + factor @ v)
-        if not np.isfinite(value):
+        if not _usable(value, slope):
             return 1e300, np.zeros(len(u))
         return -value, -factor.T @ slope
 
@@ -91,19 +102,31 @@ def _climb(density: LogDensity, u: np.ndarray, factor: np.ndarray) -> np.ndarray
 
 
 def density_start(density: LogDensity, mle: MleResult) -> np.ndarray:
-    """Where the search for the posterior mode begins: the maximum-likelihood estimate with its residuals' noise."""
+    """Where the search for the posterior mode begins: the maximum-likelihood estimate with its residuals' noise.
+
+    What the flight hardly tells begins where the prior has it: an estimate of it may be anywhere.
+    """
     deviation = dict(zip(NAMES, np.sqrt(mle.R), strict=True))
-    estimate = dict(zip(mle.names, mle.estimate, strict=True))
+    estimate, bound = (dict(zip(mle.names, x, strict=True)) for x in (mle.estimate, mle.crb))
     start = []
     for p in density.parameters:
         kind, _, coefficient = p.name.partition("_")
-        value = estimate.get(p.name, p.start)
+        value = p.start
+        if p.name in estimate:
+            value = _weighed(estimate[p.name], bound[p.name], p.prior)
         if kind == "sigma" and coefficient in deviation:
             value = deviation[coefficient]
         elif kind == "rho" and coefficient in mle.lag1:
             value = np.clip(mle.lag1[coefficient], -0.9, 0.9)
         start.append(_inside(value, p.bounds))
     return np.array(start)
+
+
+def _weighed(estimate: float, deviation: float, prior: Prior) -> float:
+    """Mean of an estimate and its prior, each by its precision; the prior's alone where there is no deviation."""
+    mean, wide = prior.normal
+    share = 1.0 / (1.0 + (deviation / wide) ** 2) if np.isfinite(deviation) else 0.0
+    return mean + share * (estimate - mean)
 
 
 def _inside(value: float, bounds: tuple[float, float]) -> float:
@@ -130,10 +153,10 @@ def find_mode(density: LogDensity, start: Float[np.ndarray, " k"], *, rounds: in
             return Mode(u, factor, float(value), ModeStatus.CONVERGED)
         trial = u + move
         new, new_slope = value_and_gradient(density, trial)
-        if not (np.isfinite(new) and new > value + 0.5 * gain):
+        if not (_usable(new, new_slope) and new > value + 0.5 * gain):
             trial = _climb(density, u, factor)
             new, new_slope = value_and_gradient(density, trial)
-        if not new > value:
+        if not (_usable(new, new_slope) and new > value):
             break
         u, value, slope = trial, new, new_slope
     factor, sound = _factor(_curvature(density, u, step))

@@ -129,6 +129,25 @@ def test_coloured_posterior_of_a_flight_finds_the_pitching_moment(model, card):
         assert found[name] == pytest.approx(TRUTH[name], rel=0.05), name
 
 
+def test_a_flight_without_a_stall_has_a_mode(thinned, model):
+    """Estimates of what it does not tell are hundreds of deviations off, where the density's slope is not finite."""
+    gentle = thinned.subset(np.flatnonzero(np.asarray(thinned.signals["alpha"]) < 0.15)[:150])
+    density = Density(gentle, model, Noise(Colour.AR1))
+    data = simulate(density, TRUTH | COLOURED, 50)
+    density, mle = Density(data, model, Noise(Colour.AR1)), fit_mle(model, data)
+    wild = {"CDX": 445.0, "CmX": 814.0, "a1": 199.8, "tau2": -49.9, "alpha_star": 0.29}
+    covariance = np.diag([np.inf if name in wild else x for name, x in zip(mle.names, mle.crb**2, strict=True)])
+    estimate = [wild.get(name, value) for name, value in zip(mle.names, mle.estimate, strict=True)]
+    start = density_start(density, replace(mle, estimate=np.array(estimate), covariance=covariance))
+    begun = dict(zip(density.parameters, start, strict=True))
+    assert all(begun[p] == pytest.approx(p.prior.normal[0]) for p in begun if p.name in wild)
+    far = np.array([wild.get(name, value) for name, value in zip(density.names, start, strict=True)])
+    mode, lost = (find_mode(density, x) for x in (start, far))
+    assert mode.status is ModeStatus.CONVERGED
+    assert lost.status is not ModeStatus.CONVERGED or lost.log_density == pytest.approx(mode.log_density, abs=1e-3)
+    assert np.isfinite(lost.factor).all()
+
+
 def test_thinning_stays_within_manoeuvres(clean):
     fewer = clean.thinned(5)
     kept = [5 * k for k in range(-(-clean.only(0).n // 5))]
