@@ -21,7 +21,6 @@ from bayes_aero.errors import InputError
 from bayes_aero.inference.cores import cores
 from bayes_aero.inference.gp import GPFit, Priors, fit_gp
 from bayes_aero.inference.gp.fit import MAX_SAMPLES, too_many
-from bayes_aero.inference.gp.sample import forget_compiled
 from bayes_aero.inference.identification import GPReport, Validation
 from bayes_aero.inference.mle import MleResult, fit_mle
 from bayes_aero.inference.scores import score
@@ -135,7 +134,6 @@ def _processes(tasks: int, n: int) -> int:
 def give_back_memory() -> None:
     """Return to the system what compilers and samplers have left: compiled programs that nobody calls again, and
     glibc's free lists, over half a GB."""
-    forget_compiled()
     jax.clear_caches()
     gc.collect()
     if sys.platform == "linux":

@@ -6,11 +6,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import numpyro
-import numpyro.distributions as dist
 from arviz_stats.base import array_stats
 from jaxtyping import Array, Float
-from numpyro.infer import MCMC, NUTS
+from numpyro.infer.hmc import hmc
 
 from bayes_aero.inference.gp.density import log_likelihood_device, small_posterior
 from bayes_aero.inference.gp.emulator import Emulator
@@ -68,42 +66,45 @@ def laplace_root(
     return vectors / np.sqrt(np.maximum(values, 1.0 / 1.5**2))
 
 
+def _potential(priors: Priors, exact: bool):
+    """Of coordinates w, theta = optimum + root w: what differs between coefficients and rounds is an argument."""
+
+    def of(theta_map, root, n, target):
+        def potential(w):
+            theta = theta_map + root @ w
+            if exact:
+                return -log_likelihood_device(theta, *target) - priors.log_density(theta)
+            return -TEMPER * emulated_density(theta, target, n, priors)
+
+        return potential
+
+    return of
+
+
 @lru_cache(maxsize=8)
-def _kernel(p: int, priors: Priors, settings: Settings, exact: bool, shapes: tuple) -> MCMC:  # noqa: ARG001
-    """One compiled sampler per problem shape; what differs between coefficients is an argument of the model.
+def _sampler(priors: Priors, settings: Settings, exact: bool):
+    """numpyro's functional NUTS, compiled once for every shape of data: MCMC would compile anew for every run."""
 
-    `shapes` (of those arguments) only keys the cache: an MCMC object does not survive a change of them.
-    """
+    def chain(key, w, target):
+        begin, sample = hmc(potential_fn_gen=_potential(priors, exact), algo="NUTS")
+        state = begin(
+            w,
+            settings.warmup,
+            dense_mass=True,
+            target_accept_prob=0.85,
+            max_tree_depth=7,
+            model_args=target,
+            rng_key=key,
+        )
 
-    def model(theta_map, root, n, target):
-        w = numpyro.sample("w", dist.ImproperUniform(dist.constraints.real_vector, (), (p,)))
-        theta = jnp.asarray(numpyro.deterministic("theta", theta_map + root @ w))
-        if exact:
-            density = log_likelihood_device(theta, *target) + priors.log_density(theta)
-        else:
-            density = TEMPER * emulated_density(theta, target, n, priors)
-        # What numpyro.factor does, by public names: it reaches for a submodule that some import orders leave unbound.
-        numpyro.sample("density", dist.Unit(density), obs=jnp.empty((0,)))
-        numpyro.deterministic("log_density", density)
+        def step(state, _):
+            state = sample(state, target)  # adapts for as long as state.i is below the warm-up
+            return state, (state.z, -state.potential_energy, state.diverging)
 
-    return MCMC(
-        NUTS(model, dense_mass=True, target_accept_prob=0.85, max_tree_depth=7),
-        num_warmup=settings.warmup,
-        num_samples=settings.draws,
-        num_chains=settings.chains,
-        chain_method="vectorized",
-        progress_bar=False,
-        jit_model_args=True,
-    )
+        _, told = jax.lax.scan(step, state, None, length=settings.warmup + settings.draws)
+        return jax.tree.map(lambda x: x[settings.warmup :], told)
 
-
-def forget_compiled() -> None:
-    """Drop the compiled samplers; must go with `jax.clear_caches`, after which numpyro would trace them once more.
-
-    numpyro (0.22) wraps a vectorised kernel's step in another vmap at every start, which only its compiled program,
-    traced at the first one, does not notice.
-    """
-    _kernel.cache_clear()
+    return jax.jit(jax.vmap(chain, in_axes=(0, 0, None)))
 
 
 def _summary(theta: np.ndarray, density: np.ndarray, divergences: int) -> Chains:
@@ -122,17 +123,14 @@ def join(first: Chains, then: Chains) -> Chains:
 
 
 def _run(priors: Priors, settings: Settings, exact: bool, seed: int, args: tuple, start: np.ndarray | None) -> Chains:
-    shapes = tuple(leaf.shape for leaf in jax.tree.leaves(args))
     theta_map, root = np.asarray(args[0]), np.asarray(args[1])
-    mcmc = _kernel(theta_map.size, priors, settings, exact, shapes)
     keys = jax.random.split(jax.random.PRNGKey(seed))
     w = jax.random.normal(keys[0], (settings.chains, theta_map.size))
     if start is not None:
         w = jnp.asarray(np.linalg.solve(root, (start - theta_map).T).T)
-    mcmc.run(keys[1], *args, init_params={"w": w}, extra_fields=("diverging",))
-    samples = mcmc.get_samples(group_by_chain=True)
-    diverging = int(np.sum(np.asarray(mcmc.get_extra_fields()["diverging"])))
-    return _summary(np.asarray(samples["theta"]), np.asarray(samples["log_density"]), diverging)
+    drawn = _sampler(priors, settings, exact)(jax.random.split(keys[1], settings.chains), w, args)
+    w, density, diverging = (np.asarray(x) for x in drawn)
+    return _summary(theta_map + w @ root.T, density, int(diverging.sum()))
 
 
 def sample_emulated(
