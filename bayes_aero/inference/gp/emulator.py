@@ -5,6 +5,7 @@ every exact evaluation gives their values and all first derivatives, so a few te
 cubic. The stand-in is never trusted: `reweight.py` measures its error on exact evaluations and removes it.
 """
 
+import math
 from itertools import combinations_with_replacement
 from typing import NamedTuple
 
@@ -23,7 +24,7 @@ DEGREE = 4  # also the order of the coefficient tensor below
 ROWS_PER_TERM = (0.0, 2.0, 2.0, 2.0, 3.0)
 REACH = 2.0  # the stand-in is believed this far (whitened) around each supporting point
 SUPPORT_GAP = 12.0  # nats below the best point within which a point supports; beyond, it only trains, and weakly
-PAD = 64  # the list of supporting points is padded to a multiple, so that one compiled sampler serves many rounds
+PAD = 64  # the list of supporting points is padded to this times a power of two: few lengths, few compiled samplers
 
 
 class ExactPoint(NamedTuple):
@@ -131,7 +132,8 @@ def fit_emulator(
     known = np.all(np.isfinite(right), axis=1)
     coefficients, *_ = np.linalg.lstsq(left[known], right[known], rcond=1e-12)
     support = t[near]
-    support = np.concatenate([support, np.repeat(support[:1], -len(support) % PAD, axis=0)])
+    length = PAD * 2 ** max(0, math.ceil(math.log2(len(support) / PAD)))
+    support = np.concatenate([support, np.repeat(support[:1], length - len(support), axis=0)])
     padded = np.pad(powers, ((0, 0), (0, DEGREE - powers.shape[1])), constant_values=d)
     tensor = np.zeros(((d + 1) ** 4, coefficients.shape[1]))
     tensor[np.ravel_multi_index(tuple(padded.T), (d + 1,) * 4)] = coefficients
