@@ -246,6 +246,15 @@ def test_a_lost_scheduler_is_told_and_costs_what_was_in_work(folder, cluster, un
     same(folder, undisturbed)
 
 
+@pytest.fixture
+def interruptible():
+    """Where tests run in the background, Ctrl-C is ignored, and what they start inherits that."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_stops_at_once_and_says_how_to_go_on(folder, cluster, undisturbed, monkeypatch):
     monkeypatch.setitem(ENVIRONMENT, "QUICK_SECONDS", "2.0")  # quicker ones may be over before the signal
     with driving(folder, "--workers", "2") as driver:
