@@ -76,10 +76,10 @@ def test_it_samples_as_before_after_compiled_programs_were_given_back():
 
 
 def test_a_stand_in_much_too_narrow_is_refused(case):
-    """Draws squeezed to a fifth around the optimum, with the density they then have."""
+    """Draws squeezed to a third around the optimum, with the density they then have."""
     data, best, sampled = case
-    theta, _ = thin(sampled.chains, 200)
-    narrow = best.theta + (theta - best.theta) / 5.0
+    theta, _ = thin(sampled.chains, 400)
+    narrow = best.theta + (theta - best.theta) / 3.0
     exact = np.array([log_density(t, data, Priors(), gradient=False).value for t in theta.reshape(-1, 5)])
     judged = reweight(narrow, exact.reshape(theta.shape[:2]), data, Priors(), lambda _: None)
     assert judged.k_hat > judged.k_limit
