@@ -11,10 +11,10 @@ from jaxtyping import Bool, Float
 
 from bayes_aero.criticism.finding import Gain
 from bayes_aero.criticism.state import State, moved, optimum
+from bayes_aero.inference.coloured import LAG_SHARE, autocovariance
 from bayes_aero.inference.scores import Scores, score
 from bayes_aero.physics.coefficients import NAMES
 
-STRETCH = 10.0  # s, over which log densities are summed for their standard error
 UNSEEN_STEPS = 4  # Gauss-Newton steps of each fit to the other folds
 
 
@@ -98,14 +98,24 @@ def measured_blocks(state: State) -> Float[np.ndarray, "m c"]:
 
 
 def gained(before: LeftOut, after: LeftOut, state: State) -> tuple[float, float]:
-    """Log density of unseen data that `after` has beyond `before`, the colour's cost counted, and its deviation.
-
-    The deviation is that of sums over `STRETCH` s, which are taken as independent.
-    """
+    """Log density of unseen data that `after` has beyond `before`, the colour's cost counted, and its deviation."""
     difference = (after.density() - before.density()) / state.temper
-    per = max(1, round(STRETCH / state.responses.seconds))
-    sums = np.array([part.sum() for part in np.array_split(difference, max(2, len(difference) // per))])
-    return float(sums.sum()), float(np.sqrt(len(sums)) * sums.std(ddof=1))
+    lengths = [fold.stop - fold.start for fold in state.folds]
+    if len(state.responses.flights.lengths) == 1:  # blocks of one flight, one after the other: their colour runs on
+        lengths = [sum(lengths)]
+    return float(difference.sum()), deviation_of_sum(difference, lengths)
+
+
+def deviation_of_sum(values: Float[np.ndarray, " m"], lengths: Sequence[int]) -> float:
+    """Standard deviation of the sum of a coloured series of constant mean, its stretches taken as independent.
+
+    From the autocovariance up to `LAG_SHARE` of each stretch, tapered by Parzen's window as in the corrected
+    Cramer-Rao bounds: short of the truth where the colour is nearly as long as that.
+    """
+    away = (values - values.mean())[:, None]
+    parts = np.split(away, np.cumsum(lengths)[:-1])
+    variance = sum(len(part) * autocovariance(part, max(1, int(LAG_SHARE * len(part)))).sum() for part in parts)
+    return float(np.sqrt(variance * len(values) / (len(values) - 1)))
 
 
 def gain(base: LeftOut, before: LeftOut, after: LeftOut, state: State, measured: Float[np.ndarray, "m c"]) -> Gain:
