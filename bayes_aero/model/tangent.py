@@ -7,7 +7,7 @@ follow each other. Directions are the last axis.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -29,6 +29,20 @@ def later(inputs: Channels) -> dict[str, Array]:
 def between(now: Channels, then: Channels, share: Any) -> dict[str, Any]:
     """Inputs at `share` of the way to the next sample."""
     return {name: now[name] + share * (then[name] - now[name]) for name in now}
+
+
+@eqx.filter_jit
+def motion(system: Any, x: Array, u: Channels) -> tuple[Array, dict[str, Array]]:
+    """`system.motion`, traced once for all places that ask for it."""
+    return system.motion(x, u)
+
+
+def stage_table(substeps: int) -> tuple[Array, Array, Array, Array]:
+    """Of all stages (4 `substeps`) of a sample: share of the way to the next sample, step to the next stage, weight,
+    and whether a Runge-Kutta step ends there."""
+    shares = jnp.array([(number + node) / substeps for number in range(substeps) for node in NODES])
+    ahead, weights, last = (jnp.tile(jnp.array(row), substeps) for row in (AHEAD, WEIGHTS, (False, False, False, True)))
+    return shares, ahead, weights, last
 
 
 @lru_cache
@@ -96,12 +110,12 @@ def _along(
     t_system, t_start, t_inputs = towards
     (w, n, s), directions = x.shape, t_start.shape[-1]
     h = (dt / substeps)[:, None, None]
-    shares = jnp.array([(number + node) / substeps for number in range(substeps) for node in NODES])
+    shares, *table = stage_table(substeps)
     at = lambda now, then: jax.vmap(lambda r: between(now, then, r))(shares)  # noqa: E731
     u = at(inputs, later(inputs))  # m w n
     t_first = {name: jnp.moveaxis(t, -1, 0) for name, t in t_inputs.items()}
     t_u = {name: jnp.moveaxis(t, 1, -1) for name, t in at(t_first, later(t_first)).items()}  # m w n d
-    points = _stage_points(system, x, u, h, substeps)
+    points = _stage_points(system, x, u, h, table)
     read = tuple(name for name in outputs if name not in system.states)
     moving, still = eqx.partition(system, jax.tree.map(lambda t: t is not None, t_system, is_leaf=lambda t: t is None))
 
@@ -109,7 +123,7 @@ def _along(
         """Derivatives (s + r, ...) of motion and outputs: by the state, by the system's numbers (p,), by inputs."""
 
         def all_of(x, moving, inputs):
-            slope, found = eqx.combine(moving, still).motion(x, u | inputs)
+            slope, found = motion(eqx.combine(moving, still), x, u | inputs)
             return jnp.concatenate([slope, jnp.stack([found[name] for name in read])]) if read else slope
 
         back = jax.vjp(all_of, x, moving, {name: u[name] for name in t_u})[1]
@@ -136,19 +150,20 @@ def _flat(tree: Any, rows: int) -> Float[Array, "r p"]:
     return jnp.concatenate([jnp.zeros((rows, 0)), *(y.reshape(rows, -1) for y in jax.tree.leaves(tree))], axis=1)
 
 
-def _stage_points(system: Any, x: Float[Array, "w n s"], u: Channels, h: Any, substeps: int) -> Float[Array, "m w n s"]:
+def _stage_points(
+    system: Any, x: Float[Array, "w n s"], u: Channels, h: Any, table: Sequence[Array]
+) -> Float[Array, "m w n s"]:
     """Where the integration asks for the motion, all samples at once."""
-    motion = jax.vmap(jax.vmap(lambda x, u: system.motion(x, u)[0]))
+    slope = jax.vmap(jax.vmap(lambda x, u: motion(system, x, u)[0]))
 
     def further(carry, stage):
         begin, gathered, point = carry
         u, ahead, weight, last = stage
-        k = motion(point, u)
+        k = slope(point, u)
         gathered = gathered + weight * k
         begin = jnp.where(last, begin + h / 6.0 * gathered, begin)
         return (begin, jnp.where(last, 0.0, gathered), begin + jnp.where(last, 0.0, ahead) * h * k), point
 
-    table = [jnp.tile(jnp.array(row), substeps) for row in (AHEAD, WEIGHTS, (False, False, False, True))]
     return jax.lax.scan(further, (x, jnp.zeros_like(x), x), (u, *table))[1]
 
 

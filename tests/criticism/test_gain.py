@@ -25,7 +25,7 @@ def test_deviation_of_a_coloured_sum_is_its_closed_form(a):
 
 
 def test_stretches_that_are_not_neighbours_are_independent():
-    """A series that jumps between its stretches: as one stretch the colour counts across the gap, as two it does not."""
+    """A series that jumps between its stretches: as one the colour counts across the jumps, as twenty it does not."""
     rng = np.random.default_rng(7)
     values = np.repeat(rng.standard_normal(20), 50)
     apart = deviation_of_sum(values, [50] * 20)
