@@ -14,15 +14,14 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize
 
-from bayes_aero.inference.gp.density import compiled_posterior
 from bayes_aero.inference.gp.emulator import ExactPoint
 from bayes_aero.inference.gp.kernel import length_slice, noise_to_signal
 from bayes_aero.inference.gp.priors import HyperPrior, Priors
+from bayes_aero.inference.gp.profile import SD_BOUNDS, Slopes, assemble, best_sizes
 from bayes_aero.inference.gp.reduced import ReducedData, ReducedStats, stats_and_gradient
 
 __all__ = ["MapStatus", "Optimum", "curvature", "find_map", "maximise"]
 
-SD_BOUNDS = (-10.0, 6.0)  # log of scaled sds: 5e-5 to 400 times the output's rms
 LENGTH_BOUNDS = (-4.6, 6.9)  # log of scaled length scales: 0.01 to 1000 sd of the input
 NOISE_BOUNDS = (-20.0, 16.0)  # log sn^2/sf^2; the lower end keeps R factorisable in double precision
 SCREEN_SIZE, MIDDLE_SIZE = 300, 1000
@@ -65,37 +64,22 @@ class _NotPositiveDefiniteError(Exception):
     """R has no Cholesky factor at this u."""
 
 
-def assemble(w: Float[np.ndarray, " w"], u: Float[np.ndarray, " u"]) -> Float[np.ndarray, " p"]:
-    """theta from w = log (s0, s_i, sf) and u = (log l, log g)."""
-    return np.concatenate([w, u[:-1], [w[-1] + 0.5 * u[-1]]])
-
-
 class Profile:
     """max over w of log q + log p(y | w, u), remembering the last w as the next start
     and every exact evaluation in `points`."""
 
     def __init__(self, data: ReducedData, priors: Priors, w: Float[np.ndarray, " w"] | None = None):
-        self.data, self.n = data, float(data.n)
-        self.small = compiled_posterior(priors)
+        self.data, self.priors, self.n = data, priors, float(data.n)
         self.w = np.zeros(data.x.shape[1] + 2) if w is None else w
         self.points: list[ExactPoint] = []
 
-    def inner(self, u: Float[np.ndarray, " u"], stats: ReducedStats) -> tuple[Float[np.ndarray, " p"], float]:
-        """Best theta at this u, and its log posterior."""
-
-        def negative(w):
-            value, (by_theta, _, _) = self.small(assemble(w, u), stats.logdet, stats.gram, self.n)
-            by_theta = np.asarray(by_theta)
-            by_w = by_theta[: w.size].copy()
-            by_w[-1] += by_theta[-1]
-            return -float(value), -by_w
-
-        options = {"maxiter": 300, "ftol": 1e-12, "gtol": 1e-5}
-        best = minimize(
-            negative, self.w, jac=True, method="L-BFGS-B", bounds=[SD_BOUNDS] * self.w.size, options=options
-        )
-        self.w = best.x
-        return assemble(best.x, u), -float(best.fun)
+    def inner(self, u: Float[np.ndarray, " u"], stats: ReducedStats) -> Slopes:
+        """The log posterior at the best w for this u, which `self.w` then is."""
+        try:
+            self.w, found = best_sizes(self.w, u, stats, self.n, self.priors)
+        except np.linalg.LinAlgError:
+            raise _NotPositiveDefiniteError from None
+        return found
 
     def __call__(self, u: Float[np.ndarray, " u"]) -> tuple[float, Float[np.ndarray, " u"], Float[np.ndarray, " p"]]:
         """Profile value at u, its gradient in u, and the theta that attains it."""
@@ -103,12 +87,11 @@ class Profile:
         self.points.append(ExactPoint(u, stats, du))
         if not stats.ok:
             raise _NotPositiveDefiniteError
-        theta, value = self.inner(u, stats)
-        _, (by_theta, by_logdet, by_gram) = self.small(theta, stats.logdet, stats.gram, self.n)
-        gradient = float(by_logdet) * du.logdet + np.tensordot(du.gram, np.asarray(by_gram), 2)
-        gradient[:-1] += np.asarray(by_theta)[length_slice(u.size - 1)]
-        gradient[-1] += 0.5 * float(by_theta[-1])
-        return value, gradient, theta
+        best = self.inner(u, stats)
+        gradient = best.by_logdet * du.logdet + np.tensordot(du.gram, best.by_gram, 2)
+        gradient[:-1] += best.by_theta[length_slice(u.size - 1)]
+        gradient[-1] += 0.5 * best.by_theta[-1]
+        return best.value, gradient, assemble(self.w, u)
 
 
 def maximise(

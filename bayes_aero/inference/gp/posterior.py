@@ -114,7 +114,7 @@ def _train(points: list[ExactPoint], optimum: Optimum, data: ReducedData, priors
     """Stand-in from the exact points, without those so improbable that they would only bend and widen it."""
     usable = [p for p in points if p.stats.ok]
     profile = Profile(data, priors, optimum.theta[: data.x.shape[1] + 2].copy())
-    level = np.array([profile.inner(p.u, p.stats)[1] for p in usable])
+    level = np.array([profile.inner(p.u, p.stats).value for p in usable])
     kept = level > np.max(level) - IMPROBABLE
     return fit_emulator([p for p, k in zip(usable, kept, strict=True) if k], level[kept])
 

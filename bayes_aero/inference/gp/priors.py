@@ -5,11 +5,13 @@ t = log x, so every density here carries the Jacobian x. Scaled units: inputs ha
 output has training rms 1, so that one set of numbers serves every coefficient and no prior depends on units.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import numpyro.distributions as dist
 from jaxtyping import Array, Float
 from numpyro.distributions.transforms import ExpTransform
@@ -54,6 +56,24 @@ class HyperPrior:
         if self.family == "flat":
             return jnp.zeros_like(t)
         return jnp.asarray(self.distribution().log_prob(jnp.exp(t))) + t
+
+    def slopes(self, t: Float[np.ndarray, " k"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """`log_density` at each t, and its first and second derivatives."""
+        one = np.ones_like(t)
+        if self.family == "half-normal":
+            x2 = np.exp(2.0 * t) / self.a**2
+            return 0.5 * math.log(2.0 / math.pi) - math.log(self.a) - 0.5 * x2 + t, 1.0 - x2, -2.0 * x2
+        if self.family == "log-normal":
+            z = (t - math.log(self.a)) / self.b
+            return -0.5 * z**2 - math.log(self.b * math.sqrt(2.0 * math.pi)), -z / self.b, -one / self.b**2
+        if self.family == "inverse-gamma":
+            y = self.b * np.exp(-t)
+            return self.a * (math.log(self.b) - t) - y - math.lgamma(self.a), y - self.a, -y
+        if self.family == "frechet":
+            z = self.b * (t - math.log(self.a))
+            y = np.exp(-z)
+            return math.log(self.b) - z - y, self.b * (y - 1.0), -(self.b**2) * y
+        return 0.0 * t, 0.0 * t, 0.0 * t
 
     def sample(self, key: Array, shape: tuple[int, ...]) -> Float[Array, "..."]:
         """Draws of t = log x."""
@@ -137,6 +157,16 @@ class Priors:
             + jnp.sum(self.length.log_density(theta[d + 2 : 2 * d + 2]))
             + self.noise.log_density(theta[2 * d + 2])
         )
+
+    def slopes(self, theta: Float[np.ndarray, " p"]) -> tuple[float, Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
+        """log q(theta), its gradient, and the diagonal of its second derivatives, beside which there is nothing."""
+        d = (theta.size - 3) // 2
+        parts = (self.constant, 1), (self.linear, d), (self.signal, 1), (self.length, d), (self.noise, 1)
+        pieces = np.split(theta, np.cumsum([count for _, count in parts])[:-1])
+        values, slopes, bends = zip(
+            *(prior.slopes(piece) for (prior, _), piece in zip(parts, pieces, strict=True)), strict=True
+        )
+        return float(sum(v.sum() for v in values)), np.concatenate(slopes), np.concatenate(bends)
 
     def sample(self, key: Array, d: int, draws: int) -> Float[Array, "draws p"]:
         """Draws of theta from the prior."""
