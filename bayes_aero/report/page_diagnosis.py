@@ -27,7 +27,6 @@ from bayes_aero.report.page_diagnosis_tables import (
     separating,
 )
 from bayes_aero.report.page_parts import (
-    WORDS,
     at_a_glance,
     bullets,
     first,
@@ -39,6 +38,7 @@ from bayes_aero.report.page_parts import (
 from bayes_aero.report.page_pictures import Gallery
 from bayes_aero.report.page_plots import LOW, Line, Panel
 from bayes_aero.report.page_trajectories import trajectories
+from bayes_aero.report.page_words import WORDS
 from bayes_aero.report.style import COLOURS, bracket, several
 from bayes_aero.report.words_diagnosis import diagnosis_sentences
 from bayes_aero.report.words_trajectory import trajectory_sentences
@@ -261,7 +261,7 @@ def _stall(view: View, gallery: Gallery) -> tuple[Block, ...]:
 def _parameters(view: View, gallery: Gallery) -> tuple[Block, ...]:
     if not view.moves:
         return ()
-    return (moved(view), symbols(view.card.state.field.model, view.moves), *gallery("moves"))
+    return (moved(view), symbols(view.card.state.field.model.parameters, view.moves), *gallery("moves"))
 
 
 def _predictors(told: Told) -> tuple[Block, ...]:

@@ -18,7 +18,6 @@ from bayes_aero.report.page import Block, Fold, Page, Text, filled, section
 from bayes_aero.report.page_alternatives import identification_alternatives
 from bayes_aero.report.page_parts import (
     DEG,
-    WORDS,
     at_a_glance,
     bullets,
     first,
@@ -30,6 +29,7 @@ from bayes_aero.report.page_parts import (
 )
 from bayes_aero.report.page_pictures import Gallery
 from bayes_aero.report.page_plots import LOW, Line, Panel
+from bayes_aero.report.page_words import WORDS
 from bayes_aero.report.predictions import fitted_coefficients
 from bayes_aero.report.style import COLOURS, bracket, several
 from bayes_aero.report.words import verdict
@@ -162,7 +162,7 @@ def _stall(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
 def _parameters(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
     names = ordered(run.mle.names)
     pictures = [*gallery("forest"), *gallery("crb_vs_credible")]
-    return (page_tables.parameters(run), symbols(run.model, names), *pictures)
+    return (page_tables.parameters(run), symbols(run.model.parameters, names), *pictures)
 
 
 def _validation(run: Identification, gallery: Gallery) -> tuple[Block, ...]:

@@ -11,10 +11,11 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.stall import Interval, Stall
-from bayes_aero.model.model import Model
+from bayes_aero.model.linear import channel_units
+from bayes_aero.parameter import Parameter
 from bayes_aero.report.page import Block, Facts, Fold, Plot, Points, Table, Text
 from bayes_aero.report.page_plots import MOST, Panel, linked
-from bayes_aero.report.style import for_people, several
+from bayes_aero.report.style import bracket, for_people, several
 from bayes_aero.report.words_trajectory import SYMBOLS
 
 GLANCE = ("airspeed", "alpha", "altitude", "elevator", "q")
@@ -33,8 +34,9 @@ def number(value: float, digits: int = 3) -> str:
 
 def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...]:
     """What was flown and recorded."""
-    shown = [name for name in GLANCE if any(record.has(name) for record in records)]
-    heads = [f"{_name(name)}\n[{for_people(STANDARD_CHANNELS[name].unit)[0]}]" for name in shown]
+    units = _glanced(card)
+    shown = [name for name in units if any(record.has(name) for record in records)]
+    heads = [f"{_name(name)}\n{bracket(for_people(units[name])[0])}" for name in shown]
     rows = [
         (
             record.name,
@@ -42,7 +44,7 @@ def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...
             str(record.n),
             f"{1.0 / record.dt:.4g}",
             str(len(record.channels)),
-            *(_range(record, name) for name in shown),
+            *(_range(record, name, units[name]) for name in shown),
         )
         for record in records
     ]
@@ -56,65 +58,31 @@ def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...
             ("record", "duration\n[s]", "samples", "rate\n[Hz]", "channels", *heads),
             tuple(rows),
         ),
-        Fold("Channels and signs", (Facts(tuple((n, _described(n)) for n in channels)), Text(CONVENTIONS))),
+        Fold("Channels and signs", (Facts(tuple((n, _described(n)) for n in channels)), Text(conventions(card)))),
     )
 
 
+def _glanced(card: Card) -> dict[str, str]:
+    """Main channels with their SI units: those that any flight has, or those of a linear card's rows."""
+    if card.linear is None:
+        return {name: STANDARD_CHANNELS[name].unit for name in GLANCE}
+    rows, units = card.linear, channel_units(card)
+    return {name: units[name] for name in (*rows.states, *rows.outputs, *rows.inputs)}
+
+
+AXES = "Body axes: x forward, y right, z down. Elevator trailing edge down is positive"
 CONVENTIONS = (
-    "Body axes: x forward, y right, z down. CL and CD are in stability axes about the centre of gravity, Cm about the "
-    "aerodynamic reference point. Elevator trailing edge down is positive, so Cmde is negative. Pitch rate enters as "
-    "q c/V "
-    "(many texts use q c/2V, which doubles Cmq). tau1 and tau2 are in chords travelled: times c/V they are seconds."
+    f"{AXES}, so Cmde is negative. CL and CD are in stability axes about the centre of gravity, Cm about the "
+    "aerodynamic reference point. Pitch rate enters as q c/V (many texts use q c/2V, which doubles Cmq). tau1 and tau2 "
+    "are in chords travelled: times c/V they are seconds."
 )
 
 
-WORDS = Fold(
-    "Words used here",
-    (
-        Facts(
-            (
-                (
-                    "Cramér–Rao bound",
-                    "The usual standard deviation of a maximum-likelihood estimate. It takes every "
-                    "sample's error to be independent of its neighbours'.",
-                ),
-                (
-                    "Corrected bound",
-                    "The same, widened for residuals whose neighbouring samples are correlated (coloured).",
-                ),
-                (
-                    "White, AR(1) noise",
-                    "Noise models: independent samples, and samples that follow their predecessor in part.",
-                ),
-                (
-                    "Posterior, 95 % interval",
-                    "What is known of a parameter after the data, from prior and "
-                    "likelihood; the interval holds it with 95 % probability if model and noise model are right.",
-                ),
-                ("emcee, NUTS", "Two independent ways to draw from the same posterior. They should agree."),
-                (
-                    "Lag-1 correlation",
-                    "Correlation of a residual with the one a sample earlier: 0 for independent "
-                    "errors, near 1 for slow ones.",
-                ),
-                (
-                    "R², r, RMSE, Theil U",
-                    "Share of variance explained; correlation; root-mean-square error; Theil's "
-                    "inequality coefficient, 0 for a perfect fit.",
-                ),
-                (
-                    "Separation point X",
-                    "Where along the chord the flow separates: 1 at the trailing edge (attached), "
-                    "0 at the leading edge (stalled).",
-                ),
-                (
-                    "Unseen data",
-                    "Data that the model was not fitted to: another manoeuvre, or another stretch of a single one.",
-                ),
-            )
-        ),
-    ),
-)
+def conventions(card: Card) -> str:
+    """Axes and signs of what the card's model is made of."""
+    if card.linear is None:
+        return CONVENTIONS
+    return f"{AXES}. Derivatives are dimensional, in SI and radians, and multiply whole channels, not departures."
 
 
 def _name(channel: str) -> str:
@@ -123,10 +91,10 @@ def _name(channel: str) -> str:
     )
 
 
-def _range(record: FlightRecord, name: str) -> str:
+def _range(record: FlightRecord, name: str, unit: str) -> str:
     if not record.has(name):
         return "–"
-    factor = for_people(STANDARD_CHANNELS[name].unit)[1]
+    factor = for_people(unit)[1]
     low, high = (factor * float(f(record[name])) for f in (np.min, np.max))
     places = 0 if abs(high) >= 1000.0 else 1
     return f"{low:.{places}f} to {high:.{places}f}"
@@ -191,14 +159,15 @@ def stall_table(stalls: Mapping[str, Stall], what: str) -> tuple[Block, ...]:
     return tuple(blocks)
 
 
-def symbols(model: Model, names: Iterable[str]) -> Fold:
-    """What each parameter is."""
-    known = {p.name: p for p in model.parameters}
-    facts = [(f"{n} [{_unit(known[n].unit)}]", known[n].description) for n in names if n in known]
-    return Fold("What the parameters mean", (Facts(tuple(facts)), Text(CONVENTIONS)))
+def symbols(parameters: Iterable[Parameter], names: Iterable[str], said: str = CONVENTIONS) -> Fold:
+    """What each parameter is, and the conventions it rests on."""
+    known = {p.name: p for p in parameters}
+    facts = [(f"{n} [{plain_unit(known[n].unit)}]", known[n].description) for n in names if n in known]
+    return Fold("What the parameters mean", (Facts(tuple(facts)), Text(said)))
 
 
-def _unit(unit: str) -> str:
+def plain_unit(unit: str) -> str:
+    """A parameter's unit as people read it."""
     return {"1": "-", "c/V": "chords"}.get(unit, unit).replace("^2", "²").replace("^3", "³")
 
 

@@ -13,6 +13,9 @@ from jaxtyping import Bool, Float, Int
 MOST = 1600  # points a line: more than a screen has columns
 PANEL, AXIS = 150, 44  # pixels: height of a panel, and of the time axis below the last
 LOW = 105  # of a panel that only gives context
+LETTER = 7.5  # pixels of an axis label's letter, with some room
+HIGHEST = 2 * PANEL  # whatever a channel is called
+FARTHEST = 1e30  # single precision ends soon beyond
 INK, GRID = "#222222", "#dddddd"
 
 
@@ -81,12 +84,13 @@ def _panel(time: np.ndarray, panel: Panel, shared: Any, cross: Any, *, last: boo
     from bokeh.plotting import figure
 
     box = BoxZoomTool(dimensions="width")
+    label, height = _fitting(panel)
     f = figure(
-        height=panel.height + (AXIS if last else 0),
+        height=height + (AXIS if last else 0),
         sizing_mode="stretch_width",
         x_range=shared,
         y_range=_scale(panel),
-        y_axis_label=panel.label,
+        y_axis_label=label,
         x_axis_label="time from start of record [s]" if last else None,
         tools=[
             box,
@@ -105,8 +109,17 @@ def _panel(time: np.ndarray, panel: Panel, shared: Any, cross: Any, *, last: boo
         border_fill_color="#ffffff",
     )
     _draw(f, time, panel)
-    _dress(f, last, panel.height)
+    _dress(f, last, height)
     return f
+
+
+def _fitting(panel: Panel) -> tuple[str, int]:
+    """Label and height: a long label has its unit below it, and a longer one a higher panel, so that none is cut."""
+    if LETTER * len(panel.label) <= panel.height:
+        return panel.label, panel.height
+    label = "\n[".join(panel.label.rsplit(" [", 1))
+    longest = LETTER * max(map(len, label.split("\n")))
+    return label, int(min(max(panel.height, longest), HIGHEST))
 
 
 def _draw(f: Any, time: np.ndarray, panel: Panel) -> None:
@@ -114,7 +127,7 @@ def _draw(f: Any, time: np.ndarray, panel: Panel) -> None:
 
     index = extremes([line.values for line in panel.lines])
     columns: dict[str, Any] = {"t": np.asarray(time[index], np.float32)}
-    columns |= {f"y{i}": np.asarray(line.values[index], np.float32) for i, line in enumerate(panel.lines)}
+    columns |= {f"y{i}": _drawable(line.values[index]) for i, line in enumerate(panel.lines)}
     if panel.band is not None:
         columns |= {"low": columns["y0"] - np.float32(panel.band), "high": columns["y0"] + np.float32(panel.band)}
     source = ColumnDataSource(columns)
@@ -128,6 +141,11 @@ def _draw(f: Any, time: np.ndarray, panel: Panel) -> None:
     ]
     tips = [("time", "@t{0.00} s"), *((line.label, f"@y{i}{{0.[0000]}}") for i, line in enumerate(panel.lines))]
     f.add_tools(HoverTool(renderers=[shown[0]], mode="vline", tooltips=tips, line_policy="nearest"))
+
+
+def _drawable(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """In single precision; what a simulation that has lost the flight makes of it is a gap."""
+    return np.where(np.abs(values) < FARTHEST, values, np.nan).astype(np.float32)
 
 
 def _dress(f: Any, last: bool, panel_height: int) -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
+
+import numpy as np
 
 from bayes_aero.criticism.trajectory import Path, Trajectories
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.report.page import Block, Facts, Fold, Table, Text
+from bayes_aero.report.page import Block, Facts, Fold, Plot, Table, Text
 from bayes_aero.report.page_parts import first, histories, number
 from bayes_aero.report.page_plots import Line, Panel
 from bayes_aero.report.style import COLOURS, bracket, for_people
@@ -24,7 +27,9 @@ SPLITS = {
 }
 
 
-class _Curve(NamedTuple):
+class Curve(NamedTuple):
+    """A simulated manoeuvre and how it is drawn."""
+
     path: Path
     label: str
     colour: str
@@ -46,20 +51,27 @@ def trajectories(flown: Trajectories, card: Card) -> tuple[Block, ...]:
     blocks += unseen
     if fitted:
         blocks.append(Fold("The same, fitted to all flights", fitted))
-    sources = tuple(
+    return (*blocks, *sources(card, {n: STANDARD_CHANNELS[n].unit for n in flown.outputs}))
+
+
+def sources(card: Card, units: Mapping[str, str]) -> tuple[Block, ...]:
+    """Where the tolerances of outputs (by their SI units) come from; nothing where the card has none."""
+    facts = tuple(
         (f"{SYMBOLS.get(n, n)} ± {number(factor * t.value)} {unit}", t.source)
         for n, t in card.tolerances.items()
-        if n in flown.outputs
-        for unit, factor in (for_people(STANDARD_CHANNELS[n].unit),)
+        if n in units
+        for unit, factor in (for_people(units[n]),)
     )
-    if sources:
-        blocks.append(Fold("Where the tolerances come from", (Facts(sources),)))
-    return tuple(blocks)
+    return (Fold("Where the tolerances come from", (Facts(facts),)),) if facts else ()
+
+
+def axis_label(output: str, unit: str) -> str:
+    """An output with the unit in which people read it, from its SI unit."""
+    return f"{SYMBOLS.get(output, output)} {bracket(for_people(unit)[0])}"
 
 
 def _label(output: str) -> str:
-    unit, _ = for_people(STANDARD_CHANNELS[output].unit)
-    return f"{SYMBOLS.get(output, output)} {bracket(unit)}"
+    return axis_label(output, STANDARD_CHANNELS[output].unit)
 
 
 def _names(flown: Trajectories, split: str) -> list[str]:
@@ -118,28 +130,41 @@ def _kept(flown: Trajectories) -> Table:
 def _flights(flown: Trajectories, split: str) -> tuple[Block, ...]:
     shown, told = first(_names(flown, split))
     plots: list[Block] = [*told]
+    units = {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}
     for order, name in enumerate(shown):
-        curves = [_Curve(p, *how) for key, *how in MODELS if (p := flown.path(name, key, split)) is not None]
-        path = curves[0].path
-        panels = [_panel(output, curves) for output in flown.outputs if output in path.measured]
-        legend = (
-            ("measured", COLOURS["measured"], "solid"),
-            *((c.label, c.colour, c.style) for c in curves),
-            (f"error of the {curves[-1].label}", curves[-1].colour, "area"),
-            ("tolerance", "#999999", "area"),
-        )
+        curves = [Curve(p, *how) for key, *how in MODELS if (p := flown.path(name, key, split)) is not None]
         what = f"{SPLITS[split]}: measured and simulated outputs"
-        plot = histories(name, f"time-{split}-{order}", path.time, panels, legend, what)
+        plot = over_measured(name, f"time-{split}-{order}", curves, units, what)
         caption = f"{SPLITS[split]}. {plot.caption}"
         plots.append(replace(plot, caption=caption, title=f"{name}, {split}"))
     return tuple(plots)
 
 
-def _panel(output: str, curves: list[_Curve]) -> Panel:
-    factor = for_people(STANDARD_CHANNELS[output].unit)[1]
+def over_measured(
+    name: str, key: str, curves: Sequence[Curve], units: Mapping[str, str], what: str, context: Sequence[Panel] = ()
+) -> Plot:
+    """One manoeuvre: a panel for each output of `units` (SI), the last curve's error shaded; then those of `context`.
+
+    All curves are of the same flight; their tolerances are about what was measured.
+    """
+    path = curves[0].path
+    panels = [_panel(output, unit, curves) for output, unit in units.items() if output in path.measured]
+    legend = [
+        ("measured", COLOURS["measured"], "solid"),
+        *((c.label, c.colour, c.style) for c in curves),
+        (f"error of the {curves[-1].label}", curves[-1].colour, "area"),
+    ]
+    if any(panel.band is not None for panel in panels):
+        legend.append(("tolerance", "#999999", "area"))
+    return histories(name, key, path.time, [*panels, *context], tuple(legend), what)
+
+
+def _panel(output: str, unit: str, curves: Sequence[Curve]) -> Panel:
+    factor = for_people(unit)[1]
     path = curves[0].path
     lines = [Line("measured", COLOURS["measured"], factor * path.measured[output], width=1.0)]
-    lines += [Line(c.label, c.colour, factor * c.path.simulated[output], c.style) for c in curves]
+    with np.errstate(over="ignore"):  # first values of parameters may fly anywhere
+        lines += [Line(c.label, c.colour, factor * c.path.simulated[output], c.style) for c in curves]
     tolerance = path.errors[output].tolerance
     band = None if tolerance is None else factor * tolerance
-    return Panel(_label(output), tuple(lines), shade=((0, len(curves)),), band=band)
+    return Panel(axis_label(output, unit), tuple(lines), shade=((0, len(curves)),), band=band)
