@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,11 @@ def parameter_rows(flown: FlownFit) -> dict[str, dict[str, Any]]:
     }
 
 
+def remarks(row: Mapping[str, Any]) -> str:
+    """What one of `parameter_rows` must be read with; mostly nothing."""
+    return ", ".join(words for key, words in MARKS.items() if row[key])
+
+
 def parameter_frame(flown: FlownFit) -> pd.DataFrame:
     """The same as a table."""
     return pd.DataFrame.from_dict(parameter_rows(flown), orient="index").rename_axis("parameter")
@@ -54,10 +60,9 @@ def parameter_table(flown: FlownFit) -> Table:
         table.add_column(head, justify="right")
     table.add_column("")
     for name, row in parameter_rows(flown).items():
-        marks = [words for key, words in MARKS.items() if row[key]]
         crb = f"{row['crb']:.2g}" if np.isfinite(row["crb"]) else "-"
         sd = row["sd_corrected"]
-        table.add_row(name, row["unit"], concise(row["estimate"], sd), crb, f"{sd:.2g}", ", ".join(marks))
+        table.add_row(name, row["unit"], concise(row["estimate"], sd), crb, f"{sd:.2g}", remarks(row))
     return table
 
 
@@ -87,6 +92,18 @@ def error_table(flown: FlownFit) -> Table:
                 *(f"{share:.0%}" for share in (theil.bias, theil.variance, theil.covariance)),
             )
     return table
+
+
+def errors_of_all(flown: FlownFit) -> dict[str, tuple[float, float]]:
+    """Root mean square error of each output over all manoeuvres, SI: at the first values, and of the fit."""
+
+    def rms(model: str, output: str) -> float:
+        paths = [p for p in flown.paths if p.model == model]
+        samples = np.array([len(p.time) for p in paths])
+        return float(np.sqrt(np.average(np.square([p.errors[output].rms for p in paths]), weights=samples)))
+
+    with np.errstate(over="ignore", invalid="ignore"):  # the first values may fly anywhere
+        return {output: (rms(START, output), rms(FITTED, output)) for output in flown.outputs}
 
 
 def fly_sentences(flown: FlownFit) -> list[str]:

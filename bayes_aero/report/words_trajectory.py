@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
@@ -15,8 +17,10 @@ SYMBOLS = {"airspeed": "V", "alpha": "α", "theta": "θ", "altitude": "h"}
 
 
 def short(x: float) -> str:
-    """Two digits, without an exponent where people read metres and degrees."""
-    return f"{x:.0f}" if x >= 10.0 else f"{x:.2g}"
+    """Two digits, without an exponent where people read metres and degrees; a dash where there is no number."""
+    if not math.isfinite(x):
+        return "–"
+    return f"{x:.0f}" if 10.0 <= x < 1e6 else f"{x:.2g}"
 
 
 def trajectory_table(flown: Trajectories) -> Table:

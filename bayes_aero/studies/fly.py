@@ -26,6 +26,8 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.report.figures import draw_all
 from bayes_aero.report.figures_fly import fly_figures
+from bayes_aero.report.page import put_page
+from bayes_aero.report.page_fly import FlyTold, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES, several
 from bayes_aero.report.tables import write_csv
 from bayes_aero.report.words_fly import fly_sentences, parameter_frame, parameter_rows
@@ -60,7 +62,7 @@ def fly(
     progress: Progress | None = None,
 ) -> Flight:
     """Fit the card's model to the records' trajectories, as `bayes-aero fly` does; with `out` it writes
-    trajectories.json, parameters.csv and figures.
+    trajectories.json, parameters.csv, figures and report.html.
 
     A model of effects starts from the card's values and, where coefficients can be formed, from their fit, too (`seed`
     is that fit's). Windows of `window` s are fitted first.
@@ -83,17 +85,39 @@ def fly(
     found = Flight(flown, tuple(fly_sentences(flown)), tuple(notes))
     if out is None:
         return found
-    write_csv(parameter_frame(flown), out / "parameters.csv")
-    write_json(fly_results(found, card, records, source), out / RESULTS)
+    return _written(found, card, records, source, out, figures=figures, progress=progress)
+
+
+def _written(
+    found: Flight,
+    card: Card,
+    records: Sequence[FlightRecord],
+    source: dict[str, Any],
+    out: Path,
+    *,
+    figures: bool,
+    progress: Progress | None,
+) -> Flight:
+    """Numbers first; what cannot be drawn or shown after them is a note, and the numbers are written again with it."""
+
+    def noted(said: Sequence[str]) -> Flight:
+        more = replace(found, notes=(*found.notes, *said))
+        write_json(fly_results(more, card, records, source), out / RESULTS)
+        return more
+
+    write_csv(parameter_frame(found.flown), out / "parameters.csv")
+    found = noted(())
     if figures:
-        _, failed = draw_all(fly_figures(flown), flown, out / "figures", progress)
+        _, failed = draw_all(fly_figures(found.flown), found.flown, out / "figures", progress)
         said = [f"Figure {name} was not drawn: {why}" for name, why in failed.items()]
         if len(records) > MOST_MANOEUVRES:
             said.append(f"Figures are drawn for up to {MOST_MANOEUVRES} manoeuvres.")
-        found = replace(found, notes=(*found.notes, *said))
-        if said:
-            write_json(fly_results(found, card, records, source), out / RESULTS)
-    return found
+        found = noted(said) if said else found
+    if progress:
+        progress("report", 0.95)
+    told = FlyTold(card, records, source, found.sentences, found.notes)
+    failure = put_page(lambda: fly_page(found.flown, told), out)
+    return noted([failure]) if failure else found
 
 
 def _flights(records: Sequence[FlightRecord], card: Card) -> tuple[Flights, Dynamics, list[str]]:

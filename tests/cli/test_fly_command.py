@@ -43,6 +43,13 @@ def told(done):
     return found
 
 
+def page_of(folder):
+    """The report page; every part of it must have been made."""
+    page = (folder / "report.html").read_text()
+    assert "was not made" not in page
+    return page
+
+
 def test_the_short_period_is_recovered_and_written(program, tmp_path):
     card, first = written(tmp_path, SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH), "one", 1)
     other = short_period_flight(SHORT_PERIOD_TRUTH, x0=(0.04, -0.02))
@@ -72,6 +79,8 @@ def test_the_short_period_is_recovered_and_written(program, tmp_path):
             shares = [error[f"theil_{part}"] for part in ("bias", "variance", "covariance")]
             assert sum(shares) == pytest.approx(1.0), name
             assert (error["rms"] < 1.15 * NOISE[name]) == (path["model"] == "fitted")
+    page = page_of(tmp_path / "out")
+    assert all(name in page for name in SHORT_PERIOD_TRUTH)
     drawn = {path.name for path in (tmp_path / "out" / "figures").iterdir()}
     assert drawn == {f"trajectory_{name}.png" for name in ("alpha", "q", "az")}
 
@@ -88,6 +97,7 @@ def test_lateral_motion_is_recovered_and_told(program, tmp_path):
         assert row["sd_corrected"] < 0.05 * abs(LATERAL_TRUTH[name]) + 0.01, name
         assert name in done.out
     assert not (tmp_path / "trajectories" / "figures").exists()
+    assert "aileron_left" in page_of(tmp_path / "trajectories")
 
 
 def test_what_a_still_elevator_does_not_tell_is_marked(program, tmp_path):
@@ -137,6 +147,7 @@ def test_a_model_that_cannot_fly_is_exit_code_one(program, tmp_path):
     found = told(done)
     assert (found["status"], found["converged"]) == ("left_envelope", False)
     assert "cannot fly this record" in found["sentences"][0]
+    assert "cannot fly this record" in page_of(tmp_path / "trajectories")
 
 
 def test_a_model_of_effects_flies_a_stall(program, tmp_path):
@@ -151,6 +162,7 @@ def test_a_model_of_effects_flies_a_stall(program, tmp_path):
     assert set(fitted["outputs"]) == {*found["fitted_outputs"], "altitude"}
     for name in found["fitted_outputs"]:
         assert fitted["outputs"][name]["rms"] < 0.01 * start["outputs"][name]["rms"], name
+    assert "h [m] *" in page_of(tmp_path / "trajectories")  # reported, not fitted
     truth = json.loads((tmp_path / "stall.csv.truth.json").read_text())["parameters"]
     told_of = {name for name, p in found["parameters"].items() if not p["held_by_prior"]}
     assert set(found["parameters"]) - told_of <= {"tau2"}  # alpha hardly falls while the flow is separated

@@ -1,0 +1,120 @@
+"""The report of a fit to trajectories: what was flown, how near it comes, and what the parameters are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bayes_aero.criticism.flown_fit import FITTED, START, FlownFit
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.report import page_fly_tables as tables
+from bayes_aero.report.page import Block, Fold, Page, Text, filled, section
+from bayes_aero.report.page_parts import at_a_glance, bullets, conventions, first, provenance_blocks, symbols
+from bayes_aero.report.page_plots import LOW, Line, Panel
+from bayes_aero.report.page_trajectories import Curve, axis_label, over_measured, sources
+from bayes_aero.report.page_words import FLOWN, words
+from bayes_aero.report.style import COLOURS, for_people, several
+from bayes_aero.report.words_fly import errors_of_all
+from bayes_aero.report.words_trajectory import SYMBOLS, short
+
+MODELS = (
+    (START, "first values", COLOURS["before"], "dashed"),
+    (FITTED, "fitted model", COLOURS["after"], "solid"),
+)
+
+
+@dataclass(frozen=True)
+class FlyTold:
+    """What the page needs beside the fit: its sentences, the verdict first, and its notes."""
+
+    card: Card
+    records: Sequence[FlightRecord]
+    source: Mapping[str, Any]
+    said: Sequence[str]
+    notes: Sequence[str] = ()
+
+
+def fly_page(flown: FlownFit, told: FlyTold) -> Page:
+    """The page; nothing on it but the fit's own numbers."""
+    verdict, *rest = told.said
+    return Page(
+        title=f"Trajectories: {told.card.title}",
+        subtitle="A model fitted to trajectories by output error",
+        verdict=verdict,
+        lead=_lead(flown),
+        sections=filled(
+            section("findings", "What to make of it", lambda: (*bullets([*rest, *told.notes]), words(FLOWN))),
+            section("records", "The records at a glance", lambda: at_a_glance(told.records, told.card)),
+            section("fit", "Measured and simulated", lambda: _flights(flown)),
+            section("errors", "How near it comes", lambda: _errors(flown, told.card)),
+            section("parameters", "Parameters", lambda: _parameters(flown, told.card)),
+            section("provenance", "Provenance", lambda: _provenance(told.source)),
+        ),
+    )
+
+
+def _lead(flown: FlownFit) -> tuple[Block, ...]:
+    """The gain at once: error at first values and of the fit, all manoeuvres together."""
+    told = []
+    for output, (before, after) in errors_of_all(flown).items():
+        unit, factor = for_people(flown.units[output])
+        item = f"{SYMBOLS.get(output, output)} {short(factor * before)} → {short(factor * after)} {unit}"
+        told.append(item.replace(" ", "\u00a0"))  # never broken in the middle
+    return (Text(f"Root-mean-square error of the simulation, first values → fit: {several(told)}.", "lead"),)
+
+
+def _flights(flown: FlownFit) -> tuple[Block, ...]:
+    shown, told = first(flown.manoeuvres)
+    units = {name: flown.units[name] for name in flown.outputs}
+    plots = []
+    for order, name in enumerate(shown):
+        curves = [Curve(flown.path(name, model), *how) for model, *how in MODELS]
+        what = "Measured outputs, those simulated from the first values and by the fit, and the inputs"
+        plots.append(over_measured(name, f"time-flown-{order}", curves, units, what, _inputs(flown, order)))
+    said = (
+        "The model flown through the recorded inputs, without any correction on the way: with the first values of its "
+        "parameters from the measured initial state (dashed), and with parameters and initial state fitted. The fit's "
+        "error is shaded."
+    )
+    if any(error.tolerance is not None for path in flown.paths for error in path.errors.values()):
+        said += " The grey band is the tolerance about the measurement."
+    return (Text(said), *told, *plots)
+
+
+def _inputs(flown: FlownFit, order: int) -> list[Panel]:
+    """What drove the simulation and moved; states and outputs have panels already."""
+    flights = flown.fit.flown.flights
+    mine = flights.manoeuvre == order
+    panels = []
+    for name in flown.fit.flown.dynamics.inputs:
+        unit = flown.units.get(name)
+        if unit is None or name in flown.outputs or name not in flights.channels:
+            continue
+        values = for_people(unit)[1] * np.asarray(flights.channels[name], float)[mine]
+        if np.ptp(values) > 0.0:
+            line = Line("measured", COLOURS["measured"], values)
+            panels.append(Panel(axis_label(name, unit), (line,), height=LOW))
+    return panels
+
+
+def _errors(flown: FlownFit, card: Card) -> tuple[Block, ...]:
+    kept = tables.kept(flown)
+    units = {name: flown.units[name] for name in flown.outputs}
+    return (tables.errors(flown), *(() if kept is None else (kept, *sources(card, units))))
+
+
+def _parameters(flown: FlownFit, card: Card) -> tuple[Block, ...]:
+    parameters = flown.fit.parameters
+    return (
+        tables.parameters(flown),
+        symbols(parameters, [p.name for p in parameters], conventions(card)),
+        tables.initial(flown),
+    )
+
+
+def _provenance(source: Mapping[str, Any]) -> tuple[Block, ...]:
+    return (Fold("Inputs, versions and the command: all that makes the run again", provenance_blocks(source)),)

@@ -1,0 +1,171 @@
+"""The page of a fit to trajectories: true to its numbers, whole for every card, and never in their way."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from flown_samples import CARD, flight, records, with_offsets
+from linear_cards import SHORT_PERIOD_TRUTH
+
+from bayes_aero.criticism.residuals import TheilParts
+from bayes_aero.report.page import Fold, Plot, Table, render
+from bayes_aero.report.page_fly import FlyTold, fly_page
+from bayes_aero.report.page_fly_tables import errors, initial, kept, parameters
+from bayes_aero.report.page_parts import at_a_glance
+from bayes_aero.report.page_plots import AXIS, HIGHEST, LOW, Line, Panel, linked
+from bayes_aero.report.words_fly import errors_of_all
+from bayes_aero.studies import fly as job
+from bayes_aero.studies.provenance import provenance
+
+DEGREE = np.deg2rad(1.0)
+
+
+def told(said=("The fit converged.", "A finding."), notes=("A note.",)):
+    return FlyTold(CARD, records(), provenance(CARD, records(), 0, {"windows": 12.0}), said, notes)
+
+
+def blocks_of(page, key):
+    return next(s.blocks for s in page.sections if s.key == key)
+
+
+def test_every_part_is_made_and_nothing_else():
+    page = fly_page(flight().flown, told())
+    assert not [b for s in page.sections for b in s.blocks if "was not made" in getattr(b, "text", "")]
+    assert [s.key for s in page.sections] == ["findings", "records", "fit", "errors", "parameters", "provenance"]
+    assert page.verdict == "The fit converged."
+    assert blocks_of(page, "findings")[0].items == ("A finding.", "A note.")
+    assert [b.title for b in blocks_of(page, "fit") if isinstance(b, Plot)] == ["one", "two"]
+    assert all(isinstance(b, Fold) for b in blocks_of(page, "provenance"))  # folded away
+    html = render(page)
+    for name in SHORT_PERIOD_TRUTH:
+        assert name in html
+
+
+def test_parameters_stand_with_both_deviations_and_their_bounds():
+    flown = flight().flown
+    table = parameters(flown)
+    assert {row[0].split()[0] for row in table.rows} == set(SHORT_PERIOD_TRUTH)
+    for row in table.rows:
+        name, first, fit, crb, corrected, bounds, remark = row
+        truth = SHORT_PERIOD_TRUTH[name.split()[0]]
+        assert abs(float(fit) - truth) < 4.0 * max(float(crb), float(corrected)), name
+        assert float(first) == 0.0  # the card gives no start
+        assert bounds == ("-40 to 0" if name.startswith("Mde ") else "none")
+        assert remark == "–"
+    assert [row[0] for row in table.rows if row[0].startswith("M")] == [
+        "M0 [rad/s²]",
+        "Malpha [1/s²]",
+        "Mq [1/s]",
+        "Mde [1/s²]",
+    ]
+    still = parameters(replace(flown, fit=replace(flown.fit, at_bound=("Mde",))))
+    assert [row[0] for row in still.rows if row[-1] == "at its bound"] == ["Mde [1/s²]"]
+
+
+def test_errors_of_a_known_offset():
+    """Simulated is measured plus a constant: that is the RMS, the largest error, and all of it is bias."""
+    flown = with_offsets(flight().flown, {"one": 100, "two": 300}, {"one": 2.0 * DEGREE, "two": -1.5 * DEGREE})
+    rows = errors(flown).rows
+    assert [row[0] for row in rows] == ["one", "α [deg]", "two", "α [deg]"]
+    assert rows[1][1:4] == ("4", "2", "2")
+    assert rows[1][5:] == ("100%", "0%", "0%")
+    assert rows[3][1:4] == ("3", "1.5", "1.5")
+    (before, after) = errors_of_all(flown)["alpha"]
+    assert after / DEGREE == pytest.approx(np.sqrt((100 * 2.0**2 + 300 * 1.5**2) / 400))
+    assert before == pytest.approx(2.0 * after)
+    assert [row[1:] for row in kept(flown).rows if row[0].startswith("α")] == [
+        ("± 2 deg", "0%", "100%"),
+        ("± 2 deg", "0%", "100%"),
+    ]
+    alone = errors(with_offsets(flight().flown, {"one": 200}, {"one": DEGREE}))
+    assert [row[0] for row in alone.rows] == ["α [deg]"]  # no heading above a single manoeuvre
+
+
+def test_without_tolerances_there_is_no_band():
+    flown = with_offsets(flight().flown, {"one": 200}, {"one": DEGREE})
+    assert "tolerance" in str([b.legend for b in blocks_of(fly_page(flown, told()), "fit") if isinstance(b, Plot)])
+    free = tuple(
+        replace(p, errors={n: replace(e, tolerance=None, within=None) for n, e in p.errors.items()})
+        for p in flown.paths
+    )
+    page = fly_page(replace(flown, paths=free), told())
+    assert kept(replace(flown, paths=free)) is None
+    assert "tolerance" not in str([b for b in blocks_of(page, "fit") if not isinstance(b, Plot)])
+    assert "tolerance" not in str([b.legend for b in blocks_of(page, "fit") if isinstance(b, Plot)])
+
+
+def test_a_simulation_that_is_lost_leaves_the_page_whole():
+    """First values that fly to infinity: a gap in the curve, a dash in the tables, no warning."""
+    flown = with_offsets(flight().flown, {"one": 200}, {"one": DEGREE})
+    infinite, nothing = float("inf"), TheilParts(*[float("nan")] * 4)
+    paths = tuple(
+        replace(
+            p,
+            simulated={"alpha": np.geomspace(1.0, 1e308, 200)},
+            errors={n: replace(e, rms=infinite, largest=infinite, theil=nothing) for n, e in p.errors.items()},
+        )
+        for p in flown.paths
+    )
+    lost = replace(flown, paths=paths)
+    assert errors(lost).rows[0][1:] == ("–",) * 7
+    page = fly_page(lost, told())
+    assert not [b for s in page.sections for b in s.blocks if "was not made" in getattr(b, "text", "")]
+    assert "first values → fit: α\u00a0–" in page.lead[0].text
+
+
+def test_the_state_at_the_first_sample_is_the_flown_one():
+    rows = {row[0]: row[1:] for row in initial(flight().flown).rows[:3]}
+    assert list(rows) == ["one", "α [deg]", "q [deg/s]"]
+    assert float(rows["α [deg]"][0]) * DEGREE == pytest.approx(0.04, abs=0.002)
+    assert float(rows["q [deg/s]"][0]) * DEGREE == pytest.approx(0.0, abs=0.003)
+    measured = flight().flown.path("one", "start").simulated["alpha"][0]
+    assert float(rows["α [deg]"][1]) * DEGREE == pytest.approx(float(rows["α [deg]"][0]) * DEGREE - measured, abs=1e-4)
+
+
+def test_a_linear_card_s_records_show_its_own_channels():
+    (table,) = (b for b in at_a_glance(records(), CARD) if isinstance(b, Table))
+    assert [head.replace("\n", " ") for head in table.head[5:]] == [
+        "alpha α [deg]",
+        "pitch rate q [deg/s]",
+        "az [m/s²]",
+        "elevator [deg]",
+    ]
+
+
+@pytest.mark.parametrize("name", ["q", "aileron_right", "flow_angle_of_the_right_wing", 40 * "long_"])
+def test_a_label_is_never_longer_than_its_panel(name):
+    """A letter of 13 pixels is some 7 wide; no name makes a panel higher than two."""
+    item = linked(np.arange(3.0), [Panel(f"{name} [deg]", (Line("x", "#000000", np.arange(3.0)),), height=LOW)], "t")
+    (label,) = (text for text in found(item, "axis_label") if text and name in text)
+    height = max(h for h in found(item, "height") if h) - AXIS
+    assert label.replace("\n", " ") == f"{name} [deg]"
+    assert LOW <= height <= HIGHEST
+    assert height == HIGHEST or 7.0 * max(map(len, label.split("\n"))) <= height
+    assert (height == LOW) == (len(name) < 15)
+
+
+def found(item, key):
+    """Every value of a key in nested lists and dictionaries."""
+    if isinstance(item, dict):
+        return [*([item[key]] if key in item else []), *(x for v in item.values() for x in found(v, key))]
+    return [x for v in item for x in found(v, key)] if isinstance(item, list | tuple) else []
+
+
+def test_a_page_that_fails_is_a_note_and_costs_no_number(tmp_path, monkeypatch):
+    def fails(*_):
+        raise ValueError("no such luck")
+
+    monkeypatch.setattr(job, "fit_flown", lambda *_, **__: flight().flown)
+    monkeypatch.setattr(job, "fly_page", fails)
+    found = job.fly(records(), CARD, out=tmp_path, figures=False)
+    said = "report.html was not written: ValueError: no such luck"
+    assert found.notes[-1] == said
+    assert json.loads((tmp_path / job.RESULTS).read_text())["notes"][-1] == said
+    assert not (tmp_path / "report.html").exists()
+    monkeypatch.undo()
+    monkeypatch.setattr(job, "fit_flown", lambda *_, **__: flight().flown)
+    assert job.fly(records(), CARD, out=tmp_path, figures=False).notes == ()
+    assert "The fit converged." in (tmp_path / "report.html").read_text()
