@@ -48,7 +48,7 @@ def fly(
     console = teller(quiet=json, highlight=True)
     flights = read_records(records, card, resample=resample)
     with interruptible(kept_stages(out)), bar("reading") as tell:
-        found = run(flights, card, out=out, window=windows, seed=seed, figures=figures, progress=tell)
+        found = run(flights, card, out=out, windows=windows, seed=seed, figures=figures, progress=tell)
     if json:
         typer.echo((out / RESULTS).read_text(encoding="utf-8"), nl=False)
     console.print(parameter_table(found.flown))

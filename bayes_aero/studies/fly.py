@@ -56,7 +56,7 @@ def fly(
     card: Card,
     *,
     out: Path | None = None,
-    window: float = WINDOW,
+    windows: float = WINDOW,
     seed: int = 0,
     figures: bool = True,
     progress: Progress | None = None,
@@ -65,20 +65,20 @@ def fly(
     trajectories.json, parameters.csv, figures and report.html.
 
     A model of effects starts from the card's values and, where coefficients can be formed, from their fit, too (`seed`
-    is that fit's). Windows of `window` s are fitted first.
+    is that fit's). Windows of `windows` s are fitted first.
     """
-    if not (math.isfinite(window) and window >= SHORTEST):
-        raise InputError(f"windows of {window:g} s cannot be flown; give at least {SHORTEST:g} s")
+    if not (math.isfinite(windows) and windows >= SHORTEST):
+        raise InputError(f"windows of {windows:g} s cannot be flown; give at least {SHORTEST:g} s")
     flights, dynamics, notes = _flights(records, card)
     if out is not None:
         writable(out)
-    source = provenance(card, records, seed, {"windows": window})
+    source = provenance(card, records, seed, {"windows": windows})
     flown = fit_flown(
         flights,
         dynamics,
         {name: STANDARD_CHANNELS[name].unit for name in STANDARD_CHANNELS} | channel_units(card),
         starts=_starts(records, card, dynamics, seed, progress),
-        window=window,
+        window=windows,
         tolerances={name: tolerance.value for name, tolerance in card.tolerances.items()},
         progress=progress,
     )

@@ -18,6 +18,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card, read_card, shipped_cards
 from bayes_aero.flight.readers import READERS
 from bayes_aero.flight.tables import is_file, read_table
+from bayes_aero.model.linear import linear_dynamics
 from bayes_aero.model.model import Model
 from bayes_aero.studies.catalogue import effect_named, known_effects
 from bayes_aero.studies.folder import safe_name
@@ -39,6 +40,7 @@ OPTIONS: dict[str, dict[str, type]] = {
     "diagnose": {
         "max_effects": int, "predictors": bool, "trajectories": bool, "figures": bool, "resample": float,
     },
+    "fly": {"windows": float, "figures": bool, "resample": float},
 }  # fmt: skip
 MOST_UNITS = 100_000
 LARGEST_SEED = 2**32 - 1  # that every generator takes
@@ -116,7 +118,7 @@ def read_study(path: Path, *, trust_effects: bool = False) -> Study:
     axes: list[list[Any]] = [
         sets,
         list(cards),
-        _variants(table.get("effects", [[]]), cards, where),
+        _variants(table.get("effects", [[]]), cards, task, where),
         _chosen(table.get("noise", ["ar1"]), NOISES, where, "noise") if task == "identify" else [None],
         _chosen(table.get("splits", ["random"]), SPLITS, where, "splits") if task == "identify" else [None],
         _seeds(table.get("seeds", [0]), where),
@@ -224,8 +226,8 @@ def _cards(given: Any, folder: Path, where: str, trust_effects: bool) -> dict[tu
     return cards
 
 
-def _variants(given: Any, cards: Mapping[Any, Card], where: str) -> list[tuple[str, ...]]:
-    """Effects added to the cards' models; each variant must make a model with each card."""
+def _variants(given: Any, cards: Mapping[Any, Card], task: str, where: str) -> list[tuple[str, ...]]:
+    """Effects added to the cards' models; each variant must make a model with each card, or fly its linear system."""
     found = []
     for names in _list(given, list, where, "effects"):
         if not all(isinstance(name, str) for name in names):
@@ -234,7 +236,10 @@ def _variants(given: Any, cards: Mapping[Any, Card], where: str) -> list[tuple[s
             try:
                 for name in names:
                     effect_named(name, known_effects(card))
-                Model.from_card(replace(card, effects=(*card.effects, *names)))
+                if task == "fly" and card.linear is not None and not names:
+                    linear_dynamics(card)
+                else:
+                    Model.from_card(replace(card, effects=(*card.effects, *names)))
             except InputError as reason:
                 raise InputError(f"{where}: effects {names} with card {card.name}: {reason}") from None
         found.append(tuple(names))

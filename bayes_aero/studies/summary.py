@@ -22,6 +22,8 @@ RESULT_COLUMNS = (
     "value", "sd", "low95", "high95", "status",
 )  # fmt: skip
 AXES = ("records", "card", "effects", "noise", "split", "seed")
+RESULTS = {"identify": "results.json", "diagnose": "diagnosis.json", "fly": "trajectories.json"}
+"""Where a task leaves its numbers."""
 
 
 def write_summary(units: Sequence[Unit], folder: Path, out: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -29,7 +31,7 @@ def write_summary(units: Sequence[Unit], folder: Path, out: Path) -> tuple[pd.Da
     rows, results = [], []
     for unit in units:
         manifest = _json(folder / unit.name / MANIFEST)
-        found = _json(folder / unit.name / ("results.json" if unit.task == "identify" else "diagnosis.json"))
+        found = _json(folder / unit.name / RESULTS[unit.task])
         about = _axes(unit)
         state = manifest.get("state", "missing")
         rows.append(
@@ -73,19 +75,19 @@ def _json(path: Path) -> dict[str, Any]:
 def _verdict(unit: Unit, found: dict[str, Any]) -> str:
     if unit.task == "diagnose":
         return str(found.get("verdict", ""))
-    return str(found.get("mle", {}).get("status", ""))
+    return str((found if unit.task == "fly" else found.get("mle", {})).get("status", ""))
 
 
 def _results(unit: Unit, found: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    if unit.task == "fly":
+        return _estimates(found, {"output_error": "crb", "output_error_corrected": "sd_corrected"})
     return _causes(found) if unit.task == "diagnose" else _parameters(found)
 
 
-def _parameters(found: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """A row for each parameter and method; bounds are symmetric for maximum likelihood."""
-    mle = found.get("mle", {})
-    units = {name: p["unit"] for name, p in mle.get("parameters", {}).items()}
-    for name, p in mle.get("parameters", {}).items():
-        for method, key in (("mle", "crb"), ("mle_corrected", "crb_corrected")):
+def _estimates(found: dict[str, Any], methods: dict[str, str]) -> Iterator[dict[str, Any]]:
+    """A row for each parameter and method, which is named after the deviation taken; bounds are symmetric."""
+    for name, p in found.get("parameters", {}).items():
+        for method, key in methods.items():
             value, sd = p["estimate"], p[key]
             known = sd is not None
             yield {
@@ -96,8 +98,15 @@ def _parameters(found: dict[str, Any]) -> Iterator[dict[str, Any]]:
                 "sd": sd,
                 "low95": value - 1.96 * sd if known else None,
                 "high95": value + 1.96 * sd if known else None,
-                "status": mle.get("status"),
+                "status": found.get("status"),
             }
+
+
+def _parameters(found: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Maximum likelihood, then a row for each parameter and posterior."""
+    mle = found.get("mle", {})
+    yield from _estimates(mle, {"mle": "crb", "mle_corrected": "crb_corrected"})
+    units = {name: p["unit"] for name, p in mle.get("parameters", {}).items()}
     posterior = found.get("posterior", {})
     for engine, status in posterior.get("status", {}).items():
         for name, m in posterior.get(engine, {}).items():

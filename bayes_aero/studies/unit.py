@@ -139,6 +139,7 @@ def _full(target: Path) -> str:
 def perform(unit: Unit, out: Path, progress: Progress | None = None) -> None:
     """The unit's own work: everything that it writes lies in `out`."""
     from bayes_aero.model.noise import Colour  # here, since whoever only hands units out needs none of these
+    from bayes_aero.studies.fly import fly
     from bayes_aero.studies.identify import identify, read_records
     from bayes_aero.studies.tasks import diagnose_records
 
@@ -160,7 +161,8 @@ def perform(unit: Unit, out: Path, progress: Progress | None = None) -> None:
             **options,
         )
     else:
-        diagnose_records(records, card, seed=unit.seed, out=out, progress=progress, **options)
+        job = {"diagnose": diagnose_records, "fly": fly}[unit.task]
+        job(records, card, seed=unit.seed, out=out, progress=progress, **options)
 
 
 def _attempt(unit: Unit, out: Path, task: Task, progress: Progress | None) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import shutil
 import tomllib
 from pathlib import Path
@@ -16,6 +17,7 @@ from bayes_aero.studies import identify as job
 from bayes_aero.studies import unit as units
 from bayes_aero.studies.provenance import write_json
 from bayes_aero.studies.study import KEYS, OPTIONS, read_study
+from bayes_aero.studies.summary import RESULTS
 
 STUDY = """
 title = "two records"
@@ -192,6 +194,11 @@ def test_the_study_in_the_documentation_is_one():
     table = tomllib.loads("\n".join(line for line in block.splitlines() if line.startswith("    ")))
     assert set(table) <= set(KEYS)
     assert set(table["options"]) <= set(OPTIONS[table["task"]])
+    rows = re.findall(r"^\| `(\w+)` \| (.*) \| `(.*)` \|$", text, re.M)
+    assert {task: set(re.findall(r"\w+", options)) for task, options, _ in rows} == {
+        t: set(o) for t, o in OPTIONS.items()
+    }
+    assert {task: name for task, _, name in rows} == RESULTS
 
 
 def test_the_units_are_the_product_of_all_lists(folder):
