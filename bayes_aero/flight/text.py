@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,6 +16,11 @@ __all__ = ["csv_headings", "read_columns", "read_csv", "width_of"]
 
 MOST_LINES, LONGEST_LINE = 5_000_000, 200_000
 """Far beyond any record; each line costs some hundred bytes of memory beside its own."""
+
+CELL = "\x1f"
+"""Between the cells of lines that were quoted: ASCII's own separator, which no text holds."""
+
+THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
 
 Lines = list[tuple[int, str]]
 """Lines that carry data, each with its number in the file, counted from 1."""
@@ -48,11 +54,12 @@ def read_columns(data: bytes, channels: Sequence[Channel]) -> dict[str, Column]:
 def read_csv(data: bytes, channels: Sequence[Channel]) -> dict[str, Column]:
     """CSV with a header line, an optional line of units below it, and "," ";" or tab between the cells.
 
-    With ";" a decimal comma is understood, as spreadsheets write it in much of Europe.
+    Cells may be quoted, and then hold the separator. With ";" a decimal comma is understood, as spreadsheets write it
+    in much of Europe; with the others within quotes, see `_has_decimal_commas`.
     """
     lines = _lines(data, comments="#")
     number, header = lines[0]
-    separator = max(";\t,", key=header.count)
+    separator = _separator(header)
     headings = _cells(header, separator, number)
     wanted = located(channels, headings, "column")
     indices = [headings.index(channel.heading) for channel in wanted]
@@ -62,18 +69,20 @@ def read_csv(data: bytes, channels: Sequence[Channel]) -> dict[str, Column]:
         picked = [cells[i] if i < len(cells) else "" for i in indices]
         # A unit line has no number in any wanted column; "1" is a unit too, but never the only one: time has
         # "s".
-        if picked and not any(_is_number(cell, separator) for cell in picked if cell != "1"):
+        if picked and not any(_is_number(cell) for cell in picked if cell != "1"):
             units = {channel.name: cell.strip("[]() ") for channel, cell in zip(wanted, picked, strict=True)}
             body = body[1:]
     if not body:
         raise InputError(f"it has a header (line {number}) but no samples below it; write the record again")
+    decimal_commas = separator == ";"
     if any('"' in line for _, line in body):
-        body = [(at, line.replace('"', "")) for at, line in body]  # quotes mean nothing around numbers
+        body, separator = [(at, CELL.join(_cells(line, separator, at))) for at, line in body], CELL
+        decimal_commas = decimal_commas or _has_decimal_commas(body, indices)
     width = len(headings)
     if all(line.endswith(separator) for _, line in body) and body[0][1].count(separator) == width:
         body = [(at, line[:-1]) for at, line in body]  # one separator too many at every end is a habit of loggers
     _refuse_ragged(body, [line.count(separator) + 1 for _, line in body], width)
-    if separator == ";":
+    if decimal_commas:
         body = [(at, line.replace(",", ".")) for at, line in body]
     values = _numbers(body, indices, wanted, separator)
     return {channel.name: Column(values[:, k], units.get(channel.name)) for k, channel in enumerate(wanted)}
@@ -82,7 +91,7 @@ def read_csv(data: bytes, channels: Sequence[Channel]) -> dict[str, Column]:
 def csv_headings(data: bytes) -> list[str]:
     """The header's cells."""
     number, header = _lines(data, comments="#")[0]
-    return _cells(header, max(";\t,", key=header.count), number)
+    return _cells(header, _separator(header), number)
 
 
 def width_of(data: bytes) -> int:
@@ -119,14 +128,41 @@ def _lines(data: bytes, comments: str) -> Lines:
     return lines
 
 
+def _separator(header: str) -> str:
+    """What stands between the cells of a header; what is quoted does not count."""
+    return max(";\t,", key=re.sub(r'"[^"]*"', "", header).count)
+
+
 def _cells(line: str, separator: str, number: int) -> list[str]:
     with foreign(f"CSV file, line {number}"):
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True))]
+        reader = csv.reader([line, ""], delimiter=separator, skipinitialspace=True)
+        cells = [cell.strip() for cell in next(reader)]
+        if reader.line_num > 1:  # it went on, to look for the end of a cell
+            raise InputError(
+                f"line {number} has a quote that is not closed; close it (no cell goes on in the next line), or write "
+                "the record without quotes"
+            )
+    return cells
 
 
-def _is_number(cell: str, separator: str) -> bool:
+def _has_decimal_commas(lines: Lines, indices: Sequence[int]) -> bool:
+    """Whether the commas within wanted cells are decimal ones, which a quoted "12,345" alone does not say.
+
+    They are where no cell has a point, and some comma cannot stand before thousands, as in "0,040" or "1,5".
+    """
+    decimal = False
+    for _, line in lines:
+        cells = line.split(CELL)
+        for cell in (cells[i] for i in indices if i < len(cells)):
+            if "." in cell:
+                return False
+            decimal = decimal or ("," in cell and THOUSANDS.fullmatch(cell) is None)
+    return decimal
+
+
+def _is_number(cell: str) -> bool:
     try:
-        float(cell.replace(",", ".") if separator == ";" else cell)
+        float(cell.replace(",", "."))
     except ValueError:
         return cell == ""  # an empty cell is a missing number, not a unit
     return True
