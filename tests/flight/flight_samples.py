@@ -1,8 +1,13 @@
-"""A small sound record, and the card's channels for it."""
+"""A small sound record, the card's channels for it, and what is said of a bad one."""
+
+from pathlib import Path
 
 import numpy as np
+import pytest
 
+from bayes_aero.errors import InputError, plain_line
 from bayes_aero.flight.channel import Channel
+from bayes_aero.flight.readers import read_record
 from bayes_aero.flight.record import FlightRecord
 
 CHANNELS = (
@@ -29,3 +34,15 @@ def sound(n: int = 120, **changed: np.ndarray) -> FlightRecord:
         "strain": 1e-3 * t,
     } | changed
     return FlightRecord.from_arrays("sound", channels.pop("time"), channels)
+
+
+def told(path: Path, channels, *words: str, **options: object) -> str:
+    """The message that reading `path` ends in; it must begin with the file and contain all the words."""
+    with pytest.raises(InputError) as caught:
+        read_record(path, channels, **options)
+    message = str(caught.value)
+    assert message.startswith(f"{plain_line(str(path))}: ")
+    assert "\n" not in message
+    for word in words:
+        assert word in message, f"{word!r} is not in {message!r}"
+    return message
