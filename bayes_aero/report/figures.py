@@ -15,6 +15,7 @@ from bayes_aero.report import (
     figures_diagnosis,
     figures_flight,
     figures_found,
+    figures_pit,
     figures_posterior,
     figures_prior,
     figures_scatter,
@@ -45,6 +46,7 @@ FIGURES: dict[str, Drawing] = {
     "rank_emcee": figures_posterior.rank_emcee,
     "rank_nuts": figures_posterior.rank_nuts,
     "pair": figures_posterior.pair,
+    "pit": figures_pit.pit_histogram,
 }
 """The seed paper's nine under its numbers, then what a Bayesian identification adds."""
 

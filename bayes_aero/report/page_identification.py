@@ -14,6 +14,7 @@ from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report import page_tables
 from bayes_aero.report.comparison import chosen_posteriors, engine_label, methods, ordered, usable
 from bayes_aero.report.figures_flight import SYMBOLS, shown_in
+from bayes_aero.report.figures_pit import pit_words
 from bayes_aero.report.page import Block, Fold, Page, Text, filled, section
 from bayes_aero.report.page_alternatives import identification_alternatives
 from bayes_aero.report.page_parts import (
@@ -182,8 +183,10 @@ def _validation(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
 def _diagnostics(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
     blocks: list[Block] = []
     calibrated = page_tables.coverage(run)
-    if calibrated is not None:
-        blocks.append(Fold("Calibration of the posterior's predictions", (calibrated,)))
+    bars = Gallery(gallery.paths, {"pit": pit_words(run)}).folded("pit") if "pit" in gallery.paths else ()
+    if calibrated is not None or bars:
+        title = "Calibration of the posterior's predictions"
+        blocks.append(Fold(title, (*([] if calibrated is None else [calibrated]), *bars)))
     tables = page_tables.samplers(run)
     if tables:
         pictures = gallery.folded("rank_emcee", "rank_nuts", "trace_emcee", "trace_nuts")

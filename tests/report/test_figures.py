@@ -13,7 +13,7 @@ from bayes_aero.report.figures import FIGURES, write_figures
 from bayes_aero.report.predictions import broken, predicted
 from bayes_aero.report.style import NotDrawn, close, save
 
-SLOW = {"trace_emcee", "trace_nuts", "rank_emcee", "rank_nuts", "pair"}
+SLOW = {"trace_emcee", "trace_nuts", "rank_emcee", "rank_nuts", "pair", "pit"}
 UNITLESS = {"density"}
 
 
@@ -45,7 +45,7 @@ def test_every_figure_draws_complete(stem, full, tmp_path):
 def test_the_registry_has_the_papers_nine_and_the_bayesian_ones():
     paper = [stem for stem in FIGURES if stem.startswith("fig")]
     assert [stem[:5] for stem in paper] == [f"fig{i}_" for i in range(1, 10)]
-    for part in ("trace", "rank", "pair", "forest", "prior_posterior", "gp_prior_posterior", "crb_vs_credible"):
+    for part in ("trace", "rank", "pair", "pit", "forest", "prior_posterior", "gp_prior_posterior", "crb_vs_credible"):
         assert any(stem.startswith(part) for stem in FIGURES)
 
 
