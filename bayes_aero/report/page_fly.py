@@ -58,7 +58,9 @@ def fly_page(flown: FlownFit, told: FlyTold) -> Page:
 
 
 def _lead(flown: FlownFit) -> tuple[Block, ...]:
-    """The gain at once: error at first values and of the fit, all manoeuvres together."""
+    """The gain at once: error at first values and of the fit, all manoeuvres together; a warning if it failed."""
+    if not flown.converged:
+        return (Text("Do not use the numbers on this page: they are those at which the fit stopped.", "warning"),)
     told = []
     for output, (before, after) in errors_of_all(flown).items():
         unit, factor = for_people(flown.units[output])

@@ -14,6 +14,7 @@ from bayes_aero.report.style import bracket, for_people
 from bayes_aero.report.words_fly import parameter_rows, remarks
 from bayes_aero.report.words_trajectory import short
 
+UNKNOWN = 100.0  # times the value from which its deviation says only that it is not known
 Row = tuple[str, ...]
 
 
@@ -137,7 +138,8 @@ def _given(value: float, form: str) -> str:
 
 
 def _estimate(value: float, sd: float) -> str:
-    return f"{value:.{decimals(sd)}f}" if math.isfinite(sd) and sd > 0.0 else number(value, 4)
+    """As many digits as the deviation leaves; one far beyond the value leaves none, and says nothing of digits."""
+    return f"{value:.{decimals(sd)}f}" if 0.0 < sd < UNKNOWN * abs(value) else number(value, 3)
 
 
 def _bounds(lower: float, upper: float) -> str:

@@ -11,6 +11,7 @@ from flown_samples import CARD, flight, records, with_offsets
 from linear_cards import SHORT_PERIOD_TRUTH
 
 from bayes_aero.criticism.residuals import TheilParts
+from bayes_aero.inference.output_error_result import OutputErrorStatus
 from bayes_aero.report.page import Fold, Plot, Table, render
 from bayes_aero.report.page_fly import FlyTold, fly_page
 from bayes_aero.report.page_fly_tables import errors, initial, kept, parameters
@@ -63,6 +64,17 @@ def test_parameters_stand_with_both_deviations_and_their_bounds():
     ]
     still = parameters(replace(flown, fit=replace(flown.fit, at_bound=("Mde",))))
     assert [row[0] for row in still.rows if row[-1] == "at its bound"] == ["Mde [1/s²]"]
+
+
+def test_numbers_of_a_fit_that_failed_are_warned_of_first():
+    flown = flight().flown
+    failed = replace(flown.fit, status=OutputErrorStatus.LEFT_ENVELOPE, covariance=1e40 * flown.fit.covariance)
+    page = fly_page(replace(flown, fit=failed), told(("The fit failed: it left.",)))
+    assert [block.tone for block in page.lead] == ["warning"]
+    assert "Do not use the numbers" in page.lead[0].text
+    estimates = [row[2] for row in blocks_of(page, "parameters")[0].rows]
+    assert all(float(text) == pytest.approx(x, rel=0.01) for text, x in zip(estimates, failed.estimate, strict=True))
+    assert fly_page(flown, told()).lead[0].tone == "lead"
 
 
 def test_errors_of_a_known_offset():
