@@ -61,6 +61,7 @@ def run(
     _check(dry_run, verify, workers, memory, scheduler)
     from bayes_aero.studies.batch import UNITS, StoppedError, leftovers, plan, run_study
     from bayes_aero.studies.study import read_study
+    from bayes_aero.studies.study_report import put_report
 
     asked = read_study(study, trust_effects=trust_effects)
     folder = out or Path(f"{study.stem}_results")
@@ -99,6 +100,8 @@ def run(
                 tell=lambda n, of, unit, stage: show(f"{n + 1}/{of} {unit.name}: {stage}", n / max(of, 1)),
                 doer=doer,
             )
+            show("report", 1.0)
+            unwritten = put_report(asked, folder)
     except StoppedError as reason:
         print(f"error: {reason}; {resume()}", file=sys.stderr)
         raise typer.Exit(FAILED) from None
@@ -106,9 +109,11 @@ def run(
     failed = [row for row in rows if row["state"] != "done"]
     for row in failed:
         console.print(f"✗ {row['name']}: {row['error']}", style="red", soft_wrap=True)
+    if unwritten:
+        console.print(f"! {unwritten}", soft_wrap=True)
     new = len(told) - len(failed)
     console.print(f"{len(planned)} units: {new} done now, {len(planned) - len(told)} were done, {len(failed)} failed.")
-    console.print(f"Results are in {folder}: units/, units.csv, summary.csv, environment/", soft_wrap=True)
+    console.print(f"Results are in {folder}: report.html, units/, units.csv, summary.csv, environment/", soft_wrap=True)
     if json:
         print_json(_content(asked, folder, rows))
     if failed:

@@ -52,7 +52,8 @@ class Facts:
 class Table:
     """Rows under headings; the first cell of a row is its heading. `groups` span several headings each.
 
-    `words` are the columns that hold text (left-aligned) beside the first.
+    `words` are the columns that hold text (left-aligned) beside the first. `links` are relative addresses that the
+    first cells lead to, one a row, empty for none.
     """
 
     caption: str
@@ -61,6 +62,7 @@ class Table:
     groups: tuple[tuple[str, int], ...] = ()
     words: tuple[int, ...] = ()
     note: str = ""
+    links: tuple[str, ...] = ()
     kind: str = field(default="table", init=False)
 
     @property

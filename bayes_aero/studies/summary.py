@@ -22,6 +22,7 @@ RESULT_COLUMNS = (
     "value", "sd", "low95", "high95", "status",
 )  # fmt: skip
 AXES = ("records", "card", "effects", "noise", "split", "seed")
+NUMBERS = ("seed", "seconds", "value", "sd", "low95", "high95")
 RESULTS = {"identify": "results.json", "diagnose": "diagnosis.json", "fly": "trajectories.json"}
 """Where a task leaves its numbers."""
 
@@ -145,7 +146,7 @@ def _write(table: pd.DataFrame, path: Path) -> None:
         if path.suffix == ".csv":
             table.to_csv(partial, index=False, lineterminator="\n")
         else:
-            text = [c for c in table.columns if c not in ("seed", "seconds", "value", "sd", "low95", "high95")]
+            text = [c for c in table.columns if c not in NUMBERS]
             table.astype(dict.fromkeys(text, "string")).to_parquet(partial, index=False)
         sync(partial)
         os.replace(partial, path)

@@ -99,6 +99,9 @@ def test_an_interrupted_study_goes_on_where_it_stopped(program, folder, calls, m
     assert calls == ["flights/biased.csv", "flights/sound.csv"]
     table = pd.read_csv(folder / "study_results" / "units.csv")
     assert list(table["state"]) == ["done", "done"]
+    page = (folder / "study_results" / "report.html").read_text(encoding="utf-8")
+    assert "All 2 units are done." in page
+    assert all(name in page for name in table["unit"])
 
 
 @pytest.mark.usefixtures("calls")

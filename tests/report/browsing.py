@@ -35,7 +35,9 @@ def opened(browser, report, width: int = 1280, **options):
     page.on("dialog", lambda dialog: (page.heard.append("a dialog opened"), dialog.dismiss()))
     page.on("request", lambda r: None if r.url.startswith(("data:", "blob:")) else page.heard.append(r.url))
     page.goto(report.as_uri())
-    page.wait_for_function("document.documentElement.dataset.drawn", timeout=30_000)
+    page.wait_for_function(
+        "document.documentElement.dataset.drawn || !document.getElementById('plots')", timeout=30_000
+    )
     assert page.heard.count(report.as_uri()) == 1  # the listener hears
     page.heard.remove(report.as_uri())
     return page

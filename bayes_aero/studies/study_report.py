@@ -1,0 +1,36 @@
+"""report.html of a study, from the tables that its units have left."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+
+from bayes_aero.report.page import put_page
+from bayes_aero.report.page_study import StudyTold, study_page
+from bayes_aero.studies.environment import environment
+from bayes_aero.studies.study import Study
+from bayes_aero.studies.summary import NUMBERS
+
+
+def put_report(study: Study, out: Path) -> str | None:
+    """Write the page into the results folder; the reason if it cannot be made."""
+    return put_page(lambda: study_page(_told(study, out)), out)
+
+
+def _told(study: Study, out: Path) -> StudyTold:
+    here = environment()
+    facts = {
+        "Study": f"{study.path.name}, SHA-256 {study.sha256}",
+        "Python": f"{here['python']} on {here['platform']}",
+        "bayes_aero": here["bayes_aero"]["version"],
+        "Each unit": "provenance.json in its folder has its inputs, versions, seed and command",
+        "To restore": "environment/requirements.txt has every version",
+    }
+    return StudyTold(study.title, study.task, _table(out, "units"), _table(out, "summary"), out, facts)
+
+
+def _table(out: Path, name: str) -> pd.DataFrame:
+    table = pd.read_parquet(out / f"{name}.parquet")
+    text = [column for column in table.columns if column not in NUMBERS]
+    return table.assign(**{column: table[column].astype(object).fillna("") for column in text})

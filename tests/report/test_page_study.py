@@ -1,0 +1,56 @@
+"""The page of a study: what it says of its units is what their tables hold."""
+
+from __future__ import annotations
+
+import pytest
+from study_samples import N, told
+
+from bayes_aero.report.across import estimates
+from bayes_aero.report.page import put_page, render
+from bayes_aero.report.page_study import MOST_UNITS, study_page
+
+
+def test_scatter_and_claims_are_those_of_the_values(tmp_path):
+    given = told(tmp_path, n=40)
+    CLa, alpha_star = estimates(given.units, given.results)
+    mine = given.results[given.results["parameter"] == "CLa"]["value"]
+    assert CLa.scatter == pytest.approx(mine.std())
+    assert CLa.claimed == pytest.approx(0.1)
+    assert list(CLa.unit) == list(range(1, 41))
+    text = render(study_page(given))
+    assert f"CLa ({CLa.scatter / 0.1:.1f} times)" in text
+    assert alpha_star.scatter < 1.5 * alpha_star.claimed
+    assert "alpha_star (" not in text
+
+
+def test_units_that_failed_come_first_with_their_reason(tmp_path):
+    page = study_page(told(tmp_path, failed=(4,)))
+    assert page.verdict == f"{N - 1} of {N} units are done; 1 failed."
+    (units,) = next(s.blocks for s in page.sections if s.key == "units")
+    assert units.rows[0][:3] == ("flight5-<b>", "5", "failed")
+    assert units.rows[0][-1] == "no samples"
+    assert [row[1] for row in units.rows[1:]] == [str(k) for k in (1, 2, 3, 4, 6, 7)]
+
+
+def test_a_unit_leads_to_its_own_page_and_nothing_else_to_anywhere(tmp_path):
+    (tmp_path / "units" / "flight2-<b>").mkdir(parents=True)
+    (tmp_path / "units" / "flight2-<b>" / "report.html").write_text("x")
+    text = render(study_page(told(tmp_path)))
+    assert text.count('href="units/') == 1
+    assert 'href="units/flight2-%3Cb%3E/report.html"' in text
+    assert "<b>" not in text
+
+
+def test_a_study_in_which_nothing_was_done_has_a_page(tmp_path):
+    page = study_page(told(tmp_path, failed=range(N)))
+    assert page.verdict == f"0 of {N} units are done; {N} failed."
+    assert page.lead == ()
+    assert put_page(lambda: page, tmp_path) is None
+
+
+def test_a_large_study_says_what_it_leaves_out(tmp_path):
+    page = study_page(told(tmp_path, n=MOST_UNITS + 30))
+    (units,) = next(s.blocks for s in page.sections if s.key == "units")
+    assert len(units.rows) == MOST_UNITS
+    assert "30 more" in units.note
+    assert len(render(page)) < 1_000_000
