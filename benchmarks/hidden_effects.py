@@ -5,6 +5,7 @@
     python benchmarks/hidden_effects.py two 100 --out study         # two effects
     python benchmarks/hidden_effects.py unknown 60 --out study      # effects of no catalogue
     python benchmarks/hidden_effects.py report --out study          # tables of everything found so far
+    python benchmarks/hidden_effects.py one 60 --single --out alone # on a single manoeuvre
 
 Every flight's finding is one line of OUT/<kind>.jsonl; a study that was interrupted goes on where it stopped.
 """
@@ -29,7 +30,7 @@ from bayes_aero.studies.hidden import flyable, hidden_records
 from bayes_aero.studies.strays import STRAYS
 
 NOISES = ("white", "ar1", "ar1", "buffet", "outliers")
-SECONDS = 90.0  # of each of the two manoeuvres: one length, so that one compilation serves all
+PAIR, SINGLE = {"seconds": 90.0}, {"seconds": 100.0, "manoeuvres": 1}  # one length: one compilation serves all
 CLEAR = 6.0  # standard errors from which an effect must be named
 
 
@@ -39,18 +40,18 @@ def candidates() -> list[str]:
     return [e.name for e in CATALOGUE.values() if e.candidate and e.sizes and not {p.name for p in e.parameters} & base]
 
 
-def case(kind: str, seed: int) -> dict:
+def case(kind: str, seed: int, flown: dict) -> dict:
     """Draw, fly and diagnose one case."""
     rng = np.random.default_rng([seed, 99])
     noise, unknown, effects = str(rng.choice(NOISES)), None, {}
     if kind == "silence":
-        records = hidden_records({}, seed=seed, noise=noise, seconds=SECONDS)
+        records = hidden_records({}, seed=seed, noise=noise, **flown)
     elif kind == "unknown":
         unknown = str(rng.choice(sorted(e.name for e in STRAYS)))
-        records = hidden_records({}, seed=seed, noise=noise, unknown=unknown, seconds=SECONDS)
+        records = hidden_records({}, seed=seed, noise=noise, unknown=unknown, **flown)
     else:
         names = [str(x) for x in rng.choice(candidates(), 1 if kind == "one" else 2, replace=False)]
-        effects, flights = flyable(names, seed=seed, noise=noise, seconds=SECONDS)
+        effects, flights = flyable(names, seed=seed, noise=noise, **flown)
         records = [flight.record for flight in flights]
     began = time.perf_counter()
     found = diagnose(records, read_card("attas"), seed=seed, gains_wanted=False)
@@ -92,7 +93,7 @@ def _scores(found, effects) -> dict[str, float]:
     return scores
 
 
-def run(kind: str, count: int, out: Path, first: int) -> None:
+def run(kind: str, count: int, out: Path, first: int, flown: dict) -> None:
     """Go through the seeds that are not in the file yet."""
     out.mkdir(parents=True, exist_ok=True)
     path = out / f"{kind}.jsonl"
@@ -102,7 +103,7 @@ def run(kind: str, count: int, out: Path, first: int) -> None:
             if seed in done:
                 continue
             try:
-                row = case(kind, seed)
+                row = case(kind, seed, flown)
             except InputError as error:  # an aircraft that cannot be flown so; counted, not hidden
                 row = {"seed": seed, "refused": str(error)}
             file.write(json.dumps(row) + "\n")
@@ -185,8 +186,9 @@ if __name__ == "__main__":
     parser.add_argument("count", type=int, nargs="?", default=200)
     parser.add_argument("--out", type=Path, default=Path("study"))
     parser.add_argument("--first", type=int, default=1000, help="first seed")
+    parser.add_argument("--single", action="store_true", help="one manoeuvre of 100 s instead of two of 90 s")
     given = parser.parse_args()
     if given.kind == "report":
         report(given.out)
     else:
-        run(given.kind, given.count, given.out, given.first)
+        run(given.kind, given.count, given.out, given.first, SINGLE if given.single else PAIR)
