@@ -96,7 +96,7 @@ def gained(view: View) -> str:
         return ""
     first, last = scores
     return (
-        several(f"{n} R² from {first[n].r2:.2f} to {last[n].r2:.2f}" for n in NAMES if n in first and n in last) + "."
+        several(f"{n} R² from {first[n].r2:.3f} to {last[n].r2:.3f}" for n in NAMES if n in first and n in last) + "."
     )
 
 

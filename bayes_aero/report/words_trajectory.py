@@ -20,7 +20,7 @@ def short(x: float) -> str:
     """Two digits, without an exponent where people read metres and degrees; a dash where there is no number."""
     if not math.isfinite(x):
         return "–"
-    return f"{x:.0f}" if 10.0 <= x < 1e6 else f"{x:.2g}"
+    return f"{x:.0f}" if 9.95 <= x < 1e6 else f"{x:#.2g}" if x > 0.0 else "0"
 
 
 def trajectory_table(flown: Trajectories) -> Table:

@@ -40,7 +40,7 @@ def nothing(diagnosed):
 def test_simulated_trajectories_are_told_in_numbers(flown, split):
     figure = DIAGNOSIS_FIGURES[f"trajectories_{split}"](flown)
     texts = [text.get_text() for text in figure.axes[2].texts]
-    assert texts == ["RMS: card's 1, extended 0.1"]  # alpha in deg
+    assert texts == ["RMS: card's 1.0, extended 0.10"]  # alpha in deg
     close(figure)
 
 

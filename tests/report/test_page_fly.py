@@ -82,9 +82,9 @@ def test_errors_of_a_known_offset():
     flown = with_offsets(flight().flown, {"one": 100, "two": 300}, {"one": 2.0 * DEGREE, "two": -1.5 * DEGREE})
     rows = errors(flown).rows
     assert [row[0] for row in rows] == ["one", "α [deg]", "two", "α [deg]"]
-    assert rows[1][1:4] == ("4", "2", "2")
+    assert rows[1][1:4] == ("4.0", "2.0", "2.0")
     assert rows[1][5:] == ("100%", "0%", "0%")
-    assert rows[3][1:4] == ("3", "1.5", "1.5")
+    assert rows[3][1:4] == ("3.0", "1.5", "1.5")
     (before, after) = errors_of_all(flown)["alpha"]
     assert after / DEGREE == pytest.approx(np.sqrt((100 * 2.0**2 + 300 * 1.5**2) / 400))
     assert before == pytest.approx(2.0 * after)
@@ -170,7 +170,8 @@ def test_a_page_that_fails_is_a_note_and_costs_no_number(tmp_path, monkeypatch):
     def fails(*_):
         raise ValueError("no such luck")
 
-    monkeypatch.setattr(job, "fit_flown", lambda *_, **__: flight().flown)
+    flown = flight().flown  # before what fits it is replaced
+    monkeypatch.setattr(job, "fit_flown", lambda *_, **__: flown)
     monkeypatch.setattr(job, "fly_page", fails)
     found = job.fly(records(), CARD, out=tmp_path, figures=False)
     said = "report.html was not written: ValueError: no such luck"
@@ -178,6 +179,6 @@ def test_a_page_that_fails_is_a_note_and_costs_no_number(tmp_path, monkeypatch):
     assert json.loads((tmp_path / job.RESULTS).read_text())["notes"][-1] == said
     assert not (tmp_path / "report.html").exists()
     monkeypatch.undo()
-    monkeypatch.setattr(job, "fit_flown", lambda *_, **__: flight().flown)
+    monkeypatch.setattr(job, "fit_flown", lambda *_, **__: flown)
     assert job.fly(records(), CARD, out=tmp_path, figures=False).notes == ()
     assert "The fit converged." in (tmp_path / "report.html").read_text()
