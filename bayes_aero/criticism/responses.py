@@ -91,21 +91,23 @@ class Responses(Linearisable):
 
 
 def _measured(responses: Responses, values: Mapping[str, Array], channels: Mapping[str, Array]):
-    """Corrected signals of every flight, and the aircraft as it is."""
+    """Corrected signals of every flight, from its smoothed channels, and the aircraft as it is."""
     corrected = responses.model.corrected(values, channels, responses.flights.aircraft)
-    return responses.flights.conditioned(corrected), responses.model.actual_aircraft(values, responses.flights.aircraft)
+    return responses.flights.with_slopes(corrected), responses.model.actual_aircraft(values, responses.flights.aircraft)
 
 
 def _residuals(responses: Responses, theta):
     f, model = responses.flights, responses.model
     values = model.values(theta)
-    signals, aircraft = _measured(responses, values, f.channels)
+    # Corrections of sensors and the filter, all but linear, change places: what no parameter moves is filtered once.
+    recorded = f.smoothed
+    signals, aircraft = _measured(responses, values, recorded)
     measured = jnp.stack(coefficients(signals, aircraft), axis=-1)
     known = model.flow(values, signals, aircraft)
     modelled = jnp.stack([known[name] for name in NAMES], axis=-1)
-    scales = response_scales(model, values, f.channels, f.aircraft, RESPONSE)
+    scales = response_scales(model, values, recorded, f.aircraft, RESPONSE)
     pressure = signals["density"] * jnp.square(signals["airspeed"])
-    nominal = f.channels["density"] * jnp.square(f.conditioned(f.channels)["airspeed"])
+    nominal = recorded["density"] * jnp.square(recorded["airspeed"])
     force = pressure / nominal * (f.aircraft.mass / aircraft.mass)
     moment = pressure / nominal * (f.aircraft.Iy / aircraft.Iy) / scales["q"]
     residual = (measured - modelled) * jnp.stack([force, force, moment], axis=-1)

@@ -19,7 +19,7 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import MARKS, named_apart, plain_marks, with_sums
-from bayes_aero.physics.coefficients import REQUIRED, Signals, condition_joined
+from bayes_aero.physics.coefficients import REQUIRED, Signals, smoothed_joined, with_slopes
 
 
 class Flights(eqx.Module):
@@ -47,9 +47,15 @@ class Flights(eqx.Module):
         """The same without names, on which no number depends: compiled programs then serve records of any name."""
         return replace(self, names=())
 
-    def conditioned(self, channels: Mapping[str, Array]) -> Signals:
-        """Smoothed and differentiated signals, manoeuvre by manoeuvre."""
-        return condition_joined(channels, *(self.channels[name] for name in ("dt", "first", "last")))
+    @property
+    def smoothed(self) -> dict[str, Array]:
+        """All channels, the recorded ones smoothed manoeuvre by manoeuvre, by the same filter."""
+        ends = self.channels["first"], self.channels["last"]
+        return self.channels | smoothed_joined({name: self.channels[name] for name in self.recorded}, *ends)
+
+    def with_slopes(self, channels: Mapping[str, Array]) -> Signals:
+        """Smoothed channels (corrected ones, too) and their derivatives, manoeuvre by manoeuvre."""
+        return with_slopes(channels, *(self.channels[name] for name in ("dt", "first", "last")))
 
 
 def response_scales(
@@ -95,15 +101,18 @@ def join(records: Sequence[FlightRecord], card: Card, required: Sequence[str] = 
 
 SPIKED = ("ax", "ay", "az", "p", "q", "r", "alpha", "beta", "airspeed", "theta", "phi", "altitude")
 SPIKE = 7.0  # local deviations from the median of five neighbours
+BESIDE = 7  # steps from sample to sample whose median is how fast the channel moves; a spike or two make two or three
+BEYOND = 2.5  # times that, which a spike must be away
 NEAR = 51  # samples over which the local deviation is measured
 
 
 def despiked(flights: Flights) -> tuple[Flights, dict[str, int]]:
     """Replace isolated spikes by the median of their neighbours; the count of replaced samples by channel.
 
-    A sample is a spike if it lies `SPIKE` local deviations from the median of five. Steps and buffet are kept: a median
-    follows the one, and the local deviation grows with the other. Nor is a step of a quantised channel a spike. Source:
-    Hampel's identifier.
+    A sample is a spike if it lies `SPIKE` local deviations from the median of five, and stands out of how fast the
+    channel moves there. Steps, buffet and the sharp peaks of a doublet are kept: a median follows the first, the local
+    deviation grows with the second, and the third are no further from the median than the channel goes in a sample.
+    Nor is a step of a quantised channel a spike. Source: Hampel's identifier.
     """
     channels, count = dict(flights.channels), {}
     for name in SPIKED:
@@ -120,7 +129,8 @@ def despiked(flights: Flights) -> tuple[Flights, dict[str, int]]:
             steps = np.abs(np.diff(part))
             quantum = np.quantile(steps[steps > 0.0], 0.05) if np.any(steps > 0.0) else 0.0
             floor = 1.25 * np.mean(away) + quantum + np.abs(part).max() * 1e-9
-            spikes = away > SPIKE * np.maximum(local, floor)
+            pace = median_filter(np.append(steps, 0.0), BESIDE, origin=0, mode="nearest")
+            spikes = (away > SPIKE * np.maximum(local, floor)) & (away > BEYOND * pace)
             part[spikes] = middle[spikes]
             if spikes.any():
                 count[name] = count.get(name, 0) + int(spikes.sum())

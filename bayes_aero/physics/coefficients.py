@@ -7,7 +7,7 @@ Source: Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, ch. 1
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -72,9 +72,32 @@ def _conditioned(channels: Mapping[str, Any], smoothing: Filter, derivative: Fil
     names = [name for name in SMOOTHED if name in signals]
     smoothed = jax.vmap(smoothing)(jnp.stack([signals[name] for name in (*names, *RATES)]))
     signals |= dict(zip(names, smoothed, strict=False))
-    derived = (signals["alpha"], *smoothed[len(names) :])
-    slopes = jax.vmap(derivative)(jnp.stack(derived))
-    return signals | dict(zip(("alpha_dot", *(f"{name}_dot" for name in RATES)), slopes, strict=True))
+    return signals | _slopes((signals["alpha"], *smoothed[len(names) :]), derivative)
+
+
+def smoothed_joined(
+    channels: Mapping[str, Float[Array, " n"]], first: Int[Array, " n"], last: Int[Array, " n"]
+) -> Signals:
+    """Every channel of manoeuvres laid end to end through the same filter.
+
+    As published, a smoothed pitch acceleration stands against an elevator as recorded, and estimates of what moves fast
+    come out too small. Where all channels pass the same filter it cancels, but for what is not linear.
+    """
+    rows = jax.vmap(lambda x: smooth_joined(x, first, last))(jnp.stack(list(channels.values())))
+    return dict(zip(channels, rows, strict=True))
+
+
+def with_slopes(
+    signals: Mapping[str, Float[Array, " n"]], dt: Float[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"]
+) -> Signals:
+    """Smoothed signals of manoeuvres laid end to end, with the derivatives that `condition` adds."""
+    rows = [signals[name] for name in ("alpha", *RATES)]
+    return dict(signals) | _slopes(rows, lambda x: differentiate_joined(x, dt, first, last))
+
+
+def _slopes(rows: Sequence[Float[Array, " n"]], derivative: Filter) -> Signals:
+    names = ("alpha_dot", *(f"{name}_dot" for name in RATES))
+    return dict(zip(names, jax.vmap(derivative)(jnp.stack(rows)), strict=True))
 
 
 def coefficients(signals: Mapping[str, Float[Array, "*n"]], aircraft: Aircraft) -> Coefficients:

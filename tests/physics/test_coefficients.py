@@ -1,11 +1,20 @@
 """Coefficients: rotations, propagated noise, and the way back from a simulated flight."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.physics.coefficients import coefficient_noise, coefficients, condition
+from bayes_aero.physics.coefficients import (
+    coefficient_noise,
+    coefficients,
+    condition,
+    condition_joined,
+    smoothed_joined,
+    with_slopes,
+)
 from bayes_aero.physics.frames import body_from_lift_drag, lift_drag_from_body
 from bayes_aero.physics.kinematics import Rotation, lever_arm
 
@@ -68,3 +77,28 @@ def test_thrust_line_and_reference_point_enter_the_moment_with_the_right_sign(ca
     expected = (-a.engine[2] + a.reference_point[2]) / (qbar_S * a.chord)
     assert float(slope) == pytest.approx(expected, rel=1e-9)
     assert float(slope) > 0.0
+
+
+def test_an_elevator_that_passes_the_same_filter_keeps_its_effectiveness(card):
+    """Pitch acceleration is a constant times a brisk 3-2-1-1 at 20 Hz; the pitch rate is its exact integral."""
+    dt, a = 0.05, card.aircraft
+    n = 400
+    time = dt * np.arange(n)
+    corners = 5.0 + np.cumsum([0.0, 0.1, 1.4, 0.2, 0.8, 0.2, 0.3, 0.2, 0.3, 0.1])
+    elevator = np.interp(time, corners, [0.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 0.0]) * 0.04
+    pitching = np.concatenate([[0.0], np.cumsum((elevator[1:] + elevator[:-1]) / 2.0) * dt])  # corners are samples
+    level = {k: jnp.zeros(n) for k in ("ax", "az", "p", "r", "thrust")} | {
+        "alpha": jnp.full(n, 0.05), "airspeed": jnp.full(n, 60.0), "density": jnp.full(n, 1.0),
+    }  # fmt: skip
+    channels = level | {"q": jnp.asarray(-8.0 * pitching), "elevator": jnp.asarray(elevator)}
+    at_cg = replace(a, accelerometer=(0.0, 0.0, 0.0), reference_point=(0.0, 0.0, 0.0))
+    ends = jnp.full(n, dt), jnp.zeros(n, int), jnp.full(n, n - 1)
+
+    def effectiveness(signals):
+        return np.polyfit(signals["elevator"], coefficients(signals, at_cg).Cm, 1)[0]
+
+    truth = -8.0 * a.Iy / (0.5 * 60.0**2 * a.wing_area * a.chord)
+    alike = with_slopes(smoothed_joined(channels, *ends[1:]), *ends)
+    assert effectiveness(alike) == pytest.approx(truth, rel=5e-3)
+    published = effectiveness(condition_joined(channels, *ends))
+    assert published / truth < 0.985  # a smoothed pitch acceleration against an elevator as recorded
