@@ -25,16 +25,21 @@ PAIRS = 10  # of records with the same noise added and subtracted, which cancels
 DIFFERENCE = np.array([1.0, -3.0, 3.0, -1.0])  # third differences pass white noise and stop motion
 NORMAL_QUARTILE = 0.6745
 REGRESSORS = ("alpha", "airspeed", "q", "elevator")
+AT_BOUND = 1e-6  # of a parameter's value, within which it lies on a bound: fits stop 1e-9 short
 FILTERED = -0.5  # lag-1 correlation of third differences above which they are not white noise's
 
 
 @dataclass(frozen=True)
 class Size:
-    """Estimate of one parameter of a cause, SI, freed of what recording noise adds; see `sizes`."""
+    """Estimate of one parameter of a cause, SI, freed of what recording noise adds; see `sizes`.
+
+    `at_bound`: the fit wants to go on beyond the parameter's bounds, so this is no measurement of it.
+    """
 
     mean: float
     sd: float
     unit: str
+    at_bound: bool = False
 
     @property
     def ci95(self) -> tuple[float, float]:
@@ -122,7 +127,12 @@ def sizes(state: State, fit: Fit) -> dict[str, Size]:
     deviation = np.sqrt(np.maximum(variance, spread**2) + bias**2)
     free = state.field.model.free
     return {
-        free[c].name: Size(float(np.clip(state.theta[c] - shift, *free[c].bounds)), float(sd), free[c].unit)
+        free[c].name: Size(
+            float(np.clip(state.theta[c] - shift, *free[c].bounds)),
+            float(sd),
+            free[c].unit,
+            bool(np.any(np.abs(state.theta[c] - np.array(free[c].bounds)) < AT_BOUND * abs(state.theta[c]))),
+        )
         for c, shift, sd in zip(fit.columns, bias, deviation, strict=True)
         if c < len(free)
     }

@@ -59,6 +59,8 @@ def _cause(cause: Cause) -> str:
     said = f"{cause.name}: {cause.claim}"
     if cause.ambiguous_with:
         said += f" On this record {several(cause.ambiguous_with)} would explain it about as well."
+    if held := [name for name, size in cause.parameters.items() if size.at_bound]:
+        said += f" {several(held)} would go beyond the bounds of what is sensible: suspect another cause behind it."
     if not cause.excited:
         said += " Not every manoeuvre excites it."
     lost, sd = cause.missed

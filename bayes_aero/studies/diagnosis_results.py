@@ -118,7 +118,13 @@ def cause_results(cause: Cause) -> dict[str, Any]:
         "missed": {"elpd": cause.missed[0], "elpd_se": cause.missed[1]},
         "ambiguous_with": list(cause.ambiguous_with),
         "parameters": {
-            name: {"mean": size.mean, "sd": size.sd, "ci95": list(size.ci95), "unit": size.unit}
+            name: {
+                "mean": size.mean,
+                "sd": size.sd,
+                "ci95": list(size.ci95),
+                "unit": size.unit,
+                "at_bound": size.at_bound,
+            }
             for name, size in cause.parameters.items()
         },
         "gain": _gain(cause.gain),

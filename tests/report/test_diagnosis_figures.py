@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from bayes_aero.criticism.accuracy import sizes
 from bayes_aero.criticism.finding import Unknown, Verdict
 from bayes_aero.report.diagnosed import composition, with_stalls
 from bayes_aero.report.figures import DIAGNOSIS_FIGURES, draw_all
@@ -131,6 +132,24 @@ def test_words_name_cause_rivals_and_what_is_unexplained(diagnosed):
         assert part in text
     unexplained = replace(d, verdict=Verdict.UNEXPLAINED, causes=())
     assert "no effect of the catalogue" in sentences(replace(view, diagnosis=unexplained))[0]
+
+
+def test_a_size_on_its_bound_is_no_measurement(diagnosed):
+    """The fit's estimate is put where a fit ends that wants to go beyond the bounds."""
+    view = diagnosed.view
+    cause, extension = view.diagnosis.causes[0], view.diagnosis.aerodynamics
+    (name,) = cause.parameters
+    state = extension.state
+    column = int(state.field.columns([name])[0])
+    theta = state.theta.copy()
+    theta[column] = state.field.model.free[column].bounds[1] - 1e-9
+    found = sizes(replace(state, theta=theta), extension.fit)
+    assert [n for n, size in found.items() if size.at_bound] == [name]
+    assert not any(size.at_bound for size in extension.sizes.values())
+    held = replace(cause, parameters={name: found[name]})
+    said = " ".join(sentences(replace(view, diagnosis=replace(view.diagnosis, causes=(held,)))))
+    assert f"{name} would go beyond the bounds" in said
+    assert "beyond the bounds" not in " ".join(sentences(view))
 
 
 @pytest.mark.parametrize(
