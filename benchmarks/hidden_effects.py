@@ -26,6 +26,7 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card
 from bayes_aero.studies.demo import TRUTH
+from bayes_aero.studies.detectability import standard_scores
 from bayes_aero.studies.hidden import flyable, hidden_records
 from bayes_aero.studies.strays import STRAYS
 
@@ -72,25 +73,10 @@ def case(kind: str, seed: int, flown: dict) -> dict:
         ],
         "minor": found.minor,
         "unexplained": [[u.coefficient, u.channel, u.share] for u in found.unknown],
-        "scores": _scores(found, effects),
+        "scores": standard_scores(found, effects),
         "not_testable": sorted(found.not_testable),
         "seconds": time.perf_counter() - began,
     }
-
-
-def _scores(found, effects) -> dict[str, float]:
-    """The hidden effects' own standard scores: |true size| over the deviation that the first election gave it."""
-    scores = {}
-    for name, values in effects.items():
-        for stage in (found.sensors, found.aerodynamics):
-            standing = stage.steps[0].poll.of(name) if stage is not None and stage.steps else None
-            if standing is not None:
-                owned = [p for p in CATALOGUE[name].parameters if p.name in values]
-                sizes = [
-                    abs(values[p.name] - p.neutral) / max(sd, 1e-300) for p, sd in zip(owned, standing.sd, strict=False)
-                ]
-                scores[name] = max(scores.get(name, 0.0), *sizes)
-    return scores
 
 
 def run(kind: str, count: int, out: Path, first: int, flown: dict) -> None:

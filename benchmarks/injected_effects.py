@@ -2,8 +2,10 @@
 
     python benchmarks/injected_effects.py RECORD RECORD [--draws 1] [--seed 0]
 
-Each effect of `INJECTED` at a random size within its range, either sign. Found: named with a size that moved by the
-injected one, against the diagnosis of the records as they are; or no longer named, where the injected one cancels it.
+Each effect of `INJECTED` at a random size within its range, either sign. `errors` is what the records then hold of it
+(what was named before, and the injected one) in standard errors of its first election: could they show it at all?
+Found: named with a size that moved by the injected one, against the diagnosis of the records as they are; or no longer
+named, where the injected one cancels it.
 """
 
 from __future__ import annotations
@@ -17,13 +19,14 @@ from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.readers import read_record
+from bayes_aero.studies.detectability import standard_scores
 from bayes_aero.studies.injected import injected
 
 INJECTED = {  # parameter and range of the size's absolute value, SI
-    "alpha_bias": ("alpha_bias", 0.01, 0.03),
+    "alpha_bias": ("alpha_bias", 0.01, 0.04),
     "alpha_scale": ("alpha_scale", 0.04, 0.10),
-    "airspeed_bias": ("airspeed_bias", 1.5, 4.0),
-    "airspeed_scale": ("airspeed_scale", 0.02, 0.05),
+    "airspeed_bias": ("airspeed_bias", 1.5, 12.0),
+    "airspeed_scale": ("airspeed_scale", 0.02, 0.15),
     "pitch_rate_bias": ("pitch_rate_bias", 0.004, 0.012),
     "pitch_rate_scale": ("pitch_rate_scale", 0.04, 0.10),
     "accel_x_bias": ("accel_x_bias", 0.1, 0.3),
@@ -32,6 +35,7 @@ INJECTED = {  # parameter and range of the size's absolute value, SI
     "thrust_moment": ("thrust_arm", 0.5, 1.0),
     "thrust_scale": ("thrust_scale", 0.1, 0.3),
 }
+CLEAR = 6.0  # standard errors from which an effect must be named
 
 
 def sizes_of(found) -> dict[str, tuple[float, float]]:
@@ -54,34 +58,36 @@ def main() -> None:
     Cmde = plain.base_moves["Cmde"][1]  # of the extended model, in which a moment has to be held
     print(f"elevator effectiveness of the extended model {Cmde:.3f} 1/rad")
     rng = np.random.default_rng(given.seed)
-    named = near = total = 0
-    print(f"{'effect':17s} {'injected':>9s} {'before':>16s} {'after':>16s} {'moved':>9s}  named")
+    named = near = total = clear = clearly = 0
+    print(f"{'effect':17s} {'injected':>9s} {'errors':>6s} {'before':>16s} {'after':>16s} {'moved':>9s}  named")
     for _ in range(given.draws):
         for name in given.only:
             parameter, least, most = INJECTED[name]
             size = float(rng.choice([-1.0, 1.0]) * rng.uniform(least, most))
-            found = diagnose(
-                injected(records, {name: {parameter: size}}, card, Cmde=Cmde), card, seed=given.seed, gains_wanted=False
-            )
+            hidden = {name: {parameter: size}}
+            found = diagnose(injected(records, hidden, card, Cmde=Cmde), card, seed=given.seed, gains_wanted=False)
             after = sizes_of(found)
             old, new = before.get(parameter, (0.0, 0.0)), after.get(parameter)
             also = [c.name for c in found.causes if name in c.ambiguous_with]
             wanted = size * (1.0 + old[0]) if parameter.endswith("_scale") else size  # scale factors multiply
+            errors = standard_scores(found, {name: {parameter: old[0] + wanted}}).get(name, 0.0)
             least = CATALOGUE[name].sizes[parameter][0]
             cancels = new is None and abs(old[0] + wanted) < least  # what was there before is gone, and rightly unnamed
             by = "itself" if new else "cancelled" if cancels else f"within {also[0]}" if also else "no"
             moved = new[0] - old[0] if new else -old[0] if cancels else float("nan")
             named, total = named + (by != "no"), total + 1
+            clear, clearly = clear + (errors >= CLEAR), clearly + (errors >= CLEAR and by != "no")
             allowed = least if cancels else 1.96 * np.hypot(old[1], new[1] if new else 0.0) + 0.1 * abs(size)
             near += bool(abs(moved - wanted) < allowed)
             was = f"{old[0]:8.4g}+-{old[1]:.2g}"
             now = f"{new[0]:8.4g}+-{new[1]:.2g}" if new else "-"
             print(
-                f"{name:17s} {size:9.4g} {was:>16s} {now:>16s} {moved:9.4g}  {by}; new beside it: "
+                f"{name:17s} {size:9.4g} {errors:6.1f} {was:>16s} {now:>16s} {moved:9.4g}  {by}; new beside it: "
                 f"{', '.join(c.name for c in found.causes if c.name not in known | {name}) or 'none'}",
                 flush=True,
             )
-    print(f"named, in an ambiguity set, or cancelled {named} of {total}; moved by the injected size "
+    print(f"of at least {CLEAR:g} standard errors: named, in an ambiguity set, or cancelled {clearly} of {clear}")
+    print(f"all: named, in an ambiguity set, or cancelled {named} of {total}; moved by the injected size "
           f"(within the intervals and a tenth) {near} of {total}")  # fmt: skip
 
 
