@@ -91,7 +91,7 @@ class Responses(Linearisable):
 
 
 def _measured(responses: Responses, values: Mapping[str, Array], channels: Mapping[str, Array]):
-    """Corrected signals of every flight, from its smoothed channels, and the aircraft as it is."""
+    """Corrected signals of every flight, and the aircraft as it is."""
     corrected = responses.model.corrected(values, channels, responses.flights.aircraft)
     return responses.flights.with_slopes(corrected), responses.model.actual_aircraft(values, responses.flights.aircraft)
 
@@ -99,19 +99,16 @@ def _measured(responses: Responses, values: Mapping[str, Array], channels: Mappi
 def _residuals(responses: Responses, theta):
     f, model = responses.flights, responses.model
     values = model.values(theta)
-    # Corrections of sensors and the filter, all but linear, change places: what no parameter moves is filtered once.
-    recorded = f.smoothed
-    signals, aircraft = _measured(responses, values, recorded)
+    signals, aircraft = _measured(responses, values, f.channels)
     measured = jnp.stack(coefficients(signals, aircraft), axis=-1)
     known = model.flow(values, signals, aircraft)
     modelled = jnp.stack([known[name] for name in NAMES], axis=-1)
-    scales = response_scales(model, values, recorded, f.aircraft, RESPONSE)
+    scales = response_scales(model, values, f.channels, f.aircraft, RESPONSE)
     pressure = signals["density"] * jnp.square(signals["airspeed"])
-    nominal = recorded["density"] * jnp.square(recorded["airspeed"])
+    nominal = f.channels["density"] * jnp.square(f.channels["airspeed"])
     force = pressure / nominal * (f.aircraft.mass / aircraft.mass)
     moment = pressure / nominal * (f.aircraft.Iy / aircraft.Iy) / scales["q"]
-    residual = (measured - modelled) * jnp.stack([force, force, moment], axis=-1)
-    columns = [residual]
+    columns = [(measured - modelled) * jnp.stack([force, force, moment], axis=-1)]
     if len(responses.outputs) > len(NAMES):
         rates = path_rates(signals, aircraft)
         columns += [
@@ -120,9 +117,10 @@ def _residuals(responses: Responses, theta):
             ]
             for name in PATH
         ]
-    everything = jnp.concatenate(columns, axis=1)
-    details = {"X": known["X"], "measured": measured, "modelled": modelled, "residual": everything}
-    return responses.block(everything), {**signals, **details}
+    residual = f.smoothed(jnp.concatenate(columns, axis=1))
+    both = f.smoothed(jnp.concatenate([measured, modelled], axis=1))
+    details = {"X": known["X"], "measured": both[:, :3], "modelled": both[:, 3:], "residual": residual}
+    return responses.block(residual), {**signals, **details}
 
 
 _evaluate = eqx.filter_jit(_residuals)

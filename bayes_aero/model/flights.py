@@ -19,7 +19,8 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import MARKS, named_apart, plain_marks, with_sums
-from bayes_aero.physics.coefficients import REQUIRED, Signals, smoothed_joined, with_slopes
+from bayes_aero.physics.coefficients import REQUIRED, Signals, unsmoothed_joined
+from bayes_aero.physics.filters import smooth_joined
 
 
 class Flights(eqx.Module):
@@ -47,15 +48,14 @@ class Flights(eqx.Module):
         """The same without names, on which no number depends: compiled programs then serve records of any name."""
         return replace(self, names=())
 
-    @property
-    def smoothed(self) -> dict[str, Array]:
-        """All channels, the recorded ones smoothed manoeuvre by manoeuvre, by the same filter."""
-        ends = self.channels["first"], self.channels["last"]
-        return self.channels | smoothed_joined({name: self.channels[name] for name in self.recorded}, *ends)
-
     def with_slopes(self, channels: Mapping[str, Array]) -> Signals:
-        """Smoothed channels (corrected ones, too) and their derivatives, manoeuvre by manoeuvre."""
-        return with_slopes(channels, *(self.channels[name] for name in ("dt", "first", "last")))
+        """Channels (corrected ones, too) and their derivatives, manoeuvre by manoeuvre."""
+        return unsmoothed_joined(channels, *(self.channels[name] for name in ("dt", "first", "last")))
+
+    def smoothed(self, rows: Float[Array, "n c"]) -> Float[Array, "n c"]:
+        """Columns smoothed manoeuvre by manoeuvre."""
+        ends = self.channels["first"], self.channels["last"]
+        return jax.vmap(lambda x: smooth_joined(x, *ends), in_axes=1, out_axes=1)(rows)
 
 
 def response_scales(

@@ -75,24 +75,18 @@ def _conditioned(channels: Mapping[str, Any], smoothing: Filter, derivative: Fil
     return signals | _slopes((signals["alpha"], *smoothed[len(names) :]), derivative)
 
 
-def smoothed_joined(
-    channels: Mapping[str, Float[Array, " n"]], first: Int[Array, " n"], last: Int[Array, " n"]
+def unsmoothed_joined(
+    channels: Mapping[str, Float[Array, " n"]], dt: Float[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"]
 ) -> Signals:
-    """Every channel of manoeuvres laid end to end through the same filter.
+    """Channels as they are, manoeuvres laid end to end, and the derivatives that `condition` adds.
 
-    As published, a smoothed pitch acceleration stands against an elevator as recorded, and estimates of what moves fast
-    come out too small. Where all channels pass the same filter it cancels, but for what is not linear.
+    For whoever smooths the difference of what is measured and modelled: what the filter takes from one it then takes
+    from the other, whatever is not linear included. As published a smoothed pitch acceleration stands against an
+    elevator as recorded and the lift of a smoothed angle of attack against a lift as recorded, and what moves fast
+    comes out too small. Only alpha-dot is the derivative of a smoothed signal: models bend its noise.
     """
-    rows = jax.vmap(lambda x: smooth_joined(x, first, last))(jnp.stack(list(channels.values())))
-    return dict(zip(channels, rows, strict=True))
-
-
-def with_slopes(
-    signals: Mapping[str, Float[Array, " n"]], dt: Float[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"]
-) -> Signals:
-    """Smoothed signals of manoeuvres laid end to end, with the derivatives that `condition` adds."""
-    rows = [signals[name] for name in ("alpha", *RATES)]
-    return dict(signals) | _slopes(rows, lambda x: differentiate_joined(x, dt, first, last))
+    rows = [smooth_joined(channels["alpha"], first, last), *(channels[name] for name in RATES)]
+    return dict(channels) | _slopes(rows, lambda x: differentiate_joined(x, dt, first, last))
 
 
 def _slopes(rows: Sequence[Float[Array, " n"]], derivative: Filter) -> Signals:
