@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -90,7 +91,7 @@ class Responses(Linearisable):
         return S
 
 
-def _measured(responses: Responses, values: Mapping[str, Array], channels: Mapping[str, Array]):
+def _measured(responses: Responses, values: Mapping[str, Any], channels: Mapping[str, Array]):
     """Corrected signals of every flight, and the aircraft as it is."""
     corrected = responses.model.corrected(values, channels, responses.flights.aircraft)
     return responses.flights.with_slopes(corrected), responses.model.actual_aircraft(values, responses.flights.aircraft)

@@ -19,7 +19,7 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import MARKS, named_apart, plain_marks, with_sums
-from bayes_aero.physics.coefficients import REQUIRED, Signals, unsmoothed_joined
+from bayes_aero.physics.coefficients import REQUIRED, unsmoothed_joined
 from bayes_aero.physics.filters import smooth_joined
 
 
@@ -48,7 +48,7 @@ class Flights(eqx.Module):
         """The same without names, on which no number depends: compiled programs then serve records of any name."""
         return replace(self, names=())
 
-    def with_slopes(self, channels: Mapping[str, Array]) -> Signals:
+    def with_slopes(self, channels: Mapping[str, Array]) -> dict[str, Array]:
         """Channels (corrected ones, too) and their derivatives, manoeuvre by manoeuvre."""
         return unsmoothed_joined(channels, *(self.channels[name] for name in ("dt", "first", "last")))
 

@@ -76,8 +76,8 @@ def _conditioned(channels: Mapping[str, Any], smoothing: Filter, derivative: Fil
 
 
 def unsmoothed_joined(
-    channels: Mapping[str, Float[Array, " n"]], dt: Float[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"]
-) -> Signals:
+    channels: Mapping[str, Array], dt: Float[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"]
+) -> dict[str, Array]:
     """Channels as they are, manoeuvres laid end to end, and the derivatives that `condition` adds.
 
     For whoever smooths the difference of what is measured and modelled: what the filter takes from one it then takes

@@ -1,0 +1,225 @@
+"""Another aircraft, flown by a simulator that shares no code with the package: NumPy and textbook equations alone.
+
+Drawn at random: size, mass, derivatives, stall; then two stalls with a 3-2-1-1 before and after, engine and elevator
+with lags. Recorded as the package's users may have it: knots, degrees, feet, g, nz up, elevator trailing edge up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import fsolve
+
+G = 9.80665
+NOISE = (0.0, 0.15, 9e-4, 9e-4, 1e-3, 0.02, 0.04, 0.6, 3.5e-4, 5.0)  # of t, V, alpha, theta, q, ax, az, h, elevator, T
+HEADINGS = "Time_s,KTAS,AOA_deg,THETA_deg,QB_dps,NXB_g,NZB_g,HP_ft,DE_TEU_deg,FN_lbf,PB_dps,RB_dps"
+HIDDEN = {  # sizes within which effects are drawn, SI, all of them clearly visible
+    "thrust_moment": ("thrust_arm", 0.12, 0.3),
+    "alpha_squared_moment": ("Cma2", 1.0, 3.0),
+    "alpha_dot_moment": ("Cmadot", -9.0, -4.0),
+    "separation_lag": ("tau1", 8.0, 20.0),
+    "alpha_scale": ("alpha_scale", 0.04, 0.09),
+    "pitch_rate_bias": ("pitch_rate_bias", 0.003, 0.008),
+}
+Rates = Callable[[np.ndarray, float, float], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Constants, SI and radians; `Cmq` belongs to q c/2V."""
+
+    mass: float
+    S: float
+    c: float
+    b: float
+    Iy: float
+    tail: float
+    speed: float
+    power: float
+    CL0: float = 0.3
+    CLa: float = 5.2
+    a1: float = 22.0
+    alpha_star: float = 0.27
+    CD0: float = 0.032
+    e: float = 0.78
+    CDX: float = 0.06
+    Cm0: float = 0.05
+    Cma: float = -0.85
+    Cmq: float = -17.0
+    Cmde: float = -1.35
+    CmX: float = -0.06
+    thrust_arm: float = 0.0
+    Cma2: float = 0.0
+    Cmadot: float = 0.0
+    tau1: float = 0.0
+
+    def density(self, h: float) -> float:
+        """Standard atmosphere, kg/m^3."""
+        return 1.225 * (1.0 - 2.25577e-5 * h) ** 4.25588
+
+    def thrust(self, V: float, lever: float, h: float) -> float:
+        """Propeller of constant power, N."""
+        return min(lever * self.power / max(V, 0.6 * self.speed), self.power / (0.8 * self.speed)) * (
+            self.density(h) / 1.225
+        )
+
+    def settled(self, alpha: float) -> float:
+        """Separation point in steady flow."""
+        return 0.5 * (1.0 - np.tanh(self.a1 * (alpha - self.alpha_star)))
+
+    def forces(self, alpha: float, elevator: float, X: float) -> tuple[float, float]:
+        """CL and CD; the tail's lift makes its moment, drag is that of the lift that is there."""
+        CL = self.CL0 + self.CLa * alpha * ((1.0 + np.sqrt(X)) / 2.0) ** 2 - self.Cmde * self.c / self.tail * elevator
+        return CL, self.CD0 + CL**2 / (np.pi * self.b**2 / self.S * self.e) + self.CDX * (1.0 - X)
+
+    def rates(self, x: np.ndarray, elevator: float, lever: float) -> np.ndarray:
+        """Derivatives of V, alpha, theta, q, h, X."""
+        V, alpha, theta, q, h, X = x
+        X = X if self.tau1 else self.settled(alpha)
+        pressure, T, climb = 0.5 * self.density(h) * V**2, self.thrust(V, lever, h), theta - alpha
+        CL, CD = self.forces(alpha, elevator, X)
+        L, D = pressure * self.S * CL, pressure * self.S * CD
+        alpha_dot = q - (T * np.sin(alpha) + L) / (self.mass * V) + G * np.cos(climb) / V
+        Cm = self.Cm0 + (self.Cma + self.Cma2 * alpha) * alpha + self.Cmde * elevator + self.CmX * (1.0 - X)
+        Cm += (self.Cmq / 2.0 * q + self.Cmadot * alpha_dot) * self.c / V
+        X_dot = (self.settled(alpha) - X) * V / (self.tau1 * self.c) if self.tau1 else 0.0
+        q_dot = (pressure * self.S * self.c * Cm + T * self.thrust_arm) / self.Iy
+        V_dot = (T * np.cos(alpha) - D) / self.mass - G * np.sin(climb)
+        return np.array([V_dot, alpha_dot, q, q_dot, V * np.sin(climb), X_dot])
+
+
+def plane(rng: np.random.Generator) -> Plane:
+    """Between a light aircraft and a small commuter."""
+    s = rng.uniform(0.8, 1.6)
+    mass = 1850.0 * s**3 * rng.uniform(0.8, 1.2)
+    found = Plane(
+        mass, 17.2 * s**2, 1.58 * s, 11.0 * s, mass * (1.19 * s) ** 2 * rng.uniform(0.9, 1.3),
+        4.4 * s * rng.uniform(0.9, 1.1), 60.0 * np.sqrt(s), 296e3 * s**3.5,
+    )  # fmt: skip
+    spread = ("CL0", "CLa", "a1", "alpha_star", "CD0", "e", "CDX", "Cm0", "Cma", "Cmq", "Cmde", "CmX")
+    return replace(found, **{name: getattr(found, name) * rng.uniform(0.87, 1.13) for name in spread})
+
+
+def fly(p: Plane, rng: np.random.Generator, dt: float, seconds: float = 90.0, height: float = 2500.0) -> np.ndarray:
+    """Rows t, V, alpha, theta, q, ax, az, h, elevator, thrust of one manoeuvre."""
+    V = p.speed * rng.uniform(0.98, 1.08)
+
+    def unbalanced(z):
+        return p.rates(np.array([V, z[0], z[0], 0.0, height, p.settled(z[0])]), z[1], z[2])[[0, 1, 3]]
+
+    alpha, trim, lever = fsolve(unbalanced, [0.05, -0.02, 0.4])
+    x, level, held = np.array([V, alpha, alpha, 0.0, height, p.settled(alpha)]), alpha, trim
+    size, unit = np.radians(rng.uniform(1.8, 2.6)), rng.uniform(0.4, 0.6)
+    first = rng.uniform(3.0, 6.0)
+    pull, slope = first + rng.uniform(9.0, 12.0), np.radians(rng.uniform(0.4, 0.6))
+    recover = pull + rng.uniform(27.0, 33.0)
+    second, idle = recover + rng.uniform(12.0, 16.0), rng.uniform(0.4, 0.9)
+
+    edges = unit * np.array([0.0, 3.0, 5.0, 6.0, 7.0])
+
+    def steps(t):
+        return size * (0.0, 1.0, -1.0, 1.0, -1.0, 0.0)[int(np.searchsorted(edges, t, "right"))]
+
+    rows, elevator, engine = [], trim, lever
+    for k in range(round(seconds / dt) + 1):
+        t, wanted = k * dt, lever
+        if t < pull:
+            command = held = trim + steps(t - first) + 0.25 * (x[2] - level) + 0.15 * x[3]
+        elif t < recover:
+            command, wanted = held - slope * (t - pull), lever * idle
+        elif t < recover + 4.0:
+            command, wanted = trim + np.radians(3.0), 1.4 * lever
+        else:
+            command = trim + steps(t - second) + 0.3 * (x[2] - np.radians(1.0)) + 0.15 * x[3]
+            if t > second + 6.0:
+                wanted = lever * (1.5 if (t - second) % 8.0 < 4.0 else 0.6)
+        after = elevator + np.clip(np.clip(command, -0.4, 0.3) - elevator, -0.44 * dt, 0.44 * dt)
+        running = engine + (wanted - engine) * dt / 0.8
+        rows.append((t, *_sensed(p, x, elevator, engine)))
+        x = _advanced(p.rates, x, dt, (elevator, after), (engine, running))
+        elevator, engine = after, running
+    return np.array(rows).T
+
+
+def _sensed(p: Plane, x: np.ndarray, elevator: float, lever: float) -> tuple[float, ...]:
+    V, alpha, theta, q, h, X = x
+    CL, CD = p.forces(alpha, elevator, X if p.tau1 else p.settled(alpha))
+    T, pressure = p.thrust(V, lever, h), 0.5 * p.density(h) * V**2 * p.S
+    ax = (T + pressure * (CL * np.sin(alpha) - CD * np.cos(alpha))) / p.mass
+    az = -pressure * (CL * np.cos(alpha) + CD * np.sin(alpha)) / p.mass
+    return V, alpha, theta, q, ax, az, h, elevator, T
+
+
+def _advanced(rates: Rates, x: np.ndarray, dt: float, elevator, lever, parts: int = 5) -> np.ndarray:
+    """Runge-Kutta of fourth order, inputs linear within the sample."""
+    h = dt / parts
+    for i in range(parts):
+        u = [tuple(a + (b - a) * (i + part) / parts for a, b in (elevator, lever)) for part in (0.0, 0.5, 1.0)]
+        k1 = rates(x, *u[0])
+        k2 = rates(x + h / 2.0 * k1, *u[1])
+        k3 = rates(x + h / 2.0 * k2, *u[1])
+        x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + rates(x + h * k3, *u[2]))
+    return x
+
+
+def write(path: Path, rows: np.ndarray, errors: Mapping[str, float], rng: np.random.Generator) -> None:
+    """What a recorder with these sensor errors and white noise leaves of the flight."""
+    noisy = rows + np.array(NOISE)[:, None] * rng.standard_normal(rows.shape)
+    t, V, alpha, theta, q, ax, az, h, elevator, T = noisy
+    alpha = alpha + errors.get("alpha_scale", 0.0) * rows[2]
+    q = q + errors.get("pitch_rate_bias", 0.0)
+    lateral = 9e-4 * rng.standard_normal((2, len(t)))
+    deg = np.degrees
+    columns = (
+        t, V / 0.514444, deg(alpha), deg(theta), deg(q), ax / G, -az / G, h / 0.3048, -deg(elevator), T / 4.4482216,
+        *deg(lateral),
+    )  # fmt: skip
+    np.savetxt(path, np.transpose(columns), delimiter=",", header=HEADINGS, comments="", fmt="%.5f")
+
+
+def card_text(p: Plane) -> str:
+    """The right card of the aircraft, but for what is hidden."""
+    return f"""
+title = "another aircraft"
+source = "a simulator of its own"
+[aircraft]
+mass = "{p.mass} kg"
+Ix = "{p.Iy} kg m^2"
+Iy = "{p.Iy} kg m^2"
+Iz = "{2.0 * p.Iy} kg m^2"
+Ixz = "0 kg m^2"
+wing_area = "{p.S} m^2"
+chord = "{p.c} m"
+half_span = "{p.b / 2.0} m"
+aspect_ratio = {p.b**2 / p.S}
+tail_arm = "{p.tail} m"
+[channels]
+time = {{ label = "Time_s", unit = "s" }}
+airspeed = {{ label = "KTAS", unit = "kt" }}
+alpha = {{ label = "AOA_deg", unit = "deg" }}
+theta = {{ label = "THETA_deg", unit = "deg" }}
+q = {{ label = "QB_dps", unit = "deg/s" }}
+ax = {{ label = "NXB_g", unit = "g0" }}
+az = {{ label = "NZB_g", unit = "g0", sign = -1 }}
+altitude = {{ label = "HP_ft", unit = "ft" }}
+elevator = {{ label = "DE_TEU_deg", unit = "deg", sign = -1 }}
+thrust = {{ label = "FN_lbf", unit = "lbf" }}
+p = {{ label = "PB_dps", unit = "deg/s" }}
+r = {{ label = "RB_dps", unit = "deg/s" }}
+[constants]
+ay = "0 g0"
+phi = "0 deg"
+beta = "0 deg"
+[derived]
+density = "standard atmosphere"
+mach = "standard atmosphere"
+[model]
+effects = [
+  "attached_lift", "elevator_moment", "pitching_moment", "pitch_damping", "profile_drag", "induced_drag",
+  "flow_separation", "kirchhoff_lift", "separated_drag", "separated_moment", "separated_induced_drag",
+]
+fixed = {{ induced_share = 1.0 }}
+"""
