@@ -16,13 +16,18 @@ from scipy.optimize import fsolve
 G = 9.80665
 NOISE = (0.0, 0.15, 9e-4, 9e-4, 1e-3, 0.02, 0.04, 0.6, 3.5e-4, 5.0)  # of t, V, alpha, theta, q, ax, az, h, elevator, T
 HEADINGS = "Time_s,KTAS,AOA_deg,THETA_deg,QB_dps,NXB_g,NZB_g,HP_ft,DE_TEU_deg,FN_lbf,PB_dps,RB_dps"
-HIDDEN = {  # sizes within which effects are drawn, SI, all of them clearly visible
-    "thrust_moment": ("thrust_arm", 0.12, 0.3),
-    "alpha_squared_moment": ("Cma2", 1.0, 3.0),
-    "alpha_dot_moment": ("Cmadot", -9.0, -4.0),
-    "separation_lag": ("tau1", 8.0, 20.0),
-    "alpha_scale": ("alpha_scale", 0.04, 0.09),
-    "pitch_rate_bias": ("pitch_rate_bias", 0.003, 0.008),
+HIDDEN = {  # parameter, sizes within which it is drawn, SI, all of them clearly visible; whether of either sign
+    "thrust_moment": ("thrust_arm", 0.12, 0.3, True),
+    "alpha_squared_moment": ("Cma2", 1.0, 3.0, True),
+    "alpha_dot_moment": ("Cmadot", -9.0, -4.0, False),
+    "pitch_rate_lift": ("CLq", 3.0, 8.0, False),
+    "separation_lag": ("tau1", 8.0, 20.0, False),
+    "alpha_bias": ("alpha_bias", 0.006, 0.02, True),
+    "alpha_scale": ("alpha_scale", 0.04, 0.09, True),
+    "airspeed_scale": ("airspeed_scale", 0.02, 0.05, True),
+    "pitch_rate_bias": ("pitch_rate_bias", 0.003, 0.008, True),
+    "accel_x_bias": ("accel_x_bias", 0.06, 0.2, True),
+    "elevator_delay": ("elevator_delay", 0.03, 0.1, False),
 }
 Rates = Callable[[np.ndarray, float, float], np.ndarray]
 
@@ -54,6 +59,7 @@ class Plane:
     thrust_arm: float = 0.0
     Cma2: float = 0.0
     Cmadot: float = 0.0
+    CLq: float = 0.0
     tau1: float = 0.0
 
     def density(self, h: float) -> float:
@@ -70,9 +76,10 @@ class Plane:
         """Separation point in steady flow."""
         return 0.5 * (1.0 - np.tanh(self.a1 * (alpha - self.alpha_star)))
 
-    def forces(self, alpha: float, elevator: float, X: float) -> tuple[float, float]:
-        """CL and CD; the tail's lift makes its moment, drag is that of the lift that is there."""
+    def forces(self, alpha: float, qhat: float, elevator: float, X: float) -> tuple[float, float]:
+        """CL and CD; the tail's lift makes its moment, drag is that of all the lift."""
         CL = self.CL0 + self.CLa * alpha * ((1.0 + np.sqrt(X)) / 2.0) ** 2 - self.Cmde * self.c / self.tail * elevator
+        CL += self.CLq * qhat
         return CL, self.CD0 + CL**2 / (np.pi * self.b**2 / self.S * self.e) + self.CDX * (1.0 - X)
 
     def rates(self, x: np.ndarray, elevator: float, lever: float) -> np.ndarray:
@@ -80,7 +87,7 @@ class Plane:
         V, alpha, theta, q, h, X = x
         X = X if self.tau1 else self.settled(alpha)
         pressure, T, climb = 0.5 * self.density(h) * V**2, self.thrust(V, lever, h), theta - alpha
-        CL, CD = self.forces(alpha, elevator, X)
+        CL, CD = self.forces(alpha, q * self.c / V, elevator, X)
         L, D = pressure * self.S * CL, pressure * self.S * CD
         alpha_dot = q - (T * np.sin(alpha) + L) / (self.mass * V) + G * np.cos(climb) / V
         Cm = self.Cm0 + (self.Cma + self.Cma2 * alpha) * alpha + self.Cmde * elevator + self.CmX * (1.0 - X)
@@ -146,7 +153,7 @@ def fly(p: Plane, rng: np.random.Generator, dt: float, seconds: float = 90.0, he
 
 def _sensed(p: Plane, x: np.ndarray, elevator: float, lever: float) -> tuple[float, ...]:
     V, alpha, theta, q, h, X = x
-    CL, CD = p.forces(alpha, elevator, X if p.tau1 else p.settled(alpha))
+    CL, CD = p.forces(alpha, q * p.c / V, elevator, X if p.tau1 else p.settled(alpha))
     T, pressure = p.thrust(V, lever, h), 0.5 * p.density(h) * V**2 * p.S
     ax = (T + pressure * (CL * np.sin(alpha) - CD * np.cos(alpha))) / p.mass
     az = -pressure * (CL * np.cos(alpha) + CD * np.sin(alpha)) / p.mass
@@ -169,8 +176,10 @@ def write(path: Path, rows: np.ndarray, errors: Mapping[str, float], rng: np.ran
     """What a recorder with these sensor errors and white noise leaves of the flight."""
     noisy = rows + np.array(NOISE)[:, None] * rng.standard_normal(rows.shape)
     t, V, alpha, theta, q, ax, az, h, elevator, T = noisy
-    alpha = alpha + errors.get("alpha_scale", 0.0) * rows[2]
-    q = q + errors.get("pitch_rate_bias", 0.0)
+    alpha = alpha + errors.get("alpha_scale", 0.0) * rows[2] + errors.get("alpha_bias", 0.0)
+    V = V + errors.get("airspeed_scale", 0.0) * rows[1]
+    q, ax = q + errors.get("pitch_rate_bias", 0.0), ax + errors.get("accel_x_bias", 0.0)
+    elevator = elevator + np.interp(t - errors.get("elevator_delay", 0.0), t, rows[8]) - rows[8]
     lateral = 9e-4 * rng.standard_normal((2, len(t)))
     deg = np.degrees
     columns = (
@@ -178,6 +187,35 @@ def write(path: Path, rows: np.ndarray, errors: Mapping[str, float], rng: np.ran
         *deg(lateral),
     )  # fmt: skip
     np.savetxt(path, np.transpose(columns), delimiter=",", header=HEADINGS, comments="", fmt="%.5f")
+
+
+def flown(folder: Path, rng: np.random.Generator, name: str | None) -> tuple[Plane, float, list[Path]]:
+    """Two records and `card.toml` of a random aircraft that stays in its envelope, an effect hidden in them; its size.
+
+    Thrust arms are in proportion to the chord.
+    """
+    for _ in range(20):
+        p, errors, size = plane(rng), {}, 0.0
+        if name is not None:
+            parameter, least, most, either = HIDDEN[name]
+            size = float(rng.uniform(least, most) * (rng.choice([-1.0, 1.0]) if either else 1.0))
+            size *= p.c / 1.58 if parameter == "thrust_arm" else 1.0
+            if hasattr(p, parameter):
+                p = replace(p, **{parameter: size})
+            else:
+                errors = {parameter: size}
+        dt = float(rng.choice([0.02, 0.04, 0.05]))
+        with np.errstate(invalid="ignore"):
+            flights = [fly(p, rng, dt) for _ in range(2)]
+        if all(np.all(np.isfinite(x)) and x[2].max() < 0.5 and np.abs(x[3]).max() < 0.9 for x in flights):
+            break
+    else:
+        raise RuntimeError("no such aircraft could be flown")
+    files = [folder / f"run{number}.csv" for number in (1, 2)]
+    for path, rows in zip(files, flights, strict=True):
+        write(path, rows, errors, rng)
+    (folder / "card.toml").write_text(card_text(p))
+    return p, size, files
 
 
 def card_text(p: Plane) -> str:

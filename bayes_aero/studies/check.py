@@ -114,7 +114,8 @@ def _sensors(records: Sequence[FlightRecord], card: Card, seed: int) -> SensorCh
     have = _available(records, card)
     missing = [n for n in PATH_NEEDS if n not in have]
     if missing:
-        return SensorCheck(f"the flight path needs {', '.join(missing)}", {}, {})
+        mend = 'state what stood still under [constants], as phi = "0 deg"'
+        return SensorCheck(f"the flight path needs {', '.join(missing)}; {mend}", {}, {})
     if not np.isfinite(float(card.aircraft.mass)):
         return SensorCheck("the card states no [aircraft], so nobody knows where the sensors are", {}, {})
     try:

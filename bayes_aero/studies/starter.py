@@ -50,6 +50,8 @@ STALLED = np.deg2rad(12.0)  # alpha beyond which the record is taken to hold a s
 NEEDED = ("time", *REQUIRED, "elevator")
 LATERAL = ("p", "r")
 HELD = (*LATERAL, "density", "thrust")  # may be stated as constants
+LEVEL = {"phi": "deg", "beta": "deg", "ay": "m/s^2"}  # the flight path's, zero where wings stay level; in this unit
+STILL = np.deg2rad(0.5)  # rad/s of roll and yaw rate, in the mean square
 KINEMATIC = ("theta", "phi", "beta", "ay", "altitude")
 
 
@@ -193,8 +195,20 @@ def _constants(found: Mapping[str, Guess]) -> Iterator[str]:
             'thrust = "TODO" # total net thrust, e.g. "2500 N"; was not found in the file. Drag is as good as this'
         )
     lines += [f'{name} = "0 rad/s" # guess: not recorded, taken as zero' for name in LATERAL if name not in found]
+    lines += _still(found)
     if lines:
         yield from ("# Held constant over the record, for want of a channel.", "[constants]", *lines, "")
+
+
+def _still(found: Mapping[str, Guess]) -> Iterator[str]:
+    """What the flight path needs beside the recorded channels, where these say that it stood still."""
+    absent = [name for name in LEVEL if name not in found]
+    if not absent or "theta" not in found or "altitude" not in found:
+        return
+    if all(np.nanstd(found[name].si) < STILL for name in LATERAL if name in found):
+        yield from (f'{name} = "0 {LEVEL[name]}" # guess: not recorded; rolled and yawed it has not' for name in absent)
+    else:
+        yield f"# {', '.join(absent)}: not recorded, and it rolled or yawed. Without them sensors go unchecked."
 
 
 def _sensors(found: Mapping[str, Guess]) -> Iterator[str]:

@@ -8,6 +8,7 @@ import tomllib
 import numpy as np
 import pandas as pd
 import pytest
+from stranger import fly, plane, write
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card, shipped_cards
@@ -167,3 +168,27 @@ def test_a_sign_survives_writing_and_reading(flights, card, tmp_path):
     write_record(record, tmp_path / "up.csv", channels)
     assert pd.read_csv(tmp_path / "up.csv")["nz"].median() == pytest.approx(1.0, abs=0.15)
     assert np.allclose(read_record(tmp_path / "up.csv", channels)["az"], record["az"], atol=1e-12)
+
+
+@pytest.mark.parametrize("rolling", [False, True])
+def test_wings_that_stayed_level_let_the_sensors_be_checked(program, tmp_path, rolling):
+    """Bank, sideslip and side force were not recorded: zero where roll and yaw rate stand still, unknown elsewhere."""
+    rng = np.random.default_rng(31)
+    p = plane(rng)
+    rows = fly(p, rng, 0.05, seconds=40.0)
+    write(tmp_path / "run.csv", rows, {}, rng)
+    if rolling:
+        table = pd.read_csv(tmp_path / "run.csv")
+        table["PB_dps"] += 8.0 * np.sin(table["Time_s"])
+        table.to_csv(tmp_path / "run.csv", index=False)
+    done = program("card", "run.csv", "--out", "mine.toml")
+    assert done.code == 0, done.err
+    text = filled((tmp_path / "mine.toml").read_text())
+    (tmp_path / "mine.toml").write_text(text)
+    still = {"phi": "0 deg", "beta": "0 deg", "ay": "0 m/s^2"}
+    assert tomllib.loads(text).get("constants", {}) == ({} if rolling else still)
+    done = program("check", "run.csv", "--model", "mine.toml")
+    said = " ".join(done.out.split())
+    assert done.code == 0, done.err
+    assert ("state what stood still under [constants]" in said) == rolling
+    assert ("Sensors were not checked" in said) == rolling

@@ -1,0 +1,80 @@
+"""Diagnose aircraft that nobody here has seen: drawn at random and flown by a simulator that shares no code.
+
+    python benchmarks/other_aircraft.py 24 [--first 0] [--out strangers]
+
+Every twelfth has nothing hidden, the others one effect each (`tests/stranger.py`): two stalls at 20, 25 or 50 Hz with
+white noise, in knots, degrees, feet and g. One line of OUT/strangers.jsonl each; goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from stranger import HIDDEN, flown
+
+from bayes_aero.criticism.diagnosis import diagnose
+from bayes_aero.flight.card import read_card
+from bayes_aero.flight.readers import read_record
+
+
+def case(seed: int) -> dict:
+    """Draw, fly, read and diagnose."""
+    name = [None, *HIDDEN][seed % (len(HIDDEN) + 1)]
+    with tempfile.TemporaryDirectory() as folder:
+        _, size, files = flown(Path(folder), np.random.default_rng([seed, 12]), name)
+        card = read_card(str(Path(folder) / "card.toml"))
+        records = [read_record(path, card.channels) for path in files]
+        began = time.perf_counter()
+        found = diagnose(records, card, seed=seed, gains_wanted=False)
+    return {
+        "seed": seed,
+        "hidden": name,
+        "size": size,
+        "verdict": found.verdict.value,
+        "causes": {c.name: {p: [s.mean, s.sd] for p, s in c.parameters.items()} for c in found.causes},
+        "ambiguous": {c.name: c.ambiguous_with for c in found.causes},
+        "unexplained": [[u.coefficient, u.channel] for u in found.unknown],
+        "seconds": time.perf_counter() - began,
+    }
+
+
+def report(rows: list[dict]) -> None:
+    """Counts, and a line for each record that is not named alone."""
+    silent = [r for r in rows if r["hidden"] is None]
+    print(f"nothing hidden: silent {sum(r['verdict'] == 'no_effect' for r in silent)} of {len(silent)}")
+    some = [r for r in rows if r["hidden"]]
+    first = sum(next(iter(r["causes"]), None) == r["hidden"] for r in some)
+    alone = sum(list(r["causes"]) == [r["hidden"]] and r["verdict"] == "explained" for r in some)
+    sized = [(r, *r["causes"][r["hidden"]][HIDDEN[r["hidden"]][0]]) for r in some if r["hidden"] in r["causes"]]
+    inside = sum(abs(mean - r["size"]) < 1.96 * sd for r, mean, sd in sized)
+    print(f"one effect: named first {first} of {len(some)}, nothing else named or unexplained {alone}")
+    print(f"its 95 % interval holds the size {inside} of {len(sized)}")
+    for r in some:
+        if list(r["causes"]) != [r["hidden"]] or r["verdict"] != "explained":
+            print(f"  seed {r['seed']}: {r['hidden']} {r['size']:.3g}: {r['causes']}, unexplained {r['unexplained']}")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("count", type=int)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=Path("strangers"))
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    path = given.out / "strangers.jsonl"
+    done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    with path.open("a") as file:
+        for seed in range(given.first, given.first + given.count):
+            if seed not in {row["seed"] for row in done}:
+                done.append(case(seed))
+                file.write(json.dumps(done[-1]) + "\n")
+                file.flush()
+    report(done)
