@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.ndimage import median_filter, rank_filter, uniform_filter1d
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
@@ -101,7 +101,7 @@ def join(records: Sequence[FlightRecord], card: Card, required: Sequence[str] = 
 
 SPIKED = ("ax", "ay", "az", "p", "q", "r", "alpha", "beta", "airspeed", "theta", "phi", "altitude")
 SPIKE = 7.0  # local deviations from the median of five neighbours
-BESIDE = 7  # steps from sample to sample whose median is how fast the channel moves; a spike or two make two or three
+BESIDE, SLOW = 7, 2  # the third smallest of seven steps is how fast the channel moves: two spikes make four of them
 BEYOND = 2.5  # times that, which a spike must be away
 NEAR = 51  # samples over which the local deviation is measured
 
@@ -129,7 +129,7 @@ def despiked(flights: Flights) -> tuple[Flights, dict[str, int]]:
             steps = np.abs(np.diff(part))
             quantum = np.quantile(steps[steps > 0.0], 0.05) if np.any(steps > 0.0) else 0.0
             floor = 1.25 * np.mean(away) + quantum + np.abs(part).max() * 1e-9
-            pace = median_filter(np.append(steps, 0.0), BESIDE, origin=0, mode="nearest")
+            pace = rank_filter(np.append(steps, 0.0), SLOW, BESIDE, mode="nearest")
             spikes = (away > SPIKE * np.maximum(local, floor)) & (away > BEYOND * pace)
             part[spikes] = middle[spikes]
             if spikes.any():
