@@ -50,7 +50,8 @@ class Flights(eqx.Module):
 
     def with_slopes(self, channels: Mapping[str, Array]) -> dict[str, Array]:
         """Channels (corrected ones, too) and their derivatives, manoeuvre by manoeuvre."""
-        return unsmoothed_joined(channels, *(self.channels[name] for name in ("dt", "first", "last")))
+        ends = (self.channels[name] for name in ("dt", "first", "last"))
+        return unsmoothed_joined(channels, self.aircraft.accelerometer, *ends)
 
     def smoothed(self, rows: Float[Array, "n c"]) -> Float[Array, "n c"]:
         """Columns smoothed manoeuvre by manoeuvre."""

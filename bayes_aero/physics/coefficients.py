@@ -17,12 +17,15 @@ from jaxtyping import Array, Float, Int
 
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.physics.filters import (
+    LONG_REACH,
     SMOOTHED_DERIVATIVE_GAIN,
     SMOOTHING_GAIN,
     differentiate,
     differentiate_joined,
+    inside_joined,
     smooth,
     smooth_joined,
+    smooth_long,
 )
 from bayes_aero.physics.frames import lift_drag_from_body
 from bayes_aero.physics.kinematics import Rotation, lever_arm
@@ -76,17 +79,47 @@ def _conditioned(channels: Mapping[str, Any], smoothing: Filter, derivative: Fil
 
 
 def unsmoothed_joined(
-    channels: Mapping[str, Array], dt: Float[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"]
+    channels: Mapping[str, Array],
+    accelerometer: tuple[Any, Any, Any],
+    dt: Float[Array, " n"],
+    first: Int[Array, " n"],
+    last: Int[Array, " n"],
 ) -> dict[str, Array]:
     """Channels as they are, manoeuvres laid end to end, and the derivatives that `condition` adds.
 
     For whoever smooths the difference of what is measured and modelled: what the filter takes from one it then takes
     from the other, whatever is not linear included. As published a smoothed pitch acceleration stands against an
     elevator as recorded and the lift of a smoothed angle of attack against a lift as recorded, and what moves fast
-    comes out too small. Only alpha-dot is the derivative of a smoothed signal: models bend its noise.
+    comes out too small. alpha-dot is the one exception, for models bend its noise: see `_alpha_dot`.
     """
-    rows = [smooth_joined(channels["alpha"], first, last), *(channels[name] for name in RATES)]
-    return dict(channels) | _slopes(rows, lambda x: differentiate_joined(x, dt, first, last))
+    slopes = _slopes([channels[name] for name in ("alpha", *RATES)], lambda x: differentiate_joined(x, dt, first, last))
+    signals = dict(channels) | slopes
+    return signals | {"alpha_dot": _alpha_dot(signals, accelerometer, dt, first, last)}
+
+
+def _alpha_dot(
+    s: Mapping[str, Array],
+    accelerometer: tuple[Any, Any, Any],
+    dt: Float[Array, " n"],
+    first: Int[Array, " n"],
+    last: Int[Array, " n"],
+) -> Float[Array, " n"]:
+    """Slow part from the vane, fast part from pitch rate and specific force (Newton's law across the flight path).
+
+    A vane's noise, differentiated, is several times that of gyro and accelerometer, and a one-sided hysteresis makes a
+    bias of it; offsets of gyro and accelerometer and gravity are slow. Near the ends the smoothed vane alone.
+    """
+    rotation = Rotation(*(s[name] for name in (*RATES, *(f"{name}_dot" for name in RATES))))
+    arm_x, _, arm_z = lever_arm(rotation, accelerometer)
+    sin, cos = jnp.sin(s["alpha"]), jnp.cos(s["alpha"])
+    across = ((s["az"] - arm_z) * cos - (s["ax"] - arm_x) * sin) / s["airspeed"]
+    kinematic = s["q"] + across
+    if "beta" in s:
+        kinematic -= (s["p"] * cos + s["r"] * sin) * jnp.tan(s["beta"])
+    vane, slow = (smooth_joined(x, first, last) for x in (s["alpha"], kinematic))
+    alone, long = (differentiate_joined(x, dt, first, last) for x in (vane, smooth_long(vane)))
+    inside = inside_joined(vane.shape[0], first, last) >= LONG_REACH
+    return jnp.where(inside, long + kinematic - smooth_long(slow), alone)
 
 
 def _slopes(rows: Sequence[Float[Array, " n"]], derivative: Filter) -> Signals:

@@ -31,6 +31,9 @@ FILTER_STEP = (
     5  # samples; Spencer's filter passes half the power at 0.095 cycles a sample, so one sample in 5 keeps all
 )
 
+LONG = 3
+LONG_REACH = (LONG + 1) * (len(SPENCER) // 2) + len(EIGHTH_ORDER)  # samples: smoothed, smoothed long, differentiated
+
 # Standard deviation of the filtered noise over that of white noise going in, away from the ends.
 SMOOTHING_GAIN = float(np.sqrt(np.sum(SPENCER**2)))
 _DERIVATIVE_KERNEL = np.concatenate([-EIGHTH_ORDER[::-1], [0.0], EIGHTH_ORDER])
@@ -77,9 +80,19 @@ def smooth_joined(x: Float[Array, " n"], first: Int[Array, " n"], last: Int[Arra
 
     One program for any number of manoeuvres of any lengths: cut into pieces, every new length would be compiled.
     """
-    inside = _inside(x.shape[0], first, last)
+    inside = inside_joined(x.shape[0], first, last)
     wide, short = (jnp.convolve(x, jnp.asarray(kernel), mode="same") for kernel in (SPENCER, SHORT_SMOOTHER))
     return jnp.where(inside >= 7, wide, jnp.where(inside >= 3, short, x))
+
+
+def smooth_long(x: Float[Array, " n"]) -> Float[Array, " n"]:
+    """The Spencer filter over every `LONG`-th sample of a smoothed signal: it passes cubics, and a third of the band.
+
+    Wrong near the ends.
+    """
+    kernel = np.zeros(LONG * (len(SPENCER) - 1) + 1)
+    kernel[::LONG] = SPENCER
+    return jnp.convolve(x, jnp.asarray(kernel), mode="same")
 
 
 def differentiate_joined(
@@ -88,11 +101,11 @@ def differentiate_joined(
     """`differentiate` of manoeuvres laid end to end, each at least 20 samples long."""
     n = x.shape[0]
     inner, near = (_central(jnp.pad(x, len(weights)), weights) for weights in (EIGHTH_ORDER, FOURTH_ORDER))
-    slope = jnp.where(_inside(n, first, last) >= 8, inner, near)
+    slope = jnp.where(inside_joined(n, first, last) >= 8, inner, near)
     return slope[jnp.clip(jnp.arange(n), first + 2, last - 2)] / dt
 
 
-def _inside(n: int, first: Int[Array, " n"], last: Int[Array, " n"]) -> Int[Array, " n"]:
+def inside_joined(n: int, first: Int[Array, " n"], last: Int[Array, " n"]) -> Int[Array, " n"]:
     """Samples to the nearer end of the manoeuvre."""
     place = jnp.arange(n)
     return jnp.minimum(place - first, last - place)

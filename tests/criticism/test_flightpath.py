@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from bayes_aero.model.flights import despiked, join
+from bayes_aero.physics.filters import LONG_REACH, differentiate_joined, smooth_joined
 from bayes_aero.physics.flightpath import PATH, integral, path_rates
 from bayes_aero.studies.hidden import hidden_records
 
@@ -29,6 +30,26 @@ def test_recorded_path_is_the_integral_of_its_rates(quiet, card):
         off = np.abs(np.asarray(found - signals[name]))
         assert off.max() < tolerance[name], name
         assert np.ptp(np.asarray(signals[name])) > 20 * tolerance[name], name
+
+
+def test_alpha_dot_has_the_gyro_s_noise_and_not_its_offset(quiet):
+    """The vane's noise, differentiated, is what a one-sided hysteresis makes a bias of."""
+    dt, first, last = (quiet.channels[name] for name in ("dt", "first", "last"))
+    truth = np.asarray(differentiate_joined(quiet.channels["alpha"], dt, first, last))
+    inner = np.asarray(jnp.minimum(jnp.arange(quiet.n) - first, last - jnp.arange(quiet.n))) > LONG_REACH
+    rng = np.random.default_rng(9)
+    noise = {"alpha": 1e-3, "q": 1e-3, "az": 0.05, "airspeed": 0.2}
+    noisy = {name: quiet.channels[name] + sd * rng.standard_normal(quiet.n) for name, sd in noise.items()}
+    channels = quiet.channels | noisy
+    found = np.asarray(quiet.with_slopes(channels)["alpha_dot"])
+    vane = np.asarray(differentiate_joined(smooth_joined(channels["alpha"], first, last), dt, first, last))
+    smoothed, true = (np.asarray(smooth_joined(jnp.asarray(x), first, last)) for x in (found, truth))
+    assert np.std((smoothed - true)[inner]) < 0.4 * np.std((vane - truth)[inner])
+    exact = np.asarray(quiet.with_slopes(quiet.channels)["alpha_dot"])
+    assert np.std((exact - truth)[inner]) < 0.01 * np.std(truth[inner])
+    off = channels | {"q": channels["q"] + 0.01, "az": channels["az"] + 0.4}
+    moved = np.asarray(quiet.with_slopes(off)["alpha_dot"]) - found
+    assert np.abs(moved[inner]).max() < 1e-4  # of 0.016 rad/s that the two offsets make together
 
 
 def test_a_drag_free_fall_keeps_its_energy(card):

@@ -98,7 +98,7 @@ def test_an_elevator_that_passes_the_same_filter_keeps_its_effectiveness(card):
         return np.polyfit(smoothing(jnp.asarray(elevator)), smoothing(coefficients(signals, at_cg).Cm), 1)[0]
 
     truth = -8.0 * a.Iy / (0.5 * 60.0**2 * a.wing_area * a.chord)
-    alike = effectiveness(elevator, unsmoothed_joined(channels, *ends), smooth)
+    alike = effectiveness(elevator, unsmoothed_joined(channels, (0.0, 0.0, 0.0), *ends), smooth)
     assert alike == pytest.approx(truth, rel=5e-3)
     published = effectiveness(elevator, condition_joined(channels, *ends))
     assert published / truth < 0.985  # a smoothed pitch acceleration against an elevator as recorded
