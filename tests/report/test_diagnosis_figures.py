@@ -137,8 +137,7 @@ def test_words_name_cause_rivals_and_what_is_unexplained(diagnosed):
 def test_a_size_on_its_bound_is_no_measurement(diagnosed):
     """The fit's estimate is put where a fit ends that wants to go beyond the bounds."""
     view = diagnosed.view
-    cause, extension = view.diagnosis.causes[0], view.diagnosis.aerodynamics
-    (name,) = cause.parameters
+    cause, extension, name = view.diagnosis.causes[0], view.diagnosis.aerodynamics, "e"
     state = extension.state
     column = int(state.field.columns([name])[0])
     theta = state.theta.copy()
