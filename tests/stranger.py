@@ -205,7 +205,7 @@ def flown(folder: Path, rng: np.random.Generator, name: str | None) -> tuple[Pla
             else:
                 errors = {parameter: size}
         dt = float(rng.choice([0.02, 0.04, 0.05]))
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", over="ignore"):
             flights = [fly(p, rng, dt) for _ in range(2)]
         if all(np.all(np.isfinite(x)) and x[2].max() < 0.5 and np.abs(x[3]).max() < 0.9 for x in flights):
             break
