@@ -63,9 +63,7 @@ def test_discrepancy_that_is_there_is_predicted(wavy):
     assert all(0.0 < t < 1.0 for t in wavy.predictions[Predictor.DISCREPANCY]["CL"].trust)
 
 
-@pytest.mark.xfail(
-    reason="since alpha-dot's fast part comes from gyro and accelerometer: 0.0322 for 0.0306, not understood"
-)
+@pytest.mark.xfail(reason="0.0322 for 0.0306 since alpha-dot has its fast part from the gyro; not understood")
 def test_discrepancy_that_is_there_lowers_the_error(wavy):
     before = wavy.predictions[Predictor.EXTENDED]["CL"].scores
     after = wavy.predictions[Predictor.DISCREPANCY]["CL"].scores
