@@ -28,7 +28,9 @@ from bayes_aero.inference.cores import blas_threads
 from bayes_aero.inference.scores import score
 from bayes_aero.physics.coefficients import NAMES
 
-BEYOND = ("X", "alpha_dot")  # what the discrepancy sees besides the card's inputs
+# What the discrepancy sees besides the card's inputs; not alpha-dot, whose fast part holds the accelerometer's noise:
+# that is the residual's own, and a process that sees it follows nothing else.
+BEYOND = ("X",)
 
 
 class Predictor(StrEnum):
