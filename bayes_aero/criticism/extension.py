@@ -23,7 +23,7 @@ from bayes_aero.criticism.election import (
     poll,
     uncertainty,
 )
-from bayes_aero.criticism.regression import Fit
+from bayes_aero.criticism.regression import Fit, Products
 from bayes_aero.criticism.second_look import SecondLook
 from bayes_aero.criticism.state import State, moved, refitted, swelling
 
@@ -165,20 +165,32 @@ def explained(state: State, standing: Standing) -> float:
 def unseen_gain(state: State, wide: np.ndarray, narrow: np.ndarray | None = None) -> Float[np.ndarray, " f"]:
     """Deviance that columns `wide` gain over `narrow` (default: the active ones) on each fold, fitted on the others."""
     narrow = state.columns() if narrow is None else narrow
-    return np.array([_left_out(state, fold, narrow) - _left_out(state, fold, wide) for fold in range(len(state.folds))])
+    used = np.unique(np.concatenate([wide, narrow, state.offsets]))
+    small = _Folds(state.products.only(used), state.mean[used], state.precision[used])
+    wide, narrow, offsets = (np.searchsorted(used, columns) for columns in (wide, narrow, state.offsets))
+    folds = range(len(state.folds))
+    return np.array([small.left_out(fold, narrow, offsets) - small.left_out(fold, wide, offsets) for fold in folds])
 
 
-def _left_out(state: State, fold: int, columns: np.ndarray) -> float:
-    """n log(mean square) over outputs of a fold, at parameters fitted elsewhere; offsets are the fold's own."""
-    others = [f for f in range(len(state.folds)) if f != fold]
-    step = state.products.over(others).fit(columns, state.mean, state.precision).step
-    parameters = ~np.isin(columns, state.offsets)
-    left = state.products.over([fold]).shifted(columns[parameters], step[parameters])
-    nothing = np.zeros_like(state.mean)
-    n = float(left.count.sum())
-    if len(state.offsets):
-        return left.fit(state.offsets, nothing, nothing).deviance
-    return float(n * np.sum(np.log(left.gram[0, :, 0, 0] / n)))
+@dataclass(frozen=True)
+class _Folds:
+    """Inner products by fold, and the normal prior of the steps."""
+
+    products: Products
+    mean: Float[np.ndarray, " k"]
+    precision: Float[np.ndarray, " k"]
+
+    def left_out(self, fold: int, columns: np.ndarray, offsets: np.ndarray) -> float:
+        """n log(mean square) over outputs of a fold, at parameters fitted elsewhere; offsets are the fold's own."""
+        others = [f for f in range(len(self.products.count)) if f != fold]
+        step = self.products.over(others).fit(columns, self.mean, self.precision).step
+        parameters = ~np.isin(columns, offsets)
+        left = self.products.over([fold]).shifted(columns[parameters], step[parameters])
+        nothing = np.zeros_like(self.mean)
+        n = float(left.count.sum())
+        if len(offsets):
+            return left.fit(offsets, nothing, nothing).deviance
+        return float(n * np.sum(np.log(left.gram[0, :, 0, 0] / n)))
 
 
 def added(state: State, winner: Standing) -> State:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -45,6 +46,16 @@ class Products:
         chosen = list(folds)
         return Products(self.gram[chosen].sum(axis=0, keepdims=True), self.count[chosen].sum(keepdims=True))
 
+    def only(self, columns: Int[np.ndarray, " k"]) -> Products:
+        """These columns alone, numbered anew in their order."""
+        at = np.append(0, np.asarray(columns) + 1)
+        return Products(self.gram[:, :, at[:, None], at[None, :]], self.count)
+
+    @cached_property
+    def total(self) -> Float[np.ndarray, "c k k"]:
+        """Inner products summed over folds."""
+        return self.gram.sum(axis=0)
+
     def shifted(self, columns: Int[np.ndarray, " k"], by: Float[np.ndarray, " k"]) -> Products:
         """The same after a step `by` in `columns`: the residual becomes residual - S by."""
         gram, at = self.gram.copy(), np.asarray(columns) + 1
@@ -65,7 +76,7 @@ class Products:
 
         Returns steps (j, k), information matrices (j, k, k), variances (j, c) and deviances (j,).
         """
-        gram, n = self.gram.sum(axis=0), float(self.count.sum())
+        gram, n = self.total, float(self.count.sum())
         j, k = columns.shape
         full = np.concatenate([np.zeros((j, 1), int), columns + 1], axis=1)
         part = np.moveaxis(gram[:, full[:, :, None], full[:, None, :]], 0, 1)  # j c k+1 k+1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -116,7 +117,7 @@ class State:
         """Residuals that a fit leaves, divided by the swell."""
         return (self.residual - self.S[:, :, fit.columns] @ fit.step) / self.swell
 
-    @property
+    @cached_property
     def scaled(self) -> Float[np.ndarray, "m c K"]:
         """Sensitivities divided by the swell."""
         return self.S / self.swell[:, :, None]

@@ -37,9 +37,8 @@ def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
     return {
         "found": (
             f"Left: {best} of {view.names[number]}, where the extension gains most, measured and by each model, the "
-            f"error "
-            "shaded. Right: the first election; a bar is a candidate's score, named causes are coloured and carry "
-            "their size.",
+            "error shaded. Right: the first election; a bar is the share of what is left that a candidate explains, "
+            "named causes are coloured and carry their size.",
             f"Time history of {best} for {view.names[number]}; over all manoeuvres {change}. Scores of the candidates, "
             f"leading: {leaders}.",
         ),
