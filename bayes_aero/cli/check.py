@@ -72,6 +72,8 @@ def _tell(console: Console, report: CheckReport) -> None:
     for why, names in reasons.items():
         console.print(f"not testable, for {why}: {', '.join(names)}")
     _tell_sensors(console, report)
+    for caution in report.cautions:
+        console.print(f"! {caution}", style="yellow")
     word, colour = ("Usable.", "green") if report.usable else ("Not usable as it is.", "red")
     console.print(word, style=f"bold {colour}")
 

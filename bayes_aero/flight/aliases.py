@@ -6,7 +6,7 @@ import re
 
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 
-__all__ = ["ALIASES", "UNITS", "split_heading"]
+__all__ = ["ALIASES", "UNITS", "plain_heading", "split_heading"]
 
 _NAMES: dict[str, str] = {
     "time": "t time sec seconds elapsed elapsedtime timestamp tsec gpstime reltime",
@@ -17,8 +17,8 @@ _NAMES: dict[str, str] = {
     "p": "p rollrate pb prgx omegax wx gyrox rollvel",
     "q": "q pitchrate qb qrgy omegay wy gyroy pitchvel",
     "r": "r yawrate rb rrgz omegaz wz gyroz yawvel",
-    "phi": "phi roll bank rollangle bankangle rollattitude",
-    "theta": "theta the pitch pitchangle pitchattitude tht",
+    "phi": "phi roll bank rollangle bankangle rollattitude rollatt bankatt",
+    "theta": "theta the pitch pitchangle pitchattitude pitchatt tht",
     "psi": "psi heading hdg yaw yawangle trueheading headingtrue",
     "ax": "ax nx nxb axcg accx accelx axb axbody longacc longitudinalacceleration acclong nxcg",
     "ay": "ay ny nyb aycg accy accely ayb aybody latacc lateralacceleration acclat nycg",
@@ -88,6 +88,19 @@ UNITS: dict[str, str] = {word: unit for unit, text in _UNIT_WORDS.items() for wo
 _IN_NAME = {"ktas": "kt", "kcas": "kt", "kias": "kt", "nx": "g", "ny": "g", "nz": "g", "nzcg": "g", "loadfactor": "g"}
 _BRACKETS = re.compile(r"^(.*?)\s*[\[({<]([^\])}>]*)[\])}>]\s*$")
 _PARTS = re.compile(r"[\s_.:/#-]+")
+
+
+_BESIDE = frozenset(
+    "gyro vane sensor meas measured recorded raw filt filtered up down imu ahrs ins adc probe boom".split()  # noqa: SIM905
+)
+"""Words that say where a channel comes from or which way it counts, not what it is: "Q gyro", "NZ up"."""
+
+
+def plain_heading(heading: str) -> str:
+    """The heading without such words, unless nothing would be left."""
+    words = heading.split()
+    kept = [word for word in words if word.lower() not in _BESIDE]
+    return " ".join(kept) if kept and kept[0][:1] not in "([{<" else heading
 
 
 def split_heading(heading: str) -> tuple[str, str | None]:

@@ -31,17 +31,21 @@ UNFILLED = "TODO"
 
 
 def refuse_unfilled(table: Mapping[str, Any], where: str) -> None:
-    """Name the first entry of a starter card that is still to be filled in."""
+    """Name every entry of a starter card that is still to be filled in."""
+    left = []
     for name, entries in table.items():
         for key, value in entries.items() if isinstance(entries, dict) else ():
             parts = value.items() if isinstance(value, dict) else [("", value)]
             for part, given in parts:
                 if UNFILLED in (str(x)[: len(UNFILLED)] for x in (given if isinstance(given, list) else [given])):
-                    entry = f"{key} {part}".strip()
-                    raise InputError(
-                        f"card {where}: [{name}] {entry} is still {UNFILLED}; fill it in, the comment beside it says "
-                        "what it is"
-                    )
+                    left.append(f"[{name}] {key} {part}".strip())
+    if left:
+        first, *others = left
+        also = f", and so {'are' if len(others) > 1 else 'is'} {', '.join(others)}" if others else ""
+        raise InputError(
+            f"card {where}: {first} is still {UNFILLED}{also}; fill in what is missing, the comment beside it says "
+            "what it is"
+        )
 
 
 def number(value: Any, where: str) -> float:

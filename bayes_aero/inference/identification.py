@@ -60,7 +60,7 @@ class Identification:
 
     `alone` holds the maximum-likelihood fit of each manoeuvre by itself. `posteriors` has `emcee` and `nuts` under
     the chosen noise model `noise`, and `white`, by emcee, where that is another one. `stall` is over the draws of the
-    first of them.
+    first of them. `preparation` tells, in words, what the way the coefficients were formed does to the estimates.
     """
 
     card: Card
@@ -74,4 +74,5 @@ class Identification:
     gp: GPReport | None = None
     stall: Stall | None = None
     notes: tuple[str, ...] = ()
+    preparation: tuple[str, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)

@@ -12,14 +12,21 @@ from jaxtyping import Array, Float
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
 
-NEAR_STALL = 0.1  # share of the samples, those of the highest angle of attack, whose conditions stand for the stall's
+NEAR_STALL = 0.1  # share of the samples, those of the most lift, whose conditions stand for the stall's
 RATES = ("alpha_dot", "beta_dot", "p", "q", "r", "p_dot", "q_dot", "r_dot")
 
 
 def conditions(signals: Mapping[str, Any]) -> dict[str, float]:
-    """One value of every signal (SI): its median where alpha is in its highest tenth; rates are zero."""
+    """One value of every signal (SI): its median where lift is in its highest tenth; rates are zero.
+
+    Lift, not angle of attack: deep in the stall the elevator is far from where it was at the largest lift. Without an
+    accelerometer the angle of attack has to do.
+    """
     alpha = np.asarray(signals["alpha"])
-    high = alpha >= np.quantile(alpha, 1.0 - NEAR_STALL)
+    lift = alpha
+    if {"az", "density", "airspeed"} <= set(signals):
+        lift = -np.asarray(signals["az"]) / (np.asarray(signals["density"]) * np.asarray(signals["airspeed"]) ** 2)
+    high = lift >= np.quantile(lift, 1.0 - NEAR_STALL)
     found: dict[str, float] = {}
     for name, values in signals.items():
         array = np.asarray(values)

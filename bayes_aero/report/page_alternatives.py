@@ -14,8 +14,8 @@ from bayes_aero.report.page_parts import DEG, interval
 from bayes_aero.report.style import several
 
 OFF = (
-    "The steady curve holds airspeed and Mach number as near the stall, so it leaves the data where the aircraft flew "
-    "faster."
+    "The steady curve holds controls, airspeed and Mach number as near the largest lift, so it leaves the data where "
+    "the aircraft flew otherwise."
 )
 
 

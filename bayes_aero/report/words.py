@@ -20,6 +20,7 @@ from bayes_aero.report.comparison import (
 )
 from bayes_aero.report.splits import split_verdict
 from bayes_aero.report.style import several
+from bayes_aero.report.words_signs import sign_sentences
 
 # What counts as a disagreement: our choice, wide enough to stay silent on sampling error and on chance.
 FACTOR = 1.25  # two deviations whose ratio is within this, either way, agree
@@ -30,8 +31,10 @@ MEANS, SDS = 0.2, 0.15  # engines agree when means are this close in sd, and sds
 def verdict(identification: Identification) -> list[str]:
     """What to make of the run, one sentence or two each; parts of the run not there yet are passed over."""
     mle = identification.mle
+    signs = sign_sentences({n: (v, sd) for n, v, sd in zip(mle.names, mle.estimate, mle.crb, strict=True)})
     if not (usable(mle) and np.all(np.isfinite([*mle.crb, *mle.crb_corrected]))):
         return [
+            *signs,
             *mle.warnings(),
             *_unfinished(identification),
             *_engines(identification),
@@ -42,7 +45,7 @@ def verdict(identification: Identification) -> list[str]:
     against += [*_noise_model(identification), *between_manoeuvres(identification, LIMIT)]
     said = against or _agreement(identification)
     said += [*left_out(identification), *_unfinished(identification), *_engines(identification)]
-    return [*said, *split_verdict(identification), *mle.warnings()]
+    return [*signs, *identification.preparation, *said, *split_verdict(identification), *mle.warnings()]
 
 
 def _by_key(identification: Identification) -> dict[str, Method]:

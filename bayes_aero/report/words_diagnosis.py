@@ -15,6 +15,7 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.diagnosed import View
 from bayes_aero.report.style import for_people, several
+from bayes_aero.report.words_signs import sign_sentences
 from bayes_aero.report.words_trajectory import trajectory_sentences
 
 SPLITS = {
@@ -32,6 +33,7 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
     """As `sentences`, of a diagnosis alone."""
     return [
         _verdict(d),
+        *sign_sentences({name: (after, sd) for name, (_, after, sd) in d.base_moves.items()}),
         *(_cause(cause) for cause in d.causes),
         *_minor(d),
         *_unknown(d),

@@ -14,6 +14,7 @@ from bayes_aero.criticism.flown_fit import FITTED, START, FlownFit
 from bayes_aero.inference.output_error_result import OutputErrorStatus
 from bayes_aero.report.style import for_people, several
 from bayes_aero.report.tables import concise
+from bayes_aero.report.words_signs import sign_sentences
 from bayes_aero.report.words_trajectory import SYMBOLS, short
 
 MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound"}
@@ -57,7 +58,7 @@ def parameter_table(flown: FlownFit) -> Table:
     for head in ("", "unit"):
         table.add_column(head, no_wrap=True)
     for head in ("estimate", "CRB", "sd corr."):
-        table.add_column(head, justify="right")
+        table.add_column(head, justify="right", no_wrap=True)
     table.add_column("")
     for name, row in parameter_rows(flown).items():
         crb = f"{row['crb']:.2g}" if np.isfinite(row["crb"]) else "-"
@@ -118,6 +119,8 @@ def fly_sentences(flown: FlownFit) -> list[str]:
             f"The residuals are coloured: they multiply variances {short(flown.colour_cost)} times in the median, and "
             "the Cramér-Rao bound is too small; use the corrected deviation."
         )
+    estimates = zip(fit.names, fit.estimate, fit.sd_corrected, strict=True)
+    said += sign_sentences({name: (float(value), float(sd)) for name, value, sd in estimates})
     if fit.held and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         said.append(f"The trajectories say next to nothing of {several(fit.held)}; the prior holds.")
     lost = [p.manoeuvre for p in flown.paths if p.model == FITTED and not p.inside]

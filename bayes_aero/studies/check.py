@@ -22,6 +22,7 @@ from bayes_aero.model.observations import with_sums
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.physics.coefficients import REQUIRED
 from bayes_aero.physics.flightpath import PATH, PATH_NEEDS
+from bayes_aero.studies.guess import pitch_response
 
 SCHEMA = "bayes_aero/check/1"
 DERIVED = ("alpha_dot",)  # formed from recorded channels
@@ -39,13 +40,17 @@ class SensorCheck:
 
 @dataclass(frozen=True)
 class CheckReport:
-    """All records together. `uses` says of each command why it cannot work on them; empty text: it can."""
+    """All records together. `uses` says of each command why it cannot work on them; empty text: it can.
+
+    `cautions` are sentences on what may be right but rarely is.
+    """
 
     card: Card
     records: tuple[RecordReport, ...]
     uses: dict[str, str]
     not_testable: dict[str, str]
     sensors: SensorCheck
+    cautions: tuple[str, ...] = ()
 
     @property
     def usable(self) -> bool:
@@ -77,7 +82,20 @@ def check_records(
         if progress:
             progress("do the sensors agree?", 0.5)
         skipped = _sensors(sound, card, seed)
-    return CheckReport(card, tuple(looked), uses, not_testable, skipped)
+    return CheckReport(card, tuple(looked), uses, not_testable, skipped, _cautions(sound))
+
+
+def _cautions(records: Sequence[FlightRecord]) -> tuple[str, ...]:
+    """What may be right but rarely is."""
+    needed = ("elevator", "alpha", "q")
+    able = [r for r in records if all(r.has(name) for name in needed)]
+    responses = [pitch_response(*(np.asarray(r[name]) for name in needed), r.dt) for r in able]
+    if responses and min(responses) > 0.0:
+        return (
+            f"the nose rises with the elevator ({np.mean(responses):+.2g} 1/s^2 a rad); trailing edge down counts as "
+            "positive and must lower it. If the file counts trailing edge up, write sign = -1 at elevator",
+        )
+    return ()
 
 
 def _purpose(records: Sequence[FlightRecord], card: Card) -> tuple[dict[str, str], dict[str, str]]:
@@ -156,6 +174,7 @@ def check_results(report: CheckReport) -> dict[str, Any]:
         "records": records,
         "uses": {name: {"possible": not why, "why_not": why or None} for name, why in report.uses.items()},
         "not_testable": report.not_testable,
+        "cautions": list(report.cautions),
         "sensors": {
             "checked": not report.sensors.note,
             "why_not": report.sensors.note or None,

@@ -12,7 +12,7 @@ from difflib import get_close_matches
 
 import numpy as np
 
-from bayes_aero.flight.aliases import ALIASES, split_heading
+from bayes_aero.flight.aliases import ALIASES, plain_heading, split_heading
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.raw import RawColumn
 from bayes_aero.physics.atmosphere import GRAVITY
@@ -80,6 +80,9 @@ def _named(column: RawColumn, loose: bool) -> Guess | None:
         return None
     key, unit = split_heading(column.label)
     channel, evidence = ALIASES.get(key), f"the heading {column.label!r}"
+    if channel is None:
+        key, unit = split_heading(plain_heading(column.label))
+        channel = ALIASES.get(key)
     if channel is None and loose and len(key) > 3:
         close = get_close_matches(key, ALIASES, n=1, cutoff=ALIKE)
         channel = ALIASES[close[0]] if close else None
@@ -228,13 +231,21 @@ def _elevator(found: dict[str, Guess]) -> dict[str, Guess]:
     if step is None or not all(name in found for name in ("elevator", "q", "alpha")):
         return found
     elevator = found["elevator"]
-    q = _smooth(found["q"].si)
-    columns = [elevator.si, found["alpha"].si, q, np.ones_like(q)]
-    slope, *_ = np.linalg.lstsq(np.stack([_smooth(x) for x in columns], axis=1), np.gradient(q) / step, rcond=None)
-    if slope[0] == 0.0 or np.ptp(elevator.si) == 0.0:
+    slope = pitch_response(elevator.si, found["alpha"].si, found["q"].si, step)
+    if slope == 0.0:
         return found
-    why = f"pitch acceleration follows it with {slope[0]:+.2g} 1/s^2 a rad; trailing edge down positive has a minus"
-    return found | {"elevator": elevator.because(why, sign=-1 if slope[0] > 0.0 else 1)}
+    why = f"pitch acceleration follows it with {slope:+.2g} 1/s^2 a rad; trailing edge down positive has a minus"
+    return found | {"elevator": elevator.because(why, sign=-1 if slope > 0.0 else 1)}
+
+
+def pitch_response(elevator: np.ndarray, alpha: np.ndarray, q: np.ndarray, step: float) -> float:
+    """Pitch acceleration a rad of elevator, 1/s^2, by least squares beside alpha and q; 0 if it stands still."""
+    if np.ptp(elevator) == 0.0:
+        return 0.0
+    q = _smooth(q)
+    columns = [elevator, alpha, q, np.ones_like(q)]
+    slope, *_ = np.linalg.lstsq(np.stack([_smooth(x) for x in columns], axis=1), np.gradient(q) / step, rcond=None)
+    return float(slope[0])
 
 
 def _largest(guess: Guess) -> float:

@@ -12,6 +12,7 @@ from typing import Any
 
 import xarray as xr
 
+from bayes_aero.criticism.preparation import preparation_notes
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.readers import read_record
@@ -80,8 +81,20 @@ def identify(
     with _timed(seconds, "mle", progress):
         mle = fit_mle(model, observations, seed=seed)
         alone = fit_alone(model, observations, seed=seed)
-    notes = _many(len(records))
-    run = Identification(card, model, tuple(records), observations, noise, mle, alone, {}, notes=notes, seconds=seconds)
+        told = preparation_notes(records, card, model, mle)
+    run = Identification(
+        card,
+        model,
+        tuple(records),
+        observations,
+        noise,
+        mle,
+        alone,
+        {},
+        notes=_many(len(records)),
+        preparation=told,
+        seconds=seconds,
+    )
     writer = _Writer(out, provenance(card, records, seed, {"noise": noise.value, "split": split}))
     writer.stage(run)
     chains = None if out is None else out / CHAINS

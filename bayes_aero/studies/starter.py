@@ -12,6 +12,7 @@ import numpy as np
 from bayes_aero.criticism.accuracy import recording_noise
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import AIRCRAFT_UNITS, NO_AIRCRAFT, OPTIONAL
+from bayes_aero.flight.aliases import split_heading
 from bayes_aero.flight.card_channels import ATMOSPHERE, DERIVABLE
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.checks import MIN_SAMPLES
@@ -100,6 +101,7 @@ def _aircraft() -> Iterator[str]:
     yield "# Positions from the centre of gravity, x forward, y right, z down; left out, they are zero."
     for key, meaning in PLACES.items():
         yield f"# {key} = {POSITION} # {meaning}"
+    yield '# engine_inclination = "0 deg" # of the thrust line, nose up'
 
 
 def _channels(found: Mapping[str, Guess], unknown: Sequence[RawColumn], columns: Sequence[RawColumn]) -> Iterator[str]:
@@ -132,7 +134,7 @@ def _channels(found: Mapping[str, Guess], unknown: Sequence[RawColumn], columns:
         if column.values is None:
             yield _comment(f"{column.place}: no numbers")
             continue
-        unit = _text(column.unit or "?")
+        unit = _text(column.unit or (split_heading(column.label)[1] if column.label else None) or "?")
         yield f"# NAME = {{ {_place(column)}, unit = {unit}, required = false }} # {_range(column.values)}"
     if headless:
         yield "# The file has no header, so nothing can be guessed: say which column is what."
@@ -241,7 +243,8 @@ def _model(found: Mapping[str, Guess]) -> Iterator[str]:
     mach = "mach" in found or "mach" in _derivable(found)
     yield ("" if mach else "# ") + '  "mach_lift", # needs the Mach number'
     for name in ATTACHED[1:]:
-        yield f'  "{name}",'
+        remark = " # of the attached lift, as published; a textbook's polar needs separated_induced_drag beside it"
+        yield f'  "{name}",' + (remark if name == "induced_drag" and stalled else "")
     yield _comment(
         f"guess: alpha reaches {np.rad2deg(reached):.3g} deg, {'beyond' if stalled else 'not'} "
         f"{np.rad2deg(STALLED):.0f} deg, so {'a' if stalled else 'no'} stall is in the record:"

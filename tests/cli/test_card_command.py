@@ -84,6 +84,7 @@ def test_an_unfilled_card_names_the_first_thing_missing(program, foreign, tmp_pa
     done = program("check", path, "--model", "mine.toml")
     assert done.code == 2
     assert "[aircraft] mass is still TODO" in done.err
+    assert "[aircraft] Iy" in done.err, "the others are told with it"
     assert done.err.count("\n") == 1
     text = (tmp_path / "mine.toml").read_text().replace('mass = "TODO"', 'mass = "1 t"')
     (tmp_path / "mine.toml").write_text(text)

@@ -64,3 +64,17 @@ def test_a_file_that_is_no_record_is_bad_input(program, tmp_path):
     done = program("check", "empty.csv")
     assert done.code == 2
     assert "empty.csv" in done.err
+
+
+def test_an_elevator_that_the_file_counts_the_other_way_is_told(program, flights, tmp_path):
+    lines = flights.sound.read_text().splitlines()
+    column = lines[0].split(",").index("DELV")
+    turned = [line.split(",") for line in lines]
+    for row in turned[1:]:
+        row[column] = str(-float(row[column]))
+    (tmp_path / "turned.csv").write_text("\n".join(",".join(row) for row in turned) + "\n")
+    done = program("check", "turned.csv", "--no-sensors")
+    assert done.code == 0
+    assert "write sign = -1 at elevator" in done.out
+    assert json.loads(program("check", "turned.csv", "--no-sensors", "--json").out)["cautions"]
+    assert json.loads(program("check", flights.sound, "--no-sensors", "--json").out)["cautions"] == []

@@ -1,0 +1,46 @@
+"""What smoothing one side only does to estimates: against the truth of an aircraft of another simulator."""
+
+import numpy as np
+import pytest
+from stranger import flown
+
+from bayes_aero.criticism.preparation import filtered_alike, preparation_notes
+from bayes_aero.flight.card import read_card
+from bayes_aero.flight.readers import read_record
+from bayes_aero.inference.mle import fit_mle
+from bayes_aero.model.model import Model
+from bayes_aero.model.observations import observe
+
+MOMENT = ("Cmde", "Cma", "CmX")
+
+
+@pytest.fixture(scope="module")
+def stranger(tmp_path_factory):
+    """Truth, records, card, model and maximum likelihood of an aircraft whose doublets are fast."""
+    folder = tmp_path_factory.mktemp("stranger")
+    truth, _, files = flown(folder, np.random.default_rng([7, 31]), None)
+    card = read_card(str(folder / "card.toml"))
+    records, model = [read_record(path, card.channels) for path in files], Model.from_card(card)
+    return truth, records, card, model, fit_mle(model, observe(records, card, model))
+
+
+def test_filtered_alike_the_moment_is_that_of_the_truth(stranger):
+    truth, records, card, model, mle = stranger
+    alike = filtered_alike(records, card, model, mle)
+    assert alike is not None
+    for name in MOMENT:
+        i, true = mle.names.index(name), getattr(truth, name)
+        assert abs(alike[i] - true) < 0.5 * abs(mle.estimate[i] - true), name
+        assert alike[i] == pytest.approx(true, rel=0.01), name
+
+
+def test_the_note_names_what_moves(stranger):
+    _, *given = stranger
+    (note,) = preparation_notes(*given)
+    assert "Cmde would be" in note
+    assert "CD0" not in note
+
+
+def test_no_word_where_slow_stalls_were_flown(attas_paths, card, model):
+    records = [read_record(path, card.channels) for path in attas_paths]
+    assert preparation_notes(records, card, model, fit_mle(model, observe(records, card, model))) == ()

@@ -1,0 +1,25 @@
+"""Headings of files that nobody here has written."""
+
+import pytest
+
+from bayes_aero.flight.aliases import ALIASES, plain_heading, split_heading
+
+
+@pytest.mark.parametrize(
+    ("heading", "channel", "unit"),
+    [
+        ("Q gyro [deg/s]", "q", "deg/s"),
+        ("NZ up [g]", "az", "g"),
+        ("Pitch Att [deg]", "theta", "deg"),
+        ("measured AoA (deg)", "alpha", "deg"),
+        ("TAS (kn)", "airspeed", "kt"),
+    ],
+)
+def test_words_beside_the_name_are_no_part_of_it(heading, channel, unit):
+    key, found = split_heading(plain_heading(heading))
+    assert (ALIASES.get(key), found) == (channel, unit)
+
+
+@pytest.mark.parametrize("heading", ["gyro", "up [g]", "sensor"])
+def test_a_heading_of_such_words_alone_stays(heading):
+    assert plain_heading(heading) == heading

@@ -1,0 +1,16 @@
+"""Signs that no aircraft has are told; those that are right, or not sure, are not."""
+
+import pytest
+
+from bayes_aero.report.words_signs import sign_sentences
+
+
+def test_an_elevator_that_raises_the_nose_is_told():
+    (said,) = sign_sentences({"Cmde": (1.25, 0.002), "CLa": (5.0, 0.1), "CL0": (-0.2, 0.01)})
+    assert "Cmde = +1.25" in said
+    assert "sign = -1" in said
+
+
+@pytest.mark.parametrize("estimate", [(-1.25, 0.002), (0.01, 0.02)])
+def test_right_or_unsure_signs_are_not(estimate):
+    assert sign_sentences({"Cmde": estimate}) == []
