@@ -2,19 +2,21 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
-# Two test workers on two cores: a second BLAS thread in each makes the Gaussian processes several times slower.
 # What one worker, notebook or command has compiled the others read: half of a diagnosis' first seconds.
 COMPILED := JAX_COMPILATION_CACHE_DIR=$(CURDIR)/.cache/compiled JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0.2
+# Two test workers on two cores: a second BLAS thread in each makes the Gaussian processes several times slower.
 PYTEST := $(COMPILED) OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist worksteal --durations=25
 STAMP := $(VENV)/.installed
 
-.PHONY: demo picture test check fast docs notebooks clean
+.PHONY: install demo picture test check fast docs notebooks clean
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.13")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test,docs]'
 	touch $(STAMP)
+
+install: $(STAMP)  ## the environment alone, into .venv
 
 demo: $(STAMP)  ## identify two simulated stalls (without the Gaussian processes: minutes, not a quarter of an hour); find a hidden effect
 	$(BIN)/bayes-aero identify --no-gp --out demo

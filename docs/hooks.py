@@ -1,6 +1,7 @@
 """What MkDocs cannot do by itself: pages written from the code, the notebooks as pages, formulas without a network.
 
-A line `<!-- generate: NAME -->` on a page is replaced by the markdown that the function of that name here returns.
+A line that ends in `<!-- generate: NAME -->` is replaced by the markdown that the function of that name here returns;
+what stands before it is for whoever reads the file itself.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parents[1]
-GENERATE = re.compile(r"^<!-- generate: (\w+) -->$", re.MULTILINE)
+GENERATE = re.compile(r"^.*<!-- generate: (\w+) -->$", re.MULTILINE)
 FORMULA = re.compile(r"\$\$(.+?)\$\$|\$([^$\n]+?)\$", re.DOTALL)
 WITH_FORMULAS = ("explanation/", "reference/card.md")  # elsewhere a dollar is a shell's
 NOTES = re.compile(r"^<!-- (run|file [\w.]+) -->\n", re.MULTILINE)  # for tests/test_docs.py

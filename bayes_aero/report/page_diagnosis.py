@@ -41,7 +41,7 @@ from bayes_aero.report.page_trajectories import trajectories
 from bayes_aero.report.page_words import WORDS
 from bayes_aero.report.style import COLOURS, bracket, several
 from bayes_aero.report.words_diagnosis import diagnosis_sentences
-from bayes_aero.report.words_trajectory import trajectory_sentences
+from bayes_aero.report.words_trajectory import simulation_gain, trajectory_sentences
 
 CONTEXT = ("alpha", "elevator", "stabilizer", "thrust", "airspeed")
 LEADERS = 10  # candidates of a stage that are listed
@@ -69,6 +69,8 @@ def diagnosis_page(view: View, told: Told) -> Page:
     lead: list[Block] = [Text(one, "lead") for one in told.revealed]
     if gained(view):
         lead.append(Text(f"On data that were not fitted, before and after: {gained(view)}", "lead"))
+    if view.trajectories is not None and (gain := simulation_gain(view.trajectories)):
+        lead.append(Text(gain, "lead"))
     lead += gallery("found") or gallery("measured_simulated")
     if not told.figures:
         lead.append(Text("Static pictures were not drawn in this run; tables and interactive figures are complete."))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
@@ -12,6 +13,7 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.output_error import OutputErrorResult, OutputErrorStatus
 from bayes_aero.report.style import for_people, several
 
+MODELS = ("card", "extended")
 TAIL = 6  # characters of a manoeuvre's name
 SYMBOLS = {"airspeed": "V", "alpha": "α", "theta": "θ", "altitude": "h"}
 
@@ -27,7 +29,13 @@ def trajectory_table(flown: Trajectories) -> Table:
     """Root mean square error of every output: fitted jointly and unseen, card's model → extended model."""
     table = Table(
         title="Error of the simulated trajectory (RMS), card's model → extended model",
-        caption="Fitted: to all, initial states too. Unseen: fitted without it, flown from its measured initial state.",
+        caption=" ".join(
+            [
+                "Fitted: to all, initial states too. Unseen: fitted without it, flown from its measured initial state.",
+                *_status("The card's model", flown.card),
+                *_status("The extended model", flown.extended),
+            ]
+        ),
         box=SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
         pad_edge=False,
@@ -43,10 +51,27 @@ def trajectory_table(flown: Trajectories) -> Table:
             cells = []
             for output in flown.outputs:
                 _, factor = for_people(STANDARD_CHANNELS[output].unit)
-                pair = [flown.path(name, model, split) for model in ("card", "extended")]
+                pair = [flown.path(name, model, split) for model in MODELS]
                 cells.append(" → ".join("-" if p is None else short(factor * p.errors[output].rms) for p in pair))
             table.add_row(_tail(name), split, *cells)
     return table
+
+
+def simulation_gain(flown: Trajectories) -> str:
+    """What the extension does to the simulation of flights that were not fitted, all of them together; empty if it
+    changes nothing or one of the models cannot fly them."""
+    told = []
+    for output in flown.outputs:
+        rms = {m: [p.errors[output].rms for p in flown.paths if (p.model, p.split) == (m, "unseen")] for m in MODELS}
+        if not all(rms.values()) or not np.isfinite([x for values in rms.values() for x in values]).all():
+            return ""
+        unit, factor = for_people(STANDARD_CHANNELS[output].unit)
+        before, after = (short(factor * float(np.sqrt(np.mean(np.square(rms[m]))))) for m in MODELS)
+        if before != after:
+            told.append(f"{SYMBOLS.get(output, output)} from {before} to {after} {unit}")
+    if not told:
+        return ""
+    return f"Flown through the recorded inputs on flights that were not fitted, the error (RMS) goes: {several(told)}."
 
 
 def _tail(name: str) -> str:

@@ -87,9 +87,8 @@ def check_records(
 
 def _cautions(records: Sequence[FlightRecord]) -> tuple[str, ...]:
     """What may be right but rarely is."""
-    needed = ("elevator", "alpha", "q")
-    able = [r for r in records if all(r.has(name) for name in needed)]
-    responses = [pitch_response(*(np.asarray(r[name]) for name in needed), r.dt) for r in able]
+    able = [r for r in records if all(r.has(name) for name in ("elevator", "alpha", "q"))]
+    responses = [pitch_response(r["elevator"], r["alpha"], r["q"], r.dt) for r in able]
     if responses and min(responses) > 0.0:
         return (
             f"the nose rises with the elevator ({np.mean(responses):+.2g} 1/s^2 a rad); trailing edge down counts as "
