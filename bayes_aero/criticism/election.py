@@ -204,38 +204,22 @@ def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, wit
     return Poll(tuple(sorted(found, key=lambda s: -s.gain)), colour, np.array(nulls))
 
 
-class Chosen:
-    """What choosing the most explaining of many blocks makes of noise. Blocks must act on one output each."""
+def explained_shares(state: State, fit: Fit, colour: Colour, seed: int, count: int) -> Float[np.ndarray, " r"]:
+    """Largest share of one output's variance that any block explains in each of `count` noise records of this colour.
 
-    def __init__(self, state: State, fit: Fit) -> None:
-        blocks = [block[1] for block in state.blocks]
-        self.state, self.fit, self.projected = state, fit, Projected(state, fit, blocks)
-        self.bread = [inverse(self.projected.information[np.ix_(place, place)]) for place in self.projected.place]
-        self.output = [int(np.argmax(np.abs(state.S[:, :, own]).sum(axis=(0, 2)))) for own in blocks]
-
-    def shares(self, colour: Colour, seed: int, count: int) -> Float[np.ndarray, " r"]:
-        """Largest share of one output's variance that any block explains in each of `count` noise records."""
-        noises = colour.simulate(count, self.state.folds, len(self.state.residual), np.random.default_rng(seed))
-        return np.array([self._best(without_active(self.state, self.fit, e))[0] for e in noises])
-
-    def colours_left(self, colour: Colour, seed: int) -> list[Colour]:
-        """The colour of noise records as it is estimated with the most explaining block in."""
-        drawn = colour.simulate(CORRECTION, self.state.folds, len(self.state.residual), np.random.default_rng(seed))
-        return [self._left(without_active(self.state, self.fit, e)) for e in drawn]
-
-    def _left(self, noise: Float[np.ndarray, "m c"]) -> Colour:
-        _, j, right = self._best(noise)
-        place = self.projected.place[j]
-        return colour_of(noise - self.projected.P[:, :, place] @ (self.bread[j] @ right[place]), self.state.folds)
-
-    def _best(self, noise: Float[np.ndarray, "m c"]) -> tuple[float, int, Float[np.ndarray, " w"]]:
-        """The largest share, whose it is, and the right-hand sides."""
-        total = np.sum(noise**2, axis=0) / self.fit.variance
-        right = np.einsum("mcj,c,mc->j", self.projected.P, 1.0 / self.fit.variance, noise, optimize=True)
-        blocks = zip(self.projected.place, self.bread, self.output, strict=True)
-        shares = [right[p] @ B @ right[p] / total[c] for p, B, c in blocks]
-        j = int(np.argmax(shares))
-        return float(shares[j]), j, right
+    Blocks must act on one output each, as components do.
+    """
+    projected = Projected(state, fit, [block[1] for block in state.blocks])
+    bread = [inverse(projected.information[np.ix_(place, place)]) for place in projected.place]
+    output = [int(np.argmax(np.abs(state.S[:, :, block[1]]).sum(axis=(0, 2)))) for block in state.blocks]
+    largest = []
+    for e in colour.simulate(count, state.folds, len(state.residual), np.random.default_rng(seed)):
+        noise = without_active(state, fit, e)
+        total = np.sum(noise**2, axis=0) / fit.variance
+        right = np.einsum("mcj,c,mc->j", projected.P, 1.0 / fit.variance, noise, optimize=True)
+        gains = [right[p] @ B @ right[p] / total[c] for p, B, c in zip(projected.place, bread, output, strict=True)]
+        largest.append(max(gains))
+    return np.array(largest)
 
 
 def without_active(state: State, fit: Fit, residual: Float[np.ndarray, "m c"]) -> Float[np.ndarray, "m c"]:

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.criticism.colour import colour_of, unbiased
-from bayes_aero.criticism.election import Chosen, poll
+from bayes_aero.criticism.colour import colour_of
+from bayes_aero.criticism.election import explained_shares, poll
 from bayes_aero.criticism.extension import Extension, removed, unseen_gain
 from bayes_aero.criticism.finding import Unknown
 from bayes_aero.criticism.regression import Fit, Products
@@ -109,12 +109,10 @@ def _p_value(state: State, fit: Fit, wider: Fit, share: float, seed: int) -> flo
     """How often noise alone lets some component explain so large a share.
 
     The noise has the colour that is left with the component in: with it out, the structure itself would pass for slow
-    noise, under which anything goes. With the best of many in, slow noise looks faster than it is; noise records from
-    which the best component was taken show by how much.
+    noise, under which anything goes.
     """
-    chosen = Chosen(state, fit)
     colour = colour_of(state.left(wider), state.folds)
-    shares = chosen.shares(unbiased(colour, chosen.colours_left(colour, seed)), seed, DRAWN)
+    shares = explained_shares(state, fit, colour, seed, DRAWN)
     return float((1 + np.sum(shares >= share)) / (1 + len(shares)))
 
 
