@@ -136,12 +136,13 @@ def _noise_model(identification: Identification) -> list[str]:
         f"{_plain(in_crb[far])} for {far}."
     ]
     if beyond:
+        smoothing = "one side alone is smoothed (see above), " if identification.preparation else ""
         said.append(
             f"That is more than the intervals allow for {several(f'{n} ({z:.1f})' for n, z in beyond.items())}, in "
             "deviations of both together. A coloured-noise likelihood listens mostly to changes from sample to sample, "
             "a white one to levels; were the modelled and the measured side treated alike, both would find the same "
-            "values. So the model's mean function is wrong, or the residual's colour is not of first order; neither "
-            "interval covers that."
+            f"values. So {smoothing}the model's mean function is wrong, or the residual's colour is not of first "
+            "order; neither interval covers that."
         )
     return said
 

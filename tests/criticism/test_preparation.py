@@ -10,6 +10,8 @@ from bayes_aero.flight.readers import read_record
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
+from bayes_aero.report.words import verdict
+from bayes_aero.studies.identify import identify
 
 MOMENT = ("Cmde", "Cma", "CmX")
 
@@ -44,3 +46,9 @@ def test_the_note_names_what_moves(stranger):
 def test_no_word_where_slow_stalls_were_flown(attas_paths, card, model):
     records = [read_record(path, card.channels) for path in attas_paths]
     assert preparation_notes(records, card, model, fit_mle(model, observe(records, card, model))) == ()
+
+
+def test_identify_says_it_first(stranger):
+    _, records, card, *_ = stranger
+    first, *_ = verdict(identify(records, card, sample=False, gp=False))
+    assert "Cmde would be" in first
