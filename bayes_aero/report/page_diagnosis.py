@@ -40,7 +40,7 @@ from bayes_aero.report.page_plots import LOW, Line, Panel
 from bayes_aero.report.page_trajectories import trajectories
 from bayes_aero.report.page_words import WORDS
 from bayes_aero.report.style import COLOURS, bracket, several
-from bayes_aero.report.words_diagnosis import diagnosis_sentences
+from bayes_aero.report.words_diagnosis import NAMED_IF, diagnosis_sentences
 from bayes_aero.report.words_trajectory import simulation_gain, trajectory_sentences
 
 CONTEXT = ("alpha", "elevator", "stabilizer", "thrust", "airspeed")
@@ -155,7 +155,7 @@ def _leaders(ranking: Ranking, named: Sequence[Cause]) -> Table:
         rows,
         words=(1,),
         note=f"Score: estimate over its deviation, the residual's colour counted.{beyond} p is family-wise over all "
-        "candidates. screen.csv has them all.",
+        f"candidates, 0.005 at the least. {NAMED_IF} screen.csv has them all.",
     )
 
 

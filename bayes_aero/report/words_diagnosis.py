@@ -24,6 +24,12 @@ SPLITS = {
 }
 
 
+NAMED_IF = (
+    "A small p names nothing by itself: a cause must also explain a share of what is left, predict data left out and "
+    "be large enough to be worth modelling; what is beyond chance and too small is carried along unnamed."
+)
+
+
 def sentences(view: View) -> list[str]:
     """The finding, one sentence or two each: verdict, what every cause means, what is left, what was not tested."""
     return diagnosis_sentences(view.diagnosis, view.trajectories)
@@ -178,7 +184,14 @@ def ranking_table(view: View, most: int = 5) -> Table | None:
     """The leading candidates of each stage, where no cause was found: what came closest."""
     if view.diagnosis.causes or not view.rankings:
         return None
-    table = Table(title="What came closest", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False)
+    table = Table(
+        title="What came closest",
+        caption=f"p is family-wise, 0.005 at the least. {NAMED_IF}",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+        show_edge=False,
+    )
     for head in ("stage", "candidate", "score", "p"):
         table.add_column(head, justify="right" if head in ("score", "p") else "left")
     for ranking in view.rankings:
