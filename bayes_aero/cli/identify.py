@@ -33,6 +33,9 @@ def identify(
         Split, typer.Option(help="Split whose Gaussian-process hyperparameters are sampled.")
     ] = Split.RANDOM,
     resample: ResampleOption = None,
+    sample: Annotated[
+        bool, typer.Option(help="Sample the posterior; without, maximum likelihood and its bounds alone.")
+    ] = True,
     gp: Annotated[bool, typer.Option(help="Train the Gaussian processes.")] = True,
     approximate_gp: Annotated[
         bool,
@@ -69,6 +72,7 @@ def identify(
             split=split.value,
             seed=seed,
             out=out,
+            sample=sample,
             gp=gp,
             approximate_gp=approximate_gp,
             figures=figures,

@@ -70,11 +70,14 @@ class Unknown:
     p_value: float
 
 
+COLOURED = 0.36  # lag-1 correlation of means over five samples; white noise leaves up to a third through the filter
+
+
 @dataclass(frozen=True)
 class NoiseReport:
     """Colour, growth with separation and outliers of the residuals, by coefficient."""
 
-    lag1: Mapping[str, float]  # at the recorded rate
+    lag1: Mapping[str, float]  # of means over five samples: at the recorded rate the filter makes 0.9 of white noise
     deviation: Mapping[str, float]
     swell: Mapping[str, float]  # noise at full separation over that in attached flow
     outliers: Mapping[str, int]  # repaired samples by channel
@@ -83,7 +86,7 @@ class NoiseReport:
     def labels(self) -> tuple[str, ...]:
         """Which of colored, buffet, outliers are present."""
         found = []
-        if max(self.lag1.values()) > 0.3:
+        if max(self.lag1.values()) > COLOURED:
             found.append("colored")
         if max(self.swell.values()) > 1.5:
             found.append("buffet")

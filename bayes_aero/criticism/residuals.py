@@ -74,10 +74,10 @@ def noise_report(extension: Extension, outliers: Mapping[str, int]) -> NoiseRepo
     """Colour, size, growth and outliers of what the extended model leaves."""
     state = extension.state
     full = details(state)["residual"][:, : len(NAMES)]
-    ends = np.cumsum(state.responses.flights.lengths)[:-1]
+    blocks, manoeuvre = np.asarray(state.responses.block(full)), state.responses.manoeuvre
     lag1 = {}
     for c, name in enumerate(NAMES):
-        pieces = [r - r.mean() for r in np.split(full[:, c], ends)]
+        pieces = [r - r.mean() for r in (blocks[manoeuvre == k, c] for k in range(int(manoeuvre[-1]) + 1))]
         lag1[name] = float(sum(np.sum(r[1:] * r[:-1]) for r in pieces) / sum(np.sum(r**2) for r in pieces))
     deviation = {name: float(full[:, c].std()) for c, name in enumerate(NAMES)}
     swell = {name: float(state.swell[:, c].max()) for c, name in enumerate(NAMES)}

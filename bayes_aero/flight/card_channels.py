@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card_checks import known_keys
+from bayes_aero.flight.card_checks import known_keys, like
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.units import quantity_to_si
 
@@ -55,7 +55,8 @@ def parse_sums(
             raise InputError(f"card {where}: [sums] {key} must be a list of channel names")
         missing = [part for part in parts if part not in names]
         if missing:
-            raise InputError(f"card {where}: [sums] {key} uses {missing[0]}, which [channels] does not map")
+            hint = like(missing[0], names)
+            raise InputError(f"card {where}: [sums] {key} uses {missing[0]}, which [channels] does not map{hint}")
     return {key: tuple(parts) for key, parts in table.items()}
 
 
@@ -98,5 +99,6 @@ def parse_derived(
             raise InputError(f"card {where}: {key} is both in [derived] and in [constants] or [sums]; keep one of them")
         missing = [name for name in DERIVABLE[key] if name not in mapped]
         if missing:
-            raise InputError(f"card {where}: [derived] {key} needs {missing[0]}, which [channels] does not map")
+            hint = like(missing[0], mapped)
+            raise InputError(f"card {where}: [derived] {key} needs {missing[0]}, which [channels] does not map{hint}")
     return tuple(table)

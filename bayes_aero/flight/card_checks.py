@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from typing import Any
 
@@ -24,6 +24,12 @@ def known_keys(table: Mapping[str, Any], known: tuple[str, ...], where: str, wha
             close = get_close_matches(key, known, n=1)
             hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known)}"
             raise InputError(f"card {where}: unknown {what} {key[:60]!r}; {hint}")
+
+
+def like(name: str, known: Iterable[str]) -> str:
+    """A hint at the nearest of `known` names; empty if none is near."""
+    close = get_close_matches(name, list(known), n=1)
+    return f"; is {close[0]!r} there meant?" if close else ""
 
 
 UNFILLED = "TODO"

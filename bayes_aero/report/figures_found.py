@@ -15,7 +15,7 @@ from bayes_aero.report.style import COLOURS, housed
 from bayes_aero.report.words_diagnosis import size_text
 
 SHOWN = 10  # candidates
-WIDTH = 0.017  # of a letter, in widths of the widest bar
+WIDTH = 0.021  # of a letter, in widths of the widest bar
 
 
 @housed

@@ -94,9 +94,10 @@ def gained(view: View) -> str:
     if scores is None:
         return ""
     first, last = scores
-    return (
-        several(f"{n} R² from {first[n].r2:.3f} to {last[n].r2:.3f}" for n in NAMES if n in first and n in last) + "."
-    )
+    pairs = {n: (f"{first[n].r2:.3f}", f"{last[n].r2:.3f}") for n in NAMES if n in first and n in last}
+    if all(before == after for before, after in pairs.values()):
+        return ""
+    return several(f"{n} R² from {before} to {after}" for n, (before, after) in pairs.items()) + "."
 
 
 def _peaks(view: View) -> list[str]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.posterior import PosteriorStatus
+from bayes_aero.model.noise import Colour
 from bayes_aero.report.between import between_manoeuvres, left_out
 from bayes_aero.report.comparison import (
     Method,
@@ -129,10 +130,11 @@ def _noise_model(identification: Identification) -> list[str]:
         return []
     far = max(in_crb, key=lambda n: in_crb[n])
     middle = float(np.median(list(in_crb.values())))
+    thinned = "" if identification.noise is Colour.WHITE else ", and a coloured one takes one sample in five"
     said = [
         f"The {identification.noise.value} posterior's deviations are {median:.2g} times the corrected bounds in the "
-        f"median ({worst:.2g} times for {name}): another noise model weighs the data differently. Its means lie "
-        f"{middle:.1f} Cramér-Rao deviations from the maximum-likelihood estimates in the median, "
+        f"median ({worst:.2g} times for {name}): another noise model weighs the data differently{thinned}. "
+        f"Its means lie {middle:.1f} Cramér-Rao deviations from the maximum-likelihood estimates in the median, "
         f"{_plain(in_crb[far])} for {far}."
     ]
     if beyond:

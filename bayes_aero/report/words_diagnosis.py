@@ -101,10 +101,13 @@ def _noise(d: Diagnosis) -> list[str]:
     labels = d.noise.labels
     if "colored" in labels:
         lags = ", ".join(f"{name} {value:.2f}" for name, value in d.noise.lag1.items())
-        said.append(f"Noise: residuals that are left are coloured (lag-1 correlation {lags}).")
+        said.append(
+            f"Noise: residuals that are left are coloured (lag-1 correlation of means over five samples {lags}, where "
+            "white noise leaves a third)."
+        )
     if "buffet" in labels:
         growth = ", ".join(f"{name} {value:.1f} times" for name, value in d.noise.swell.items() if value > 1.05)
-        said.append(f"Noise: it grows as the flow separates ({growth}).")
+        said.append(f"Noise: it grows as the flow separates, or as the dynamic pressure falls ({growth}).")
     if "outliers" in labels:
         count = ", ".join(f"{name} {n}" for name, n in d.noise.outliers.items() if n)
         said.append(f"Noise: outliers were repaired ({count}).")

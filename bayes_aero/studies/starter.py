@@ -67,7 +67,7 @@ def starter_card(path: Path) -> tuple[str, list[str]]:
         f"# Starter card, written from {path.name}. Read every line: what says 'guess' may be wrong.",
         "# Fill in what says TODO, then: bayes-aero check RECORD --model THIS_FILE",
         "",
-        f"title = {_text(path.stem)}",
+        f"title = {_text('the aircraft of ' + path.stem)}",
         'source = "starter card; state where the constants come from"',
         "",
         *_aircraft(),

@@ -98,7 +98,7 @@ def test_a_card_is_not_overwritten(program, foreign, tmp_path):
     assert done.code == 2
     assert "--force" in done.err
     assert program("card", foreign[0], "--force").code == 0
-    assert tomllib.loads((tmp_path / "N123.toml").read_text())["title"] == "N123"
+    assert tomllib.loads((tmp_path / "N123.toml").read_text())["title"] == "the aircraft of N123"
 
 
 def test_radians_metres_and_a_hostile_header(program, flights, card, tmp_path):
