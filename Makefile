@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
-# What one worker, notebook or command has compiled the others read: half of a diagnosis' first seconds.
+# What one worker, notebook or command has compiled the others read.
 COMPILED := JAX_COMPILATION_CACHE_DIR=$(CURDIR)/.cache/compiled JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0.2
 # Two test workers on two cores: a second BLAS thread in each makes the Gaussian processes several times slower.
 PYTEST := $(COMPILED) OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist worksteal --durations=25

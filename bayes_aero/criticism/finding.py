@@ -70,7 +70,9 @@ class Unknown:
     p_value: float
 
 
-COLOURED = 0.36  # lag-1 correlation of means over five samples; white noise leaves up to a third through the filter
+# Lag-1 correlation of means over five samples, our choice from a dozen simulated flights: white noise leaves up to a
+# third through the filter, and weak colour (0.5 from sample to sample) little more.
+COLOURED = 0.36
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ MEANS, SDS = 0.2, 0.15  # engines agree when means are this close in sd, and sds
 def verdict(identification: Identification) -> list[str]:
     """What to make of the run, one sentence or two each; parts of the run not there yet are passed over."""
     mle = identification.mle
-    signs = sign_sentences({n: (v, sd) for n, v, sd in zip(mle.names, mle.estimate, mle.crb, strict=True)})
+    signs = sign_sentences({n: (v, sd) for n, v, sd in zip(mle.names, mle.estimate, mle.crb_corrected, strict=True)})
     if not (usable(mle) and np.all(np.isfinite([*mle.crb, *mle.crb_corrected]))):
         return [
             *signs,

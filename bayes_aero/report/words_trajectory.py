@@ -59,7 +59,9 @@ def trajectory_table(flown: Trajectories) -> Table:
 
 def simulation_gain(flown: Trajectories) -> str:
     """What the extension does to the simulation of flights that were not fitted, all of them together; empty if it
-    changes nothing or one of the models cannot fly them."""
+    changes nothing or one of the models cannot fly them. A fit that has failed is told with it."""
+    if not all(p.inside for p in flown.paths if p.split == "unseen"):
+        return ""
     told = []
     for output in flown.outputs:
         rms = {m: [p.errors[output].rms for p in flown.paths if (p.model, p.split) == (m, "unseen")] for m in MODELS}
@@ -71,7 +73,9 @@ def simulation_gain(flown: Trajectories) -> str:
             told.append(f"{SYMBOLS.get(output, output)} from {before} to {after} {unit}")
     if not told:
         return ""
-    return f"Flown through the recorded inputs on flights that were not fitted, the error (RMS) goes: {several(told)}."
+    failed = [*_status("The card's model", flown.card), *_status("The extended model", flown.extended)]
+    said = f"Flown through the recorded inputs on flights that were not fitted, the error (RMS) goes: {several(told)}."
+    return " ".join([said, *failed])
 
 
 def _tail(name: str) -> str:

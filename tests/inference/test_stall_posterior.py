@@ -109,7 +109,7 @@ def test_white_posterior_is_as_wide_as_the_bounds(clean, model):
 def test_coverage_under_coloured_noise(thinned, model):
     """rho = 0.95: the AR(1) posterior covers, Cramer-Rao bounds and the white posterior do not.
 
-    More replicates of more colours, with the same limits: benchmarks/coverage.py.
+    Sixty replicates of each of eight cells of colour and rate: benchmarks/coverage.py.
     """
     found = coverage_study(model, thinned, TRUTH, COLOURED, replicates=20, seed=17, white=8, max_steps=600)
     share = found.table().loc["all"]
