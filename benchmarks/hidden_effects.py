@@ -6,6 +6,7 @@
     python benchmarks/hidden_effects.py unknown 60 --out study      # effects of no catalogue
     python benchmarks/hidden_effects.py report --out study          # tables of everything found so far
     python benchmarks/hidden_effects.py one 60 --single --out alone # on a single manoeuvre
+    python benchmarks/hidden_effects.py one 30 --trajectories --out flown   # without accelerometers
 
 Every flight's finding is one line of OUT/<kind>.jsonl; a study that was interrupted goes on where it stopped.
 """
@@ -22,9 +23,11 @@ from pathlib import Path
 import numpy as np
 
 from bayes_aero.criticism.diagnosis import diagnose
+from bayes_aero.criticism.flown import diagnose_flown
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card
+from bayes_aero.flight.record import FlightRecord
 from bayes_aero.studies.demo import TRUTH
 from bayes_aero.studies.detectability import standard_scores
 from bayes_aero.studies.hidden import flyable, hidden_records
@@ -41,7 +44,13 @@ def candidates() -> list[str]:
     return [e.name for e in CATALOGUE.values() if e.candidate and e.sizes and not {p.name for p in e.parameters} & base]
 
 
-def case(kind: str, seed: int, flown: dict) -> dict:
+def without_accelerometers(record: FlightRecord) -> FlightRecord:
+    """The same flight as a recorder without accelerometers would have it."""
+    kept = {name: x for name, x in record.channels.items() if name not in ("ax", "ay", "az")}
+    return FlightRecord.from_arrays(record.name, record.time, kept)
+
+
+def case(kind: str, seed: int, flown: dict, trajectories: bool) -> dict:
     """Draw, fly and diagnose one case."""
     rng = np.random.default_rng([seed, 99])
     noise, unknown, effects = str(rng.choice(NOISES)), None, {}
@@ -55,7 +64,10 @@ def case(kind: str, seed: int, flown: dict) -> dict:
         effects, flights = flyable(names, seed=seed, noise=noise, **flown)
         records = [flight.record for flight in flights]
     began = time.perf_counter()
-    found = diagnose(records, read_card("attas"), seed=seed, gains_wanted=False)
+    if trajectories:
+        found = diagnose_flown([without_accelerometers(r) for r in records], read_card("attas"), seed=seed)
+    else:
+        found = diagnose(records, read_card("attas"), seed=seed, gains_wanted=False)
     return {
         "seed": seed,
         "noise": noise,
@@ -79,7 +91,7 @@ def case(kind: str, seed: int, flown: dict) -> dict:
     }
 
 
-def run(kind: str, count: int, out: Path, first: int, flown: dict) -> None:
+def run(kind: str, count: int, out: Path, first: int, flown: dict, trajectories: bool) -> None:
     """Go through the seeds that are not in the file yet."""
     out.mkdir(parents=True, exist_ok=True)
     path = out / f"{kind}.jsonl"
@@ -89,7 +101,7 @@ def run(kind: str, count: int, out: Path, first: int, flown: dict) -> None:
             if seed in done:
                 continue
             try:
-                row = case(kind, seed, flown)
+                row = case(kind, seed, flown, trajectories)
             except InputError as error:  # an aircraft that cannot be flown so; counted, not hidden
                 row = {"seed": seed, "refused": str(error)}
             file.write(json.dumps(row) + "\n")
@@ -173,8 +185,9 @@ if __name__ == "__main__":
     parser.add_argument("--out", type=Path, default=Path("study"))
     parser.add_argument("--first", type=int, default=1000, help="first seed")
     parser.add_argument("--single", action="store_true", help="one manoeuvre of 100 s instead of two of 90 s")
+    parser.add_argument("--trajectories", action="store_true", help="without accelerometers, by simulated trajectories")
     given = parser.parse_args()
     if given.kind == "report":
         report(given.out)
     else:
-        run(given.kind, given.count, given.out, given.first, SINGLE if given.single else PAIR)
+        run(given.kind, given.count, given.out, given.first, SINGLE if given.single else PAIR, given.trajectories)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -61,6 +62,7 @@ class Identification:
     `alone` holds the maximum-likelihood fit of each manoeuvre by itself. `posteriors` has `emcee` and `nuts` under
     the chosen noise model `noise`, and `white`, by emcee, where that is another one. `stall` is over the draws of the
     first of them. `preparation` tells, in words, what the way the coefficients were formed does to the estimates.
+    `truth` has the parameters (SI and radians) that simulated records were flown with.
     """
 
     card: Card
@@ -75,4 +77,5 @@ class Identification:
     stall: Stall | None = None
     notes: tuple[str, ...] = ()
     preparation: tuple[str, ...] = ()
+    truth: Mapping[str, float] | None = None
     seconds: dict[str, float] = field(default_factory=dict)

@@ -66,6 +66,12 @@ def ordered(names: Iterable[str]) -> list[str]:
     return [n for n in ORDER if n in given] + [n for n in given if n not in ORDER]
 
 
+def flown(identification: Identification) -> list[str]:
+    """Fitted parameters of which it is known with what value the records were simulated; none of real records."""
+    truth = identification.truth or {}
+    return [name for name in ordered(identification.mle.names) if name in truth]
+
+
 def unit_of(identification: Identification, name: str) -> str:
     """The unit of a parameter of the model or of its noise."""
     mle = identification.mle

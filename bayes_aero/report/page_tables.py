@@ -29,8 +29,9 @@ UNITS = {"1": "-", "c/V": "chords"}
 def parameters(identification: Identification) -> Table:
     """Every parameter by every method."""
     mle, found = identification.mle, methods(identification)
-    groups = [("", 1), ("maximum likelihood\n± standard deviation", 2)]
-    head = ["parameter", "Cramér–Rao", "corrected"]
+    truth = identification.truth
+    groups = [("", 1 if truth is None else 2), ("maximum likelihood\n± standard deviation", 2)]
+    head = ["parameter", *([] if truth is None else ["flown"]), "Cramér–Rao", "corrected"]
     sampled = found[2:]
     for method in sampled:
         groups.append((method.label, 2))
@@ -44,6 +45,8 @@ def parameters(identification: Identification) -> Table:
     for name in ordered(mle.names):
         unit = mle.units[mle.names.index(name)]
         row = [f"{name} [{UNITS.get(unit, unit)}]"]
+        if truth is not None:
+            row.append(f"{truth[name]:.4g}" if name in truth else "–")
         row += [_pm(m.estimates.get(name)) for m in found[:2]]
         for method in sampled:
             e = method.estimates.get(name)
@@ -62,7 +65,7 @@ def parameters(identification: Identification) -> Table:
         "(neighbouring "
         "samples are not independent). “Largest difference” compares manoeuvres fitted alone; beyond 3 the bound "
         "does not "
-        "explain it.",
+        "explain it." + ("" if truth is None else " “Flown” are the values that the records were simulated with."),
     )
 
 

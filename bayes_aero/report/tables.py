@@ -51,6 +51,8 @@ def parameter_table(identification: Identification) -> pd.DataFrame:
             "crb": float(mle.crb[i]),
             "crb_corrected": float(mle.crb_corrected[i]),
         }
+        if identification.truth is not None:
+            row["flown"] = identification.truth.get(name, np.nan)
         row |= _posterior_columns(identification, name)
         for manoeuvre, fit in identification.alone.items():
             at = fit.names.index(name) if name in fit.names else None
@@ -178,7 +180,7 @@ def terminal_table(identification: Identification) -> Table:
     table.add_column("", no_wrap=True)
     table.add_column("unit", no_wrap=True)
     for head, _ in columns:
-        table.add_column(head, justify="right", overflow="fold", max_width=11)
+        table.add_column(head, justify="right", overflow="fold", max_width=12)
     for name in ordered(mle.names):
         table.add_row(name, mle.units[mle.names.index(name)], *(cell(name) for _, cell in columns))
     return table
@@ -187,7 +189,11 @@ def terminal_table(identification: Identification) -> Table:
 def _terminal_columns(identification: Identification) -> list[tuple[str, Callable[[str], str]]]:
     """Heading, and the cell of a parameter, for every column behind the unit."""
     found = {method.key: method.estimates for method in methods(identification)}
-    columns: list[tuple[str, Callable[[str], str]]] = [
+    columns: list[tuple[str, Callable[[str], str]]] = []
+    if identification.truth is not None:
+        truth = identification.truth
+        columns.append(("flown", lambda name: f"{truth[name]:.4g}" if name in truth else "-"))
+    columns += [
         ("ML (CRB)", lambda name: _concise(found["crb"].get(name))),
         ("sd\ncorr.", lambda name: _deviation(found["crb_corrected"].get(name))),
     ]

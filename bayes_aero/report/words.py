@@ -14,6 +14,7 @@ from bayes_aero.report.comparison import (
     Method,
     chosen_posteriors,
     engine_label,
+    flown,
     methods,
     ordered,
     usable,
@@ -41,12 +42,13 @@ def verdict(identification: Identification) -> list[str]:
             *_engines(identification),
             *split_verdict(identification),
         ]
+    truth = _truth(identification)
     colour = _colour(identification)
     against = [*colour, *(_white(identification) if colour else [])]
     against += [*_noise_model(identification), *between_manoeuvres(identification, LIMIT)]
     said = against or _agreement(identification)
     said += [*left_out(identification), *_unfinished(identification), *_engines(identification)]
-    return [*signs, *identification.preparation, *said, *split_verdict(identification), *mle.warnings()]
+    return [*signs, *truth, *identification.preparation, *said, *split_verdict(identification), *mle.warnings()]
 
 
 def _by_key(identification: Identification) -> dict[str, Method]:
@@ -161,6 +163,24 @@ def _agreement(identification: Identification) -> list[str]:
         shift = max(abs(e.centre - base[n].centre) / base[n].sd for m in posteriors for n, e in m.estimates.items())
         sentence += f" Posterior means lie within {shift:.1f} Cramér-Rao deviations of the estimates."
     return [sentence]
+
+
+def _truth(identification: Identification) -> list[str]:
+    """Of simulated records: how many of the parameters that were flown the intervals of each method hold."""
+    known, names = identification.truth or {}, flown(identification)
+    if not names:
+        return []
+    held, far = [], {}
+    for method in methods(identification):
+        own = {n: method.estimates[n] for n in names if n in method.estimates}
+        held.append(f"{sum(e.low <= known[n] <= e.high for n, e in own.items())} ({method.label})")
+        if method.key == "crb_corrected":
+            far = {n: (e.centre - known[n]) / e.sd for n, e in own.items()}
+    name = max(far, key=lambda n: abs(far[n]))
+    return [
+        f"The records are simulated: of the {len(names)} parameters that they were flown with, 95 % intervals hold "
+        f"{several(held)}. Furthest from its own is {name}, {far[name]:+.1f} corrected deviations."
+    ]
 
 
 def _unfinished(identification: Identification) -> list[str]:

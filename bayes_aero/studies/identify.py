@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -65,6 +65,7 @@ def identify(
     figures: bool = True,
     resume: bool = True,
     page: bool = True,
+    truth: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> Identification:
     """Fit, sample and compare, as `bayes-aero identify` does; with `out` every stage is written as it ends.
@@ -73,7 +74,8 @@ def identify(
     same call after a kill goes on with them, if records, card, settings and versions are the same.
 
     Without `sample` maximum likelihood alone stands for the parameters; without `page` no report.html is made. `split`
-    chooses the split whose Gaussian-process hyperparameters are sampled; scores are given for all splits.
+    chooses the split whose Gaussian-process hyperparameters are sampled; scores are given for all splits. `truth` has
+    the parameters that simulated records were flown with: they are shown beside the estimates.
     """
     model = Model.from_card(card)
     observations = observe(records, card, model)
@@ -93,6 +95,7 @@ def identify(
         {},
         notes=_many(len(records)),
         preparation=told,
+        truth=truth,
         seconds=seconds,
     )
     writer = _Writer(out, provenance(card, records, seed, {"noise": noise.value, "split": split}))

@@ -12,6 +12,7 @@ from bayes_aero.inference.mle import MleResult
 from bayes_aero.inference.posterior import Posterior
 from bayes_aero.inference.scores import Scores, score
 from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.comparison import flown
 
 SCHEMA = "bayes_aero/results/1"
 
@@ -37,6 +38,8 @@ def results(identification: Identification, verdict: list[str], provenance: dict
         found["stall"] = identification.stall.numbers()
     if identification.gp is not None:
         found["gpr"] = _gpr(identification.gp)
+    if identification.truth is not None:
+        found["truth"] = {name: identification.truth[name] for name in flown(identification)}
     found["verdict"] = verdict
     found["notes"] = list(identification.notes)
     found["provenance"] = provenance | {"seconds": {k: round(v, 2) for k, v in identification.seconds.items()}}

@@ -1,4 +1,7 @@
-"""Recompute a unit and compare it with what is on disk, number by number."""
+"""Recompute a unit and compare it with what is on disk, number by number.
+
+Figures and pages are held by the hashes of the manifest alone.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,9 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import xarray as xr
 
 from bayes_aero.studies.study import Unit
 from bayes_aero.studies.unit import MANIFEST, Task, run_unit, state_of
@@ -42,6 +48,8 @@ def _compared(disk: Path, again: Path) -> Iterator[str]:
             yield from _differences(name, _json(disk / name), _json(again / name))
         elif name.endswith(".csv"):
             yield from _rows(name, disk / name, again / name)
+        elif name.endswith(".nc"):
+            yield from _arrays(name, disk / name, again / name)
 
 
 def _json(path: Path) -> Any:
@@ -79,6 +87,40 @@ def _rows(name: str, disk: Path, again: Path) -> Iterator[str]:
                 yield f"{name}, line {number}, {heading} is {_short(x)} on disk, {_short(y)} recomputed"
         if len(a) != len(b):
             yield f"{name}, line {number} has {len(a)} cells on disk, {len(b)} recomputed"
+
+
+def _arrays(name: str, disk: Path, again: Path) -> Iterator[str]:
+    """NetCDF: every variable of every group."""
+    try:
+        one = _variables(disk)
+    except (OSError, ValueError, KeyError):
+        yield f"{name} cannot be read on disk"
+        return
+    other = _variables(again)
+    for key in sorted({*one, *other}):
+        if key not in one or key not in other:
+            yield f"{name}: {key} is {'not on disk' if key not in one else 'only on disk'}"
+            continue
+        a, b = one[key], other[key]
+        if a.shape != b.shape:
+            yield f"{name}: {key} has shape {a.shape} on disk, {b.shape} recomputed"
+            continue
+        far = (a != b) & ((a == a) | (b == b))  # NaN on both sides is the same
+        if far.any():
+            first = tuple(int(i) for i in np.argwhere(far)[0])
+            yield (
+                f"{name}: {key} differs at {np.count_nonzero(far)} of {far.size} places, first at {first}: "
+                f"{a[first]} on disk, {b[first]} recomputed"
+            )
+
+
+def _variables(path: Path) -> dict[str, np.ndarray]:
+    with xr.open_datatree(path, engine="h5netcdf") as tree:
+        return {
+            f"{node.path}/{name}".lstrip("/"): np.asarray(variable.values)
+            for node in tree.subtree
+            for name, variable in node.to_dataset(inherit=False).variables.items()
+        }
 
 
 def _table(path: Path) -> list[list[str]]:

@@ -6,11 +6,14 @@ import hashlib
 import json
 import re
 import shutil
+import time
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 
 from bayes_aero.errors import InputError
 from bayes_aero.studies import identify as job
@@ -140,6 +143,24 @@ def test_a_doctored_number_is_found(program, folder):
     assert "mle.parameters.CLa.estimate" in done.out
     assert "1 the same, 1 differ" in done.out
     assert json.loads(results.read_text()) == content  # verification changes nothing
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_draw_that_comes_out_otherwise_is_found(program, monkeypatch):
+    """The file on disk is the one that its manifest states: only its numbers tell."""
+
+    def drawn(_, out, *__, first=1.0):
+        draws = xr.Dataset({"CLa": ("draw", [first, 2.0, np.nan])}, coords={"name": ("draw", ["a", "b", "c"])})
+        tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={"made": str(time.time())}), "/posterior": draws})
+        tree.to_netcdf(out / "posterior.nc", engine="h5netcdf")
+
+    monkeypatch.setattr(units, "perform", drawn)
+    program("run", "study.toml")
+    assert program("run", "study.toml", "--verify").code == 0
+    monkeypatch.setattr(units, "perform", lambda *given: drawn(*given, first=1.0 + 1e-12))
+    done = program("run", "study.toml", "--verify")
+    assert done.code == 1
+    assert "posterior.nc: posterior/CLa differs at 1 of 3 places, first at (0,)" in done.out.replace("\n", " ")
 
 
 @pytest.mark.usefixtures("calls")

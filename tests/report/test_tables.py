@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -135,10 +136,21 @@ def test_the_terminal_table_fits_80_columns(count, make):
     assert ("flight2" in text.getvalue()) == (count == 2)
 
 
+def test_a_simulated_run_shows_what_was_flown(make):
+    run = replace(make(corrected=4.0), truth={"Cma": -0.512})
+    text = io.StringIO()
+    Console(file=text, width=80).print(terminal_table(run))
+    row = next(line for line in text.getvalue().splitlines() if line.startswith("Cma"))
+    assert "-0.512 -0.500(10)" in row
+    assert max(map(len, text.getvalue().splitlines())) <= 80
+    table = parameter_table(run)
+    assert table.loc["Cma", "flown"] == -0.512
+    assert np.isnan(table.loc["CLa", "flown"])
+    assert "flown" not in parameter_table(make())
+
+
 def test_a_manoeuvre_that_identifies_nothing_alone_shows_no_numbers(make):
     run = make()
-    from dataclasses import replace
-
     run.alone["flight2"] = replace(run.alone["flight2"], status=MleStatus.STALL_NOT_IDENTIFIED)
     text = io.StringIO()
     Console(file=text, width=80).print(terminal_table(run))

@@ -32,6 +32,17 @@ def test_where_everything_agrees_it_says_so_and_no_more(make):
     assert sentences[1].startswith("emcee and NUTS agree")
 
 
+def test_what_was_flown_stands_beside_what_was_found(make):
+    run = make(gp=False, corrected=4.0)
+    assert silent(run, "simulated")
+    flown = dict(zip(run.mle.names, run.mle.estimate, strict=True))
+    flown |= {"Cma": flown["Cma"] + 0.03, "tau1": 0.0}  # three Cramer-Rao deviations, .75 corrected; one not fitted
+    text = said(replace(run, truth=flown), "simulated")
+    assert "of the 6 parameters" in text
+    assert "5 (ML, Cramér-Rao bound), 6 (ML, corrected bound)" in text
+    assert "Cma, -0.8 corrected deviations" in text
+
+
 def test_coloured_residuals_and_what_they_make_of_the_bound(full, make):
     text = said(full, "not white")
     assert "Cm +0.90" in text
