@@ -18,6 +18,7 @@ from bayes_aero.cli.run import run
 from bayes_aero.cli.simulate import simulate
 from bayes_aero.cli.terminal import BAD_INPUT, FAILED, INTERRUPTED, InterruptionError
 from bayes_aero.errors import InputError, plain_line
+from bayes_aero.studies.compiled import keep_compiled
 
 EPILOG = (
     f"Exit codes: 0 done; {FAILED} a record is not usable (check), a fit did not converge or cannot fly "
@@ -57,6 +58,7 @@ for command in (identify, diagnose, fly, simulate, run, card, check, effects):
 
 def main() -> None:
     """Entry point: bad input is one sentence and exit status 2, Ctrl-C is 130."""
+    keep_compiled()
     try:
         app(prog_name=app.info.name)
     except InputError as error:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import platform
 import sys
 import threading
 import time
 import uuid
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -17,18 +15,17 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import platformdirs
 import psutil
 from jax.experimental.compilation_cache import compilation_cache
 
 from bayes_aero.errors import InputError
 from bayes_aero.inference.cores import VARIABLE as CORES
+from bayes_aero.studies.compiled import FOLDER, cache_folder, forgive
 from bayes_aero.studies.durable import beside, host, sweep
 from bayes_aero.studies.environment import environment
 from bayes_aero.studies.provenance import PACKAGES
 from bayes_aero.studies.unit import run_unit
 
-CACHE = "BAYES_AERO_CACHE"
 THREADS = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 XLA = "--xla_cpu_multi_thread_eigen=false"
 FULL_SHARE = 0.6  # of a worker's memory, beyond which it forgets what it has compiled
@@ -75,20 +72,8 @@ def variables() -> dict[str, str]:
         CORES: os.environ.get(CORES, "1"),
         "NPROC": os.environ.get("NPROC", "1"),  # the size of XLA's own pools
         "XLA_FLAGS": flags if "xla_cpu_multi_thread_eigen" in flags else f"{flags} {XLA}".strip(),
-        "JAX_COMPILATION_CACHE_DIR": str(cache_folder()),
+        FOLDER: str(cache_folder()),
     }
-
-
-def cache_folder() -> Path:
-    """Where compiled programs are kept: JAX's own variable, else BAYES_AERO_CACHE, else the user's cache folder.
-
-    Ours has a folder for each kind of processor, since a program compiled for one may not run on another.
-    """
-    given = os.environ.get("JAX_COMPILATION_CACHE_DIR")
-    if given:
-        return Path(given)
-    root = Path(os.environ.get(CACHE) or platformdirs.user_cache_path("bayes_aero"))
-    return root / "compiled" / _processor()
 
 
 def work(given: Mapping[str, Any], folder: str, driver: Driver, memory: int | None) -> dict[str, Any]:
@@ -115,13 +100,12 @@ def _settled() -> None:
     """Once for a process: the cache of compiled programs, and one core, as far as it is not too late for that."""
     for name, value in variables().items():
         os.environ.setdefault(name, value)
-    folder = os.environ["JAX_COMPILATION_CACHE_DIR"]
+    folder = os.environ[FOLDER]
     if getattr(jax.config, "jax_compilation_cache_dir", None) != folder:
         jax.config.update("jax_compilation_cache_dir", folder)
         compilation_cache.reset_cache()
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    # A neighbour may still be writing the entry, or have died of it: it is compiled here, which is all that is lost.
-    warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache", UserWarning)
+    forgive()
 
 
 _JOINED: set[str] = set()
@@ -158,13 +142,3 @@ def _see(token: Path, word: str) -> None:
                 "all machines see them under the same path"
             )
         time.sleep(0.25)
-
-
-def _processor() -> str:
-    """A name for this kind of processor: its make, and what it can do."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        told = "\n".join(sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))}))
-    except OSError:
-        told = platform.processor()
-    return f"{platform.machine()}-{hashlib.sha256(told.encode()).hexdigest()[:8]}"

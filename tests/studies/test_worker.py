@@ -12,8 +12,9 @@ import pytest
 
 from bayes_aero.errors import InputError
 from bayes_aero.inference.cores import cores
-from bayes_aero.studies import worker
-from bayes_aero.studies.worker import Driver, cache_folder, work
+from bayes_aero.studies import compiled, worker
+from bayes_aero.studies.compiled import cache_folder
+from bayes_aero.studies.worker import Driver, work
 
 
 @pytest.fixture
@@ -77,10 +78,18 @@ def test_a_worker_keeps_to_the_cores_that_it_is_given(monkeypatch):
     assert 1 <= cores() <= (os.cpu_count() or 1)
 
 
-def test_one_process_compiles_for_the_next(tmp_path):
-    """Real processes: the second finds in the cache what the first has compiled, and XLA's pools have one thread."""
+WORKER = "from bayes_aero.studies import worker; worker._settled()\n"
+COMMAND = """import sys; from bayes_aero.cli import main; sys.argv[1:] = ["--version"]
+try: main()
+except SystemExit: pass
+"""
+
+
+@pytest.mark.parametrize("begins", [WORKER, COMMAND])
+def test_one_process_compiles_for_the_next(begins, tmp_path):
+    """Real processes, workers and commands: the second finds in the cache what the first has compiled."""
     code = (
-        "from bayes_aero.studies import worker; worker._settled()\n"
+        f"{begins}"
         "import os, jax, jax.numpy as jnp\n"
         "seen = []\n"
         "jax.monitoring.register_event_listener(lambda name, **_: seen.append(name.rsplit('/', 1)[1]))\n"
@@ -88,14 +97,24 @@ def test_one_process_compiles_for_the_next(tmp_path):
         "print(seen.count('cache_hits'), seen.count('cache_misses'))\n"
     )
     settings = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_COMPILATION", "XLA_"))}
-    settings |= {"JAX_PLATFORMS": "cpu", "BAYES_AERO_CACHE": str(tmp_path)}
+    settings |= {"JAX_PLATFORMS": "cpu", "BAYES_AERO_CACHE": str(tmp_path), compiled.LEAST: "0"}
     told = []
     for _ in range(2):
         ended = subprocess.run(
             [sys.executable, "-c", code], env=settings, capture_output=True, text=True, timeout=120, check=True
         )
-        told.append([int(x) for x in ended.stdout.split()])
+        told.append([int(x) for x in ended.stdout.splitlines()[-1].split()])
+        assert not ended.stderr
     (hits, misses), (later, none) = told
     assert hits == 0
     assert misses > 0
     assert (later, none) == (misses, 0)
+
+
+def test_a_cache_that_cannot_be_made_is_done_without(monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("BAYES_AERO_CACHE", str(tmp_path / "file"))
+    monkeypatch.delenv(compiled.FOLDER, raising=False)
+    monkeypatch.delitem(sys.modules, "jax")
+    compiled.keep_compiled()
+    assert compiled.FOLDER not in os.environ
