@@ -27,7 +27,7 @@ import psutil
 
 from bayes_aero.flight.card import read_card
 from bayes_aero.studies.catalogue import known_effects
-from bayes_aero.studies.synthetic import Request
+from bayes_aero.studies.request import Request
 from bayes_aero.studies.truth import simulate_file
 
 STUDY = """

@@ -20,7 +20,7 @@ class Split(StrEnum):
 
 
 class SimulatedNoise(StrEnum):
-    """Noise of a simulated record: `studies.synthetic.NOISES`."""
+    """Noise of a simulated record: `studies.request.NOISES`."""
 
     NONE = "none"
     WHITE = "white"
@@ -29,7 +29,7 @@ class SimulatedNoise(StrEnum):
 
 
 class Manoeuvre(StrEnum):
-    """What is flown: `studies.synthetic.MANOEUVRES`."""
+    """What is flown: `studies.request.MANOEUVRES`."""
 
     RANDOM_STALL = "random_stall"
     SLOW_STALL = "slow_stall"

@@ -43,7 +43,7 @@ def simulate(
         raise InputError(f"{out} exists; give --force to overwrite it, or another name with --out")
     from bayes_aero.flight.card import read_card
     from bayes_aero.studies.catalogue import known_effects
-    from bayes_aero.studies.synthetic import Request
+    from bayes_aero.studies.request import Request
     from bayes_aero.studies.truth import simulate_file
     from bayes_aero.studies.wanted import parsed_effects
 

@@ -13,61 +13,25 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.manoeuvres import STALL_BEYOND, commands, trimmed
 from bayes_aero.model.model import Model
-from bayes_aero.model.plant import SIDE_FORCE
-from bayes_aero.model.simulate import Pilot, State, fly
-from bayes_aero.physics.atmosphere import GRAVITY, air
+from bayes_aero.model.simulate import fly
+from bayes_aero.physics.atmosphere import air
 from bayes_aero.studies.demo import DISTURBANCE, TRUTH
-from bayes_aero.studies.manoeuvre import DT, LONGEST, SAMPLES, SURFACES, flight_time, random_pilot
+from bayes_aero.studies.manoeuvre import DT
 from bayes_aero.studies.misrecord import corrected, misrecorded
+from bayes_aero.studies.pilot import piloted
 from bayes_aero.studies.recorder import OTHER_SENSORS, channels_flown, sensed
+from bayes_aero.studies.request import Grid, Request, grid_of, refuse
 
-NOISES = ("none", "white", "ar1", "buffet")
-RANDOM_STALL = "random_stall"
-MANOEUVRES = (
-    RANDOM_STALL, "slow_stall", "elevator_doublet", "elevator_3211", "thrust_steps", "speed_change", "sideslip",
-    "bank_to_bank", "stabilizer_steps",
-)  # fmt: skip
-SECONDS = {RANDOM_STALL: 90.0}
-USUAL_SECONDS = 60.0
-SHORTEST, MOST_SAMPLES = 5.0, 200_000
 BUFFET = 2.0  # growth of the disturbance with 1 - X
-BEFORE, AFTER = 5.0, 2.0  # s flown beyond both ends: to settle, and for what reaches across them
 ALPHA, AIRSPEED = (-0.1, 0.45), (15.0, 300.0)  # rad, m/s: outside, no truth is claimed
-LOADED = 17631.0  # kg, of the aircraft that the random pilot's thrust was chosen for
 GAS, GAMMA = 287.05287, 1.4
-
-Chosen = Mapping[str, Mapping[str, float]]
-Series = Float[np.ndarray, " n"]
-
-
-@dataclass(frozen=True)
-class Request:
-    """What to simulate: `effects` by name with true values (SI), the manoeuvre, its noise and sampling (s)."""
-
-    effects: Chosen
-    manoeuvre: str = RANDOM_STALL
-    noise: str = "ar1"
-    noise_scale: float = 1.0
-    seed: int = 0
-    duration: float | None = None
-    dt: float = DT
-    airspeed: float | None = None
-    altitude: float = 5200.0
-
-    @property
-    def seconds(self) -> float:
-        """Length of the record."""
-        return self.duration or SECONDS.get(self.manoeuvre, USUAL_SECONDS)
 
 
 @dataclass(frozen=True)
@@ -81,20 +45,9 @@ class Synthetic:
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class _Grid:
-    time: Series
-    kept: slice
-    dt: float
-
-    @property
-    def n(self) -> int:
-        return len(self.time)
-
-
 def synthetic(request: Request, card: Card, known: Mapping[str, Effect], name: str = "simulated") -> Synthetic:
     """Fly and record; `known` are the effects that may be asked for. `InputError` where it cannot be flown."""
-    _refuse(request, card)
+    refuse(request, card)
     rng = np.random.default_rng([request.seed, 7])
     base = read_card("attas").effects
     chosen = [known[n] for n in dict.fromkeys((*base, *request.effects))]
@@ -104,9 +57,9 @@ def synthetic(request: Request, card: Card, known: Mapping[str, Effect], name: s
     values |= {p: x for given in request.effects.values() for p, x in given.items()}
     values = {key: jnp.asarray(x, float) for key, x in values.items()}
     aircraft = flown_model.actual_aircraft(values, card.aircraft)
-    grid = _grid(request)
+    grid = grid_of(request)
     increments, buffet = _disturbance(rng, request, grid)
-    pilot, start = _commanded(rng, request, grid, flown_model, values, aircraft, increments, buffet, chosen)
+    pilot, start = piloted(rng, request, grid, flown_model, values, aircraft, increments, buffet, chosen)
     marks = _marks(grid)
     commanded = {"thrust": np.asarray(pilot.thrust)}
     engines = Model.of([e for e in faults if e.kind is Kind.PROPULSION])
@@ -143,38 +96,11 @@ def synthetic(request: Request, card: Card, known: Mapping[str, Effect], name: s
     )
 
 
-def _refuse(request: Request, card: Card) -> None:
-    if card.linear is not None:
-        raise InputError(f"card {card.name} states a linear system; simulate flies cards with [aircraft] and [model]")
-    if request.manoeuvre not in MANOEUVRES:
-        raise InputError(f"there is no manoeuvre {request.manoeuvre!r}; use one of {', '.join(MANOEUVRES)}")
-    if request.noise not in NOISES:
-        raise InputError(f"there is no noise {request.noise!r}; use one of {', '.join(NOISES)}")
-    if not 0.002 <= request.dt <= 0.1:
-        raise InputError(f"a sampling interval of {request.dt:g} s was asked for; give one from 0.002 to 0.1 s")
-    most = LONGEST if request.manoeuvre == RANDOM_STALL else MOST_SAMPLES * request.dt
-    if not SHORTEST <= request.seconds <= most:
-        raise InputError(
-            f"a {request.manoeuvre} of {request.seconds:g} s was asked for; ask for {SHORTEST:g} to {most:g} s"
-        )
-    if not (np.isfinite(request.noise_scale) and request.noise_scale >= 0.0):
-        raise InputError(f"the noise scale is {request.noise_scale}; it must be zero or more")
-    if not -500.0 <= request.altitude <= 11_000.0:
-        raise InputError(f"an altitude of {request.altitude:g} m was asked for; the simulated air ends at 11000 m")
-
-
-def _grid(request: Request) -> _Grid:
-    """Time of every sample that is flown, s; the record begins at 0."""
-    dt, before = request.dt, 2.0 if request.manoeuvre == RANDOM_STALL else BEFORE
-    first, kept, last = round(before / dt), round(request.seconds / dt) + 1, round(AFTER / dt)
-    return _Grid((np.arange(first + kept + last) - first) * dt, slice(first, first + kept), dt)
-
-
 def _strength(request: Request) -> float:
     return request.noise_scale if request.noise in ("ar1", "buffet") else 0.0
 
 
-def _disturbance(rng: np.random.Generator, request: Request, grid: _Grid) -> tuple[Float[np.ndarray, "n 3"], float]:
+def _disturbance(rng: np.random.Generator, request: Request, grid: Grid) -> tuple[Float[np.ndarray, "n 3"], float]:
     """Coloured increments of CL, CD, Cm as in the demo, their correlation time kept at any sampling interval."""
     white = rng.standard_normal((grid.n, 3))
     columns = []
@@ -187,82 +113,7 @@ def _disturbance(rng: np.random.Generator, request: Request, grid: _Grid) -> tup
     return np.stack(columns, axis=1), BUFFET if request.noise == "buffet" else 0.0
 
 
-def _commanded(
-    rng: np.random.Generator,
-    request: Request,
-    grid: _Grid,
-    model: Model,
-    values: Mapping[str, Any],
-    aircraft: Aircraft,
-    increments: Float[np.ndarray, "n 3"],
-    buffet: float,
-    chosen: list[Effect],
-) -> tuple[Pilot, State]:
-    """What the pilot does, and the state in which the flight begins."""
-    if request.manoeuvre == RANDOM_STALL:
-        needed = {channel for effect in chosen for channel in effect.channels}
-        moved = [name for name in SURFACES if {name, f"{name}_left"} & needed]
-        drawn = random_pilot(
-            rng, max(90.0, request.seconds), float(values["alpha_star"]), np.zeros((SAMPLES, 3)), buffet, moved
-        )
-        pilot = _sampled(drawn, grid, aircraft.mass / LOADED)
-        alpha = float(pilot.alpha[0])
-        airspeed = request.airspeed or _level_speed(values, aircraft, alpha, request.altitude)
-        trim = 0.0
-    else:
-        airspeed = request.airspeed or _level_speed(values, aircraft, np.deg2rad(6.0), request.altitude)
-        level = trimmed(model, values, aircraft, airspeed, request.altitude)
-        alpha, trim = level.alpha, level.elevator
-        pressure = 0.5 * float(air(jnp.asarray(request.altitude))[0]) * airspeed**2
-        lean = -pressure * float(aircraft.wing_area) * SIDE_FORCE / (float(aircraft.mass) * GRAVITY)
-        listed = commands(grid.time, float(values["alpha_star"]) + STALL_BEYOND - alpha, lean)
-        command = listed[request.manoeuvre]
-        rest, gains = jnp.zeros(grid.n), [jnp.asarray(x) for x in command.gains]
-        pilot = Pilot(
-            alpha=jnp.asarray(alpha + command.alpha),
-            thrust=jnp.asarray(level.thrust * np.maximum(1.0 + command.thrust, 0.1)),
-            excitation=jnp.asarray(command.excitation),
-            disturbance=jnp.asarray(increments),
-            alpha_gain=gains[0],
-            rate_gain=gains[1],
-            phi=jnp.asarray(command.phi),
-            beta=jnp.asarray(command.beta),
-            stabilizer=jnp.asarray(command.stabilizer),
-            **dict.fromkeys(SURFACES, rest),
-            buffet=jnp.asarray(buffet),
-            trim_gain=gains[2],
-        )
-    begin = (airspeed, alpha, alpha, 0.0, request.altitude, 1.0, trim)
-    return pilot._replace(disturbance=jnp.asarray(increments)), State(*(jnp.asarray(x) for x in begin))
-
-
-def _sampled(pilot: Pilot, grid: _Grid, weight: Any) -> Pilot:
-    """The random pilot's commands at the grid's samples, his thrust in proportion to the aircraft's weight."""
-    time = flight_time()
-
-    def at(x: Any, smooth: bool) -> Any:
-        x = np.asarray(x)
-        if np.ndim(x) != 1:
-            return jnp.asarray(x)
-        return jnp.asarray(CubicSpline(time, x)(grid.time) if smooth else np.interp(grid.time, time, x))
-
-    found: dict[str, Any] = {
-        key: at(x, key in ("phi", "beta")) for key, x in pilot._asdict().items() if key != "disturbance"
-    }
-    return Pilot(**found | {"thrust": weight * found["thrust"], "disturbance": pilot.disturbance})
-
-
-def _level_speed(values: Mapping[str, Any], aircraft: Aircraft, alpha: float, height: float) -> float:
-    """Airspeed at which the attached lift carries the weight, m/s."""
-    density, sound = (float(x) for x in air(jnp.asarray(height)))
-    speed = 60.0
-    for _ in range(20):
-        CL = float(values["CL0"] + (values["CLa"] + values["CLaM"] * speed / sound) * alpha)
-        speed = float(np.sqrt(2.0 * float(aircraft.mass) * GRAVITY / (density * float(aircraft.wing_area) * CL)))
-    return speed
-
-
-def _marks(grid: _Grid) -> dict[str, Any]:
+def _marks(grid: Grid) -> dict[str, Any]:
     """What CHANNEL effects read, beyond the ends too: time counts from the first sample of the record."""
     index = jnp.arange(grid.n)
     ends = {"first": jnp.zeros(grid.n, int), "last": jnp.full(grid.n, grid.n - 1)}

@@ -14,7 +14,8 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.readers import read_record, write_record
 from bayes_aero.flight.writers import WRITERS
 from bayes_aero.studies.provenance import provenance, write_json
-from bayes_aero.studies.synthetic import Request, Synthetic, synthetic
+from bayes_aero.studies.request import Request
+from bayes_aero.studies.synthetic import Synthetic, synthetic
 
 SCHEMA = "bayes_aero/truth/1"
 

@@ -11,7 +11,7 @@ import pytest
 
 from bayes_aero.flight.readers import read_record
 from bayes_aero.model.manoeuvres import commands
-from bayes_aero.studies import synthetic
+from bayes_aero.studies import request
 
 
 def test_a_sensor_error_acts_when_it_is_recorded(flights):
@@ -59,7 +59,7 @@ def test_noise_is_that_of_the_sensors_and_of_the_seed(program, flights):
 
 def test_every_standard_manoeuvre_can_be_chosen():
     time = np.arange(0.0, 60.0, 0.04)
-    assert set(commands(time, 0.1, 0.0)) | {synthetic.RANDOM_STALL} == set(synthetic.MANOEUVRES)
+    assert set(commands(time, 0.1, 0.0)) | {request.RANDOM_STALL} == set(request.MANOEUVRES)
 
 
 @pytest.mark.parametrize(
