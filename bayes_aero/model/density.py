@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -13,6 +14,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Observations
 from bayes_aero.parameter import Parameter
+from bayes_aero.physics.coefficients import NAMES
 
 
 class Density(LogDensity):
@@ -53,30 +55,34 @@ class Density(LogDensity):
 
     def predict(self, x: Float[Array, " k"]) -> Float[Array, "n 3"]:
         """Modelled CL, CD, Cm."""
-        return self._flow(x)[0]
+        return _stacked(self._flow(x))
 
     def pointwise(self, x: Float[Array, " k"]) -> Float[Array, "n 3"]:
         """Log-likelihood of every sample and coefficient, given the samples before it in its manoeuvre."""
-        y, X = self._flow(x)
-        o = self.observations
-        return self.noise.log_density(self.values(x), o.measured - y, X, o.start)
+        return jnp.stack(self._by_coefficient(x, self.noise.log_density), axis=-1)
 
     def standardised(self, x: Float[Array, " k"]) -> Float[Array, "n 3"]:
         """One-step-ahead innovations over their standard deviation: white, unit variance if the model holds."""
-        y, X = self._flow(x)
-        o = self.observations
-        return self.noise.standardised(self.values(x), o.measured - y, X, o.start)[0]
+        return jnp.stack([z for z, _ in self._by_coefficient(x, self.noise.innovation)], axis=-1)
 
     def replicate(self, x: Float[Array, " k"], white: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
         """Coefficients that the model with its noise would have produced from standard normal `white`."""
-        y, X = self._flow(x)
-        return y + self.noise.simulate(self.values(x), white, X, self.observations.start)
+        known = self._flow(x)
+        return _stacked(known) + self.noise.simulate(self.values(x), white, known["X"], self.observations.start)
 
     def log_likelihood(self, x: Float[Array, " k"]) -> Float[Array, ""]:
-        """Sum of `pointwise`."""
-        return jnp.sum(self.pointwise(x))
+        """Sum of `pointwise`, taken before the coefficients are put side by side: almost twice as fast."""
+        return sum((jnp.sum(one) for one in self._by_coefficient(x, self.noise.log_density)), start=jnp.zeros(()))
 
-    def _flow(self, x: Float[Array, " k"]) -> tuple[Float[Array, "n 3"], Float[Array, " n"]]:
-        o = self.observations
-        known = self.model.flow(self.values(x), o.signals, o.aircraft)
-        return jnp.stack([known["CL"], known["CD"], known["Cm"]], axis=-1), known["X"]
+    def _by_coefficient(self, x: Float[Array, " k"], told: Callable[..., Any]) -> list[Any]:
+        """What the noise model tells of the residuals of CL, CD, Cm."""
+        o, known, values = self.observations, self._flow(x), self.values(x)
+        return [told(name, values, o.measured[:, c] - known[name], known["X"], o.start) for c, name in enumerate(NAMES)]
+
+    def _flow(self, x: Float[Array, " k"]) -> Mapping[str, Array]:
+        """CL, CD, Cm and the separation point."""
+        return self.model.flow(self.values(x), self.observations.signals, self.observations.aircraft)
+
+
+def _stacked(known: Mapping[str, Array]) -> Float[Array, "n 3"]:
+    return jnp.stack([known[name] for name in NAMES], axis=-1)

@@ -39,44 +39,43 @@ class Noise:
             found += [_buffet(name) for name in NAMES]
         return tuple(found)
 
-    def standardised(
+    def innovation(
         self,
+        name: str,
         values: Mapping[str, Any],
-        residual: Float[Array, "n 3"],
+        residual: Float[Array, " n"],
         X: Float[Array, " n"],
         start: Bool[Array, " n"],
-    ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
-        """Innovations divided by their standard deviation, and that deviation; both (n, 3).
+    ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+        """Innovations of one coefficient over their standard deviation, and the logarithm of that deviation.
 
         `residual` is measured minus modelled. At `start` the innovation is the residual itself, with the stationary
         deviation, so manoeuvres are independent and the density is exact rather than conditional.
         """
-        sigma = jnp.stack([values[f"sigma_{name}"] for name in NAMES])
-        swell = jnp.ones_like(residual)
+        sigma = values[f"sigma_{name}"]
+        log_swell = jnp.zeros(())
         if self.colour is Colour.BUFFET_AR1:
-            buffet = jnp.stack([values[f"buffet_{name}"] for name in NAMES])
-            swell = 1.0 + buffet * (1.0 - X)[:, None]
+            swell = 1.0 + values[f"buffet_{name}"] * (1.0 - X)
+            residual, log_swell = residual / swell, jnp.log(swell)
         if self.colour is Colour.WHITE:
-            deviation = sigma * swell
-            return residual / deviation, deviation
-        rho = jnp.stack([values[f"rho_{name}"] for name in NAMES])
-        steady = residual / swell
-        before = jnp.concatenate([jnp.zeros((1, 3)), steady[:-1]])
-        first = start[:, None]
-        innovation = jnp.where(first, steady, steady - rho * before)
-        deviation = sigma * jnp.where(first, 1.0, jnp.sqrt(1.0 - rho**2))
-        return innovation / deviation, deviation * swell
+            return residual / sigma, jnp.broadcast_to(jnp.log(sigma), residual.shape)
+        rho = values[f"rho_{name}"]
+        fresh = jnp.sqrt(1.0 - rho**2)
+        before = jnp.concatenate([jnp.zeros(1), residual[:-1]])
+        z = jnp.where(start, residual, (residual - rho * before) / fresh) / sigma
+        return z, jnp.where(start, jnp.log(sigma), jnp.log(sigma * fresh)) + log_swell
 
     def log_density(
         self,
+        name: str,
         values: Mapping[str, Any],
-        residual: Float[Array, "n 3"],
+        residual: Float[Array, " n"],
         X: Float[Array, " n"],
         start: Bool[Array, " n"],
-    ) -> Float[Array, "n 3"]:
-        """Log-density of each sample given the ones before it in its manoeuvre."""
-        z, deviation = self.standardised(values, residual, X, start)
-        return -0.5 * (z**2 + jnp.log(2.0 * jnp.pi)) - jnp.log(deviation)
+    ) -> Float[Array, " n"]:
+        """Log-density of each sample of one coefficient given the ones before it in its manoeuvre."""
+        z, log_deviation = self.innovation(name, values, residual, X, start)
+        return -0.5 * (z**2 + jnp.log(2.0 * jnp.pi)) - log_deviation
 
     def simulate(
         self,
@@ -85,7 +84,7 @@ class Noise:
         X: Float[Array, " n"],
         start: Bool[Array, " n"],
     ) -> Float[Array, "n 3"]:
-        """Residuals made from standard normal `white`: the inverse of `standardised`."""
+        """Residuals made from standard normal `white`: the inverse of `innovation`."""
         sigma = jnp.stack([values[f"sigma_{name}"] for name in NAMES])
         if self.colour is Colour.WHITE:
             return white * sigma
