@@ -15,7 +15,7 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.inference.splits import SplitKind
 from bayes_aero.model.noise import Colour
 from bayes_aero.studies import identify as job
-from bayes_aero.studies import study, synthetic
+from bayes_aero.studies import request, study
 
 COMMANDS = sorted(command.callback.__name__ for command in app.registered_commands)
 OWN = """
@@ -34,8 +34,8 @@ EFFECT = Effect(
 def test_choices_are_those_of_the_libraries():
     assert {x.value for x in choices.NoiseModel} == {x.value for x in Colour} == set(study.NOISES)
     assert {x.value for x in choices.Split} == set(get_args(SplitKind)) == set(study.SPLITS)
-    assert [x.value for x in choices.Manoeuvre] == list(synthetic.MANOEUVRES)
-    assert [x.value for x in choices.SimulatedNoise] == list(synthetic.NOISES)
+    assert [x.value for x in choices.Manoeuvre] == list(request.MANOEUVRES)
+    assert [x.value for x in choices.SimulatedNoise] == list(request.NOISES)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
