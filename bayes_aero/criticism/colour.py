@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.signal import lfilter
 
 ORDER = 3  # of the autoregression at the blocks' rate of about 5 Hz; our choice
@@ -40,36 +40,103 @@ class Colour:
         S filtered backwards by the autoregression gives it as a plain product. Source: as `inference.coloured`.
         """
         total = np.zeros((S.shape[2], S.shape[2]))
-        for fold in folds:
-            for c, phi in enumerate(self.phi):
-                back = S[fold, c][::-1] * (self.sigma[c] / variance[c])
-                used = np.flatnonzero(np.any(back != 0.0, axis=0))
-                shaped = np.asarray(lfilter([1.0], np.append(1.0, -phi), back[:, used], axis=0))
-                total[np.ix_(used, used)] += shaped.T @ shaped
+        for piece in _pieces(S, variance, folds):
+            shaped = self._shaped(piece)
+            total[np.ix_(piece.used, piece.used)] += shaped @ shaped.T
         return total
+
+    def _shaped(self, piece: _Piece) -> Float[np.ndarray, "u t"]:
+        c = piece.output
+        return self.sigma[c] * np.asarray(lfilter([1.0], np.append(1.0, -self.phi[c]), piece.rows, axis=1))
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """Columns of one fold and output that are not all zero, divided by the output's variance, the last block first."""
+
+    output: int
+    used: Int[np.ndarray, " u"]
+    rows: Float[np.ndarray, "u t"]
+
+
+def _pieces(S: np.ndarray, variance: np.ndarray, folds: Sequence[slice]) -> list[_Piece]:
+    found = []
+    for fold in folds:
+        for c in range(S.shape[1]):
+            part = S[fold, c]
+            used = np.flatnonzero(np.any(part != 0.0, axis=0))
+            found.append(_Piece(c, used, np.ascontiguousarray(part[::-1, used].T) / variance[c]))
+    return found
+
+
+class Middle:
+    """`Colour.meat` of many sets of columns, each by itself, made ready once for one colour after another."""
+
+    def __init__(
+        self, S: Float[np.ndarray, "m c k"], variance: np.ndarray, folds: Sequence[slice], places: Sequence[np.ndarray]
+    ) -> None:
+        self.width = S.shape[2]
+        self.pieces = _pieces(S, variance, folds)
+        self.places = places
+
+    def under(self, colour: Colour, wide: Sequence[int]) -> tuple[Float[np.ndarray, " k"], list[np.ndarray]]:
+        """The diagonal over all columns, and the whole of the sets numbered `wide`."""
+        diagonal = np.zeros(self.width)
+        whole = [np.zeros((len(self.places[j]), len(self.places[j]))) for j in wide]
+        for piece in self.pieces:
+            shaped = colour._shaped(piece)
+            diagonal[piece.used] += np.einsum("ut,ut->u", shaped, shaped)
+            for total, j in zip(whole, wide, strict=True):
+                here = np.isin(self.places[j], piece.used)
+                rows = shaped[np.searchsorted(piece.used, self.places[j][here])]
+                total[np.ix_(here, here)] += rows @ rows.T
+        return diagonal, whole
 
 
 def colour_of(residual: Float[np.ndarray, "m c"], folds: Sequence[slice]) -> Colour:
     """Least-squares autoregression of each output's residual within folds, its roots kept inside `ROOT`."""
-    phi, sigma = [], []
-    for c in range(residual.shape[1]):
-        rows = np.concatenate([_past(residual[fold, c]) for fold in folds])
-        now, past = rows[:, 0], rows[:, 1:]
-        ridge = 1e-9 * np.trace(past.T @ past) + 1e-300
-        found = _stationary(np.linalg.solve(past.T @ past + ridge * np.eye(ORDER), past.T @ now))
-        phi.append(found)
-        sigma.append(np.sqrt(np.mean((now - past @ found) ** 2)))
-    return Colour(np.array(phi), np.array(sigma))
+    return colours_of(residual[None], folds)[0]
 
 
-def _past(r: np.ndarray) -> np.ndarray:
-    return np.stack([r[ORDER - i : len(r) - i] for i in range(ORDER + 1)], axis=1)
+def colours_of(residuals: Float[np.ndarray, "r m c"], folds: Sequence[slice]) -> list[Colour]:
+    """`colour_of` of r records at once."""
+    each = [
+        _autoregression([np.ascontiguousarray(residuals[:, fold, c]) for fold in folds])
+        for c in range(residuals.shape[2])
+    ]
+    phi, sigma = (np.stack(parts, axis=1) for parts in zip(*each, strict=True))
+    return [Colour(p, s) for p, s in zip(phi, sigma, strict=True)]
 
 
-def _stationary(phi: Float[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
-    roots = np.roots(np.append(1.0, -phi))
-    size = np.abs(roots)
-    return -np.real(np.poly(np.where(size > ROOT, roots * ROOT / np.maximum(size, 1e-300), roots)))[1:]
+def _autoregression(
+    folds: Sequence[Float[np.ndarray, "r _"]],
+) -> tuple[Float[np.ndarray, "r p"], Float[np.ndarray, " r"]]:
+    """Coefficients and the innovation's deviation of one output in r records."""
+    lags = [[x[:, ORDER - i : x.shape[1] - i] for i in range(ORDER + 1)] for x in folds]
+    gram = np.empty((len(folds[0]), ORDER + 1, ORDER + 1))
+    for i in range(ORDER + 1):
+        for j in range(i, ORDER + 1):
+            gram[:, i, j] = gram[:, j, i] = sum(np.einsum("rt,rt->r", lag[i], lag[j]) for lag in lags)
+    past, right = gram[:, 1:, 1:], gram[:, 1:, :1]
+    ridge = 1e-9 * np.trace(past, axis1=1, axis2=2) + 1e-300
+    phi = _stationary(np.linalg.solve(past + ridge[:, None, None] * np.eye(ORDER), right)[:, :, 0])
+    squares = sum(
+        np.sum((now - sum(p[:, None] * x for p, x in zip(phi.T, before, strict=True))) ** 2, axis=1)
+        for now, *before in lags
+    )
+    return phi, np.sqrt(squares / sum(lag[0].shape[1] for lag in lags))
+
+
+def _stationary(phi: Float[np.ndarray, "r p"]) -> Float[np.ndarray, "r p"]:
+    """Autoregressions with no root outside `ROOT`: those that are outside are drawn onto it."""
+    companion = np.zeros((len(phi), ORDER, ORDER))
+    companion[:, 0] = phi
+    companion[:, 1:, :-1] = np.eye(ORDER - 1)
+    roots, found = np.linalg.eigvals(companion), phi.copy()
+    for k in np.flatnonzero(np.any(np.abs(roots) > ROOT, axis=1)):
+        size = np.abs(roots[k])
+        found[k] = -np.real(np.poly(np.where(size > ROOT, roots[k] * ROOT / np.maximum(size, 1e-300), roots[k])))[1:]
+    return found
 
 
 def unbiased(colour: Colour, again: Sequence[Colour]) -> Colour:
@@ -78,6 +145,6 @@ def unbiased(colour: Colour, again: Sequence[Colour]) -> Colour:
     Coefficients are shifted by their mean bias, their roots drawn inside `ROOT`; sigma is divided by its mean ratio.
     """
     shift = colour.phi - np.mean([c.phi for c in again], axis=0)
-    phi = np.array([_stationary(p + s) for p, s in zip(colour.phi, shift, strict=True)])
+    phi = _stationary(colour.phi + shift)
     ratio = np.mean([c.sigma for c in again], axis=0) / colour.sigma
     return Colour(phi, colour.sigma / ratio)

@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy import stats
 
-from bayes_aero.criticism.colour import Colour, colour_of, unbiased
-from bayes_aero.criticism.regression import Fit, inverse
+from bayes_aero.criticism.colour import Colour, Middle, colour_of, colours_of, unbiased
+from bayes_aero.criticism.regression import TINY, Fit, inverse
 from bayes_aero.criticism.state import State
 
 REPLICATES = 200  # noise-only replicates behind every p-value
@@ -73,27 +73,36 @@ class Projected:
         for fold in state.folds:
             inside[fold] = True
         self.P[~inside] = 0.0
-        self.variance = fit.variance
         self.information = np.einsum("mci,c,mcj->ij", self.P, weight, self.P, optimize=True)
+        self.bread = [inverse(self.information[np.ix_(place, place)]) for place in self.place]
+        self.weight = weight
+        self.middle = Middle(self.P, fit.variance, state.folds, self.place)
 
-    def scores(
-        self, residual: Float[np.ndarray, "m c"], colour: Colour, folds: Sequence[slice]
-    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    def right(self, residual: Float[np.ndarray, "*r m c"]) -> Float[np.ndarray, "*r w"]:
+        """Right sides of the normal equations of any number of records."""
+        return np.tensordot(residual * self.weight, self.P, 2)
+
+    def scores(self, residual: Float[np.ndarray, "m c"], colour: Colour) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """First-order estimate and its covariance for each block."""
-        right = np.einsum("mcj,c,mc->j", self.P, 1.0 / self.variance, residual, optimize=True)
-        meat = colour.meat(self.P, self.variance, folds)
-        estimates, covariances = [], []
-        for place in self.place:
-            if len(place) == 1:
-                only = place[0]
-                information = max(self.information[only, only], 1e-300)
-                estimates.append(right[place] / information)
-                covariances.append(meat[only : only + 1, only : only + 1] / information**2)
-                continue
-            bread = inverse(self.information[np.ix_(place, place)])
-            estimates.append(bread @ right[place])
-            covariances.append(bread @ meat[np.ix_(place, place)] @ bread)
-        return estimates, covariances
+        right = self.right(residual)
+        _, whole = self.middle.under(colour, range(len(self.place)))
+        estimates = [bread @ right[place] for bread, place in zip(self.bread, self.place, strict=True)]
+        return estimates, [bread @ meat @ bread for bread, meat in zip(self.bread, whole, strict=True)]
+
+    def largest(self, noises: Float[np.ndarray, "r m c"], colours: Sequence[Colour]) -> Float[np.ndarray, " r"]:
+        """The largest score that any block reaches in each of r records."""
+        alone = np.array([place[0] for place in self.place if len(place) == 1], int)
+        wide = [j for j, place in enumerate(self.place) if len(place) > 1]
+        found = []
+        for right, colour in zip(self.right(noises), colours, strict=True):
+            diagonal, whole = self.middle.under(colour, wide)
+            # Of a single parameter the information cancels.
+            best = float(np.max(np.abs(right[alone]) / np.sqrt(np.maximum(diagonal[alone], TINY)), initial=0.0))
+            for j, meat in zip(wide, whole, strict=True):
+                bread = self.bread[j]
+                best = max(best, equivalent(bread @ right[self.place[j]], bread @ meat @ bread))
+            found.append(best)
+        return np.array(found)
 
     def between(
         self, residual: Float[np.ndarray, "m c"], estimates: Sequence[np.ndarray], stretch: Int[np.ndarray, " m"]
@@ -103,10 +112,9 @@ class Projected:
         Cluster-robust (Liang and Zeger 1986, Biometrika 73, 13), with the estimate itself taken out.
         """
         found = []
-        for place, estimate in zip(self.place, estimates, strict=True):
+        for place, bread, estimate in zip(self.place, self.bread, estimates, strict=True):
             P = self.P[:, :, place]
-            rows = np.einsum("mci,c,mc->mi", P, 1.0 / self.variance, residual - P @ estimate, optimize=True)
-            bread = inverse(self.information[np.ix_(place, place)])
+            rows = np.einsum("mci,c,mc->mi", P, self.weight, residual - P @ estimate, optimize=True)
             found.append(bread @ _disagreement(rows, stretch) @ bread)
         return found
 
@@ -167,9 +175,8 @@ def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, wit
     m = len(residual)
     # Re-estimation from noise whose active columns were fitted shows how much faster the noise then looks.
     drawn = colour.simulate(CORRECTION, state.folds, m, rng)
-    again = [colour_of(without_active(state, fit, e), state.folds) for e in drawn]
-    colour = unbiased(colour, again)
-    estimates, covariances = projected.scores(residual, colour, state.folds)
+    colour = unbiased(colour, colours_of(without_active(state, fit, drawn), state.folds))
+    estimates, covariances = projected.scores(residual, colour)
     stretch = state.responses.stretch
     freedom = 0 if stretch is None else int(stretch.max())
     if stretch is not None:
@@ -180,7 +187,7 @@ def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, wit
     found = []
     for j, (effect, own, value) in enumerate(blocks):
         variance = np.maximum(np.diag(covariances[j]), 0.0)
-        white = np.diag(inverse(projected.information[np.ix_(projected.place[j], projected.place[j])]))
+        white = np.diag(projected.bread[j])
         step = gains[1][j][: len(own)]
         possible = value is None or step[0] * (value - _present(state, effect)) > 0.0
         found.append(
@@ -196,12 +203,9 @@ def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, wit
                 sd=tuple(float(x) for x in np.sqrt(variance)),
             )
         )
-    nulls = []
-    for e in colour.simulate(replicates, state.folds, m, rng):
-        noise = without_active(state, fit, e)
-        values = projected.scores(noise, colour_of(noise, state.folds), state.folds)
-        nulls.append(max(equivalent(b, C) for b, C in zip(*values, strict=True)))
-    return Poll(tuple(sorted(found, key=lambda s: -s.gain)), colour, np.array(nulls))
+    noises = without_active(state, fit, colour.simulate(replicates, state.folds, m, rng))
+    nulls = projected.largest(noises, colours_of(noises, state.folds))
+    return Poll(tuple(sorted(found, key=lambda s: -s.gain)), colour, nulls)
 
 
 def explained_shares(state: State, fit: Fit, colour: Colour, seed: int, count: int) -> Float[np.ndarray, " r"]:
@@ -210,23 +214,22 @@ def explained_shares(state: State, fit: Fit, colour: Colour, seed: int, count: i
     Blocks must act on one output each, as components do.
     """
     projected = Projected(state, fit, [block[1] for block in state.blocks])
-    bread = [inverse(projected.information[np.ix_(place, place)]) for place in projected.place]
     output = [int(np.argmax(np.abs(state.S[:, :, block[1]]).sum(axis=(0, 2)))) for block in state.blocks]
-    largest = []
-    for e in colour.simulate(count, state.folds, len(state.residual), np.random.default_rng(seed)):
-        noise = without_active(state, fit, e)
-        total = np.sum(noise**2, axis=0) / fit.variance
-        right = np.einsum("mcj,c,mc->j", projected.P, 1.0 / fit.variance, noise, optimize=True)
-        gains = [right[p] @ B @ right[p] / total[c] for p, B, c in zip(projected.place, bread, output, strict=True)]
-        largest.append(max(gains))
-    return np.array(largest)
+    drawn = colour.simulate(count, state.folds, len(state.residual), np.random.default_rng(seed))
+    noises = without_active(state, fit, drawn)
+    total, right = np.sum(noises**2, axis=1) / fit.variance, projected.right(noises)
+    shares = [
+        np.einsum("ri,ij,rj->r", right[:, place], bread, right[:, place], optimize=True) / total[:, c]
+        for place, bread, c in zip(projected.place, projected.bread, output, strict=True)
+    ]
+    return np.max(shares, axis=0)
 
 
-def without_active(state: State, fit: Fit, residual: Float[np.ndarray, "m c"]) -> Float[np.ndarray, "m c"]:
-    """What is left of a noise record when the active columns are fitted to it."""
+def without_active(state: State, fit: Fit, residual: Float[np.ndarray, "*r m c"]) -> Float[np.ndarray, "*r m c"]:
+    """What is left of noise records when the active columns are fitted to them."""
     B = state.scaled[:, :, fit.columns]
-    step = inverse(fit.normal) @ np.einsum("mcb,c,mc->b", B, 1.0 / fit.variance, residual, optimize=True)
-    return residual - B @ step
+    step = np.tensordot(residual, B / fit.variance[:, None], 2) @ inverse(fit.normal)
+    return residual - np.tensordot(step, B, (-1, 2))
 
 
 def _gains(

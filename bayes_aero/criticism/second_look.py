@@ -7,10 +7,12 @@ many candidates. The noise-only replicates make the same choice and pay the same
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.criticism.colour import Colour, colour_of, unbiased
+from bayes_aero.criticism.colour import Colour, colour_of, colours_of, unbiased
 from bayes_aero.criticism.election import (
     CORRECTION,
     REPLICATES,
@@ -21,7 +23,6 @@ from bayes_aero.criticism.election import (
     log_bayes,
     without_active,
 )
-from bayes_aero.criticism.regression import inverse
 from bayes_aero.criticism.state import State
 
 
@@ -34,12 +35,11 @@ class SecondLook:
         self.fit = state.products.fit(state.columns(), state.mean, state.precision, held=wider.variance)
         blocks = [b[1] for b in state.blocks if b[0] not in state.active]
         self.projected = Projected(state, self.fit, blocks)
-        self.bread = [inverse(self.projected.information[np.ix_(p, p)]) for p in self.projected.place]
         self.rng = np.random.default_rng(seed)
         found = colour_of(state.left(wider), state.folds)
         drawn = found.simulate(CORRECTION, state.folds, len(state.residual), self.rng)
-        noises = [without_active(state, self.fit, e) for e in drawn]
-        self.colour = unbiased(found, [self._left(noise, *self._leader(noise)) for noise in noises])
+        noises = without_active(state, self.fit, drawn)
+        self.colour = unbiased(found, self._left(noises, self._leaders(noises)))
         own = next(j for j, columns in enumerate(blocks) if tuple(columns) == standing.columns)
         estimate, covariance = self._judged(own, state.left(self.fit), self.colour)
         self.score = equivalent(estimate, covariance)
@@ -48,29 +48,30 @@ class SecondLook:
 
     def p_value(self) -> float:
         """Share of noise-only replicates whose most explaining candidate scores at least as high."""
-        scores = []
-        for e in self.colour.simulate(REPLICATES, self.state.folds, len(self.state.residual), self.rng):
-            noise = without_active(self.state, self.fit, e)
-            j, estimate = self._leader(noise)
-            scores.append(equivalent(*self._judged(j, noise, self._left(noise, j, estimate))))
-        return float((1 + np.sum(np.array(scores) >= self.score)) / (1 + len(scores)))
+        drawn = self.colour.simulate(REPLICATES, self.state.folds, len(self.state.residual), self.rng)
+        noises = without_active(self.state, self.fit, drawn)
+        leaders = self._leaders(noises)
+        judged = zip(leaders, noises, self._left(noises, leaders), strict=True)
+        scores = np.array([equivalent(*self._judged(j, noise, colour)) for (j, _), noise, colour in judged])
+        return float((1 + np.sum(scores >= self.score)) / (1 + len(scores)))
 
-    def _right(self, residual: Float[np.ndarray, "m c"]) -> Float[np.ndarray, " w"]:
-        return np.einsum("mcj,c,mc->j", self.projected.P, 1.0 / self.fit.variance, residual, optimize=True)
+    def _leaders(self, noises: Float[np.ndarray, "r m c"]) -> list[tuple[int, Float[np.ndarray, " w"]]]:
+        """The candidate that explains most of each noise record, and its estimate."""
+        right = self.projected.right(noises)
+        pairs = list(zip(self.projected.place, self.projected.bread, strict=True))
+        gains = np.array([np.einsum("ri,ij,rj->r", right[:, p], B, right[:, p], optimize=True) for p, B in pairs])
+        best = np.argmax(gains, axis=0)
+        return [(int(j), pairs[j][1] @ r[pairs[j][0]]) for j, r in zip(best, right, strict=True)]
 
-    def _leader(self, noise: Float[np.ndarray, "m c"]) -> tuple[int, Float[np.ndarray, " w"]]:
-        """The candidate that explains most of a noise record, and its estimate."""
-        right = self._right(noise)
-        gains = [right[p] @ B @ right[p] for p, B in zip(self.projected.place, self.bread, strict=True)]
-        j = int(np.argmax(gains))
-        return j, self.bread[j] @ right[self.projected.place[j]]
-
-    def _left(self, noise: Float[np.ndarray, "m c"], j: int, estimate: Float[np.ndarray, " w"]) -> Colour:
-        left = noise - self.projected.P[:, :, self.projected.place[j]] @ estimate
-        return colour_of(left, self.state.folds)
+    def _left(
+        self, noises: Float[np.ndarray, "r m c"], leaders: Sequence[tuple[int, Float[np.ndarray, " w"]]]
+    ) -> list[Colour]:
+        """The colour of each noise record once its leader is taken out."""
+        P, place = self.projected.P, self.projected.place
+        left = [noise - P[:, :, place[j]] @ estimate for noise, (j, estimate) in zip(noises, leaders, strict=True)]
+        return colours_of(np.array(left), self.state.folds)
 
     def _judged(self, j: int, residual: Float[np.ndarray, "m c"], colour: Colour) -> tuple[np.ndarray, np.ndarray]:
-        place = self.projected.place[j]
-        bread = self.bread[j]
+        bread, place = self.projected.bread[j], self.projected.place[j]
         meat = colour.meat(self.projected.P[:, :, place], self.fit.variance, self.state.folds)
-        return bread @ self._right(residual)[place], bread @ meat @ bread
+        return bread @ self.projected.right(residual)[place], bread @ meat @ bread
