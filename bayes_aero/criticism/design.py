@@ -183,7 +183,7 @@ def _on_record(
     active = tuple(e for e in state.active if e not in {c.name for c in chosen})
     field = replace(state.field, model=model, candidates=tuple(chosen))
     at = np.array([theta[name] for name in model.names])
-    there = linearised(field, Responses(flights, model), noise.outputs, at, active, temper=state.temper)
+    there = linearised(field, Responses.of(flights, model), noise.outputs, at, active, temper=state.temper)
     X = np.asarray(there.responses.block(there.responses.evaluate(jnp.asarray(at))[1]["X"]))
     return replace(there, swell=1.0 + noise.growth * (1.0 - X[:, None])), noise
 

@@ -58,7 +58,7 @@ def diagnose(
     model = model or Model.from_card(card)
     flights, outliers = despiked(join(records, card))
     field = field_of(model, flights, (*own_effects(card.effect_files).values(), *extra))
-    responses = Responses(flights, field.model)
+    responses = Responses.of(flights, field.model)
     mle = fit_mle(model, observe(records, card, model), seed=seed)
     theta = np.array([field.neutral[name] for name in field.model.names])
     for name, value in zip(mle.names, mle.estimate, strict=True):

@@ -61,6 +61,10 @@ class Linearisable(eqx.Module):
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
         """Residuals and minus their derivatives in `CHUNK` directions."""
 
+    def apart(self, columns: Int[np.ndarray, " j"]) -> list[Int[np.ndarray, " i"]]:
+        """Places among `columns` in sets that are to be taken by themselves, for one of them may cost less."""
+        return [np.arange(len(columns))]
+
     def linearise(
         self, theta: Float[np.ndarray, " k"], columns: Int[np.ndarray, " j"] | None = None
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c j"]]:
@@ -70,12 +74,14 @@ class Linearisable(eqx.Module):
         compiled function.
         """
         wanted = np.arange(len(theta)) if columns is None else np.asarray(columns)
-        residual, parts = None, []
-        for begin in range(0, max(1, len(wanted)), CHUNK):
-            chosen = wanted[begin : begin + CHUNK]
+        residual, S = None, None
+        places = [part[i : i + CHUNK] for part in self.apart(wanted) for i in range(0, len(part), CHUNK)]
+        for place in places or [np.arange(0)]:
             directions = np.zeros((CHUNK, len(theta)))
-            directions[np.arange(len(chosen)), chosen] = 1.0
+            directions[np.arange(len(place)), wanted[place]] = 1.0
             residual, slope = self.slopes(theta, directions)
-            parts.append(np.moveaxis(slope[: len(chosen)], 0, 2))
+            S = np.empty((*residual.shape, len(wanted))) if S is None else S
+            S[:, :, place] = np.moveaxis(slope[: len(place)], 0, 2)
         assert residual is not None
-        return residual, np.concatenate(parts, axis=2)
+        assert S is not None
+        return residual, S

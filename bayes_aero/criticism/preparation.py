@@ -36,7 +36,7 @@ def filtered_alike(
     """
     if mle.status not in (MleStatus.CONVERGED, MleStatus.AT_BOUND):
         return None
-    responses, theta = Responses(join(records, card), model), mle.estimate.copy()
+    responses, theta = Responses.of(join(records, card), model), mle.estimate.copy()
     free = np.array([name not in mle.at_bound for name in mle.names])
     low, high = np.array([p.bounds for p in model.free]).T
     step = np.zeros(int(free.sum()))

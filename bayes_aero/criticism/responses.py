@@ -37,6 +37,12 @@ class Responses(Linearisable):
 
     flights: Flights
     model: Model = eqx.field(static=True)
+    measuring: tuple[int, ...] = eqx.field(static=True)  # parameters that what is measured depends on, not only flow
+
+    @classmethod
+    def of(cls, flights: Flights, model: Model) -> Responses:
+        """`flights` under `model`."""
+        return cls(flights, model, _measuring(model, flights))
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -74,8 +80,14 @@ class Responses(Linearisable):
         self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
         """Residuals and minus their derivatives in these directions."""
-        residual, slope = _linearise(self._nameless, jnp.asarray(theta), jnp.asarray(directions))
+        linearised = _linearise if np.any(directions[:, list(self.measuring)]) else _linearise_flow
+        residual, slope = linearised(self._nameless, jnp.asarray(theta), jnp.asarray(directions))
         return np.asarray(residual), np.asarray(slope)
+
+    def apart(self, columns: Int[np.ndarray, " j"]) -> list[Int[np.ndarray, " i"]]:
+        """Parameters of the flow alone cost a fourth of those that move what is measured."""
+        measuring = np.isin(columns, self.measuring)
+        return [np.flatnonzero(measuring), np.flatnonzero(~measuring)]
 
     @property
     def _nameless(self) -> Responses:
@@ -91,6 +103,19 @@ class Responses(Linearisable):
         return S
 
 
+def _measuring(model: Model, flights: Flights) -> tuple[int, ...]:
+    """Free parameters that some effect on the record or the aircraft reads."""
+
+    def measured(*theta):
+        values = dict(model.fixed) | dict(zip(model.names, theta, strict=True))
+        corrected = model.corrected(values, flights.channels, flights.aircraft)
+        return corrected, model.actual_aircraft(values, flights.aircraft)
+
+    program = jax.make_jaxpr(measured)(*np.ones(len(model.names))).jaxpr
+    read = {id(x) for step in program.eqns for x in step.invars} | {id(x) for x in program.outvars}
+    return tuple(i for i, x in enumerate(program.invars) if id(x) in read)
+
+
 def _measured(responses: Responses, values: Mapping[str, Any], channels: Mapping[str, Array]):
     """Corrected signals of every flight, and the aircraft as it is."""
     corrected = responses.model.corrected(values, channels, responses.flights.aircraft)
@@ -98,18 +123,33 @@ def _measured(responses: Responses, values: Mapping[str, Any], channels: Mapping
 
 
 def _residuals(responses: Responses, theta):
-    f, model = responses.flights, responses.model
-    values = model.values(theta)
-    signals, aircraft = _measured(responses, values, f.channels)
-    measured = jnp.stack(coefficients(signals, aircraft), axis=-1)
-    known = model.flow(values, signals, aircraft)
-    modelled = jnp.stack([known[name] for name in NAMES], axis=-1)
-    scales = response_scales(model, values, f.channels, f.aircraft, RESPONSE)
+    values = responses.model.values(theta)
+    signals, aircraft = _measured(responses, values, responses.flights.channels)
+    return _against(responses, values, signals, aircraft)
+
+
+def _modelled(responses: Responses, values, signals, aircraft):
+    known = responses.model.flow(values, signals, aircraft)
+    return jnp.stack([known[name] for name in NAMES], axis=-1), known["X"]
+
+
+def _referred(responses: Responses, signals, aircraft, scales):
+    """Factors (n, 3) that refer residuals of coefficients to the response as recorded."""
+    f = responses.flights
     pressure = signals["density"] * jnp.square(signals["airspeed"])
     nominal = f.channels["density"] * jnp.square(f.channels["airspeed"])
     force = pressure / nominal * (f.aircraft.mass / aircraft.mass)
     moment = pressure / nominal * (f.aircraft.Iy / aircraft.Iy) / scales["q"]
-    columns = [(measured - modelled) * jnp.stack([force, force, moment], axis=-1)]
+    return jnp.stack([force, force, moment], axis=-1)
+
+
+def _against(responses: Responses, values, signals, aircraft):
+    """Residuals of blocks, and everything that explains them."""
+    f, model = responses.flights, responses.model
+    measured = jnp.stack(coefficients(signals, aircraft), axis=-1)
+    modelled, X = _modelled(responses, values, signals, aircraft)
+    scales = response_scales(model, values, f.channels, f.aircraft, RESPONSE)
+    columns = [(measured - modelled) * _referred(responses, signals, aircraft, scales)]
     if len(responses.outputs) > len(NAMES):
         rates = path_rates(signals, aircraft)
         columns += [
@@ -120,7 +160,7 @@ def _residuals(responses: Responses, theta):
         ]
     residual = f.smoothed(jnp.concatenate(columns, axis=1))
     both = f.smoothed(jnp.concatenate([measured, modelled], axis=1))
-    details = {"X": known["X"], "measured": both[:, :3], "modelled": both[:, 3:], "residual": residual}
+    details = {"X": X, "measured": both[:, :3], "modelled": both[:, 3:], "residual": residual}
     return responses.block(residual), {**signals, **details}
 
 
@@ -131,3 +171,25 @@ _evaluate = eqx.filter_jit(_residuals)
 def _linearise(responses: Responses, theta, directions):
     residual, slope = jax.linearize(lambda t: _residuals(responses, t)[0], theta)
     return residual, -jax.vmap(slope)(directions)
+
+
+@eqx.filter_jit
+def _linearise_flow(responses: Responses, theta, directions):
+    """As `_linearise`, in directions that leave everything measured as it is."""
+    f, model = responses.flights, responses.model
+    values = model.values(theta)
+    signals, aircraft = _measured(responses, values, f.channels)
+    scales = response_scales(model, values, f.channels, f.aircraft, RESPONSE)
+    referred = _referred(responses, signals, aircraft, scales)
+
+    def flow(t):
+        return _modelled(responses, model.values(t), signals, aircraft)[0] * referred
+
+    def blocks(moved):
+        return responses.block(f.smoothed(moved))
+
+    _, slope = jax.linearize(flow, theta)
+    coefficients_alone = jax.vmap(lambda d: blocks(slope(d)))(directions)
+    residual = _residuals(responses, theta)[0]
+    others = residual.shape[1] - len(NAMES)
+    return residual, jnp.pad(coefficients_alone, ((0, 0), (0, 0), (0, others)))

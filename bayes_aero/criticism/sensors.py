@@ -36,4 +36,4 @@ def compatibility(records: list[FlightRecord], card: Card, *, seed: int = 0, mos
     model = Model(sensors, tuple(p for e in sensors for p in e.parameters))
     field = Field(model, (), sensors, {})
     theta = np.array([field.neutral[name] for name in model.names])
-    return extend(linearised(field, Responses(flights, model), PATH, theta), seed=seed, most=most)
+    return extend(linearised(field, Responses.of(flights, model), PATH, theta), seed=seed, most=most)

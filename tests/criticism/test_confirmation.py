@@ -28,7 +28,7 @@ def with_added(card, model, records, added):
     mle = fit_mle(model, observe(records, card, model), seed=0)
     for name, value in zip(mle.names, mle.estimate, strict=True):
         theta[field.columns([name])[0]] = value
-    return refitted(linearised(field, Responses(flights, field.model), NAMES, theta, tuple(added)))[0]
+    return refitted(linearised(field, Responses.of(flights, field.model), NAMES, theta, tuple(added)))[0]
 
 
 @pytest.mark.recovery
@@ -37,7 +37,7 @@ def test_what_was_flown_is_confirmed_and_what_was_not_is_taken_out(card, model, 
     rng = np.random.default_rng(seed)
     true, absent = str(rng.choice(TRUE)), [str(name) for name in rng.choice(ABSENT, 2, replace=False)]
     sizes = {p: float(rng.uniform(4.0, 8.0)) * least for p, (least, _) in CATALOGUE[true].sizes.items()}
-    flights = hidden_flights({true: sizes}, seed=int(seed), noise="white")
+    flights = hidden_flights({true: sizes}, seed=int(seed), noise="white", seconds=90.0)
     found = confirmation(with_added(card, model, [f.record for f in flights], [*absent, true]))
     assert true in found.kept
     assert len(found.kept) <= 2  # of the two others one may pass, at 5 % each
@@ -49,7 +49,7 @@ def test_what_was_flown_is_confirmed_and_what_was_not_is_taken_out(card, model, 
 def test_where_nothing_is_missing_nothing_is_confirmed(card, model):
     kept = asked = 0
     for seed in DRAWN[3:]:
-        flights = hidden_flights({}, seed=int(seed), noise="white")
+        flights = hidden_flights({}, seed=int(seed), noise="white", seconds=90.0)
         found = confirmation(with_added(card, model, [f.record for f in flights], ABSENT))
         kept, asked = kept + len(found.kept), asked + len(ABSENT)
     assert kept <= 3  # of 12 at 5 % each; more would happen once in 400 times
@@ -59,7 +59,7 @@ def test_where_nothing_is_missing_nothing_is_confirmed(card, model):
 def test_first_order_is_the_whole_truth_for_an_effect_that_enters_linearly(card, model):
     """Cm alone is linear in a thrust arm; what is fitted again finds the same as the sensitivities say."""
     arm = {"thrust_arm": 3.0 * CATALOGUE["thrust_moment"].sizes["thrust_arm"][0]}
-    flights = hidden_flights({"thrust_moment": arm}, seed=int(DRAWN[0]), noise="white")
+    flights = hidden_flights({"thrust_moment": arm}, seed=int(DRAWN[0]), noise="white", seconds=90.0)
     state = with_added(card, model, [f.record for f in flights], ["thrust_moment"])
     for effects in ((), ("thrust_moment",)):
         linear, full = LeftOut.first_order(state, effects), LeftOut.refitted(truncated(state, effects))

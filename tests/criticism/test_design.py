@@ -33,7 +33,7 @@ def state(card, model):
     whole = replace(model, effects=everything, parameters=parameters, fixed=())
     field = Field(whole, tuple(e.name for e in base), candidates, {})
     theta = np.array([TRUTH.get(p.name, p.neutral) for p in parameters])
-    return linearised(field, Responses(join([simulate_stall(0, card=card)], card), whole), NAMES, theta)
+    return linearised(field, Responses.of(join([simulate_stall(0, card=card)], card), whole), NAMES, theta)
 
 
 @pytest.fixture(scope="module")

@@ -40,7 +40,7 @@ def _state(card, model, size: float, manoeuvres: int = 2):
     model = replace(model, effects=effects, parameters=tuple(p for e in effects for p in e.parameters), fixed=())
     field = Field(model, tuple(e.name for e in model.effects), (), {})
     start = fit_mle(model, observe(records, card, model), seed=0, extra_starts=0).estimate
-    return linearised(field, Responses(join(records, card), model), NAMES, np.asarray(start))
+    return linearised(field, Responses.of(join(records, card), model), NAMES, np.asarray(start))
 
 
 @pytest.fixture(scope="module")
