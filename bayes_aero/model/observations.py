@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -171,19 +171,33 @@ def observe(records: Sequence[FlightRecord], card: Card, model: Model) -> Observ
     shared = set.intersection(*(set(part) for part in parts))
     joined = {key: jnp.asarray(np.concatenate([part[key] for part in parts])) for key in sorted(shared)}
     beside = {key: joined.pop(key) for key in MARKS}
-    true = model.corrected(values, joined | beside, aircraft)
-    signals = condition_joined({key: true[key] for key in joined}, *(beside[key] for key in ("dt", "first", "last")))
-    noise = coefficient_noise(signals, aircraft, card.sensors, beside["dt"])
+    signals, measured, noise = _formed(model, values, joined, beside, aircraft, dict(card.sensors))
     return Observations(
         signals=dict(sorted((signals | {key: beside[key] for key in ("dt", "start")}).items())),
-        measured=jnp.stack(coefficients(signals, aircraft), axis=-1),
-        sensor_noise=jnp.asarray(noise),
+        measured=measured,
+        sensor_noise=noise,
         start=beside["start"],
         manoeuvre=np.repeat(np.arange(len(records)), [record.n for record in records]),
         time=np.concatenate([np.asarray(record.time) for record in records]),
         aircraft=aircraft,
         names=tuple(names),
     )
+
+
+@eqx.filter_jit
+def _formed(
+    model: Model,
+    values: Mapping[str, Any],
+    joined: Mapping[str, Array],
+    beside: Mapping[str, Array],
+    aircraft: Aircraft,
+    sensors: Mapping[str, float],
+) -> tuple[dict[str, Array], Float[Array, "n 3"], Float[Array, "n 3"]]:
+    """Conditioned signals, the coefficients and their noise: one program, where step by step each would be one."""
+    true = model.corrected(values, {**joined, **beside}, aircraft)
+    signals = condition_joined({key: true[key] for key in joined}, *(beside[key] for key in ("dt", "first", "last")))
+    noise = coefficient_noise(signals, aircraft, sensors, beside["dt"])
+    return signals, jnp.stack(coefficients(signals, aircraft), axis=-1), noise
 
 
 def _settled(model: Model) -> dict[str, Any]:

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
 from bayes_aero.flight.aircraft import Aircraft
@@ -156,7 +155,7 @@ def coefficient_noise(
     aircraft: Aircraft,
     sensor_sd: Mapping[str, float],
     dt: float | Float[Array, " n"],
-) -> Float[np.ndarray, "n 3"]:
+) -> Float[Array, "n 3"]:
     """Standard deviation of CL, CD, Cm per sample from independent white sensor noise of deviation `sensor_sd` (SI).
 
     First order. Smoothing and differentiation scale the noise by their weights' root sum of squares, which is exact
@@ -175,4 +174,4 @@ def coefficient_noise(
         perturbed = {k: jnp.ones_like(v) if k == name else jnp.zeros_like(v) for k, v in signals.items()}
         _, slope = jax.jvp(lambda s: coefficients(s, aircraft), (dict(signals),), (perturbed,))
         variance = variance + jnp.square(jnp.stack(slope, axis=-1) * jnp.asarray(value)[..., None])
-    return np.asarray(jnp.sqrt(jnp.broadcast_to(variance, (signals["alpha"].shape[0], 3))))
+    return jnp.sqrt(jnp.broadcast_to(variance, (signals["alpha"].shape[0], 3)))
