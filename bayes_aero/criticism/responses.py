@@ -122,12 +122,6 @@ def _measured(responses: Responses, values: Mapping[str, Any], channels: Mapping
     return responses.flights.with_slopes(corrected), responses.model.actual_aircraft(values, responses.flights.aircraft)
 
 
-def _residuals(responses: Responses, theta):
-    values = responses.model.values(theta)
-    signals, aircraft = _measured(responses, values, responses.flights.channels)
-    return _against(responses, values, signals, aircraft)
-
-
 def _modelled(responses: Responses, values, signals, aircraft):
     known = responses.model.flow(values, signals, aircraft)
     return jnp.stack([known[name] for name in NAMES], axis=-1), known["X"]
@@ -143,9 +137,11 @@ def _referred(responses: Responses, signals, aircraft, scales):
     return jnp.stack([force, force, moment], axis=-1)
 
 
-def _against(responses: Responses, values, signals, aircraft):
+def _residuals(responses: Responses, theta):
     """Residuals of blocks, and everything that explains them."""
     f, model = responses.flights, responses.model
+    values = model.values(theta)
+    signals, aircraft = _measured(responses, values, f.channels)
     measured = jnp.stack(coefficients(signals, aircraft), axis=-1)
     modelled, X = _modelled(responses, values, signals, aircraft)
     scales = response_scales(model, values, f.channels, f.aircraft, RESPONSE)

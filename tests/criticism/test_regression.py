@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayes_aero.criticism.colour import ORDER, Colour, colour_of
+from bayes_aero.criticism.colour import ORDER, ROOT, Colour, Middle, colour_of, colours_of
 from bayes_aero.criticism.regression import Products
 
 
@@ -80,6 +80,32 @@ def test_meat_is_the_sum_over_all_pairs_of_samples():
     exact = W.T @ covariance @ W
     # Filtering backwards leaves out what lies before the first sample: a correction of order one sample in m.
     np.testing.assert_allclose(colour.meat(S, variance, [slice(0, m)]), exact, rtol=0.03, atol=0.02 * np.trace(exact))
+
+
+def test_records_fitted_together_are_fitted_each_by_itself():
+    """Least squares on the lags by linear algebra; the root of what grows is drawn inside."""
+    folds = [slice(0, 200), slice(210, 400)]
+    slow = Colour(np.array([[0.6, 0.2, -0.1]]), np.array([0.7])).simulate(2, folds, 400, np.random.default_rng(5))
+    growing = (1.02 ** np.arange(400.0) + 0.01 * np.random.default_rng(6).standard_normal(400)).reshape(1, 400, 1)
+    found = colours_of(np.concatenate([slow, growing]), folds)
+    for record, one in zip(slow, found, strict=False):
+        rows = np.concatenate([np.lib.stride_tricks.sliding_window_view(record[f, 0], ORDER + 1) for f in folds])
+        expected = np.linalg.lstsq(rows[:, ORDER - 1 :: -1], rows[:, ORDER], rcond=None)[0]
+        np.testing.assert_allclose(one.phi[0], expected, rtol=1e-6)
+        left = rows[:, ORDER] - rows[:, ORDER - 1 :: -1] @ expected
+        assert one.sigma[0] == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-6)
+    assert np.abs(np.roots(np.append(1.0, -found[2].phi[0]))).max() == pytest.approx(ROOT, rel=1e-6)
+
+
+def test_middles_are_the_blocks_of_the_whole(problem):
+    _, S, _, folds = problem
+    colour = Colour(np.array([[0.8, 0.1, 0.0], [0.3, 0.0, 0.2], [0.95, 0.0, 0.0]]), np.array([0.1, 1.0, 0.01]))
+    variance, places = np.array([0.02, 1.3, 0.001]), [np.array([0]), np.array([1, 3]), np.array([2, 3, 4])]
+    diagonal, (first, second) = Middle(S, variance, folds, places).under(colour, [1, 2])
+    whole = colour.meat(S, variance, folds)
+    np.testing.assert_allclose(diagonal, np.diag(whole), rtol=1e-10)
+    np.testing.assert_allclose(first, whole[np.ix_(places[1], places[1])], rtol=1e-10)
+    np.testing.assert_allclose(second, whole[np.ix_(places[2], places[2])], rtol=1e-10)
 
 
 def test_noise_does_not_reach_across_folds():
