@@ -111,7 +111,7 @@ def test_coverage_under_coloured_noise(thinned, model):
 
     Sixty replicates of each of eight cells of colour and rate: benchmarks/coverage.py.
     """
-    found = coverage_study(model, thinned, TRUTH, COLOURED, replicates=20, seed=17, white=8, max_steps=600)
+    found = coverage_study(model, thinned, TRUTH, COLOURED, replicates=20, seed=17, white=4, max_steps=600)
     share = found.table().loc["all"]
     assert 0.91 <= share["AR(1) posterior"] <= 0.98
     assert share["CRB"] < 0.6
