@@ -24,6 +24,7 @@ KNOTS = 6  # of the smooth function of a channel
 PERIODS = tuple(np.round(np.geomspace(0.6, 30.0, 48), 3))  # s
 CHUNKS = 4  # parts of each manoeuvre, by which a sinusoid must predict what it was not fitted to
 LEAST_SHARE = 0.1  # of the remaining variance: less is not worth a verdict
+LEAST_WAVE = 0.25  # the same of a sinusoid: a flight has few slow swings, and noise alone draws a fifth into one
 ALONE_SHARE = 0.3  # the same on a single manoeuvre: blocks of one flight share their slow noise, so they confirm little
 SKIPPED = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot", "alpha_dot")  # responses themselves, not causes
 DRAWN = 100  # noise-only replicates
@@ -84,11 +85,7 @@ def _with(state: State, chosen: Sequence[Component]) -> tuple[float, float]:
 
 def _best(state: State, chosen: Sequence[Component], seed: int) -> tuple[Component, float, float] | None:
     """The component that explains most of what is left, if it is beyond chance and predicts what was left out."""
-    least = LEAST_SHARE if len(state.responses.flights.lengths) > 1 else ALONE_SHARE
-    for folds, components in (
-        (state.folds, smooth_components(state)),
-        (_chunks(state), periodic_components(state)),
-    ):
+    for folds, components, least in _families(state):
         trial = with_components(state, components, chosen, folds)
         fit = trial.fit()
         leaders = poll(trial, fit, seed=seed, replicates=0).standings[:LOOKED_AT]
@@ -135,7 +132,7 @@ def _proxies(extension: Extension) -> tuple[Component, float, tuple[str, ...]] |
     own = state.field.columns(names)
     neutral = np.array([state.field.neutral[p] for p in names])
     best = None
-    for folds, components in ((state.folds, smooth_components(state)), (_chunks(state), periodic_components(state))):
+    for folds, components, least in _families(state):
         trial = with_components(state, components, (), folds)
         bare = trial.columns(())
         products = trial.products.shifted(own, neutral - state.theta[own])
@@ -149,9 +146,16 @@ def _proxies(extension: Extension) -> tuple[Component, float, tuple[str, ...]] |
             columns = trial.component_columns[i]
             gained = float(unseen_gain(taken_out, np.concatenate([bare, columns]), bare).sum())
             margin, share = gained - BETTER * max(known, 0.0) - 6.0 * state.temper, _share(taken_out, columns)
-            if margin > 0.0 and share >= LEAST_SHARE and (best is None or margin > best[0]):
+            if margin > 0.0 and share >= least and (best is None or margin > best[0]):
                 best = (margin, components[i], share)
     return None if best is None else (best[1], best[2], extension.causes)
+
+
+def _families(state: State) -> tuple[tuple[Sequence[slice], list[Component], float], ...]:
+    """Both kinds of components: the folds by which they must predict, themselves, and the least share of a verdict."""
+    alone = len(state.responses.flights.lengths) == 1
+    channel, wave = (ALONE_SHARE, ALONE_SHARE) if alone else (LEAST_SHARE, LEAST_WAVE)
+    return (state.folds, smooth_components(state), channel), (_chunks(state), periodic_components(state), wave)
 
 
 def smooth_components(state: State) -> list[Component]:

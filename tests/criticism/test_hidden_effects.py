@@ -6,7 +6,7 @@ import pytest
 from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.criticism.finding import Verdict
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.studies.hidden import flyable, hidden_records
+from bayes_aero.studies.hidden import flyable, hidden_flights, hidden_records
 
 # Clearly visible at every size in their range; the study covers the whole catalogue and the edge of detection.
 SENSORS = ("alpha_scale", "airspeed_bias", "pitch_rate_bias", "accel_x_bias")
@@ -35,7 +35,23 @@ def test_a_hidden_effect_is_named_with_its_size(seed, family, card):
 
 
 @pytest.mark.recovery
-@pytest.mark.parametrize(("seed", "noise"), [(4201, "white"), (4202, "ar1"), (4203, "buffet"), (4204, "outliers")])
+@pytest.mark.parametrize("seed", [4301, 4302])
+def test_a_hidden_wave_is_called_unexplained_by_its_period(seed, card):
+    flights = hidden_flights({}, seed=seed, noise="ar1", unknown="periodic", seconds=90.0)
+    found = diagnose([flight.record for flight in flights], card, seed=seed, gains_wanted=False)
+    assert found.verdict is Verdict.UNEXPLAINED, [c.name for c in found.causes]
+    waves = [u for u in found.unknown if u.channel.startswith("time, period")]
+    assert waves, found.unknown
+    period = float(max(waves, key=lambda u: u.share).channel.split()[2])
+    assert period == pytest.approx(float(flights[0].values["unknown_period"]), rel=0.1)
+
+
+# In the buffet of the last one a wave of 15 s takes a fifth of what is left of the lift.
+SILENT = [(4201, "white"), (4202, "ar1"), (4203, "buffet"), (4204, "outliers"), (141128, "buffet")]
+
+
+@pytest.mark.recovery
+@pytest.mark.parametrize(("seed", "noise"), SILENT)
 def test_nothing_is_found_where_nothing_is_hidden(seed, noise, card):
     found = diagnose(hidden_records({}, seed=seed, noise=noise, seconds=90.0), card, seed=seed, gains_wanted=False)
     assert found.verdict is Verdict.NO_EFFECT, [c.name for c in found.causes]
