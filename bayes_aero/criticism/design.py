@@ -83,37 +83,66 @@ class _Noise:
     growth: Float[np.ndarray, " c"]
 
 
-def separating(
-    state: State, effects: Sequence[str], *, amplitude: float = 1.0, sizes: Mapping[str, float] | None = None
-) -> Design:
-    """Fly the standard manoeuvres and rank them by how well each tells `effects` apart.
+@dataclass(frozen=True)
+class Standard:
+    """The standard manoeuvres as a state's model flies them.
 
-    `effects` are candidates of the state, in or not; `sizes` replaces parameters' least sizes worth modelling;
+    `theta` are the values flown; `refused` says which manoeuvre could not be flown, and why.
+    """
+
+    model: Model
+    theta: Mapping[str, float]
+    flown: Mapping[str, Flights]
+    refused: Mapping[str, str]
+
+
+def standard(state: State, effects: Sequence[str], *, amplitude: float = 1.0) -> Standard:
+    """Fly the standard manoeuvres with the effects that are in, and with those of `effects` that are candidates.
+
     `amplitude` multiplies every input. What the record itself gets wrong (sensors, thrust) is flown as at neutral.
     """
-    chosen = [_candidate(state, name) for name in dict.fromkeys(effects)]
-    if len(chosen) < 2:
-        raise InputError("an ambiguity set has at least two effects")
-    small = _narrowed(state, chosen)
+    small = _narrowed(state, effects)
     theta = {n: x for n, x in zip(state.field.model.names, state.theta, strict=True) if n in small.names}
     for effect in small.effects:
         if effect.stage is Stage.CHANNEL:
             theta |= {p.name: state.field.neutral[p.name] for p in effect.parameters if p.name in theta}
-    values = dict(small.fixed) | theta
-    noise, flights = _noise(state), state.responses.flights
+    values, flights = dict(small.fixed) | theta, state.responses.flights
     begin = round(BEGINNING * 5 / state.responses.seconds)
     start = {name: float(np.mean(np.asarray(flights.channels[name])[:begin])) for name in ("airspeed", "altitude")}
     dt = float(np.median(np.asarray(flights.channels["dt"])))
     aircraft = small.actual_aircraft(values, flights.aircraft)
     flown, refused = fly_standard(small, values, aircraft, **start, dt=dt, amplitude=amplitude)
+    recorded = {name: _recorded(flights, channels, dt) for name, channels in flown.items()}
+    return Standard(small, theta, recorded, refused)
+
+
+def separating(
+    state: State,
+    effects: Sequence[str],
+    *,
+    amplitude: float = 1.0,
+    sizes: Mapping[str, float] | None = None,
+    flights: Standard | None = None,
+) -> Design:
+    """Rank the standard manoeuvres by how well each tells `effects` apart.
+
+    `effects` are candidates of the state, in or not; `sizes` replaces parameters' least sizes worth modelling.
+    `flights` are the manoeuvres, if they were flown for this set and others (default: flown here with `amplitude`).
+    """
+    chosen = [_candidate(state, name) for name in dict.fromkeys(effects)]
+    if len(chosen) < 2:
+        raise InputError("an ambiguity set has at least two effects")
+    names = tuple(e.name for e in chosen)
+    if flights is None:
+        flights = standard(state, names, amplitude=amplitude)
+    noise = _noise(state)
     worth = {p: least for e in chosen for p, (least, _) in e.sizes.items()} | dict(sizes or {})
     found = [
-        _judged(name, _on_record(state, small, _recorded(flights, channels, dt), theta, chosen, noise), chosen, worth)
-        for name, channels in flown.items()
+        _judged(name, _on_record(state, flights.model, record, flights.theta, chosen, noise), chosen, worth)
+        for name, record in flights.flown.items()
     ]
     found.sort(key=lambda s: -s.weakest)
-    names = tuple(e.name for e in chosen)
-    return Design(names, tuple(found), refused, _words(names, found))
+    return Design(names, tuple(found), flights.refused, _words(names, found))
 
 
 def _words(names: Sequence[str], found: Sequence[Separation]) -> str:
@@ -133,9 +162,9 @@ def _candidate(state: State, name: str) -> Effect:
     return found
 
 
-def _narrowed(state: State, chosen: Sequence[Effect]) -> Model:
-    """The card's effects, those that are in, those of the set, and those without parameters: less to compile."""
-    kept = {*state.field.base, *state.active, *(e.name for e in chosen)}
+def _narrowed(state: State, chosen: Sequence[str]) -> Model:
+    """The card's effects, those that are in, those chosen, and those without parameters: less to compile."""
+    kept = {*state.field.base, *state.active, *chosen}
     effects = tuple(e for e in state.field.model.effects if e.name in kept or not e.parameters)
     names = {p.name for e in effects for p in e.parameters}
     fixed = tuple((k, x) for k, x in state.field.model.fixed if k in names)

@@ -99,11 +99,11 @@ def fit_flown(
 
 
 def _initial(fit: OutputErrorResult, shown: tuple[str, ...]) -> dict[str, dict[str, tuple[float, float]]]:
-    wide = replace(fit.flown, outputs=shown)  # as the paths, for which it is compiled already
-    flown = trajectories(wide, jnp.asarray(fit.estimate), jnp.asarray(fit.departure))
-    begin = np.asarray(flown.trajectory.states)[:, 0]
-    states = fit.flown.dynamics.states
-    return {
-        label(fit.flown, row): {n: (float(begin[row, s]), float(fit.departure[row, s])) for s, n in enumerate(states)}
-        for row in range(len(begin))
-    }
+    wide, theta = replace(fit.flown, outputs=shown), jnp.asarray(fit.estimate)
+    initial = {}
+    for row, departure in enumerate(fit.departure):  # one by one as the paths, for which it is compiled already
+        alone = trajectories(wide.part([row]), theta, jnp.asarray(departure[None]))
+        begin = np.asarray(alone.trajectory.states)[0, 0]
+        named = zip(fit.flown.dynamics.states, begin, departure, strict=True)
+        initial[label(fit.flown, row)] = {name: (float(at), float(away)) for name, at, away in named}
+    return initial

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from bayes_aero.criticism.residuals import TheilParts, theil_parts
 from bayes_aero.inference.cores import cores
@@ -71,29 +71,29 @@ def paths_of(
 ) -> list[Path]:
     """Every segment of `flown` that counts, simulated with the parameters of `fit`."""
     shown = tuple(n for n in flown.dynamics.outputs if n in flown.flights.channels)
-    wide = replace(flown, outputs=shown)
-    theta = jnp.asarray(fit.estimate)
-    found = trajectories(wide, theta, jnp.asarray(departure))
-    probability: Mapping[tuple[int, str], float] = {}
+    wide, theta = replace(flown, outputs=shown), jnp.asarray(fit.estimate)
+    draws = None
     if split == "unseen" and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
-        probability = _probabilities(fit, wide, tolerances, cost, seed)
+        draws = _draws(fit, cost, seed)
     paths = []
     for row in map(int, np.flatnonzero(flown.inside.any(axis=1))):
+        alone = wide.part([row])
+        found = trajectories(alone, theta, jnp.asarray(departure[[row]]))
         keep = flown.inside[row]
-        measured, residual = np.asarray(found.measured[row])[keep], np.asarray(found.residual[row])[keep]
+        measured, residual = np.asarray(found.measured[0])[keep], np.asarray(found.residual[0])[keep]
+        chance = {} if draws is None else _probabilities(alone, draws, tolerances)
         errors = {
-            name: _error(measured[:, c], residual[:, c], tolerances.get(name), probability.get((row, name)))
+            name: _error(measured[:, c], residual[:, c], tolerances.get(name), chance.get(name))
             for c, name in enumerate(shown)
         }
-        index = flown.index[row][keep]
         paths.append(
             Path(
                 manoeuvre=label(flown, row),
                 model=model,
                 split=split,
-                inside=bool(np.asarray(found.trajectory.inside[row])[keep].all()),
+                inside=bool(np.asarray(found.trajectory.inside[0])[keep].all()),
                 errors=errors,
-                time=flown.flights.time[index],
+                time=flown.flights.time[flown.index[row][keep]],
                 measured={name: measured[:, c] for c, name in enumerate(shown)},
                 simulated={name: measured[:, c] - residual[:, c] for c, name in enumerate(shown)},
             )
@@ -118,28 +118,8 @@ def posterior_covariance(fit: OutputErrorResult, cost: float) -> Float[np.ndarra
     return cost * fit.covariance
 
 
-def _drawn(
-    flown: Flown, thetas: Float[np.ndarray, "m k"], departure: Float[Array, "w s"]
-) -> Float[np.ndarray, "m w c"]:
-    """Largest error of every segment and output for each draw; infinite outside the envelope.
-
-    Draw by draw: a simulation of all of them together would have to be compiled, and takes half as long only.
-    """
-
-    def one(theta):
-        found = trajectories(flown, jnp.asarray(theta), departure)
-        inside = np.all(np.asarray(found.trajectory.inside) | ~flown.inside, axis=1)
-        largest = np.max(np.abs(np.asarray(found.residual)), axis=1)
-        return np.where(inside[:, None] & np.isfinite(largest), largest, np.inf)
-
-    with ThreadPoolExecutor(cores()) as pool:
-        return np.stack(list(pool.map(one, thetas)))
-
-
-def _probabilities(
-    fit: OutputErrorResult, flown: Flown, tolerances: Mapping[str, float], cost: float, seed: int
-) -> dict[tuple[int, str], float]:
-    """Share of posterior draws whose whole trajectory stays inside each tolerance."""
+def _draws(fit: OutputErrorResult, cost: float, seed: int) -> Float[np.ndarray, "m k"]:
+    """Parameters drawn from the posterior, within their bounds."""
     moving = np.flatnonzero(fit.sd > 0.0)
     covariance = posterior_covariance(fit, cost)[np.ix_(moving, moving)]
     scale = np.sqrt(np.diag(covariance))
@@ -148,11 +128,26 @@ def _probabilities(
     thetas = np.tile(fit.estimate, (DRAWS, 1))
     thetas[:, moving] += (white * np.sqrt(np.maximum(values, 0.0))) @ vectors.T * scale
     lower, upper = (np.array([p.bounds[i] for p in fit.parameters], float) for i in (0, 1))
-    still = jnp.zeros((len(flown.index), len(flown.dynamics.states)))
-    largest = _drawn(flown, np.clip(thetas, lower, upper), still)
+    return np.clip(thetas, lower, upper)
+
+
+def _probabilities(alone: Flown, draws: Float[np.ndarray, "m k"], tolerances: Mapping[str, float]) -> dict[str, float]:
+    """Share of draws whose whole trajectory, of one segment, stays inside each tolerance and the envelope.
+
+    Draw by draw: a simulation of all of them together would have to be compiled, and takes half as long only.
+    """
+    still = jnp.zeros((1, len(alone.dynamics.states)))
+
+    def largest(theta):
+        found = trajectories(alone, jnp.asarray(theta), still)
+        inside = np.all(np.asarray(found.trajectory.inside) | ~alone.inside)
+        size = np.max(np.abs(np.asarray(found.residual[0])), axis=0)
+        return np.where(inside & np.isfinite(size), size, np.inf)
+
+    with ThreadPoolExecutor(cores()) as pool:
+        sizes = np.stack(list(pool.map(largest, draws)))
     return {
-        (row, name): float(np.mean(largest[:, row, c] <= tolerances[name]))
-        for row in range(largest.shape[1])
-        for c, name in enumerate(flown.outputs)
+        name: float(np.mean(sizes[:, c] <= tolerances[name]))
+        for c, name in enumerate(alone.outputs)
         if name in tolerances
     }

@@ -11,7 +11,7 @@ worth as many times less as the colour multiplies variances (`State.temper`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -31,6 +31,8 @@ from bayes_aero.physics.coefficients import NAMES
 # What the discrepancy sees besides the card's inputs; not alpha-dot, whose fast part holds the accelerometer's noise:
 # that is the residual's own, and a process that sees it follows nothing else.
 BEYOND = ("X",)
+
+Progress = Callable[[str, float], None]
 
 
 class Predictor(StrEnum):
@@ -95,7 +97,9 @@ def compare(extension: Extension, inputs: Sequence[str], *, seed: int = 0) -> Co
 
 
 @blas_threads(0)
-def compare_states(extended: State, inputs: Sequence[str], *, seed: int = 0) -> Comparison:
+def compare_states(
+    extended: State, inputs: Sequence[str], *, seed: int = 0, progress: Progress | None = None
+) -> Comparison:
     """The same for a state of the coefficients; the card's model is the state with nothing added.
 
     Raises `InputError` for a state of the flight path or an input that was not recorded.
@@ -131,6 +135,8 @@ def compare_states(extended: State, inputs: Sequence[str], *, seed: int = 0) -> 
         Z = np.stack([known[name] for name in dict.fromkeys((*inputs, *BEYOND)) if name in known], axis=1)
         for at, columns, target in ((gp_at, X, measured), (both_at, Z, residual)):
             for c in range(len(NAMES)):
+                if progress:
+                    progress("predictors", (number + (at == both_at) / 2 + c / (2 * len(NAMES))) / len(extended.folds))
                 one = processes[at][c]
                 predict = one.discrepancy if at == both_at else one.smooth
                 found = predict(columns, target[:, c], train, fold)

@@ -6,6 +6,7 @@ Every manoeuvre is left out in turn. A single one is cut in two halves, each flo
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import equinox as eqx
@@ -17,7 +18,7 @@ from bayes_aero.criticism.flown_colour import colour_cost
 from bayes_aero.criticism.flown_paths import Error as Error
 from bayes_aero.criticism.flown_paths import Path, label, paths_of, posterior_covariance
 from bayes_aero.effect import Stage
-from bayes_aero.inference.cores import blas_threads
+from bayes_aero.inference.cores import blas_threads, cores
 from bayes_aero.inference.output_error import fit_cascade, fit_output_error
 from bayes_aero.inference.output_error_result import OutputErrorResult
 from bayes_aero.model.dynamics import aircraft_dynamics
@@ -95,17 +96,24 @@ def fly_both(
     paths, held = [], {}
     for name, fit in (("card", card), ("extended", joint)):
         paths += paths_of(fit, fit.flown, name, "fitted", fit.departure, tolerances)
-    count = len(ours.whole.index)
-    for k in range(count):
-        tell("left out", 0.5 + 0.4 * k / count)
-        rest = [i for i in range(count) if i != k]
-        values = dict(zip(joint.names, joint.estimate, strict=True))
-        silent = {n: float(values[n]) for n in _silent(joint, _masked(ours.whole, rest)) if n in own}
+    jobs = []
+    for k in range(len(ours.whole.index)):
+        others = _masked(ours.whole, k, keep=False)
+        silent = {n: fitted[n] for n in _silent(joint, others) if n in own}
         held[label(ours.whole, k)] = tuple(silent)
-        for name, fit, kept in (("card", card, neutral), ("extended", joint, silent)):
-            again = fit_output_error(_masked(fit.flown, rest), start=fit.estimate, held=kept, prior_weight=cost)
-            seen, still = _masked(fit.flown, [k]), np.zeros_like(fit.departure)
-            paths += paths_of(again, seen, name, "unseen", still, tolerances, cost, seed)
+        jobs += [(k, "card", card, neutral), (k, "extended", joint, silent)]
+
+    def unseen(job) -> list[Path]:
+        k, name, fit, kept = job
+        others, seen = (_masked(fit.flown, k, keep=keep) for keep in (False, True))
+        again = fit_output_error(others, start=fit.estimate, held=kept, prior_weight=cost)
+        return paths_of(again, seen, name, "unseen", np.zeros_like(fit.departure), tolerances, cost, seed)
+
+    tell("left out", 0.5)
+    with ThreadPoolExecutor(cores()) as pool:  # each flies what is left by itself, on one core if that is one part
+        for number, found in enumerate(pool.map(unseen, jobs), start=1):
+            paths += found
+            tell("left out", 0.5 + 0.4 * number / len(jobs))
     deviation = np.sqrt(np.diag(posterior_covariance(joint, cost)))
     shown = tuple(n for n in ours.whole.dynamics.outputs if n in flights.channels)
     return Trajectories(tuple(paths), card, joint, deviation, cost, held, shown)
@@ -142,10 +150,10 @@ def _half(flights: Flights) -> float:
     return 0.5 * flights.lengths[0] * float(flights.channels["dt"][0])
 
 
-def _masked(flown: Flown, rows: Sequence[int]) -> Flown:
-    """Only some of the segments count; the shapes stay, so nothing compiles anew."""
-    keep = np.isin(np.arange(len(flown.index)), list(rows))
-    return eqx.tree_at(lambda f: f.inside, flown, flown.inside & keep[:, None])
+def _masked(flown: Flown, row: int, *, keep: bool) -> Flown:
+    """Only one of the segments counts, or all others; the shapes stay, so nothing compiles anew."""
+    counts = (np.arange(len(flown.index)) == row) == keep
+    return eqx.tree_at(lambda f: f.inside, flown, flown.inside & counts[:, None])
 
 
 def _silent(joint: OutputErrorResult, others: Flown) -> list[str]:

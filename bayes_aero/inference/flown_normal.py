@@ -84,7 +84,8 @@ def _normal(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w 
 class Looks:
     """Looks at one set of segments from many points; the segments are shared out among the cores.
 
-    XLA leaves a scan to one of them. The first look is taken part by part, lest every thread compile for itself.
+    XLA leaves a scan to one of them. The first look is taken part by part, lest every thread compile for itself. A part
+    of which no sample counts is not flown: it says nothing.
     """
 
     def __init__(self, flown: Flown, prior: Priors):
@@ -93,34 +94,32 @@ class Looks:
         self.prior = prior
         self.count = flown.inside.sum(axis=1).astype(float)
         self._rows = [np.minimum(np.arange(a, a + size), w - 1) for a in range(0, w, size)]  # the last may repeat
-        self._parts = [_on_device(flown.nameless, rows) for rows in self._rows]
+        self._parts = {
+            number: jax.tree.map(jnp.asarray, flown.nameless.part(rows))
+            for number, rows in enumerate(self._rows)
+            if flown.inside[rows].any()
+        }
         self._compiled = False
 
     def __call__(self, theta: Float[np.ndarray, " k"], departure: Float[np.ndarray, "w s"]) -> Point:
         """Cost and normal equations there."""
         at, w = jnp.asarray(theta), len(departure)
 
-        def one(part, rows):
-            gram, inside, columns = _normal(part, at, jnp.asarray(departure[rows]))
-            return np.asarray(gram), np.asarray(inside), np.asarray(columns)
+        def one(number):
+            found = _normal(self._parts[number], at, jnp.asarray(departure[self._rows[number]]))
+            return tuple(np.asarray(x) for x in found)
 
         if len(self._parts) > 1 and self._compiled:
             with ThreadPoolExecutor(min(len(self._parts), cores())) as pool:
-                found = list(pool.map(one, self._parts, self._rows))
+                found = dict(zip(self._parts, pool.map(one, self._parts), strict=True))
         else:
-            found = list(map(one, self._parts, self._rows))
+            found = {number: one(number) for number in self._parts}
         self._compiled = True
-        gram, within, columns = zip(*found, strict=True)
+        silent = tuple(np.zeros_like(x) for x in next(iter(found.values())))
+        gram, within, columns = zip(*(found.get(i, silent) for i in range(len(self._rows))), strict=True)
         gram, within = np.concatenate(gram)[:w], np.concatenate(within)[:w]
         normal = Normal(gram, self.count, float(within.sum() / self.count.sum()), columns)
         return _point(theta, departure, normal, self.prior)
-
-
-def _on_device(flown: Flown, rows: np.ndarray) -> Flown:
-    """Some of the segments, handed over once for all looks."""
-    fewer = flown.index[rows], flown.inside[rows], flown.dt[rows]
-    part = eqx.tree_at(lambda f: (f.index, f.inside, f.dt), flown, fewer)
-    return jax.tree.map(jnp.asarray, part)
 
 
 class Point(NamedTuple):

@@ -43,6 +43,11 @@ class Flown(eqx.Module):
         """Which manoeuvre each segment belongs to."""
         return self.flights.manoeuvre[self.index[:, 0]]
 
+    def part(self, rows: Sequence[int] | Int[np.ndarray, " r"]) -> Flown:
+        """Some of the segments, in the order of `rows`."""
+        fewer = tuple(x[np.asarray(rows)] for x in (self.index, self.inside, self.dt))
+        return eqx.tree_at(lambda f: (f.index, f.inside, f.dt), self, fewer)
+
 
 class Simulated(NamedTuple):
     """Trajectories (w, n, ...), what was recorded, and residuals by output, referred to the record.

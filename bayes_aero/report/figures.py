@@ -50,8 +50,9 @@ FIGURES: dict[str, Drawing] = {
 }
 """The seed paper's nine under its numbers, then what a Bayesian identification adds."""
 
+ViewFigures = Mapping[str, Callable[[View], Figure]]
 
-DIAGNOSIS_FIGURES: dict[str, Callable[[View], Figure]] = {
+DIAGNOSIS_FIGURES: ViewFigures = {
     "found": figures_found.found,
     "measured_simulated": figures_diagnosis.measured_simulated,
     "ranking": figures_diagnosis.ranking,
@@ -65,6 +66,8 @@ DIAGNOSIS_FIGURES: dict[str, Callable[[View], Figure]] = {
     "trajectories_fitted": figures_trajectory.trajectories_fitted,
 }
 """What a diagnosis shows."""
+FLOWN_FIGURES = ("trajectories_unseen", "trajectories_fitted")
+"""Those that need trajectories."""
 
 Shown = TypeVar("Shown")
 Progress = Callable[[str, float], None]

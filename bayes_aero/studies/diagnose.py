@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,24 +18,25 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.cores import blas_threads, cores
 from bayes_aero.model.model import Model
-from bayes_aero.report.diagnosed import View, view_of, with_stalls
-from bayes_aero.report.figures import DIAGNOSIS_FIGURES, draw_all
+from bayes_aero.report.diagnosed import View, view_of
+from bayes_aero.report.figures import DIAGNOSIS_FIGURES, FLOWN_FIGURES
 from bayes_aero.report.page import put_page
 from bayes_aero.report.page_diagnosis import Told, diagnosis_page
 from bayes_aero.report.tables import write_csv
 from bayes_aero.report.words_diagnosis import causes_frame, revealed, screen_frame, sentences
+from bayes_aero.studies.beside import beside
 from bayes_aero.studies.diagnosis_results import diagnosis_results
 from bayes_aero.studies.folder import writable
+from bayes_aero.studies.follow import Follows, Predict, drawings, follow
 from bayes_aero.studies.hidden import draw_hidden, flyable
-from bayes_aero.studies.outlook import separations
 from bayes_aero.studies.provenance import provenance, write_json
 
 Progress = Callable[[str, float], None]
 Hidden = Mapping[str, Mapping[str, float]]
 """True values of what simulated records hide, by effect."""
-Predict = Callable[[Diagnosis, Sequence[FlightRecord]], Mapping[str, Any]]
-Fly = Callable[[Diagnosis, Sequence[FlightRecord]], Trajectories]
+Fly = Callable[[Diagnosis, Progress | None], Trajectories]
 
 
 @dataclass(frozen=True)
@@ -105,9 +107,7 @@ def run(
     source = provenance(card, records, seed, {"max_effects": most})
     view = view_of(diagnose(records, card, seed=seed, most=most, progress=progress))
     named = {name: _found(view.diagnosis, name) for name in hidden} if hidden else {}
-    outcome = Outcome(view, hidden, named, ())
-    predictors: Mapping[str, Any] = {}
-    separating: list[dict[str, Any]] = []
+    outcome, follows = Outcome(view, hidden, named, ()), Follows(view)
 
     def write() -> None:
         if out is None:
@@ -119,8 +119,8 @@ def run(
             records,
             source,
             sentences=sentences(outcome.view),
-            predictors=predictors,
-            separating=separating,
+            predictors=follows.predictors,
+            separating=follows.separating,
             hidden=truth,
             notes=outcome.notes,
         )
@@ -130,34 +130,25 @@ def run(
         write_csv(causes_frame(view), out / "causes.csv")
         write_csv(screen_frame(view), out / "screen.csv")
     write()
-    if predict is not None:
-        if progress:
-            progress("predictors", 0.0)
+    shown = DIAGNOSIS_FIGURES if figures and out is not None else {}
+    early, late = ({n: draw for n, draw in shown.items() if (n in FLOWN_FIGURES) == x} for x in (False, True))
+    job = partial(follow, view, predict, early, out)
+    with blas_threads(0), beside(job, progress) as following:  # one limit: of two, the first to end would lift both
+        if cores() == 1:
+            following.result()
         try:
-            predictors = predict(view.diagnosis, records)
-        except InputError as error:
-            outcome = replace(outcome, notes=(*outcome.notes, f"Predictors were not compared: {error}"))
-        if progress:
-            progress("manoeuvres that would separate", 0.0)
-        separating = separations(view.diagnosis)
-        write()
-    if fly is not None:
-        try:
-            outcome = replace(outcome, view=replace(view, trajectories=fly(view.diagnosis, records)))
-        except InputError as error:
-            outcome = replace(outcome, notes=(*outcome.notes, f"Trajectories were not simulated: {error}"))
-        write()
+            outcome = _simulated(outcome, fly, progress)
+        finally:  # Ctrl-C leaves on disk what is there
+            follows = following.result() if following.done else follows
+            write()
+        follows = following.result()
+    view = replace(follows.view, trajectories=outcome.view.trajectories)
+    outcome = replace(outcome, view=view, notes=(*outcome.notes, *follows.notes))
+    write()
     if out is None:
         return outcome
-    try:
-        outcome = replace(outcome, view=with_stalls(outcome.view))
-    except Exception as reason:  # an effect of the user's own may not bear a steady flow; the rest stands
-        outcome = replace(outcome, notes=(*outcome.notes, f"Stall left out: {type(reason).__name__}: {reason}"))
-    drawn: list[Path] = []
-    if figures:
-        drawn, failed = draw_all(DIAGNOSIS_FIGURES, outcome.view, out / "figures", progress)
-        said = (f"Figure {name} was not drawn: {why}" for name, why in failed.items())
-        outcome = replace(outcome, notes=(*outcome.notes, *said))
+    drawn, failed = drawings(late, view, out, progress)
+    outcome = replace(outcome, notes=(*outcome.notes, *failed))
     write()
     if progress:
         progress("report", 0.0)
@@ -165,9 +156,9 @@ def run(
         card,
         records,
         source,
-        {path.stem: path for path in drawn},
-        predictors,
-        separating,
+        {**follows.drawn, **drawn},
+        follows.predictors,
+        follows.separating,
         revealed(hidden, named) if hidden else (),
         outcome.notes,
     )
@@ -176,6 +167,16 @@ def run(
         outcome = replace(outcome, notes=(*outcome.notes, failure))
         write()
     return outcome
+
+
+def _simulated(outcome: Outcome, fly: Fly | None, progress: Progress | None) -> Outcome:
+    """With trajectories, or why there are none."""
+    if fly is None:
+        return outcome
+    try:
+        return replace(outcome, view=replace(outcome.view, trajectories=fly(outcome.diagnosis, progress)))
+    except InputError as error:
+        return replace(outcome, notes=(*outcome.notes, f"Trajectories were not simulated: {error}"))
 
 
 def _found(diagnosis: Diagnosis, name: str) -> str:

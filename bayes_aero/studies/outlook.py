@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from bayes_aero.criticism.design import separating
+from bayes_aero.criticism.design import separating, standard
 from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.gain import truncated
 from bayes_aero.criticism.predictors import compare_states
@@ -17,29 +17,36 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.flights import despiked, join
 from bayes_aero.model.longitudinal import FLIGHT
 
-SETS = 2  # ambiguity sets for which manoeuvres are flown: each compiles a flight of its own
+SETS = 2  # ambiguity sets for which the manoeuvres are judged
 
 
-def predictors(diagnosis: Diagnosis, card: Card) -> dict[str, Any]:
+def predictors(diagnosis: Diagnosis, card: Card, progress: Progress | None = None) -> dict[str, Any]:
     """Card's model, Gaussian process, extended model and that with its discrepancy, by coefficient, on unseen data."""
-    found = compare_states(truncated(diagnosis.aerodynamics.state, diagnosis.kept), card.gp_inputs)
+    state = truncated(diagnosis.aerodynamics.state, diagnosis.kept)
+    found = compare_states(state, card.gp_inputs, progress=progress)
     return {
         name: {c: None if scores is None else asdict(scores) for c, scores in row.items()}
         for name, row in found.table.items()
     }
 
 
-def separations(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+def separations(diagnosis: Diagnosis, progress: Progress | None = None) -> list[dict[str, Any]]:
     """For each ambiguity set of the coefficients' causes: the standard manoeuvre that would tell its members apart."""
-    found, seen = [], set()
+    state = diagnosis.aerodynamics.state
+    sets: dict[frozenset[str], dict[str, float]] = {}
     for cause in diagnosis.causes:
         members = frozenset((cause.name, *cause.ambiguous_with))
-        if len(members) < 2 or members in seen or cause.stage != "coefficients" or len(found) >= SETS:
-            continue
-        seen.add(members)
-        sizes = {name: abs(size.mean) for name, size in cause.parameters.items()}
+        if len(members) > 1 and cause.stage == "coefficients":
+            sets.setdefault(members, {name: abs(size.mean) for name, size in cause.parameters.items()})
+    sets = dict(list(sets.items())[:SETS])
+    if not sets:
+        return []
+    if progress:
+        progress("manoeuvres that would separate", 0.0)
+    found, flights = [], standard(state, sorted(frozenset().union(*sets)))  # flown, and compiled, once for all sets
+    for members, sizes in sets.items():
         try:
-            design = separating(diagnosis.aerodynamics.state, sorted(members), sizes=sizes)
+            design = separating(state, sorted(members), sizes=sizes, flights=flights)
         except InputError as error:
             found.append({"effects": sorted(members), "status": str(error), "manoeuvres": []})
             continue

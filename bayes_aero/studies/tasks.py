@@ -52,8 +52,8 @@ def diagnose_records(
         seed=seed,
         most=max_effects,
         hidden=hidden,
-        predict=(lambda found, _: compared(found, card)) if predictors else None,
-        fly=(lambda found, flown: simulations(found, card, flown, seed, progress)) if trajectories else None,
+        predict=(lambda found, tell: compared(found, card, tell)) if predictors else None,
+        fly=(lambda found, tell: simulations(found, card, flights, seed, tell)) if trajectories else None,
         figures=figures,
         progress=progress,
     )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayes_aero.criticism.candidates import Field
-from bayes_aero.criticism.design import separating
+from bayes_aero.criticism.design import separating, standard
 from bayes_aero.criticism.responses import Responses
 from bayes_aero.criticism.state import linearised
 from bayes_aero.effects import CATALOGUE
@@ -61,6 +61,15 @@ def test_information_grows_with_amplitude(state, rates):
     less = {m.manoeuvre: m.weakest for m in smaller.manoeuvres}
     for name in ("elevator_doublet", "elevator_3211"):
         assert less[name] < next(m.weakest for m in rates.manoeuvres if m.manoeuvre == name)
+
+
+def test_one_set_of_flights_serves_several_sets_of_effects(state, rates):
+    """With a rival from another set in the model, at neutral, the manoeuvres are the same flights."""
+    flights = standard(state, ("alpha_dot_lift", "pitch_rate_lift", "mach_drag"))
+    shared = separating(state, ("alpha_dot_lift", "pitch_rate_lift"), flights=flights)
+    for one, other in zip(shared.manoeuvres, rates.manoeuvres, strict=True):
+        assert one.manoeuvre == other.manoeuvre
+        assert one.weakest == pytest.approx(other.weakest, rel=1e-6)
 
 
 def test_a_larger_effect_is_told_apart_in_proportion(state, rates):

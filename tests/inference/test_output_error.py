@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -157,6 +158,21 @@ def test_a_parameter_that_is_held_keeps_its_value(short_period):
     assert found.cost > free.cost + 10.0
     others = [i for i in range(len(found.names)) if i != k]
     assert np.any(np.abs(found.estimate - free.estimate)[others] > 3.0 * free.sd[others])
+
+
+def test_segments_that_do_not_count_have_no_say(short_period):
+    """Fitted beside masked segments, a window gives what it gives alone, and the others keep their measured state."""
+    _, free = short_period
+    windows = flown_of(SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH), 1, window=8.0)
+    first = np.arange(len(windows.index)) == 0
+    masked = eqx.tree_at(lambda f: f.inside, windows, windows.inside & first[:, None])
+    beside, alone = (fit_output_error(f, start=free.estimate) for f in (masked, windows.part([0])))
+    np.testing.assert_allclose(beside.estimate, alone.estimate, rtol=1e-6)
+    np.testing.assert_allclose(beside.sd, alone.sd, rtol=1e-6)
+    assert beside.cost == pytest.approx(alone.cost, rel=1e-9)
+    assert not beside.departure[~first].any()
+    assert beside.columns.shape[:2] == windows.index.shape
+    assert not beside.columns[~first].any()
 
 
 def test_a_bound_in_the_way_is_said():

@@ -14,6 +14,7 @@ from bayes_aero.criticism.diagnosis import NO_GAIN
 from bayes_aero.errors import InputError
 from bayes_aero.report import figures_diagnosis
 from bayes_aero.studies import diagnose as job
+from bayes_aero.studies import follow
 from bayes_aero.studies.diagnose import hide_one, run
 from bayes_aero.studies.diagnosis_results import diagnosis_results
 from bayes_aero.studies.provenance import provenance, write_json
@@ -95,7 +96,7 @@ def test_a_stall_that_cannot_be_computed_loses_nothing(repeated, card, tmp_path,
     def bad(*_):
         raise ValueError("no such luck")
 
-    monkeypatch.setattr(job, "with_stalls", bad)
+    monkeypatch.setattr(follow, "with_stalls", bad)
     found = run(repeated.records, card, out=tmp_path, figures=False)
     assert found.notes == ("Stall left out: ValueError: no such luck",)
     page = (tmp_path / "report.html").read_text()
