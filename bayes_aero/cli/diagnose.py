@@ -20,7 +20,7 @@ from bayes_aero.cli.terminal import (
 )
 
 if TYPE_CHECKING:  # the real imports wait until the command needs them
-    from bayes_aero.studies.diagnose import Outcome
+    from bayes_aero.studies.kept import Outcome
     from bayes_aero.studies.tasks import Flown
 
 

@@ -5,9 +5,10 @@ Every manoeuvre is left out in turn. A single one is cut in two halves, each flo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from threading import Event
 
 import equinox as eqx
 import numpy as np
@@ -96,27 +97,47 @@ def fly_both(
     paths, held = [], {}
     for name, fit in (("card", card), ("extended", joint)):
         paths += paths_of(fit, fit.flown, name, "fitted", fit.departure, tolerances)
+    tell("left out", 0.5)
     jobs = []
     for k in range(len(ours.whole.index)):
-        others = _masked(ours.whole, k, keep=False)
-        silent = {n: fitted[n] for n in _silent(joint, others) if n in own}
+        silent = {n: fitted[n] for n in _silent(joint, _masked(ours.whole, k, keep=False)) if n in own}
         held[label(ours.whole, k)] = tuple(silent)
         jobs += [(k, "card", card, neutral), (k, "extended", joint, silent)]
-
-    def unseen(job) -> list[Path]:
-        k, name, fit, kept = job
-        others, seen = (_masked(fit.flown, k, keep=keep) for keep in (False, True))
-        again = fit_output_error(others, start=fit.estimate, held=kept, prior_weight=cost)
-        return paths_of(again, seen, name, "unseen", np.zeros_like(fit.departure), tolerances, cost, seed)
-
-    tell("left out", 0.5)
-    with ThreadPoolExecutor(cores()) as pool:  # each flies what is left by itself, on one core if that is one part
-        for number, found in enumerate(pool.map(unseen, jobs), start=1):
-            paths += found
-            tell("left out", 0.5 + 0.4 * number / len(jobs))
+    for number, found in enumerate(_unseen(jobs, tolerances, cost, seed), start=1):
+        paths += found
+        tell("left out", 0.5 + 0.4 * number / len(jobs))
     deviation = np.sqrt(np.diag(posterior_covariance(joint, cost)))
     shown = tuple(n for n in ours.whole.dynamics.outputs if n in flights.channels)
     return Trajectories(tuple(paths), card, joint, deviation, cost, held, shown)
+
+
+def _unseen(
+    jobs: Sequence[tuple[int, str, OutputErrorResult, Mapping[str, float]]],
+    tolerances: Mapping[str, float],
+    cost: float,
+    seed: int,
+) -> Iterator[list[Path]]:
+    """Each job (segment, name of the model, its fit to all, what is held): the segment flown by a fit to the others.
+
+    Two fits keep as many cores busy as one with twice the segments, so several are made at once.
+    """
+    stopped, others = Event(), max(1, len(jobs[0][2].flown.index) - 1)
+
+    def one(job) -> list[Path]:
+        k, name, fit, held = job
+        rest, seen = (_masked(fit.flown, k, keep=keep) for keep in (False, True))
+        options = {"held": held, "prior_weight": cost, "stopped": stopped.is_set}
+        again = fit_output_error(rest, start=fit.estimate, **options)
+        if stopped.is_set():
+            return []
+        return paths_of(again, seen, name, "unseen", np.zeros_like(fit.departure), tolerances, cost, seed)
+
+    with ThreadPoolExecutor(max(1, cores() // others)) as pool:
+        try:
+            yield from pool.map(one, jobs)
+        except BaseException:  # Ctrl-C does not wait for whole fits
+            stopped.set()
+            raise
 
 
 @dataclass(frozen=True)

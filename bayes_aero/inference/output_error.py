@@ -7,7 +7,7 @@ Gauss-Newton with Levenberg and Marquardt's damping on exact forward sensitiviti
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import equinox as eqx
@@ -45,11 +45,13 @@ def fit_output_error(
     prior_weight: float = 1.0,
     most: int = MAX_ITERATIONS,
     biases: Mapping[str, Prior] | None = None,
+    stopped: Callable[[], bool] | None = None,
 ) -> OutputErrorResult:
     """Fit all segments together from one start (default: the parameters' own); parameters `held` keep their value.
 
     `biases` names outputs that were recorded with a constant error of each manoeuvre's own, and their priors; these
-    errors are then parameters too (`bias_output_1` and so on), after those of `start`.
+    errors are then parameters too (`bias_output_1` and so on), after those of `start`. `stopped` is asked before each
+    step whether to end there, not converged.
     """
     if biases:
         own = len(flown.dynamics.free)
@@ -69,7 +71,7 @@ def fit_output_error(
     here = look(np.clip(theta, lower, upper), np.zeros((w, s)) if departure is None else departure)
     damping, converged, active = BEGIN_DAMPING, False, np.zeros(len(free), bool)
     count = 0
-    while count < most and math.isfinite(here.cost):
+    while count < most and math.isfinite(here.cost) and not (stopped and stopped()):
         count += 1
         A, g, local = reduced(here, prior)
         active = rest | ((here.theta <= lower) & (g < 0.0)) | ((here.theta >= upper) & (g > 0.0))

@@ -43,16 +43,20 @@ def separations(diagnosis: Diagnosis, progress: Progress | None = None) -> list[
         return []
     if progress:
         progress("manoeuvres that would separate", 0.0)
-    found, flights = [], standard(state, sorted(frozenset().union(*sets)))  # flown, and compiled, once for all sets
+    found = {members: {"effects": sorted(members), "manoeuvres": []} for members in sets}
+    try:
+        flights = standard(state, sorted(frozenset().union(*sets)))  # flown, and compiled, once for all sets
+    except InputError as error:
+        return [one | {"status": str(error)} for one in found.values()]
     for members, sizes in sets.items():
         try:
             design = separating(state, sorted(members), sizes=sizes, flights=flights)
         except InputError as error:
-            found.append({"effects": sorted(members), "status": str(error), "manoeuvres": []})
+            found[members]["status"] = str(error)
             continue
         ranked = [{"manoeuvre": m.manoeuvre, "deviations": m.weakest} for m in design.manoeuvres]
-        found.append({"effects": sorted(members), "status": design.status, "manoeuvres": ranked})
-    return found
+        found[members] |= {"status": design.status, "manoeuvres": ranked}
+    return list(found.values())
 
 
 def simulations(

@@ -10,8 +10,9 @@ from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.studies.diagnose import Hidden, Outcome, run
+from bayes_aero.studies.diagnose import run
 from bayes_aero.studies.diagnose_flown import lacking, run_flown
+from bayes_aero.studies.kept import Hidden, Outcome
 from bayes_aero.studies.outlook import predictors as compared
 from bayes_aero.studies.outlook import simulations
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import replace
 from importlib import resources
 
@@ -14,7 +15,7 @@ from bayes_aero.criticism.diagnosis import NO_GAIN
 from bayes_aero.errors import InputError
 from bayes_aero.report import figures_diagnosis
 from bayes_aero.studies import diagnose as job
-from bayes_aero.studies import follow
+from bayes_aero.studies import follow, kept, outlook
 from bayes_aero.studies.diagnose import hide_one, run
 from bayes_aero.studies.diagnosis_results import diagnosis_results
 from bayes_aero.studies.provenance import provenance, write_json
@@ -85,7 +86,7 @@ def test_a_page_that_fails_loses_nothing(repeated, card, tmp_path, monkeypatch):
     def bad(*_):
         raise ValueError("no such luck")
 
-    monkeypatch.setattr(job, "diagnosis_page", bad)
+    monkeypatch.setattr(kept, "diagnosis_page", bad)
     found = run(repeated.records, card, out=tmp_path, figures=False)
     assert found.notes == ("report.html was not written: ValueError: no such luck",)
     assert validated(tmp_path / "diagnosis.json")["notes"] == list(found.notes)
@@ -112,6 +113,45 @@ def test_predictors_are_written_and_may_fail(repeated, card, tmp_path):
     assert validated(tmp_path / "diagnosis.json")["predictors"] == {"extended": {"Cm": 0.5}}
     found = run(repeated.records, card, out=tmp_path, figures=False, predict=fails)
     assert "too large" in found.notes[0]
+
+
+def test_what_was_found_beside_an_interrupted_flight_is_on_disk(repeated, card, tmp_path):
+    def interrupted(*_):
+        end = time.monotonic() + 60.0
+        while not json.loads((tmp_path / "diagnosis.json").read_text())["predictors"]:
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        raise KeyboardInterrupt
+
+    scores = {"extended": {"Cm": 0.5}}
+    with pytest.raises(KeyboardInterrupt):
+        run(repeated.records, card, out=tmp_path, predict=lambda *_: scores, fly=interrupted)
+    assert validated(tmp_path / "diagnosis.json")["predictors"] == scores
+
+
+def test_a_failure_beside_the_flight_is_told(repeated, card, tmp_path):
+    def bad(*_):
+        raise ValueError("no such luck")
+
+    def refused(*_):
+        raise InputError("cannot fly")
+
+    with pytest.raises(ValueError, match="no such luck"):
+        run(repeated.records, card, out=tmp_path, predict=bad, fly=refused)
+    assert validated(tmp_path / "diagnosis.json")["notes"] == ["Trajectories were not simulated: cannot fly"]
+
+
+def test_a_state_that_cannot_be_trimmed_has_no_separating_manoeuvre(diagnosed, monkeypatch):
+    def refused(*_):
+        raise InputError("level flight needs no angle of attack in range")
+
+    monkeypatch.setattr(outlook, "standard", refused)
+    found = diagnosed.view.diagnosis
+    cause = replace(found.causes[0], ambiguous_with=("a_rival",), stage="coefficients")
+    (one,) = outlook.separations(replace(found, causes=(cause,)))
+    assert one["effects"] == sorted([cause.name, "a_rival"])
+    assert one["status"] == "level flight needs no angle of attack in range"
+    assert one["manoeuvres"] == []
 
 
 def test_a_folder_that_cannot_be_made_is_told_before_the_work(card, tmp_path, monkeypatch):

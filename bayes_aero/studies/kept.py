@@ -1,0 +1,122 @@
+"""What a diagnosis has found so far, on disk as soon as it is known, whichever thread found it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+from bayes_aero.criticism.finding import Diagnosis
+from bayes_aero.criticism.trajectory import Trajectories
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.report.diagnosed import View
+from bayes_aero.report.page import put_page
+from bayes_aero.report.page_diagnosis import Told, diagnosis_page
+from bayes_aero.report.tables import write_csv
+from bayes_aero.report.words_diagnosis import causes_frame, revealed, screen_frame, sentences
+from bayes_aero.studies.diagnosis_results import diagnosis_results
+from bayes_aero.studies.provenance import write_json
+
+Hidden = Mapping[str, Mapping[str, float]]
+"""True values of what simulated records hide, by effect."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A diagnosis with what is shown of it; `named`: each hidden effect is first, named, ambiguous, minor or missed."""
+
+    view: View
+    hidden: Hidden | None
+    named: Mapping[str, str]
+    notes: tuple[str, ...]
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """The finding itself."""
+        return self.view.diagnosis
+
+
+class Kept:
+    """An outcome that grows, and diagnosis.json with it; `path` is the folder, if there is one."""
+
+    def __init__(
+        self,
+        outcome: Outcome,
+        path: Path | None,
+        card: Card,
+        records: Sequence[FlightRecord],
+        source: Mapping[str, Any],
+    ) -> None:
+        self.outcome, self.path = outcome, path
+        self._card, self._records, self._source, self._lock = card, records, source, Lock()
+        self._predictors: Mapping[str, Any] = {}
+        self._separating: Sequence[Mapping[str, Any]] = ()
+        if path is not None:
+            write_csv(causes_frame(outcome.view), path / "causes.csv")
+            write_csv(screen_frame(outcome.view), path / "screen.csv")
+        self._write()
+
+    def trajectories(self, found: Trajectories) -> None:
+        """Keep simulated trajectories."""
+        self._grow(trajectories=found)
+
+    def stalls(self, view: View) -> None:
+        """Keep the stalls of a view of the same diagnosis."""
+        self._grow(stalls=view.stalls)
+
+    def predictors(self, found: Mapping[str, Any]) -> None:
+        """Keep a comparison of predictors."""
+        self._predictors = found
+        self._grow()
+
+    def separating(self, found: Sequence[Mapping[str, Any]]) -> None:
+        """Keep the manoeuvres that would separate."""
+        self._separating = found
+        self._grow()
+
+    def note(self, *notes: str) -> None:
+        """Keep what was left out, and why."""
+        self._grow(notes)
+
+    def put_page(self, drawn: Mapping[str, Path]) -> None:
+        """report.html with the figures `drawn`; a note says why if there is none."""
+        outcome = self.outcome
+        told = Told(
+            self._card,
+            self._records,
+            self._source,
+            drawn,
+            self._predictors,
+            self._separating,
+            revealed(outcome.hidden, outcome.named) if outcome.hidden else (),
+            outcome.notes,
+        )
+        failure = None if self.path is None else put_page(lambda: diagnosis_page(outcome.view, told), self.path)
+        if failure:
+            self.note(failure)
+
+    def _grow(self, notes: Sequence[str] = (), **changes: Any) -> None:
+        with self._lock:
+            view = replace(self.outcome.view, **changes) if changes else self.outcome.view
+            self.outcome = replace(self.outcome, view=view, notes=(*self.outcome.notes, *notes))
+            self._write()
+
+    def _write(self) -> None:
+        if self.path is None:
+            return
+        hidden, named = self.outcome.hidden, self.outcome.named
+        content = diagnosis_results(
+            self.outcome.view,
+            self._card,
+            self._records,
+            self._source,
+            sentences=sentences(self.outcome.view),
+            predictors=self._predictors,
+            separating=self._separating,
+            hidden=None if hidden is None else {"effects": hidden, "named": named},
+            notes=self.outcome.notes,
+        )
+        write_json(content, self.path / "diagnosis.json")
