@@ -19,11 +19,6 @@ class Beside(Generic[Result]):
         self._progress, self._stopped, self._waited = progress, Event(), Event()
         self._running = pool.submit(job, self._tell)
 
-    @property
-    def done(self) -> bool:
-        """Whether `result` is there or the job has failed."""
-        return self._running.done()
-
     def result(self) -> Result:
         """What the job returns, or raises, once it has."""
         self._waited.set()
