@@ -76,6 +76,11 @@ def kept_stages(out: Path) -> Callable[[], str]:
         ]
         if not written:
             return f"no stage had finished, so {out} holds nothing new; give the same command to start again"
+        if (out / ".unfinished.json").is_file():  # of a diagnosis; its module is heavy to import
+            return (
+                f"the stages that had finished are in {out} ({', '.join(written)}) and can be used as they are; "
+                "the same command searches again, which gives the same, and takes up the rest where it was left"
+            )
         chains = " but goes on with the chain of emcee that was begun" if (out / ".chains").is_dir() else ""
         return (
             f"the stages that had finished are in {out} ({', '.join(written)}) and can be used as they are; "

@@ -21,7 +21,7 @@ from bayes_aero.criticism.flown_paths import Path, label, paths_of, posterior_co
 from bayes_aero.effect import Stage
 from bayes_aero.inference.cores import blas_threads, cores
 from bayes_aero.inference.output_error import fit_cascade, fit_output_error
-from bayes_aero.inference.output_error_result import OutputErrorResult
+from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
 from bayes_aero.model.dynamics import aircraft_dynamics
 from bayes_aero.model.flights import Flights
 from bayes_aero.model.model import Model
@@ -36,16 +36,34 @@ Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
+class Estimates:
+    """One model as fitted to all trajectories: its parameters (SI) by name, and how the fit ended."""
+
+    values: Mapping[str, float]
+    units: Mapping[str, str]
+    status: OutputErrorStatus
+    at_bound: tuple[str, ...]
+    held: tuple[str, ...]  # by their priors: the trajectories say next to nothing of them
+
+    @classmethod
+    def of(cls, fit: OutputErrorResult) -> Estimates:
+        """What is told of a fit."""
+        values = dict(zip(fit.names, map(float, fit.estimate), strict=True))
+        return cls(values, {p.name: p.unit for p in fit.parameters}, fit.status, fit.at_bound, fit.held)
+
+
+@dataclass(frozen=True)
 class Trajectories:
     """What simulations say of the card's model and of the extended one."""
 
     paths: tuple[Path, ...]
-    card: OutputErrorResult
-    extended: OutputErrorResult
-    deviation: Float[np.ndarray, " k"]  # of the extended model's parameters, the residuals' colour counted
+    card: Estimates
+    extended: Estimates
+    deviation: Mapping[str, float]  # of the extended model's parameters, the residuals' colour counted
     colour_cost: float  # how many times the colour multiplies variances
     held: Mapping[str, tuple[str, ...]]  # causes held at their joint estimate when a manoeuvre is fitted alone
-    outputs: tuple[str, ...]
+    fitted: tuple[str, ...]  # outputs
+    outputs: tuple[str, ...]  # all that were recorded
 
     def path(self, manoeuvre: str, model: str, split: str) -> Path | None:
         """One of the paths."""
@@ -106,9 +124,17 @@ def fly_both(
     for number, found in enumerate(_unseen(jobs, tolerances, cost, seed), start=1):
         paths += found
         tell("left out", 0.5 + 0.4 * number / len(jobs))
-    deviation = np.sqrt(np.diag(posterior_covariance(joint, cost)))
-    shown = tuple(n for n in ours.whole.dynamics.outputs if n in flights.channels)
-    return Trajectories(tuple(paths), card, joint, deviation, cost, held, shown)
+    sd = np.sqrt(np.diag(posterior_covariance(joint, cost)))
+    return Trajectories(
+        paths=tuple(paths),
+        card=Estimates.of(card),
+        extended=Estimates.of(joint),
+        deviation=dict(zip(joint.names, map(float, sd), strict=True)),
+        colour_cost=cost,
+        held=held,
+        fitted=ours.whole.outputs,
+        outputs=tuple(n for n in ours.whole.dynamics.outputs if n in flights.channels),
+    )
 
 
 def _unseen(

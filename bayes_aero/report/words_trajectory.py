@@ -8,9 +8,9 @@ import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from bayes_aero.criticism.trajectory import Trajectories
+from bayes_aero.criticism.trajectory import Estimates, Trajectories
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.inference.output_error import OutputErrorResult, OutputErrorStatus
+from bayes_aero.inference.output_error import OutputErrorStatus
 from bayes_aero.report.style import for_people, several
 
 MODELS = ("card", "extended")
@@ -115,7 +115,7 @@ def trajectory_sentences(flown: Trajectories) -> list[str]:
     return said
 
 
-def _status(who: str, fit: OutputErrorResult) -> list[str]:
+def _status(who: str, fit: Estimates) -> list[str]:
     if fit.status is OutputErrorStatus.CONVERGED:
         return []
     names = f" ({several(fit.at_bound)})" if fit.at_bound else ""

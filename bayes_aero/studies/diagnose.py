@@ -22,11 +22,13 @@ from bayes_aero.model.model import Model
 from bayes_aero.report.diagnosed import view_of
 from bayes_aero.report.figures import DIAGNOSIS_FIGURES, FLOWN_FIGURES
 from bayes_aero.studies.beside import beside
+from bayes_aero.studies.environment import rests_on
 from bayes_aero.studies.folder import writable
 from bayes_aero.studies.follow import Predict, drawings, follow
 from bayes_aero.studies.hidden import draw_hidden, flyable
 from bayes_aero.studies.kept import Hidden, Kept, Outcome
 from bayes_aero.studies.provenance import provenance
+from bayes_aero.studies.unfinished import Unfinished
 
 Progress = Callable[[str, float], None]
 Fly = Callable[[Diagnosis, Progress | None], Trajectories]
@@ -74,7 +76,7 @@ def run(
     progress: Progress | None = None,
 ) -> Outcome:
     """Diagnose, as `bayes-aero diagnose` does; with `out` it writes diagnosis.json, causes.csv, screen.csv,
-    figures and report.html.
+    histories.nc, figures and report.html. The same call after an interruption takes up the stages that are there.
 
     `most` is the number of effects that each stage may add. `predict` adds the comparison of predictors, which may
     fail (the reason is then a note), and the manoeuvres that would separate ambiguity sets. `fly` adds simulated
@@ -83,16 +85,19 @@ def run(
     if out is not None:
         writable(out)
     source = provenance(card, records, seed, {"max_effects": most})
+    unfinished = Unfinished(out, rests_on(source, records) | {"settings": source["settings"]})
+    earlier = unfinished.earlier(card, predictors=predict is not None, trajectories=fly is not None)
     view = view_of(diagnose(records, card, seed=seed, most=most, progress=progress))
     named = {name: _found(view.diagnosis, name) for name in hidden} if hidden else {}
-    kept = Kept(Outcome(view, hidden, named, ()), out, card, records, source)
+    kept = Kept(Outcome(view, hidden, named, ()), out, card, records, source, earlier)
+    unfinished.begin()
     shown = DIAGNOSIS_FIGURES if figures else {}
     early, late = ({n: draw for n, draw in shown.items() if (n in FLOWN_FIGURES) == x} for x in (False, True))
     job = partial(follow, kept, predict, early)
     with blas_threads(0), beside(job, progress) as following:  # one limit: of two, the first to end would lift both
         if cores() == 1:
             following.result()
-        if fly is not None:
+        if fly is not None and not kept.has("trajectories"):
             try:
                 kept.trajectories(fly(view.diagnosis, progress))
             except InputError as error:
@@ -103,6 +108,7 @@ def run(
         if progress:
             progress("report", 0.0)
         kept.put_page(drawn)
+    unfinished.end()
     return kept.outcome
 
 

@@ -6,12 +6,14 @@ import hashlib
 import json
 import platform
 import sys
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import bayes_aero
+from bayes_aero.flight.record import FlightRecord
 from bayes_aero.studies.provenance import write_json, write_text
 
 OWN = "bayes-aero"
@@ -33,6 +35,13 @@ def environment() -> dict[str, Any]:
         "bayes_aero": {"version": bayes_aero.__version__, "source_sha256": _source()},
         "packages": dict(sorted(packages.items(), key=lambda item: item[0].lower())),
     }
+
+
+def rests_on(source: Mapping[str, Any], records: Sequence[FlightRecord]) -> dict[str, Any]:
+    """All that a run's numbers rest on but its settings, from its provenance: what may go on where it stopped."""
+    same = {key: source[key] for key in ("seed", "inputs", "card", "effect_files")}
+    samples = [(r.source, r.n, r.dt) for r in records]  # one file may be resampled to several rates
+    return same | {"samples": samples, "environment": environment()}
 
 
 def environment_id() -> str:

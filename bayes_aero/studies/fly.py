@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.criticism.flown_fit import FlownFit, fit_flown
+from bayes_aero.criticism.flown_fit import FITTED, FlownFit, fit_flown
 from bayes_aero.criticism.trajectory import WINDOW
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
@@ -33,6 +33,7 @@ from bayes_aero.report.tables import write_csv
 from bayes_aero.report.words_fly import fly_sentences, parameter_frame, parameter_rows
 from bayes_aero.studies.diagnosis_results import record_results
 from bayes_aero.studies.folder import writable
+from bayes_aero.studies.histories import HISTORIES, flights, put_histories
 from bayes_aero.studies.provenance import provenance, write_json
 from bayes_aero.studies.trajectory_results import path_results
 
@@ -62,7 +63,7 @@ def fly(
     progress: Progress | None = None,
 ) -> Flight:
     """Fit the card's model to the records' trajectories, as `bayes-aero fly` does; with `out` it writes
-    trajectories.json, parameters.csv, figures and report.html.
+    trajectories.json, parameters.csv, histories.nc, figures and report.html.
 
     A model of effects starts from the card's values and, where coefficients can be formed, from their fit, too (`seed`
     is that fit's). Windows of `windows` s are fitted first.
@@ -106,6 +107,8 @@ def _written(
         return more
 
     write_csv(parameter_frame(found.flown), out / "parameters.csv")
+    together = [replace(path, split=FITTED) for path in found.flown.paths]  # first values and fit side by side
+    put_histories(flights(together, found.flown.units), out / HISTORIES)
     found = noted(())
     if figures:
         _, failed = draw_all(fly_figures(found.flown), found.flown, out / "figures", progress)

@@ -23,11 +23,12 @@ def follow(kept: Kept, predict: Predict | None, figures: ViewFigures, tell: Prog
     Returns the figures drawn, by name.
     """
     found = kept.outcome.diagnosis
-    if predict is not None:
+    if predict is not None and not kept.has("predictors"):
         try:
             kept.predictors(predict(found, tell))
         except InputError as error:
             kept.note(f"Predictors were not compared: {error}")
+    if predict is not None and not kept.has("separating"):
         kept.separating(separations(found, tell))
     if kept.path is None:
         return {}

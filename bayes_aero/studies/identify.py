@@ -37,8 +37,9 @@ from bayes_aero.report.page_identification import identification_page
 from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.tables import paper_table, parameter_table, validation_table, write_csv
 from bayes_aero.report.words import verdict
-from bayes_aero.studies.environment import environment
+from bayes_aero.studies.environment import rests_on
 from bayes_aero.studies.folder import writable
+from bayes_aero.studies.histories import HISTORIES, identified, put_histories
 from bayes_aero.studies.provenance import provenance, write_json
 from bayes_aero.studies.results import results
 
@@ -100,6 +101,8 @@ def identify(
     )
     writer = _Writer(out, provenance(card, records, seed, {"noise": noise.value, "split": split}))
     writer.stage(run)
+    if out is not None:
+        put_histories(identified(run), out / HISTORIES)
     chains = None if out is None else out / CHAINS
     stores = None if chains is None or not resume else _stores(chains, card, records, seed)
 
@@ -163,8 +166,7 @@ def _many(manoeuvres: int) -> tuple[str, ...]:
 def _stores(folder: Path, card: Card, records: Sequence[FlightRecord], seed: int) -> Callable[[str], Checkpoint]:
     """Where the chain of each posterior is kept while it grows, and all that its numbers rest on."""
     source = provenance(card, records, seed, {})
-    made_from = {key: source[key] for key in ("seed", "inputs", "card", "effect_files")}
-    made_from |= {"sources": [r.source for r in records], "environment": environment()}
+    made_from = rests_on(source, records)
     return lambda key: Checkpoint(folder / key, made_from | {"posterior": key})
 
 

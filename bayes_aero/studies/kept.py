@@ -18,7 +18,9 @@ from bayes_aero.report.page_diagnosis import Told, diagnosis_page
 from bayes_aero.report.tables import write_csv
 from bayes_aero.report.words_diagnosis import causes_frame, revealed, screen_frame, sentences
 from bayes_aero.studies.diagnosis_results import diagnosis_results
+from bayes_aero.studies.histories import HISTORIES, diagnosed, flights, put_histories
 from bayes_aero.studies.provenance import write_json
+from bayes_aero.studies.unfinished import NOTHING, RESULTS, Earlier
 
 Hidden = Mapping[str, Mapping[str, float]]
 """True values of what simulated records hide, by effect."""
@@ -40,7 +42,10 @@ class Outcome:
 
 
 class Kept:
-    """An outcome that grows, and diagnosis.json with it; `path` is the folder, if there is one."""
+    """An outcome that grows, and diagnosis.json with it; `path` is the folder, if there is one.
+
+    What an interrupted run had found (`earlier`) is there from the beginning.
+    """
 
     def __init__(
         self,
@@ -49,15 +54,22 @@ class Kept:
         card: Card,
         records: Sequence[FlightRecord],
         source: Mapping[str, Any],
+        earlier: Earlier = NOTHING,
     ) -> None:
-        self.outcome, self.path = outcome, path
+        self.outcome = replace(outcome, view=replace(outcome.view, trajectories=earlier.trajectories))
+        self.path = path
         self._card, self._records, self._source, self._lock = card, records, source, Lock()
-        self._predictors: Mapping[str, Any] = {}
-        self._separating: Sequence[Mapping[str, Any]] = ()
+        self._predictors, self._separating = earlier.predictors, earlier.separating
         if path is not None:
             write_csv(causes_frame(outcome.view), path / "causes.csv")
             write_csv(screen_frame(outcome.view), path / "screen.csv")
+        self._write_histories()
         self._write()
+
+    def has(self, stage: str) -> bool:
+        """Whether `predictors`, `separating` or `trajectories` are there."""
+        held = {"predictors": self._predictors, "separating": self._separating}
+        return bool(held[stage]) if stage in held else self.outcome.view.trajectories is not None
 
     def trajectories(self, found: Trajectories) -> None:
         """Keep simulated trajectories."""
@@ -102,7 +114,15 @@ class Kept:
         with self._lock:
             view = replace(self.outcome.view, **changes) if changes else self.outcome.view
             self.outcome = replace(self.outcome, view=view, notes=(*self.outcome.notes, *notes))
+            if "trajectories" in changes:
+                self._write_histories()
             self._write()
+
+    def _write_histories(self) -> None:
+        view = self.outcome.view
+        if self.path is not None:
+            flown = view.trajectories.paths if view.trajectories else ()
+            put_histories({**diagnosed(view), **flights(flown)}, self.path / HISTORIES)
 
     def _write(self) -> None:
         if self.path is None:
@@ -119,4 +139,4 @@ class Kept:
             hidden=None if hidden is None else {"effects": hidden, "named": named},
             notes=self.outcome.notes,
         )
-        write_json(content, self.path / "diagnosis.json")
+        write_json(content, self.path / RESULTS)

@@ -1,21 +1,27 @@
-"""The part of diagnosis.json that tells of simulated trajectories."""
+"""The part of diagnosis.json that tells of simulated trajectories, and the way back from it and histories.nc."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-from bayes_aero.criticism.trajectory import Error, Path, Trajectories
+from bayes_aero.criticism.residuals import TheilParts
+from bayes_aero.criticism.trajectory import Error, Estimates, Path, Trajectories
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.inference.output_error_result import OutputErrorStatus
+from bayes_aero.studies.histories import Histories, flight_of
+
+PARTS = ("bias", "variance", "covariance")  # of Theil's coefficient
 
 
 def trajectory_results(flown: Trajectories, card: Card) -> dict[str, Any]:
     """Errors by manoeuvre, model and split; parameters; tolerances with their sources. SI throughout."""
-    names, card_values = flown.extended.names, dict(zip(flown.card.names, flown.card.estimate, strict=True))
+    before, after = flown.card, flown.extended
     return {
-        "fitted_outputs": list(flown.extended.flown.outputs),
-        "status": {"card": flown.card.status.name, "extended": flown.extended.status.name},
+        "fitted_outputs": list(flown.fitted),
+        "status": {"card": before.status.name, "extended": after.status.name},
+        "at_bound": {"card": list(before.at_bound), "extended": list(after.at_bound)},
         "colour_cost": flown.colour_cost,
         "tolerances": {
             name: {"value": t.value, "unit": STANDARD_CHANNELS[name].unit, "source": t.source}
@@ -26,14 +32,14 @@ def trajectory_results(flown: Trajectories, card: Card) -> dict[str, Any]:
         "held_without": {name: list(held) for name, held in flown.held.items()},
         "parameters": {
             name: {
-                "card": float(card_values[name]) if name in card_values else None,
-                "extended": float(flown.extended.estimate[i]),
-                "sd": float(flown.deviation[i]),
-                "unit": flown.extended.parameters[i].unit,
-                "held_by_prior": name in flown.extended.held,
-                "at_bound": name in flown.extended.at_bound,
+                "card": before.values.get(name),
+                "extended": value,
+                "sd": flown.deviation[name],
+                "unit": after.units[name],
+                "held_by_prior": name in after.held,
+                "at_bound": name in after.at_bound,
             }
-            for i, name in enumerate(names)
+            for name, value in after.values.items()
         },
     }
 
@@ -56,9 +62,53 @@ def _error(unit: str, error: Error) -> dict[str, Any]:
         "rms": error.rms,
         "largest": error.largest,
         "theil": error.theil.theil,
-        "theil_bias": error.theil.bias,
-        "theil_variance": error.theil.variance,
-        "theil_covariance": error.theil.covariance,
+        **{f"theil_{part}": getattr(error.theil, part) for part in PARTS},
         "within_tolerance": error.within,
         "probability_within": error.probability,
     }
+
+
+def trajectories_of(told: Mapping[str, Any], histories: Histories, card: Card) -> Trajectories:
+    """The inverse of `trajectory_results`, with the flights themselves from histories.nc.
+
+    Raises KeyError, TypeError or ValueError where something is not as it was written.
+    """
+    parameters = told["parameters"]
+    units = {name: p["unit"] for name, p in parameters.items()}
+
+    def estimates(model: str, held: tuple[str, ...]) -> Estimates:
+        values = {
+            name: _number(p[model]) for name, p in parameters.items() if model == "extended" or p[model] is not None
+        }
+        status, at_bound = OutputErrorStatus[told["status"][model]], tuple(told["at_bound"][model])
+        return Estimates(values, {name: units[name] for name in values}, status, at_bound, held)
+
+    paths = tuple(_path(one, histories, card) for one in told["paths"])
+    return Trajectories(
+        paths=paths,
+        card=estimates("card", ()),
+        extended=estimates("extended", tuple(name for name, p in parameters.items() if p["held_by_prior"])),
+        deviation={name: _number(p["sd"]) for name, p in parameters.items()},
+        colour_cost=_number(told["colour_cost"]),
+        held={name: tuple(held) for name, held in told["held_without"].items()},
+        fitted=tuple(told["fitted_outputs"]),
+        outputs=tuple(paths[0].errors),
+    )
+
+
+def _path(told: Mapping[str, Any], histories: Histories, card: Card) -> Path:
+    manoeuvre, model, split = told["manoeuvre"], told["model"], told["split"]
+    flight = flight_of(histories[f"trajectories_{split}"], manoeuvre)
+    errors = {}
+    for name, e in told["outputs"].items():
+        theil = TheilParts(*(_number(e[key]) for key in ("theil", *(f"theil_{part}" for part in PARTS))))
+        band = card.tolerances[name].value if name in card.tolerances else None
+        within, chance = e["within_tolerance"], e["probability_within"]
+        errors[name] = Error(_number(e["rms"]), _number(e["largest"]), theil, band, within, chance)
+    measured, simulated = ({name: flight[f"{name}_{kind}"] for name in errors} for kind in ("measured", model))
+    return Path(manoeuvre, model, split, bool(told["inside_envelope"]), errors, flight["time"], measured, simulated)
+
+
+def _number(x: float | None) -> float:
+    """What JSON has null for does not exist."""
+    return float("nan") if x is None else float(x)

@@ -9,15 +9,13 @@ import arviz_base as azb
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from simulated_halves import halves
 
-from bayes_aero.criticism.residuals import theil_parts
-from bayes_aero.criticism.trajectory import Error, Path, Trajectories
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.gp import GPFit
 from bayes_aero.inference.identification import GPReport, Identification, Validation
 from bayes_aero.inference.mle import MleResult, MleStatus
-from bayes_aero.inference.output_error import OutputErrorResult, OutputErrorStatus
 from bayes_aero.inference.posterior import Marginal, Posterior, PosteriorStatus
 from bayes_aero.inference.scores import score
 from bayes_aero.inference.splits import make_splits
@@ -243,37 +241,6 @@ def full():
         apart={"Cmde": -60.0},
         gp_errors={"random": 0.001, "block": 0.01, "manoeuvre": 0.05},
     )
-
-
-class QuietFit(OutputErrorResult):
-    """A fit of which there is nothing to say."""
-
-    held = ()
-
-
-def halves(record: FlightRecord) -> Trajectories:
-    """Two simulated halves of a record: the card's model off by 1 deg, the extended one by a tenth of it."""
-    paths, middle = [], record.n // 2
-    for name, half in (("a, first half", slice(None, middle)), ("a, second half", slice(middle, None))):
-        measured = {output: np.array(record[output][half]) for output in ("airspeed", "alpha")}
-        for model, off in (("card", np.deg2rad(1.0)), ("extended", np.deg2rad(0.1))):
-            simulated = {output: x + off for output, x in measured.items()}
-            errors = {
-                output: Error(off, off, theil_parts(x, simulated[output]), 0.02, 1.0, 0.5)
-                for output, x in measured.items()
-            }
-            paths += [
-                Path(name, model, split, True, errors, np.array(record.time[half]), measured, simulated)
-                for split in ("fitted", "unseen")
-            ]
-    shown = object.__new__(Trajectories)  # the fits behind the paths are not drawn
-    fit = object.__new__(QuietFit)
-    for name, value in (("status", OutputErrorStatus.CONVERGED), ("at_bound", ())):
-        object.__setattr__(fit, name, value)
-    known = {"paths": tuple(paths), "outputs": ("airspeed", "alpha"), "card": fit, "extended": fit, "held": {}}
-    for name, value in known.items():
-        object.__setattr__(shown, name, value)
-    return shown
 
 
 @pytest.fixture(scope="session")

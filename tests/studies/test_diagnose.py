@@ -8,8 +8,10 @@ from dataclasses import replace
 from importlib import resources
 
 import jsonschema
+import numpy as np
 import pandas as pd
 import pytest
+from simulated_halves import halves
 
 from bayes_aero.criticism.diagnosis import NO_GAIN
 from bayes_aero.errors import InputError
@@ -127,6 +129,87 @@ def test_what_was_found_beside_an_interrupted_flight_is_on_disk(repeated, card, 
     with pytest.raises(KeyboardInterrupt):
         run(repeated.records, card, out=tmp_path, predict=lambda *_: scores, fly=interrupted)
     assert validated(tmp_path / "diagnosis.json")["predictors"] == scores
+
+
+@pytest.fixture
+def left(repeated, card, tmp_path, monkeypatch):
+    """A folder that a run with predictors and trajectories left when it was interrupted before its page."""
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(kept.Kept, "put_page", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            run(repeated.records, card, out=tmp_path, figures=False, predict=told, fly=halved(repeated))
+    return repeated, tmp_path
+
+
+def told(*_):
+    scores = {"r2": 0.5, "rmse": 0.1, "r": float("nan"), "theil": 0.2}
+    return {"extended": {"Cm": scores, "CL": None}}
+
+
+def halved(case):
+    return lambda *_: halves(case.records[0])
+
+
+def test_a_run_that_was_interrupted_is_taken_up_and_ends_the_same(left, card, tmp_path_factory):
+    def never(*_):
+        raise AssertionError("done again")
+
+    case, out = left
+    whole = tmp_path_factory.mktemp("whole")
+    run(case.records, card, out=whole, figures=False, predict=told, fly=halved(case))
+    found = run(case.records, card, out=out, figures=False, predict=never, fly=never)
+    contents = [validated(folder / "diagnosis.json") for folder in (whole, out)]
+    for content in contents:
+        del content["provenance"]
+    assert contents[0] == contents[1]
+    assert contents[0]["trajectories"]["paths"]
+    for path, again in zip(halves(case.records[0]).paths, found.view.trajectories.paths, strict=True):
+        assert np.array_equal(path.time, again.time)
+        for name, x in path.simulated.items():
+            assert np.array_equal(x, again.simulated[name])
+            assert np.array_equal(path.measured[name], again.measured[name])
+    assert (out / "report.html").stat().st_size > 10_000
+    assert not list(out.glob(".*"))
+
+
+@pytest.mark.parametrize("change", ["finished", "seed", "record", "settings", "damaged"])
+def test_nothing_is_taken_up_from_another_run(left, card, change):
+    case, out = left
+    again, options = [], {"seed": 0}
+    records = case.records
+    if change == "finished":
+        (out / ".unfinished.json").unlink()
+    elif change == "seed":
+        options = {"seed": 1}
+    elif change == "settings":
+        options = {"most": 3}
+    elif change == "record":
+        records = [replace(records[0], sha256="0" * 64), *records[1:]]
+    else:
+        (out / "histories.nc").write_bytes(b"no such luck")
+
+    def flown(*_):
+        again.append("flown")
+        return halves(case.records[0])
+
+    def predicted(*_):
+        again.append("predicted")
+        return told()
+
+    run(records, card, out=out, figures=False, predict=predicted, fly=flown, **options)
+    assert sorted(again) == ["flown", "predicted"]
+
+
+def test_what_is_not_wanted_any_more_is_not_taken_up(left, card):
+    case, out = left
+    run(case.records, card, out=out, figures=False)
+    content = validated(out / "diagnosis.json")
+    assert content["trajectories"] == {}
+    assert content["predictors"] == {}
 
 
 def test_a_failure_beside_the_flight_is_told(repeated, card, tmp_path):
