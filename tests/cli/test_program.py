@@ -10,12 +10,13 @@ from typing import get_args
 import pytest
 
 from bayes_aero.cli import app, choices
-from bayes_aero.cli.terminal import BAD_INPUT, FAILED, INTERRUPTED
+from bayes_aero.cli.terminal import BAD_INPUT, FAILED, INTERRUPTED, kept_stages
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.inference.splits import SplitKind
 from bayes_aero.model.noise import Colour
 from bayes_aero.studies import identify as job
 from bayes_aero.studies import request, study
+from bayes_aero.studies.unfinished import Unfinished
 
 COMMANDS = sorted(command.callback.__name__ for command in app.registered_commands)
 OWN = """
@@ -107,6 +108,17 @@ def test_an_interruption_says_what_is_kept(program, monkeypatch):
     assert done.code == INTERRUPTED
     assert "parameters.csv" in done.err
     assert "same command" in done.err
+
+
+def test_an_interrupted_diagnosis_is_said_to_be_taken_up(tmp_path):
+    told = kept_stages(tmp_path)
+    assert "nothing new" in told()
+    Unfinished(tmp_path, {}).begin()
+    (tmp_path / "diagnosis.json").write_text("{}")
+    assert "(diagnosis.json)" in told()
+    assert "takes up the rest" in told()
+    Unfinished(tmp_path, {}).end()
+    assert "all stages again" in told()
 
 
 def test_an_interruption_while_reading_is_told_too(program, monkeypatch, flights):
