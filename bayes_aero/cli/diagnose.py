@@ -55,7 +55,7 @@ def diagnose(
     card = read_card(model)
     console = teller(quiet=json, highlight=True)
     flights, hidden = (read_records(records, card, resample=resample), None) if records else ([], None)
-    with interruptible(kept_stages(out)), bar("reading" if records else "simulating") as tell:
+    with interruptible(kept_stages(out, taken_up=True)), bar("reading" if records else "simulating") as tell:
         if not records:
             console.print("No record given: an effect is hidden in two simulated manoeuvres, to be found.")
             hidden, flights = hide_one(card, seed)

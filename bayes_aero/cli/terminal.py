@@ -64,8 +64,8 @@ def interruptible(resume: Callable[[], str]) -> Iterator[None]:
         raise InterruptionError(resume()) from None
 
 
-def kept_stages(out: Path) -> Callable[[], str]:
-    """What a command that writes stage by stage has left in `out` since this call."""
+def kept_stages(out: Path, *, taken_up: bool = False) -> Callable[[], str]:
+    """What a command that writes stage by stage has left in `out` since this call; `taken_up`: it can go on with it."""
     began = time.time() - 1.0  # file systems round times
 
     def told() -> str:
@@ -76,7 +76,7 @@ def kept_stages(out: Path) -> Callable[[], str]:
         ]
         if not written:
             return f"no stage had finished, so {out} holds nothing new; give the same command to start again"
-        if (out / ".unfinished.json").is_file():  # of a diagnosis; its module is heavy to import
+        if taken_up and (out / ".unfinished.json").is_file():  # of a diagnosis; its module is heavy to import
             return (
                 f"the stages that had finished are in {out} ({', '.join(written)}) and can be used as they are; "
                 "the same command searches again, which gives the same, and takes up the rest where it was left"

@@ -25,6 +25,7 @@ from bayes_aero.physics.filters import differentiate, smooth
 Values = Mapping[str, Any]
 OUTPUTS = ("airspeed", "alpha", "theta", "q", "altitude", "ax", "az")
 FINEST = 8  # integration steps a sample
+SIDE = ("p", "r", "beta", "phi")  # of these the lateral force follows where no accelerometer gives it
 DERIVED = ("alpha_dot", "q_dot", "X", "mach", "density")  # the simulation makes them itself
 
 
@@ -138,11 +139,16 @@ class AircraftDynamics(Dynamics):
         return response_scales(self.model, values, flights.channels, flights.aircraft, self.outputs)
 
     def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
-        """Recorded channels that are no states; lateral accelerations; the speed of sound where Mach was recorded."""
+        """Recorded channels that are no states; lateral accelerations; the speed of sound where Mach was recorded.
+
+        Without `ay` also the rate of sideslip, if p, r and phi are known: the lateral force follows from these.
+        """
         found = {name: channels[name] for name in (*self.inputs, *LATERAL, "thrust", "density") if name in channels}
         for name in ("p", "r"):
             if name in channels:
                 found[f"{name}_dot"] = _slope(channels[name], flights)
+        if "ay" not in channels and all(name in channels for name in SIDE):
+            found["beta_dot"] = _slope(channels["beta"], flights)
         if "mach" in channels and "airspeed" in channels:
             found["sound"] = channels["airspeed"] / channels["mach"]
         return found
@@ -178,6 +184,13 @@ def aircraft_dynamics(model: Model, flights: Flights) -> AircraftDynamics:
                 f"effect {effect.name} is a lag of the separation point without tau1, which cannot be flown"
             )
     return dynamics
+
+
+def taken_as_zero(flights: Flights) -> list[str]:
+    """Lateral channels that were not recorded, so that the aircraft is flown without them."""
+    missing = [name for name in SIDE if name not in flights.channels]
+    slips = "beta" in flights.channels  # without sideslip no lateral force enters the longitudinal motion
+    return [*missing, "ay"] if missing and slips and "ay" not in flights.channels else missing
 
 
 def _slope(x: Array, flights: Flights) -> Array:

@@ -1,7 +1,8 @@
 """The aircraft flown through recorded inputs: longitudinal equations of motion with the effects of any model.
 
 States airspeed, alpha, theta, q, altitude and, where the separation point lags, X. What the aircraft does laterally is
-prescribed as recorded: p, r, beta, phi and the lateral specific force. Flat earth, air mass at rest.
+prescribed as recorded: p, r, beta, phi and the lateral specific force, which follows from the others where no
+accelerometer gives it. Flat earth, air mass at rest.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
 from bayes_aero.model.system import Row, System
 from bayes_aero.physics.atmosphere import air
-from bayes_aero.physics.flightpath import motion_of_path
+from bayes_aero.physics.flightpath import motion_of_path, side_force
 from bayes_aero.physics.forces import pitch_acceleration, specific_force
 from bayes_aero.physics.kinematics import Rotation, lever_arm
 
@@ -79,8 +80,12 @@ class Longitudinal(System):
             """Flow at this alpha-dot, the specific force at the CG and the flight path's motion that follows."""
             known = self._flow(state, s | {"alpha_dot": rate})
             fx, fz = specific_force(known["CL"], known["CD"], s["alpha"], pressure, s["thrust"], self.aircraft)
-            side = lateral["ay"] - side_arm if "ay" in u else nothing
-            return known, (fx, fz), motion_of_path(lateral | s, (fx, side, fz))
+            moving, side = lateral | s, nothing
+            if "ay" in u:
+                side = lateral["ay"] - side_arm
+            elif "beta_dot" in u:
+                side = side_force(moving, fx, fz)
+            return known, (fx, fz), motion_of_path(moving, (fx, side, fz))
 
         rate = self._alpha_dot(lambda a: path(a)[2]["alpha"]) if self.implicit else path(nothing)[2]["alpha"]
         known, (fx, fz), moved = path(rate)

@@ -48,6 +48,22 @@ def motion_of_path(s: Mapping[str, Samples], force: tuple[Samples, Samples, Samp
     }
 
 
+def side_force(s: Mapping[str, Samples], ax: Samples, az: Samples) -> Samples:
+    """Lateral specific force in m/s2 without which sideslip would not have moved as it did: `ay` from the vane.
+
+    From sideslip, its rate `beta_dot`, p and r: the lateral acceleration is v_dot + r u - p w with v = V sin(beta).
+    `ax` and `az` are the specific forces beside it, at the centre of gravity; in sideslip they are not all that slows.
+    """
+    sin_a, cos_a = jnp.sin(s["alpha"]), jnp.cos(s["alpha"])
+    sin_b, cos_b = jnp.sin(s["beta"]), jnp.cos(s["beta"])
+    sin_t, cos_t = jnp.sin(s["theta"]), jnp.cos(s["theta"])
+    sin_p, cos_p = jnp.sin(s["phi"]), jnp.cos(s["phi"])
+    in_plane = (ax - GRAVITY * sin_t) * cos_a + (az + GRAVITY * cos_t * cos_p) * sin_a
+    turning = s["airspeed"] * (s["beta_dot"] + s["r"] * cos_a - s["p"] * sin_a)
+    airspeed_dot = in_plane / cos_b + turning * sin_b / cos_b
+    return airspeed_dot * sin_b + turning * cos_b - GRAVITY * cos_t * sin_p
+
+
 def integral(
     rate: Float[Array, " n"], dt: Float[Array, " n"], start: Bool[Array, " n"], first: Int[Array, " n"]
 ) -> Float[Array, " n"]:

@@ -28,7 +28,7 @@ from bayes_aero.studies.follow import Predict, drawings, follow
 from bayes_aero.studies.hidden import draw_hidden, flyable
 from bayes_aero.studies.kept import Hidden, Kept, Outcome
 from bayes_aero.studies.provenance import provenance
-from bayes_aero.studies.unfinished import Unfinished
+from bayes_aero.studies.unfinished import RESTS_ON, Unfinished, digest
 
 Progress = Callable[[str, float], None]
 Fly = Callable[[Diagnosis, Progress | None], Trajectories]
@@ -85,9 +85,11 @@ def run(
     if out is not None:
         writable(out)
     source = provenance(card, records, seed, {"max_effects": most})
-    unfinished = Unfinished(out, rests_on(source, records) | {"settings": source["settings"]})
-    earlier = unfinished.earlier(card, predictors=predict is not None, trajectories=fly is not None)
+    source[RESTS_ON] = digest(rests_on(source, records) | {"settings": source["settings"]})
+    unfinished = Unfinished(out, source[RESTS_ON])
     view = view_of(diagnose(records, card, seed=seed, most=most, progress=progress))
+    causes = view.diagnosis.causes
+    earlier = unfinished.earlier(card, causes, predictors=predict is not None, trajectories=fly is not None)
     named = {name: _found(view.diagnosis, name) for name in hidden} if hidden else {}
     kept = Kept(Outcome(view, hidden, named, ()), out, card, records, source, earlier)
     unfinished.begin()

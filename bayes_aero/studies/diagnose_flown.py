@@ -12,6 +12,7 @@ from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.dynamics import taken_as_zero
 from bayes_aero.physics.coefficients import REQUIRED
 from bayes_aero.report.diagnosed import rankings_of
 from bayes_aero.report.page import put_page
@@ -20,9 +21,11 @@ from bayes_aero.report.style import several
 from bayes_aero.report.words_diagnosis import diagnosis_sentences
 from bayes_aero.studies.diagnosis_results import SCHEMA, cause_results, noise_results, record_results, screen
 from bayes_aero.studies.folder import writable
+from bayes_aero.studies.histories import HISTORIES, flights, put_histories
 from bayes_aero.studies.outlook import simulations
 from bayes_aero.studies.provenance import provenance, write_json
 from bayes_aero.studies.trajectory_results import trajectory_results
+from bayes_aero.studies.unfinished import MARK
 
 Progress = Callable[[str, float], None]
 WHY = (
@@ -50,10 +53,12 @@ def run_flown(
     """Diagnose from trajectories; `out` gets diagnosis.json, report.html. Returns the sentences of the finding too."""
     if out is not None:
         writable(out)
+        (out / MARK).unlink(missing_ok=True)  # what another run left here to be taken up is written over
+        (out / HISTORIES).unlink(missing_ok=True)
     source = provenance(card, records, seed, {"max_effects": most})
     found = diagnose_flown(records, card, seed=seed, most=most, progress=progress)
     note = f"Without {several(lacking(records, card))} {WHY}."
-    still = [n for n in ("p", "r", "beta", "phi") if n not in found.aerodynamics.state.responses.flights.channels]
+    still = taken_as_zero(found.aerodynamics.state.responses.flights)
     if still:
         note += f" Not recorded, and taken as zero: {several(still)}."
     flown: Trajectories | None = None
@@ -71,6 +76,10 @@ def run_flown(
         except InputError as error:
             note += f" Trajectories were not compared: {error}"
         said = write()
+    if flown is not None and out is not None:
+        paths = flown.paths
+        failure = put_histories(lambda: flights(paths), out)
+        said += [failure] if failure else []
     if out is not None:
         failure = put_page(lambda: flown_page(found, flown, said, Told(card, records, source)), out)
         said += [failure] if failure else []

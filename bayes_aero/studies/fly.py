@@ -18,7 +18,7 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.mle import fit_mle
-from bayes_aero.model.dynamics import Dynamics, aircraft_dynamics
+from bayes_aero.model.dynamics import Dynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.model.flights import Flights, despiked, join
 from bayes_aero.model.linear import channel_units, linear_dynamics
 from bayes_aero.model.longitudinal import FLIGHT
@@ -33,7 +33,7 @@ from bayes_aero.report.tables import write_csv
 from bayes_aero.report.words_fly import fly_sentences, parameter_frame, parameter_rows
 from bayes_aero.studies.diagnosis_results import record_results
 from bayes_aero.studies.folder import writable
-from bayes_aero.studies.histories import HISTORIES, flights, put_histories
+from bayes_aero.studies.histories import flights, put_histories
 from bayes_aero.studies.provenance import provenance, write_json
 from bayes_aero.studies.trajectory_results import path_results
 
@@ -108,8 +108,9 @@ def _written(
 
     write_csv(parameter_frame(found.flown), out / "parameters.csv")
     together = [replace(path, split=FITTED) for path in found.flown.paths]  # first values and fit side by side
-    put_histories(flights(together, found.flown.units), out / HISTORIES)
     found = noted(())
+    failure = put_histories(lambda: flights(together, found.flown.units), out)
+    found = noted([failure]) if failure else found
     if figures:
         _, failed = draw_all(fly_figures(found.flown), found.flown, out / "figures", progress)
         said = [f"Figure {name} was not drawn: {why}" for name, why in failed.items()]
@@ -132,7 +133,7 @@ def _flights(records: Sequence[FlightRecord], card: Card) -> tuple[Flights, Dyna
     else:
         flights, spikes = despiked(join(records, card, FLIGHT))
         dynamics = aircraft_dynamics(Model.from_card(card), flights)
-        still = [n for n in ("p", "r", "beta", "phi") if n not in flights.channels]
+        still = taken_as_zero(flights)
         notes += [f"Not recorded, and taken as zero: {several(still)}."] if still else []
     unseen = [n for n in dynamics.states if n not in flights.channels and n in STANDARD_CHANNELS]
     notes += [f"States that were not recorded begin at zero or as fitted: {several(unseen)}."] if unseen else []

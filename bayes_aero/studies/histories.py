@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from bayes_aero.criticism.trajectory import Path as FlightPath
+from bayes_aero.errors import no_space, plain_line
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.identification import Identification
 from bayes_aero.physics.coefficients import NAMES
@@ -61,14 +62,22 @@ def flights(paths: Iterable[FlightPath], units: Mapping[str, str] | None = None)
     for split, named in splits.items():
         firsts = [own[0] for own in named.values()]
         columns: dict[str, np.ndarray] = {}
+        unit: dict[str, str] = {}
         for output in firsts[0].measured:
-            columns[f"{output}_measured"] = np.concatenate([p.measured[output] for p in firsts])
+            columns[column(output, "measured")] = np.concatenate([p.measured[output] for p in firsts])
             for number, model in enumerate(p.model for p in next(iter(named.values()))):
-                columns[f"{output}_{model}"] = np.concatenate([own[number].simulated[output] for own in named.values()])
+                simulated = [own[number].simulated[output] for own in named.values()]
+                columns[column(output, model)] = np.concatenate(simulated)
+            unit |= dict.fromkeys(list(columns)[len(unit) :], known[output])
         manoeuvre = np.repeat(np.arange(len(firsts)), [len(p.time) for p in firsts])
         time = np.concatenate([p.time for p in firsts])
-        found[f"trajectories_{split}"] = _group(columns, tuple(named), manoeuvre, time, known)
+        found[f"trajectories_{split}"] = _group(columns, tuple(named), manoeuvre, time, unit)
     return found
+
+
+def column(output: str, kind: str) -> str:
+    """A column's name; a slash in the name of a card's channel would open a group."""
+    return f"{output}_{kind}".replace("/", "|")
 
 
 def _group(
@@ -78,36 +87,55 @@ def _group(
     time: Float[np.ndarray, " n"],
     units: Mapping[str, str] | None = None,
 ) -> xr.Dataset:
-    unit = {key: units[key.rpartition("_")[0]] if units else "1" for key in columns}
+    unit = units or dict.fromkeys(columns, "1")
     about = {"long_name": "time as recorded, s"}  # xarray would make durations of what has the unit s
     data = {
         "time": ("sample", time, about),
         "manoeuvre": ("sample", manoeuvre + 1),
         **{key: ("sample", x, {"units": unit[key]}) for key, x in columns.items()},
     }
-    return xr.Dataset(data, attrs={"names": list(names)})
+    return xr.Dataset(data, attrs={"names": [plain_line(name) for name in names]})
 
 
-def put_histories(groups: Histories, path: Path) -> None:
-    """Write them, whole or not at all."""
-    tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={"schema": SCHEMA}), **groups})
+def put_histories(make: Callable[[], Histories], folder: Path, rests_on: str = "") -> str | None:
+    """Write `histories.nc` into `folder`, whole or not at all; `rests_on` tells what the numbers were made from.
+
+    Histories that cannot be written cost nothing else: an older file goes, and the reason is returned.
+    """
+    path = folder.absolute() / HISTORIES  # xarray takes a leading ~ for a home
     partial = path.with_name(path.name + ".part")
-    small = {"zlib": True, "complevel": 1}
-    encoding = {f"/{key}": {str(name): small for name in group.data_vars} for key, group in groups.items()}
-    tree.to_netcdf(partial, engine=ENGINE, encoding=encoding)
-    os.replace(partial, path)
+    try:
+        groups = make()
+        tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={"schema": SCHEMA, "rests_on": rests_on}), **groups})
+        small = {"zlib": True, "complevel": 1}
+        encoding = {f"/{key}": {str(name): small for name in group.data_vars} for key, group in groups.items()}
+        tree.to_netcdf(partial, engine=ENGINE, encoding=encoding)
+        os.replace(partial, path)
+    except Exception as reason:  # whatever it is, the numbers stand
+        path.unlink(missing_ok=True)
+        if no_space(reason):
+            raise
+        return f"{HISTORIES} was not written: {type(reason).__name__}: {reason}"
+    finally:
+        partial.unlink(missing_ok=True)
+    return None
 
 
-def read_histories(path: Path) -> Histories:
-    """All groups, in memory. Raises OSError or ValueError where the file is not what `put_histories` wrote."""
+def read_histories(path: Path, rests_on: str | None = None) -> Histories:
+    """All groups, in memory. Raises OSError or ValueError where the file is not what `put_histories` wrote.
+
+    `rests_on`, where given, is what it must have been made from.
+    """
     with xr.open_datatree(path, engine=ENGINE) as tree:
         if tree.attrs.get("schema") != SCHEMA:
             raise ValueError(f"{path} does not say {SCHEMA}")
+        if rests_on is not None and tree.attrs.get("rests_on") != rests_on:
+            raise ValueError(f"{path} was made from something else")
         return {node.path.strip("/"): node.to_dataset(inherit=False).load() for node in tree.subtree if node.data_vars}
 
 
 def flight_of(group: xr.Dataset, manoeuvre: str) -> dict[str, np.ndarray]:
     """One manoeuvre's columns. Raises ValueError where there is no such manoeuvre."""
     names = np.atleast_1d(group.attrs["names"]).tolist()  # a list of one comes back as that one
-    own = group["manoeuvre"].values == names.index(manoeuvre) + 1
+    own = group["manoeuvre"].values == names.index(plain_line(manoeuvre)) + 1
     return {str(key): np.asarray(column.values)[own] for key, column in group.data_vars.items()}

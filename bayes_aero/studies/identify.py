@@ -39,7 +39,7 @@ from bayes_aero.report.tables import paper_table, parameter_table, validation_ta
 from bayes_aero.report.words import verdict
 from bayes_aero.studies.environment import rests_on
 from bayes_aero.studies.folder import writable
-from bayes_aero.studies.histories import HISTORIES, identified, put_histories
+from bayes_aero.studies.histories import identified, put_histories
 from bayes_aero.studies.provenance import provenance, write_json
 from bayes_aero.studies.results import results
 
@@ -101,8 +101,8 @@ def identify(
     )
     writer = _Writer(out, provenance(card, records, seed, {"noise": noise.value, "split": split}))
     writer.stage(run)
-    if out is not None:
-        put_histories(identified(run), out / HISTORIES)
+    failure = None if out is None else put_histories(lambda: identified(run), out)
+    run = replace(run, notes=(*run.notes, failure)) if failure else run
     chains = None if out is None else out / CHAINS
     stores = None if chains is None or not resume else _stores(chains, card, records, seed)
 

@@ -18,9 +18,9 @@ from bayes_aero.report.page_diagnosis import Told, diagnosis_page
 from bayes_aero.report.tables import write_csv
 from bayes_aero.report.words_diagnosis import causes_frame, revealed, screen_frame, sentences
 from bayes_aero.studies.diagnosis_results import diagnosis_results
-from bayes_aero.studies.histories import HISTORIES, diagnosed, flights, put_histories
+from bayes_aero.studies.histories import diagnosed, flights, put_histories
 from bayes_aero.studies.provenance import write_json
-from bayes_aero.studies.unfinished import NOTHING, RESULTS, Earlier
+from bayes_aero.studies.unfinished import NOTHING, RESTS_ON, RESULTS, Earlier
 
 Hidden = Mapping[str, Mapping[str, float]]
 """True values of what simulated records hide, by effect."""
@@ -63,8 +63,8 @@ class Kept:
         if path is not None:
             write_csv(causes_frame(outcome.view), path / "causes.csv")
             write_csv(screen_frame(outcome.view), path / "screen.csv")
-        self._write_histories()
         self._write()
+        self._put_histories()
 
     def has(self, stage: str) -> bool:
         """Whether `predictors`, `separating` or `trajectories` are there."""
@@ -114,15 +114,21 @@ class Kept:
         with self._lock:
             view = replace(self.outcome.view, **changes) if changes else self.outcome.view
             self.outcome = replace(self.outcome, view=view, notes=(*self.outcome.notes, *notes))
-            if "trajectories" in changes:
-                self._write_histories()
             self._write()
+            if "trajectories" in changes:
+                self._put_histories()
 
-    def _write_histories(self) -> None:
+    def _put_histories(self) -> None:
+        if self.path is None:
+            return
         view = self.outcome.view
-        if self.path is not None:
-            flown = view.trajectories.paths if view.trajectories else ()
-            put_histories({**diagnosed(view), **flights(flown)}, self.path / HISTORIES)
+        flown = view.trajectories.paths if view.trajectories else ()
+        failure = put_histories(
+            lambda: {**diagnosed(view), **flights(flown)}, self.path, self._source.get(RESTS_ON, "")
+        )
+        if failure:
+            self.outcome = replace(self.outcome, notes=(*self.outcome.notes, failure))
+            self._write()
 
     def _write(self) -> None:
         if self.path is None:

@@ -10,7 +10,7 @@ from bayes_aero.criticism.trajectory import Error, Estimates, Path, Trajectories
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.output_error_result import OutputErrorStatus
-from bayes_aero.studies.histories import Histories, flight_of
+from bayes_aero.studies.histories import Histories, column, flight_of
 
 PARTS = ("bias", "variance", "covariance")  # of Theil's coefficient
 
@@ -78,7 +78,7 @@ def trajectories_of(told: Mapping[str, Any], histories: Histories, card: Card) -
 
     def estimates(model: str, held: tuple[str, ...]) -> Estimates:
         values = {
-            name: _number(p[model]) for name, p in parameters.items() if model == "extended" or p[model] is not None
+            name: number(p[model]) for name, p in parameters.items() if model == "extended" or p[model] is not None
         }
         status, at_bound = OutputErrorStatus[told["status"][model]], tuple(told["at_bound"][model])
         return Estimates(values, {name: units[name] for name in values}, status, at_bound, held)
@@ -88,8 +88,8 @@ def trajectories_of(told: Mapping[str, Any], histories: Histories, card: Card) -
         paths=paths,
         card=estimates("card", ()),
         extended=estimates("extended", tuple(name for name, p in parameters.items() if p["held_by_prior"])),
-        deviation={name: _number(p["sd"]) for name, p in parameters.items()},
-        colour_cost=_number(told["colour_cost"]),
+        deviation={name: number(p["sd"]) for name, p in parameters.items()},
+        colour_cost=number(told["colour_cost"]),
         held={name: tuple(held) for name, held in told["held_without"].items()},
         fitted=tuple(told["fitted_outputs"]),
         outputs=tuple(paths[0].errors),
@@ -101,14 +101,14 @@ def _path(told: Mapping[str, Any], histories: Histories, card: Card) -> Path:
     flight = flight_of(histories[f"trajectories_{split}"], manoeuvre)
     errors = {}
     for name, e in told["outputs"].items():
-        theil = TheilParts(*(_number(e[key]) for key in ("theil", *(f"theil_{part}" for part in PARTS))))
+        theil = TheilParts(*(number(e[key]) for key in ("theil", *(f"theil_{part}" for part in PARTS))))
         band = card.tolerances[name].value if name in card.tolerances else None
         within, chance = e["within_tolerance"], e["probability_within"]
-        errors[name] = Error(_number(e["rms"]), _number(e["largest"]), theil, band, within, chance)
-    measured, simulated = ({name: flight[f"{name}_{kind}"] for name in errors} for kind in ("measured", model))
+        errors[name] = Error(number(e["rms"]), number(e["largest"]), theil, band, within, chance)
+    measured, simulated = ({name: flight[column(name, kind)] for name in errors} for kind in ("measured", model))
     return Path(manoeuvre, model, split, bool(told["inside_envelope"]), errors, flight["time"], measured, simulated)
 
 
-def _number(x: float | None) -> float:
+def number(x: float | None) -> float:
     """What JSON has null for does not exist."""
     return float("nan") if x is None else float(x)

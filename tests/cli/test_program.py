@@ -111,13 +111,14 @@ def test_an_interruption_says_what_is_kept(program, monkeypatch):
 
 
 def test_an_interrupted_diagnosis_is_said_to_be_taken_up(tmp_path):
-    told = kept_stages(tmp_path)
+    told = kept_stages(tmp_path, taken_up=True)
     assert "nothing new" in told()
-    Unfinished(tmp_path, {}).begin()
+    Unfinished(tmp_path, "").begin()
     (tmp_path / "diagnosis.json").write_text("{}")
     assert "(diagnosis.json)" in told()
     assert "takes up the rest" in told()
-    Unfinished(tmp_path, {}).end()
+    assert "all stages again" in kept_stages(tmp_path)()  # another command in the same folder
+    Unfinished(tmp_path, "").end()
     assert "all stages again" in told()
 
 

@@ -9,7 +9,8 @@ import pytest
 
 from bayes_aero.model.flights import despiked, join
 from bayes_aero.physics.filters import LONG_REACH, differentiate_joined, smooth_joined
-from bayes_aero.physics.flightpath import PATH, integral, path_rates
+from bayes_aero.physics.flightpath import PATH, integral, path_rates, side_force
+from bayes_aero.physics.kinematics import Rotation, lever_arm
 from bayes_aero.studies.hidden import hidden_records
 
 
@@ -30,6 +31,22 @@ def test_recorded_path_is_the_integral_of_its_rates(quiet, card):
         off = np.abs(np.asarray(found - signals[name]))
         assert off.max() < tolerance[name], name
         assert np.ptp(np.asarray(signals[name])) > 20 * tolerance[name], name
+
+
+def test_the_vane_tells_the_lateral_force_that_the_accelerometer_felt(quiet, card):
+    """The flights were made with the body's equations: v-dot + r u - p w less gravity, and the sensor off the CG."""
+    ends = (quiet.channels[name] for name in ("dt", "first", "last"))
+    signals = quiet.with_slopes(quiet.channels)
+    signals["beta_dot"] = differentiate_joined(quiet.channels["beta"], *ends)
+    rates = Rotation(*(signals[name] for name in ("p", "q", "r", "p_dot", "q_dot", "r_dot")))
+    felt = {
+        name: signals[name] - arm
+        for name, arm in zip(("ax", "ay", "az"), lever_arm(rates, card.aircraft.accelerometer), strict=True)
+    }
+    found = side_force(signals, felt["ax"], felt["az"])
+    assert np.ptp(np.asarray(felt["ay"])) > 1.0
+    off = np.abs(np.asarray(found - felt["ay"]))
+    assert np.quantile(off, 0.99) < 0.01 * np.ptp(np.asarray(felt["ay"]))
 
 
 def test_alpha_dot_has_the_gyro_s_noise_and_not_its_offset(quiet):

@@ -138,11 +138,18 @@ def left(repeated, card, tmp_path, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
+    monkeypatch.setattr(follow, "separations", separated)
     with monkeypatch.context() as patch:
         patch.setattr(kept.Kept, "put_page", interrupted)
         with pytest.raises(KeyboardInterrupt):
             run(repeated.records, card, out=tmp_path, figures=False, predict=told, fly=halved(repeated))
     return repeated, tmp_path
+
+
+def separated(*_):
+    deviations = {"sideslip": 1.2, "level": float("nan")}
+    manoeuvres = [{"manoeuvre": name, "deviations": x} for name, x in deviations.items()]
+    return [{"effects": ["a", "b"], "status": "settled", "manoeuvres": manoeuvres}]
 
 
 def told(*_):
@@ -154,13 +161,14 @@ def halved(case):
     return lambda *_: halves(case.records[0])
 
 
-def test_a_run_that_was_interrupted_is_taken_up_and_ends_the_same(left, card, tmp_path_factory):
+def test_a_run_that_was_interrupted_is_taken_up_and_ends_the_same(left, card, tmp_path_factory, monkeypatch):
     def never(*_):
         raise AssertionError("done again")
 
     case, out = left
     whole = tmp_path_factory.mktemp("whole")
     run(case.records, card, out=whole, figures=False, predict=told, fly=halved(case))
+    monkeypatch.setattr(follow, "separations", never)
     found = run(case.records, card, out=out, figures=False, predict=never, fly=never)
     contents = [validated(folder / "diagnosis.json") for folder in (whole, out)]
     for content in contents:
@@ -176,7 +184,7 @@ def test_a_run_that_was_interrupted_is_taken_up_and_ends_the_same(left, card, tm
     assert not list(out.glob(".*"))
 
 
-@pytest.mark.parametrize("change", ["finished", "seed", "record", "settings", "damaged"])
+@pytest.mark.parametrize("change", ["finished", "seed", "record", "settings", "damaged", "causes", "folder"])
 def test_nothing_is_taken_up_from_another_run(left, card, change):
     case, out = left
     again, options = [], {"seed": 0}
@@ -189,8 +197,16 @@ def test_nothing_is_taken_up_from_another_run(left, card, change):
         options = {"most": 3}
     elif change == "record":
         records = [replace(records[0], sha256="0" * 64), *records[1:]]
-    else:
+    elif change == "damaged":
         (out / "histories.nc").write_bytes(b"no such luck")
+    elif change == "causes":
+        content = json.loads((out / "diagnosis.json").read_text())
+        content["causes"][0]["name"] = "another"
+        (out / "diagnosis.json").write_text(json.dumps(content))
+    else:  # another run wrote its numbers into the same folder, and was killed too
+        mark = (out / ".unfinished.json").read_text()
+        run(records, card, out=out, seed=1, figures=False, predict=told, fly=halved(case))
+        (out / ".unfinished.json").write_text(mark)
 
     def flown(*_):
         again.append("flown")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -14,11 +17,10 @@ from bayes_aero.studies import histories
 
 @pytest.fixture
 def groups(diagnosed, tmp_path):
-    path = tmp_path / "histories.nc"
     flown = histories.flights(halves(diagnosed.records[0]).paths)
-    histories.put_histories({**histories.diagnosed(diagnosed.view), **flown}, path)
-    assert not list(tmp_path.glob("*.part"))
-    return histories.read_histories(path)
+    assert histories.put_histories(lambda: {**histories.diagnosed(diagnosed.view), **flown}, tmp_path) is None
+    assert [path.name for path in tmp_path.iterdir()] == ["histories.nc"]
+    return histories.read_histories(tmp_path / "histories.nc")
 
 
 def test_coefficients_give_the_scores_that_are_told(groups, diagnosed):
@@ -49,6 +51,50 @@ def test_trajectories_give_the_errors_that_are_told(groups, diagnosed):
 def test_a_flight_that_is_not_there_is_named(groups):
     with pytest.raises(ValueError, match="nowhere"):
         histories.flight_of(groups["trajectories_unseen"], "nowhere")
+
+
+@pytest.mark.parametrize("name", ["run/1", "Flug 7 \u00fc", "undecodable \udcff", "end\0", "~", ""])
+def test_any_name_of_a_record_and_of_a_channel_is_kept(name, diagnosed, tmp_path):
+    (path, *_) = halves(diagnosed.records[0]).paths
+    kinds = {"q/hat": "rad/s", "p_rate/norm": "1"}
+    renamed = {kind: dict(zip(kinds, getattr(path, kind).values(), strict=False)) for kind in ("measured", "simulated")}
+    odd = replace(path, manoeuvre=name, **renamed)
+    assert histories.put_histories(lambda: histories.flights([odd], kinds), tmp_path) is None
+    (group,) = histories.read_histories(tmp_path / "histories.nc").values()
+    flight = histories.flight_of(group, name)
+    for output, unit in kinds.items():
+        for kind, x in (("measured", odd.measured), (odd.model, odd.simulated)):
+            key = histories.column(output, kind)
+            assert np.array_equal(flight[key], x[output])
+            assert group[key].attrs["units"] == unit
+
+
+def test_histories_that_cannot_be_written_are_told_and_leave_no_old_ones(tmp_path):
+    def bad():
+        raise RuntimeError("no such luck")
+
+    (tmp_path / "histories.nc").write_bytes(b"of another run")
+    assert "no such luck" in histories.put_histories(bad, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_whose_name_begins_with_a_tilde_is_no_home(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    folder = Path("~")
+    folder.mkdir()
+    time = np.arange(3.0)
+    group = xr.Dataset({"time": ("sample", time)})
+    assert histories.put_histories(lambda: {"coefficients": group}, folder) is None
+    assert (tmp_path / "~" / "histories.nc").is_file()
+
+
+def test_what_was_made_from_something_else_is_refused(tmp_path):
+    group = xr.Dataset({"time": ("sample", np.arange(3.0))})
+    assert histories.put_histories(lambda: {"coefficients": group}, tmp_path, "this") is None
+    assert "coefficients" in histories.read_histories(tmp_path / "histories.nc", "this")
+    with pytest.raises(ValueError, match="something else"):
+        histories.read_histories(tmp_path / "histories.nc", "that")
 
 
 def test_a_file_of_another_kind_is_refused(tmp_path):

@@ -1,0 +1,44 @@
+"""The diagnosis of a record without accelerometers as a job."""
+
+import json
+from importlib import resources
+
+import jsonschema
+import numpy as np
+import pytest
+
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.studies.diagnose_flown import run_flown
+from bayes_aero.studies.hidden import hidden_records
+from bayes_aero.studies.histories import flight_of, read_histories
+from bayes_aero.studies.unfinished import MARK
+
+
+def without(record: FlightRecord, *names: str) -> FlightRecord:
+    channels = {name: x for name, x in record.channels.items() if name not in names}
+    return FlightRecord.from_arrays(record.name, record.time, channels)
+
+
+@pytest.mark.recovery
+def test_numbers_histories_and_page_are_of_this_run(card, tmp_path):
+    """A folder that an interrupted diagnosis has left keeps nothing of it."""
+    for name in (MARK, "histories.nc"):
+        (tmp_path / name).write_text("of another run")
+    hidden = {"thrust_moment": {"thrust_arm": 0.6}}
+    records = [
+        without(r, "ax", "ay", "az")
+        for r in hidden_records(hidden, seed=int(np.random.default_rng().integers(10**6)), seconds=90.0)
+    ]
+    found, flown, _ = run_flown(records, card, out=tmp_path)
+    assert not (tmp_path / MARK).exists()
+    content = json.loads((tmp_path / "diagnosis.json").read_text())
+    jsonschema.validate(
+        content, json.loads(resources.files("bayes_aero.studies").joinpath("diagnosis.schema.json").read_text())
+    )
+    assert [c["name"] for c in content["causes"]] == [c.name for c in found.causes]
+    assert (tmp_path / "report.html").stat().st_size > 10_000
+    groups = read_histories(tmp_path / "histories.nc")
+    for path, told in zip(flown.paths, content["trajectories"]["paths"], strict=True):
+        flight = flight_of(groups[f"trajectories_{path.split}"], path.manoeuvre)
+        residual = flight["alpha_measured"] - flight[f"alpha_{path.model}"]
+        assert np.sqrt(np.mean(residual**2)) == pytest.approx(told["outputs"]["alpha"]["rms"], rel=1e-9)
