@@ -1,9 +1,10 @@
 """Diagnose aircraft that nobody here has seen: drawn at random and flown by a simulator that shares no code.
 
-    python benchmarks/other_aircraft.py 24 [--first 0] [--out strangers]
+    python benchmarks/other_aircraft.py 24 [--first 0] [--gusts 0.5] [--silent] [--out strangers]
 
-Every twelfth has nothing hidden, the others one effect each (`tests/stranger.py`): two stalls at 20, 25 or 50 Hz with
-white noise, in knots, degrees, feet and g. One line of OUT/strangers.jsonl each; goes on where it stopped.
+Every twelfth (with --silent all) has nothing hidden, the others one effect each (`tests/stranger.py`): two stalls at
+20, 25 or 50 Hz with white noise, in knots, degrees, feet and g; in gusts of that deviation, m/s. One line of
+OUT/strangers.jsonl each; goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ from bayes_aero.flight.card import read_card
 from bayes_aero.flight.readers import read_record
 
 
-def case(seed: int) -> dict:
+def case(seed: int, gusts: float, silent: bool) -> dict:
     """Draw, fly, read and diagnose."""
-    name = [None, *HIDDEN][seed % (len(HIDDEN) + 1)]
+    name = None if silent else [None, *HIDDEN][seed % (len(HIDDEN) + 1)]
     with tempfile.TemporaryDirectory() as folder:
-        _, size, files = flown(Path(folder), np.random.default_rng([seed, 12]), name)
+        _, size, files = flown(Path(folder), np.random.default_rng([seed, 12]), name, gusts)
         card = read_card(str(Path(folder) / "card.toml"))
         records = [read_record(path, card.channels) for path in files]
         began = time.perf_counter()
@@ -66,6 +67,8 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("count", type=int)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--gusts", type=float, default=0.0, help="their deviation, m/s")
+    parser.add_argument("--silent", action="store_true", help="nothing hidden in any of them")
     parser.add_argument("--out", type=Path, default=Path("strangers"))
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
@@ -74,7 +77,7 @@ if __name__ == "__main__":
     with path.open("a") as file:
         for seed in range(given.first, given.first + given.count):
             if seed not in {row["seed"] for row in done}:
-                done.append(case(seed))
+                done.append(case(seed, given.gusts, given.silent))
                 file.write(json.dumps(done[-1]) + "\n")
                 file.flush()
     report(done)

@@ -1,7 +1,8 @@
 """Another aircraft, flown by a simulator that shares no code with the package: NumPy and textbook equations alone.
 
 Drawn at random: size, mass, derivatives, stall; then two stalls with a 3-2-1-1 before and after, engine and elevator
-with lags. Recorded as the package's users may have it: knots, degrees, feet, g, nz up, elevator trailing edge up.
+with lags. Recorded as the package's users may have it: knots, degrees, feet, g, nz up, elevator trailing edge up. In
+gusts of the Dryden kind, along and across the path, air data and forces are those of the air that is met.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ HIDDEN = {  # parameter, sizes within which it is drawn, SI, all of them clearly
     "accel_x_bias": ("accel_x_bias", 0.06, 0.2, True),
     "elevator_delay": ("elevator_delay", 0.03, 0.1, False),
 }
-Rates = Callable[[np.ndarray, float, float], np.ndarray]
+Rates = Callable[..., np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -82,20 +83,24 @@ class Plane:
         CL += self.CLq * qhat
         return CL, self.CD0 + CL**2 / (np.pi * self.b**2 / self.S * self.e) + self.CDX * (1.0 - X)
 
-    def rates(self, x: np.ndarray, elevator: float, lever: float) -> np.ndarray:
-        """Derivatives of V, alpha, theta, q, h, X."""
-        V, alpha, theta, q, h, X = x
+    def rates(self, x: np.ndarray, elevator: float, lever: float, ahead: float = 0.0, up: float = 0.0) -> np.ndarray:
+        """Derivatives of V, alpha, theta, q, h, X, where a gust meets the aircraft from ahead and from below, m/s."""
+        speed, path, theta, q, h, X = x
+        V, alpha, climb = speed + ahead, path + up / speed, theta - path
         X = X if self.tau1 else self.settled(alpha)
-        pressure, T, climb = 0.5 * self.density(h) * V**2, self.thrust(V, lever, h), theta - alpha
+        pressure, T = 0.5 * self.density(h) * V**2, self.thrust(V, lever, h)
         CL, CD = self.forces(alpha, q * self.c / V, elevator, X)
         L, D = pressure * self.S * CL, pressure * self.S * CD
-        alpha_dot = q - (T * np.sin(alpha) + L) / (self.mass * V) + G * np.cos(climb) / V
+        tilt = alpha - path  # of the air that is met
+        along = T * np.cos(path) - D * np.cos(tilt) + L * np.sin(tilt)
+        across = T * np.sin(path) + L * np.cos(tilt) + D * np.sin(tilt)
+        alpha_dot = q - across / (self.mass * speed) + G * np.cos(climb) / speed
         Cm = self.Cm0 + (self.Cma + self.Cma2 * alpha) * alpha + self.Cmde * elevator + self.CmX * (1.0 - X)
         Cm += (self.Cmq / 2.0 * q + self.Cmadot * alpha_dot) * self.c / V
         X_dot = (self.settled(alpha) - X) * V / (self.tau1 * self.c) if self.tau1 else 0.0
         q_dot = (pressure * self.S * self.c * Cm + T * self.thrust_arm) / self.Iy
-        V_dot = (T * np.cos(alpha) - D) / self.mass - G * np.sin(climb)
-        return np.array([V_dot, alpha_dot, q, q_dot, V * np.sin(climb), X_dot])
+        V_dot = along / self.mass - G * np.sin(climb)
+        return np.array([V_dot, alpha_dot, q, q_dot, speed * np.sin(climb), X_dot])
 
 
 def plane(rng: np.random.Generator) -> Plane:
@@ -110,8 +115,10 @@ def plane(rng: np.random.Generator) -> Plane:
     return replace(found, **{name: getattr(found, name) * rng.uniform(0.87, 1.13) for name in spread})
 
 
-def fly(p: Plane, rng: np.random.Generator, dt: float, seconds: float = 90.0, height: float = 2500.0) -> np.ndarray:
-    """Rows t, V, alpha, theta, q, ax, az, h, elevator, thrust of one manoeuvre."""
+def fly(
+    p: Plane, rng: np.random.Generator, dt: float, seconds: float = 90.0, height: float = 2500.0, gusts: float = 0.0
+) -> np.ndarray:
+    """Rows t, V, alpha, theta, q, ax, az, h, elevator, thrust of one manoeuvre; `gusts` is their deviation, m/s."""
     V = p.speed * rng.uniform(0.98, 1.08)
 
     def unbalanced(z):
@@ -131,6 +138,7 @@ def fly(p: Plane, rng: np.random.Generator, dt: float, seconds: float = 90.0, he
         return size * (0.0, 1.0, -1.0, 1.0, -1.0, 0.0)[int(np.searchsorted(edges, t, "right"))]
 
     rows, elevator, engine = [], trim, lever
+    air = _gusts(rng, round(seconds / dt) + 2, V * dt, gusts)
     for k in range(round(seconds / dt) + 1):
         t, wanted = k * dt, lever
         if t < pull:
@@ -145,14 +153,29 @@ def fly(p: Plane, rng: np.random.Generator, dt: float, seconds: float = 90.0, he
                 wanted = lever * (1.5 if (t - second) % 8.0 < 4.0 else 0.6)
         after = elevator + np.clip(np.clip(command, -0.4, 0.3) - elevator, -0.44 * dt, 0.44 * dt)
         running = engine + (wanted - engine) * dt / 0.8
-        rows.append((t, *_sensed(p, x, elevator, engine)))
-        x = _advanced(p.rates, x, dt, (elevator, after), (engine, running))
+        rows.append((t, *_sensed(p, x, elevator, engine, *air[:, k])))
+        x = _advanced(p.rates, x, dt, (elevator, after), (engine, running), *air[:, k : k + 2])
         elevator, engine = after, running
     return np.array(rows).T
 
 
-def _sensed(p: Plane, x: np.ndarray, elevator: float, lever: float) -> tuple[float, ...]:
+def _gusts(rng: np.random.Generator, n: int, metres: float, deviation: float) -> np.ndarray:
+    """Two first-order Markov processes in space (2, n), a sample every so many metres; none is drawn in calm air."""
+    found = np.zeros((2, n))
+    if deviation > 0.0:
+        share = np.exp(-metres / rng.uniform(150.0, 500.0))
+        white = deviation * rng.standard_normal((2, n))
+        found[:, 0] = white[:, 0]
+        for k in range(1, n):
+            found[:, k] = share * found[:, k - 1] + np.sqrt(1.0 - share**2) * white[:, k]
+    return found
+
+
+def _sensed(
+    p: Plane, x: np.ndarray, elevator: float, lever: float, ahead: float = 0.0, up: float = 0.0
+) -> tuple[float, ...]:
     V, alpha, theta, q, h, X = x
+    V, alpha = V + ahead, alpha + up / V
     CL, CD = p.forces(alpha, q * p.c / V, elevator, X if p.tau1 else p.settled(alpha))
     T, pressure = p.thrust(V, lever, h), 0.5 * p.density(h) * V**2 * p.S
     ax = (T + pressure * (CL * np.sin(alpha) - CD * np.cos(alpha))) / p.mass
@@ -160,11 +183,11 @@ def _sensed(p: Plane, x: np.ndarray, elevator: float, lever: float) -> tuple[flo
     return V, alpha, theta, q, ax, az, h, elevator, T
 
 
-def _advanced(rates: Rates, x: np.ndarray, dt: float, elevator, lever, parts: int = 5) -> np.ndarray:
-    """Runge-Kutta of fourth order, inputs linear within the sample."""
+def _advanced(rates: Rates, x: np.ndarray, dt: float, *inputs, parts: int = 5) -> np.ndarray:
+    """Runge-Kutta of fourth order, inputs (elevator, lever, gusts) linear within the sample."""
     h = dt / parts
     for i in range(parts):
-        u = [tuple(a + (b - a) * (i + part) / parts for a, b in (elevator, lever)) for part in (0.0, 0.5, 1.0)]
+        u = [tuple(a + (b - a) * (i + part) / parts for a, b in inputs) for part in (0.0, 0.5, 1.0)]
         k1 = rates(x, *u[0])
         k2 = rates(x + h / 2.0 * k1, *u[1])
         k3 = rates(x + h / 2.0 * k2, *u[1])
@@ -189,7 +212,9 @@ def write(path: Path, rows: np.ndarray, errors: Mapping[str, float], rng: np.ran
     np.savetxt(path, np.transpose(columns), delimiter=",", header=HEADINGS, comments="", fmt="%.5f")
 
 
-def flown(folder: Path, rng: np.random.Generator, name: str | None) -> tuple[Plane, float, list[Path]]:
+def flown(
+    folder: Path, rng: np.random.Generator, name: str | None, gusts: float = 0.0
+) -> tuple[Plane, float, list[Path]]:
     """Two records and `card.toml` of a random aircraft that stays in its envelope, an effect hidden in them; its size.
 
     Thrust arms are in proportion to the chord.
@@ -206,7 +231,7 @@ def flown(folder: Path, rng: np.random.Generator, name: str | None) -> tuple[Pla
                 errors = {parameter: size}
         dt = float(rng.choice([0.02, 0.04, 0.05]))
         with np.errstate(invalid="ignore", over="ignore"):
-            flights = [fly(p, rng, dt) for _ in range(2)]
+            flights = [fly(p, rng, dt, gusts=gusts) for _ in range(2)]
         if all(np.all(np.isfinite(x)) and x[2].max() < 0.5 and np.abs(x[3]).max() < 0.9 for x in flights):
             break
     else:

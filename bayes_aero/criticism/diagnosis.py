@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -11,14 +10,15 @@ from bayes_aero.criticism.accuracy import filtered_channels
 from bayes_aero.criticism.candidates import Field, field_of
 from bayes_aero.criticism.confirmation import Confirmation, confirmation
 from bayes_aero.criticism.election import Standing, poll
-from bayes_aero.criticism.extension import Extension, extend
+from bayes_aero.criticism.extension import Extension
 from bayes_aero.criticism.finding import Cause, Diagnosis, Gain, Verdict
 from bayes_aero.criticism.gain import LeftOut, gain, gained, measured_blocks, split_name, truncated
 from bayes_aero.criticism.residuals import noise_report
 from bayes_aero.criticism.responses import Responses
+from bayes_aero.criticism.stages import Stages, stages
 from bayes_aero.criticism.state import State, linearised
 from bayes_aero.criticism.unexplained import unexplained
-from bayes_aero.effect import Effect, Kind
+from bayes_aero.effect import Effect
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.cores import blas_threads
@@ -27,11 +27,8 @@ from bayes_aero.model.flights import Flights, despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.model.own_effects import own_effects
-from bayes_aero.parameter import Prior
 from bayes_aero.physics.coefficients import NAMES
-from bayes_aero.physics.flightpath import PATH
 
-SENSOR_KINDS = (Kind.MEASUREMENT, Kind.ENVIRONMENT)
 AMBIGUOUS = 3.0  # nats, after the colour's cost, within which another effect explains as well
 EXCITED = 0.1  # least over largest spread of an effect's sensitivities among manoeuvres; our choice
 POSSIBLE = 2.0  # score that an effect needs on its own to be a rival at all
@@ -64,24 +61,12 @@ def diagnose(
     for name, value in zip(mle.names, mle.estimate, strict=True):
         if name in field.model.names:
             theta[field.columns([name])[0]] = value
-    sensors = None
-    if len(responses.outputs) > len(NAMES):
-        if progress:
-            progress("sensors", 0.0)
-        sensors = extend(_sensor_state(field, responses, theta), seed=seed, most=most)
-        theta = sensors.state.theta
-    later = replace(
-        field,
-        candidates=tuple(e for e in field.candidates if sensors is None or e.name not in sensors.state.active),
-        priors=_kinematic_priors(field, sensors),
-    )
-    if progress:
-        progress("coefficients", 0.0)
-    aerodynamics = extend(linearised(later, responses, NAMES, theta), seed=seed + 1000, most=most, progress=progress)
-    stages = [("flight path", sensors)] if sensors is not None else []
-    stages.append(("coefficients", aerodynamics))
-    confirmations = {stage: confirmation(one.state) for stage, one in stages} if gains_wanted else {}
-    causes = causes_of(field, stages, confirmations, progress)
+    both = stages(field, responses, theta, seed=seed, most=most, progress=progress)
+    sensors, aerodynamics = both.sensors, both.aerodynamics
+    named = [("flight path", sensors)] if sensors is not None else []
+    named.append(("coefficients", aerodynamics))
+    confirmations = {stage: confirmation(one.state) for stage, one in named} if gains_wanted else {}
+    causes = causes_of(field, named, confirmations, progress)
     left = unexplained(aerodynamics, seed=seed + 2000)
     kept = [c for c in causes if c.name not in left.replaced]
     verdict = verdict_of(kept, left.unknown)
@@ -99,7 +84,7 @@ def diagnose(
         split=split_name(aerodynamics.state),
         base_moves=moves_of(aerodynamics),
         kept=confirmations["coefficients"].kept if gains_wanted else aerodynamics.state.active,
-        notes=_notes(flights),
+        notes=(*_notes(flights), *_denials(both)),
     )
 
 
@@ -114,25 +99,13 @@ def _notes(flights: Flights) -> tuple[str, ...]:
     )
 
 
-def _sensor_state(field: Field, responses: Responses, theta: np.ndarray) -> State:
-    """Flight path alone: sensor errors and wind are the only candidates, nothing is in but where integrals begin."""
-    candidates = tuple(e for e in field.candidates if e.kind in SENSOR_KINDS)
-    return linearised(replace(field, base=(), candidates=candidates), responses, PATH, theta)
-
-
-def _kinematic_priors(field: Field, sensors: Extension | None) -> dict[str, Prior]:
-    """What the flight path says of sensor errors that it did not elect: the coefficients must not contradict it."""
-    if sensors is None or not sensors.steps:
-        return {}
-    priors = {}
-    own = {p.name: p.prior for p in field.model.free}
-    for standing in sensors.steps[-1].poll.standings:
-        for name, step, sd in zip(field.parameters_of(standing.effect), standing.step, standing.sd, strict=False):
-            mean, deviation = own[name].normal
-            weight = deviation**-2.0 + sd**-2.0
-            combined = (mean * deviation**-2.0 + step * sd**-2.0) / weight
-            priors[name] = Prior("normal", combined, weight**-0.5, "flight-path kinematics of the same record")
-    return priors
+def _denials(found: Stages) -> tuple[str, ...]:
+    """A sentence on each error of a sensor that the flight path named and the coefficients deny."""
+    return tuple(
+        f"The flight path alone would name {name}, as it does in gusts; the coefficients lose more by that correction "
+        "than the flight path gains, so it is not made."
+        for name in found.denied
+    )
 
 
 def causes_of(

@@ -115,11 +115,11 @@ class Projected:
         for place, bread, estimate in zip(self.place, self.bread, estimates, strict=True):
             P = self.P[:, :, place]
             rows = np.einsum("mci,c,mc->mi", P, self.weight, residual - P @ estimate, optimize=True)
-            found.append(bread @ _disagreement(rows, stretch) @ bread)
+            found.append(bread @ disagreement(rows, stretch) @ bread)
         return found
 
 
-def _disagreement(rows: Float[np.ndarray, "m k"], stretch: Int[np.ndarray, " m"]) -> Float[np.ndarray, "k k"]:
+def disagreement(rows: Float[np.ndarray, "m k"], stretch: Int[np.ndarray, " m"]) -> Float[np.ndarray, "k k"]:
     """Sum over stretches of the outer products of what each contributes to the normal equations."""
     count = int(stretch.max()) + 1
     sums = np.zeros((count, rows.shape[1]))
@@ -274,7 +274,7 @@ def between_stretches(state: State, fit: Fit) -> Float[np.ndarray, "k k"]:
     left = state.left(fit)
     rows = np.einsum("mci,c,mc->mi", state.scaled[:, :, fit.columns], 1.0 / fit.variance, left, optimize=True)
     bread = inverse(fit.normal)
-    return bread @ _disagreement(rows, stretch) @ bread
+    return bread @ disagreement(rows, stretch) @ bread
 
 
 def columns_of(state: State, standing: Standing) -> Int[np.ndarray, " k"]:

@@ -87,7 +87,7 @@ def extend(state: State, *, seed: int = 0, most: int = 8, progress: Progress | N
         state, fit = refitted(added(state, winner))
         state, fit = _reconsidered(state, fit)
     found = sizes(state, fit)
-    causes, minor = _worth(state, found)
+    causes, minor = worth(state, found)
     return Extension(first, first_fit, state, fit, tuple(steps), found, causes, minor)
 
 
@@ -240,7 +240,7 @@ def _bayes_within(state: State, fit: Fit, own: Standing) -> float:
     return log_bayes(away, covariance, state.mean[columns] + away, state.precision[columns] / state.temper)
 
 
-def _worth(state: State, found: Mapping[str, Size]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def worth(state: State, found: Mapping[str, Size]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Additions large enough to be worth modelling, and those that are only a nuisance."""
     causes, minor = [], []
     for name in state.active:

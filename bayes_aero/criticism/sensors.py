@@ -2,23 +2,50 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from bayes_aero.criticism.candidates import Field, field_of
-from bayes_aero.criticism.diagnosis import SENSOR_KINDS
 from bayes_aero.criticism.extension import Extension, extend
 from bayes_aero.criticism.responses import Responses
 from bayes_aero.criticism.state import linearised
+from bayes_aero.criticism.stretches import borne_out
+from bayes_aero.effect import Kind
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.flights import despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
+from bayes_aero.parameter import Prior
 from bayes_aero.physics.coefficients import REQUIRED
 from bayes_aero.physics.flightpath import PATH, PATH_NEEDS
 
+SENSOR_KINDS = (Kind.MEASUREMENT, Kind.ENVIRONMENT)
 UNITY = {"density": 1.0, "thrust": 0.0}  # stand in for what the flight path does not use
+
+
+def agreement(
+    field: Field,
+    responses: Responses,
+    theta: Float[np.ndarray, " k"],
+    *,
+    seed: int,
+    most: int,
+    known: Sequence[str] = (),
+    priors: Mapping[str, Prior] | None = None,
+) -> Extension:
+    """Sensor errors and winds that the flight path asks for beside the `known` ones, of whose parameters `priors` tell.
+
+    Nothing else is in but where integrals begin.
+    """
+    candidates = tuple(e for e in field.candidates if e.kind in SENSOR_KINDS and e.name not in known)
+    own = replace(field, base=tuple(known), candidates=candidates, priors=priors or {})
+    state = linearised(own, responses, PATH, theta)
+    return borne_out(extend(state, seed=seed, most=most))
 
 
 def compatibility(records: list[FlightRecord], card: Card, *, seed: int = 0, most: int = 8) -> Extension:
@@ -36,4 +63,4 @@ def compatibility(records: list[FlightRecord], card: Card, *, seed: int = 0, mos
     model = Model(sensors, tuple(p for e in sensors for p in e.parameters))
     field = Field(model, (), sensors, {})
     theta = np.array([field.neutral[name] for name in model.names])
-    return extend(linearised(field, Responses.of(flights, model), PATH, theta), seed=seed, most=most)
+    return agreement(field, Responses.of(flights, model), theta, seed=seed, most=most)

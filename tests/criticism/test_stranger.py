@@ -12,9 +12,9 @@ from bayes_aero.flight.readers import read_record
 DRAWN = np.random.default_rng(20261).integers(1_000_000, size=2)
 
 
-def diagnosed(folder, seed, name=None):
+def diagnosed(folder, seed, name=None, gusts=0.0):
     """A random aircraft's two records, read from CSV and diagnosed."""
-    p, size, files = flown(folder, np.random.default_rng(seed), name)
+    p, size, files = flown(folder, np.random.default_rng(seed), name, gusts)
     card = read_card(str(folder / "card.toml"))
     records = [read_record(path, card.channels) for path in files]
     return p, size, diagnose(records, card, seed=int(seed), gains_wanted=False)
@@ -43,3 +43,21 @@ def test_what_was_hidden_is_named_with_its_size(tmp_path):
 def test_nothing_is_named_where_nothing_is_hidden(tmp_path):
     found = diagnosed(tmp_path, DRAWN[1])[2]
     assert found.verdict is Verdict.NO_EFFECT
+
+
+@pytest.mark.recovery
+def test_gusts_are_no_error_of_a_sensor(tmp_path):
+    """They are in vane and airspeed, and what integrates them wanders off like an offset. Their mean is a wind."""
+    rng = np.random.default_rng(20262)
+    found = diagnosed(tmp_path, rng.integers(1_000_000), gusts=rng.uniform(0.3, 0.7))[2]
+    assert {cause.name for cause in found.causes} <= {"vertical_wind"}
+    assert not found.unknown
+
+
+@pytest.mark.recovery
+def test_an_offset_of_the_vane_is_named_in_gusts_and_no_wind_beside_it(tmp_path):
+    """From the flight path alone the two are nearly one; the coefficients feel the vane and not the wind."""
+    _, size, found = diagnosed(tmp_path, 20263, "alpha_bias", gusts=0.4)
+    assert [cause.name for cause in found.causes] == ["alpha_bias"]
+    estimate = found.causes[0].parameters["alpha_bias"]
+    assert abs(estimate.mean - size) < 4.0 * estimate.sd
