@@ -227,7 +227,7 @@ def moves_of(extension: Extension) -> Mapping[str, tuple[float, float, float]]:
     """How the card's parameters moved."""
     before, after, own = extension.base, extension.state, extension.sizes
     return {
-        name: (float(before.theta[i]), float(after.theta[i]), own[name].sd)
+        name: (float(before.theta[before.field.columns([name])[0]]), float(after.theta[i]), own[name].sd)
         for i, name in enumerate(after.field.model.names)
         if name in own and any(name in after.field.parameters_of(e) for e in after.field.base)
     }

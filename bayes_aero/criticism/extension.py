@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
@@ -33,6 +34,7 @@ SECOND_ALPHA = 0.02  # of the second look at leaders that passed for slow noise
 TRIED = 8  # leaders considered in one election
 WORTH = 0.04  # share of a coefficient's remaining variance that an effect must explain: imperfect regressors fake less
 FITTED = 3  # leaders that are fitted to be judged by the stretches' disagreement
+DECISIVE = 3.0  # nats by which one of two extensions must be the better
 SHARE = 0.02  # of a leader's gain: another that gains more than this beyond it takes its place
 
 Progress = Callable[[str, float], None]
@@ -86,9 +88,17 @@ def extend(state: State, *, seed: int = 0, most: int = 8, progress: Progress | N
         assert winner is not None
         state, fit = refitted(added(state, winner))
         state, fit = _reconsidered(state, fit)
-    found = sizes(state, fit)
+    found = sizes(state, fit) if state.responses.stretch is None else _between_sizes(state, fit)
     causes, minor = worth(state, found)
     return Extension(first, first_fit, state, fit, tuple(steps), found, causes, minor)
+
+
+def _between_sizes(state: State, fit: Fit) -> dict[str, Size]:
+    """Sizes whose deviations are no smaller than the stretches' disagreement makes them."""
+    told, names = sizes(state, fit), state.field.model.names
+    between = np.sqrt(np.diag(between_stretches(state, fit)))
+    wide = {names[c]: float(sd) for c, sd in zip(fit.columns, between, strict=True) if c < len(names)}
+    return {name: replace(size, sd=max(size.sd, wide[name])) for name, size in told.items()}
 
 
 def _inflation(state: State, fit: Fit) -> float:
@@ -127,7 +137,8 @@ def _election(state: State, fit: Fit, seed: int, first: bool) -> Step:
             return Step(standing.effect, p, found, gain)
     if state.responses.stretch is not None:  # no stationary colour holds, with a leader in or out
         for standing, gain in able[:FITTED]:
-            if (p := _between_stretches(state, standing, found)) <= SECOND_ALPHA:
+            wider = refitted(added(state, standing))
+            if (p := between_p_value(*wider, standing.effect, len(found.standings))) <= SECOND_ALPHA:
                 return Step(standing.effect, p, found, gain)
         able = []
     for standing, gain in able:
@@ -138,14 +149,13 @@ def _election(state: State, fit: Fit, seed: int, first: bool) -> Step:
     return Step(None, found.p_value(highest) if len(found.nulls) else float("nan"), found, float("nan"))
 
 
-def _between_stretches(state: State, standing: Standing, among: Poll) -> float:
-    """p-value of a leader by how far the stretches disagree about it once it is in and all is fitted again.
+def between_p_value(wider: State, fit: Fit, effect: str, among: int) -> float:
+    """p-value of an addition by how far the stretches disagree about it, Bonferroni over `among` candidates.
 
-    A large effect that is out bends the first-order residuals, and the stretches then seem to disagree more than they
-    do. Bonferroni over all candidates.
+    It is in, and all is fitted again: a large effect that is out bends the first-order residuals, and the stretches
+    then seem to disagree more than they do.
     """
-    wider, fit = refitted(added(state, standing))
-    names = wider.field.parameters_of(standing.effect)
+    names = wider.field.parameters_of(effect)
     columns = wider.field.columns(names)
     if not np.all(np.isin(columns, fit.columns)):
         return 1.0
@@ -154,7 +164,7 @@ def _between_stretches(state: State, standing: Standing, among: Poll) -> float:
     covariance = between_stretches(wider, fit)[np.ix_(at, at)]
     freedom = int(np.max(wider.responses.stretch))  # pyright: ignore[reportArgumentType, reportCallIssue]
     score = as_normal(equivalent(away, covariance), freedom)
-    return min(1.0, 2.0 * len(among.standings) * float(stats.norm.sf(score)))
+    return min(1.0, 2.0 * among * float(stats.norm.sf(score)))
 
 
 def explained(state: State, standing: Standing) -> float:
@@ -249,3 +259,16 @@ def worth(state: State, found: Mapping[str, Size]) -> tuple[tuple[str, ...], tup
         large = not away or any(away[p] >= effect.sizes[p][0] for p in away)
         (causes if large else minor).append(name)
     return tuple(causes), tuple(minor)
+
+
+def nats_gained(old: Extension, new: Extension) -> float:
+    """Log likelihood that another extension gains, the colour counted, less what the choice of each addition costs."""
+
+    def deviance(state: State, fit: Fit) -> float:
+        inside = np.concatenate([np.arange(fold.start, fold.stop) for fold in state.folds])
+        return fit.deviance + 2.0 * float(np.sum(np.log(state.swell[inside])))
+
+    additions = len(new.state.active) - len(old.state.active)
+    gained = deviance(old.state, old.fit) - deviance(new.state, new.fit)
+    choice = math.log(max(len(new.state.field.candidates), 1))
+    return gained / (2.0 * max(old.state.temper, new.state.temper)) - additions * choice

@@ -18,11 +18,20 @@ from jaxtyping import Array, Float, Int
 
 from bayes_aero.criticism.candidates import Field, field_of
 from bayes_aero.criticism.diagnosis import causes_of, moves_of, verdict_of
-from bayes_aero.criticism.extension import Extension, Progress, extend
+from bayes_aero.criticism.extension import (
+    ALPHA,
+    DECISIVE,
+    Extension,
+    Progress,
+    Step,
+    between_p_value,
+    extend,
+    nats_gained,
+)
 from bayes_aero.criticism.finding import Diagnosis, NoiseReport
 from bayes_aero.criticism.gain import split_name
 from bayes_aero.criticism.linearisable import Linearisable
-from bayes_aero.criticism.state import linearised
+from bayes_aero.criticism.state import State, linearised, refitted
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
@@ -36,6 +45,7 @@ from bayes_aero.model.own_effects import own_effects
 from bayes_aero.model.segments import Flown, segments, simulate
 from bayes_aero.physics.filters import FILTER_STEP
 
+LAG = "tau1"  # the parameter of a lag that can be flown
 WINDOW = 10.0  # s: long enough to integrate what is wrong, short enough to stay near the flight
 
 
@@ -157,7 +167,7 @@ def diagnose_flown(
     """Find what the card's model gets wrong from airspeed, alpha, attitude, pitch rate and altitude alone.
 
     Accelerations are compared too where they were recorded. A lag of the separation point that the card does not have
-    is not sought: it would be a state of its own. Structure without a name is not sought either.
+    would be a state of its own: it is tried where something is missing. Structure without a name is not sought.
     """
     model = model or Model.from_card(card)
     flights, outliers = despiked(join(records, card, FLIGHT))
@@ -168,13 +178,13 @@ def diagnose_flown(
     fit = fit_cascade([windows, windows], [start])
     if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
         raise InputError(f"card {card.name}: {fit.status.value}")
-    field = _flyable(field_of(model, flights, (*own_effects(card.effect_files).values(), *extra)))
-    theta = np.array([field.neutral[name] for name in field.model.names])
-    for name, value in zip(fit.names, fit.estimate, strict=True):
-        theta[field.columns([name])[0]] = value
-    responses = FlownResponses.of(flights, AircraftDynamics(field.model, base.altitude), finer)
-    state = linearised(field, responses, responses.outputs, theta)
+    whole = field_of(model, flights, (*own_effects(card.effect_files).values(), *extra))
+    field = _without_lags(whole)
+    state = _state(field, flights, base.altitude, dict(zip(fit.names, fit.estimate, strict=True)))
     found = extend(state, seed=seed, most=most, progress=progress)
+    if found.state.active:
+        found = _with_lag(whole, found, seed, most, progress) or found
+    field = found.state.field
     causes = tuple(causes_of(field, [("trajectories", found)], {}, progress))
     return Diagnosis(
         verdict=verdict_of(causes, ()),
@@ -192,12 +202,49 @@ def diagnose_flown(
     )
 
 
-def _flyable(field: Field) -> Field:
+def _state(
+    field: Field, flights: Flights, altitude: bool, values: Mapping[str, float], active: tuple[str, ...] = ()
+) -> State:
+    """The problem linearised where these parameters have these values and all others are neutral."""
+    theta = np.array([values.get(name, field.neutral[name]) for name in field.model.names])
+    dynamics = AircraftDynamics(field.model, altitude)
+    responses = FlownResponses.of(flights, dynamics, dynamics.substeps(theta, flights))
+    return linearised(field, responses, responses.outputs, theta, active)
+
+
+def _with_lag(whole: Field, found: Extension, seed: int, most: int, progress: Progress | None) -> Extension | None:
+    """What is found with a lag of the separation point in from the beginning, if that is decisively better."""
+    lag = next((e for e in whole.candidates if e.stage is Stage.LAG and LAG in {p.name for p in e.parameters}), None)
+    if lag is None:
+        return None
+    if progress:
+        progress("lag of the separation point", 0.0)
+    base = found.base
+    values = dict(zip(base.field.model.names, base.theta, strict=True)) | {p.name: p.start for p in lag.parameters}
+    responses = base.responses
+    assert isinstance(responses, FlownResponses)
+    dynamics = responses.windows.dynamics
+    assert isinstance(dynamics, AircraftDynamics)
+    state, fit = refitted(_state(whole, responses.flights, dynamics.altitude, values, (lag.name,)))
+    among = found.steps[0].poll
+    gain = (found.base_fit.deviance - fit.deviance) / (2.0 * found.base.temper)
+    if not (gain > DECISIVE and between_p_value(state, fit, lag.name, len(among.standings) + 1) <= ALPHA):
+        return None  # a lag that is none leaves nothing to linearise
+    other = extend(state, seed=seed, most=most - 1, progress=progress)
+    if lag.name not in other.state.active or nats_gained(found, other) <= DECISIVE:
+        return None
+    p = between_p_value(other.state, other.fit, lag.name, len(among.standings) + 1)
+    return replace(other, base=base, base_fit=found.base_fit, steps=(Step(lag.name, p, among, np.nan), *other.steps))
+
+
+def _without_lags(field: Field) -> Field:
     """Without effects that need a state of their own."""
     lags = [e for e in field.candidates if e.stage is Stage.LAG]
     own = {p.name: p.neutral for e in lags for p in e.parameters}
     model = Model(field.model.effects, field.model.parameters, (*field.model.fixed, *own.items()))
-    told = {e.name: "a lag is a state of its own; give it on the card" for e in lags}
+    told = {
+        e.name: "a lag is a state of its own, tried only where something is missing; give it on the card" for e in lags
+    }
     return replace(
         field,
         model=model,

@@ -15,8 +15,7 @@ from jaxtyping import Float
 
 from bayes_aero.criticism.candidates import Field
 from bayes_aero.criticism.election import poll
-from bayes_aero.criticism.extension import Extension, extend, removed
-from bayes_aero.criticism.regression import Fit
+from bayes_aero.criticism.extension import DECISIVE, Extension, extend, nats_gained, removed
 from bayes_aero.criticism.responses import Responses
 from bayes_aero.criticism.sensors import agreement
 from bayes_aero.criticism.state import State, linearised, local_fit, optimum, refitted
@@ -25,7 +24,6 @@ from bayes_aero.parameter import Prior
 from bayes_aero.physics.coefficients import NAMES
 
 Progress = Callable[[str, float], None]
-DECISIVE = 3.0  # nats by which the coefficients must lose more than the flight path gains
 
 
 @dataclass(frozen=True)
@@ -65,14 +63,14 @@ def stages(
         state, fit = refitted(removed(sensors.state, name))
         fewer = widened(sensors, state, fit)
         other = coefficients(fewer)
-        if _gained(aerodynamics, other) < _path_gain(sensors, name) + DECISIVE:
+        if nats_gained(aerodynamics, other) < _path_gain(sensors, name) + DECISIVE:
             break
         denied, sensors, aerodynamics = [*denied, name], fewer, other
     if sensors.state.active and (known := _shared(sensors, aerodynamics)):
         told = _told(aerodynamics, known)
         again = agreement(field, responses, _with(theta, field, told), seed=seed, most=most, known=known, priors=told)
         other = coefficients(again)
-        if _gained(aerodynamics, other) > -DECISIVE:
+        if nats_gained(aerodynamics, other) > -DECISIVE:
             sensors, aerodynamics = again, other
     return Stages(sensors, aerodynamics, tuple(denied))
 
@@ -150,16 +148,3 @@ def _neutral(state: State, theta: Float[np.ndarray, " k"], effects: Sequence[str
         names = state.field.parameters_of(effect)
         moved[state.field.columns(names)] = [state.field.neutral[name] for name in names]
     return moved
-
-
-def _gained(old: Extension, new: Extension) -> float:
-    """Nats that the coefficients gain, their colour counted, less what the choice of each addition costs."""
-
-    def deviance(state: State, fit: Fit) -> float:
-        inside = np.concatenate([np.arange(fold.start, fold.stop) for fold in state.folds])
-        return fit.deviance + 2.0 * float(np.sum(np.log(state.swell[inside])))
-
-    additions = len(new.state.active) - len(old.state.active)
-    gained = deviance(old.state, old.fit) - deviance(new.state, new.fit)
-    choice = math.log(max(len(new.state.field.candidates), 1))
-    return gained / (2.0 * max(old.state.temper, new.state.temper)) - additions * choice

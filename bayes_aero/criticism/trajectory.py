@@ -88,7 +88,8 @@ def fly_both(
     added = [e for e in field.model.effects if e.name in causes]
     base = [e for e in field.model.effects if e.name in field.base or not e.parameters]
     found = dict(zip(field.model.names, diagnosis.theta, strict=True))
-    before = dict(zip(field.model.names, diagnosis.aerodynamics.base.theta, strict=True))
+    card_state = diagnosis.aerodynamics.base
+    before = dict(zip(card_state.field.model.names, card_state.theta, strict=True))
     model = _extended(field.model, [*base, *added])
     ours = _side(model, flights, {name: found[name] for name in model.names})
     neutral = {p.name: field.neutral[p.name] for e in added for p in e.parameters if p.name in model.names}

@@ -263,7 +263,7 @@ def _stall(view: View, gallery: Gallery) -> tuple[Block, ...]:
 def _parameters(view: View, gallery: Gallery) -> tuple[Block, ...]:
     if not view.moves:
         return ()
-    return (moved(view), symbols(view.card.state.field.model.parameters, view.moves), *gallery("moves"))
+    return (moved(view), symbols(view.card.state.field.model.parameters, view.moves, degrees=True), *gallery("moves"))
 
 
 def _predictors(told: Told) -> tuple[Block, ...]:

@@ -104,7 +104,7 @@ def _described(name: str) -> str:
     if name not in STANDARD_CHANNELS:
         return "a channel of the card's own"
     channel = STANDARD_CHANNELS[name]
-    return f"{channel.description} [{channel.unit.replace('^2', '²').replace('^3', '³')}]"
+    return f"{channel.description} [{plain_unit(for_people(channel.unit)[0])}]"
 
 
 def interval(value: Interval, factor: float = 1.0, places: int = 3) -> str:
@@ -159,10 +159,13 @@ def stall_table(stalls: Mapping[str, Stall], what: str) -> tuple[Block, ...]:
     return tuple(blocks)
 
 
-def symbols(parameters: Iterable[Parameter], names: Iterable[str], said: str = CONVENTIONS) -> Fold:
-    """What each parameter is, and the conventions it rests on."""
+def symbols(
+    parameters: Iterable[Parameter], names: Iterable[str], said: str = CONVENTIONS, *, degrees: bool = False
+) -> Fold:
+    """What each parameter is, and the conventions it rests on; `degrees` where the page shows angles so."""
     known = {p.name: p for p in parameters}
-    facts = [(f"{n} [{plain_unit(known[n].unit)}]", known[n].description) for n in names if n in known]
+    units = {name: for_people(p.unit)[0] if degrees else p.unit for name, p in known.items()}
+    facts = [(f"{n} [{plain_unit(units[n])}]", known[n].description) for n in names if n in known]
     return Fold("What the parameters mean", (Facts(tuple(facts)), Text(said)))
 
 

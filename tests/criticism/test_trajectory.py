@@ -88,6 +88,17 @@ def test_an_effect_is_named_without_accelerometers(card):
 
 
 @pytest.mark.recovery
+def test_a_lag_of_the_separation_point_is_named_without_accelerometers(card):
+    """A state that the card's model does not have: hysteresis, inertia and delays stand in while it is out."""
+    truth = {"tau1": np.random.default_rng(SEED).uniform(4.0, 14.0)}
+    flights = hidden_flights({"separation_lag": truth}, seed=SEED, seconds=90.0)
+    found = diagnose_flown([_without_accelerometers(f.record) for f in flights], card)
+    (first, *_) = found.causes
+    assert first.name == "separation_lag", (SEED, truth, [c.name for c in found.causes])
+    assert first.parameters["tau1"].mean == pytest.approx(truth["tau1"], rel=0.2), (SEED, truth)
+
+
+@pytest.mark.recovery
 @pytest.mark.parametrize("noise", ["ar1", "outliers"])  # without a disturbance the least of the equations' errors shows
 def test_nothing_is_named_without_accelerometers_where_nothing_is_hidden(noise, card):
     """An election alarms falsely at most once in twenty: if it does, then not on the next flight too."""
