@@ -214,6 +214,14 @@ def _state(
 
 def _with_lag(whole: Field, found: Extension, seed: int, most: int, progress: Progress | None) -> Extension | None:
     """What is found with a lag of the separation point in from the beginning, if that is decisively better."""
+    try:
+        with np.errstate(over="raise", invalid="raise", divide="raise"):
+            return _lagged(whole, found, seed, most, progress)
+    except (FloatingPointError, np.linalg.LinAlgError):
+        return None  # the lag fell to none on the way: the state is its static value, and nothing depends on it
+
+
+def _lagged(whole: Field, found: Extension, seed: int, most: int, progress: Progress | None) -> Extension | None:
     lag = next((e for e in whole.candidates if e.stage is Stage.LAG and LAG in {p.name for p in e.parameters}), None)
     if lag is None:
         return None
