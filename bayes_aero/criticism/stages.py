@@ -69,9 +69,10 @@ def stages(
     if sensors.state.active and (known := _shared(sensors, aerodynamics)):
         told = _told(aerodynamics, known)
         again = agreement(field, responses, _with(theta, field, told), seed=seed, most=most, known=known, priors=told)
-        other = coefficients(again)
-        if nats_gained(aerodynamics, other) > -DECISIVE:
-            sensors, aerodynamics = again, other
+        if len(again.state.active) < len(sensors.state.active):  # one of them had stood in for it
+            other = coefficients(again)
+            if nats_gained(aerodynamics, other) > -DECISIVE:
+                sensors, aerodynamics = again, other
     return Stages(sensors, aerodynamics, tuple(denied))
 
 
