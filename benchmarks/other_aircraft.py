@@ -1,10 +1,10 @@
 """Diagnose aircraft that nobody here has seen: drawn at random and flown by a simulator that shares no code.
 
-    python benchmarks/other_aircraft.py 24 [--first 0] [--gusts 0.5] [--silent] [--out strangers]
+    python benchmarks/other_aircraft.py 29 [--first 0] [--gusts 0.5] [--poor] [--single] [--silent] [--out strangers]
 
-Every twelfth (with --silent all) has nothing hidden, the others one effect each (`tests/stranger.py`): two stalls at
-20, 25 or 50 Hz with white noise, in knots, degrees, feet and g; in gusts of that deviation, m/s. One line of
-OUT/strangers.jsonl each; goes on where it stopped.
+Every 29th (with --silent all) has nothing hidden, the others one effect each (`tests/stranger_records.py`): two stalls
+(or one) at 20, 25 or 50 Hz with white noise, in knots, degrees, feet and g; in gusts of that deviation, m/s; by poor
+recorders that colour the noise, filter and round. One line of OUT/strangers.jsonl each; goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -19,18 +19,19 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from stranger import HIDDEN, flown
+from stranger_records import HIDDEN, Recorder, flown
 
 from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.readers import read_record
 
 
-def case(seed: int, gusts: float, silent: bool) -> dict:
+def case(seed: int, gusts: float, poor: bool, manoeuvres: int, silent: bool) -> dict:
     """Draw, fly, read and diagnose."""
     name = None if silent else [None, *HIDDEN][seed % (len(HIDDEN) + 1)]
+    recorder = Recorder.poor(np.random.default_rng([seed, 13])) if poor else Recorder()
     with tempfile.TemporaryDirectory() as folder:
-        _, size, files = flown(Path(folder), np.random.default_rng([seed, 12]), name, gusts)
+        _, size, files = flown(Path(folder), np.random.default_rng([seed, 12]), name, gusts, recorder, manoeuvres)
         card = read_card(str(Path(folder) / "card.toml"))
         records = [read_record(path, card.channels) for path in files]
         began = time.perf_counter()
@@ -68,6 +69,8 @@ if __name__ == "__main__":
     parser.add_argument("count", type=int)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--gusts", type=float, default=0.0, help="their deviation, m/s")
+    parser.add_argument("--poor", action="store_true", help="by recorders that colour, filter and round")
+    parser.add_argument("--single", action="store_true", help="one manoeuvre instead of two")
     parser.add_argument("--silent", action="store_true", help="nothing hidden in any of them")
     parser.add_argument("--out", type=Path, default=Path("strangers"))
     given = parser.parse_args()
@@ -77,7 +80,7 @@ if __name__ == "__main__":
     with path.open("a") as file:
         for seed in range(given.first, given.first + given.count):
             if seed not in {row["seed"] for row in done}:
-                done.append(case(seed, given.gusts, given.silent))
+                done.append(case(seed, given.gusts, given.poor, 1 if given.single else 2, given.silent))
                 file.write(json.dumps(done[-1]) + "\n")
                 file.flush()
     report(done)

@@ -1,35 +1,18 @@
 """Another aircraft, flown by a simulator that shares no code with the package: NumPy and textbook equations alone.
 
-Drawn at random: size, mass, derivatives, stall; then two stalls with a 3-2-1-1 before and after, engine and elevator
-with lags. Recorded as the package's users may have it: knots, degrees, feet, g, nz up, elevator trailing edge up. In
-gusts of the Dryden kind, along and across the path, air data and forces are those of the air that is met.
+Drawn at random: size, mass, derivatives, stall; then stalls with a 3-2-1-1 before and after, engine and elevator with
+lags. In gusts of the Dryden kind, along and across the path, air data and forces are those of the air that is met.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from scipy.optimize import fsolve
 
 G = 9.80665
-NOISE = (0.0, 0.15, 9e-4, 9e-4, 1e-3, 0.02, 0.04, 0.6, 3.5e-4, 5.0)  # of t, V, alpha, theta, q, ax, az, h, elevator, T
-HEADINGS = "Time_s,KTAS,AOA_deg,THETA_deg,QB_dps,NXB_g,NZB_g,HP_ft,DE_TEU_deg,FN_lbf,PB_dps,RB_dps"
-HIDDEN = {  # parameter, sizes within which it is drawn, SI, all of them clearly visible; whether of either sign
-    "thrust_moment": ("thrust_arm", 0.12, 0.3, True),
-    "alpha_squared_moment": ("Cma2", 1.0, 3.0, True),
-    "alpha_dot_moment": ("Cmadot", -9.0, -4.0, False),
-    "pitch_rate_lift": ("CLq", 3.0, 8.0, False),
-    "separation_lag": ("tau1", 8.0, 20.0, False),
-    "alpha_bias": ("alpha_bias", 0.006, 0.02, True),
-    "alpha_scale": ("alpha_scale", 0.04, 0.09, True),
-    "airspeed_scale": ("airspeed_scale", 0.02, 0.05, True),
-    "pitch_rate_bias": ("pitch_rate_bias", 0.003, 0.008, True),
-    "accel_x_bias": ("accel_x_bias", 0.06, 0.2, True),
-    "elevator_delay": ("elevator_delay", 0.03, 0.1, False),
-}
 Rates = Callable[..., np.ndarray]
 
 
@@ -62,6 +45,15 @@ class Plane:
     Cmadot: float = 0.0
     CLq: float = 0.0
     tau1: float = 0.0
+    thrust_lift: float = 0.0
+    CLmin: float = 0.0
+    CLde_extra: float = 0.0
+    CDde: float = 0.0
+    CmdeX: float = 0.0
+    CmqX: float = 0.0
+    CmaX: float = 0.0
+    thrust_lag: float = 0.0
+    vertical_wind: float = 0.0
 
     def density(self, h: float) -> float:
         """Standard atmosphere, kg/m^3."""
@@ -77,11 +69,15 @@ class Plane:
         """Separation point in steady flow."""
         return 0.5 * (1.0 - np.tanh(self.a1 * (alpha - self.alpha_star)))
 
-    def forces(self, alpha: float, qhat: float, elevator: float, X: float) -> tuple[float, float]:
+    def forces(self, alpha: float, qhat: float, elevator: float, X: float, CT: float = 0.0) -> tuple[float, float]:
         """CL and CD; the tail's lift makes its moment, drag is that of all the lift."""
         CL = self.CL0 + self.CLa * alpha * ((1.0 + np.sqrt(X)) / 2.0) ** 2 - self.Cmde * self.c / self.tail * elevator
         CL += self.CLq * qhat
-        return CL, self.CD0 + CL**2 / (np.pi * self.b**2 / self.S * self.e) + self.CDX * (1.0 - X)
+        CL += self.CLde_extra * elevator
+        attached = self.CL0 + self.CLa * alpha - self.Cmde * self.c / self.tail * elevator
+        polar = CL**2 + self.CLmin * (self.CLmin - 2.0 * attached)
+        CD = self.CD0 + polar / (np.pi * self.b**2 / self.S * self.e) + self.CDX * (1.0 - X) + self.CDde * elevator
+        return CL + self.thrust_lift * CT, CD
 
     def rates(self, x: np.ndarray, elevator: float, lever: float, ahead: float = 0.0, up: float = 0.0) -> np.ndarray:
         """Derivatives of V, alpha, theta, q, h, X, where a gust meets the aircraft from ahead and from below, m/s."""
@@ -89,7 +85,7 @@ class Plane:
         V, alpha, climb = speed + ahead, path + up / speed, theta - path
         X = X if self.tau1 else self.settled(alpha)
         pressure, T = 0.5 * self.density(h) * V**2, self.thrust(V, lever, h)
-        CL, CD = self.forces(alpha, q * self.c / V, elevator, X)
+        CL, CD = self.forces(alpha, q * self.c / V, elevator, X, T / (pressure * self.S))
         L, D = pressure * self.S * CL, pressure * self.S * CD
         tilt = alpha - path  # of the air that is met
         along = T * np.cos(path) - D * np.cos(tilt) + L * np.sin(tilt)
@@ -97,10 +93,11 @@ class Plane:
         alpha_dot = q - across / (self.mass * speed) + G * np.cos(climb) / speed
         Cm = self.Cm0 + (self.Cma + self.Cma2 * alpha) * alpha + self.Cmde * elevator + self.CmX * (1.0 - X)
         Cm += (self.Cmq / 2.0 * q + self.Cmadot * alpha_dot) * self.c / V
+        Cm += (1.0 - X) * (self.CmdeX * elevator + self.CmqX * q * self.c / V + self.CmaX * alpha)
         X_dot = (self.settled(alpha) - X) * V / (self.tau1 * self.c) if self.tau1 else 0.0
         q_dot = (pressure * self.S * self.c * Cm + T * self.thrust_arm) / self.Iy
         V_dot = along / self.mass - G * np.sin(climb)
-        return np.array([V_dot, alpha_dot, q, q_dot, speed * np.sin(climb), X_dot])
+        return np.array([V_dot, alpha_dot, q, q_dot, speed * np.sin(climb) + self.vertical_wind, X_dot])
 
 
 def plane(rng: np.random.Generator) -> Plane:
@@ -137,7 +134,7 @@ def fly(
     def steps(t):
         return size * (0.0, 1.0, -1.0, 1.0, -1.0, 0.0)[int(np.searchsorted(edges, t, "right"))]
 
-    rows, elevator, engine = [], trim, lever
+    rows, elevator, engine, force = [], trim, lever, None
     air = _gusts(rng, round(seconds / dt) + 2, V * dt, gusts)
     for k in range(round(seconds / dt) + 1):
         t, wanted = k * dt, lever
@@ -152,8 +149,12 @@ def fly(
             if t > second + 6.0:
                 wanted = lever * (1.5 if (t - second) % 8.0 < 4.0 else 0.6)
         after = elevator + np.clip(np.clip(command, -0.4, 0.3) - elevator, -0.44 * dt, 0.44 * dt)
-        running = engine + (wanted - engine) * dt / 0.8
-        rows.append((t, *_sensed(p, x, elevator, engine, *air[:, k])))
+        running, row = engine + (wanted - engine) * dt / 0.8, _sensed(p, x, elevator, engine, *air[:, k])
+        if p.thrust_lag:  # the engine deck knows the lever only
+            deck, full = p.thrust(x[0], wanted, x[4]), p.thrust(x[0], 1e-6, x[4]) / 1e-6
+            force = deck if force is None else force + (deck - force) * -np.expm1(-dt / p.thrust_lag)
+            running, row = force / full, (*row[:-1], deck)
+        rows.append((t, *row))
         x = _advanced(p.rates, x, dt, (elevator, after), (engine, running), *air[:, k : k + 2])
         elevator, engine = after, running
     return np.array(rows).T
@@ -176,8 +177,8 @@ def _sensed(
 ) -> tuple[float, ...]:
     V, alpha, theta, q, h, X = x
     V, alpha = V + ahead, alpha + up / V
-    CL, CD = p.forces(alpha, q * p.c / V, elevator, X if p.tau1 else p.settled(alpha))
     T, pressure = p.thrust(V, lever, h), 0.5 * p.density(h) * V**2 * p.S
+    CL, CD = p.forces(alpha, q * p.c / V, elevator, X if p.tau1 else p.settled(alpha), T / pressure)
     ax = (T + pressure * (CL * np.sin(alpha) - CD * np.cos(alpha))) / p.mass
     az = -pressure * (CL * np.cos(alpha) + CD * np.sin(alpha)) / p.mass
     return V, alpha, theta, q, ax, az, h, elevator, T
@@ -193,96 +194,3 @@ def _advanced(rates: Rates, x: np.ndarray, dt: float, *inputs, parts: int = 5) -
         k3 = rates(x + h / 2.0 * k2, *u[1])
         x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + rates(x + h * k3, *u[2]))
     return x
-
-
-def write(path: Path, rows: np.ndarray, errors: Mapping[str, float], rng: np.random.Generator) -> None:
-    """What a recorder with these sensor errors and white noise leaves of the flight."""
-    noisy = rows + np.array(NOISE)[:, None] * rng.standard_normal(rows.shape)
-    t, V, alpha, theta, q, ax, az, h, elevator, T = noisy
-    alpha = alpha + errors.get("alpha_scale", 0.0) * rows[2] + errors.get("alpha_bias", 0.0)
-    V = V + errors.get("airspeed_scale", 0.0) * rows[1]
-    q, ax = q + errors.get("pitch_rate_bias", 0.0), ax + errors.get("accel_x_bias", 0.0)
-    elevator = elevator + np.interp(t - errors.get("elevator_delay", 0.0), t, rows[8]) - rows[8]
-    lateral = 9e-4 * rng.standard_normal((2, len(t)))
-    deg = np.degrees
-    columns = (
-        t, V / 0.514444, deg(alpha), deg(theta), deg(q), ax / G, -az / G, h / 0.3048, -deg(elevator), T / 4.4482216,
-        *deg(lateral),
-    )  # fmt: skip
-    np.savetxt(path, np.transpose(columns), delimiter=",", header=HEADINGS, comments="", fmt="%.5f")
-
-
-def flown(
-    folder: Path, rng: np.random.Generator, name: str | None, gusts: float = 0.0
-) -> tuple[Plane, float, list[Path]]:
-    """Two records and `card.toml` of a random aircraft that stays in its envelope, an effect hidden in them; its size.
-
-    Thrust arms are in proportion to the chord.
-    """
-    for _ in range(20):
-        p, errors, size = plane(rng), {}, 0.0
-        if name is not None:
-            parameter, least, most, either = HIDDEN[name]
-            size = float(rng.uniform(least, most) * (rng.choice([-1.0, 1.0]) if either else 1.0))
-            size *= p.c / 1.58 if parameter == "thrust_arm" else 1.0
-            if hasattr(p, parameter):
-                p = replace(p, **{parameter: size})
-            else:
-                errors = {parameter: size}
-        dt = float(rng.choice([0.02, 0.04, 0.05]))
-        with np.errstate(invalid="ignore", over="ignore"):
-            flights = [fly(p, rng, dt, gusts=gusts) for _ in range(2)]
-        if all(np.all(np.isfinite(x)) and x[2].max() < 0.5 and np.abs(x[3]).max() < 0.9 for x in flights):
-            break
-    else:
-        raise RuntimeError("no such aircraft could be flown")
-    files = [folder / f"run{number}.csv" for number in (1, 2)]
-    for path, rows in zip(files, flights, strict=True):
-        write(path, rows, errors, rng)
-    (folder / "card.toml").write_text(card_text(p))
-    return p, size, files
-
-
-def card_text(p: Plane) -> str:
-    """The right card of the aircraft, but for what is hidden."""
-    return f"""
-title = "another aircraft"
-source = "a simulator of its own"
-[aircraft]
-mass = "{p.mass} kg"
-Ix = "{p.Iy} kg m^2"
-Iy = "{p.Iy} kg m^2"
-Iz = "{2.0 * p.Iy} kg m^2"
-Ixz = "0 kg m^2"
-wing_area = "{p.S} m^2"
-chord = "{p.c} m"
-half_span = "{p.b / 2.0} m"
-aspect_ratio = {p.b**2 / p.S}
-tail_arm = "{p.tail} m"
-[channels]
-time = {{ label = "Time_s", unit = "s" }}
-airspeed = {{ label = "KTAS", unit = "kt" }}
-alpha = {{ label = "AOA_deg", unit = "deg" }}
-theta = {{ label = "THETA_deg", unit = "deg" }}
-q = {{ label = "QB_dps", unit = "deg/s" }}
-ax = {{ label = "NXB_g", unit = "g0" }}
-az = {{ label = "NZB_g", unit = "g0", sign = -1 }}
-altitude = {{ label = "HP_ft", unit = "ft" }}
-elevator = {{ label = "DE_TEU_deg", unit = "deg", sign = -1 }}
-thrust = {{ label = "FN_lbf", unit = "lbf" }}
-p = {{ label = "PB_dps", unit = "deg/s" }}
-r = {{ label = "RB_dps", unit = "deg/s" }}
-[constants]
-ay = "0 g0"
-phi = "0 deg"
-beta = "0 deg"
-[derived]
-density = "standard atmosphere"
-mach = "standard atmosphere"
-[model]
-effects = [
-  "attached_lift", "elevator_moment", "pitching_moment", "pitch_damping", "profile_drag", "induced_drag",
-  "flow_separation", "kirchhoff_lift", "separated_drag", "separated_moment", "separated_induced_drag",
-]
-fixed = {{ induced_share = 1.0 }}
-"""

@@ -26,7 +26,8 @@ CORRECTION = 40  # replicates that measure the bias of the colour's estimate
 class Standing:
     """One candidate against the present model.
 
-    `gain` is the deviance it takes away; `score` its estimate in standard deviations that know the colour (for several
+    `gain` is the deviance it takes away, `together` what it would take away if the outputs' noise were allowed to
+    correlate; `score` its estimate in standard deviations that know the colour (for several
     parameters the equivalent of one); `inflation` the variance over what white residuals would leave; `log_bayes` the
     log Bayes factor of estimate and deviation under the effect's prior.
     """
@@ -40,6 +41,7 @@ class Standing:
     log_bayes: float
     step: tuple[float, ...]
     sd: tuple[float, ...]
+    together: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,7 @@ class Projected:
         for fold in state.folds:
             inside[fold] = True
         self.P[~inside] = 0.0
+        self.inside = inside
         self.information = np.einsum("mci,c,mcj->ij", self.P, weight, self.P, optimize=True)
         self.bread = [inverse(self.information[np.ix_(place, place)]) for place in self.place]
         self.weight = weight
@@ -88,6 +91,18 @@ class Projected:
         _, whole = self.middle.under(colour, range(len(self.place)))
         estimates = [bread @ right[place] for bread, place in zip(self.bread, self.place, strict=True)]
         return estimates, [bread @ meat @ bread for bread, meat in zip(self.bread, whole, strict=True)]
+
+    def deviance(
+        self, residual: Float[np.ndarray, "m c"], block: int | None = None, estimate: np.ndarray | float = 0.0
+    ) -> float:
+        """n log det of the whole covariance of what a block leaves at its first-order estimate.
+
+        It stays the same when an output is exchanged for its sum with a share of another; the product of the
+        variances does not.
+        """
+        left = residual if block is None else residual - self.P[:, :, self.place[block]] @ estimate
+        left = left[self.inside]
+        return float(len(left) * np.linalg.slogdet(left.T @ left / len(left))[1])
 
     def largest(self, noises: Float[np.ndarray, "r m c"], colours: Sequence[Colour]) -> Float[np.ndarray, " r"]:
         """The largest score that any block reaches in each of r records."""
@@ -184,6 +199,7 @@ def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, wit
         pairs = zip(estimates, covariances, wider, strict=True)
         covariances = [C if equivalent(b, C) < equivalent(b, W) else W for b, C, W in pairs]
     gains = _gains(state, products, mean, columns, [b[1] for b in blocks], fit)
+    before = projected.deviance(residual)
     found = []
     for j, (effect, own, value) in enumerate(blocks):
         variance = np.maximum(np.diag(covariances[j]), 0.0)
@@ -201,6 +217,7 @@ def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, wit
                 log_bayes=log_bayes(estimates[j], covariances[j], mean[own], state.precision[own] / state.temper),
                 step=tuple(float(x) for x in step),
                 sd=tuple(float(x) for x in np.sqrt(variance)),
+                together=before - projected.deviance(residual, j, estimates[j]),
             )
         )
     noises = without_active(state, fit, colour.simulate(replicates, state.folds, m, rng))

@@ -27,12 +27,14 @@ from bayes_aero.criticism.election import (
 from bayes_aero.criticism.regression import Fit, Products
 from bayes_aero.criticism.second_look import SecondLook
 from bayes_aero.criticism.state import State, moved, refitted, swelling
+from bayes_aero.physics.coefficients import NAMES
 
 LEAST_SCORE = 2.5  # below it no candidate is beyond chance in an election among dozens
 ALPHA = 0.05  # family-wise rate of false alarms of each election
 SECOND_ALPHA = 0.02  # of the second look at leaders that passed for slow noise
 TRIED = 8  # leaders considered in one election
 WORTH = 0.04  # share of a coefficient's remaining variance that an effect must explain: imperfect regressors fake less
+MIXED = 0.3  # share of its gain that an effect must keep when the coefficients' noise may correlate
 FITTED = 3  # leaders that are fitted to be judged by the stretches' disagreement
 DECISIVE = 3.0  # nats by which one of two extensions must be the better
 SHARE = 0.02  # of a leader's gain: another that gains more than this beyond it takes its place
@@ -54,7 +56,8 @@ class Step:
 class Extension:
     """The state before and after, with fits and elections; sizes of what is in.
 
-    `causes` are worth a name: as large, within a deviation, as the least departure worth modelling; `minor` are not.
+    `causes` are worth a name: as large, within a deviation, as the least departure worth modelling, and beyond doubt
+    (see `worth`); `minor` are not.
     """
 
     base: State
@@ -122,7 +125,7 @@ def _election(state: State, fit: Fit, seed: int, first: bool) -> Step:
         seen.add(standing.effect)
         if len(seen) > TRIED:
             break
-        if explained(state, standing) < WORTH:
+        if explained(state, standing) < WORTH or mixes_noise(state, standing):
             continue
         gain = float(unseen_gain(state, columns_of(state, standing)).sum())
         if not gain > 0.0:
@@ -165,6 +168,15 @@ def between_p_value(wider: State, fit: Fit, effect: str, among: int) -> float:
     freedom = int(np.max(wider.responses.stretch))  # pyright: ignore[reportArgumentType, reportCallIssue]
     score = as_normal(equivalent(away, covariance), freedom)
     return min(1.0, 2.0 * among * float(stats.norm.sf(score)))
+
+
+def mixes_noise(state: State, standing: Standing) -> bool:
+    """Whether a candidate's gain vanishes when noise of the coefficients may correlate.
+
+    Noise of the angle of attack is in CL and in Cm at once. A shift of the CG adds CL to Cm, which hides that noise
+    under a diagonal covariance and explains nothing.
+    """
+    return set(state.outputs) == set(NAMES) and standing.together < MIXED * standing.gain
 
 
 def explained(state: State, standing: Standing) -> float:
@@ -229,9 +241,9 @@ def _reconsidered(state: State, fit: Fit) -> tuple[State, Fit]:
     for effect in state.active[:-1]:
         ranking = poll(state, fit, seed=0, replicates=0, without=effect)
         own = ranking.of(effect)
-        best = ranking.standings[0]
+        best = next((s for s in ranking.standings if not mixes_noise(state, s)), ranking.standings[0])
         faint = own is not None and own.log_bayes < 0.0 and _bayes_within(state, fit, own) < 0.0
-        if own is None or faint or explained(state, own) < WORTH:
+        if own is None or faint or explained(state, own) < WORTH or mixes_noise(state, own):
             state, fit = refitted(removed(state, effect))
         elif best.effect != effect and best.gain > (1.0 + SHARE) * own.gain + 2.0 * own.inflation:
             state, fit = refitted(added(removed(state, effect), best))
@@ -251,12 +263,17 @@ def _bayes_within(state: State, fit: Fit, own: Standing) -> float:
 
 
 def worth(state: State, found: Mapping[str, Size]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Additions large enough to be worth modelling, and those that are only a nuisance."""
+    """Additions large enough to be worth modelling, and those that are only a nuisance.
+
+    One that was elected may turn out uncertain once the noise of the regressors is counted: then it is a nuisance, too.
+    """
     causes, minor = [], []
     for name in state.active:
         effect = next(e for e in state.field.candidates if e.name == name)
-        away = {p: abs(found[p].mean - state.field.neutral[p]) + found[p].sd for p in effect.sizes if p in found}
-        large = not away or any(away[p] >= effect.sizes[p][0] for p in away)
+        away = {p: (abs(found[p].mean - state.field.neutral[p]), found[p].sd) for p in effect.sizes if p in found}
+        large = not away or any(
+            size + sd >= effect.sizes[p][0] and size >= LEAST_SCORE * sd for p, (size, sd) in away.items()
+        )
         (causes if large else minor).append(name)
     return tuple(causes), tuple(minor)
 

@@ -8,7 +8,8 @@ import tomllib
 import numpy as np
 import pandas as pd
 import pytest
-from stranger import fly, plane, write
+from stranger import fly, plane
+from stranger_records import write
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card, shipped_cards

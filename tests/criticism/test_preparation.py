@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from stranger import flown
+from stranger_records import flown
 
 from bayes_aero.criticism.preparation import filtered_alike, preparation_notes
 from bayes_aero.flight.card import read_card

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from stranger import HIDDEN, flown
+from stranger_records import HIDDEN, Recorder, flown
 
 from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.criticism.finding import Verdict
@@ -12,9 +12,9 @@ from bayes_aero.flight.readers import read_record
 DRAWN = np.random.default_rng(20261).integers(1_000_000, size=2)
 
 
-def diagnosed(folder, seed, name=None, gusts=0.0):
+def diagnosed(folder, seed, name=None, gusts=0.0, recorder=Recorder()):
     """A random aircraft's two records, read from CSV and diagnosed."""
-    p, size, files = flown(folder, np.random.default_rng(seed), name, gusts)
+    p, size, files = flown(folder, np.random.default_rng(seed), name, gusts, recorder)
     card = read_card(str(folder / "card.toml"))
     records = [read_record(path, card.channels) for path in files]
     return p, size, diagnose(records, card, seed=int(seed), gains_wanted=False)
@@ -43,6 +43,28 @@ def test_what_was_hidden_is_named_with_its_size(tmp_path):
 def test_nothing_is_named_where_nothing_is_hidden(tmp_path):
     found = diagnosed(tmp_path, DRAWN[1])[2]
     assert found.verdict is Verdict.NO_EFFECT
+
+
+@pytest.mark.recovery
+def test_a_poor_recorder_is_no_effect_and_hides_none(tmp_path):
+    """Noise correlated from sample to sample, a filter of a few hertz, coarse digits: on all channels alike."""
+    rng = np.random.default_rng(20264)
+    seeds, name = rng.integers(1_000_000, size=2), str(rng.choice(["pitch_rate_bias", "thrust_moment", "alpha_bias"]))
+    silent, named = tmp_path / "silent", tmp_path / "named"
+    silent.mkdir(), named.mkdir()
+    assert diagnosed(silent, seeds[0], recorder=Recorder.poor(rng))[2].verdict is Verdict.NO_EFFECT
+    found = diagnosed(named, seeds[1], name, recorder=Recorder.poor(rng))[2]
+    assert [cause.name for cause in found.causes] == [name]
+
+
+@pytest.mark.recovery
+@pytest.mark.parametrize("name", ["separated_alpha_moment", "alpha_squared_moment"])
+def test_noise_of_the_vane_in_lift_and_moment_at_once_is_no_shift_of_the_cg(tmp_path, name):
+    """A CG moved aft adds lift to the moment, and takes the vane's noise out of it where it was in both."""
+    _, size, found = diagnosed(tmp_path, 0, name)
+    assert [cause.name for cause in found.causes] == [name]
+    estimate = found.causes[0].parameters[HIDDEN[name][0]]
+    assert abs(estimate.mean - size) < 3.0 * estimate.sd
 
 
 @pytest.mark.recovery
