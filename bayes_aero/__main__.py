@@ -2,7 +2,7 @@
 
 import sys
 
-from bayes_aero.cli import main
+from bayes_aero.entry import main
 
 sys.argv[0] = "bayes-aero"  # what provenance and help call it
 main()

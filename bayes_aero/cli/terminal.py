@@ -34,14 +34,20 @@ def teller(*, quiet: bool = False, highlight: bool = False) -> Console:
 def bar(first: str, over: float = 30.0) -> Iterator[Callable[[str, float], None]]:
     """A bar with the time left on the terminal, silence elsewhere; tell it a stage and the share of it that is done.
 
-    The time left is estimated from the last `over` seconds.
+    Both times are the stage's; what is left is estimated from the last `over` seconds.
     """
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     hidden = not console.is_terminal
     with Progress(*columns, console=console, transient=True, disable=hidden, speed_estimate_period=over) as shown:
         task = shown.add_task(first, total=1.0)
-        yield lambda text, share: shown.update(task, description=text, completed=share)
+
+        def tell(text: str, share: float) -> None:
+            if share < shown.tasks[0].completed:  # the next stage; a finished task's clock would stand still for good
+                shown.reset(task)
+            shown.update(task, description=text, completed=share)
+
+        yield tell
 
 
 def print_json(content: Mapping[str, Any]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -62,18 +63,16 @@ def diagnose(
         if name in field.model.names:
             theta[field.columns([name])[0]] = value
     both = stages(field, responses, theta, seed=seed, most=most, progress=progress)
-    sensors, aerodynamics = both.sensors, both.aerodynamics
+    left = unexplained(both.aerodynamics, seed=seed + 2000)
+    sensors, aerodynamics = both.sensors, _withdrawn(both.aerodynamics, left.replaced)
     named = [("flight path", sensors)] if sensors is not None else []
     named.append(("coefficients", aerodynamics))
     confirmations = {stage: confirmation(one.state) for stage, one in named} if gains_wanted else {}
     causes = causes_of(field, named, confirmations, progress)
-    left = unexplained(aerodynamics, seed=seed + 2000)
-    kept = [c for c in causes if c.name not in left.replaced]
-    verdict = verdict_of(kept, left.unknown)
     minor = (*(sensors.minor if sensors else ()), *aerodynamics.minor)
     return Diagnosis(
-        verdict=verdict,
-        causes=tuple(kept),
+        verdict=verdict_of(causes, left.unknown),
+        causes=tuple(causes),
         minor=minor,
         unknown=left.unknown,
         noise=noise_report(aerodynamics, outliers),
@@ -86,6 +85,12 @@ def diagnose(
         kept=confirmations["coefficients"].kept if gains_wanted else aerodynamics.state.active,
         notes=(*_notes(flights), *_denials(both)),
     )
+
+
+def _withdrawn(found: Extension, names: Sequence[str]) -> Extension:
+    """Causes of which little is left beside what is unexplained lose their names: nuisances, in the model as before."""
+    causes = tuple(name for name in found.causes if name not in names)
+    return replace(found, causes=causes, minor=(*found.minor, *(n for n in found.causes if n in names)))
 
 
 def _notes(flights: Flights) -> tuple[str, ...]:

@@ -51,23 +51,40 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
 
 
 def _verdict(d: Diagnosis) -> str:
-    names = several(c.name for c in d.causes)
-    plural = "causes explain" if len(d.causes) > 1 else "cause explains"
+    sure = [c for c in d.causes if c.confirmed and not _bounded(c)]
+    plural = "causes explain" if len(sure) > 1 else "cause explains"
+    subject = f"{len(sure)} {plural}" if sure else "Nothing that can be relied on explains"
+    names = several(f"{c.name} (or {' or '.join(c.ambiguous_with)})" if c.ambiguous_with else c.name for c in sure)
+    names = f": {names}{_doubtful(d)}" if sure else _doubtful(d)
     unknown = several(sorted({f"{u.coefficient} over {u.channel}" for u in d.unknown}))
     return {
         Verdict.NO_EFFECT: "Nothing worth a name, that this record could show, is missing from the card's model.",
-        Verdict.EXPLAINED: f"{len(d.causes)} {plural} what the card's model gets wrong: {names}.",
-        Verdict.PARTLY_EXPLAINED: f"{len(d.causes)} {plural} a part of what the card's model gets wrong: {names}; "
+        Verdict.EXPLAINED: f"{subject} what the card's model gets wrong{names}.",
+        Verdict.PARTLY_EXPLAINED: f"{subject} a part of what the card's model gets wrong{names}; "
         f"unexplained structure remains ({unknown}).",
         Verdict.UNEXPLAINED: f"The card's model is wrong and no effect of the catalogue explains it ({unknown}).",
     }[d.verdict]
+
+
+def _bounded(cause: Cause) -> list[str]:
+    return [name for name, size in cause.parameters.items() if size.at_bound]
+
+
+def _doubtful(d: Diagnosis) -> str:
+    """Causes that are named and carry the explanation in no way that a user should rely on."""
+    bounded = several(c.name for c in d.causes if _bounded(c))
+    open_ = several(c.name for c in d.causes if not c.confirmed and not _bounded(c))
+    said = f"; named, but not confirmed on unseen data: {open_}" if open_ else ""
+    return said + (
+        f"; at the bounds of what is sensible, so that another cause must be behind: {bounded}" if bounded else ""
+    )
 
 
 def _cause(cause: Cause) -> str:
     said = f"{cause.name}: {cause.claim}"
     if cause.ambiguous_with:
         said += f" On this record {several(cause.ambiguous_with)} would explain it about as well."
-    if held := [name for name, size in cause.parameters.items() if size.at_bound]:
+    if held := _bounded(cause):
         said += f" {several(held)} would go beyond the bounds of what is sensible: suspect another cause behind it."
     if not cause.excited:
         said += " Not every manoeuvre excites it."
@@ -85,7 +102,8 @@ def _minor(d: Diagnosis) -> list[str]:
     if not d.minor:
         return []
     verb = "were" if len(d.minor) > 1 else "was"
-    return [f"Too small to be worth a name: {several(d.minor)} {verb} carried along while causes were sought."]
+    beside = " beside what is unexplained" if d.unknown else ""
+    return [f"Too small{beside} to be worth a name: {several(d.minor)} {verb} carried along while causes were sought."]
 
 
 def _unknown(d: Diagnosis) -> list[str]:

@@ -220,7 +220,9 @@ def _by_size(guess: Guess) -> Guess:
         "radio_altitude": "ft" if size > 13_000.0 else "m",
     }
     unit = choices.get(guess.channel, SI.get(guess.channel, "1"))
-    if guess.channel.startswith("thrust") and size < 300.0:
+    if guess.channel.startswith("thrust"):
+        if size > 300.0:
+            return guess.because(f"it reaches {size:.4g}, and nothing in the file tells N from lbf")
         unit = "kN"
     return guess.because(f"it reaches {size:.4g}", unit=unit)
 

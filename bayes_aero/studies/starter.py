@@ -116,7 +116,7 @@ def _channels(found: Mapping[str, Guess], unknown: Sequence[RawColumn], columns:
         place = _place(guess.column)
         optional = "" if name in NEEDED or name in KINEMATIC else ", required = false"
         sign = ", sign = -1" if guess.sign < 0 else ""
-        entry = f"{name} = {{ {place}, unit = {_text(guess.unit or '1')}{sign}{optional} }}"
+        entry = f"{name} = {{ {place}, unit = {_text(guess.unit or 'TODO')}{sign}{optional} }}"
         doubt = _implausible(name, guess)
         if doubt:
             yield _comment(f"NOT TAKEN, {doubt}; {guess.evidence}:")
@@ -223,9 +223,9 @@ def _sensors(found: Mapping[str, Guess]) -> Iterator[str]:
         channels = {name: jnp.asarray(g.si) for name, g in wanted.items()}
         flights = Flights(channels, NO_AIRCRAFT, np.zeros(n, int), found["time"].si, (n,), ("record",))
         for name, deviation in recording_noise(flights).items():
-            if deviation > 0.0:
-                guess = wanted[name]
-                unit = guess.unit or "1"
+            guess = wanted[name]
+            if deviation > 0.0 and guess.unit is not None:
+                unit = guess.unit
                 source = STANDARD_CHANNELS[name].unit if name in STANDARD_CHANNELS else "N"
                 size = abs(float(from_si(deviation, unit, name, source)))
                 yield f'{name} = "{size:.2g} {unit}" # guess: what is white in this record'

@@ -194,3 +194,17 @@ def test_wings_that_stayed_level_let_the_sensors_be_checked(program, tmp_path, r
     assert done.code == 0, done.err
     assert ("state what stood still under [constants]" in said) == rolling
     assert ("Sensors were not checked" in said) == rolling
+
+
+def test_newtons_and_pounds_of_thrust_are_not_guessed_apart(program, foreign, tmp_path):
+    table = pd.read_csv(foreign[0])
+    table["FN"] *= 1000.0
+    table.to_csv(tmp_path / "large.csv", index=False)
+    assert program("card", "large.csv", "--out", "mine.toml").code == 0
+    entry = next(line for line in (tmp_path / "mine.toml").read_text().splitlines() if line.startswith("thrust"))
+    assert 'unit = "TODO"' in entry
+    assert "lbf" in entry
+    (tmp_path / "mine.toml").write_text(filled((tmp_path / "mine.toml").read_text()))
+    done = program("check", "large.csv", "--model", "mine.toml")
+    assert done.code == 2
+    assert "thrust unit is still TODO" in done.err

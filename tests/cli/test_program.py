@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import time
+from types import SimpleNamespace
 from typing import get_args
 
 import pytest
@@ -12,6 +14,7 @@ import pytest
 from bayes_aero.cli import app, choices
 from bayes_aero.cli.terminal import BAD_INPUT, FAILED, INTERRUPTED, kept_stages
 from bayes_aero.effects import CATALOGUE
+from bayes_aero.entry import _heed
 from bayes_aero.inference.splits import SplitKind
 from bayes_aero.model.noise import Colour
 from bayes_aero.studies import identify as job
@@ -141,3 +144,17 @@ def test_json_is_all_that_is_on_stdout(program, monkeypatch):
     done = program("identify", "--json")
     assert done.code == 0
     assert json.loads(done.out) == {"schema": "bayes_aero/results/1"}
+
+
+def test_a_ctrl_c_that_a_library_drops_is_raised_again():
+    """JAX hangs a callback on garbage collection; what is raised in it is printed and forgotten."""
+    dropped = SimpleNamespace(
+        exc_type=KeyboardInterrupt, exc_value=KeyboardInterrupt(), exc_traceback=None, err_msg=None, object=None
+    )
+
+    def callback():
+        _heed(dropped)
+        time.sleep(5.0)
+
+    with pytest.raises(KeyboardInterrupt):
+        callback()

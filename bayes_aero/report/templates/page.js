@@ -32,6 +32,15 @@
     }
   }
 
+  function mark() {  // a picture hides the shadow that tells of what is beyond the edge
+    for (const box of document.querySelectorAll(".box")) {
+      box.classList.toggle("wider", box.scrollWidth > box.clientWidth + 2);
+    }
+  }
+  window.addEventListener("resize", mark);
+  window.addEventListener("load", mark);
+  document.addEventListener("toggle", mark, true);  // what was folded has no width
+
   let opened = [];
   window.addEventListener("beforeprint", () => {
     opened = Array.from(document.querySelectorAll("details:not([open])"));

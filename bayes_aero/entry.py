@@ -1,0 +1,51 @@
+"""The entry point: what Ctrl-C does before a command has begun, and where a library drops it."""
+
+import _thread
+import os
+import signal
+import sys
+import threading
+from types import FrameType
+from typing import NoReturn
+
+INTERRUPTED = 130  # as in bayes_aero.cli.terminal, which is not imported yet
+TOLD = "interrupted; nothing had been written yet, give the same command again\n"
+
+
+def main() -> None:
+    """Entry point. An import that Ctrl-C breaks off fails in as many ways as there are libraries; it is told as one."""
+    pressed: list[int] = []
+
+    def leave(*_: object) -> NoReturn:
+        os.write(2, TOLD.encode())
+        os._exit(INTERRUPTED)  # an exception in the midst of a library's first import may crash it
+
+    def note(number: int, _: FrameType | None) -> NoReturn:
+        pressed.append(number)
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, leave), sys.unraisablehook
+    sys.unraisablehook = _heed
+    try:
+        from bayes_aero.cli import main as program
+
+        signal.signal(signal.SIGINT, note)
+        program()
+    except (KeyboardInterrupt, ImportError):
+        if not pressed:
+            raise
+        sys.stderr.write(TOLD)
+        sys.exit(INTERRUPTED)
+    finally:
+        signal.signal(signal.SIGINT, before[0])
+        sys.unraisablehook = before[1]
+
+
+def _heed(dropped: "sys.UnraisableHookArgs") -> None:
+    """A Ctrl-C that fell into a callback of a library (JAX has one on garbage collection) is raised again, outside."""
+    if isinstance(dropped.exc_value, KeyboardInterrupt):
+        again = threading.Timer(0.05, _thread.interrupt_main)
+        again.daemon = True
+        again.start()
+    else:
+        sys.__unraisablehook__(dropped)
