@@ -24,12 +24,14 @@ def main() -> None:
         pressed.append(number)
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGINT, leave), sys.unraisablehook
+    before = signal.getsignal(signal.SIGINT), sys.unraisablehook
+    heeded = before[0] is not signal.SIG_IGN  # a shell has a program in the background ignore Ctrl-C
     sys.unraisablehook = _heed
     try:
+        signal.signal(signal.SIGINT, leave if heeded else signal.SIG_IGN)
         from bayes_aero.cli import main as program
 
-        signal.signal(signal.SIGINT, note)
+        signal.signal(signal.SIGINT, note if heeded else signal.SIG_IGN)
         program()
     except (KeyboardInterrupt, ImportError):
         if not pressed:

@@ -27,6 +27,7 @@ from bayes_aero.criticism.election import (
 from bayes_aero.criticism.regression import Fit, Products
 from bayes_aero.criticism.second_look import SecondLook
 from bayes_aero.criticism.state import State, moved, refitted, swelling
+from bayes_aero.effect import Stage
 from bayes_aero.physics.coefficients import NAMES
 
 LEAST_SCORE = 2.5  # below it no candidate is beyond chance in an election among dozens
@@ -174,9 +175,12 @@ def mixes_noise(state: State, standing: Standing) -> bool:
     """Whether a candidate's gain vanishes when noise of the coefficients may correlate.
 
     Noise of the angle of attack is in CL and in Cm at once. A shift of the CG adds CL to Cm, which hides that noise
-    under a diagonal covariance and explains nothing.
+    under a diagonal covariance and explains nothing. Only constants of the aircraft mix coefficients as measured; what
+    any other effect leaves out of one of them may rightly be in another, too.
     """
-    return set(state.outputs) == set(NAMES) and standing.together < MIXED * standing.gain
+    if set(state.outputs) != set(NAMES) or standing.together >= MIXED * standing.gain:
+        return False
+    return any(e.name == standing.effect and e.stage is Stage.AIRCRAFT for e in state.field.candidates)
 
 
 def explained(state: State, standing: Standing) -> float:

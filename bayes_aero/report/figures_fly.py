@@ -17,7 +17,12 @@ MODELS = ((START, "start", COLOURS["before"]), (FITTED, "fitted", COLOURS["after
 
 def fly_figures(flown: FlownFit) -> dict[str, Callable[[FlownFit], Figure]]:
     """A figure for each output, by the stem of its file."""
-    return {f"trajectory_{re.sub(r'[^A-Za-z0-9_-]', '_', n)}": housed(partial(_of, n)) for n in flown.outputs}
+    return {stem_of(n): housed(partial(_of, n)) for n in flown.outputs}
+
+
+def stem_of(output: str) -> str:
+    """The file of an output's figure, without its ending."""
+    return f"trajectory_{re.sub(r'[^A-Za-z0-9_-]', '_', output)}"
 
 
 def _of(output: str, flown: FlownFit) -> Figure:

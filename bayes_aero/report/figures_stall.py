@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -118,8 +119,11 @@ def _stall(models: list[Flown]) -> Figure:
         below.sharex(above)
         above.tick_params(labelbottom=False)
         _polar(polar, flown)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    entries: dict[str, Artist] = {}
+    for row in range(len(models)):
+        handles, labels = axes[2 * row, 0].get_legend_handles_labels()
+        entries = dict(zip(labels, handles, strict=True)) | entries
+    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=3)
     return figure
 
 
@@ -134,9 +138,9 @@ def _lift(ax: Axes, flown: Flown) -> None:
         mine = flown.manoeuvre == k
         label = "fitted, as flown" if k == 0 else None
         ax.plot(flown.alpha[mine], flown.modelled[mine, 0], color="#555555", lw=0.5, alpha=0.8, label=label)
-    degrees = np.rad2deg(s.alpha)
-    ax.fill_between(degrees, s.CL[0], s.CL[2], color=flown.colour, label="steady flow, 95 % band", **BAND)
-    ax.plot(degrees, s.CL[1], color=flown.colour, lw=1.8, label="steady flow (α̇ = 0)")
+    degrees, whose = np.rad2deg(s.alpha), f", {flown.title}" if flown.title else ""
+    ax.fill_between(degrees, s.CL[0], s.CL[2], color=flown.colour, label=f"steady flow, 95 % band{whose}", **BAND)
+    ax.plot(degrees, s.CL[1], color=flown.colour, lw=1.8, label=f"steady flow (α̇ = 0){whose}")
     _peak(ax, flown)
     ax.set_ylabel("CL [-]")
     ax.set_title(f"Lift{f', {flown.title}' if flown.title else ''}")

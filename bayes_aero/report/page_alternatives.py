@@ -95,9 +95,8 @@ def gained(view: View) -> str:
         return ""
     first, last = scores
     pairs = {n: (f"{first[n].r2:.3f}", f"{last[n].r2:.3f}") for n in NAMES if n in first and n in last}
-    if all(before == after for before, after in pairs.values()):
-        return ""
-    return several(f"{n} R² from {before} to {after}" for n, (before, after) in pairs.items()) + "."
+    moved = {n: pair for n, pair in pairs.items() if pair[0] != pair[1]}
+    return several(f"{n} R² from {before} to {after}" for n, (before, after) in moved.items()) + "." if moved else ""
 
 
 def _peaks(view: View) -> list[str]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,10 @@ from bayes_aero.criticism.flown_fit import FITTED, START, FlownFit
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.report import page_fly_tables as tables
+from bayes_aero.report.figures_fly import stem_of
 from bayes_aero.report.page import Block, Fold, Page, Text, filled, section
 from bayes_aero.report.page_parts import at_a_glance, bullets, conventions, first, provenance_blocks, symbols
+from bayes_aero.report.page_pictures import Gallery
 from bayes_aero.report.page_plots import LOW, Line, Panel
 from bayes_aero.report.page_trajectories import Curve, axis_label, over_measured, sources
 from bayes_aero.report.page_words import FLOWN, words
@@ -36,6 +39,7 @@ class FlyTold:
     source: Mapping[str, Any]
     said: Sequence[str]
     notes: Sequence[str] = ()
+    figures: Mapping[str, Path] = field(default_factory=dict)  # those drawn, by stem
 
 
 def fly_page(flown: FlownFit, told: FlyTold) -> Page:
@@ -45,7 +49,7 @@ def fly_page(flown: FlownFit, told: FlyTold) -> Page:
         title=f"Trajectories: {told.card.title}",
         subtitle="A model fitted to trajectories by output error",
         verdict=verdict,
-        lead=_lead(flown),
+        lead=(*_lead(flown), *_opening(flown, told.figures)),
         sections=filled(
             section("findings", "What to make of it", lambda: (*bullets([*rest, *told.notes]), words(FLOWN))),
             section("records", "The records at a glance", lambda: at_a_glance(told.records, told.card)),
@@ -67,6 +71,19 @@ def _lead(flown: FlownFit) -> tuple[Block, ...]:
         item = f"{SYMBOLS.get(output, output)} {short(factor * before)} → {short(factor * after)} {unit}"
         told.append(item.replace(" ", "\u00a0"))  # never broken in the middle
     return (Text(f"Root-mean-square error of the simulation, first values → fit: {several(told)}.", "lead"),)
+
+
+def _opening(flown: FlownFit, figures: Mapping[str, Path]) -> tuple[Block, ...]:
+    """The output that the fit brings nearest, by the factor of its error."""
+    errors = {n: pair for n, pair in errors_of_all(flown).items() if stem_of(n) in figures and pair[1] > 0.0}
+    if not errors:
+        return ()
+    best = max(errors, key=lambda n: errors[n][0] / errors[n][1])
+    (before, after), (unit, factor) = errors[best], for_people(flown.units[best])
+    change = f"{short(factor * before)} {unit} with the first values, {short(factor * after)} {unit} as fitted"
+    caption = f"{SYMBOLS.get(best, best)}, which the fit brings nearest: measured, and simulated from first to last."
+    alt = f"Time histories of {best}, measured and simulated. Root-mean-square error: {change}."
+    return Gallery(figures, {stem_of(best): (caption, alt)})(stem_of(best))
 
 
 def _flights(flown: FlownFit) -> tuple[Block, ...]:

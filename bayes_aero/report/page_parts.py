@@ -107,9 +107,14 @@ def _described(name: str) -> str:
     return f"{channel.description} [{plain_unit(for_people(channel.unit)[0])}]"
 
 
+MOST_PLACES = 6  # digits behind the point
+
+
 def interval(value: Interval, factor: float = 1.0, places: int = 3) -> str:
-    """Median and 95 % interval."""
+    """Median and 95 % interval, with more digits where these many show no width."""
     low, middle, high = (factor * x for x in (value.low, value.median, value.high))
+    while places < MOST_PLACES and low < high and f"{low:.{places}f}" == f"{high:.{places}f}":
+        places += 1
     return f"{middle:.{places}f} ({low:.{places}f} to {high:.{places}f})"
 
 

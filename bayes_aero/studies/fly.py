@@ -111,15 +111,16 @@ def _written(
     found = noted(())
     failure = put_histories(lambda: flights(together, found.flown.units), out)
     found = noted([failure]) if failure else found
+    drawn: list[Path] = []
     if figures:
-        _, failed = draw_all(fly_figures(found.flown), found.flown, out / "figures", progress)
+        drawn, failed = draw_all(fly_figures(found.flown), found.flown, out / "figures", progress)
         said = [f"Figure {name} was not drawn: {why}" for name, why in failed.items()]
         if len(records) > MOST_MANOEUVRES:
             said.append(f"Figures are drawn for up to {MOST_MANOEUVRES} manoeuvres.")
         found = noted(said) if said else found
     if progress:
         progress("report", 0.95)
-    told = FlyTold(card, records, source, found.sentences, found.notes)
+    told = FlyTold(card, records, source, found.sentences, found.notes, {path.stem: path for path in drawn})
     failure = put_page(lambda: fly_page(found.flown, told), out)
     return noted([failure]) if failure else found
 

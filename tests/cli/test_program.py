@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 import time
@@ -156,5 +157,9 @@ def test_a_ctrl_c_that_a_library_drops_is_raised_again():
         _heed(dropped)
         time.sleep(5.0)
 
-    with pytest.raises(KeyboardInterrupt):
-        callback()
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            callback()
+    finally:
+        signal.signal(signal.SIGINT, before)
