@@ -36,7 +36,7 @@ def main() -> None:
     except (KeyboardInterrupt, ImportError):
         if not pressed:
             raise
-        sys.stderr.write(TOLD)
+        sys.stderr.write("interrupted; stages that had finished are kept, give the same command again\n")
         sys.exit(INTERRUPTED)
     finally:
         signal.signal(signal.SIGINT, before[0])
