@@ -74,8 +74,8 @@ def main() -> int:
         os.environ["BAYES_AERO_QUICK"] = "1"
     given.to.mkdir(parents=True, exist_ok=True)
     for path in notebooks(given.names):
-        if path.stem in NEEDS_RECORDS and (given.quick or not RECORDS.is_dir()):
-            print(f"{path.name}: left as it is; it needs the ATTAS records and minutes")
+        if path.stem in NEEDS_RECORDS and not RECORDS.is_dir():
+            print(f"{path.name}: left as it is; it needs the ATTAS records")
             continue
         try:
             notebook = executed(path)

@@ -30,6 +30,7 @@ def simulate(
     airspeed: Annotated[float | None, typer.Option(help="At the start, m/s; default: level flight at 6 deg.")] = None,
     altitude: Annotated[float, typer.Option(help="At the start, m.")] = 5200.0,
     model: ModelOption = "attas",
+    page: Annotated[bool, typer.Option("--page", help="Write FILE.report.html, too.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")] = False,
     json: JsonOption = False,
 ) -> None:
@@ -61,7 +62,7 @@ def simulate(
         altitude,
     )
     with interruptible(lambda: "nothing was written; give the same command again"), bar("simulating"):
-        found, truth = simulate_file(request, card, known, out)
+        found, truth = simulate_file(request, card, known, out, page=page)
     if json:
         print_json(truth)
         return
@@ -76,3 +77,5 @@ def simulate(
     for note in found.notes:
         console.print(f"! {note}")
     console.print(f"The truth is in {out}.truth.json", soft_wrap=True)
+    if page:
+        console.print(f"The report is in {out}.report.html", soft_wrap=True)

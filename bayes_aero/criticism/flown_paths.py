@@ -38,7 +38,8 @@ class Error:
 class Path:
     """One simulated manoeuvre. `split` is fitted (jointly, initial state too) or unseen (from the measured state).
 
-    A fit by itself (`flown_fit`) has the model `start` or `fitted`, and the split of the same name.
+    A fit by itself (`flown_fit`) has the model `start` or `fitted`, and the split of the same name; parameters from
+    elsewhere (`flown_given`) have the model and the split `given`.
     """
 
     manoeuvre: str
@@ -70,11 +71,24 @@ def paths_of(
     seed: int = 0,
 ) -> list[Path]:
     """Every segment of `flown` that counts, simulated with the parameters of `fit`."""
-    shown = tuple(n for n in flown.dynamics.outputs if n in flown.flights.channels)
-    wide, theta = replace(flown, outputs=shown), jnp.asarray(fit.estimate)
     draws = None
     if split == "unseen" and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         draws = _draws(fit, cost, seed)
+    return simulated(fit.estimate, flown, model, split, departure, tolerances, draws)
+
+
+def simulated(
+    estimate: Float[np.ndarray, " k"],
+    flown: Flown,
+    model: str,
+    split: str,
+    departure: Float[np.ndarray, "w s"],
+    tolerances: Mapping[str, float],
+    draws: Float[np.ndarray, "m k"] | None = None,
+) -> list[Path]:
+    """The same with given parameters; with `draws` of them, too, the chance to stay inside the tolerances."""
+    shown = tuple(n for n in flown.dynamics.outputs if n in flown.flights.channels)
+    wide, theta = replace(flown, outputs=shown), jnp.asarray(estimate)
     paths = []
     for row in map(int, np.flatnonzero(flown.inside.any(axis=1))):
         alone = wide.part([row])

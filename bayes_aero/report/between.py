@@ -7,7 +7,16 @@ from itertools import combinations
 import numpy as np
 
 from bayes_aero.inference.identification import Identification
-from bayes_aero.report.comparison import alone, apart, chosen_posteriors, decimals, methods, ordered, usable
+from bayes_aero.report.comparison import (
+    alone,
+    apart,
+    chosen_posteriors,
+    decimals,
+    methods,
+    noise_label,
+    ordered,
+    usable,
+)
 from bayes_aero.report.style import several
 
 
@@ -43,8 +52,9 @@ def between_manoeuvres(identification: Identification, limit: float) -> list[str
         shown = always or unexplained
         said.append(
             f"No noise model alone explains that: {'; '.join(_numbers(identification, n) for n in shown)}. "
-            "Either the model lacks an effect or the manoeuvres' conditions differ in a way that it does not know; the "
-            "intervals of the joint fit are for one value that serves all, and do not cover that."
+            "The model lacks an effect, the manoeuvres' conditions differ in a way that it does not know, or filters "
+            "treat the measured and the modelled side unlike; the intervals of the joint fit are for one value that "
+            "serves all, and cover none of these."
         )
     return said
 
@@ -53,7 +63,7 @@ def _kinds(identification: Identification) -> dict[str, str]:
     """Kinds of interval by key, as they are named in a sentence."""
     kinds = {"crb": "the Cramér-Rao bound", "crb_corrected": "the corrected bound"}
     for engine in list(chosen_posteriors(identification))[:1]:
-        kinds[engine] = f"the {identification.noise.value} posterior's width"
+        kinds[engine] = f"the {noise_label(identification.noise)} posterior's width"
     return kinds
 
 

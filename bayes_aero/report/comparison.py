@@ -20,6 +20,7 @@ ORDER = (
 )
 NORMAL95 = 1.959964
 ENGINES = {"emcee": "emcee", "nuts": "NUTS"}
+NOISES = {"ar1": "AR(1)", "buffet-ar1": "AR(1) with buffet"}
 
 
 @dataclass(frozen=True)
@@ -95,6 +96,11 @@ def engine_label(key: str) -> str:
     return ENGINES.get(key, key)
 
 
+def noise_label(noise: str) -> str:
+    """How a noise model is written."""
+    return NOISES.get(noise, noise)
+
+
 def methods(identification: Identification) -> list[Method]:
     """Bounds, then posteriors, each with the estimates it has of the model's parameters."""
     mle = identification.mle
@@ -105,7 +111,7 @@ def methods(identification: Identification) -> list[Method]:
     if "white" in identification.posteriors:
         found.append(Method("white", "emcee, white noise", _marginals(identification.posteriors["white"], mle)))
     for key, posterior in chosen_posteriors(identification).items():
-        label = f"{engine_label(key)}, {identification.noise.value} noise"
+        label = f"{engine_label(key)}, {noise_label(identification.noise)} noise"
         found.append(Method(key, label, _marginals(posterior, mle)))
     return found
 

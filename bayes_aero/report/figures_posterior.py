@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.posterior import Posterior
-from bayes_aero.report.comparison import chosen_posteriors, engine_label, ordered, unit_of
+from bayes_aero.report.comparison import chosen_posteriors, engine_label, noise_label, ordered, unit_of
 from bayes_aero.report.style import COLOURS, NotDrawn, arviz_plots, bracket, close, housed, quiet_pyplot
 
 TRACE_DRAWS = 1000  # per chain: more draws than a panel has pixels only cost time
@@ -56,7 +56,7 @@ def _title(identification: Identification, engine: str, what: str) -> str:
     worst_rhat = max(m.rhat for m in p.marginals.values())
     worst_ess = min(m.ess_bulk for m in p.marginals.values())
     return (
-        f"{what}: {engine_label(engine)}, {p.noise} noise, {p.status.name.lower().replace('_', ' ')} "
+        f"{what}: {engine_label(engine)}, {noise_label(p.noise)} noise, {p.status.name.lower().replace('_', ' ')} "
         f"(worst R-hat {worst_rhat:.3f}, smallest bulk ESS {worst_ess:.0f})"
     )
 

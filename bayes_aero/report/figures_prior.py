@@ -16,7 +16,7 @@ from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.posterior import Posterior
 from bayes_aero.model.noise import Noise
 from bayes_aero.parameter import Parameter
-from bayes_aero.report.comparison import chosen_posteriors, engine_label, ordered
+from bayes_aero.report.comparison import chosen_posteriors, engine_label, noise_label, ordered
 from bayes_aero.report.style import COLOURS, NotDrawn, bracket, grid_of, housed, panels
 
 WIDE, NARROW = 12.0, 4.0  # posterior deviations either side of its mean that a panel spans at most, at least
@@ -48,7 +48,7 @@ def prior_posterior(identification: Identification) -> Figure:
             ax.set_ylabel("density / peak [-]")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
-    figure.suptitle(f"Prior against posterior, {identification.noise.value} noise")
+    figure.suptitle(f"Prior against posterior, {noise_label(identification.noise)} noise")
     return figure
 
 

@@ -91,8 +91,8 @@ class Picture:
 
 @dataclass(frozen=True)
 class Plot:
-    """An interactive figure: what Bokeh needs to draw it, a legend (label, colour, style) and words as for a "
-    "picture."""
+    """An interactive figure: what Bokeh needs to draw it, a legend (label, colour, style) and words as for a
+    picture."""
 
     item: Mapping[str, Any]
     legend: tuple[tuple[str, str, str], ...]
@@ -192,8 +192,8 @@ def put_page(make: Callable[[], Page], folder: Path) -> str | None:
 
 
 def _breakable(name: str) -> Markup:
-    """A name that may be broken behind its underscores."""
-    return escape(name).replace("_", Markup("_<wbr>"))
+    """A name that may be broken behind its underscores, a path behind its slashes, too."""
+    return escape(name).replace("_", Markup("_<wbr>")).replace("/", Markup("/<wbr>"))
 
 
 def _plots(blocks: Iterable[Block]) -> Iterable[Plot]:

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from bayes_aero.criticism.flown_paths import Path as Simulated
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.posterior import PosteriorStatus
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report import page_tables
-from bayes_aero.report.comparison import chosen_posteriors, engine_label, methods, ordered, usable
+from bayes_aero.report.comparison import chosen_posteriors, engine_label, methods, noise_label, ordered, usable
 from bayes_aero.report.figures_flight import SYMBOLS, shown_in
 from bayes_aero.report.figures_pit import pit_words
 from bayes_aero.report.page import Block, Fold, Page, Text, filled, section
 from bayes_aero.report.page_alternatives import identification_alternatives
+from bayes_aero.report.page_given import given_flights
 from bayes_aero.report.page_parts import (
     DEG,
     at_a_glance,
@@ -43,8 +45,16 @@ LEGEND = (
 )
 
 
-def identification_page(run: Identification, source: Mapping[str, Any], figures: Mapping[str, Path]) -> Page:
-    """The page; `figures` are the drawn ones by stem, none where they were not asked for."""
+def identification_page(
+    run: Identification,
+    source: Mapping[str, Any],
+    figures: Mapping[str, Path],
+    flown: Sequence[Simulated] = (),
+) -> Page:
+    """The page; `figures` are the drawn ones by stem, none where they were not asked for.
+
+    `flown` are the simulated manoeuvres, none where the model could not be flown.
+    """
     gallery = Gallery(figures, identification_alternatives(run))
     said = verdict(run)
     lead: list[Block] = [Text(w, "warning") for w in _warnings(run)]
@@ -73,6 +83,7 @@ def identification_page(run: Identification, source: Mapping[str, Any], figures:
                     page_tables.fit(run),
                 ),
             ),
+            section("simulated", "Measured and simulated", lambda: given_flights(flown, run.card)),
             section("stall", "The stall", lambda: _stall(run, gallery)),
             section("parameters", "Parameters", lambda: _parameters(run, gallery)),
             section("prediction", "Prediction of data that were held back", lambda: _validation(run, gallery)),
@@ -108,7 +119,7 @@ def headline(run: Identification) -> str:
 def _warnings(run: Identification) -> list[str]:
     """What must be known before a number is used."""
     return [
-        f"{engine_label(p.engine)} under {p.noise} noise: {p.status.value}."
+        f"{engine_label(p.engine)} under {noise_label(p.noise)} noise: {p.status.value}."
         for p in run.posteriors.values()
         if p.status is not PosteriorStatus.CONVERGED
     ]
@@ -151,7 +162,7 @@ def _stall(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
             ),
         )
     engine = next(iter(chosen_posteriors(run)))
-    label = f"{engine_label(engine)}, {run.noise.value} noise"
+    label = f"{engine_label(engine)}, {noise_label(run.noise)} noise"
     pictures = gallery("separation") if "stall" in gallery.paths else gallery("stall", "separation")
     return (
         *stall_table({label: run.stall}, "Intervals are those of the posterior."),
@@ -163,7 +174,13 @@ def _stall(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
 def _parameters(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
     names = ordered(run.mle.names)
     pictures = [*gallery("forest"), *gallery("crb_vs_credible")]
-    return (page_tables.parameters(run), symbols(run.model.parameters, names), *pictures)
+    single = page_tables.each_alone(run)
+    return (
+        page_tables.parameters(run),
+        *(() if single is None else (Fold("Each manoeuvre by itself", (single,)),)),
+        symbols(run.model.parameters, names),
+        *pictures,
+    )
 
 
 def _validation(run: Identification, gallery: Gallery) -> tuple[Block, ...]:

@@ -19,6 +19,28 @@ FARTHEST = 1e30  # single precision ends soon beyond
 INK, GRID = "#222222", "#dddddd"
 
 
+FIT_HEIGHT = """
+const whole = x.start <= first && x.end >= last;
+ranges.forEach((range, i) => {
+  const [bottom, top] = full[i];
+  let low = top, high = bottom;
+  const {t, ...curves} = sources[i].data;
+  for (const y of Object.values(curves)) {
+    for (let k = 0; k < t.length; k++) {
+      if (t[k] >= x.start && t[k] <= x.end && isFinite(y[k])) {
+        low = Math.min(low, y[k]);
+        high = Math.max(high, y[k]);
+      }
+    }
+  }
+  low = Math.max(low, bottom);
+  high = Math.min(high, top);
+  const room = 0.06 * (high - low);
+  range.setv(whole || !(high > low) ? {start: bottom, end: top} : {start: low - room, end: high + room});
+});
+"""  # what is seen of a stretch of time fills its panel; nothing leaves the scale of the whole
+
+
 @dataclass(frozen=True)
 class Line:
     """One curve in the units of its panel; `style` is solid, dashed or dotted."""
@@ -69,11 +91,22 @@ def linked(time: Float[np.ndarray, " n"], panels: Sequence[Panel], name: str) ->
     """Bokeh's JSON of the panels below each other over one shared time axis (s), called `name` in the document."""
     from bokeh.embed import json_item
     from bokeh.layouts import gridplot
-    from bokeh.models import Range1d, Span
+    from bokeh.models import ColumnDataSource, CustomJS, Range1d, Span
 
     shared = Range1d(start=float(time[0]), end=float(time[-1]), bounds="auto", name=name)
     cross = Span(dimension="height", line_dash="dotted", line_color="#777777", line_width=1)
     figures = [_panel(time, panel, shared, cross, last=panel is panels[-1]) for panel in panels]
+    fit = {
+        "x": shared,
+        "first": shared.start,
+        "last": shared.end,
+        "ranges": [f.y_range for f in figures],
+        "full": [[f.y_range.start, f.y_range.end] for f in figures],
+        "sources": [f.select_one(ColumnDataSource) for f in figures],
+    }
+    callback = CustomJS(args=fit, code=FIT_HEIGHT)
+    for edge in ("start", "end"):  # a zoom to an end of the record moves one of them only
+        shared.js_on_change(edge, callback)
     grid = gridplot([[f] for f in figures], sizing_mode="stretch_width", toolbar_location="above", merge_tools=True)
     grid.toolbar.logo = None
     return dict(json_item(grid))
@@ -163,8 +196,8 @@ def _dress(f: Any, last: bool, panel_height: int) -> None:
 
 
 def _scale(panel: Panel) -> Any:
-    """The first line's span, widened for its tolerance; a simulation that has lost the flight would flatten all "
-    "else."""
+    """The first line's span, widened for its tolerance; a simulation that has lost the flight would flatten all
+    else."""
     from bokeh.models import Range1d
 
     first = panel.lines[0].values[np.isfinite(panel.lines[0].values)]

@@ -15,6 +15,7 @@ from bayes_aero.report.comparison import (
     decimals,
     engine_label,
     methods,
+    noise_label,
     ordered,
     scatter,
 )
@@ -36,24 +37,20 @@ def parameters(identification: Identification) -> Table:
     for method in sampled:
         groups.append((method.label, 2))
         head += ["mean ± sd", "95 % interval"]
-    manoeuvres = list(identification.alone)
-    listed = manoeuvres if len(manoeuvres) <= MANOEUVRES_SHOWN else []
-    if manoeuvres:
-        groups.append(("each manoeuvre alone (± Cramér–Rao)", len(listed) + 2))
-        head += [*listed, "scatter (sd)", "largest difference\n[Cramér–Rao sd]"]
+    if identification.alone:
+        groups.append(("manoeuvres fitted alone", 2))
+        head += ["scatter\n(sd)", "largest\ndifference"]
     rows = []
     for name in ordered(mle.names):
-        unit = mle.units[mle.names.index(name)]
-        row = [f"{name} [{UNITS.get(unit, unit)}]"]
+        row = [_with_unit(identification, name)]
         if truth is not None:
             row.append(f"{truth[name]:.4g}" if name in truth else "–")
         row += [_pm(m.estimates.get(name)) for m in found[:2]]
         for method in sampled:
             e = method.estimates.get(name)
             row += [_pm(e), _range(e)]
-        if manoeuvres:
-            own, spread = alone(identification, name), scatter(identification, name)
-            row += [_pm(Estimate.normal(own[m][0], own[m][1])) if m in own else "–" for m in listed]
+        if identification.alone:
+            spread = scatter(identification, name)
             row += [number(spread.sd, 2), f"{spread.in_crb:.1f}"] if spread else ["–", "–"]
         rows.append(tuple(row))
     return Table(
@@ -62,11 +59,28 @@ def parameters(identification: Identification) -> Table:
         tuple(rows),
         tuple(groups),
         note="SI units and radians. “Corrected” widens the Cramér–Rao bound for the colour of the residuals "
-        "(neighbouring "
-        "samples are not independent). “Largest difference” compares manoeuvres fitted alone; beyond 3 the bound "
-        "does not "
-        "explain it." + ("" if truth is None else " “Flown” are the values that the records were simulated with."),
+        "(neighbouring samples are not independent). “Largest difference” compares manoeuvres, in Cramér–Rao "
+        "deviations of the difference; beyond 3 the bound does not explain it."
+        + ("" if truth is None else " “Flown” are the values that the records were simulated with."),
     )
+
+
+def each_alone(identification: Identification) -> Table | None:
+    """Every parameter as each manoeuvre by itself has it; nothing where there is one, or too many for a table."""
+    names = list(identification.alone)
+    if not 1 < len(names) <= MANOEUVRES_SHOWN:
+        return None
+    rows = []
+    for name in ordered(identification.mle.names):
+        own = alone(identification, name)
+        cells = (_pm(Estimate.normal(own[m][0], own[m][1])) if m in own else "–" for m in names)
+        rows.append((_with_unit(identification, name), *cells))
+    return Table("Each manoeuvre fitted alone (± Cramér–Rao)", ("parameter", *names), tuple(rows))
+
+
+def _with_unit(identification: Identification, name: str) -> str:
+    unit = identification.mle.units[identification.mle.names.index(name)]
+    return f"{name} [{UNITS.get(unit, unit)}]"
 
 
 def _pm(e: Estimate | None) -> str:
@@ -106,7 +120,7 @@ def samplers(identification: Identification) -> list[Table]:
     """R-hat and effective sample sizes of every posterior."""
     tables = []
     for key, posterior in identification.posteriors.items():
-        label = f"{engine_label(posterior.engine)}, {posterior.noise} noise"
+        label = f"{engine_label(posterior.engine)}, {noise_label(posterior.noise)} noise"
         rows = [
             (n, f"{m.rhat:.4f}", f"{m.ess_bulk:.0f}", f"{m.ess_tail:.0f}")
             for n, m in ((n, posterior.marginals[n]) for n in ordered(posterior.names))

@@ -23,6 +23,7 @@ from bayes_aero.report.comparison import (
     decimals,
     engine_label,
     methods,
+    noise_label,
     ordered,
     scatter,
     white_posterior,
@@ -201,7 +202,7 @@ def _terminal_columns(identification: Identification) -> list[tuple[str, Callabl
         columns.append(("sd\nwhite", lambda name: _deviation(found["white"].get(name))))
     if chosen_posteriors(identification):  # the first engine; the others agree or the verdict says so
         engine = next(iter(chosen_posteriors(identification)))
-        head = f"{engine_label(engine)}\n{identification.noise.value}"
+        head = f"{engine_label(engine)}\n{noise_label(identification.noise)}"
         columns.append((head, lambda name: _concise(found[engine].get(name))))
     if len(identification.alone) <= MANOEUVRES_SHOWN:
         columns += [(f"{m}\nalone", _alone_cell(identification, m)) for m in identification.alone]

@@ -16,6 +16,7 @@ from bayes_aero.report.comparison import (
     engine_label,
     flown,
     methods,
+    noise_label,
     ordered,
     usable,
     white_posterior,
@@ -134,8 +135,8 @@ def _noise_model(identification: Identification) -> list[str]:
     middle = float(np.median(list(in_crb.values())))
     thinned = "" if identification.noise is Colour.WHITE else ", and a coloured one takes one sample in five"
     said = [
-        f"The {identification.noise.value} posterior's deviations are {median:.2g} times the corrected bounds in the "
-        f"median ({worst:.2g} times for {name}): another noise model weighs the data differently{thinned}. "
+        f"The {noise_label(identification.noise)} posterior's deviations are {median:.2g} times the corrected bounds "
+        f"in the median ({worst:.2g} times for {name}): another noise model weighs the data differently{thinned}. "
         f"Its means lie {middle:.1f} Cramér-Rao deviations from the maximum-likelihood estimates in the median, "
         f"{_plain(in_crb[far])} for {far}."
     ]

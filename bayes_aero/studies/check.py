@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bayes_aero.criticism.candidates import field_of
+from bayes_aero.criticism.checked import CheckReport, SensorCheck
 from bayes_aero.criticism.sensors import compatibility
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.inspection import RecordReport, inspect_record
+from bayes_aero.flight.inspection import inspect_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.flights import join
 from bayes_aero.model.longitudinal import FLIGHT
@@ -22,40 +23,16 @@ from bayes_aero.model.observations import with_sums
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.physics.coefficients import REQUIRED
 from bayes_aero.physics.flightpath import PATH, PATH_NEEDS
+from bayes_aero.report.page import put_page
+from bayes_aero.report.page_check import check_page
+from bayes_aero.studies.folder import writable
 from bayes_aero.studies.guess import pitch_response
+from bayes_aero.studies.provenance import provenance, write_json
+from bayes_aero.studies.unit_doubt import unit_doubts
 
 SCHEMA = "bayes_aero/check/1"
 DERIVED = ("alpha_dot",)  # formed from recorded channels
 Progress = Callable[[str, float], None]
-
-
-@dataclass(frozen=True)
-class SensorCheck:
-    """Flight-path consistency: the sensor errors and winds it asks for, and root mean squares before and after, SI."""
-
-    note: str  # why it was not done; empty where it was
-    errors: dict[str, dict[str, Any]]
-    rms: dict[str, tuple[float, float]]
-
-
-@dataclass(frozen=True)
-class CheckReport:
-    """All records together. `uses` says of each command why it cannot work on them; empty text: it can.
-
-    `cautions` are sentences on what may be right but rarely is.
-    """
-
-    card: Card
-    records: tuple[RecordReport, ...]
-    uses: dict[str, str]
-    not_testable: dict[str, str]
-    sensors: SensorCheck
-    cautions: tuple[str, ...] = ()
-
-    @property
-    def usable(self) -> bool:
-        """Whether every record can be read and some command can work on all of them."""
-        return not any(r.problems for r in self.records) and "" in self.uses.values()
 
 
 def check_records(
@@ -82,7 +59,8 @@ def check_records(
         if progress:
             progress("do the sensors agree?", 0.5)
         skipped = _sensors(sound, card, seed)
-    return CheckReport(card, tuple(looked), uses, not_testable, skipped, _cautions(sound))
+    cautions = (*unit_doubts(sound, card.channels), *_cautions(sound))
+    return CheckReport(card, tuple(looked), uses, not_testable, skipped, cautions)
 
 
 def _cautions(records: Sequence[FlightRecord]) -> tuple[str, ...]:
@@ -182,3 +160,11 @@ def check_results(report: CheckReport) -> dict[str, Any]:
             "rms": {n: {"before": a, "after": b} for n, (a, b) in report.sensors.rms.items()},
         },
     }
+
+
+def write_check(report: CheckReport, out: Path, seed: int = 0) -> str | None:
+    """Write check.json and report.html into `out`; why the page could not be made, if so."""
+    writable(out)
+    write_json(check_results(report), out / "check.json")
+    source = provenance(report.card, [r.record for r in report.records if r.record is not None], seed, {})
+    return put_page(lambda: check_page(report, source), out)

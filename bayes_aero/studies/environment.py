@@ -14,7 +14,8 @@ from typing import Any
 
 import bayes_aero
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.studies.provenance import write_json, write_text
+from bayes_aero.studies.own_wheel import own_wheel, wheel_name
+from bayes_aero.studies.provenance import write_bytes, write_json, write_text
 
 OWN = "bayes-aero"
 
@@ -50,7 +51,8 @@ def environment_id() -> str:
 
 
 def write_environment(out: Path) -> Path:
-    """Write requirements.txt and environment.json into `out`/environment, once; another environment gets its own.
+    """Write requirements.txt, this package as a wheel, and environment.json into `out`/environment, once; another
+    environment gets its own.
 
     Returns the folder that describes the present environment.
     """
@@ -68,12 +70,17 @@ def write_environment(out: Path) -> Path:
     if not (folder / "environment.json").is_file():
         folder.mkdir(parents=True, exist_ok=True)
         here = environment()
+        wheel = own_wheel()
         lines = [
             f"# Python {here['python']} on {here['platform']}",
-            "# Restore: python -m venv env && env/bin/python -m pip install -r requirements.txt",
-            f"# and bayes-aero {here['bayes_aero']['version']} (source_sha256 in environment.json)",
+            "# Restore, in this folder: python -m venv env && env/bin/python -m pip install -r requirements.txt",
             *(f"{name}=={version}" for name, version in here["packages"].items()),
         ]
+        if wheel is None:
+            lines.append(f"# and bayes-aero {here['bayes_aero']['version']} (source_sha256 in environment.json)")
+        else:
+            lines.append(f"./{wheel_name()}")
+            write_bytes(wheel, folder / wheel_name())
         write_text("\n".join(lines) + "\n", folder / "requirements.txt")
         write_json(here | {"id": own}, folder / "environment.json")
     return folder

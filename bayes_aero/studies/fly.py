@@ -35,7 +35,7 @@ from bayes_aero.studies.diagnosis_results import record_results
 from bayes_aero.studies.folder import writable
 from bayes_aero.studies.histories import flights, put_histories
 from bayes_aero.studies.provenance import provenance, write_json
-from bayes_aero.studies.trajectory_results import path_results
+from bayes_aero.studies.trajectory_results import open_loop
 
 SCHEMA = "bayes_aero/trajectories/1"
 SHORTEST = 1.0  # s of a window: two ends of the straight line from which the initial state is read
@@ -191,15 +191,7 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
             for name, t in card.tolerances.items()
             if name in flown.outputs
         },
-        "paths": [_path(path, flown.units) for path in flown.paths],
+        "paths": [open_loop(path, flown.units) for path in flown.paths],
         "notes": list(found.notes),
         "provenance": source,
     }
-
-
-def _path(path: Any, units: Any) -> dict[str, Any]:
-    told = path_results(path, units)
-    del told["split"]  # the same as its model here
-    for error in told["outputs"].values():
-        del error["probability_within"]  # of unseen flight only
-    return told

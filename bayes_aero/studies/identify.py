@@ -12,6 +12,7 @@ from typing import Any
 
 import xarray as xr
 
+from bayes_aero.criticism.flown_paths import Path as Flown
 from bayes_aero.criticism.preparation import preparation_notes
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
@@ -40,6 +41,7 @@ from bayes_aero.report.words import verdict
 from bayes_aero.studies.environment import rests_on
 from bayes_aero.studies.folder import writable
 from bayes_aero.studies.histories import identified, put_histories
+from bayes_aero.studies.identified_flight import fly_identified
 from bayes_aero.studies.provenance import provenance, write_json
 from bayes_aero.studies.results import results
 
@@ -101,6 +103,11 @@ def identify(
     )
     writer = _Writer(out, provenance(card, records, seed, {"noise": noise.value, "split": split}))
     writer.stage(run)
+    if out is not None:  # they are for the page and the file alone
+        with _timed(seconds, "flights", progress):
+            writer.flown, told = fly_identified(records, card, model, mle)
+        run = replace(run, notes=(*run.notes, *told))
+        writer.stage(run)
     failure = None if out is None else put_histories(lambda: identified(run), out)
     run = replace(run, notes=(*run.notes, failure)) if failure else run
     chains = None if out is None else out / CHAINS
@@ -143,8 +150,9 @@ def identify(
         run = replace(run, notes=(*run.notes, *(f"Figure {name} was not drawn: {why}" for name, why in failed.items())))
     writer.stage(run)
     if page and out is not None:
+        pictures = {p.stem: p for p in drawn}
         with _timed(seconds, "report", progress):
-            failure = put_page(lambda: identification_page(run, writer.source, {p.stem: p for p in drawn}), out)
+            failure = put_page(lambda: identification_page(run, writer.source, pictures, writer.flown), out)
         if failure:
             run = replace(run, notes=(*run.notes, failure))
             writer.stage(run)
@@ -204,6 +212,7 @@ class _Writer:
 
     def __init__(self, out: Path | None, source: dict[str, Any]) -> None:
         self.out, self.source = out, source
+        self.flown: tuple[Flown, ...] = ()
         if out is not None:
             writable(out)
 
@@ -218,7 +227,7 @@ class _Writer:
         if run.gp is not None:
             write_csv(validation_table(run), self.out / "validation.csv")
             write_csv(paper_table(run), self.out / "table1.csv")
-        write_json(results(run, verdict(run), self.source), self.out / "results.json")
+        write_json(results(run, verdict(run), self.source, self.flown), self.out / "results.json")
 
 
 def save_gp(run: Identification, path: Path) -> None:

@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
+from bayes_aero.criticism.flown_paths import Path
 from bayes_aero.inference.identification import GPReport, Identification, Validation
 from bayes_aero.inference.mle import MleResult
 from bayes_aero.inference.posterior import Posterior
 from bayes_aero.inference.scores import Scores, score
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.comparison import flown
+from bayes_aero.studies.trajectory_results import open_loop
 
 SCHEMA = "bayes_aero/results/1"
 
 
-def results(identification: Identification, verdict: list[str], provenance: dict[str, Any]) -> dict[str, Any]:
-    """The table of contents of a run as plain numbers and text; parts not yet computed are absent."""
+def results(
+    identification: Identification, verdict: list[str], provenance: dict[str, Any], simulated: Sequence[Path] = ()
+) -> dict[str, Any]:
+    """The table of contents of a run as plain numbers and text; parts not yet computed are absent.
+
+    `simulated` are the manoeuvres flown with the fitted coefficients.
+    """
     found: dict[str, Any] = {
         "schema": SCHEMA,
         "card": {"name": identification.card.name, "title": identification.card.title},
@@ -38,6 +46,8 @@ def results(identification: Identification, verdict: list[str], provenance: dict
         found["stall"] = identification.stall.numbers()
     if identification.gp is not None:
         found["gpr"] = _gpr(identification.gp)
+    if simulated:
+        found["simulated"] = [open_loop(path) for path in simulated]
     if identification.truth is not None:
         found["truth"] = {name: identification.truth[name] for name in flown(identification)}
     found["verdict"] = verdict

@@ -56,6 +56,15 @@ def path_results(path: Path, units: Mapping[str, str] | None = None) -> dict[str
     }
 
 
+def open_loop(path: Path, units: Mapping[str, str] | None = None) -> dict[str, Any]:
+    """The same of a flight that has no other beside it: neither a split nor a chance to stay inside."""
+    told = path_results(path, units)
+    del told["split"]
+    for error in told["outputs"].values():
+        del error["probability_within"]  # of unseen flight only
+    return told
+
+
 def _error(unit: str, error: Error) -> dict[str, Any]:
     return {
         "unit": unit,

@@ -13,6 +13,8 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.readers import read_record, write_record
 from bayes_aero.flight.writers import WRITERS
+from bayes_aero.report.page import write_page
+from bayes_aero.report.page_simulated import simulated_page
 from bayes_aero.studies.provenance import provenance, write_json
 from bayes_aero.studies.request import Request
 from bayes_aero.studies.synthetic import Synthetic, synthetic
@@ -21,11 +23,16 @@ SCHEMA = "bayes_aero/truth/1"
 
 
 def simulate_file(
-    request: Request, card: Card, known: Mapping[str, Effect], out: Path
+    request: Request, card: Card, known: Mapping[str, Effect], out: Path, *, page: bool = False
 ) -> tuple[Synthetic, dict[str, Any]]:
-    """Simulate into `out`, in the format of its suffix, and `out`.truth.json; what is written can be read again."""
+    """Simulate into `out`, in the format of its suffix, and `out`.truth.json; what is written can be read again.
+
+    With `page` there is `out`.report.html, too.
+    """
     if out.suffix.lower() not in WRITERS:
         raise InputError(f"{out}: records are written as {', '.join(WRITERS)}; choose one of these suffixes")
+    if not out.parent.is_dir():
+        raise InputError(f"{out}: there is no folder {out.parent}; make it, or name another file with --out")
     found = synthetic(request, card, known, out.stem)
     record = found.record
     write_record(record, out, [c for c in card.channels if record.has(c.name)])
@@ -49,4 +56,7 @@ def simulate_file(
         "provenance": source,
     }
     write_json(truth, out.with_name(out.name + ".truth.json"))
+    if page:
+        flown = [p for e in known.values() for p in e.parameters if p.name in found.parameters]
+        write_page(simulated_page(record, card, truth, flown), out.with_name(out.name + ".report.html"))
     return found, truth

@@ -78,3 +78,42 @@ def test_an_elevator_that_the_file_counts_the_other_way_is_told(program, flights
     assert "write sign = -1 at elevator" in done.out
     assert json.loads(program("check", "turned.csv", "--no-sensors", "--json").out)["cautions"]
     assert json.loads(program("check", flights.sound, "--no-sensors", "--json").out)["cautions"] == []
+
+
+def test_a_report_of_the_check_is_written_on_request_only(program, flights, tmp_path):
+    assert program("check", flights.biased).code == 0
+    assert list(tmp_path.iterdir()) == []
+    done = program("check", flights.biased, "--out", "checked")
+    assert done.code == 0
+    assert "checked/report.html" in done.out.replace("\n", "")
+    html = (tmp_path / "checked" / "report.html").read_text().replace("<wbr>", "")
+    for words in ("pitch_rate_bias", "Usable for identify, diagnose, fly", "spoiler_lift", "ALCG"):
+        assert words in html
+    assert "was not made" not in html
+    assert json.loads((tmp_path / "checked" / "check.json").read_text())["usable"]
+
+
+def test_an_unusable_record_has_a_report_that_says_why(program, flights, tmp_path):
+    table = pd.read_csv(flights.sound)
+    table.drop(columns="VTASCG").to_csv("bad.csv", index=False)
+    assert program("check", "bad.csv", "--out", "checked").code == 1
+    html = (tmp_path / "checked" / "report.html").read_text().replace("<wbr>", "")
+    assert "Not usable as it is" in html
+    assert "airspeed" in html
+    assert "was not made" not in html
+
+
+@pytest.mark.parametrize(
+    ("column", "name", "declared", "meant", "factor"),
+    [("VTASCG", "airspeed", "m/s", "kt", 1.0 / 0.514444), ("HQNH", "altitude", "m", "ft", 1.0 / 0.3048)],
+)
+def test_a_unit_that_the_flight_path_refutes_is_doubted(program, flights, column, name, declared, meant, factor):
+    """A file in knots or feet that the card takes for SI; each number alone is plausible."""
+    cautions = json.loads(program("check", flights.sound, "--no-sensors", "--json").out)["cautions"]
+    assert not any("altitude changes" in caution for caution in cautions)
+    table = pd.read_csv(flights.sound)
+    table[column] *= factor
+    table.to_csv("other.csv", index=False)
+    done = program("check", "other.csv", "--no-sensors", "--json")
+    (said,) = [caution for caution in json.loads(done.out)["cautions"] if "altitude changes" in caution]
+    assert f"{name}, {declared} on the card, were in {meant}" in said

@@ -90,3 +90,20 @@ def test_a_file_that_is_there_is_kept(program, tmp_path):
     assert done.code == 2
     assert "--force" in done.err
     assert (tmp_path / "flight.csv").read_text() == "precious"
+
+
+def test_a_page_shows_the_record_and_its_truth(program, tmp_path):
+    arguments = ["--manoeuvre", "slow_stall", "--duration", "20", "--effect", "thrust_lag=1", "--out", "a.csv"]
+    assert program("simulate", *arguments).code == 0
+    assert not (tmp_path / "a.csv.report.html").exists()
+    assert program("simulate", *arguments, "--page", "--force").code == 0
+    html = (tmp_path / "a.csv.report.html").read_text()
+    assert "hidden in it: thrust_lag" in html
+    assert "was not made" not in html
+
+
+def test_a_folder_that_is_not_there_is_named(program):
+    done = program("simulate", "--out", "nowhere/a.csv")
+    assert done.code == 2
+    assert "there is no folder nowhere" in done.err
+    assert "Errno" not in done.err

@@ -13,6 +13,11 @@ CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", 
 needed = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium: apt-get install chromium")
 
 RANGES = """() => Bokeh.documents.map((d) => d.roots()[0].children.map(([f]) => [f.x_range.start, f.x_range.end]))"""
+HEIGHTS = """() => Bokeh.documents[0].roots()[0].children.map(([f]) => [f.y_range.start, f.y_range.end])"""
+SEEN = """() => Bokeh.documents[0].roots()[0].children.map(([f]) => {
+  const {t, y0} = f.renderers.find((r) => r.glyph.type === "Line").data_source.data;
+  const y = Array.from(y0).filter((_, k) => t[k] >= f.x_range.start && t[k] <= f.x_range.end);
+  return [Math.min(...y), Math.max(...y)] })"""  # least and largest measured value of the stretch that is shown
 LABELS = """() => Bokeh.documents.map((d) => d.roots()[0].children.map(([f]) =>
     [f.left[0].axis_label, f.below[0].visible ? f.below[0].axis_label : null]))"""
 CONTRAST = """() => {

@@ -111,6 +111,18 @@ def test_the_page_tells_the_numbers_of_the_run(html, full):
         assert name in text
 
 
+def test_the_identified_model_is_flown_on_the_page(full, simulated):
+    off = [path for path in simulated.paths if (path.model, path.split) == ("card", "fitted")]
+    page = identification_page(full, {}, {}, off)
+    (part,) = [s for s in page.sections if s.key == "simulated"]
+    (table,) = [b for b in part.blocks if isinstance(b, Table)]
+    row = dict(zip(table.head, table.rows[0], strict=True))
+    assert row["flight"] == "a, first half"
+    assert table.rows[0][-2:] == ("1.0", "100%")  # alpha is off by a degree, inside two hundredths of a radian
+    assert len([b for b in part.blocks if isinstance(b, Plot)]) == len(off) == 2
+    assert not any(s.key == "simulated" for s in identification_page(full, {}, {}).sections)
+
+
 def test_parameters_are_those_of_every_method(full):
     table = parameters(full)
     row = next(cells for cells in table.rows if cells[0].startswith("Cmde "))

@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import pytest
 from browsing import (
+    HEIGHTS,
     RANGES,
+    SEEN,
     can_be_read_by_everyone,
     drag,
     fits_a_phone,
@@ -49,7 +51,8 @@ def report(full, simulated, card, tmp_path_factory):
     drawn, failed = draw_all(DRAWN, run, folder / "figures")
     assert not failed
     source = provenance(run.card, run.records, 0, {"noise": "ar1"})
-    page = identification_page(run, source, {path.stem: path for path in drawn})
+    given = [path for path in simulated.paths if (path.model, path.split) == ("card", "unseen")]
+    page = identification_page(run, source, {path.stem: path for path in drawn}, given)
     flights = section("trajectories", "Trajectories", lambda: trajectories(simulated, card))
     return write_page(replace(page, sections=(*page.sections, flights)), folder / "report.html")
 
@@ -80,7 +83,7 @@ def phone(browser, report):
 
 def test_it_draws_in_silence_and_zooms_with_all_axes(fresh):
     before = fresh.evaluate(RANGES)
-    assert len(before) >= 4  # two manoeuvres, two halves flown unseen
+    assert len(before) >= 6  # two manoeuvres, two halves as identified, two flown unseen
     fresh.locator("#plot-0").scroll_into_view_if_needed()
     drag(fresh, "#plot-0", 0.25, 0.5)
     after = fresh.evaluate(RANGES)
@@ -100,6 +103,20 @@ def test_it_draws_in_silence_and_zooms_with_all_axes(fresh):
     assert fresh.heard == []
 
 
+def test_a_stretch_of_time_fills_its_panels(fresh):
+    whole = fresh.evaluate(HEIGHTS)
+    fresh.locator("#plot-0").scroll_into_view_if_needed()
+    drag(fresh, "#plot-0", 0.8, 0.9)
+    heights, seen = fresh.evaluate(HEIGHTS), fresh.evaluate(SEEN)
+    assert any(top - bottom < 0.5 * (b - a) for (bottom, top), (a, b) in zip(heights, whole, strict=True))
+    for (bottom, top), (a, b), (low, high) in zip(heights, whole, seen, strict=True):
+        assert bottom <= low <= high <= top
+        assert b - a > 0.999 * (top - bottom)
+    fresh.locator("#plot-0").locator(".bk-tool-icon-reset").first.click()
+    fresh.wait_for_timeout(300)
+    assert fresh.evaluate(HEIGHTS) == whole
+
+
 def test_a_wheel_alone_scrolls_the_page(fresh):
     fresh.locator("#plot-0").scroll_into_view_if_needed()
     box, before = fresh.locator("#plot-0").bounding_box(), fresh.evaluate(RANGES)
@@ -115,7 +132,7 @@ def test_every_axis_has_its_unit(desk):
 
 
 def test_every_figure_says_in_words_what_it_shows(desk):
-    says_in_words_what_figures_show(desk, 4 + len(DRAWN))
+    says_in_words_what_figures_show(desk, 6 + len(DRAWN))
 
 
 def test_hostile_names_are_only_names(desk):

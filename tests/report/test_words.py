@@ -70,7 +70,7 @@ def test_between_manoeuvres(full, make):
     counts = said(full, "Fitted alone")
     assert "by the Cramér-Rao bound: Cmde (42.4)" in counts
     assert "by the corrected bound: Cmde (10.6)" in counts
-    assert "by the ar1 posterior's width: Cmde (21.2)" in counts
+    assert "by the AR(1) posterior's width: Cmde (21.2)" in counts
     why = said(full, "No noise model alone explains")
     assert "Cmde is -0.800 from flight1 and -1.400 from flight2" in why
     assert "lacks an effect" in why

@@ -1,0 +1,61 @@
+"""The identified model flown through the recorded inputs: errors of its trajectories, and the flights themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import islice
+
+from bayes_aero.criticism.flown_paths import Path
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.report.page import Block, Table, Text
+from bayes_aero.report.page_parts import MOST_SHOWN, first
+from bayes_aero.report.page_trajectories import Curve, axis_label, over_measured, sources
+from bayes_aero.report.style import COLOURS, for_people
+from bayes_aero.report.words_trajectory import short
+
+
+def given_flights(paths: Sequence[Path], card: Card) -> tuple[Block, ...]:
+    """A table of errors, then each manoeuvre with the error shaded; nothing where nothing was flown."""
+    if not paths:
+        return ()
+    units = {name: STANDARD_CHANNELS[name].unit for name in paths[0].errors}
+    _, told = first([path.manoeuvre for path in paths])
+    said = (
+        "The fitted coefficients flown through the recorded inputs from the measured initial state, without any "
+        "correction on the way. Small errors of a coefficient add up here: what agrees above may drift away below. "
+        "Nothing was fitted to these trajectories; bayes-aero fly does that, and bayes-aero diagnose names what is "
+        "missing."
+    )
+    if any(error.tolerance is not None for error in paths[0].errors.values()):
+        said += " The grey band is the tolerance about the measurement."
+    what = "Measured outputs, and those simulated with the fitted coefficients,"
+    plots = [
+        over_measured(
+            path.manoeuvre, f"time-given-{order}", [Curve(path, "simulation", COLOURS["mle"], "solid")], units, what
+        )
+        for order, path in enumerate(islice(paths, MOST_SHOWN))
+    ]
+    lost = [
+        Text(f"Simulated, {path.manoeuvre} leaves the flight envelope.", "warning") for path in paths if not path.inside
+    ]
+    return (Text(said), *lost, *told, *plots, _errors(paths), *sources(card, units))
+
+
+def _errors(paths: Sequence[Path]) -> Table:
+    names = list(paths[0].errors)
+    rows = []
+    for path in paths:
+        cells = [path.manoeuvre]
+        for name in names:
+            error = path.errors[name]
+            cells.append(short(for_people(STANDARD_CHANNELS[name].unit)[1] * error.rms))
+            cells.append("–" if error.within is None else f"{error.within:.0%}")
+        rows.append(tuple(cells))
+    return Table(
+        "Error of the simulated trajectories",
+        ("flight", *(["RMS", "inside"] * len(names))),
+        tuple(rows),
+        (("", 1), *((axis_label(n, STANDARD_CHANNELS[n].unit), 2) for n in names)),
+        note="RMS: root mean square. Inside: share of the time within the tolerance, where the card has one.",
+    )

@@ -1,0 +1,61 @@
+"""The report of a simulated record: what was flown and recorded, and what is hidden in it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.parameter import Parameter
+from bayes_aero.report.page import Page, Table, Text, filled, section
+from bayes_aero.report.page_check import recorded
+from bayes_aero.report.page_parts import at_a_glance, number, plain_unit, provenance_blocks, symbols
+from bayes_aero.report.style import bracket, several
+
+
+def simulated_page(
+    record: FlightRecord,
+    card: Card,
+    truth: Mapping[str, Any],
+    parameters: Sequence[Parameter],
+) -> Page:
+    """The page; `truth` is what stands in the file beside the record, `parameters` are those that were flown."""
+    hidden = [f"{name} ({_values(values)})" for name, values in truth["effects"].items()]
+    verdict = f"A simulated record of {record.time[-1] - record.time[0]:.0f} s; " + (
+        f"hidden in it: {several(hidden)}." if hidden else "nothing is hidden in it."
+    )
+    return Page(
+        title=f"Simulated record: {record.name}",
+        subtitle="A synthetic flight record and its truth",
+        verdict=verdict,
+        lead=(*(Text(note, "warning") for note in truth["notes"]), *recorded([record])),
+        sections=filled(
+            section("records", "The record at a glance", lambda: at_a_glance([record], card)),
+            section("truth", "The truth", lambda: (_truth(truth, parameters), _noise(truth), _meaning(parameters))),
+            section("provenance", "Provenance", lambda: provenance_blocks(truth["provenance"])),
+        ),
+    )
+
+
+def _values(values: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} = {number(x)}" for name, x in values.items()) + " in SI"
+
+
+def _truth(truth: Mapping[str, Any], parameters: Sequence[Parameter]) -> Table:
+    units = {p.name: p.unit for p in parameters}
+    asked = {name for values in truth["effects"].values() for name in values}
+    rows = tuple(
+        (f"{name} {bracket(plain_unit(units.get(name, '1')))}", number(x, 6), "hidden" if name in asked else "")
+        for name, x in truth["parameters"].items()
+    )
+    return Table("Parameters that were flown, SI and radians", ("parameter", "value", "remark"), rows, words=(2,))
+
+
+def _noise(truth: Mapping[str, Any]) -> Table:
+    rows = tuple((name, number(x)) for part in ("disturbance", "sensor_noise") for name, x in truth[part].items())
+    return Table("Noise: disturbances of the coefficients, and deviations of the sensors in SI", ("", "value"), rows)
+
+
+def _meaning(parameters: Sequence[Parameter]):
+    return symbols(parameters, [p.name for p in parameters])

@@ -1,0 +1,78 @@
+"""What a check of records says, for the terminal and for the page alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from bayes_aero.criticism.checked import CheckReport
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.inspection import ChannelReport
+from bayes_aero.report.style import for_people
+
+
+def taken(channel: ChannelReport) -> tuple[str, str, str, str]:
+    """A channel's place, unit, range in the file and remarks."""
+    c = channel
+    unit = c.unit if c.unit == c.si else f"{c.unit} → {c.si}"
+    remarks = [*(["sign turned"] if c.sign < 0 else []), *([] if c.moves else ["does not move"])]
+    return c.place, unit, f"{c.lowest:.5g} to {c.highest:.5g}", ", ".join(remarks)
+
+
+def card_sentences(report: CheckReport) -> list[str]:
+    """What the card itself adds to the files."""
+    card = report.card
+    said = [f"constant from the card: {name} = {value:g} (SI)" for name, value in card.constants.items()]
+    if card.derived:
+        said.append(f"formed from the altitude, in a standard atmosphere: {', '.join(card.derived)}")
+    return said + [f"sum from the card: {name} = {' + '.join(parts)}" for name, parts in card.sums.items()]
+
+
+def use_sentences(report: CheckReport) -> list[str]:
+    """What the records can be used for, and what cannot be tested on them."""
+    said = [f"{name}: possible" if not why else f"{name}: not possible, {why}" for name, why in report.uses.items()]
+    reasons: dict[str, list[str]] = {}
+    for name, why in report.not_testable.items():
+        reasons.setdefault(why, []).append(name)
+    return said + [f"not testable, for {why}: {', '.join(names)}" for why, names in reasons.items()]
+
+
+def sensor_verdict(report: CheckReport) -> str:
+    """Whether the sensors agree, in a sentence."""
+    s = report.sensors
+    if s.note:
+        return f"Sensors were not checked against each other: {s.note}."
+    if not s.errors:
+        return "The sensors agree with each other along the flight path."
+    return "Along the flight path the sensors disagree; diagnose takes this into account:"
+
+
+def sizes(error: Mapping[str, Any]) -> str:
+    """A sensor error's parameters with their deviations."""
+    told = []
+    for parameter, size in error["parameters"].items():
+        unit, factor = for_people(size["unit"])
+        behind = "" if unit == "1" else f" {unit}"
+        told.append(f"{parameter} {factor * size['mean']:.3g} ± {factor * size['sd']:.2g}{behind}")
+    return ", ".join(told)
+
+
+def left_over(report: CheckReport) -> str:
+    """Root mean square of what the flight path leaves of each signal, before and after the errors found."""
+    left, agree = [], not report.sensors.errors
+    for name, (before, after) in report.sensors.rms.items():
+        unit, factor = for_people(STANDARD_CHANNELS[name].unit)
+        change = f"{factor * before:.3g}" if agree else f"{factor * before:.3g} → {factor * after:.3g}"
+        left.append(f"{name} {change} {unit}")
+    return f"root mean square of what is left: {', '.join(left)}"
+
+
+def headline(report: CheckReport) -> str:
+    """The verdict in a sentence."""
+    if report.usable:
+        able = [name for name, why in report.uses.items() if not why]
+        careful = ", with what is said below in mind" if report.cautions or report.sensors.errors else ""
+        return f"Usable for {', '.join(able)}{careful}."
+    problems = [p for r in report.records for p in r.problems] or [f"{n}: {w}" for n, w in report.uses.items() if w]
+    more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+    return f"Not usable as it is: {problems[0]}{more}." if problems else "Not usable as it is."
