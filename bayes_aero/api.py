@@ -31,7 +31,7 @@ from bayes_aero.flight.readers import read_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.ensemble import sample_ensemble
 from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.laplace import density_start, find_mode
+from bayes_aero.inference.laplace import density_start, other_modes, search_modes
 from bayes_aero.inference.mle import MleResult, fit_alone, fit_mle
 from bayes_aero.inference.nuts import sample_nuts
 from bayes_aero.inference.posterior import Posterior
@@ -177,9 +177,11 @@ def sample(fit: Fit, *, engine: Engine = "emcee", noise: NoiseName = "ar1", seed
     if run.posteriors and colour is not run.noise and not beside:
         raise InputError(f"this fit has posteriors under {run.noise.value} noise; sample a new fit under {noise}")
     density = Density.of(run.observations, run.model, Noise(colour))
-    posterior = ENGINES[engine](density, find_mode(density, density_start(density, run.mle)), seed=seed)
+    mode = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
+    posterior = ENGINES[engine](density, mode, seed=seed)
     posteriors = run.posteriors | {"white" if beside else engine: posterior}
-    return Fit(replace(run, noise=run.noise if beside else colour, posteriors=posteriors))
+    notes = (*run.notes, *other_modes(mode, f"{engine}, {colour.value} noise"))
+    return Fit(replace(run, noise=run.noise if beside else colour, posteriors=posteriors, notes=notes))
 
 
 def gpr(fit: Fit, *, split: SplitKind = "random", sample: bool = True, approximate: bool = False, seed: int = 0) -> Fit:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import equinox as eqx
@@ -17,6 +17,10 @@ from bayes_aero.model.log_density import LogDensity
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.coefficients import NAMES
 
+DRAWS, FEWEST = 8, 2  # of the prior, from which other modes are looked for
+DEAR = 48_000  # samples times draws
+TELLING = 0.01  # share of the probability
+SAME = 0.05  # of two modes' log-densities: from rounding, no search stops nearer
 FLOOR = 1e-8  # smallest curvature, relative to the largest, that is taken at face value
 
 
@@ -30,12 +34,21 @@ class ModeStatus(Enum):
 
 @dataclass(frozen=True)
 class Mode:
-    """`u` is the mode on the unbounded scale, `factor` the lower Cholesky factor of the inverse curvature there."""
+    """`u` is the mode on the unbounded scale, `factor` the lower Cholesky factor of the inverse curvature there.
+
+    `elsewhere` is the share of the probability that other modes hold which a search has found (`search_modes`).
+    """
 
     u: Float[np.ndarray, " k"]
     factor: Float[np.ndarray, "k k"]
     log_density: float
     status: ModeStatus
+    elsewhere: float = 0.0
+
+    @property
+    def log_mass(self) -> float:
+        """Log of the probability around the mode, but for a constant: its density over a normal of its curvature."""
+        return self.log_density + float(np.sum(np.log(np.diag(self.factor))))
 
     def unwhiten(self, v: Float[np.ndarray, "*m k"]) -> Float[np.ndarray, "*m k"]:
         """u of whitened coordinates v, in which the posterior is close to a standard normal."""
@@ -163,3 +176,36 @@ def find_mode(density: LogDensity, start: Float[np.ndarray, " k"], *, rounds: in
     near = 0.5 * float(slope @ factor @ (factor.T @ slope)) < 1e-3
     status = ModeStatus.FLAT if not sound else ModeStatus.CONVERGED if near else ModeStatus.NOT_CONVERGED
     return Mode(u, factor, float(value), status)
+
+
+def search_modes(
+    density: LogDensity, start: Float[np.ndarray, " k"], samples: int, *, seed: int = 0, draws: int = DRAWS
+) -> Mode:
+    """The mode around which most of the probability lies, of those climbed to from `start` and from prior draws.
+
+    A sampler that begins in one mode does not find the others and says that it has converged, so they are looked for
+    before. Fewer draws are tried where `samples` make each of them dear.
+    """
+    count = max(FEWEST, min(draws, DEAR // max(samples, 1)))
+    others = density.sample_prior(np.random.default_rng([seed, 9]), count)
+    found = [find_mode(density, x) for x in (start, *others)]
+    sound = [mode for mode in found if mode.status is ModeStatus.CONVERGED]
+    if not sound:
+        return max(found, key=lambda mode: mode.log_density)
+    apart: list[Mode] = []
+    for mode in sorted(sound, key=lambda mode: -mode.log_mass):
+        if all(abs(mode.log_density - known.log_density) > SAME for known in apart):
+            apart.append(mode)
+    mass = np.exp([mode.log_mass - apart[0].log_mass for mode in apart])
+    near = found[0].status is ModeStatus.CONVERGED and abs(found[0].log_density - apart[0].log_density) <= SAME
+    return replace(found[0] if near else apart[0], elsewhere=float(1.0 - 1.0 / mass.sum()))
+
+
+def other_modes(mode: Mode, where: str) -> tuple[str, ...]:
+    """A sentence where other modes hold more of the probability than a table of estimates may leave out."""
+    if mode.elsewhere < TELLING:
+        return ()
+    return (
+        f"{where}: the posterior has more than one mode; about {mode.elsewhere:.0%} of the probability lies outside "
+        "that which was sampled (by the modes' curvature), so intervals may leave out other values of the parameters.",
+    )

@@ -20,7 +20,7 @@ from bayes_aero.inference.gp.priors import Priors
 from bayes_aero.inference.gp.reduced import ReducedData
 from bayes_aero.inference.gp.reweight import SampleStatus
 from bayes_aero.inference.gp.sample import Settings
-from bayes_aero.inference.laplace import density_start, find_mode
+from bayes_aero.inference.laplace import density_start, search_modes
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.nuts import sample_nuts
 from bayes_aero.inference.posterior import Posterior
@@ -53,7 +53,7 @@ def stall_replicate(model: Model, observations: Observations, engine: str, seed:
     white = jnp.asarray(rng.standard_normal((observations.n, 3)))
     data = observations.with_measured(maker.replicate(jnp.asarray(x), white))
     density = Density(data, model, Noise(Colour.AR1))
-    mode = find_mode(density, density_start(density, fit_mle(model, data, seed=seed)))
+    mode = search_modes(density, density_start(density, fit_mle(model, data, seed=seed)), data.n, seed=seed)
     posterior = ENGINES[engine](density, mode, seed=seed, predictive=False)
     shuffled = rng.permutation(posterior.draws())
     return Replicate(

@@ -21,7 +21,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.checkpoint import Checkpoint
 from bayes_aero.inference.ensemble import sample_ensemble
 from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.laplace import density_start, find_mode
+from bayes_aero.inference.laplace import density_start, other_modes, search_modes
 from bayes_aero.inference.mle import MOST_ALONE, fit_alone, fit_mle
 from bayes_aero.inference.nuts import sample_nuts
 from bayes_aero.inference.posterior import PosteriorStatus
@@ -116,12 +116,13 @@ def identify(
     for key, colour, engine in _plan(noise) if sample else ():
         with _timed(seconds, key, progress):
             density = Density.of(observations, model, Noise(colour))
-            mode = find_mode(density, density_start(density, mle))
+            mode = search_modes(density, density_start(density, mle), observations.n, seed=seed)
             kept: dict[str, Any] = {}
             if stores is not None and engine is sample_ensemble:
                 kept["checkpoint"] = stores(f"{key}_{colour.value}")
             posterior = engine(density, mode, seed=seed, progress=progress, **kept)
-        run = replace(run, posteriors=run.posteriors | {key: posterior})
+        told = other_modes(mode, f"{key}, {colour.value} noise")
+        run = replace(run, posteriors=run.posteriors | {key: posterior}, notes=(*run.notes, *told))
         writer.stage(run, posterior_name=key)
 
     if gp:
