@@ -192,8 +192,9 @@ def put_page(make: Callable[[], Page], folder: Path) -> str | None:
 
 
 def _breakable(name: str) -> Markup:
-    """A name that may be broken behind its underscores, a path behind its slashes, too."""
-    return escape(name).replace("_", Markup("_<wbr>")).replace("/", Markup("/<wbr>"))
+    """A name that may be broken behind its underscores, a path (no unit) behind its slashes, too."""
+    broken = escape(name).replace("_", Markup("_<wbr>"))
+    return broken.replace("/", Markup("/<wbr>")) if name.count("/") > 1 else broken
 
 
 def _plots(blocks: Iterable[Block]) -> Iterable[Plot]:
