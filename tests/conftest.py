@@ -77,3 +77,14 @@ def diagnosed(card):
     records = hidden_records(hidden, seed=3, manoeuvres=1, seconds=60.0, noise="white")
     view = view_of(diagnose(records, card, most=2))
     return SimpleNamespace(hidden=hidden, records=records, view=view)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A real browser; its loop of events must not outlive the module."""
+    from browsing import CHROMIUM, playwright
+
+    with playwright.sync_playwright() as driver:
+        opened = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield opened
+        opened.close()

@@ -11,6 +11,7 @@ from html import unescape
 from pathlib import Path
 
 import pytest
+from browsing import needed
 
 import bayes_aero as ba
 from bayes_aero.flight.aircraft import AIRCRAFT_UNITS
@@ -52,6 +53,18 @@ def test_nothing_is_fetched_from_elsewhere(site):
     assert len(pages) > 20
     for page in pages:
         assert not FETCHED.search(page.read_text(encoding="utf-8")), page.name
+
+
+@needed
+def test_pages_opened_from_a_folder_can_be_searched(site, browser):
+    page = browser.new_page()
+    asked = []
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto((site / "index.html").as_uri())
+    page.fill("input[name=query]", "separation_hysteresis")
+    found = page.wait_for_selector(".md-search-result__item a", timeout=30_000)
+    assert "reference/effects.html" in found.get_attribute("href")
+    assert all(url.startswith("file:") for url in asked)
 
 
 def test_reference_lists_every_public_name_effect_and_option(site):

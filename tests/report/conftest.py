@@ -253,14 +253,3 @@ def simulated(full):
 def flown(diagnosed):
     """The diagnosis with two simulated halves, and with its stalls."""
     return replace(with_stalls(diagnosed.view), trajectories=halves(diagnosed.records[0]))
-
-
-@pytest.fixture(scope="module")
-def browser():
-    """A real browser; its loop of events must not outlive the module."""
-    from browsing import CHROMIUM, playwright
-
-    with playwright.sync_playwright() as driver:
-        opened = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield opened
-        opened.close()
