@@ -17,6 +17,7 @@ def card(
     out: Annotated[
         Path | None, typer.Option(help="File to write; default: the record's name with .toml, here.")
     ] = None,
+    page: Annotated[bool, typer.Option("--page", help="Write CARD.report.html, too.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a card that is there.")] = False,
 ) -> None:
     """Write a commented starter card for a new aircraft from a record's columns.
@@ -31,10 +32,10 @@ def card(
         raise InputError(f"{target} exists; give --force to overwrite it, or another name with --out")
     from bayes_aero.studies.starter import starter_card
 
-    text, todo = starter_card(record)
+    starter = starter_card(record)
     partial = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        partial.write_text(text, encoding="utf-8")
+        partial.write_text(starter.text, encoding="utf-8")
         os.replace(partial, target)
     except OSError as reason:
         raise InputError(f"{target} cannot be written ({reason.strerror}); give another name with --out") from None
@@ -42,6 +43,10 @@ def card(
         partial.unlink(missing_ok=True)
     console = teller()
     console.print(f"The card is in {target}. Read its guesses.", soft_wrap=True)
-    if todo:
-        console.print(f"To be filled in ({len(todo)}): {', '.join(todo)}.")
+    if starter.todo:
+        console.print(f"To be filled in ({len(starter.todo)}): {', '.join(name for name, _ in starter.todo)}.")
+    if page:
+        from bayes_aero.studies.starter_page import write_starter_page
+
+        console.print(f"The report is in {write_starter_page(starter, record, target)}", soft_wrap=True)
     console.print(f"Then: bayes-aero check {record} --model {target}", soft_wrap=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -30,6 +29,9 @@ def effects(
     model: Annotated[
         str | None, typer.Option(help="A card, for its own effect files and what its model has.", metavar="CARD")
     ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for report.html and effects.json; none: nothing is written.")
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """List the catalogue of effects, or explain one: claim, formula, parameters, priors, worked example, source.
@@ -43,12 +45,19 @@ def effects(
     known = known_effects(card)
     chosen = known.values() if name is None else [effect_named(name, known)]
     found = [described(effect, card) for effect in chosen]
+    failure = None
+    if out is not None:
+        from bayes_aero.studies.catalogue_page import write_effects
+
+        failure = write_effects(found, SCHEMA, card, out)
     if json:
         print_json({"schema": SCHEMA, "effects": found})
     elif name is None:
         _table(found)
     else:
         _explained(found[0])
+    if out is not None and not json:
+        teller().print(f"! {failure}" if failure else f"The report is in {out / 'report.html'}", soft_wrap=True)
 
 
 def _table(found: Sequence[Mapping[str, Any]]) -> None:
@@ -78,6 +87,8 @@ def _table(found: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _explained(effect: Mapping[str, Any]) -> None:
+    from bayes_aero.report.words_effects import facts, parameter_facts, unit_behind, worked
+
     console = teller(highlight=True)
 
     def line(title: str, text: str) -> None:
@@ -85,40 +96,14 @@ def _explained(effect: Mapping[str, Any]) -> None:
         console.print(text, highlight=False, soft_wrap=True)
 
     console.print(f"{effect['name']}: {effect['claim']}", style="bold", highlight=False)
-    stage = "acts on the recorded channels" if effect["stage"] == "channel" else f"acts at the stage {effect['stage']}"
-    line("kind", f"{effect['kind']}; {stage}")
-    line("formula", " ".join(effect["formula"].split()) or "not stated")
-    line("needs", ", ".join(effect["needs"]) or "nothing")
-    if effect["rests_on"]:
-        line("rests on", ", ".join(effect["rests_on"]) + " of other effects in the model")
-    if effect["model"] is not None:
-        line("card", "in the card's model" if effect["model"] else "not in the card's model")
-    if not effect["proposed_by_diagnose"]:
-        line("diagnose", "never proposes it; a card may name it")
+    for title, text in facts(effect):
+        line(title, text)
     for p in effect["parameters"]:
-        unit = "" if p["unit"] == "1" else f" {p['unit']}"
+        unit = unit_behind(p)
         console.print()
         line(p["name"], f"{p['description']}{unit and ',' + unit}")
-        line("  neutral", f"{_shown(p['neutral'])}{unit}: there the effect is absent")
-        line("  bounds", f"{_shown(p['bounds'][0])} to {_shown(p['bounds'][1])}")
-        line("  prior", f"{p['prior']['text']} ({p['prior']['source']})")
-        if p["least_worth_modelling"] is not None:
-            least, most = p["least_worth_modelling"], p["largest_plausible"]
-            line("  sizes", f"{_shown(least)} is the least worth modelling, {_shown(most)} the largest plausible")
-    example = effect["example"]
-    known = example["parameters"] | example["signals"] | example["known"]
+        for title, text in parameter_facts(p):
+            line(f"  {title}", text)
     console.print()
-    line("example", f"{_pairs(known)} gives {_pairs(example['increments'])} ({example['source']})")
+    line("example", worked(effect))
     line("source", effect["source"])
-
-
-def _pairs(values: Mapping[str, Any]) -> str:
-    return ", ".join(f"{name} = {_shown(value)}" for name, value in values.items())
-
-
-def _shown(value: Any) -> str:
-    if isinstance(value, Sequence):
-        return "(" + ", ".join(_shown(x) for x in value) + ")"
-    if math.isinf(value):
-        return "-infinity" if value < 0.0 else "infinity"
-    return f"{value:g}"

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -65,11 +65,24 @@ class Table:
     links: tuple[str, ...] = ()
     kind: str = field(default="table", init=False)
 
+    def lean(self) -> Table:
+        """Without the columns that are empty in every row."""
+        kept = [i for i in range(len(self.head)) if any(row[i] for row in self.rows)]
+        return replace(
+            self,
+            head=tuple(self.head[i] for i in kept),
+            rows=tuple(tuple(row[i] for i in kept) for row in self.rows),
+            words=tuple(new for new, i in enumerate(kept) if i in self.words),
+        )
+
     @property
     def broad(self) -> bool:
         """Whether it needs a sheet across when printed."""
         columns = enumerate(zip(*self.rows, strict=True) if self.rows else ())
-        widths = [max(len(cell) for cell in column) if i not in self.words else 25 for i, column in columns]
+        widths = [
+            max(len(line) for cell in column for line in cell.split("\n")) if i not in self.words else 25
+            for i, column in columns
+        ]
         return sum(widths) + 2 * len(widths) > ACROSS
 
 

@@ -72,7 +72,7 @@ def _sensors(report: CheckReport) -> tuple[Block, ...]:
     faint = {True: "too small to be worth a name", False: ""}
     rows = tuple((name, e["claim"], sizes(e), faint[e["minor"]]) for name, e in s.errors.items())
     head = ("error", "claim", "size ± sd", "remark")
-    table = Table("Errors that the flight path asks for", head, rows, words=(1, 2, 3))
+    table = Table("Errors that the flight path asks for", head, rows, words=(1, 2, 3)).lean()
     said = f"{left_over(report)[:1].upper()}{left_over(report)[1:]}."
     return (Text(sensor_verdict(report)), *((table,) if rows else ()), Text(said))
 
@@ -88,7 +88,7 @@ def _table(r: RecordReport) -> Fold:
         ("channel", "taken from", "unit → inside", "range in the file", "remark"),
         tuple((c.name, *taken(c)) for c in r.channels),
         words=(1, 4),
-    )
+    ).lean()
     absent = [f"On the card, not in the file (not required): {', '.join(r.missing)}."] if r.missing else []
     unused = [f"In the file, not on the card: {', '.join(r.unused)}."] if r.unused else []
     return Fold(r.path, (table, *bullets([*absent, *unused])))

@@ -29,6 +29,7 @@ from bayes_aero.report.page_diagnosis_tables import (
 from bayes_aero.report.page_parts import (
     at_a_glance,
     bullets,
+    doubts,
     first,
     histories,
     provenance_blocks,
@@ -66,7 +67,7 @@ def diagnosis_page(view: View, told: Told) -> Page:
     d = view.diagnosis
     gallery = Gallery(told.figures, diagnosis_alternatives(view))
     verdict, *rest = diagnosis_sentences(d)
-    lead: list[Block] = [Text(one, "lead") for one in told.revealed]
+    lead: list[Block] = [*doubts(told.records, told.card), *(Text(one, "lead") for one in told.revealed)]
     if gained(view):
         lead.append(Text(f"On data that were not fitted, before and after: {gained(view)}", "lead"))
     if view.trajectories is not None and (gain := simulation_gain(view.trajectories)):
@@ -102,7 +103,10 @@ def flown_page(d: Diagnosis, flown: Trajectories | None, said: Sequence[str], to
         title=f"Diagnosis: {told.card.title}",
         subtitle="What the model gets wrong, from trajectories alone: the record has no coefficients",
         verdict=said[0],
-        lead=(Text("The record lacks what lift, drag and moment coefficients are formed from; see the last finding."),),
+        lead=(
+            *doubts(told.records, told.card),
+            Text("The record lacks what lift, drag and moment coefficients are formed from; see the last finding."),
+        ),
         sections=filled(
             section("records", "The records at a glance", lambda: at_a_glance(told.records, told.card)),
             section("causes", "What is wrong, and the cause", lambda: _causes(d, rankings_of(d), gallery)),

@@ -15,7 +15,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.report import page_fly_tables as tables
 from bayes_aero.report.figures_fly import stem_of
 from bayes_aero.report.page import Block, Fold, Page, Text, filled, section
-from bayes_aero.report.page_parts import at_a_glance, bullets, conventions, first, provenance_blocks, symbols
+from bayes_aero.report.page_parts import at_a_glance, bullets, conventions, doubts, first, provenance_blocks, symbols
 from bayes_aero.report.page_pictures import Gallery
 from bayes_aero.report.page_plots import LOW, Line, Panel
 from bayes_aero.report.page_trajectories import Curve, axis_label, over_measured, sources
@@ -49,7 +49,7 @@ def fly_page(flown: FlownFit, told: FlyTold) -> Page:
         title=f"Trajectories: {told.card.title}",
         subtitle="A model fitted to trajectories by output error",
         verdict=verdict,
-        lead=(*_lead(flown), *_opening(flown, told.figures)),
+        lead=(*doubts(told.records, told.card), *_lead(flown), *_opening(flown, told.figures)),
         sections=filled(
             section("findings", "What to make of it", lambda: (*bullets([*rest, *told.notes]), words(FLOWN))),
             section("records", "The records at a glance", lambda: at_a_glance(told.records, told.card)),

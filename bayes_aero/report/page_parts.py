@@ -10,6 +10,7 @@ import numpy as np
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.flight.unit_doubt import unit_doubts
 from bayes_aero.inference.stall import Interval, Stall
 from bayes_aero.model.linear import channel_units
 from bayes_aero.parameter import Parameter
@@ -60,6 +61,11 @@ def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...
         ),
         Fold("Channels and signs", (Facts(tuple((n, _described(n)) for n in channels)), Text(conventions(card)))),
     )
+
+
+def doubts(records: Sequence[FlightRecord], card: Card) -> tuple[Text, ...]:
+    """Warnings of units that cannot be right: nothing below them is then what it seems."""
+    return tuple(Text(f"{said}.", "warning") for said in unit_doubts(records, card.channels))
 
 
 def _glanced(card: Card) -> dict[str, str]:
@@ -214,11 +220,11 @@ def histories(
 def provenance_blocks(source: Mapping[str, Any], notes: Sequence[str] = (), seconds: Mapping[str, float] | None = None):
     """Inputs, versions and the command: all that is needed to make the run again."""
     inputs = tuple((i["name"], i["source"], i["sha256"] or "–") for i in source.get("inputs", ()))
-    card = source.get("card", {})
+    cards = tuple((str(c["name"]), "card", str(c["sha256"])) for c in (source.get("card"),) if c)
     files = tuple((f["name"], "effects", f["sha256"]) for f in source.get("effect_files", ()))
     facts = [
         ("Command", str(source.get("command", "–"))),
-        ("Seed", str(source.get("seed", "–"))),
+        *([("Seed", str(source["seed"]))] if "seed" in source else []),
         *((str(k).replace("_", " "), str(v)) for k, v in dict(source.get("settings", {})).items()),
         ("Written", str(source.get("written", "–"))),
         *((str(k), str(v)) for k, v in dict(source.get("platform", {})).items()),
@@ -226,18 +232,17 @@ def provenance_blocks(source: Mapping[str, Any], notes: Sequence[str] = (), seco
     blocks: list[Block] = [Text(note, "warning") for note in notes]
     blocks += [
         Facts(tuple(facts)),
-        Table(
-            "Inputs",
-            ("name", "file", "SHA-256"),
-            (*inputs, (str(card.get("name", "–")), "card", str(card.get("sha256", "–"))), *files),
-            words=(1, 2),
-        ),
+        *_inputs((*inputs, *cards, *files)),
         Fold("Versions", (Facts(tuple((k, str(v)) for k, v in dict(source.get("versions", {})).items())),)),
     ]
     if seconds:
         spent = several(f"{stage} {number(float(s), 2)} s" for stage, s in seconds.items())
         blocks.append(Text(f"Time spent: {spent}."))
     return tuple(blocks)
+
+
+def _inputs(rows: tuple[tuple[str, str, str], ...]) -> tuple[Block, ...]:
+    return (Table("Inputs", ("name", "file", "SHA-256"), rows, words=(1, 2)),) if rows else ()
 
 
 def bullets(items: Iterable[str]) -> tuple[Block, ...]:

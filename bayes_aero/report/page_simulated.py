@@ -49,7 +49,9 @@ def _truth(truth: Mapping[str, Any], parameters: Sequence[Parameter]) -> Table:
         (f"{name} {bracket(plain_unit(units.get(name, '1')))}", number(x, 6), "hidden" if name in asked else "")
         for name, x in truth["parameters"].items()
     )
-    return Table("Parameters that were flown, SI and radians", ("parameter", "value", "remark"), rows, words=(2,))
+    return Table(
+        "Parameters that were flown, SI and radians", ("parameter", "value", "remark"), rows, words=(2,)
+    ).lean()
 
 
 def _noise(truth: Mapping[str, Any]) -> Table:

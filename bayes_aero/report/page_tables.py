@@ -34,9 +34,9 @@ def parameters(identification: Identification) -> Table:
     groups = [("", 1 if truth is None else 2), ("maximum likelihood\n± standard deviation", 2)]
     head = ["parameter", *([] if truth is None else ["flown"]), "Cramér–Rao", "corrected"]
     sampled = found[2:]
-    for method in sampled:
-        groups.append((method.label, 2))
-        head += ["mean ± sd", "95 % interval"]
+    if sampled:
+        groups.append(("posterior\nmean ± standard deviation, 95 % interval", len(sampled)))
+        head += [method.label.replace(", ", "\n", 1) for method in sampled]
     if identification.alone:
         groups.append(("manoeuvres fitted alone", 2))
         head += ["scatter\n(sd)", "largest\ndifference"]
@@ -46,9 +46,7 @@ def parameters(identification: Identification) -> Table:
         if truth is not None:
             row.append(f"{truth[name]:.4g}" if name in truth else "–")
         row += [_pm(m.estimates.get(name)) for m in found[:2]]
-        for method in sampled:
-            e = method.estimates.get(name)
-            row += [_pm(e), _range(e)]
+        row += [f"{_pm(e)}\n{_range(e)}" for e in (m.estimates.get(name) for m in sampled)]
         if identification.alone:
             spread = scatter(identification, name)
             row += [number(spread.sd, 2), f"{spread.in_crb:.1f}"] if spread else ["–", "–"]

@@ -16,6 +16,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.inspection import inspect_record
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.flight.unit_doubt import unit_doubts
 from bayes_aero.model.flights import join
 from bayes_aero.model.longitudinal import FLIGHT
 from bayes_aero.model.model import Model
@@ -28,7 +29,6 @@ from bayes_aero.report.page_check import check_page
 from bayes_aero.studies.folder import writable
 from bayes_aero.studies.guess import pitch_response
 from bayes_aero.studies.provenance import provenance, write_json
-from bayes_aero.studies.unit_doubt import unit_doubts
 
 SCHEMA = "bayes_aero/check/1"
 DERIVED = ("alpha_dot",)  # formed from recorded channels

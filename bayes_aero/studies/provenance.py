@@ -35,16 +35,22 @@ PACKAGES = (
 )
 
 
-def provenance(card: Card, records: Sequence[FlightRecord], seed: int, settings: dict[str, Any]) -> dict[str, Any]:
-    """All that is needed to make the run again; the only part of the results that names a time or a machine."""
+def provenance(
+    card: Card | None, records: Sequence[FlightRecord], seed: int | None, settings: dict[str, Any]
+) -> dict[str, Any]:
+    """All that is needed to make the run again; the only part of the results that names a time or a machine.
+
+    A card, records or a seed that the command did not need are absent.
+    """
+    files = () if card is None else card.effect_files
     return {
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "settings": settings,
-        "seed": seed,
+        **({} if seed is None else {"seed": seed}),
         "inputs": [{"name": r.name, "source": Path(r.source).name, "sha256": r.sha256} for r in records],
-        "card": {"name": card.name, "sha256": card.sha256},
+        **({} if card is None else {"card": {"name": card.name, "sha256": card.sha256}}),
         "effect_files": [
-            {"name": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()} for path in card.effect_files
+            {"name": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()} for path in files
         ],
         "versions": {"python": platform.python_version()} | {name: _version(name) for name in PACKAGES},
         "platform": {"system": platform.platform(), "machine": platform.machine(), "cores": os.cpu_count()},

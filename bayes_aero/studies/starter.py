@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -56,8 +57,22 @@ STILL = np.deg2rad(0.5)  # rad/s of roll and yaw rate, in the mean square
 KINEMATIC = ("theta", "phi", "beta", "ay", "altitude")
 
 
-def starter_card(path: Path) -> tuple[str, list[str]]:
-    """The text of the card, and what is still to be filled in, in the order in which the card has it."""
+@dataclass(frozen=True)
+class Starter:
+    """A starter card: its text, what is still to be filled in (key and what it is), and what it was made from."""
+
+    text: str
+    todo: list[tuple[str, str]]
+    found: dict[str, Guess]
+    unknown: list[RawColumn]
+
+    def doubt(self, name: str) -> str:
+        """Why a guess was not taken; empty where it was."""
+        return _implausible(name, self.found[name])
+
+
+def starter_card(path: Path) -> Starter:
+    """Guess from a record's columns."""
     raw = read_raw(path)
     longest = max((len(c.values) for c in raw.columns if c.values is not None), default=0)
     if longest < MIN_SAMPLES:
@@ -79,8 +94,9 @@ def starter_card(path: Path) -> tuple[str, list[str]]:
         *_sensors(found),
         *_model(found),
     ]
-    todo = [line.split(" =")[0].strip() for line in lines if '"TODO' in line and not line.startswith("#")]
-    return "\n".join(lines) + "\n", todo
+    open_lines = [line for line in lines if '"TODO' in line and not line.startswith("#")]
+    todo = [(line.split(" =")[0].strip(), line.partition(" # ")[2]) for line in open_lines]
+    return Starter("\n".join(lines) + "\n", todo, found, unknown)
 
 
 def _text(words: str) -> str:

@@ -196,6 +196,22 @@ def test_wings_that_stayed_level_let_the_sensors_be_checked(program, tmp_path, r
     assert ("Sensors were not checked" in said) == rolling
 
 
+def test_guesses_are_told_on_a_page(program, foreign, tmp_path):
+    path, _ = foreign
+    done = program("card", path, "--out", "mine.toml", "--page")
+    assert done.code == 0, done.err
+    html = (tmp_path / "mine.toml.report.html").read_text().replace("<wbr>", "")
+    table = tomllib.loads((tmp_path / "mine.toml").read_text())
+    for entry in table["channels"].values():
+        assert f"&#39;{entry['label']}&#39;" in html
+    todo = [key for key, value in table["aircraft"].items() if value == "TODO"]
+    assert f"{len(todo)} entries are to be filled in" in html
+    assert all(f'<th scope="row">{key}</th>' in html for key in todo)
+    assert "&#39;Xyzzy&#39;" in html.split("Columns that nothing was guessed for")[-1]
+    assert "turned" in html
+    assert "was not made" not in html
+
+
 def test_newtons_and_pounds_of_thrust_are_not_guessed_apart(program, foreign, tmp_path):
     table = pd.read_csv(foreign[0])
     table["FN"] *= 1000.0

@@ -107,7 +107,9 @@ def test_an_unusable_record_has_a_report_that_says_why(program, flights, tmp_pat
     ("column", "name", "declared", "meant", "factor"),
     [("VTASCG", "airspeed", "m/s", "kt", 1.0 / 0.514444), ("HQNH", "altitude", "m", "ft", 1.0 / 0.3048)],
 )
-def test_a_unit_that_the_flight_path_refutes_is_doubted(program, flights, column, name, declared, meant, factor):
+def test_a_unit_that_the_flight_path_refutes_is_doubted(
+    program, flights, tmp_path, column, name, declared, meant, factor
+):
     """A file in knots or feet that the card takes for SI; each number alone is plausible."""
     cautions = json.loads(program("check", flights.sound, "--no-sensors", "--json").out)["cautions"]
     assert not any("altitude changes" in caution for caution in cautions)
@@ -117,3 +119,9 @@ def test_a_unit_that_the_flight_path_refutes_is_doubted(program, flights, column
     done = program("check", "other.csv", "--no-sensors", "--json")
     (said,) = [caution for caution in json.loads(done.out)["cautions"] if "altitude changes" in caution]
     assert f"{name}, {declared} on the card, were in {meant}" in said
+    for record, doubted in ((flights.sound, False), ("other.csv", True)):
+        done = program("identify", record, "--no-sample", "--no-gp", "--no-figures", "--out", "id")
+        assert done.code == 0, done.err
+        assert ("the altitude changes" in done.out) == doubted
+        page = (tmp_path / "id" / "report.html").read_text().replace("<wbr>", "")
+        assert ("on the card, were in" in page.split("<h2")[0]) == doubted  # before all sections

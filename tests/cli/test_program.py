@@ -16,6 +16,7 @@ from bayes_aero.cli import app, choices
 from bayes_aero.cli.terminal import BAD_INPUT, FAILED, INTERRUPTED, kept_stages
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.entry import _heed
+from bayes_aero.flight.card import read_card
 from bayes_aero.inference.splits import SplitKind
 from bayes_aero.model.noise import Colour
 from bayes_aero.studies import identify as job
@@ -82,6 +83,21 @@ def test_the_catalogue_is_listed_and_explained(program):
     for words in ("rad/s", "Klein and Morelli", "0.054", "normal, mean 0, deviation 0.01"):
         assert words in told
     assert found["flow_separation"]["parameters"][0]["bounds"] == [1.0, 200.0]
+
+
+def test_the_catalogue_is_a_page_too(program, tmp_path):
+    done = program("effects", "--model", "attas", "--out", "all")
+    assert done.code == 0, done.err
+    assert json.loads((tmp_path / "all" / "effects.json").read_text())["effects"][0]["name"] in CATALOGUE
+    html = (tmp_path / "all" / "report.html").read_text().replace("<wbr>", "")
+    assert all(f"<summary>{name}</summary>" in html for name in CATALOGUE)
+    assert "Klein and Morelli" in html
+    assert html.count("in the card&#39;s model</td>") == len(read_card("attas").effects)
+    assert "was not made" not in html
+    assert program("effects", "pitch_rate_bias", "--out", "one", "--json").code == 0
+    one = (tmp_path / "one" / "report.html").read_text()
+    assert "Effect: pitch_rate_bias" in one.replace("<wbr>", "")
+    assert "flow_separation" not in one
 
 
 def test_an_unknown_effect_is_told_with_its_neighbours(program):

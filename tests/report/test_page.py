@@ -14,6 +14,7 @@ import xarray as xr
 from PIL import Image
 
 from bayes_aero.inference.posterior import PosteriorStatus
+from bayes_aero.report import page_parts
 from bayes_aero.report.figures import FIGURES
 from bayes_aero.report.page import Fold, Page, Picture, Plot, Table, Text, put_page, render, section, write_page
 from bayes_aero.report.page_diagnosis import Told, diagnosis_page, flown_page
@@ -128,7 +129,12 @@ def test_parameters_are_those_of_every_method(full):
     row = next(cells for cells in table.rows if cells[0].startswith("Cmde "))
     assert row[0] == "Cmde [1/rad]"
     assert row[1:3] == ("-0.800 ± 0.010", "-0.800 ± 0.040")  # the bound and four times it
-    assert "-0.840 to -0.760" not in row[3]
+    told = [cell.split("\n") for cell in row[3:-2]]
+    order = sorted(full.posteriors, key=lambda key: key != "white")  # white noise stands first
+    for key, (mean, interval) in zip(order, told, strict=True):
+        m = full.posteriors[key].marginals["Cmde"]
+        assert [float(x) for x in mean.split(" ± ")] == pytest.approx([m.mean, m.sd], abs=5e-4)
+        assert [float(x) for x in interval.split(" to ")] == pytest.approx(m.ci95, abs=5e-4)
     assert row[-1] == "42.4"  # 60 bounds apart, each off by one: 60/sqrt 2
     assert sum(span for _, span in table.groups) == len(table.head) == len(row)
 
@@ -252,6 +258,13 @@ def test_a_diagnosis_tells_causes_gain_and_what_is_open(diagnosed, flown, card):
     text = Outline(render(only)).text
     assert "A verdict." in text
     assert "without accelerometers" in text
+
+
+def test_a_unit_that_cannot_be_is_the_first_word(diagnosed, flown, card, monkeypatch):
+    monkeypatch.setattr(page_parts, "unit_doubts", lambda records, _: (f"{len(records)} in knots",))
+    told = Told(card, diagnosed.records, provenance(card, diagnosed.records, 0, {}))
+    for page in (diagnosis_page(flown, told), flown_page(flown.diagnosis, None, ["A verdict."], told)):
+        assert page.lead[0] == Text(f"{len(diagnosed.records)} in knots.", "warning")
 
 
 def test_a_long_record_with_a_hostile_name_makes_a_page_of_bearable_size(make, monkeypatch):

@@ -1,0 +1,64 @@
+"""What is said of an effect of the catalogue, for the terminal and for the page alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+
+def facts(effect: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Name and text of what holds for the effect as a whole; `effect` as the catalogue describes it."""
+    channel = effect["stage"] == "channel"
+    stage = "acts on the recorded channels" if channel else f"acts at the stage {effect['stage']}"
+    said = [
+        ("kind", f"{effect['kind']}; {stage}"),
+        ("formula", " ".join(effect["formula"].split()) or "not stated"),
+        ("needs", ", ".join(effect["needs"]) or "nothing"),
+    ]
+    if effect["rests_on"]:
+        said.append(("rests on", ", ".join(effect["rests_on"]) + " of other effects in the model"))
+    if effect["model"] is not None:
+        said.append(("card", "in the card's model" if effect["model"] else "not in the card's model"))
+    if not effect["proposed_by_diagnose"]:
+        said.append(("diagnose", "never proposes it; a card may name it"))
+    return said
+
+
+def parameter_facts(p: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The same of one of its parameters, beside its description."""
+    unit = unit_behind(p)
+    said = [
+        ("neutral", f"{shown(p['neutral'])}{unit}: there the effect is absent"),
+        ("bounds", f"{shown(p['bounds'][0])} to {shown(p['bounds'][1])}"),
+        ("prior", f"{p['prior']['text']} ({p['prior']['source']})"),
+    ]
+    if p["least_worth_modelling"] is not None:
+        least, most = shown(p["least_worth_modelling"]), shown(p["largest_plausible"])
+        said.append(("sizes", f"{least} from neutral is the least worth modelling, {most} the largest plausible"))
+    return said
+
+
+def unit_behind(p: Mapping[str, Any]) -> str:
+    """The unit as it stands behind a number: nothing for a pure number."""
+    return "" if p["unit"] == "1" else f" {p['unit']}"
+
+
+def worked(effect: Mapping[str, Any]) -> str:
+    """The worked example in a sentence."""
+    example = effect["example"]
+    known = example["parameters"] | example["signals"] | example["known"]
+    return f"{_pairs(known)} gives {_pairs(example['increments'])} ({example['source']})"
+
+
+def _pairs(values: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name} = {shown(value)}" for name, value in values.items())
+
+
+def shown(value: Any) -> str:
+    """A number, or numbers in brackets."""
+    if isinstance(value, Sequence):
+        return "(" + ", ".join(shown(x) for x in value) + ")"
+    if math.isinf(value):
+        return "-infinity" if value < 0.0 else "infinity"
+    return f"{value:g}"

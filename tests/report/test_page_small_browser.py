@@ -1,0 +1,50 @@
+"""The pages of the catalogue and of a starter card in a real browser."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from browsing import can_be_read_by_everyone, fits_a_phone, has_a_unit_on_every_axis, needed, opened
+
+from bayes_aero.flight.card import read_card
+from bayes_aero.report.page import write_page
+from bayes_aero.report.page_card import StarterView, Taken, card_page
+from bayes_aero.report.page_effects import effects_page
+from bayes_aero.studies.catalogue import described, known_effects
+from bayes_aero.studies.provenance import provenance
+
+pytestmark = needed
+
+
+@pytest.fixture(scope="module")
+def catalogue(tmp_path_factory):
+    card = read_card("attas")
+    found = [described(effect, card) for effect in known_effects(card).values()]
+    page = effects_page(found, provenance(card, [], None, {}), card.title)
+    return write_page(page, tmp_path_factory.mktemp("catalogue") / "report.html")
+
+
+@pytest.fixture(scope="module")
+def starter(tmp_path_factory):
+    time = np.arange(0.0, 40.0, 0.04)
+    taken = [
+        Taken("time", "'Time_s'", "s", 1, "the heading", time),
+        Taken("alpha", "'AOA_deg'", "deg", 1, "the heading", 5.0 + np.sin(time)),
+        Taken("az", "'A_COLUMN_WITH_A_LONG_NAME_<i>'", "g", -1, "its median is 0.999", 1.0 + 0.1 * np.sin(time)),
+        Taken("thrust", "'FN'", None, 1, "the heading; " * 9, 900.0 + time, "1 to 9 N is beyond any flight"),
+    ]
+    view = StarterView("N1.csv", "N1.toml", time, taken, ["'XYZZY'"], [("mass", "of the flight")])
+    return write_page(card_page(view, provenance(None, [], None, {})), tmp_path_factory.mktemp("card") / "report.html")
+
+
+@pytest.mark.parametrize("name", ["catalogue", "starter"])
+def test_it_is_legible_everywhere_and_calls_nobody(request, browser, name):
+    report = request.getfixturevalue(name)
+    page, phone = opened(browser, report), opened(browser, report, 390)
+    assert page.heard == []
+    can_be_read_by_everyone(page)
+    assert page.locator(".box.wider").count() == 0
+    fits_a_phone(phone)
+    if name == "starter":
+        has_a_unit_on_every_axis(page)
+        assert page.locator("[data-plot]").count() == 1
