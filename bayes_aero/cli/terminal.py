@@ -11,7 +11,10 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from bayes_aero.cli.durations import Durations, TimeLeft
+from bayes_aero.studies.compiled import cache_folder
 
 FAILED = 1
 BAD_INPUT = 2
@@ -34,20 +37,26 @@ def teller(*, quiet: bool = False, highlight: bool = False) -> Console:
 def bar(first: str, over: float = 30.0) -> Iterator[Callable[[str, float], None]]:
     """A bar with the time left on the terminal, silence elsewhere; tell it a stage and the share of it that is done.
 
-    Both times are the stage's; what is left is estimated from the last `over` seconds.
+    Both times are the stage's; what is left is estimated from the last `over` seconds, and before it moves from how
+    long it took in an earlier run.
     """
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    durations = Durations(cache_folder())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn(), TimeLeft(durations))
     hidden = not console.is_terminal
     with Progress(*columns, console=console, transient=True, disable=hidden, speed_estimate_period=over) as shown:
         task = shown.add_task(first, total=1.0)
+        durations.stage(first)
 
         def tell(text: str, share: float) -> None:
+            durations.stage(text)
             if share < shown.tasks[0].completed:  # the next stage; a finished task's clock would stand still for good
                 shown.reset(task)
             shown.update(task, description=text, completed=share)
 
         yield tell
+    if not hidden:
+        durations.keep()
 
 
 def print_json(content: Mapping[str, Any]) -> None:

@@ -1,0 +1,80 @@
+"""How long each stage took the last time: what is left of one that has not moved yet, as while programs compile."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from datetime import timedelta
+from pathlib import Path
+
+from rich.progress import ProgressColumn, Task
+from rich.text import Text
+
+FILE = "durations.json"
+SHORT = 2.0  # s; nobody asks how much is left of less
+MOST = 200  # stages that are remembered, the latest
+
+
+class Durations:
+    """Seconds by stage, in a file of the cache folder that may be lost at any time.
+
+    A stage is named by its text up to a colon; one that is not followed by another, or by the end, is not kept.
+    """
+
+    def __init__(self, folder: Path, clock: Callable[[], float] = time.monotonic) -> None:
+        self._path, self._clock = folder / FILE, clock
+        self._last: dict[str, float] = {}
+        with suppress(OSError, ValueError, TypeError):
+            held = json.loads(self._path.read_text(encoding="utf-8"))
+            self._last = {str(name): float(seconds) for name, seconds in dict(held).items()}
+        self._new: dict[str, float] = {}
+        self._stage, self._began = "", clock()
+
+    def stage(self, text: str) -> None:
+        """What is done now."""
+        name = text.split(":")[0]
+        if name != self._stage:
+            self._end()
+            self._stage, self._began = name, self._clock()
+
+    def left(self) -> float | None:
+        """Seconds left of the present stage if it takes as long as it did; None where that is not known."""
+        last = self._last.get(self._stage)
+        return None if last is None else max(0.0, last - (self._clock() - self._began))
+
+    def keep(self) -> None:
+        """All stages have ended; a file that cannot be written costs nothing but these numbers."""
+        self._end()
+        held = {name: s for name, s in self._last.items() if name not in self._new} | self._new
+        partial = self._path.with_name(f".{FILE}.{os.getpid()}.part")
+        with suppress(OSError):
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            partial.write_text(json.dumps(dict([*held.items()][-MOST:])), encoding="utf-8")
+            os.replace(partial, self._path)
+
+    def _end(self) -> None:
+        if self._stage:
+            spent = self._new.pop(self._stage, 0.0) + self._clock() - self._began
+            if spent >= SHORT:
+                self._new[self._stage] = round(spent, 1)
+
+
+class TimeLeft(ProgressColumn):
+    """Time left from the stage's own speed; before it has one, from the last time."""
+
+    max_refresh = 0.5
+
+    def __init__(self, durations: Durations) -> None:
+        super().__init__()
+        self._durations = durations
+
+    def render(self, task: Task) -> Text:
+        """As h:mm:ss."""
+        left = 0.0 if task.finished else task.time_remaining
+        left = self._durations.left() if left is None else left
+        shown = "-:--:--" if left is None else str(timedelta(seconds=math.ceil(left)))
+        return Text(shown, style="progress.remaining")
