@@ -1,4 +1,8 @@
-"""How long each stage took the last time: what is left of one that has not moved yet, as while programs compile."""
+"""How much time is left of a stage: from its speed, and from how long it took the last time.
+
+A stage that compiles has not moved yet; one that trains a large process moves once in minutes, and a speed measured
+then says nothing of the minutes after.
+"""
 
 from __future__ import annotations
 
@@ -32,19 +36,30 @@ class Durations:
             held = json.loads(self._path.read_text(encoding="utf-8"))
             self._last = {str(name): float(seconds) for name, seconds in dict(held).items()}
         self._new: dict[str, float] = {}
-        self._stage, self._began = "", clock()
+        self._stage, self._began, self._moved = "", clock(), clock()
 
     def stage(self, text: str) -> None:
-        """What is done now."""
+        """What is done now, and that it has moved."""
         name = text.split(":")[0]
+        self._moved = self._clock()
         if name != self._stage:
             self._end()
             self._stage, self._began = name, self._clock()
 
-    def left(self) -> float | None:
-        """Seconds left of the present stage if it takes as long as it did; None where that is not known."""
+    def left(self, share: float = 0.0, recent: float | None = None) -> float | None:
+        """Seconds left of the present stage, of which a `share` is done; None where nothing tells.
+
+        `recent` are those that its last speed left when it last moved: they count until they have passed.
+        """
+        spent, still = self._clock() - self._began, self._clock() - self._moved
         last = self._last.get(self._stage)
-        return None if last is None else max(0.0, last - (self._clock() - self._began))
+        if recent is not None and recent > still:
+            return recent - still
+        if last is not None and last > spent:
+            return last - spent
+        if share > 0.0:
+            return spent * (1.0 - share) / share
+        return None if last is None else 0.0
 
     def keep(self) -> None:
         """All stages have ended; a file that cannot be written costs nothing but these numbers."""
@@ -64,7 +79,7 @@ class Durations:
 
 
 class TimeLeft(ProgressColumn):
-    """Time left from the stage's own speed; before it has one, from the last time."""
+    """Time left of the stage."""
 
     max_refresh = 0.5
 
@@ -74,7 +89,6 @@ class TimeLeft(ProgressColumn):
 
     def render(self, task: Task) -> Text:
         """As h:mm:ss."""
-        left = 0.0 if task.finished else task.time_remaining
-        left = self._durations.left() if left is None else left
+        left = 0.0 if task.finished else self._durations.left(task.completed, task.time_remaining)
         shown = "-:--:--" if left is None else str(timedelta(seconds=math.ceil(left)))
         return Text(shown, style="progress.remaining")

@@ -23,6 +23,7 @@ from bayes_aero.inference.gp import GPFit, Priors, fit_gp
 from bayes_aero.inference.gp.fit import MAX_SAMPLES, too_many
 from bayes_aero.inference.identification import GPReport, Validation
 from bayes_aero.inference.mle import MleResult, fit_mle
+from bayes_aero.inference.orphan import leave_with
 from bayes_aero.inference.scores import score
 from bayes_aero.inference.splits import Split, SplitKind, make_splits
 from bayes_aero.model.model import Model
@@ -84,7 +85,7 @@ def validate(
     tidy = largest >= WORTH_PROCESSES  # below, compiling anew for every fit costs more than memory is worth
     work = (
         delayed(_trained)(
-            X, z[:, t.column], inputs, splits[t.kind][t.fold], t.column, t.sampled, seed, tidy, approximate
+            X, z[:, t.column], inputs, splits[t.kind][t.fold], t.column, t.sampled, seed, tidy, approximate, os.getpid()
         )
         for t in tasks
     )
@@ -99,7 +100,7 @@ def validate(
             for task, result in zip(tasks, results, strict=True):
                 trained[task] = result
                 if progress:
-                    progress(f"GP of {NAMES[task.column]}, {task.kind} split", len(trained) / len(tasks))
+                    progress(f"gp: {NAMES[task.column]}, {task.kind} split", len(trained) / len(tasks))
         except TerminatedWorkerError:
             raise InputError(
                 f"a process that trained on up to {len(z)} samples was killed, probably for want of memory; thin the "
@@ -168,8 +169,10 @@ def _trained(
     seed: int,
     tidy: bool,
     approximate: bool,
+    parent: int,
 ) -> tuple[GPFit | None, dict[str, Any]]:
     """The fit, if it was sampled, and the process's part of a `Validation`; self-contained, for it runs elsewhere."""
+    leave_with(parent)
     fit = fit_gp(
         X[fold.train_idx],
         z[fold.train_idx],

@@ -74,7 +74,7 @@ def _recorded(view: StarterView, used: Sequence[Taken]) -> tuple[Plot, ...]:
         Panel(f"{t.channel} {bracket(t.unit or 'unit?')}", (Line("recorded", COLOURS["measured"], t.sign * t.values),))
         for t in shown
     ]
-    legend = (("recorded, in the unit that was guessed", COLOURS["measured"], "solid"),)
+    legend = (("recorded, with the sign and in the unit that were guessed", COLOURS["measured"], "solid"),)
     return (histories(view.record, "time-columns", time, panels, legend, "Recorded columns"),) if panels else ()
 
 

@@ -48,7 +48,7 @@ def worked(effect: Mapping[str, Any]) -> str:
     """The worked example in a sentence."""
     example = effect["example"]
     known = example["parameters"] | example["signals"] | example["known"]
-    return f"{_pairs(known)} gives {_pairs(example['increments'])} ({example['source']})"
+    return f"{_pairs(known)} adds {_pairs(example['increments'])} ({example['source']})"
 
 
 def _pairs(values: Mapping[str, Any]) -> str:

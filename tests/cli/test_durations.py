@@ -96,6 +96,13 @@ def test_the_column_prefers_the_stages_own_speed(tmp_path, clock):
     for share in (0.1, 0.2):
         clock.now += 1.0
         progress.update(task.id, completed=share)
+        durations.stage("compiling")
     assert str(column.render(task)) == "0:00:08"  # a tenth a second
+    clock.now += 3.0
+    assert str(column.render(task)) == "0:00:05"
+    clock.now += 15.0  # its speed was no speed: it takes as long as the last time
+    assert str(column.render(task)) == "0:00:42"
+    clock.now += 80.0  # and longer than that: a fifth took 100 s
+    assert str(column.render(task)) == "0:06:40"
     progress.update(task.id, completed=1.0)
     assert str(column.render(task)) == "0:00:00"
