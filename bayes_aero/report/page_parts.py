@@ -10,7 +10,7 @@ import numpy as np
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.unit_doubt import unit_doubts
+from bayes_aero.flight.record_doubt import record_doubts
 from bayes_aero.inference.stall import Interval, Stall
 from bayes_aero.model.linear import channel_units
 from bayes_aero.parameter import Parameter
@@ -65,7 +65,7 @@ def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...
 
 def doubts(records: Sequence[FlightRecord], card: Card) -> tuple[Text, ...]:
     """Warnings of units that cannot be right: nothing below them is then what it seems."""
-    return tuple(Text(f"{said}.", "warning") for said in unit_doubts(records, card.channels))
+    return tuple(Text(f"{said}.", "warning") for said in record_doubts(records, card.channels))
 
 
 def _glanced(card: Card) -> dict[str, str]:

@@ -16,7 +16,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.inspection import inspect_record
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.unit_doubt import unit_doubts
+from bayes_aero.flight.record_doubt import record_doubts
 from bayes_aero.model.flights import join
 from bayes_aero.model.longitudinal import FLIGHT
 from bayes_aero.model.model import Model
@@ -59,7 +59,7 @@ def check_records(
         if progress:
             progress("do the sensors agree?", 0.5)
         skipped = _sensors(sound, card, seed)
-    cautions = (*unit_doubts(sound, card.channels), *_cautions(sound))
+    cautions = (*record_doubts(sound, card.channels), *_cautions(sound))
     return CheckReport(card, tuple(looked), uses, not_testable, skipped, cautions)
 
 

@@ -17,7 +17,7 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.unit_doubt import unit_doubts
+from bayes_aero.flight.record_doubt import record_doubts
 from bayes_aero.inference.cores import blas_threads, cores
 from bayes_aero.model.model import Model
 from bayes_aero.report.diagnosed import view_of
@@ -92,7 +92,8 @@ def run(
     causes = view.diagnosis.causes
     earlier = unfinished.earlier(card, causes, predictors=predict is not None, trajectories=fly is not None)
     named = {name: _found(view.diagnosis, name) for name in hidden} if hidden else {}
-    kept = Kept(Outcome(view, hidden, named, unit_doubts(records, card.channels)), out, card, records, source, earlier)
+    outcome = Outcome(view, hidden, named, record_doubts(records, card.channels))
+    kept = Kept(outcome, out, card, records, source, earlier)
     unfinished.begin()
     shown = DIAGNOSIS_FIGURES if figures else {}
     early, late = ({n: draw for n, draw in shown.items() if (n in FLOWN_FIGURES) == x} for x in (False, True))

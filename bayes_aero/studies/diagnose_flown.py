@@ -12,7 +12,7 @@ from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.unit_doubt import unit_doubts
+from bayes_aero.flight.record_doubt import record_doubts
 from bayes_aero.model.dynamics import taken_as_zero
 from bayes_aero.physics.coefficients import REQUIRED
 from bayes_aero.report.diagnosed import rankings_of
@@ -65,7 +65,7 @@ def run_flown(
     flown: Trajectories | None = None
 
     def write() -> list[str]:
-        said = [*diagnosis_sentences(found, flown), note, *unit_doubts(records, card.channels)]
+        said = [*diagnosis_sentences(found, flown), note, *record_doubts(records, card.channels)]
         if out is not None:
             write_json(_results(found, flown, card, records, said, source), out / "diagnosis.json")
         return said

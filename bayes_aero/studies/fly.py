@@ -17,7 +17,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.unit_doubt import unit_doubts
+from bayes_aero.flight.record_doubt import record_doubts
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.dynamics import Dynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.model.flights import Flights, despiked, join
@@ -84,7 +84,7 @@ def fly(
         tolerances={name: tolerance.value for name, tolerance in card.tolerances.items()},
         progress=progress,
     )
-    found = Flight(flown, tuple(fly_sentences(flown)), (*unit_doubts(records, card.channels), *notes))
+    found = Flight(flown, tuple(fly_sentences(flown)), (*record_doubts(records, card.channels), *notes))
     if out is None:
         return found
     return _written(found, card, records, source, out, figures=figures, progress=progress)

@@ -18,7 +18,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.readers import read_record
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.unit_doubt import unit_doubts
+from bayes_aero.flight.record_doubt import record_doubts
 from bayes_aero.inference.checkpoint import Checkpoint
 from bayes_aero.inference.ensemble import sample_ensemble
 from bayes_aero.inference.identification import Identification
@@ -97,7 +97,7 @@ def identify(
         mle,
         alone,
         {},
-        notes=(*unit_doubts(records, card.channels), *_many(len(records))),
+        notes=(*record_doubts(records, card.channels), *_many(len(records))),
         preparation=told,
         truth=truth,
         seconds=seconds,

@@ -125,3 +125,21 @@ def test_a_unit_that_the_flight_path_refutes_is_doubted(
         assert ("the altitude changes" in done.out) == doubted
         page = (tmp_path / "id" / "report.html").read_text().replace("<wbr>", "")
         assert ("on the card, were in" in page.split("<h2")[0]) == doubted  # before all sections
+
+
+@pytest.mark.parametrize(
+    ("column", "factor", "words"),
+    [
+        ("AZCG", -1.0, "write sign = -1 at az"),
+        ("AZCG", 0.2, "and level flight has -1 g; correct its unit"),
+        ("QRGY", -1.0, "pitch attitude falls where the pitch rate is positive"),
+        ("QRGY", np.pi / 180.0, "pitch attitude changes 57"),
+    ],
+)
+def test_a_sign_or_unit_that_other_channels_refute_is_doubted(program, flights, column, factor, words):
+    table = pd.read_csv(flights.sound)
+    table[column] *= factor
+    table.to_csv("other.csv", index=False)
+    for record, doubted in ((flights.sound, False), ("other.csv", True)):
+        cautions = json.loads(program("check", record, "--no-sensors", "--json").out)["cautions"]
+        assert any(words in caution for caution in cautions) == doubted, cautions

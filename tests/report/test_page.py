@@ -261,7 +261,7 @@ def test_a_diagnosis_tells_causes_gain_and_what_is_open(diagnosed, flown, card):
 
 
 def test_a_unit_that_cannot_be_is_the_first_word(diagnosed, flown, card, monkeypatch):
-    monkeypatch.setattr(page_parts, "unit_doubts", lambda records, _: (f"{len(records)} in knots",))
+    monkeypatch.setattr(page_parts, "record_doubts", lambda records, _: (f"{len(records)} in knots",))
     told = Told(card, diagnosed.records, provenance(card, diagnosed.records, 0, {}))
     for page in (diagnosis_page(flown, told), flown_page(flown.diagnosis, None, ["A verdict."], told)):
         assert page.lead[0] == Text(f"{len(diagnosed.records)} in knots.", "warning")
