@@ -45,6 +45,8 @@ def card(
     console.print(f"The card is in {target}. Read its guesses.", soft_wrap=True)
     if starter.todo:
         console.print(f"To be filled in ({len(starter.todo)}): {', '.join(name for name, _ in starter.todo)}.")
+    if starter.blind:
+        console.print(f"Not found: {', '.join(starter.blind)}. identify needs them; diagnose works without, less well.")
     if page:
         from bayes_aero.studies.starter_page import write_starter_page
 

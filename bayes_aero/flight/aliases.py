@@ -6,7 +6,7 @@ import re
 
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 
-__all__ = ["ALIASES", "UNITS", "plain_heading", "split_heading"]
+__all__ = ["ALIASES", "UNITS", "plain_heading", "split_heading", "symbol_of"]
 
 _NAMES: dict[str, str] = {
     "time": "t time sec seconds elapsed elapsedtime timestamp tsec gpstime reltime",
@@ -20,9 +20,12 @@ _NAMES: dict[str, str] = {
     "phi": "phi roll bank rollangle bankangle rollattitude rollatt bankatt",
     "theta": "theta the pitch pitchangle pitchattitude pitchatt tht",
     "psi": "psi heading hdg yaw yawangle trueheading headingtrue",
-    "ax": "ax nx nxb axcg accx accelx axb axbody longacc longitudinalacceleration acclong nxcg",
-    "ay": "ay ny nyb aycg accy accely ayb aybody latacc lateralacceleration acclat nycg",
-    "az": "az nz nzb azcg accz accelz azb azbody normalacceleration loadfactor vertacc nzcg normacc accnorm",
+    "ax": "ax nx nxb axcg accx accelx axb axbody longacc longitudinalacceleration acclong nxcg "
+    "longloadfactor longitudinalloadfactor",
+    "ay": "ay ny nyb aycg accy accely ayb aybody latacc lateralacceleration acclat nycg "
+    "latloadfactor lateralloadfactor",
+    "az": "az nz nzb azcg accz accelz azb azbody normalacceleration loadfactor vertacc nzcg normacc accnorm "
+    "normalloadfactor normloadfactor vertloadfactor verticalloadfactor",
     "altitude": "alt altitude h hp pressurealtitude palt hbaro baroalt hqnh pressalt baroaltitude altmsl",
     "radio_altitude": "radalt ralt hradio radioaltitude radaralt",
     "elevator": "de deteu deted elevteu elevted elevator elev delv deltae elevatordeflection elevatorposition elevpos "
@@ -116,3 +119,16 @@ def split_heading(heading: str) -> tuple[str, str | None]:
                 break
     key = re.sub(r"[^a-z0-9]", "", "".join(parts))
     return key, unit or _IN_NAME.get(key)
+
+
+_SYMBOLS = frozenset(
+    "nx ny nz ax ay az tas ktas ias kias cas kcas vtas aoa aos alpha beta theta phi psi mach rho".split()  # noqa: SIM905
+)
+_WANTED = frozenset("cmd command commanded target desired demand demanded ref reference selected sel set".split())  # noqa: SIM905
+
+
+def symbol_of(heading: str) -> str | None:
+    """The symbol that a heading ends with, "nx" of "Long. Load Factor nx [g]"; none of a value that was only wanted."""
+    bracketed = _BRACKETS.match(heading.strip())
+    words = [word for word in _PARTS.split((bracketed[1] if bracketed else heading).lower()) if word]
+    return words[-1] if words and words[-1] in _SYMBOLS and not _WANTED & set(words) else None

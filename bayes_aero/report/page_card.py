@@ -14,6 +14,9 @@ from bayes_aero.report.page_plots import Line, Panel
 from bayes_aero.report.style import COLOURS, bracket
 
 MOST_PANELS = 16
+TAKEN = "recorded, with the sign and in the unit that were guessed"
+ASIS = "recorded, as it is in the file"
+WITHOUT = "identify needs them to form coefficients, diagnose then works from trajectories alone"
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,15 @@ class Taken:
 
 
 @dataclass(frozen=True)
+class Rest:
+    """A column that nothing was guessed for; `values` are (n,) in the file's numbers, None where it holds none."""
+
+    place: str
+    unit: str | None
+    values: np.ndarray | None
+
+
+@dataclass(frozen=True)
 class StarterView:
     """What a starter card was written from: guesses, columns that nothing was guessed for, what is left to fill in."""
 
@@ -40,9 +52,11 @@ class StarterView:
     card: str
     time: np.ndarray | None
     taken: Sequence[Taken]
-    unknown: Sequence[str]
+    unknown: Sequence[Rest]
     todo: Sequence[tuple[str, str]]
     """Key, and what the card says of it."""
+    blind: Sequence[str] = ()
+    """Accelerations that were not found."""
 
 
 def card_page(view: StarterView, source: Mapping[str, Any]) -> Page:
@@ -53,29 +67,39 @@ def card_page(view: StarterView, source: Mapping[str, Any]) -> Page:
     return Page(
         title=f"Starter card: {view.card}",
         subtitle=f"Written from the columns of {view.record}; every line is a guess to be read",
-        verdict=f"{len(used)} of {columns} columns were taken for channels; {left}.",
-        lead=_recorded(view, used),
+        verdict=f"{len(used)} of {columns} columns were taken for channels; {left}.{_blind(view.blind)}",
+        lead=_drawn(
+            view, "time-columns", "Recorded columns", TAKEN, [_panel_of(t) for t in used if t.channel != "time"]
+        ),
         sections=filled(
             section("todo", "What only you know", lambda: _todo(view.todo)),
             section("guesses", "What was guessed, and why", lambda: _guesses(view.taken)),
-            section("unknown", "Columns that nothing was guessed for", lambda: _unknown(view.unknown)),
+            section("unknown", "Columns that nothing was guessed for", lambda: _unknown(view)),
             section("provenance", "Provenance", lambda: provenance_blocks(source)),
         ),
     )
 
 
-def _recorded(view: StarterView, used: Sequence[Taken]) -> tuple[Plot, ...]:
-    """The channels over time, as far as they are as long as the time."""
+def _blind(names: Sequence[str]) -> str:
+    """What cannot be done without accelerations."""
+    if not names:
+        return ""
+    return f" {' and '.join(names)} {'were' if len(names) > 1 else 'was'} not found: {WITHOUT}."
+
+
+def _panel_of(taken: Taken) -> Panel:
+    line = Line("recorded", COLOURS["measured"], taken.sign * taken.values)
+    return Panel(f"{taken.channel} {bracket(taken.unit or 'unit?')}", (line,))
+
+
+def _drawn(view: StarterView, key: str, title: str, said: str, panels: Sequence[Panel]) -> tuple[Plot, ...]:
+    """Columns over time, as far as they are as long as the time."""
     time = view.time
     if time is None or len(time) < 2 or not np.all(np.diff(time) > 0.0):
         return ()
-    shown = [t for t in used if t.channel != "time" and len(t.values) == len(time)][:MOST_PANELS]
-    panels = [
-        Panel(f"{t.channel} {bracket(t.unit or 'unit?')}", (Line("recorded", COLOURS["measured"], t.sign * t.values),))
-        for t in shown
-    ]
-    legend = (("recorded, with the sign and in the unit that were guessed", COLOURS["measured"], "solid"),)
-    return (histories(view.record, "time-columns", time, panels, legend, "Recorded columns"),) if panels else ()
+    shown = [p for p in panels if len(p.lines[0].values) == len(time)][:MOST_PANELS]
+    legend = ((said, COLOURS["measured"], "solid"),)
+    return (histories(view.record, key, time, shown, legend, title),) if shown else ()
 
 
 def _todo(todo: Sequence[tuple[str, str]]) -> tuple[Block, ...]:
@@ -99,6 +123,14 @@ def _guesses(taken: Sequence[Taken]) -> tuple[Block, ...]:
     return (Text(said), Table("Guesses", head, rows, words=(5,))) if rows else ()
 
 
-def _unknown(unknown: Sequence[str]) -> tuple[Block, ...]:
+def _unknown(view: StarterView) -> tuple[Block, ...]:
+    if not view.unknown:
+        return ()
     said = "They stand in the card as comments; give them a name there if the model needs them."
-    return (Text(said), Points(tuple(unknown))) if unknown else ()
+    places = tuple(rest.place + (": no numbers" if rest.values is None else "") for rest in view.unknown)
+    panels = [
+        Panel(f"{rest.place} {bracket(rest.unit or 'unit?')}", (Line("recorded", COLOURS["measured"], rest.values),))
+        for rest in view.unknown
+        if rest.values is not None
+    ]
+    return (Text(said), Points(places), *_drawn(view, "time-rest", "Columns without a name", ASIS, panels))

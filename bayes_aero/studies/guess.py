@@ -12,7 +12,7 @@ from difflib import get_close_matches
 
 import numpy as np
 
-from bayes_aero.flight.aliases import ALIASES, plain_heading, split_heading
+from bayes_aero.flight.aliases import ALIASES, plain_heading, split_heading, symbol_of
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.raw import RawColumn
 from bayes_aero.physics.atmosphere import GRAVITY
@@ -87,6 +87,10 @@ def _named(column: RawColumn, loose: bool) -> Guess | None:
         close = get_close_matches(key, ALIASES, n=1, cutoff=ALIKE)
         channel = ALIASES[close[0]] if close else None
         evidence += f" resembles {close[0]!r}" if close else ""
+    symbol = symbol_of(column.label) if channel is None and loose else None
+    if symbol is not None:
+        channel, unit = ALIASES[symbol], unit or split_heading(symbol)[1]
+        evidence += f" ends with {symbol!r}"
     if channel is None:
         return None
     if column.unit:

@@ -46,10 +46,14 @@ ATTACHED = (
 )  # fmt: skip
 STALL = (
     "reattachment_hysteresis", "flow_separation", "separation_lag", "kirchhoff_lift", "separated_drag",
-    "separated_moment",
+    "separated_moment", "separated_induced_drag",
 )  # fmt: skip
+REMARKS = {
+    "separated_induced_drag": " # induced_share 0: drag of the attached lift, as published; 1: of the lift that is left"
+}
 STALLED = np.deg2rad(12.0)  # alpha beyond which the record is taken to hold a stall
 NEEDED = ("time", *REQUIRED, "elevator")
+ACCELERATIONS = ("ax", "az")
 LATERAL = ("p", "r")
 HELD = (*LATERAL, "density", "thrust")  # may be stated as constants
 LEVEL = {"phi": "deg", "beta": "deg", "ay": "m/s^2"}  # the flight path's, zero where wings stay level; in this unit
@@ -65,6 +69,11 @@ class Starter:
     todo: list[tuple[str, str]]
     found: dict[str, Guess]
     unknown: list[RawColumn]
+
+    @property
+    def blind(self) -> tuple[str, ...]:
+        """Accelerations that were not found: coefficients cannot be formed without them."""
+        return tuple(n for n in ACCELERATIONS if n not in self.found or self.doubt(n))
 
     def doubt(self, name: str) -> str:
         """Why a guess was not taken; empty where it was."""
@@ -168,7 +177,7 @@ def _range(values: np.ndarray) -> str:
 def _absent(name: str, place: str) -> Iterator[str]:
     standard = STANDARD_CHANNELS.get(name)
     what, unit = (standard.description, standard.unit) if standard else ("total net thrust", "N")
-    if name in ("ax", "az"):
+    if name in ACCELERATIONS:
         yield _comment(
             f"{name} was not found: {what}. Without it diagnose works from trajectories alone, identify not:"
         )
@@ -258,14 +267,12 @@ def _model(found: Mapping[str, Guess]) -> Iterator[str]:
         yield f'  "{name}",'
     mach = "mach" in found or "mach" in _derivable(found)
     yield ("" if mach else "# ") + '  "mach_lift", # needs the Mach number'
-    for name in ATTACHED[1:]:
-        remark = " # of the attached lift, as published; a textbook's polar needs separated_induced_drag beside it"
-        yield f'  "{name}",' + (remark if name == "induced_drag" and stalled else "")
+    yield from (f'  "{name}",' for name in ATTACHED[1:])
     yield _comment(
         f"guess: alpha reaches {np.rad2deg(reached):.3g} deg, {'beyond' if stalled else 'not'} "
         f"{np.rad2deg(STALLED):.0f} deg, so {'a' if stalled else 'no'} stall is in the record:"
     )
     for name in STALL:
-        yield ("" if stalled else "# ") + f'  "{name}",'
+        yield ("" if stalled else "# ") + f'  "{name}",' + REMARKS.get(name, "")
     yield "]"
     yield ("" if stalled else "# ") + "fixed = { tau1 = 0.0 } # quasi-steady"

@@ -6,7 +6,7 @@ import hashlib
 from pathlib import Path
 
 from bayes_aero.report.page import write_page
-from bayes_aero.report.page_card import StarterView, Taken, card_page
+from bayes_aero.report.page_card import Rest, StarterView, Taken, card_page
 from bayes_aero.studies.provenance import provenance
 from bayes_aero.studies.starter import Starter
 
@@ -18,8 +18,8 @@ def write_starter_page(starter: Starter, record: Path, card: Path) -> Path:
         for name, g in starter.found.items()
     ]
     time = starter.found["time"].si if "time" in starter.found else None
-    unknown = [column.place + ("" if column.values is not None else ": no numbers") for column in starter.unknown]
-    view = StarterView(record.name, card.name, time, taken, unknown, starter.todo)
+    unknown = [Rest(c.place, c.unit, c.values) for c in starter.unknown]
+    view = StarterView(record.name, card.name, time, taken, unknown, starter.todo, starter.blind)
     source = provenance(None, [], None, {})
     source["inputs"] = [
         {"name": record.stem, "source": record.name, "sha256": hashlib.sha256(record.read_bytes()).hexdigest()}

@@ -224,3 +224,30 @@ def test_newtons_and_pounds_of_thrust_are_not_guessed_apart(program, foreign, tm
     done = program("check", "large.csv", "--model", "mine.toml")
     assert done.code == 2
     assert "thrust unit is still TODO" in done.err
+
+
+def test_accelerations_are_found_by_their_symbol_and_missed_aloud(program, foreign, tmp_path):
+    table = pd.read_csv(foreign[0])
+    named = table.rename(columns={"nx": "Long. Load Factor nx [g]", "nz": "Body axis nz [g]"})
+    named.to_csv("named.csv", index=False)
+    done = program("card", "named.csv", "--out", "named.toml")
+    assert "Not found" not in done.out + done.err
+    channels = tomllib.loads((tmp_path / "named.toml").read_text())["channels"]
+    assert (channels["ax"]["label"], channels["az"]["label"]) == ("Long. Load Factor nx [g]", "Body axis nz [g]")
+    assert channels["az"]["sign"] == -1
+    table.rename(columns={"nx": "S1", "nz": "S2"}).to_csv("blind.csv", index=False)
+    done = program("card", "blind.csv", "--out", "blind.toml", "--page")
+    assert "Not found: ax, az" in done.out + done.err
+    html = (tmp_path / "blind.toml.report.html").read_text().replace("<wbr>", "")
+    assert "ax and az were not found" in html.split("<h2")[0]
+    rest = html.split("Columns that nothing was guessed for")[-1]
+    assert all(f"&#39;{name}&#39;" in rest for name in ("S1", "S2", "Xyzzy"))
+    assert "Columns without a name" in rest
+
+
+def test_the_drag_form_of_a_stall_is_left_open(program, foreign, tmp_path):
+    """Published and textbook drag of a stall differ by one share; a card that fixed it would be called wrong."""
+    assert program("card", foreign[0], "--out", "mine.toml").code == 0
+    model = tomllib.loads((tmp_path / "mine.toml").read_text())["model"]
+    assert "separated_induced_drag" in model["effects"]
+    assert "induced_share" not in model["fixed"]

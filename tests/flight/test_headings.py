@@ -2,7 +2,7 @@
 
 import pytest
 
-from bayes_aero.flight.aliases import ALIASES, plain_heading, split_heading
+from bayes_aero.flight.aliases import ALIASES, plain_heading, split_heading, symbol_of
 
 
 @pytest.mark.parametrize(
@@ -23,3 +23,19 @@ def test_words_beside_the_name_are_no_part_of_it(heading, channel, unit):
 @pytest.mark.parametrize("heading", ["gyro", "up [g]", "sensor"])
 def test_a_heading_of_such_words_alone_stays(heading):
     assert plain_heading(heading) == heading
+
+
+@pytest.mark.parametrize(
+    ("heading", "symbol"),
+    [
+        ("Long. Load Factor nx [g]", "nx"),
+        ("Boom No. 2 AoA (deg)", "aoa"),
+        ("ADC1_TAS", "tas"),
+        ("Commanded theta [deg]", None),
+        ("alpha limit [deg]", None),
+        ("", None),
+    ],
+)
+def test_a_symbol_at_the_end_names_the_channel(heading, symbol):
+    assert symbol_of(heading) == symbol
+    assert symbol is None or symbol in ALIASES
