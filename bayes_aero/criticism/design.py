@@ -24,7 +24,7 @@ from bayes_aero.criticism.state import State, linearised
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.model.flights import Flights
-from bayes_aero.model.manoeuvres import fly_standard
+from bayes_aero.model.manoeuvres import MOVED, fly_standard
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks
 from bayes_aero.physics.coefficients import NAMES
@@ -112,7 +112,9 @@ def standard(state: State, effects: Sequence[str], *, amplitude: float = 1.0) ->
     dt = float(np.median(np.asarray(flights.channels["dt"])))
     aircraft = small.actual_aircraft(values, flights.aircraft)
     flown, refused = fly_standard(small, values, aircraft, **start, dt=dt, amplitude=amplitude)
-    recorded = {name: _recorded(flights, channels, dt) for name, channels in flown.items()}
+    unseen = {name: MOVED[name] for name in flown if name in MOVED and MOVED[name] not in flights.recorded}
+    refused |= {name: f"{channel} was not recorded" for name, channel in unseen.items()}
+    recorded = {name: _recorded(flights, channels, dt) for name, channels in flown.items() if name not in unseen}
     return Standard(small, theta, recorded, refused)
 
 
@@ -149,10 +151,10 @@ def _words(names: Sequence[str], found: Sequence[Separation]) -> str:
     listed = ", ".join(names)
     if not found:
         return f"none of the standard manoeuvres could be flown from this state, so nothing can be said of {listed}"
-    best = found[0]
+    best, called = found[0], found[0].manoeuvre.replace("_", " ")
     if best.weakest >= ENOUGH:
-        return f"{best.manoeuvre} would separate {listed}: they differ by {best.weakest:.1f} standard deviations"
-    return f"no standard manoeuvre separates {listed}; the best, {best.manoeuvre}, gives {best.weakest:.1f} deviations"
+        return f"{called} would separate {listed}: they differ by {best.weakest:.1f} standard deviations"
+    return f"no standard manoeuvre separates {listed}; the best, {called}, gives {best.weakest:.1f} deviations"
 
 
 def _candidate(state: State, name: str) -> Effect:

@@ -27,6 +27,7 @@ RUN_IN = 5.0  # s flown before the record begins
 TIGHT, LOOSE = (0.7, 0.2, 0.15), (0.05, 0.0, 0.0)  # elevator gains on alpha, q and the integral of alpha
 STALL_BEYOND, STALL_RISE = np.deg2rad(2.0), np.deg2rad(8.0)  # beyond alpha*, or beyond trim without separation
 ENVELOPE = {"alpha": (-0.1, 0.45), "airspeed": (45.0, 250.0)}  # rad, m/s: outside, the manoeuvre is refused
+MOVED = {"stabilizer_steps": "stabilizer", "sideslip": "beta", "bank_to_bank": "phi"}  # beside elevator and thrust
 GRID = np.deg2rad(np.linspace(-4.0, 20.0, 97))  # alpha tried for trim
 
 Series = Float[np.ndarray, " n"]

@@ -126,12 +126,13 @@ def flown_page(d: Diagnosis, flown: Trajectories | None, said: Sequence[str], to
 
 def _causes(d: Diagnosis, rankings: Sequence[Ranking], gallery: Gallery) -> tuple[Block, ...]:
     blocks: list[Block] = []
+    shared = any(c.ambiguous_with for c in d.causes)
     if d.causes:
         blocks += [
             Text(
                 "Each cause is one effect of the catalogue that the card's model lacks. Sizes are estimates with one "
-                "standard "
-                "deviation; the probability is that the effect is in the model at all."
+                "standard deviation; the probability is that the effect is in the model at all"
+                + (", and where another explains as much (last column) the two share it." if shared else ".")
             ),
             causes(d),
         ]

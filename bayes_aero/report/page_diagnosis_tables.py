@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from bayes_aero.criticism.design import ENOUGH
 from bayes_aero.criticism.finding import Cause, Diagnosis
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.comparison import decimals
@@ -77,7 +78,7 @@ def separating(found: Sequence[Mapping[str, Any]]) -> list[Block]:
                 f"Manoeuvres that would separate {several(one['effects'])}",
                 ("manoeuvre", "separation [deviations]"),
                 rows,
-                note=f"Two deviations or more would settle it. "
+                note=f"{ENOUGH:.0f} deviations or more would settle it. "
                 f"{str(one['status'])[:1].upper()}{str(one['status'])[1:]}.",
             )
         ]

@@ -198,7 +198,7 @@ def histories(
     """One manoeuvre's panels; `what` begins the words that describe them."""
     labels = several(panel.label for panel in panels)
     thinned = (
-        f" Drawn from {len(time)} samples, thinned so that every peak stays (least and largest value of each stretch)."
+        f"Drawn from {len(time)} samples, thinned so that every peak stays (least and largest value of each stretch)."
         if len(time) > MOST
         else ""
     )
@@ -211,8 +211,7 @@ def histories(
         item=linked(time - time[0], panels, key),
         legend=legend,
         alt=f"{what} of {name} over {time[-1] - time[0]:.0f} s: {labels}. Measured: {spans}.",
-        caption="Drag across to zoom (all panels follow), Ctrl and wheel to zoom, ↺ to reset; point at a curve for "
-        "values." + thinned,
+        caption=thinned,
         title=name,
     )
 

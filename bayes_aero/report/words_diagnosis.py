@@ -243,6 +243,8 @@ def causes_frame(view: View) -> pd.DataFrame:
                 "ambiguous_with": " ".join(cause.ambiguous_with),
                 "elpd": cause.gain.elpd,
                 "elpd_se": cause.gain.elpd_se,
+                "taken_out_elpd": -cause.missed[0],
+                "taken_out_elpd_se": cause.missed[1],
             }
             for coefficient in cause.gain.before:
                 for when, scores in (("before", cause.gain.before), ("after", cause.gain.after)):
@@ -250,7 +252,7 @@ def causes_frame(view: View) -> pd.DataFrame:
                     row[f"{coefficient}_rmse_{when}"] = scores[coefficient].rmse
             rows.append(row)
     columns = ["order", "cause", "kind", "stage", "parameter", "mean", "sd", "ci95_low", "ci95_high", "unit"]
-    columns += ["probability", "p_value", "ambiguous_with", "elpd", "elpd_se"]
+    columns += ["probability", "p_value", "ambiguous_with", "elpd", "elpd_se", "taken_out_elpd", "taken_out_elpd_se"]
     frame = pd.DataFrame(rows) if rows else pd.DataFrame(columns=columns)
     return frame.set_index("order")
 

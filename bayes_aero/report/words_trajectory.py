@@ -14,6 +14,7 @@ from bayes_aero.inference.output_error import OutputErrorStatus
 from bayes_aero.report.style import for_people, several
 
 MODELS = ("card", "extended")
+STOPPED = "stopped before the optimum, so that its errors may be larger than they need be"
 TAIL = 6  # characters of a manoeuvre's name
 SYMBOLS = {"airspeed": "V", "alpha": "α", "theta": "θ", "altitude": "h"}
 
@@ -116,7 +117,9 @@ def trajectory_sentences(flown: Trajectories) -> list[str]:
 
 
 def _status(who: str, fit: Estimates) -> list[str]:
+    """How the fit of one model ended, where it did not converge: what that does to the errors beside it."""
     if fit.status is OutputErrorStatus.CONVERGED:
         return []
     names = f" ({several(fit.at_bound)})" if fit.at_bound else ""
-    return [f"{who}, fitted to the trajectories: {fit.status.value}{names}."]
+    said = STOPPED if fit.status is OutputErrorStatus.NOT_CONVERGED else fit.status.value
+    return [f"{who}, fitted to the trajectories: {said}{names}."]

@@ -47,7 +47,7 @@ def test_pitch_rate_and_alpha_dot_part_where_the_flight_path_bends(rates):
     assert abs(by_name["elevator_doublet"].correlation[pair]) > 0.8
     assert abs(by_name["bank_to_bank"].correlation[pair]) < 0.7  # a turn has pitch rate at constant alpha
     assert rates.manoeuvres[0].weakest == max(m.weakest for m in rates.manoeuvres)
-    assert rates.manoeuvres[0].manoeuvre in rates.status
+    assert rates.manoeuvres[0].manoeuvre.replace("_", " ") in rates.status
 
 
 def test_thrust_and_mass_part_only_when_thrust_moves(state):
@@ -81,6 +81,16 @@ def test_a_larger_effect_is_told_apart_in_proportion(state, rates):
 def test_sideslip_needs_a_sideslip(state):
     found = separating(state, ("sideslip_drag", "mach_drag"))
     assert max(found.manoeuvres, key=lambda m: m.deviations["sideslip_drag", "mach_drag"]).manoeuvre == "sideslip"
+
+
+def test_no_manoeuvre_is_proposed_whose_input_is_not_recorded(state):
+    flights = state.responses.flights
+    blind = replace(flights, channels={n: x for n, x in flights.channels.items() if n not in ("stabilizer", "beta")})
+    flown = standard(replace(state, responses=replace(state.responses, flights=blind)), ("thrust_scale", "mass_scale"))
+    assert flown.refused["stabilizer_steps"] == "stabilizer was not recorded"
+    assert flown.refused["sideslip"] == "beta was not recorded"
+    assert {"bank_to_bank", "thrust_steps"} <= set(flown.flown)
+    assert not {"stabilizer_steps", "sideslip"} & set(flown.flown)
 
 
 def test_trim_is_level_flight(state):
