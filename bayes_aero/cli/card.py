@@ -17,7 +17,7 @@ def card(
     out: Annotated[
         Path | None, typer.Option(help="File to write; default: the record's name with .toml, here.")
     ] = None,
-    page: Annotated[bool, typer.Option("--page", help="Write CARD.report.html, too.")] = False,
+    page: Annotated[bool, typer.Option("--page/--no-page", help="Write CARD.report.html, too.")] = True,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a card that is there.")] = False,
 ) -> None:
     """Write a commented starter card for a new aircraft from a record's columns.

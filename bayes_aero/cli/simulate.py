@@ -30,7 +30,7 @@ def simulate(
     airspeed: Annotated[float | None, typer.Option(help="At the start, m/s; default: level flight at 6 deg.")] = None,
     altitude: Annotated[float, typer.Option(help="At the start, m.")] = 5200.0,
     model: ModelOption = "attas",
-    page: Annotated[bool, typer.Option("--page", help="Write FILE.report.html, too.")] = False,
+    page: Annotated[bool, typer.Option("--page/--no-page", help="Write FILE.report.html, too.")] = True,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")] = False,
     json: JsonOption = False,
 ) -> None:

@@ -6,7 +6,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bayes_aero.report.page import Block, Facts, Fold, Page, Section, Table, filled, section
+from bayes_aero.report.figures_effects import needed
+from bayes_aero.report.page import Block, Facts, Fold, Page, Picture, Section, Table, filled, section
 from bayes_aero.report.page_parts import plain_unit, provenance_blocks
 from bayes_aero.report.style import bracket, several
 from bayes_aero.report.words_effects import facts, shown, worked
@@ -14,7 +15,12 @@ from bayes_aero.report.words_effects import facts, shown, worked
 Described = Mapping[str, Any]
 
 
-def effects_page(found: Sequence[Described], source: Mapping[str, Any], aircraft: str | None = None) -> Page:
+def effects_page(
+    found: Sequence[Described],
+    source: Mapping[str, Any],
+    aircraft: str | None = None,
+    pictures: Sequence[Picture] = (),
+) -> Page:
     """The page; `found` are effects as the catalogue describes them, `aircraft` the title of the card, if any."""
     if len(found) == 1:
         title, verdict = f"Effect: {found[0]['name']}", found[0]["claim"]
@@ -28,8 +34,17 @@ def effects_page(found: Sequence[Described], source: Mapping[str, Any], aircraft
         subtitle="What a model of the aircraft, its sensors and its air can be made of"
         + (f"; card: {aircraft}" if aircraft else ""),
         verdict=verdict,
-        lead=(),
+        lead=tuple(pictures),
         sections=filled(*parts, section("provenance", "Provenance", lambda: provenance_blocks(source))),
+    )
+
+
+def picture_words(found: Sequence[Described]) -> tuple[str, str]:
+    """Caption and alternative text of the picture of channels."""
+    told = several(f"{channel} by {kinds.total()}" for channel, kinds in needed(found).items())
+    return (
+        "What each recorded channel is good for. Time, and what forms CL, CD and Cm from a record, is needed by all.",
+        f"Bars: effects that need each channel, by kind of effect. Needed are {told}.",
     )
 
 

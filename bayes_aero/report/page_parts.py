@@ -28,6 +28,7 @@ def number(value: float, digits: int = 3) -> str:
     """Significant digits without an exponent where people read numbers; a dash where there is none."""
     if not np.isfinite(value):
         return "–"
+    value += 0.0  # no minus before zero
     if value != 0.0 and not 1e-4 <= abs(value) < 1e6:
         return f"{value:.{digits - 1}e}"
     return f"{value:.{digits}g}" if abs(value) < 10.0**digits else f"{value:.0f}"

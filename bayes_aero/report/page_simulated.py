@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bayes_aero.flight.card import Card
+from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.parameter import Parameter
 from bayes_aero.report.page import Page, Table, Text, filled, section
@@ -55,8 +56,14 @@ def _truth(truth: Mapping[str, Any], parameters: Sequence[Parameter]) -> Table:
 
 
 def _noise(truth: Mapping[str, Any]) -> Table:
-    rows = tuple((name, number(x)) for part in ("disturbance", "sensor_noise") for name, x in truth[part].items())
-    return Table("Noise: disturbances of the coefficients, and deviations of the sensors in SI", ("", "value"), rows)
+    rows = [(name, number(x)) for name, x in truth["disturbance"].items()]
+    units = {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
+    rows += [
+        (f"{name} {bracket(plain_unit(units.get(name, '1')))}", number(x)) for name, x in truth["sensor_noise"].items()
+    ]
+    return Table(
+        "Noise: disturbances of the coefficients, and deviations of the sensors in SI", ("", "value"), tuple(rows)
+    )
 
 
 def _meaning(parameters: Sequence[Parameter]):

@@ -22,10 +22,16 @@ def taken(channel: ChannelReport) -> tuple[str, str, str, str]:
 def card_sentences(report: CheckReport) -> list[str]:
     """What the card itself adds to the files."""
     card = report.card
-    said = [f"constant from the card: {name} = {value:g} (SI)" for name, value in card.constants.items()]
+    said = [f"constant from the card: {name} = {value:g}{_behind(name)}" for name, value in card.constants.items()]
     if card.derived:
         said.append(f"formed from the altitude, in a standard atmosphere: {', '.join(card.derived)}")
     return said + [f"sum from the card: {name} = {' + '.join(parts)}" for name, parts in card.sums.items()]
+
+
+def _behind(channel: str) -> str:
+    """The SI unit as it stands behind a number, where it is known."""
+    unit = {"thrust": "N"} | {name: c.unit for name, c in STANDARD_CHANNELS.items()}
+    return f" {unit[channel]}".removesuffix(" 1") if channel in unit else " in SI"
 
 
 def use_sentences(report: CheckReport) -> list[str]:

@@ -111,7 +111,7 @@ def fly_sentences(flown: FlownFit) -> list[str]:
     """How the fit ended, what the colour costs, what the records do not say, which first values could not fly."""
     fit = flown.fit
     bound = f" ({several(fit.at_bound)})" if fit.at_bound else ""
-    said = [f"The fit {fit.status.value}{bound}."]
+    said = [f"The fit {fit.status.value}{bound}{_off(flown)}."]
     if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
         said = [f"The fit failed: {fit.status.value}."]
     elif flown.colour_cost >= COLOURED:
@@ -127,6 +127,17 @@ def fly_sentences(flown: FlownFit) -> list[str]:
     if lost:
         said.append(f"Outside the flight envelope at the end of the fit: {several(lost)}.")
     return said
+
+
+def _off(flown: FlownFit) -> str:
+    """How far from the measurements the fit is where it converged."""
+    if flown.fit.status is not OutputErrorStatus.CONVERGED:
+        return ""
+    told = []
+    for output, (_, rms) in errors_of_all(flown).items():
+        unit, factor = for_people(flown.units[output])
+        told.append(f"{SYMBOLS.get(output, output)} {short(factor * rms)}{'' if unit == '1' else ' ' + unit}")
+    return f"; the trajectories are off by (RMS) {several(told)}"
 
 
 def _table(title: str, caption: str) -> Table:

@@ -7,15 +7,31 @@ from pathlib import Path
 from typing import Any
 
 from bayes_aero.flight.card import Card
-from bayes_aero.report.page import put_page
-from bayes_aero.report.page_effects import effects_page
+from bayes_aero.report.figures_effects import channels_needed
+from bayes_aero.report.page import Page, Picture, put_page
+from bayes_aero.report.page_effects import effects_page, picture_words
+from bayes_aero.report.page_pictures import Gallery
+from bayes_aero.report.style import save
 from bayes_aero.studies.folder import writable
 from bayes_aero.studies.provenance import provenance, write_json
 
 
 def write_effects(found: Sequence[Mapping[str, Any]], schema: str, card: Card | None, out: Path) -> str | None:
-    """Write effects.json and report.html into `out`; why the page could not be made, if so."""
+    """Write effects.json, report.html and its picture into `out`; why the page could not be made, if so."""
     writable(out)
     write_json({"schema": schema, "effects": list(found)}, out / "effects.json")
     title = None if card is None else card.title
-    return put_page(lambda: effects_page(found, provenance(card, [], None, {}), title), out)
+
+    def page() -> Page:
+        return effects_page(found, provenance(card, [], None, {}), title, _picture(found, out))
+
+    return put_page(page, out)
+
+
+def _picture(found: Sequence[Mapping[str, Any]], out: Path) -> tuple[Picture, ...]:
+    """Of a catalogue; one effect by itself has none."""
+    if len(found) == 1:
+        return ()
+    (out / "figures").mkdir(exist_ok=True)
+    drawn = save(channels_needed(found), out / "figures" / "channels.png")
+    return Gallery({"channels": drawn}, {"channels": picture_words(found)})("channels")

@@ -198,7 +198,7 @@ def test_wings_that_stayed_level_let_the_sensors_be_checked(program, tmp_path, r
 
 def test_guesses_are_told_on_a_page(program, foreign, tmp_path):
     path, _ = foreign
-    done = program("card", path, "--out", "mine.toml", "--page")
+    done = program("card", path, "--out", "mine.toml")
     assert done.code == 0, done.err
     html = (tmp_path / "mine.toml.report.html").read_text().replace("<wbr>", "")
     table = tomllib.loads((tmp_path / "mine.toml").read_text())
@@ -236,7 +236,7 @@ def test_accelerations_are_found_by_their_symbol_and_missed_aloud(program, forei
     assert (channels["ax"]["label"], channels["az"]["label"]) == ("Long. Load Factor nx [g]", "Body axis nz [g]")
     assert channels["az"]["sign"] == -1
     table.rename(columns={"nx": "S1", "nz": "S2"}).to_csv("blind.csv", index=False)
-    done = program("card", "blind.csv", "--out", "blind.toml", "--page")
+    done = program("card", "blind.csv", "--out", "blind.toml")
     assert "Not found: ax, az" in done.out + done.err
     html = (tmp_path / "blind.toml.report.html").read_text().replace("<wbr>", "")
     assert "ax and az were not found" in html.split("<h2")[0]

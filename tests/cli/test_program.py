@@ -94,6 +94,10 @@ def test_the_catalogue_is_a_page_too(program, tmp_path):
     assert "Klein and Morelli" in html
     assert html.count("in the card&#39;s model</td>") == len(read_card("attas").effects)
     assert "was not made" not in html
+    needing = sum("thrust" in effect.channels for effect in CATALOGUE.values())
+    alt = html.split('alt="')[1].split('"')[0]
+    assert f"thrust by {needing}" in alt
+    assert (tmp_path / "all" / "figures" / "channels.png").stat().st_size > 5000
     assert program("effects", "pitch_rate_bias", "--out", "one", "--json").code == 0
     one = (tmp_path / "one" / "report.html").read_text()
     assert "Effect: pitch_rate_bias" in one.replace("<wbr>", "")

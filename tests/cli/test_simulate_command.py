@@ -94,9 +94,9 @@ def test_a_file_that_is_there_is_kept(program, tmp_path):
 
 def test_a_page_shows_the_record_and_its_truth(program, tmp_path):
     arguments = ["--manoeuvre", "slow_stall", "--duration", "20", "--effect", "thrust_lag=1", "--out", "a.csv"]
-    assert program("simulate", *arguments).code == 0
+    assert program("simulate", *arguments, "--no-page").code == 0
     assert not (tmp_path / "a.csv.report.html").exists()
-    assert program("simulate", *arguments, "--page", "--force").code == 0
+    assert program("simulate", *arguments, "--force").code == 0
     html = (tmp_path / "a.csv.report.html").read_text()
     assert "hidden in it: thrust_lag" in html
     assert "was not made" not in html

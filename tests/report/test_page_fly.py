@@ -181,4 +181,4 @@ def test_a_page_that_fails_is_a_note_and_costs_no_number(tmp_path, monkeypatch):
     monkeypatch.undo()
     monkeypatch.setattr(job, "fit_flown", lambda *_, **__: flown)
     assert job.fly(records(), CARD, out=tmp_path, figures=False).notes == ()
-    assert "The fit converged." in (tmp_path / "report.html").read_text()
+    assert "The fit converged;" in (tmp_path / "report.html").read_text()
