@@ -8,9 +8,9 @@ from browsing import can_be_read_by_everyone, fits_a_phone, has_a_unit_on_every_
 
 from bayes_aero.flight.card import read_card
 from bayes_aero.report.page import write_page
-from bayes_aero.report.page_card import StarterView, Taken, card_page
-from bayes_aero.report.page_effects import effects_page
+from bayes_aero.report.page_card import Rest, StarterView, Taken, card_page
 from bayes_aero.studies.catalogue import described, known_effects
+from bayes_aero.studies.catalogue_page import write_effects
 from bayes_aero.studies.provenance import provenance
 
 pytestmark = needed
@@ -20,8 +20,9 @@ pytestmark = needed
 def catalogue(tmp_path_factory):
     card = read_card("attas")
     found = [described(effect, card) for effect in known_effects(card).values()]
-    page = effects_page(found, provenance(card, [], None, {}), card.title)
-    return write_page(page, tmp_path_factory.mktemp("catalogue") / "report.html")
+    out = tmp_path_factory.mktemp("catalogue")
+    assert write_effects(found, "effects", card, out) is None
+    return out / "report.html"
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +34,7 @@ def starter(tmp_path_factory):
         Taken("az", "'A_COLUMN_WITH_A_LONG_NAME_<i>'", "g", -1, "its median is 0.999", 1.0 + 0.1 * np.sin(time)),
         Taken("thrust", "'FN'", None, 1, "the heading; " * 9, 900.0 + time, "1 to 9 N is beyond any flight"),
     ]
-    view = StarterView("N1.csv", "N1.toml", time, taken, ["'XYZZY'"], [("mass", "of the flight")])
+    view = StarterView("N1.csv", "N1.toml", time, taken, [Rest("'XYZZY'", None, time)], [("mass", "of the flight")])
     return write_page(card_page(view, provenance(None, [], None, {})), tmp_path_factory.mktemp("card") / "report.html")
 
 
@@ -47,4 +48,4 @@ def test_it_is_legible_everywhere_and_calls_nobody(request, browser, name):
     fits_a_phone(phone)
     if name == "starter":
         has_a_unit_on_every_axis(page)
-        assert page.locator("[data-plot]").count() == 1
+        assert page.locator("[data-plot]").count() == 2
