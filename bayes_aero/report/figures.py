@@ -95,6 +95,7 @@ def draw_all(
         if progress:
             progress(f"figure {stem}", number / len(figures))
         try:
+            (folder / f"{stem}.png").unlink(missing_ok=True)  # of an earlier run
             written.append(save(draw(shown), folder / f"{stem}.png"))
         except NotDrawn:
             continue

@@ -33,7 +33,7 @@ from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import observe
-from bayes_aero.report.figures import write_figures
+from bayes_aero.report.figures import FIGURES, write_figures
 from bayes_aero.report.page import put_page
 from bayes_aero.report.page_identification import identification_page
 from bayes_aero.report.style import MOST_MANOEUVRES
@@ -160,6 +160,7 @@ def identify(
             writer.stage(run)
     if chains is not None:
         shutil.rmtree(chains, ignore_errors=True)
+    writer.remove_older(run, page=page, figures=figures)
     return run
 
 
@@ -230,6 +231,20 @@ class _Writer:
             write_csv(validation_table(run), self.out / "validation.csv")
             write_csv(paper_table(run), self.out / "table1.csv")
         write_json(results(run, verdict(run), self.source, self.flown), self.out / "results.json")
+
+    def remove_older(self, run: Identification, *, page: bool, figures: bool) -> None:
+        """Take away what an earlier run has left in the folder and this one, now complete, has no successor for."""
+        if self.out is None:
+            return
+        older = {self.out / f"posterior_{key}.nc" for key in ("emcee", "nuts", "white") if key not in run.posteriors}
+        if run.gp is None:
+            older |= {self.out / name for name in ("gpr.nc", "validation.csv", "table1.csv")}
+        if not page:
+            older.add(self.out / "report.html")
+        if not figures:
+            older |= {self.out / "figures" / f"{stem}.png" for stem in FIGURES}
+        for path in older:
+            path.unlink(missing_ok=True)
 
 
 def save_gp(run: Identification, path: Path) -> None:

@@ -183,3 +183,18 @@ def test_a_ctrl_c_that_a_library_drops_is_raised_again():
             callback()
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def test_nothing_of_an_earlier_run_stands_beside_a_later_one(program, flights, tmp_path):
+    """A posterior of other settings beside new estimates would be read as theirs; the user's own files stay."""
+    out = tmp_path / "id"
+    (out / "figures").mkdir(parents=True)
+    older = [out / name for name in ("posterior_nuts.nc", "gpr.nc", "validation.csv", "figures/forest.png")]
+    mine = [out / name for name in ("posterior_mine.nc", "notes.txt", "figures/mine.png")]
+    for path in (*older, *mine):
+        path.write_text("of another day")
+    done = program("identify", flights.sound, "--no-sample", "--no-gp", "--no-figures", "--out", "id")
+    assert done.code == 0, done.err
+    assert not any(path.exists() for path in older)
+    assert all(path.read_text() == "of another day" for path in mine)
+    assert (out / "report.html").exists()
