@@ -151,11 +151,15 @@ def _inside(state: Mapping[str, np.ndarray], kept: slice, request: Request) -> N
 
 
 def _notes(request: Request, known: Mapping[str, Effect], true: Mapping[str, np.ndarray]) -> tuple[str, ...]:
-    """Effects whose signals do not move, so that the record cannot show them."""
+    """Effects whose signals do not move, so that the record cannot show them, and sizes that no aircraft has."""
     notes = []
     for name in request.effects:
         channels = [] if known[name].stage is Stage.CHANNEL else known[name].channels
         still = [c for c in channels if c in true and np.ptp(true[c]) <= 1e-12]
         if still:
             notes.append(f"effect {name} acts through {', '.join(still)}: at rest in this manoeuvre, so it cannot show")
+        for p in known[name].parameters:
+            most = known[name].sizes.get(p.name, (0.0, float("inf")))[1]
+            if abs(request.effects[name].get(p.name, p.neutral) - p.neutral) > most:
+                notes.append(f"{p.name} is beyond {most:g}, the largest plausible departure from {p.neutral:g}")
     return tuple(notes)

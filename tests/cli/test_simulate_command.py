@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.readers import read_record
 from bayes_aero.model.manoeuvres import commands
 from bayes_aero.studies import request
@@ -107,3 +108,14 @@ def test_a_folder_that_is_not_there_is_named(program):
     assert done.code == 2
     assert "there is no folder nowhere" in done.err
     assert "Errno" not in done.err
+
+
+def test_a_size_beyond_the_plausible_is_told(program):
+    """Bounds are wider than what is plausible, so it is flown, but not without a word."""
+    effect = CATALOGUE["pitch_rate_bias"]
+    most = effect.sizes["pitch_rate_bias"][1]
+    arguments = ["--manoeuvre", "slow_stall", "--duration", "20", "--no-page", "--force", "--out", "a.csv"]
+    for size, told in ((0.9 * most, False), (-1.1 * most, True)):
+        done = program("simulate", "--effect", f"pitch_rate_bias={size}", *arguments)
+        assert done.code == 0, done.err
+        assert ("largest plausible departure" in " ".join((done.out + done.err).split())) == told
