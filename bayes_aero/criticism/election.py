@@ -68,14 +68,10 @@ class Projected:
         self.wanted = np.unique(np.concatenate(blocks))
         self.place = [np.searchsorted(self.wanted, block) for block in blocks]
         S, base, weight = state.scaled, fit.columns, 1.0 / fit.variance
-        A, B = S[:, :, self.wanted], S[:, :, base]
+        self.inside = state.inside
+        A, B = (np.where(self.inside[:, None, None], S[:, :, own], 0.0) for own in (self.wanted, base))
         cross = np.einsum("mcb,c,mcj->bj", B, weight, A, optimize=True)
         self.P = A - np.einsum("mcb,bj->mcj", B, inverse(fit.normal) @ cross, optimize=True)
-        inside = np.zeros(len(A), bool)
-        for fold in state.folds:
-            inside[fold] = True
-        self.P[~inside] = 0.0
-        self.inside = inside
         self.information = np.einsum("mci,c,mcj->ij", self.P, weight, self.P, optimize=True)
         self.bread = [inverse(self.information[np.ix_(place, place)]) for place in self.place]
         self.weight = weight
@@ -288,7 +284,7 @@ def between_stretches(state: State, fit: Fit) -> Float[np.ndarray, "k k"]:
     """Covariance of the active columns' estimates from how far the stretches disagree (see `Projected.between`)."""
     stretch = state.responses.stretch
     assert stretch is not None
-    left = state.left(fit)
+    left = np.where(state.inside[:, None], state.left(fit), 0.0)
     rows = np.einsum("mci,c,mc->mi", state.scaled[:, :, fit.columns], 1.0 / fit.variance, left, optimize=True)
     bread = inverse(fit.normal)
     return bread @ disagreement(rows, stretch) @ bread

@@ -8,7 +8,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from bayes_aero.criticism.candidates import Field
 from bayes_aero.criticism.colour import ORDER, colour_of
@@ -68,6 +68,14 @@ class State:
     temper: float = 1.0  # what the colour costs: priors count so many times against the white likelihood
     components: tuple[Component, ...] = ()  # they stand for election in place of effects
     chosen: tuple[Component, ...] = ()  # components that are in
+
+    @cached_property
+    def inside(self) -> Bool[np.ndarray, " m"]:
+        """Blocks that belong to a fold: neither products nor fits have seen the others."""
+        found = np.zeros(len(self.S), bool)
+        for fold in self.folds:
+            found[fold] = True
+        return found
 
     @property
     def offsets(self) -> Int[np.ndarray, " o"]:
