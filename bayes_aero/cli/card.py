@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from bayes_aero.cli.terminal import teller
+from bayes_aero.cli.terminal import JsonOption, loading, print_json, teller
 from bayes_aero.errors import InputError
 
 
@@ -19,6 +19,7 @@ def card(
     ] = None,
     page: Annotated[bool, typer.Option("--page/--no-page", help="Write CARD.report.html, too.")] = True,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a card that is there.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Write a commented starter card for a new aircraft from a record's columns.
 
@@ -30,7 +31,8 @@ def card(
     target = out or Path(f"{record.stem}.toml")
     if target.exists() and not force:
         raise InputError(f"{target} exists; give --force to overwrite it, or another name with --out")
-    from bayes_aero.studies.starter import starter_card
+    with loading():
+        from bayes_aero.studies.starter import starter_card
 
     starter = starter_card(record)
     partial = target.with_name(f".{target.name}.{os.getpid()}.part")
@@ -41,14 +43,20 @@ def card(
         raise InputError(f"{target} cannot be written ({reason.strerror}); give another name with --out") from None
     finally:
         partial.unlink(missing_ok=True)
+    report = None
+    if page:
+        from bayes_aero.studies.starter_page import write_starter_page
+
+        report = write_starter_page(starter, record, target)
+    if json:
+        print_json(starter.told | {"card": str(target), "report": None if report is None else str(report)})
+        return
     console = teller()
     console.print(f"The card is in {target}. Read its guesses.", soft_wrap=True)
     if starter.todo:
         console.print(f"To be filled in ({len(starter.todo)}): {', '.join(name for name, _ in starter.todo)}.")
     if starter.blind:
         console.print(f"Not found: {', '.join(starter.blind)}. identify needs them; diagnose works without, less well.")
-    if page:
-        from bayes_aero.studies.starter_page import write_starter_page
-
-        console.print(f"The report is in {write_starter_page(starter, record, target)}", soft_wrap=True)
+    if report is not None:
+        console.print(f"The report is in {report}", soft_wrap=True)
     console.print(f"Then: bayes-aero check {record} --model {target}", soft_wrap=True)

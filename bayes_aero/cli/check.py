@@ -18,6 +18,7 @@ from bayes_aero.cli.terminal import (
     SeedOption,
     bar,
     interruptible,
+    loading,
     print_json,
     teller,
 )
@@ -44,8 +45,9 @@ def check(
 
     Example: bayes-aero check qst01.asc qst02.asc --model attas
     """
-    from bayes_aero.flight.card import read_card
-    from bayes_aero.studies.check import check_records, check_results, write_check
+    with loading():
+        from bayes_aero.flight.card import read_card
+        from bayes_aero.studies.check import check_records, check_results, write_check
 
     card, failure = read_card(model), None
     with interruptible(lambda: "nothing was written; give the same command again"), bar("reading") as tell:
@@ -63,7 +65,7 @@ def check(
 
 
 def _tell(console: Console, report: CheckReport) -> None:
-    from bayes_aero.report.words_check import card_sentences, left_over, sensor_verdict, sizes, use_sentences
+    from bayes_aero.report.words_check import card_sentences, headline, left_over, sensor_verdict, sizes, use_sentences
 
     for record in report.records:
         _tell_record(console, record)
@@ -76,8 +78,8 @@ def _tell(console: Console, report: CheckReport) -> None:
         console.print(f"  {left_over(report)}")
     for caution in report.cautions:
         console.print(f"! {caution}", style="yellow")
-    word, colour = ("Usable.", "green") if report.usable else ("Not usable as it is.", "red")
-    console.print(word, style=f"bold {colour}")
+    colour = "red" if not report.usable else "yellow" if report.cautions else "green"
+    console.print(headline(report), style=f"bold {colour}")
 
 
 def _tell_record(console: Console, r: RecordReport) -> None:

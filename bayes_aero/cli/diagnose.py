@@ -16,6 +16,7 @@ from bayes_aero.cli.terminal import (
     bar,
     interruptible,
     kept_stages,
+    loading,
     teller,
 )
 
@@ -47,10 +48,11 @@ def diagnose(
 
     Example: bayes-aero diagnose qst01.asc qst02.asc --model attas --out diagnosis
     """
-    from bayes_aero.flight.card import read_card
-    from bayes_aero.studies.diagnose import hide_one
-    from bayes_aero.studies.identify import read_records
-    from bayes_aero.studies.tasks import Flown, diagnose_records
+    with loading():
+        from bayes_aero.flight.card import read_card
+        from bayes_aero.studies.diagnose import hide_one
+        from bayes_aero.studies.identify import read_records
+        from bayes_aero.studies.tasks import Flown, diagnose_records
 
     card = read_card(model)
     console = teller(quiet=json, highlight=True)

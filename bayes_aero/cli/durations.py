@@ -21,6 +21,25 @@ from rich.text import Text
 FILE = "durations.json"
 SHORT = 2.0  # s; nobody asks how much is left of less
 MOST = 200  # stages that are remembered, the latest
+TYPICAL = {
+    "loading libraries": 4.0,
+    "mle": 10.0,
+    "flights": 4.0,
+    "emcee": 30.0,
+    "nuts": 15.0,
+    "white": 15.0,
+    "gp": 420.0,
+    "figures": 25.0,
+    "sensors": 15.0,
+    "do the sensors agree?": 12.0,
+    "coefficients": 6.0,
+    "causes": 8.0,
+    "gain on unseen data": 4.0,
+    "trajectories": 60.0,
+    "windows, then whole manoeuvres": 30.0,
+    "report": 6.0,
+}
+"""Seconds that stages take of two manoeuvres of a minute and a half on two cores; until one's own are known."""
 
 
 class Durations:
@@ -52,7 +71,7 @@ class Durations:
         `recent` are those that its last speed left when it last moved: they count until they have passed.
         """
         spent, still = self._clock() - self._began, self._clock() - self._moved
-        last = self._last.get(self._stage)
+        last = self._last.get(self._stage, TYPICAL.get(self._stage))
         if recent is not None and recent > still:
             return recent - still
         if last is not None and last > spent:

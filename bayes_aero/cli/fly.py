@@ -16,6 +16,7 @@ from bayes_aero.cli.terminal import (
     bar,
     interruptible,
     kept_stages,
+    loading,
     teller,
 )
 
@@ -38,11 +39,12 @@ def fly(
 
     Example: bayes-aero fly run1.csv run2.csv --model short_period.toml --out trajectories
     """
-    from bayes_aero.flight.card import read_card
-    from bayes_aero.report.words_fly import error_table, parameter_table
-    from bayes_aero.studies.fly import RESULTS
-    from bayes_aero.studies.fly import fly as run
-    from bayes_aero.studies.identify import read_records
+    with loading():
+        from bayes_aero.flight.card import read_card
+        from bayes_aero.report.words_fly import error_table, parameter_table
+        from bayes_aero.studies.fly import RESULTS
+        from bayes_aero.studies.fly import fly as run
+        from bayes_aero.studies.identify import read_records
 
     card = read_card(model)
     console = teller(quiet=json, highlight=True)

@@ -16,6 +16,7 @@ from bayes_aero.cli.terminal import (
     bar,
     interruptible,
     kept_stages,
+    loading,
     teller,
 )
 
@@ -49,13 +50,14 @@ def identify(
     Example: bayes-aero identify qst01.asc qst02.asc --model attas --out results
     """
     # Imported here: --help and a mistyped option need not wait for the numerical libraries.
-    from bayes_aero.flight.card import read_card
-    from bayes_aero.model.noise import Colour
-    from bayes_aero.report.tables import terminal_table
-    from bayes_aero.report.words import verdict
-    from bayes_aero.studies.demo import TRUTH, demo_records
-    from bayes_aero.studies.identify import identify as run
-    from bayes_aero.studies.identify import read_records
+    with loading():
+        from bayes_aero.flight.card import read_card
+        from bayes_aero.model.noise import Colour
+        from bayes_aero.report.tables import terminal_table
+        from bayes_aero.report.words import verdict
+        from bayes_aero.studies.demo import TRUTH, demo_records
+        from bayes_aero.studies.identify import identify as run
+        from bayes_aero.studies.identify import read_records
 
     card = read_card(model)
     console = teller(quiet=json, highlight=True)

@@ -15,7 +15,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from bayes_aero.cli.terminal import FAILED, JsonOption, bar, interruptible, print_json, teller
+from bayes_aero.cli.terminal import FAILED, JsonOption, bar, interruptible, loading, print_json, teller
 from bayes_aero.errors import InputError
 
 if TYPE_CHECKING:
@@ -59,9 +59,10 @@ def run(
     Example: bayes-aero run study.toml --out results --workers 4
     """
     _check(dry_run, verify, workers, memory, scheduler)
-    from bayes_aero.studies.batch import UNITS, StoppedError, leftovers, plan, run_study
-    from bayes_aero.studies.study import read_study
-    from bayes_aero.studies.study_report import put_report
+    with loading():
+        from bayes_aero.studies.batch import UNITS, StoppedError, leftovers, plan, run_study
+        from bayes_aero.studies.study import read_study
+        from bayes_aero.studies.study_report import put_report
 
     asked = read_study(study, trust_effects=trust_effects)
     folder = out or Path(f"{study.stem}_results")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from bayes_aero.cli.choices import Manoeuvre, SimulatedNoise
-from bayes_aero.cli.terminal import JsonOption, ModelOption, SeedOption, bar, interruptible, print_json, teller
+from bayes_aero.cli.terminal import JsonOption, ModelOption, SeedOption, bar, interruptible, loading, print_json, teller
 from bayes_aero.errors import InputError
 
 
@@ -42,11 +42,12 @@ def simulate(
     """
     if out.exists() and not force:
         raise InputError(f"{out} exists; give --force to overwrite it, or another name with --out")
-    from bayes_aero.flight.card import read_card
-    from bayes_aero.studies.catalogue import known_effects
-    from bayes_aero.studies.request import Request
-    from bayes_aero.studies.truth import simulate_file
-    from bayes_aero.studies.wanted import parsed_effects
+    with loading():
+        from bayes_aero.flight.card import read_card
+        from bayes_aero.studies.catalogue import known_effects
+        from bayes_aero.studies.request import Request
+        from bayes_aero.studies.truth import simulate_file
+        from bayes_aero.studies.wanted import parsed_effects
 
     card = read_card(model)
     known = known_effects(card)

@@ -59,6 +59,13 @@ def bar(first: str, over: float = 30.0) -> Iterator[Callable[[str, float], None]
         durations.keep()
 
 
+@contextmanager
+def loading() -> Iterator[None]:
+    """While the numerical libraries are imported, which takes seconds."""
+    with bar("loading libraries"):
+        yield
+
+
 def print_json(content: Mapping[str, Any]) -> None:
     """One JSON document on stdout; a number that does not exist (NaN, infinity) is null."""
     from bayes_aero.studies.provenance import as_json

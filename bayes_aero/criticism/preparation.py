@@ -71,6 +71,6 @@ def preparation_notes(records: Sequence[FlightRecord], card: Card, model: Model,
     return (
         "Coefficients are formed as published: measured accelerations are smoothed, the controls that the model "
         "answers to are not, and alpha-dot is the vane's. With both sides filtered alike, and the fast part of "
-        f"alpha-dot from gyro and accelerometer, {told}{more}. No interval here allows for that; `diagnose` and `fly` "
+        f"alpha-dot from gyro and accelerometer, {told}{more}. No interval here allows for that; diagnose and fly "
         "treat both sides alike.",
     )

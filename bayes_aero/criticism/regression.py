@@ -80,6 +80,7 @@ class Products:
         j, k = columns.shape
         full = np.concatenate([np.zeros((j, 1), int), columns + 1], axis=1)
         part = np.moveaxis(gram[:, full[:, :, None], full[:, None, :]], 0, 1)  # j c k+1 k+1
+        least = np.maximum(ROUNDING * part[:, :, 0, 0] / n, TINY)  # records without noise leave less than rounding does
         variance = np.maximum(part[:, :, 0, 0] / n, TINY) if held is None else np.tile(held, (j, 1))
         own, centre = precision[columns], mean[columns]
         for _ in range(ROUNDS if held is None else 1):
@@ -91,7 +92,7 @@ class Products:
             step = scale * np.linalg.solve(scaled, right[:, :, None])[:, :, 0]
             v = np.concatenate([np.ones((j, 1)), -step], axis=1)
             if held is None:
-                variance = np.maximum(np.einsum("jk,jckl,jl->jc", v, part, v, optimize=True) / n, TINY)
+                variance = np.maximum(np.einsum("jk,jckl,jl->jc", v, part, v, optimize=True) / n, least)
         deviance = n * np.log(variance).sum(axis=1) + np.sum(own * (step - centre) ** 2, axis=1)
         return step, normal, variance, deviance
 
@@ -114,6 +115,7 @@ class Products:
 
 
 TINY = 1e-300
+ROUNDING = 1e-14  # of a sum of squares, of what is left of it
 RIDGE = 1e-11  # relative to the information's unit diagonal: keeps collinear columns finite, far below any noise
 
 

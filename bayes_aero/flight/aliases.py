@@ -9,23 +9,23 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 __all__ = ["ALIASES", "UNITS", "plain_heading", "split_heading", "symbol_of"]
 
 _NAMES: dict[str, str] = {
-    "time": "t time sec seconds elapsed elapsedtime timestamp tsec gpstime reltime",
+    "time": "t time utc sec seconds elapsed elapsedtime timestamp tsec gpstime reltime",
     "alpha": "alpha aoa angleofattack alfa alphacg alcg alphavane aoatrue alphatrue incidence al",
     "beta": "beta aos sideslip angleofsideslip sideslipangle betacg becg",
-    "airspeed": "tas v vtas trueairspeed vtrue airspeed vt vtascg ktas speed va",
+    "airspeed": "tas airspeedtrue tasairspeed v vtas trueairspeed vtrue airspeed vt vtascg ktas speed va",
     "calibrated_airspeed": "ias cas vcas vias kcas kias indicatedairspeed calibratedairspeed vc vi",
-    "p": "p rollrate pb prgx omegax wx gyrox rollvel",
-    "q": "q pitchrate qb qrgy omegay wy gyroy pitchvel",
-    "r": "r yawrate rb rrgz omegaz wz gyroz yawvel",
+    "p": "p prate rollrate pb prgx omegax wx gyrox rollvel",
+    "q": "q qrate pitchrate qb qrgy omegay wy gyroy pitchvel",
+    "r": "r rrate yawrate rb rrgz omegaz wz gyroz yawvel",
     "phi": "phi roll bank rollangle bankangle rollattitude rollatt bankatt",
     "theta": "theta the pitch pitchangle pitchattitude pitchatt tht",
     "psi": "psi heading hdg yaw yawangle trueheading headingtrue",
     "ax": "ax nx nxb axcg accx accelx axb axbody longacc longitudinalacceleration acclong nxcg "
-    "longloadfactor longitudinalloadfactor",
+    "longloadfactor longitudinalloadfactor longaccel longitudinalaccel axialaccel",
     "ay": "ay ny nyb aycg accy accely ayb aybody latacc lateralacceleration acclat nycg "
-    "latloadfactor lateralloadfactor",
+    "latloadfactor lateralloadfactor lataccel lateralaccel",
     "az": "az nz nzb azcg accz accelz azb azbody normalacceleration loadfactor vertacc nzcg normacc accnorm "
-    "normalloadfactor normloadfactor vertloadfactor verticalloadfactor",
+    "normalaccel normaccel normalloadfactor normloadfactor vertloadfactor verticalloadfactor",
     "altitude": "alt altitude h hp pressurealtitude palt hbaro baroalt hqnh pressalt baroaltitude altmsl",
     "radio_altitude": "radalt ralt hradio radioaltitude radaralt",
     "elevator": "de deteu deted elevteu elevted elevator elev delv deltae elevatordeflection elevatorposition elevpos "
@@ -94,16 +94,19 @@ _PARTS = re.compile(r"[\s_.:/#-]+")
 
 
 _BESIDE = frozenset(
-    "gyro vane sensor meas measured recorded raw filt filtered up down imu ahrs ins adc probe boom".split()  # noqa: SIM905
+    "gyro vane sensor meas measured recorded raw filt filtered up down imu ahrs ins irs adc fdr eng probe boom".split()  # noqa: SIM905
 )
 """Words that say where a channel comes from or which way it counts, not what it is: "Q gyro", "NZ up"."""
 
 
 def plain_heading(heading: str) -> str:
-    """The heading without such words, unless nothing would be left."""
-    words = heading.split()
-    kept = [word for word in words if word.lower() not in _BESIDE]
-    return " ".join(kept) if kept and kept[0][:1] not in "([{<" else heading
+    """The heading without such words, unless nothing would be left: "Q [deg/s]" of "Q gyro [deg/s]"."""
+    bracketed = _BRACKETS.match(heading.strip())
+    name, unit = (bracketed[1], heading.strip()[len(bracketed[1]) :]) if bracketed else (heading.strip(), "")
+    kept = [word for word in _PARTS.split(name) if word and word.lower() not in _BESIDE]
+    return (
+        "_".join(kept) + unit if kept and any(k.lower() not in UNITS or k.lower() in ALIASES for k in kept) else heading
+    )
 
 
 def split_heading(heading: str) -> tuple[str, str | None]:
@@ -131,4 +134,6 @@ def symbol_of(heading: str) -> str | None:
     """The symbol that a heading ends with, "nx" of "Long. Load Factor nx [g]"; none of a value that was only wanted."""
     bracketed = _BRACKETS.match(heading.strip())
     words = [word for word in _PARTS.split((bracketed[1] if bracketed else heading).lower()) if word]
+    while len(words) > 1 and words[-1] in UNITS and words[-1] not in _SYMBOLS:
+        words.pop()
     return words[-1] if words and words[-1] in _SYMBOLS and not _WANTED & set(words) else None

@@ -172,7 +172,9 @@ def _draw(f: Any, time: np.ndarray, panel: Panel) -> None:
         f.line("t", f"y{i}", source=source, color=line.colour, line_dash=line.style, line_width=line.width)
         for i, line in enumerate(panel.lines)
     ]
-    tips = [("time", "@t{0.00} s"), *((line.label, f"@y{i}{{0.[0000]}}") for i, line in enumerate(panel.lines))]
+    unit = panel.label.rpartition("[")[2].rstrip("]").replace("-", "") if panel.label.endswith("]") else ""
+    values = ((line.label, f"@y{i}{{0.[0000]}} {unit}".strip()) for i, line in enumerate(panel.lines))
+    tips = [("time", "@t{0.00} s"), *values]
     f.add_tools(HoverTool(renderers=[shown[0]], mode="vline", tooltips=tips, line_policy="nearest"))
 
 

@@ -22,7 +22,8 @@ def simulated_page(
     parameters: Sequence[Parameter],
 ) -> Page:
     """The page; `truth` is what stands in the file beside the record, `parameters` are those that were flown."""
-    hidden = [f"{name} ({_values(values)})" for name, values in truth["effects"].items()]
+    units = {p.name: p.unit for p in parameters}
+    hidden = [f"{name} ({_values(values, units)})" for name, values in truth["effects"].items()]
     verdict = f"A simulated record of {record.time[-1] - record.time[0]:.0f} s; " + (
         f"hidden in it: {several(hidden)}." if hidden else "nothing is hidden in it."
     )
@@ -39,8 +40,9 @@ def simulated_page(
     )
 
 
-def _values(values: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} = {number(x)}" for name, x in values.items()) + " in SI"
+def _values(values: Mapping[str, float], units: Mapping[str, str]) -> str:
+    behind = {name: "" if unit == "1" else f" {plain_unit(unit)}" for name, unit in units.items()}
+    return ", ".join(f"{name} = {number(x)}{behind.get(name, ' in SI')}" for name, x in values.items())
 
 
 def _truth(truth: Mapping[str, Any], parameters: Sequence[Parameter]) -> Table:

@@ -77,8 +77,11 @@ def headline(report: CheckReport) -> str:
     """The verdict in a sentence."""
     if report.usable:
         able = [name for name, why in report.uses.items() if not why]
-        careful = ", with what is said below in mind" if report.cautions or report.sensors.errors else ""
-        return f"Usable for {', '.join(able)}{careful}."
+        errors = [name for name, error in report.sensors.errors.items() if not error["minor"]]
+        wrong = f"; the sensors disagree ({', '.join(errors)}), which diagnose takes into account" if errors else ""
+        if report.cautions:  # an error of a sensor would be what the card gets wrong
+            wrong = ", but first mend the card or the file, which other channels contradict (warnings)"
+        return f"Usable for {', '.join(able)}{wrong}."
     problems = [p for r in report.records for p in r.problems] or [f"{n}: {w}" for n, w in report.uses.items() if w]
     more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
     return f"Not usable as it is: {problems[0]}{more}." if problems else "Not usable as it is."

@@ -18,6 +18,7 @@ from bayes_aero.report.style import for_people, several
 from bayes_aero.report.words_signs import sign_sentences
 from bayes_aero.report.words_trajectory import trajectory_sentences
 
+FEW = 3  # causes whose sizes stand in the verdict
 SPLITS = {
     "manoeuvre": "each manoeuvre predicted from the others",
     "block": "each stretch of the manoeuvre predicted from the others",
@@ -54,7 +55,8 @@ def _verdict(d: Diagnosis) -> str:
     sure = [c for c in d.causes if c.confirmed and not _bounded(c)]
     plural = "causes explain" if len(sure) > 1 else "cause explains"
     subject = f"{len(sure)} {plural}" if sure else "Nothing that can be relied on explains"
-    names = several(f"{c.name} (or {' or '.join(c.ambiguous_with)})" if c.ambiguous_with else c.name for c in sure)
+    sized = len(sure) <= FEW
+    names = several(_named(c, sized) for c in sure)
     names = f": {names}{_doubtful(d)}" if sure else _doubtful(d)
     unknown = several(sorted({f"{u.coefficient} over {u.channel}" for u in d.unknown}))
     return {
@@ -64,6 +66,14 @@ def _verdict(d: Diagnosis) -> str:
         f"unexplained structure remains ({unknown}).",
         Verdict.UNEXPLAINED: f"The card's model is wrong and no effect of the catalogue explains it ({unknown}).",
     }[d.verdict]
+
+
+def _named(cause: Cause, sized: bool) -> str:
+    """Its name, its size if that is asked for, and its equals."""
+    sizes = ", ".join(size_text(x.mean, x.sd, x.unit) for x in cause.parameters.values()) if sized else ""
+    rivals = f"or {' or '.join(cause.ambiguous_with)}" if cause.ambiguous_with else ""
+    said = ", ".join(part for part in (sizes, rivals) if part)
+    return f"{cause.name} ({said})" if said else cause.name
 
 
 def _bounded(cause: Cause) -> list[str]:

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -74,6 +75,23 @@ class Starter:
     def blind(self) -> tuple[str, ...]:
         """Accelerations that were not found: coefficients cannot be formed without them."""
         return tuple(n for n in ACCELERATIONS if n not in self.found or self.doubt(n))
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """What was guessed, as plain data."""
+        channels = {
+            name: {
+                "place": g.column.place,
+                "unit": g.unit,
+                "sign": g.sign,
+                "evidence": g.evidence,
+                "doubt": doubt or None,
+            }
+            for name, g in self.found.items()
+            for doubt in (self.doubt(name),)
+        }
+        unknown = [column.place for column in self.unknown]
+        return {"channels": channels, "unknown": unknown, "todo": dict(self.todo), "not_found": list(self.blind)}
 
     def doubt(self, name: str) -> str:
         """Why a guess was not taken; empty where it was."""
@@ -209,6 +227,12 @@ def _derivable(found: Mapping[str, Guess]) -> list[str]:
 def _constants(found: Mapping[str, Guess]) -> Iterator[str]:
     """Channels that the file lacks, formed from others, or held for the whole record."""
     derived = _derivable(found)
+    absent = [name for name in DERIVABLE if name not in found and name not in derived]
+    if not derived and absent:
+        yield "# Where the altitude is recorded these can be formed from it (standard atmosphere):"
+        yield "# [derived]"
+        yield from (f'# {name} = "{ATMOSPHERE}"' for name in absent)
+        yield ""
     if derived:
         yield "# Not recorded; formed from pressure altitude (and airspeed). Unlike the day's air by a few per cent."
         yield "[derived]"
@@ -268,8 +292,11 @@ def _model(found: Mapping[str, Guess]) -> Iterator[str]:
     mach = "mach" in found or "mach" in _derivable(found)
     yield ("" if mach else "# ") + '  "mach_lift", # needs the Mach number'
     yield from (f'  "{name}",' for name in ATTACHED[1:])
+    said = "alpha was not found, so nobody knows whether a stall is in the record; if one is:"
     yield _comment(
-        f"guess: alpha reaches {np.rad2deg(reached):.3g} deg, {'beyond' if stalled else 'not'} "
+        said
+        if "alpha" not in found
+        else f"guess: alpha reaches {np.rad2deg(reached):.3g} deg, {'beyond' if stalled else 'not'} "
         f"{np.rad2deg(STALLED):.0f} deg, so {'a' if stalled else 'no'} stall is in the record:"
     )
     for name in STALL:

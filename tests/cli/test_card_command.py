@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import tomllib
 
@@ -251,3 +252,22 @@ def test_the_drag_form_of_a_stall_is_left_open(program, foreign, tmp_path):
     model = tomllib.loads((tmp_path / "mine.toml").read_text())["model"]
     assert "separated_induced_drag" in model["effects"]
     assert "induced_share" not in model["fixed"]
+
+
+def test_guesses_for_machines(program, foreign, tmp_path):
+    done = program("card", foreign[0], "--out", "mine.toml", "--no-page", "--json")
+    assert done.code == 0, done.err
+    told = json.loads(done.out)
+    assert told["channels"]["az"]["sign"] == -1
+    assert told["unknown"] == ["'Xyzzy'"]
+    assert "mass" in told["todo"]
+    assert (told["not_found"], told["report"]) == ([], None)
+    assert (tmp_path / told["card"]).exists()
+
+
+def test_a_record_without_alpha_is_not_said_to_hold_no_stall(program, foreign, tmp_path):
+    pd.read_csv(foreign[0]).rename(columns={"AoA": "S1"}).to_csv("blind.csv", index=False)
+    assert program("card", "blind.csv", "--out", "blind.toml", "--no-page").code == 0
+    text = (tmp_path / "blind.toml").read_text()
+    assert "alpha was not found, so nobody knows whether a stall is in the record" in text
+    assert "alpha reaches" not in text

@@ -7,7 +7,7 @@ import json
 import pytest
 from rich.progress import Progress
 
-from bayes_aero.cli.durations import FILE, MOST, Durations, TimeLeft
+from bayes_aero.cli.durations import FILE, MOST, TYPICAL, Durations, TimeLeft
 
 
 class Clock:
@@ -48,6 +48,8 @@ def test_a_stage_is_expected_to_take_what_it_took(tmp_path, clock):
     assert again.left() == 0.0
     again.stage("something new")
     assert again.left() is None
+    again.stage("mle")  # of a first run: what is typical, until one's own is known
+    assert again.left() == TYPICAL["mle"]
 
 
 def test_what_was_broken_off_is_not_remembered(tmp_path, clock):

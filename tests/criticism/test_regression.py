@@ -114,3 +114,17 @@ def test_noise_does_not_reach_across_folds():
     within, across = np.corrcoef(noise[:, 3], noise[:, 4])[0, 1], np.corrcoef(noise[:, 4], noise[:, 5])[0, 1]
     assert within > 0.3
     assert abs(across) < 5 / np.sqrt(4000)
+
+
+def test_a_record_without_noise_leaves_no_number_that_is_none(problem):
+    """Altitudes of kilometres that the model follows to the last digit: what is left is rounding, of either sign."""
+    _, S, truth, folds = problem
+    S = np.concatenate([S, np.ones((len(S), 3, 1))], axis=2)
+    exact = S[:, :, :-1] @ truth + 5000.0
+    with np.errstate(all="raise"):
+        fit = Products.of(exact, S, folds).fit(
+            np.arange(len(truth) + 1), np.zeros(len(truth) + 1), np.zeros(len(truth) + 1)
+        )
+    np.testing.assert_allclose(fit.step, [*truth, 5000.0], rtol=1e-6, atol=1e-6)
+    assert np.all(fit.variance > 0.0)
+    assert np.all(fit.variance < 1e-6)

@@ -13,6 +13,16 @@ from bayes_aero.flight.aliases import ALIASES, plain_heading, split_heading, sym
         ("Pitch Att [deg]", "theta", "deg"),
         ("measured AoA (deg)", "alpha", "deg"),
         ("TAS (kn)", "airspeed", "kt"),
+        ("ADC_TAS_KT", "airspeed", "kt"),
+        ("BOOM_AOA_DEG", "alpha", "deg"),
+        ("INS_PITCH_DEG", "theta", "deg"),
+        ("INS_Q [deg/s]", "q", "deg/s"),
+        ("INS_NZ_G", "az", "g"),
+        ("UTC_SEC", "time", "s"),
+        ("ENG_THRUST_LBF", "thrust", "lbf"),
+        ("AirspeedTrue_kt", "airspeed", "kt"),
+        ("Normal Accel [g]", "az", "g"),
+        ("P_RATE", "p", None),
     ],
 )
 def test_words_beside_the_name_are_no_part_of_it(heading, channel, unit):
@@ -20,7 +30,7 @@ def test_words_beside_the_name_are_no_part_of_it(heading, channel, unit):
     assert (ALIASES.get(key), found) == (channel, unit)
 
 
-@pytest.mark.parametrize("heading", ["gyro", "up [g]", "sensor"])
+@pytest.mark.parametrize("heading", ["gyro", "up [g]", "sensor", "ADC_RAW"])
 def test_a_heading_of_such_words_alone_stays(heading):
     assert plain_heading(heading) == heading
 
@@ -31,6 +41,7 @@ def test_a_heading_of_such_words_alone_stays(heading):
         ("Long. Load Factor nx [g]", "nx"),
         ("Boom No. 2 AoA (deg)", "aoa"),
         ("ADC1_TAS", "tas"),
+        ("No2_AoA_deg", "aoa"),
         ("Commanded theta [deg]", None),
         ("alpha limit [deg]", None),
         ("", None),
