@@ -66,8 +66,8 @@ DIAGNOSIS_FIGURES: ViewFigures = {
     "trajectories_fitted": figures_trajectory.trajectories_fitted,
 }
 """What a diagnosis shows."""
-FLOWN_FIGURES = ("trajectories_unseen", "trajectories_fitted")
-"""Those that need trajectories."""
+FLOWN_FIGURES = ("found", "trajectories_unseen", "trajectories_fitted")
+"""Those that need trajectories, or show them if they are there."""
 
 Shown = TypeVar("Shown")
 Progress = Callable[[str, float], None]

@@ -2,51 +2,74 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bayes_aero.criticism.finding import Cause
+from bayes_aero.criticism.trajectory import Trajectories
+from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.scores import score
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.diagnosed import Ranking, View
 from bayes_aero.report.figures_diagnosis import NOTE, TIGHT, models_of
-from bayes_aero.report.style import COLOURS, housed
+from bayes_aero.report.style import COLOURS, for_people, housed
 from bayes_aero.report.words_diagnosis import size_text
+from bayes_aero.report.words_trajectory import short
 
 SHOWN = 10  # candidates
+FLIGHT_PATH = "flight path"  # the stage of sensors
 WIDTH = 0.021  # of a letter, in widths of the widest bar
+
+
+@dataclass(frozen=True)
+class Telling:
+    """What shows the error best: a quantity of a manoeuvre, measured, and by each model with a note of its error."""
+
+    quantity: str
+    label: str
+    manoeuvre: str
+    time: np.ndarray
+    measured: np.ndarray
+    simulated: Sequence[tuple[str, str, np.ndarray, str]]  # model, colour, values, note
 
 
 @housed
 def found(view: View) -> Figure:
-    """The coefficient that gains most, by each model with its error shaded, and the election that named the cause."""
-    models = models_of(view)
-    rows = "ab"[: len(models)]
-    figure = Figure(figsize=(11.0, 1.9 * len(models) + 1.0), layout="constrained")
+    """What gains most, by each model with its error shaded, and the election that named the cause."""
+    shown = telling(view)
+    rows = "ab"[: len(shown.simulated)]
+    figure = Figure(figsize=(11.0, 1.9 * len(rows) + 1.0), layout="constrained")
     ranking = _decisive(view)
     beside = "" if ranking is None else "R"
     axes = figure.subplot_mosaic(";".join(row + beside for row in rows), width_ratios=[1.7, 1.0][: 1 + len(beside)])
-    c, number = telling(view)
-    mine = view.manoeuvre == number
-    z, t = view.measured[mine, c], view.time[mine]
-    for row, (label, colour, fitted) in zip(rows, models, strict=True):
-        ax, simulated = axes[row], z - fitted.residual[mine, c]
+    z, t = shown.measured, shown.time
+    for row, (label, colour, simulated, note) in zip(rows, shown.simulated, strict=True):
+        ax = axes[row]
         ax.fill_between(t, z, simulated, color=colour, alpha=0.35, lw=0.0)
         ax.plot(t, z, color=COLOURS["measured"], lw=0.6)
         ax.plot(t, simulated, color=colour, lw=1.0)
         ax.margins(x=0.01, y=0.2)
-        ax.text(0.01, 0.97, f"{label}: R² = {score(z, simulated).r2:.3f}", transform=ax.transAxes, va="top", **NOTE)
-        ax.set_ylabel(f"{NAMES[c]} [-]")
+        ax.text(0.01, 0.97, f"{label}: {note}", transform=ax.transAxes, va="top", **NOTE)
+        ax.set_ylabel(shown.label)
     axes[rows[0]].set_title("Measured (black) and simulated, the error shaded")
-    axes[rows[-1]].set_xlabel(f"time from start of {view.names[number]} [s]")
+    axes[rows[-1]].set_xlabel(f"time from start of {shown.manoeuvre} [s]")
     if ranking is not None:
         _election(axes["R"], ranking, view)
     return figure
 
 
-def telling(view: View) -> tuple[int, int]:
-    """Coefficient and manoeuvre whose share of explained variance the extension raises most."""
+def telling(view: View) -> Telling:
+    """The coefficient whose share of explained variance the extension raises most; where the first cause is an error of
+    a sensor, which coefficients may not show, the simulated output whose error falls most."""
+    causes = view.diagnosis.causes
+    if causes and causes[0].stage == FLIGHT_PATH and view.trajectories is not None:
+        output = _output(view.trajectories)
+        if output is not None:
+            return output
     best = (-np.inf, 0, 0)
     for number in range(len(view.names)):
         mine = view.manoeuvre == number
@@ -54,7 +77,41 @@ def telling(view: View) -> tuple[int, int]:
             z = view.measured[mine, c]
             before, after = (score(z, z - m.residual[mine, c]).r2 for m in (view.card, view.extended))
             best = max(best, (after - before if view.changed else -before, c, number))
-    return best[1], best[2]
+    _, c, number = best
+    mine = view.manoeuvre == number
+    z = view.measured[mine, c]
+    curves = [(label, colour, z - fitted.residual[mine, c]) for label, colour, fitted in models_of(view)]
+    simulated = [(label, colour, x, f"R² = {score(z, x).r2:.3f}") for label, colour, x in curves]
+    return Telling(NAMES[c], f"{NAMES[c]} [-]", view.names[number], view.time[mine], z, simulated)
+
+
+def _output(flown: Trajectories) -> Telling | None:
+    """The output and the manoeuvre whose error falls most, fitted to all flights; None where a flight is lost."""
+    best = None
+    for name in dict.fromkeys(p.manoeuvre for p in flown.paths if p.split == "fitted"):
+        card, extended = (flown.path(name, model, "fitted") for model in ("card", "extended"))
+        if card is None or extended is None or not (card.inside and extended.inside):
+            continue
+        for output in flown.outputs:
+            fall = card.errors[output].rms / max(extended.errors[output].rms, 1e-300)
+            if best is None or fall > best[0]:
+                best = (fall, output, card, extended)
+    if best is None:
+        return None
+    _, output, card, extended = best
+    unit, factor = for_people(STANDARD_CHANNELS[output].unit)
+    simulated = [
+        (
+            label,
+            COLOURS[role],
+            factor * path.simulated[output],
+            f"RMS error {short(factor * path.errors[output].rms)} {unit}",
+        )
+        for label, role, path in (("card's model", "before", card), ("extended model", "after", extended))
+    ]
+    z = factor * card.measured[output]
+    label = f"{output.replace('_', ' ')} [{unit}]"
+    return Telling(output, label, card.manoeuvre, card.time - card.time[0], z, simulated)
 
 
 def _decisive(view: View) -> Ranking | None:

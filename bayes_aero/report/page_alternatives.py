@@ -23,24 +23,21 @@ def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
     """Caption and alternative text by stem."""
     before, after = composition(view, view.card), composition(view, view.extended)
     lag = {name: (before[name]["lag1"], after[name]["lag1"]) for name in NAMES}
-    at, number = telling(view)
-    best = NAMES[at]
+    best = telling(view)
+    what = best.quantity.replace("_", " ")
     leaders = "; ".join(
         f"{r.stage}: {several(f'{s.effect} {s.score:.1f}' for s in r.standings[:3])}" for r in view.rankings
     )
     far = sorted(
         view.moves.items(), key=lambda item: -abs(item[1].after - item[1].before) / max(item[1].sd_after, 1e-300)
     )
-    change = f"R² {before[best]['r2']:.2f} with the card's model" + (
-        f", {after[best]['r2']:.2f} with the extended one" if view.changed else ""
-    )
+    change = several(f"{note} with the {label}" for label, _, _, note in best.simulated)
     return {
         "found": (
-            f"Left: {best} of {view.names[number]}, where the extension gains most, measured and by each model, the "
-            "error shaded. Right: the first election; a bar is the share of what is left that a candidate explains, "
-            "named causes are coloured and carry their size.",
-            f"Time history of {best} for {view.names[number]}; over all manoeuvres {change}. Scores of the candidates, "
-            f"leading: {leaders}.",
+            f"Left: {what} of {best.manoeuvre}, where the extension gains most, measured and by each model, the error "
+            "shaded. Right: the first election; a bar is the share of what is left that a candidate explains, named "
+            "causes are coloured and carry their size.",
+            f"Time history of {what} for {best.manoeuvre}: {change}. Scores of the candidates, leading: {leaders}.",
         ),
         "ranking": (
             "Score of every candidate before anything was added; named causes coloured.",

@@ -10,9 +10,11 @@ from matplotlib.image import imread
 
 from bayes_aero.criticism.accuracy import sizes
 from bayes_aero.criticism.finding import Unknown, Verdict
+from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.diagnosed import composition, with_stalls
 from bayes_aero.report.figures import DIAGNOSIS_FIGURES, draw_all
 from bayes_aero.report.figures_diagnosis import autocorrelation
+from bayes_aero.report.figures_found import telling
 from bayes_aero.report.style import NotDrawn, close, save
 from bayes_aero.report.words_diagnosis import (
     cause_table,
@@ -43,6 +45,23 @@ def test_simulated_trajectories_are_told_in_numbers(flown, split):
     texts = [text.get_text() for text in figure.axes[2].texts]
     assert texts == ["RMS: card's 1.0, extended 0.10"]  # alpha in deg
     close(figure)
+
+
+def test_an_error_of_a_sensor_is_shown_where_it_shows(flown):
+    """Coefficients may not show it: the simulated output whose error falls most, with the errors that are told."""
+    sensor, model = (
+        replace(flown, diagnosis=replace(flown.diagnosis, causes=(replace(flown.diagnosis.causes[0], stage=stage),)))
+        for stage in ("flight path", "coefficients")
+    )
+    assert telling(model).quantity in NAMES
+    shown = telling(sensor)
+    card, extended = (flown.trajectories.path(shown.manoeuvre, m, "fitted") for m in ("card", "extended"))
+    falls = {n: card.errors[n].rms / extended.errors[n].rms for n in flown.trajectories.outputs}
+    assert falls[shown.quantity] == max(falls.values())
+    for path, (_, _, values, note) in zip((card, extended), shown.simulated, strict=True):
+        rms = np.sqrt(np.mean((values - shown.measured) ** 2))
+        assert float(note.split()[2]) == pytest.approx(rms, rel=0.06), path.model
+    assert telling(replace(sensor, trajectories=None)).quantity in NAMES
 
 
 @pytest.mark.parametrize("stem", DIAGNOSIS_FIGURES)
