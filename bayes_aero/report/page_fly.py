@@ -74,16 +74,18 @@ def _lead(flown: FlownFit) -> tuple[Block, ...]:
 
 
 def _opening(flown: FlownFit, figures: Mapping[str, Path]) -> tuple[Block, ...]:
-    """The output that the fit brings nearest, by the factor of its error."""
+    """The output that the fit follows least: whose error is the largest share of its movement."""
     errors = {n: pair for n, pair in errors_of_all(flown).items() if stem_of(n) in figures and pair[1] > 0.0}
     if not errors:
         return ()
-    best = max(errors, key=lambda n: errors[n][0] / errors[n][1])
-    (before, after), (unit, factor) = errors[best], for_people(flown.units[best])
+    flights = [flown.path(name, FITTED).measured for name in flown.manoeuvres]
+    moved = {n: float(np.sqrt(np.mean([np.var(flight[n]) for flight in flights]))) for n in errors}
+    worst = max(errors, key=lambda n: errors[n][1] / max(moved[n], 1e-300))
+    (before, after), (unit, factor) = errors[worst], for_people(flown.units[worst])
     change = f"{short(factor * before)} {unit} with the first values, {short(factor * after)} {unit} as fitted"
-    caption = f"{SYMBOLS.get(best, best)}, which the fit brings nearest: measured, and simulated from first to last."
-    alt = f"Time histories of {best}, measured and simulated. Root-mean-square error: {change}."
-    return Gallery(figures, {stem_of(best): (caption, alt)})(stem_of(best))
+    caption = f"{SYMBOLS.get(worst, worst)}, which the fit follows least: measured, and simulated from first to last."
+    alt = f"Time histories of {worst}, measured and simulated. Root-mean-square error: {change}."
+    return Gallery(figures, {stem_of(worst): (caption, alt)})(stem_of(worst))
 
 
 def _flights(flown: FlownFit) -> tuple[Block, ...]:

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from flown_samples import CARD, flight, records, with_offsets
 from linear_cards import SHORT_PERIOD_TRUTH
+from PIL import Image
 
 from bayes_aero.criticism.residuals import TheilParts
 from bayes_aero.inference.output_error_result import OutputErrorStatus
-from bayes_aero.report.page import Fold, Plot, Table, render
+from bayes_aero.report.figures_fly import stem_of
+from bayes_aero.report.page import Fold, Picture, Plot, Table, render
 from bayes_aero.report.page_fly import FlyTold, fly_page
 from bayes_aero.report.page_fly_tables import errors, initial, kept, parameters
 from bayes_aero.report.page_parts import at_a_glance
@@ -182,3 +184,21 @@ def test_a_page_that_fails_is_a_note_and_costs_no_number(tmp_path, monkeypatch):
     monkeypatch.setattr(job, "fit_flown", lambda *_, **__: flown)
     assert job.fly(records(), CARD, out=tmp_path, figures=False).notes == ()
     assert "The fit converged;" in (tmp_path / "report.html").read_text()
+
+
+def test_the_first_picture_is_of_the_output_that_is_followed_least(tmp_path):
+    flown = flight().flown
+    names = list(flown.outputs)
+    drawn = {}
+    for name in names:
+        drawn[stem_of(name)] = tmp_path / f"{stem_of(name)}.png"
+        Image.new("RGB", (300, 200), "white").save(drawn[stem_of(name)])
+    (picture,) = (b for b in fly_page(flown, replace(told(), figures=drawn)).lead if isinstance(b, Picture))
+    paths = [flown.path(name, "fitted") for name in flown.manoeuvres]
+
+    def missed(name):
+        left = np.concatenate([p.simulated[name] - p.measured[name] for p in paths])
+        moved = np.concatenate([p.measured[name] - np.mean(p.measured[name]) for p in paths])
+        return np.mean(left**2) / np.mean(moved**2)
+
+    assert max(names, key=missed) in picture.alt
