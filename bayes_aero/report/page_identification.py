@@ -36,7 +36,7 @@ from bayes_aero.report.page_plots import LOW, Line, Panel
 from bayes_aero.report.page_words import WORDS
 from bayes_aero.report.predictions import fitted_coefficients
 from bayes_aero.report.style import COLOURS, bracket, several
-from bayes_aero.report.words import verdict
+from bayes_aero.report.words import disputed, verdict
 
 CONTEXT = ("alpha", "elevator", "q", "airspeed", "altitude")
 LEGEND = (
@@ -114,6 +114,8 @@ def headline(run: Identification) -> str:
     ratios = [corrected[n].sd / crb[n].sd for n in crb if crb[n].sd > 0.0 and np.isfinite(corrected[n].sd)]
     if ratios and np.median(ratios) > 1.25:
         text += f"; Cramér–Rao bounds are about {np.median(ratios):.1f} times too small"
+    if unsure := disputed(run):
+        text += f"; noise models disagree about {several(unsure)} beyond their intervals, so do not rely on these"
     return text + "."
 
 

@@ -115,6 +115,19 @@ def _white(identification: Identification) -> list[str]:
     return [text]
 
 
+def disputed(identification: Identification) -> dict[str, float]:
+    """Parameters about which the chosen noise model's posterior and maximum likelihood differ by more than `LIMIT`
+    deviations of both together, and by how many: neither interval can be relied on."""
+    engines = chosen_posteriors(identification)
+    if not engines or white_posterior(identification) in engines.values():
+        return {}
+    found = _by_key(identification)
+    corrected, posterior = found["crb_corrected"].estimates, found[next(iter(engines))].estimates
+    start = found["crb"].estimates
+    apart = {n: abs(e.centre - start[n].centre) / np.hypot(e.sd, corrected[n].sd) for n, e in posterior.items()}
+    return {n: float(apart[n]) for n in ordered(apart) if apart[n] > LIMIT}
+
+
 def _noise_model(identification: Identification) -> list[str]:
     """The chosen noise model's posterior against the corrected bound, and how far its mean moved."""
     engines = chosen_posteriors(identification)
@@ -127,8 +140,7 @@ def _noise_model(identification: Identification) -> list[str]:
     median, (name, worst) = float(np.median(list(ratios.values()))), _worst(ratios)
     moved = {n: abs(e.centre - crb.estimates[n].centre) for n, e in posterior.estimates.items()}
     in_crb = {n: d / crb.estimates[n].sd for n, d in moved.items()}
-    allowed = {n: d / np.hypot(posterior.estimates[n].sd, corrected.estimates[n].sd) for n, d in moved.items()}
-    beyond = {n: allowed[n] for n in ordered(allowed) if allowed[n] > LIMIT}
+    beyond = disputed(identification)
     if not beyond and 1.0 / FACTOR < median < FACTOR and 0.5 < worst < 2.0:
         return []
     far = max(in_crb, key=lambda n: in_crb[n])

@@ -9,6 +9,7 @@ import pytest
 from bayes_aero.inference.mle import MleStatus
 from bayes_aero.inference.posterior import PosteriorStatus
 from bayes_aero.model.noise import Colour
+from bayes_aero.report.page_identification import headline
 from bayes_aero.report.words import verdict
 
 
@@ -61,7 +62,9 @@ def test_the_chosen_noise_model_moves_the_mean(full, make):
     text = said(full, "mean function is wrong, or the residual")
     assert "Cma (6.7)" in text  # 0.3 / hypot(0.02, 0.04)
     assert "Cmde" not in text
+    assert "noise models disagree about Cma beyond their intervals" in headline(full)
     wider = make(width=4.0, corrected=4.0, lag1=0.9)
+    assert "disagree" not in headline(wider)
     assert silent(wider, "mean function is wrong, or the residual")
     assert silent(wider, "weighs the data differently")
 
