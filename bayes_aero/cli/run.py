@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 SILENCE = 15.0  # seconds without workers after which that is told also where there is no terminal
 SCHEMA = "bayes_aero/study/1"
+MARKS = {"same": "✓", "differs": "✗", "incomparable": "–"}
+"""Of a unit that was verified."""
 
 
 def run(
@@ -102,7 +104,7 @@ def run(
                 doer=doer,
             )
             show("report", 1.0)
-            unwritten = put_report(asked, folder)
+            verdict, unwritten = put_report(asked, folder)
     except StoppedError as reason:
         print(f"error: {reason}; {resume()}", file=sys.stderr)
         raise typer.Exit(FAILED) from None
@@ -114,6 +116,7 @@ def run(
         console.print(f"! {unwritten}", soft_wrap=True)
     new = len(told) - len(failed)
     console.print(f"{len(planned)} units: {new} done now, {len(planned) - len(told)} were done, {len(failed)} failed.")
+    console.print(verdict, soft_wrap=True)
     console.print(f"Results are in {folder}: report.html, units/, units.csv, summary.csv, environment/", soft_wrap=True)
     if json:
         print_json(_content(asked, folder, rows))
@@ -191,23 +194,23 @@ def _listed(console: Console, planned: list[Planned]) -> None:
 
 
 def _verify(console: Console, study: Study, planned: list[Planned], out: Path, json: bool) -> None:
-    from bayes_aero.studies.verify import verify_unit
+    from bayes_aero.studies.verify import NOTHING, verify_unit
 
     rows = []
     with interruptible(lambda: "verification writes nothing; give the same command again"), bar("verifying") as show:
         for number, p in enumerate(planned):
             show(f"{number + 1}/{len(planned)} {p.unit.name}", number / len(planned))
             differences = verify_unit(p.unit, p.folder)
-            rows.append(
-                {"name": p.unit.name, "state": "differs" if differences else "same", "differences": differences}
-            )
-            mark = "✗" if differences else "✓"
-            console.print(f"{mark} {p.unit.name}", soft_wrap=True)
+            state = "incomparable" if p.state.word in NOTHING else "differs" if differences else "same"
+            rows.append({"name": p.unit.name, "state": state, "differences": differences})
+            console.print(f"{MARKS[state]} {p.unit.name}", soft_wrap=True)
             for sentence in differences:
                 console.print(f"    {sentence}", soft_wrap=True)
-    different = sum(bool(row["differences"]) for row in rows)
-    console.print(f"{len(rows)} units: {len(rows) - different} the same, {different} differ.")
+    counts = Counter(row["state"] for row in rows)
+    same, differ, without = (counts[state] for state in MARKS)
+    rest = f", {without} without results to compare" if without else ""
+    console.print(f"{len(rows)} units: {same} the same, {differ} differ{rest}.")
     if json:
         print_json(_content(study, out, rows))
-    if different:
+    if same < len(rows):
         raise typer.Exit(FAILED)

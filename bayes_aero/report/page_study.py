@@ -40,10 +40,10 @@ def study_page(told: StudyTold) -> Page:
     return Page(
         title=f"Study: {told.title}",
         subtitle=f"{len(told.units)} units, each a run of {told.task}",
-        verdict=_verdict(told.units),
+        verdict=study_headline(told),
         lead=_lead(found, told.folder),
         sections=filled(
-            section("findings", "What the units say together", lambda: bullets(_sentences(told, found))),
+            section("findings", "What the units say together", lambda: bullets(_findings(told, found))),
             section("across", "Scatter and intervals", lambda: _across(found)),
             section("units", "The units", lambda: (_units(told.units, told.folder),)),
             section("provenance", "Provenance", lambda: (Facts(tuple(told.facts.items())),)),
@@ -51,26 +51,66 @@ def study_page(told: StudyTold) -> Page:
     )
 
 
-def _verdict(units: pd.DataFrame) -> str:
+def study_headline(told: StudyTold) -> str:
+    """How far the study is, and what its units say together, in one sentence."""
+    return f"{'; '.join([_progress(told.units), *_short(told)])}."
+
+
+def _progress(units: pd.DataFrame) -> str:
     states = Counter(units["state"])
     total, done = len(units), states.pop("done", 0)
     if done == total:
-        return f"All {total} units are done." if total > 1 else "The unit is done."
-    return f"{done} of {total} units are done; {several(f'{n} {state}' for state, n in states.items())}."
+        return f"All {total} units are done" if total > 1 else "The unit is done"
+    return f"{done} of {total} units are done ({several(f'{n} {state}' for state, n in states.items())})"
 
 
-def _sentences(told: StudyTold, found: list[Estimates]) -> list[str]:
-    """Verdicts by number, causes by how many units name them, and parameters that scatter beyond their intervals."""
+def _short(told: StudyTold) -> list[str]:
+    """Verdicts, the cause that most units name, the parameter that scatters farthest beyond its intervals."""
+    verdicts, causes, done = _counted(told)
+    said = []
+    if verdicts:
+        all_same = len(verdicts) == 1 and done > 1
+        said.append(several(f"{'all' if all_same else n} {_words(verdict)}" for verdict, n in verdicts.most_common()))
+    if causes:
+        cause, n = causes.most_common(1)[0]
+        said.append(f"{cause} is named in {n} of {done}")
+    compared, beyond = _beyond(estimates(told.units, told.results))
+    if beyond:
+        worst = max(beyond, key=lambda e: e.scatter / e.claimed)
+        ratio = f"{worst.scatter / worst.claimed:.1f} times what its intervals claim"
+        said.append(f"{worst.label} differs between units by {ratio}")
+    elif compared:
+        said.append(f"no parameter differs between units by more than {APART:g} times what its intervals claim")
+    return said
+
+
+def _words(verdict: str) -> str:
+    return verdict.replace("_", " ")
+
+
+def _counted(told: StudyTold) -> tuple[Counter[str], Counter[str], int]:
+    """Units by verdict, units by the causes that they name, and how many are done."""
     done = told.units[told.units["state"] == "done"]
-    verdicts = Counter(v for v in done["verdict"] if v)
-    said = [f"Verdicts: {several(f'{n} {verdict}' for verdict, n in verdicts.most_common())}."] if verdicts else []
     pairs = set(zip(told.results["cause"], told.results["unit"], strict=True))
-    named = Counter(cause for cause, _ in sorted(pairs) if cause)
-    if named:
-        listed = several(f"{cause} {n}" for cause, n in named.most_common())
-        said.append(f"Causes, in how many units of {len(done)}: {listed}.")
-    chosen = [group[0] for _, group in panels_of(found) if group and len(group[0].value) > 1]
-    beyond = [e for e in chosen if e.scatter > APART * e.claimed]
+    return Counter(v for v in done["verdict"] if v), Counter(cause for cause, _ in sorted(pairs) if cause), len(done)
+
+
+def _beyond(found: list[Estimates]) -> tuple[list[Estimates], list[Estimates]]:
+    """Estimates that several units have, by their most trusted method; those that scatter beyond their intervals."""
+    compared = [group[0] for _, group in panels_of(found) if group and len(group[0].value) > 1]
+    return compared, [e for e in compared if e.scatter > APART * e.claimed]
+
+
+def _findings(told: StudyTold, found: list[Estimates]) -> list[str]:
+    """Verdicts by number, causes by how many units name them, and parameters that scatter beyond their intervals."""
+    verdicts, causes, done = _counted(told)
+    said = []
+    if verdicts:
+        said.append(f"Verdicts: {several(f'{n} {_words(verdict)}' for verdict, n in verdicts.most_common())}.")
+    if causes:
+        listed = several(f"{cause} {n}" for cause, n in causes.most_common())
+        said.append(f"Causes, in how many units of {done}: {listed}.")
+    _, beyond = _beyond(found)
     if beyond:
         listed = several(f"{e.label} ({e.scatter / e.claimed:.1f} times)" for e in beyond)
         said.append(

@@ -7,15 +7,16 @@ from pathlib import Path
 import pandas as pd
 
 from bayes_aero.report.page import put_page
-from bayes_aero.report.page_study import StudyTold, study_page
+from bayes_aero.report.page_study import StudyTold, study_headline, study_page
 from bayes_aero.studies.environment import environment
 from bayes_aero.studies.study import Study
 from bayes_aero.studies.summary import NUMBERS
 
 
-def put_report(study: Study, out: Path) -> str | None:
-    """Write the page into the results folder; the reason if it cannot be made."""
-    return put_page(lambda: study_page(_told(study, out)), out)
+def put_report(study: Study, out: Path) -> tuple[str, str | None]:
+    """Write the page into the results folder; its verdict, and the reason if the page cannot be made."""
+    told = _told(study, out)
+    return study_headline(told), put_page(lambda: study_page(told), out)
 
 
 def _told(study: Study, out: Path) -> StudyTold:

@@ -20,13 +20,14 @@ from bayes_aero.studies.study import Unit
 from bayes_aero.studies.unit import MANIFEST, Task, run_unit, state_of
 
 APART = ("provenance",)  # names times, machines and durations
+NOTHING = ("missing", "failed")  # states of units that have left nothing to compare with
 SHOWN = 5  # differences told of one unit
 
 
 def verify_unit(unit: Unit, folder: Path, *, task: Task | None = None) -> list[str]:
     """Differences between a finished unit and the same unit done now, one sentence each; none: it stands."""
     state = state_of(unit, folder)
-    if state.word in ("missing", "failed"):
+    if state.word in NOTHING:
         return [f"it is {state.word}, so there is nothing to compare; run the study first"]
     told = [f"{state.word}: {state.why}"] if state.word != "done" else []
     with tempfile.TemporaryDirectory(prefix=".verify-", dir=folder.parent) as place:

@@ -103,7 +103,7 @@ def test_an_interrupted_study_goes_on_where_it_stopped(program, folder, calls, m
     table = pd.read_csv(folder / "study_results" / "units.csv")
     assert list(table["state"]) == ["done", "done"]
     page = (folder / "study_results" / "report.html").read_text(encoding="utf-8")
-    assert "All 2 units are done." in page
+    assert "All 2 units are done; all converged; " in page
     assert all(name in page for name in table["unit"])
 
 
@@ -124,6 +124,10 @@ def test_a_unit_that_fails_says_why_and_stops_nobody(program, folder, monkeypatc
     told = {p.name.split("-")[0]: [f.name for f in p.iterdir()] for p in root.iterdir()}
     assert "error.txt" in told["biased"]
     assert "results.json" in told["sound"]
+    verified = program("run", "study.toml", "--verify", "--json")
+    assert verified.code == 1
+    assert json.loads(verified.out)["counts"] == {"same": 1, "incomparable": 1}
+    assert "1 the same, 0 differ, 1 without results to compare." in program("run", "study.toml", "--verify").out
     monkeypatch.setattr(units, "perform", quick)
     assert program("run", "study.toml").code == 0  # tried again
     assert states(program, "--dry-run")["biased"]["state"] == "done"
