@@ -74,6 +74,13 @@ def test_an_unknown_name_lists_the_shipped_cards():
         read_card("attass")
 
 
+def test_a_term_that_no_effect_owns_is_told_with_the_card_and_the_remedy(table):
+    changed = copy.deepcopy(table)
+    changed["model"]["effects"].remove("attached_lift")
+    with pytest.raises(InputError, match=r"^card mine, \[model\]: .* add attached_lift to the effects$"):
+        Model.from_card(parse_card(changed, "mine", "mine.toml"))
+
+
 def test_tolerances_come_from_the_card_or_from_the_simulator_standard(tmp_path):
     text = shipped_cards()["attas"].read_text()
     card = read_card("attas")

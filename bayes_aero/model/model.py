@@ -52,7 +52,9 @@ class Model:
         for effect in chosen:
             for name in effect.uses:
                 if name not in names:
-                    raise InputError(f"effect {effect.name} uses {name}, which no effect of the model owns")
+                    owners = " or ".join(e.name for e in CATALOGUE.values() if name in {p.name for p in e.parameters})
+                    remedy = f"; add {owners} to the effects" if owners else ""
+                    raise InputError(f"effect {effect.name} uses {name}, which no effect of the model owns{remedy}")
         for name in fixed or {}:
             if name not in names:
                 raise InputError(f"the fixed parameter {name} belongs to no effect of the model")
@@ -64,7 +66,10 @@ class Model:
         if card.linear is not None:
             raise InputError(f"card {card.name} states a linear system, which has no effects; use one with [model]")
         own = own_effects(card.effect_files)
-        model = cls.of([own.get(name, name) for name in card.effects], card.fixed)
+        try:
+            model = cls.of([own.get(name, name) for name in card.effects], card.fixed)
+        except InputError as reason:
+            raise InputError(f"card {card.name}, [model]: {reason}") from None
         for name in card.changes:
             if name not in {p.name for p in model.parameters}:
                 raise InputError(f"card {card.name}: [parameters.{name}] belongs to no effect of the model")
