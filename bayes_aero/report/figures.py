@@ -36,6 +36,7 @@ FIGURES: dict[str, Drawing] = {
     "fig8_validation_Cm": figures_flight.validation_Cm,
     "fig9_correlation_Cm": figures_scatter.correlation_Cm,
     "stall": figures_stall.stall,
+    "stall_narrow": figures_stall.stall_narrow,
     "separation": figures_stall.separation,
     "forest": figures_comparison.forest,
     "crb_vs_credible": figures_comparison.crb_vs_credible,
@@ -54,6 +55,7 @@ ViewFigures = Mapping[str, Callable[[View], Figure]]
 
 DIAGNOSIS_FIGURES: ViewFigures = {
     "found": figures_found.found,
+    "found_narrow": figures_found.found_narrow,
     "measured_simulated": figures_diagnosis.measured_simulated,
     "ranking": figures_diagnosis.ranking,
     "gain": figures_diagnosis.gain,
@@ -66,7 +68,7 @@ DIAGNOSIS_FIGURES: ViewFigures = {
     "trajectories_fitted": figures_trajectory.trajectories_fitted,
 }
 """What a diagnosis shows."""
-FLOWN_FIGURES = ("found", "trajectories_unseen", "trajectories_fitted")
+FLOWN_FIGURES = ("found", "found_narrow", "trajectories_unseen", "trajectories_fitted")
 """Those that need trajectories, or show them if they are there."""
 
 Shown = TypeVar("Shown")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ from bayes_aero.inference.scores import score
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.diagnosed import Ranking, View
 from bayes_aero.report.figures_diagnosis import NOTE, TIGHT, models_of
-from bayes_aero.report.style import COLOURS, for_people, housed
+from bayes_aero.report.style import COLOURS, PHONE, for_people, housed
 from bayes_aero.report.words_diagnosis import size_text
 from bayes_aero.report.words_trajectory import short
 
@@ -40,12 +40,31 @@ class Telling:
 @housed
 def found(view: View) -> Figure:
     """What gains most, by each model with its error shaded, and the election that named the cause."""
-    shown = telling(view)
+    shown, ranking = telling(view), _decisive(view)
     rows = "ab"[: len(shown.simulated)]
     figure = Figure(figsize=(11.0, 1.9 * len(rows) + 1.0), layout="constrained")
-    ranking = _decisive(view)
     beside = "" if ranking is None else "R"
     axes = figure.subplot_mosaic(";".join(row + beside for row in rows), width_ratios=[1.7, 1.0][: 1 + len(beside)])
+    _fill(axes, shown, ranking, view)
+    return figure
+
+
+@housed
+def found_narrow(view: View) -> Figure:
+    """The same for a phone: one panel below the other."""
+    shown, ranking = telling(view), _decisive(view)
+    rows = "ab"[: len(shown.simulated)]
+    heights = [1.7] * len(rows) + ([] if ranking is None else [3.2])
+    figure = Figure(figsize=(PHONE, sum(heights) + 0.9), layout="constrained")
+    below = [] if ranking is None else ["R"]
+    axes = figure.subplot_mosaic([[key] for key in (*rows, *below)], height_ratios=heights)
+    _fill(axes, shown, ranking, view)
+    return figure
+
+
+def _fill(axes: Mapping[str, Axes], shown: Telling, ranking: Ranking | None, view: View) -> None:
+    """Time histories a and b, the election R."""
+    rows = "ab"[: len(shown.simulated)]
     z, t = shown.measured, shown.time
     for row, (label, colour, simulated, note) in zip(rows, shown.simulated, strict=True):
         ax = axes[row]
@@ -59,7 +78,6 @@ def found(view: View) -> Figure:
     axes[rows[-1]].set_xlabel(f"time from start of {shown.manoeuvre} [s]")
     if ranking is not None:
         _election(axes["R"], ranking, view)
-    return figure
 
 
 def telling(view: View) -> Telling:

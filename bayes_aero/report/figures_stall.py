@@ -15,7 +15,7 @@ from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.stall import Stall
 from bayes_aero.report.diagnosed import Fitted, View
 from bayes_aero.report.predictions import fitted_coefficients
-from bayes_aero.report.style import COLOURS, NotDrawn, housed, panels
+from bayes_aero.report.style import COLOURS, PHONE, NotDrawn, housed, panels
 
 BAND: dict[str, Any] = {"alpha": 0.25, "lw": 0.0}
 RATE_COLOURS = ("falling", "measured", "rising")
@@ -86,6 +86,16 @@ def stall(identification: Identification) -> Figure:
 
 
 @housed
+def stall_narrow(identification: Identification) -> Figure:
+    """The same for a phone: one panel below the other."""
+    figure, axes = panels(3, 1, (PHONE, 8.4), height_ratios=(4, 1, 3))
+    lift, time, polar = axes[:, 0]
+    _fill(lift, time, polar, of_identification(identification)[0])
+    _keys(figure, [lift], 2)
+    return figure
+
+
+@housed
 def stall_models(view: View) -> Figure:
     """The same of the card's model and of the extended one."""
     return _stall(of_view(view))
@@ -107,24 +117,28 @@ def _stall(models: list[Flown]) -> Figure:
     rows = len(models)
     figure, axes = panels(2 * rows, 2, (10.5, 5.0 * rows + 0.7), height_ratios=(4, 1) * rows, width_ratios=(3, 2))
     for number, flown in enumerate(models):
-        above, below, polar, spare = (
-            axes[2 * number, 0],
-            axes[2 * number + 1, 0],
-            axes[2 * number, 1],
-            axes[2 * number + 1, 1],
-        )
+        (lift, polar), (time, spare) = axes[2 * number], axes[2 * number + 1]
         spare.remove()
-        _lift(above, flown)
-        _time_spent(below, flown)
-        below.sharex(above)
-        above.tick_params(labelbottom=False)
-        _polar(polar, flown)
-    entries: dict[str, Artist] = {}
-    for row in range(len(models)):
-        handles, labels = axes[2 * row, 0].get_legend_handles_labels()
-        entries = dict(zip(labels, handles, strict=True)) | entries
-    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=3)
+        _fill(lift, time, polar, flown)
+    _keys(figure, list(axes[::2, 0]), 3)
     return figure
+
+
+def _fill(lift: Axes, time: Axes, polar: Axes, flown: Flown) -> None:
+    _lift(lift, flown)
+    _time_spent(time, flown)
+    time.sharex(lift)
+    lift.tick_params(labelbottom=False)
+    _polar(polar, flown)
+
+
+def _keys(figure: Figure, axes: list[Axes], columns: int) -> None:
+    """One legend for all models."""
+    entries: dict[str, Artist] = {}
+    for ax in axes:
+        handles, labels = ax.get_legend_handles_labels()
+        entries = dict(zip(labels, handles, strict=True)) | entries
+    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=columns)
 
 
 def _lift(ax: Axes, flown: Flown) -> None:

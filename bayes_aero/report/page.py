@@ -91,6 +91,7 @@ class Picture:
     """A static figure: `source` is a data URI, `alt` says in words and numbers what it shows.
 
     `width` and `height` in pixels of the picture, `natural` its width on a screen at which its text has nominal size.
+    `narrow` is the same figure drawn for a phone, a data URI; empty where there is none.
     """
 
     source: str
@@ -99,6 +100,7 @@ class Picture:
     width: int
     height: int
     natural: int
+    narrow: str = ""
     kind: str = field(default="picture", init=False)
 
 

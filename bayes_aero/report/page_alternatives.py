@@ -34,8 +34,8 @@ def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
     change = several(f"{note} with the {label}" for label, _, _, note in best.simulated)
     return {
         "found": (
-            f"Left: {what} of {best.manoeuvre}, where the extension gains most, measured and by each model, the error "
-            "shaded. Right: the first election; a bar is the share of what is left that a candidate explains, named "
+            f"Measured and by each model: {what} of {best.manoeuvre}, where the extension gains most, the error "
+            "shaded; and the first election: a bar is the share of what is left that a candidate explains, named "
             "causes are coloured and carry their size.",
             f"Time history of {what} for {best.manoeuvre}: {change}. Scores of the candidates, leading: {leaders}.",
         ),
@@ -81,7 +81,7 @@ def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
         ),
         "measured_simulated": (
             "Coefficients measured and simulated by both models, the error shaded.",
-            f"Time histories of CL, CD and Cm. {best}: {change}.",
+            f"Time histories of CL, CD and Cm. {what} of {best.manoeuvre}: {change}.",
         ),
     }
 

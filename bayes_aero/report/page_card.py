@@ -10,7 +10,7 @@ import numpy as np
 
 from bayes_aero.report.page import Block, Page, Plot, Points, Table, Text, filled, section
 from bayes_aero.report.page_parts import histories, number, provenance_blocks
-from bayes_aero.report.page_plots import Line, Panel
+from bayes_aero.report.page_plots import SAMPLE, TIME, Line, Panel
 from bayes_aero.report.style import COLOURS, bracket
 
 MOST_PANELS = 16
@@ -93,13 +93,14 @@ def _panel_of(taken: Taken) -> Panel:
 
 
 def _drawn(view: StarterView, key: str, title: str, said: str, panels: Sequence[Panel]) -> tuple[Plot, ...]:
-    """Columns over time, as far as they are as long as the time."""
+    """Columns over time, or over the number of the sample where no time was found; those of one length."""
     time = view.time
-    if time is None or len(time) < 2 or not np.all(np.diff(time) > 0.0):
-        return ()
-    shown = [p for p in panels if len(p.lines[0].values) == len(time)][:MOST_PANELS]
+    known = time is not None and len(time) > 1 and bool(np.all(np.diff(time) > 0.0))
+    longest = max((len(p.lines[0].values) for p in panels), default=0)
+    over = np.asarray(time) if known else np.arange(longest, dtype=float)
+    shown = [p for p in panels if len(p.lines[0].values) == len(over) > 1][:MOST_PANELS]
     legend = ((said, COLOURS["measured"], "solid"),)
-    return (histories(view.record, key, time, shown, legend, title),) if shown else ()
+    return (histories(view.record, key, over, shown, legend, title, over=TIME if known else SAMPLE),) if shown else ()
 
 
 def _todo(todo: Sequence[tuple[str, str]]) -> tuple[Block, ...]:

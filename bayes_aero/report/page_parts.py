@@ -15,7 +15,7 @@ from bayes_aero.inference.stall import Interval, Stall
 from bayes_aero.model.linear import channel_units
 from bayes_aero.parameter import Parameter
 from bayes_aero.report.page import Block, Facts, Fold, Plot, Points, Table, Text
-from bayes_aero.report.page_plots import MOST, Panel, linked
+from bayes_aero.report.page_plots import MOST, TIME, Over, Panel, linked
 from bayes_aero.report.style import bracket, for_people, several
 from bayes_aero.report.words_trajectory import SYMBOLS
 
@@ -194,7 +194,13 @@ def first(names: Sequence[str]) -> tuple[Sequence[str], tuple[Block, ...]]:
 
 
 def histories(
-    name: str, key: str, time: np.ndarray, panels: Sequence[Panel], legend: tuple[tuple[str, str, str], ...], what: str
+    name: str,
+    key: str,
+    time: np.ndarray,
+    panels: Sequence[Panel],
+    legend: tuple[tuple[str, str, str], ...],
+    what: str,
+    over: Over = TIME,
 ) -> Plot:
     """One manoeuvre's panels; `what` begins the words that describe them."""
     labels = several(panel.label for panel in panels)
@@ -209,9 +215,9 @@ def histories(
         for panel in panels
     )
     return Plot(
-        item=linked(time - time[0], panels, key),
+        item=linked(time - time[0], panels, key, over),
         legend=legend,
-        alt=f"{what} of {name} over {time[-1] - time[0]:.0f} s: {labels}. Measured: {spans}.",
+        alt=f"{what} of {name} over {time[-1] - time[0]:.0f} {over.unit}: {labels}. Measured: {spans}.",
         caption=thinned,
         title=name,
     )

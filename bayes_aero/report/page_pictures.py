@@ -15,6 +15,7 @@ from bayes_aero.report.style import DPI
 WIDEST = 1600  # pixels; a figure for paper is drawn wider than a screen
 FOLDED = 1100  # the same for one that stands behind a fold
 COLOURS = 48  # of the palette: lines and text need few
+PHONE = 840  # a figure for a phone, whose pixels are finer than those of a desk
 CSS_INCH = 96.0  # pixels of a screen in which a font has its nominal size
 
 
@@ -35,7 +36,13 @@ class Gallery:
     def _picture(self, stem: str, widest: int) -> Picture:
         caption, alt = self.texts[stem]
         source, size, natural = embedded(self.paths[stem], widest)
-        return Picture(source, alt, caption, *size, natural)
+        twin = self.paths.get(narrow(stem))
+        return Picture(source, alt, caption, *size, natural, embedded(twin, PHONE)[0] if twin else "")
+
+
+def narrow(stem: str) -> str:
+    """The stem of a figure's twin for a phone."""
+    return f"{stem}_narrow"
 
 
 def embedded(path: Path, widest: int = WIDEST) -> tuple[str, tuple[int, int], int]:

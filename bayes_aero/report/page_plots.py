@@ -42,6 +42,20 @@ ranges.forEach((range, i) => {
 
 
 @dataclass(frozen=True)
+class Over:
+    """What the axis below the panels is: its label, its name and unit where one points, how many digits there."""
+
+    label: str
+    name: str
+    unit: str
+    digits: str
+
+
+TIME = Over("time from start of record [s]", "time", "s", "{0.00}")
+SAMPLE = Over("number of the sample [-]", "sample", "samples", "{0}")
+
+
+@dataclass(frozen=True)
 class Line:
     """One curve in the units of its panel; `style` is solid, dashed or dotted."""
 
@@ -87,15 +101,15 @@ def extremes(columns: Sequence[Float[np.ndarray, " n"]], most: int = MOST) -> In
     return np.flatnonzero(keep)
 
 
-def linked(time: Float[np.ndarray, " n"], panels: Sequence[Panel], name: str) -> dict[str, Any]:
-    """Bokeh's JSON of the panels below each other over one shared time axis (s), called `name` in the document."""
+def linked(time: Float[np.ndarray, " n"], panels: Sequence[Panel], name: str, over: Over = TIME) -> dict[str, Any]:
+    """Bokeh's JSON of the panels below each other over one shared axis, time (s), called `name` in the document."""
     from bokeh.embed import json_item
     from bokeh.layouts import gridplot
     from bokeh.models import ColumnDataSource, CustomJS, Range1d, Span
 
     shared = Range1d(start=float(time[0]), end=float(time[-1]), bounds="auto", name=name)
     cross = Span(dimension="height", line_dash="dotted", line_color="#777777", line_width=1)
-    figures = [_panel(time, panel, shared, cross, last=panel is panels[-1]) for panel in panels]
+    figures = [_panel(time, panel, shared, cross, over, last=panel is panels[-1]) for panel in panels]
     fit = {
         "x": shared,
         "first": shared.start,
@@ -112,7 +126,7 @@ def linked(time: Float[np.ndarray, " n"], panels: Sequence[Panel], name: str) ->
     return dict(json_item(grid))
 
 
-def _panel(time: np.ndarray, panel: Panel, shared: Any, cross: Any, *, last: bool) -> Any:
+def _panel(time: np.ndarray, panel: Panel, shared: Any, cross: Any, over: Over, *, last: bool) -> Any:
     from bokeh.models import BoxZoomTool, CrosshairTool, PanTool, ResetTool, SaveTool, WheelZoomTool
     from bokeh.plotting import figure
 
@@ -124,7 +138,7 @@ def _panel(time: np.ndarray, panel: Panel, shared: Any, cross: Any, *, last: boo
         x_range=shared,
         y_range=_scale(panel),
         y_axis_label=label,
-        x_axis_label="time from start of record [s]" if last else None,
+        x_axis_label=over.label if last else None,
         tools=[
             box,
             PanTool(dimensions="width"),
@@ -141,7 +155,7 @@ def _panel(time: np.ndarray, panel: Panel, shared: Any, cross: Any, *, last: boo
         background_fill_color="#ffffff",
         border_fill_color="#ffffff",
     )
-    _draw(f, time, panel)
+    _draw(f, time, panel, over)
     _dress(f, last, height)
     return f
 
@@ -155,7 +169,7 @@ def _fitting(panel: Panel) -> tuple[str, int]:
     return label, int(min(max(panel.height, longest), HIGHEST))
 
 
-def _draw(f: Any, time: np.ndarray, panel: Panel) -> None:
+def _draw(f: Any, time: np.ndarray, panel: Panel, over: Over) -> None:
     from bokeh.models import ColumnDataSource, HoverTool
 
     index = extremes([line.values for line in panel.lines])
@@ -174,7 +188,7 @@ def _draw(f: Any, time: np.ndarray, panel: Panel) -> None:
     ]
     unit = panel.label.rpartition("[")[2].rstrip("]").replace("-", "") if panel.label.endswith("]") else ""
     values = ((line.label, f"@y{i}{{0.[0000]}} {unit}".strip()) for i, line in enumerate(panel.lines))
-    tips = [("time", "@t{0.00} s"), *values]
+    tips = [(over.name, f"@t{over.digits} {over.unit if over is TIME else ''}".strip()), *values]
     f.add_tools(HoverTool(renderers=[shown[0]], mode="vline", tooltips=tips, line_policy="nearest"))
 
 

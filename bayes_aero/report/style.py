@@ -23,6 +23,7 @@ from matplotlib.ticker import LogFormatter
 from bayes_aero.inference.identification import Identification
 
 DPI = 150
+PHONE = 5.0  # inches, of a figure for a phone: shrunk to its width, the text stays legible
 
 # Okabe and Ito's colours, and two of Paul Tol's: told apart with every common colour blindness.
 COLOURS = {

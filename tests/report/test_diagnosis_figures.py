@@ -15,6 +15,7 @@ from bayes_aero.report.diagnosed import composition, with_stalls
 from bayes_aero.report.figures import DIAGNOSIS_FIGURES, draw_all
 from bayes_aero.report.figures_diagnosis import autocorrelation
 from bayes_aero.report.figures_found import telling
+from bayes_aero.report.page_alternatives import diagnosis_alternatives
 from bayes_aero.report.style import NotDrawn, close, save
 from bayes_aero.report.words_diagnosis import (
     cause_table,
@@ -62,6 +63,16 @@ def test_an_error_of_a_sensor_is_shown_where_it_shows(flown):
         rms = np.sqrt(np.mean((values - shown.measured) ** 2))
         assert float(note.split()[2]) == pytest.approx(rms, rel=0.06), path.model
     assert telling(replace(sensor, trajectories=None)).quantity in NAMES
+
+
+def test_alternative_texts_are_sentences_about_what_is_shown(flown):
+    shown = telling(flown)
+    texts = diagnosis_alternatives(flown)
+    assert texts.keys() <= DIAGNOSIS_FIGURES.keys()
+    for stem in ("found", "measured_simulated"):
+        assert shown.quantity in texts[stem][1]
+        assert shown.manoeuvre in texts[stem][1]
+    assert not any("array(" in text or "Telling" in text for pair in texts.values() for text in pair)
 
 
 @pytest.mark.parametrize("stem", DIAGNOSIS_FIGURES)

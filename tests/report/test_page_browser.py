@@ -31,6 +31,7 @@ pytestmark = needed
 HOSTILE = """<img src=x onerror=alert(1)>$$x^2$$"'&_a_name_that_is_long_enough_to_leave_a_phone"""
 DRAWN = {
     "stall": figures_stall.stall,
+    "stall_narrow": figures_stall.stall_narrow,
     "separation": figures_stall.separation,
     "forest": figures_comparison.forest,
     "crb_vs_credible": figures_comparison.crb_vs_credible,
@@ -132,7 +133,7 @@ def test_every_axis_has_its_unit(desk):
 
 
 def test_every_figure_says_in_words_what_it_shows(desk):
-    says_in_words_what_figures_show(desk, 6 + len(DRAWN))
+    says_in_words_what_figures_show(desk, 6 + len(DRAWN) - 1)  # a twin has the words of its picture
 
 
 def test_hostile_names_are_only_names(desk):
@@ -149,6 +150,14 @@ def test_a_phone_shows_all_of_it_without_sideways_scrolling(phone):
     wake.tap()
     assert not wake.is_visible()
     assert phone.heard == []
+
+
+def test_the_first_picture_has_a_twin_that_a_phone_shows_whole(desk, phone):
+    wide, tall = (page.locator("main > .picture img") for page in (desk, phone))
+    assert wide.evaluate("i => i.naturalWidth / i.naturalHeight") > 1.2
+    assert tall.evaluate("i => i.naturalWidth / i.naturalHeight") < 0.8
+    assert tall.evaluate("i => i.closest('.box').scrollWidth <= i.closest('.box').clientWidth")
+    assert tall.evaluate("i => i.width") >= 340
 
 
 def test_it_can_be_read_by_everyone(desk):

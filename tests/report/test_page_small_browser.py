@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from browsing import can_be_read_by_everyone, fits_a_phone, has_a_unit_on_every_axis, needed, opened
+from browsing import LABELS, can_be_read_by_everyone, fits_a_phone, has_a_unit_on_every_axis, needed, opened
 
 from bayes_aero.flight.card import read_card
 from bayes_aero.report.page import write_page
@@ -36,6 +36,25 @@ def starter(tmp_path_factory):
     ]
     view = StarterView("N1.csv", "N1.toml", time, taken, [Rest("'XYZZY'", None, time)], [("mass", "of the flight")])
     return write_page(card_page(view, provenance(None, [], None, {})), tmp_path_factory.mktemp("card") / "report.html")
+
+
+@pytest.fixture(scope="module")
+def untimed(tmp_path_factory):
+    """No time was recognised, and one column is shorter than the others."""
+    values = np.sin(np.arange(500) / 20.0)
+    taken = [Taken("alpha", "'AOA_deg'", "deg", 1, "the heading", values)]
+    view = StarterView("N1.csv", "N1.toml", None, taken, [Rest("'T'", None, values[:9])], [("time", "not found")])
+    path = tmp_path_factory.mktemp("untimed") / "report.html"
+    return write_page(card_page(view, provenance(None, [], None, {})), path)
+
+
+def test_without_a_time_columns_are_drawn_over_the_number_of_the_sample(browser, untimed):
+    page = opened(browser, untimed)
+    assert page.heard == []
+    named, rest = page.evaluate(LABELS)
+    assert named == [["alpha [deg]", "number of the sample [-]"]]
+    assert rest[0][1] == "number of the sample [-]"
+    assert "over 499 samples" in page.locator("[role=img]").first.get_attribute("aria-label")
 
 
 @pytest.mark.parametrize("name", ["catalogue", "starter"])
