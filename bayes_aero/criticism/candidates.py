@@ -9,13 +9,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayes_aero.effect import Effect, Kind
+from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.model.flights import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Prior
 
 FAR = 1e9  # stands for a neutral value at infinity
+LAG = "tau1"  # the parameter of a lag that can be flown
 DERIVED = ("alpha_dot", "p_dot", "q_dot", "r_dot")
 
 
@@ -50,6 +51,11 @@ class Field:
     def parameters_of(self, effect: str) -> tuple[str, ...]:
         """Parameters that an effect owns."""
         return tuple(p.name for e in self.model.effects if e.name == effect for p in e.parameters)
+
+
+def lag_of(field: Field) -> Effect | None:
+    """The candidate that lets the separation point lag and can be flown."""
+    return next((e for e in field.candidates if e.stage is Stage.LAG and LAG in {p.name for p in e.parameters}), None)
 
 
 def field_of(model: Model, flights: Flights, extra: Sequence[Effect] = ()) -> Field:

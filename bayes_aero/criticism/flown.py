@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from bayes_aero.criticism.candidates import Field, field_of
+from bayes_aero.criticism.candidates import Field, field_of, lag_of
 from bayes_aero.criticism.diagnosis import causes_of, moves_of, verdict_of
 from bayes_aero.criticism.extension import (
     ALPHA,
@@ -45,7 +45,6 @@ from bayes_aero.model.own_effects import own_effects
 from bayes_aero.model.segments import Flown, segments, simulate
 from bayes_aero.physics.filters import FILTER_STEP
 
-LAG = "tau1"  # the parameter of a lag that can be flown
 WINDOW = 10.0  # s: long enough to integrate what is wrong, short enough to stay near the flight
 
 
@@ -222,7 +221,7 @@ def _with_lag(whole: Field, found: Extension, seed: int, most: int, progress: Pr
 
 
 def _lagged(whole: Field, found: Extension, seed: int, most: int, progress: Progress | None) -> Extension | None:
-    lag = next((e for e in whole.candidates if e.stage is Stage.LAG and LAG in {p.name for p in e.parameters}), None)
+    lag = lag_of(whole)
     if lag is None:
         return None
     if progress:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.criticism.flown_colour import colour_cost
 from bayes_aero.criticism.flown_paths import Path, label, paths_of
+from bayes_aero.criticism.flown_unseen import Noise
 from bayes_aero.criticism.trajectory import BEGIN_COST, LEFT, WINDOW
 from bayes_aero.inference.cores import blas_threads
 from bayes_aero.inference.output_error import fit_cascade, fit_output_error, trajectories
@@ -39,6 +39,7 @@ class FlownFit:
     outputs: tuple[str, ...]  # all that were recorded; those fitted are the fit's own
     units: Mapping[str, str]  # SI, of channels
     window: float  # s, of the first fits
+    swell: Mapping[str, float] = field(default_factory=dict)  # by fitted output, times missed where all is separated
 
     @property
     def converged(self) -> bool:
@@ -68,7 +69,8 @@ def fit_flown(
 ) -> FlownFit:
     """Fit windows of `window` s from the parameters' own start and every one of `starts`, then whole manoeuvres.
 
-    The colour is measured on the way and the last fit weighs its priors by it, as `trajectory.fly_both` does.
+    Colour, and growth as the flow separates, of what is missed are measured on the way; the last fit weighs its priors
+    by the one and its samples by the other, as `trajectory.fly_both` does.
     """
 
     def tell(text: str, share: float) -> None:
@@ -85,17 +87,18 @@ def fit_flown(
     fit = fit_cascade(stages, [first, *starts], prior_weight=BEGIN_COST)
     if len(stages) == 1 and fit.status is OutputErrorStatus.NOT_CONVERGED:  # a first stage stops early
         fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, prior_weight=BEGIN_COST)
-    cost = math.nan
+    cost, swell = math.nan, {}
     if math.isfinite(fit.cost) and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         tell("colour of the residuals", 0.7)
-        cost, _ = colour_cost(fit)
+        noise = Noise.of(fit)
+        cost, whole, swell = noise.cost, noise.on(whole), noise.told(whole.outputs)
         fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, prior_weight=cost)
     tell("errors of the trajectories", 0.9)
     bands, still = tolerances or {}, np.zeros_like(fit.departure)
     with np.errstate(over="ignore", invalid="ignore"):  # a first guess may fly anywhere
         paths = paths_of(replace(fit, estimate=first), whole, START, START, still, bands)
         paths += paths_of(fit, whole, FITTED, FITTED, fit.departure, bands)
-    return FlownFit(fit, first, tuple(paths), _initial(fit, shown), cost, shown, dict(units), window)
+    return FlownFit(fit, first, tuple(paths), _initial(fit, shown), cost, shown, dict(units), window, swell)
 
 
 def _initial(fit: OutputErrorResult, shown: tuple[str, ...]) -> dict[str, dict[str, tuple[float, float]]]:

@@ -1,25 +1,24 @@
 """The simulation before and after the extension: fitted to trajectories, flown on what it was not fitted to.
 
-Every manoeuvre is left out in turn. A single one is cut in two halves, each flown by the fit to the other.
+Every manoeuvre is left out in turn. A single one is cut in two halves, each flown by the fit to the other. What the
+extended model misses grows as the flow separates, and counts for less there (see `inference/swell.py`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from threading import Event
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.criticism.finding import Diagnosis
-from bayes_aero.criticism.flown_colour import colour_cost
+from bayes_aero.criticism.flown_lag import Lag, confirmed, open_lag, with_lag
 from bayes_aero.criticism.flown_paths import Error as Error
 from bayes_aero.criticism.flown_paths import Path, label, paths_of, posterior_covariance
-from bayes_aero.effect import Stage
-from bayes_aero.inference.cores import blas_threads, cores
+from bayes_aero.criticism.flown_unseen import Contender, Noise, unseen
+from bayes_aero.effect import Effect, Stage
+from bayes_aero.inference.cores import blas_threads
 from bayes_aero.inference.output_error import fit_cascade, fit_output_error
 from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
 from bayes_aero.model.dynamics import aircraft_dynamics
@@ -30,7 +29,6 @@ from bayes_aero.model.segments import Flown, segments
 WINDOW = 12.0  # s, of the first fits
 BEGIN_COST = 30.0  # taken for the colour's cost until it is measured
 LEFT = ("altitude",)  # reported, not fitted: it adds wind and pressure errors to what attitude and alpha tell already
-UNKNOWN = 10.0  # times the joint fit's deviation from which a manoeuvre says nothing of a cause
 
 Progress = Callable[[str, float], None]
 
@@ -64,6 +62,10 @@ class Trajectories:
     held: Mapping[str, tuple[str, ...]]  # causes held at their joint estimate when a manoeuvre is fitted alone
     fitted: tuple[str, ...]  # outputs
     outputs: tuple[str, ...]  # all that were recorded
+    swell: Mapping[str, float] = field(
+        default_factory=dict
+    )  # by fitted output: how many times more is missed in wholly separated flow
+    lag: Lag | None = None  # of the separation point, if it was tried
 
     def path(self, manoeuvre: str, model: str, split: str) -> Path | None:
         """One of the paths."""
@@ -81,90 +83,88 @@ def fly_both(
 ) -> Trajectories:
     """Fit the card's model and the extended one to the trajectories, jointly and with each manoeuvre left out.
 
-    The extended one has the causes that unseen data confirm.
+    The extended one has the causes that unseen data confirm, and a lag of the separation point if the coefficients
+    leave one open and unseen trajectories confirm it (see `flown_lag`).
     """
-    field = diagnosis.aerodynamics.state.field
+    whole = diagnosis.aerodynamics.state.field
     causes = [c.name for c in diagnosis.causes if c.confirmed]
-    added = [e for e in field.model.effects if e.name in causes]
-    base = [e for e in field.model.effects if e.name in field.base or not e.parameters]
-    found = dict(zip(field.model.names, diagnosis.theta, strict=True))
-    card_state = diagnosis.aerodynamics.base
-    before = dict(zip(card_state.field.model.names, card_state.theta, strict=True))
-    model = _extended(field.model, [*base, *added])
-    ours = _side(model, flights, {name: found[name] for name in model.names})
-    neutral = {p.name: field.neutral[p.name] for e in added for p in e.parameters if p.name in model.names}
-    theirs = replace(ours, start=np.array([neutral.get(name, before[name]) for name in model.names]))
-    if any(e.stage is Stage.LAG for e in added):  # a state that the card's model does not have
-        bare = _extended(field.model, base)
-        theirs, neutral = _side(bare, flights, {name: before[name] for name in bare.names}), {}
-
-    own = {p.name for e in added for p in e.parameters}
+    added = [e for e in whole.model.effects if e.name in causes]
+    base = [e for e in whole.model.effects if e.name in whole.base or not e.parameters]
+    found = dict(zip(whole.model.names, diagnosis.theta, strict=True))
+    model = _extended(whole.model, [*base, *added])
+    own = frozenset(p.name for e in added for p in e.parameters)
 
     def tell(text: str, share: float) -> None:
         if progress:
             progress(f"trajectories: {text}", share)
 
     tell("extended model", 0.0)
+    ours = _side(model, flights, found)
     joint = fit_cascade([ours.window, ours.whole], [ours.start], prior_weight=BEGIN_COST)
-    cost, _ = colour_cost(joint)
-    joint = fit_output_error(ours.whole, start=joint.estimate, departure=joint.departure, prior_weight=cost)
+    noise = Noise.of(joint)
+    options = {"departure": joint.departure, "prior_weight": noise.cost}
+    joint = fit_output_error(noise.on(ours.whole), start=joint.estimate, **options)
+    extended, lag = Contender("extended", joint, own), None
+    contenders = [extended]
+    effect = open_lag(whole, diagnosis.aerodynamics, model)
+    if effect is not None:
+        tell("lag of the separation point", 0.2)
+        lagged, lag = with_lag(_extended(whole.model, [*base, *added, effect]), effect, extended, noise, flights)
+        contenders += [lagged] if lag.kept else []
     tell("card's model", 0.3)
-    fitted = dict(zip(joint.names, joint.estimate, strict=True))
-    shared = np.array([fitted[name] for name in theirs.whole.dynamics.names])
-    starts = [theirs.start, shared]  # a model with something missing may have several optima
-    card = fit_cascade([theirs.window, theirs.whole], starts, held=neutral, prior_weight=cost)
-    paths, held = [], {}
-    for name, fit in (("card", card), ("extended", joint)):
-        paths += paths_of(fit, fit.flown, name, "fitted", fit.departure, tolerances)
+    contenders.append(_card(diagnosis, _extended(whole.model, base), ours, added, extended, noise, flights))
     tell("left out", 0.5)
-    jobs = []
-    for k in range(len(ours.whole.index)):
-        silent = {n: fitted[n] for n in _silent(joint, _masked(ours.whole, k, keep=False)) if n in own}
-        held[label(ours.whole, k)] = tuple(silent)
-        jobs += [(k, "card", card, neutral), (k, "extended", joint, silent)]
-    for number, found in enumerate(_unseen(jobs, tolerances, cost, seed), start=1):
-        paths += found
-        tell("left out", 0.5 + 0.4 * number / len(jobs))
-    sd = np.sqrt(np.diag(posterior_covariance(joint, cost)))
+    count, unseen_paths = len(joint.flown.index), {c.name: [] for c in contenders}
+    silent = {(c.name, k): c.silent(k) for c in contenders for k in range(count)}
+    for number, (name, paths) in enumerate(unseen(contenders, silent, noise, tolerances, seed), start=1):
+        unseen_paths[name] += paths
+        tell("left out", 0.5 + 0.4 * number / (count * len(contenders)))
+    if lag is not None and lag.kept:
+        both = unseen_paths["extended"], unseen_paths["lagged"]
+        lag = confirmed(lag, *both, joint.flown.outputs, joint.flown.growth, noise.cost)
+    best = contenders[1] if lag is not None and lag.kept else extended
+    shown = [(name, c) for name, c in (("card", contenders[-1]), ("extended", best))]
+    paths = [p for name, c in shown for p in paths_of(c.fit, c.fit.flown, name, "fitted", c.fit.departure, tolerances)]
+    paths += [replace(p, model=name) for name, c in shown for p in unseen_paths[c.name]]
+    sd = np.sqrt(np.diag(posterior_covariance(best.fit, noise.cost)))
     return Trajectories(
         paths=tuple(paths),
-        card=Estimates.of(card),
-        extended=Estimates.of(joint),
-        deviation=dict(zip(joint.names, map(float, sd), strict=True)),
-        colour_cost=cost,
-        held=held,
-        fitted=ours.whole.outputs,
-        outputs=tuple(n for n in ours.whole.dynamics.outputs if n in flights.channels),
+        card=Estimates.of(contenders[-1].fit),
+        extended=Estimates.of(best.fit),
+        deviation=dict(zip(best.fit.names, map(float, sd), strict=True)),
+        colour_cost=noise.cost,
+        held={label(joint.flown, k): tuple(silent[best.name, k]) for k in range(count)},
+        fitted=joint.flown.outputs,
+        outputs=tuple(n for n in joint.flown.dynamics.outputs if n in flights.channels),
+        swell=noise.told(joint.flown.outputs),
+        lag=lag,
     )
 
 
-def _unseen(
-    jobs: Sequence[tuple[int, str, OutputErrorResult, Mapping[str, float]]],
-    tolerances: Mapping[str, float],
-    cost: float,
-    seed: int,
-) -> Iterator[list[Path]]:
-    """Each job (segment, name of the model, its fit to all, what is held): the segment flown by a fit to the others.
+def _card(
+    diagnosis: Diagnosis,
+    bare: Model,
+    ours: _Side,
+    added: Sequence[Effect],
+    extended: Contender,
+    noise: Noise,
+    flights: Flights,
+) -> Contender:
+    """The card's model, the causes at neutral; from its own start and from what the extended one shares with it.
 
-    Two fits keep as many cores busy as one with twice the segments, so several are made at once.
+    Every sample counts the same: what it misses is not confined to the stall.
     """
-    stopped, others = Event(), max(1, len(jobs[0][2].flown.index) - 1)
-
-    def one(job) -> list[Path]:
-        k, name, fit, held = job
-        rest, seen = (_masked(fit.flown, k, keep=keep) for keep in (False, True))
-        options = {"held": held, "prior_weight": cost, "stopped": stopped.is_set}
-        again = fit_output_error(rest, start=fit.estimate, **options)
-        if stopped.is_set():
-            return []
-        return paths_of(again, seen, name, "unseen", np.zeros_like(fit.departure), tolerances, cost, seed)
-
-    with ThreadPoolExecutor(max(1, cores() // others)) as pool:
-        try:
-            yield from pool.map(one, jobs)
-        except BaseException:  # Ctrl-C does not wait for whole fits
-            stopped.set()
-            raise
+    base, neutral = diagnosis.aerodynamics.base, diagnosis.aerodynamics.state.field.neutral
+    before = dict(zip(base.field.model.names, base.theta, strict=True))
+    held = {name: neutral[name] for name in extended.own if name in extended.fit.names}
+    theirs = replace(ours, start=np.array([held.get(name, before[name]) for name in ours.whole.dynamics.names]))
+    if any(e.stage is Stage.LAG for e in added):  # a state that the card's model does not have
+        theirs, held = _side(bare, flights, before), {}
+    fitted = dict(zip(extended.fit.names, extended.fit.estimate, strict=True))
+    shared = np.array([fitted[name] for name in theirs.whole.dynamics.names])
+    starts = [theirs.start, shared]  # a model with something missing may have several optima
+    fit = fit_cascade([theirs.window, theirs.whole], starts, held=held, prior_weight=noise.cost)
+    return Contender("card", fit, held=held)
 
 
 @dataclass(frozen=True)
@@ -196,17 +196,3 @@ def _extended(whole: Model, effects: Sequence) -> Model:
 
 def _half(flights: Flights) -> float:
     return 0.5 * flights.lengths[0] * float(flights.channels["dt"][0])
-
-
-def _masked(flown: Flown, row: int, *, keep: bool) -> Flown:
-    """Only one of the segments counts, or all others; the shapes stay, so nothing compiles anew."""
-    counts = (np.arange(len(flown.index)) == row) == keep
-    return eqx.tree_at(lambda f: f.inside, flown, flown.inside & counts[:, None])
-
-
-def _silent(joint: OutputErrorResult, others: Flown) -> list[str]:
-    """Parameters of which the segments that are left say less than a hundredth of what all say."""
-    part = fit_output_error(others, start=joint.estimate, departure=joint.departure, most=0)
-    alone = part.crb
-    with np.errstate(invalid="ignore"):
-        return [n for n, a, b in zip(joint.names, alone, joint.crb, strict=True) if not a < UNKNOWN * b]

@@ -56,7 +56,8 @@ class Priors:
 class Normal(NamedTuple):
     """Inner products of residual and sensitivities: (w, c, 1 + k + s, 1 + k + s), samples (w,), and what was inside.
 
-    `columns` are residual and sensitivities themselves, (w, n, c, 1 + k + s) in parts that follow each other along w.
+    `columns` are residual and sensitivities themselves, (w, n, c, 1 + k + s) in parts that follow each other along w,
+    both in deviations of attached flow where the noise swells.
     """
 
     gram: Float[np.ndarray, "w c j j"]
@@ -78,6 +79,8 @@ def _normal(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w 
     towards = (jnp.concatenate([jnp.eye(k), jnp.zeros((s, k))]), jnp.concatenate([jnp.zeros((k, s)), jnp.eye(s)]))
     r, slope, inside = jax.vmap(lambda t: jax.jvp(residual, point, t, has_aux=True), out_axes=(None, -1, None))(towards)
     columns = jnp.concatenate([r[..., None], -slope], axis=-1)  # w n c j
+    if flown.swell is not None:
+        columns = columns / flown.swell[..., None]
     return jnp.einsum("wnci,wncj->wcij", columns, columns), jnp.sum(inside & flown.inside, axis=1), columns
 
 
@@ -93,6 +96,7 @@ class Looks:
         size = -(-w // min(w, os.cpu_count() or 1))
         self.prior = prior
         self.count = flown.inside.sum(axis=1).astype(float)
+        self.swell = 0.0 if flown.swell is None else float(np.log(flown.swell[flown.inside]).sum())
         self._rows = [np.minimum(np.arange(a, a + size), w - 1) for a in range(0, w, size)]  # the last may repeat
         self._parts = {
             number: jax.tree.map(jnp.asarray, flown.nameless.part(rows))
@@ -119,7 +123,7 @@ class Looks:
         gram, within, columns = zip(*(found.get(i, silent) for i in range(len(self._rows))), strict=True)
         gram, within = np.concatenate(gram)[:w], np.concatenate(within)[:w]
         normal = Normal(gram, self.count, float(within.sum() / self.count.sum()), columns)
-        return _point(theta, departure, normal, self.prior)
+        return _point(theta, departure, normal, self.prior, self.swell)
 
 
 class Point(NamedTuple):
@@ -132,12 +136,13 @@ class Point(NamedTuple):
     cost: float
 
 
-def _point(theta: np.ndarray, departure: np.ndarray, normal: Normal, prior: Priors) -> Point:
+def _point(theta: np.ndarray, departure: np.ndarray, normal: Normal, prior: Priors, swell: float) -> Point:
+    """`swell`: sum of its logarithms over all samples and outputs, which the likelihood holds."""
     gram, total = normal.gram, normal.count.sum()
     if not np.all(np.abs(gram) < HUGE):
         return Point(theta, departure, normal._replace(inside=0.0), np.ones(gram.shape[1]), math.inf)
     R = np.maximum(gram[:, :, 0, 0].sum(axis=0) / total, TINY)
-    cost = 0.5 * total * float(np.sum(np.log(R)))
+    cost = 0.5 * total * float(np.sum(np.log(R))) + swell
     cost += 0.5 * float(prior.precision @ (theta - prior.mean) ** 2) + 0.5 * float(np.sum(departure**2 @ prior.states))
     if normal.inside < 1.0:
         cost += OUTSIDE * (1.0 - normal.inside)

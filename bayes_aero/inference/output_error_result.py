@@ -37,7 +37,8 @@ class OutputErrorResult:
     """Estimates of k parameters and of each segment's initial state, with what they rest on.
 
     `covariance` is Cramer and Rao's with the priors' information, `information` the data's alone. `rms` is by segment
-    and output, in the recorded unit. `columns` are residual and sensitivities (parameters, then initial state).
+    and output, in the recorded unit. `columns` are residual and sensitivities (parameters, then initial state), both
+    divided by `flown.swell`; `R` is the variance of attached flow.
     """
 
     flown: Flown
@@ -151,6 +152,8 @@ def result_of(
         status = OutputErrorStatus.NOT_CONVERGED
     else:
         status = OutputErrorStatus.AT_BOUND if at_bound else OutputErrorStatus.CONVERGED
+    columns = np.concatenate(point.normal.columns)[:w]
+    residual = columns[..., 0] if flown.swell is None else columns[..., 0] * flown.swell
     moving = np.ix_(~rest, ~rest)
     scale = np.sqrt(np.diag(A)[~rest])
     covariance = np.zeros_like(A)
@@ -165,10 +168,10 @@ def result_of(
         covariance=covariance,
         information=A - np.diag(prior.precision),
         priors=prior,
-        rms=np.sqrt(point.normal.gram[:, :, 0, 0] / np.maximum(point.normal.count, 1.0)[:, None]),
+        rms=np.sqrt(np.sum(residual**2, axis=1) / np.maximum(point.normal.count, 1.0)[:, None]),
         status=status,
         iterations=iterations,
         at_bound=at_bound,
-        columns=np.concatenate(point.normal.columns)[:w],
+        columns=columns,
         eliminated=eliminated,
     )

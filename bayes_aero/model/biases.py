@@ -57,6 +57,11 @@ class BiasedDynamics(Dynamics):
         """As they are without bias."""
         return self.plain.outputs
 
+    @property
+    def unmeasured(self) -> tuple[str, ...]:
+        """As they are without bias."""
+        return self.plain.unmeasured
+
     def values(self, theta: Any) -> dict[str, Any]:
         """Of the dynamics, and the biases."""
         k = len(self.plain.free)

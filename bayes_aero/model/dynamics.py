@@ -52,6 +52,11 @@ class Dynamics(ABC):
     def outputs(self) -> tuple[str, ...]:
         """What it can be compared with: names of channels."""
 
+    @property
+    def unmeasured(self) -> tuple[str, ...]:
+        """Outputs that no sensor shows and on which the noise of the others may depend."""
+        return ()
+
     @abstractmethod
     def system(self, values: Values, aircraft: Aircraft) -> System:
         """The system at these parameter values."""
@@ -119,6 +124,11 @@ class AircraftDynamics(Dynamics):
     def outputs(self) -> tuple[str, ...]:
         """Flight states and accelerations at the sensor."""
         return tuple(name for name in OUTPUTS if name != "altitude" or self.altitude)
+
+    @property
+    def unmeasured(self) -> tuple[str, ...]:
+        """The separation point: noise grows as the flow separates."""
+        return ("X",)
 
     def values(self, theta: Any) -> dict[str, Any]:
         """The model's."""

@@ -22,7 +22,10 @@ SHORTEST = 0.5  # of a window: a shorter rest at the end of a manoeuvre joins th
 
 
 class Flown(eqx.Module):
-    """Segments of flights, a row each, filled up to one length with their last sample; `inside` marks the real ones."""
+    """Segments of flights, a row each, filled up to one length with their last sample; `inside` marks the real ones.
+
+    `swell` is how many times an output's noise is that of attached flow, sample by sample; None where it is steady.
+    """
 
     flights: Flights
     index: Int[np.ndarray, "w n"]
@@ -32,6 +35,7 @@ class Flown(eqx.Module):
     outputs: tuple[str, ...] = eqx.field(static=True)
     begin: int = eqx.field(static=True, default=2)  # samples from which the measured initial state is read
     substeps: int = eqx.field(static=True, default=1)
+    swell: Float[np.ndarray, "w n c"] | None = None
 
     @property
     def nameless(self) -> Flown:
@@ -43,10 +47,17 @@ class Flown(eqx.Module):
         """Which manoeuvre each segment belongs to."""
         return self.flights.manoeuvre[self.index[:, 0]]
 
+    @property
+    def growth(self) -> list[Float[np.ndarray, "m c"]]:
+        """`swell` of the real samples, by segment."""
+        swell = np.ones((*self.inside.shape, len(self.outputs))) if self.swell is None else self.swell
+        return [swell[k][real] for k, real in enumerate(self.inside)]
+
     def part(self, rows: Sequence[int] | Int[np.ndarray, " r"]) -> Flown:
         """Some of the segments, in the order of `rows`."""
-        fewer = tuple(x[np.asarray(rows)] for x in (self.index, self.inside, self.dt))
-        return eqx.tree_at(lambda f: (f.index, f.inside, f.dt), self, fewer)
+        index, inside, dt = (x[np.asarray(rows)] for x in (self.index, self.inside, self.dt))
+        swell = None if self.swell is None else self.swell[np.asarray(rows)]
+        return replace(self, index=index, inside=inside, dt=dt, swell=swell)
 
 
 class Simulated(NamedTuple):
@@ -109,7 +120,8 @@ def simulate(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w
 
     def fly(start, away, inputs, dt):
         first = {name: x[0] for name, x in inputs.items()}
-        return integrate(system, system.settled(start, first) + away, inputs, dt, flown.substeps, flown.outputs)
+        wanted = (*flown.outputs, *dynamics.unmeasured)
+        return integrate(system, system.settled(start, first) + away, inputs, dt, flown.substeps, wanted)
 
     trajectory = jax.vmap(fly)(begin, departure, drives, jnp.asarray(flown.dt))
     true = jnp.stack([channels[name][flown.index] for name in flown.outputs], axis=2)

@@ -154,6 +154,16 @@ def for_people(unit: str) -> tuple[str, float]:
     return FOR_PEOPLE.get(unit, (unit, 1.0))
 
 
+def size_text(mean: float, sd: float, unit: str) -> str:
+    """0.62 ± 0.11 deg: two digits of the deviation, units as people read them."""
+    shown, factor = for_people(unit)
+    shown = "" if shown == "1" else f" {shown}"
+    if not np.isfinite(sd) or sd <= 0.0:
+        return f"{factor * mean:.3g}{shown}"
+    places = max(0, 1 - int(np.floor(np.log10(factor * sd))))
+    return f"{factor * mean:.{places}f} ± {factor * sd:.{places}f}{shown}"
+
+
 def bracket(unit: str) -> str:
     """A unit as it stands behind a name on an axis."""
     return "[-]" if unit in ("1", "", "-") else f"[{unit}]"

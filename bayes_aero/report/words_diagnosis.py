@@ -14,7 +14,7 @@ from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.diagnosed import View
-from bayes_aero.report.style import for_people, several
+from bayes_aero.report.style import several, size_text
 from bayes_aero.report.words_signs import sign_sentences
 from bayes_aero.report.words_trajectory import trajectory_sentences
 
@@ -186,16 +186,6 @@ def flown_table(d: Diagnosis) -> Table | None:
         sizes = "\n".join(size_text(s.mean, s.sd, s.unit) for s in cause.parameters.values())
         table.add_row(cause.name, sizes, probability(cause.probability), several(cause.ambiguous_with))
     return table
-
-
-def size_text(mean: float, sd: float, unit: str) -> str:
-    """0.62 ± 0.11 deg: two digits of the deviation, units as people read them."""
-    shown, factor = for_people(unit)
-    shown = "" if shown == "1" else f" {shown}"
-    if not np.isfinite(sd) or sd <= 0.0:
-        return f"{factor * mean:.3g}{shown}"
-    places = max(0, 1 - int(np.floor(np.log10(factor * sd))))
-    return f"{factor * mean:.{places}f} ± {factor * sd:.{places}f}{shown}"
 
 
 def probability(value: float) -> str:

@@ -19,6 +19,7 @@ from bayes_aero.report.words_trajectory import SYMBOLS, short
 
 MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound"}
 COLOURED = 1.5  # times by which the colour must multiply variances to be worth a sentence; our choice
+SWOLLEN = 2.0  # times more, in wholly separated flow, from which it is worth a sentence; our choice
 
 
 def parameter_rows(flown: FlownFit) -> dict[str, dict[str, Any]]:
@@ -119,6 +120,10 @@ def fly_sentences(flown: FlownFit) -> list[str]:
             f"The residuals are coloured: they multiply variances {short(flown.colour_cost)} times in the median, and "
             "the Cramér-Rao bound is too small; use the corrected deviation."
         )
+    swollen = {name: times for name, times in flown.swell.items() if times > SWOLLEN}
+    if swollen:
+        told = several(f"{SYMBOLS.get(name, name)} {short(times)} times" for name, times in swollen.items())
+        said.append(f"More is missed where the flow has separated ({told}): samples there count for less.")
     estimates = zip(fit.names, fit.estimate, fit.sd_corrected, strict=True)
     said += sign_sentences({name: (float(value), float(sd)) for name, value, sd in estimates})
     if fit.held and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:

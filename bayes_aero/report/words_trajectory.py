@@ -9,9 +9,10 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from bayes_aero.criticism.trajectory import Estimates, Trajectories
+from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.output_error import OutputErrorStatus
-from bayes_aero.report.style import for_people, several
+from bayes_aero.report.style import for_people, several, size_text
 
 MODELS = ("card", "extended")
 STOPPED = "stopped before the optimum, so that its errors may be larger than they need be"
@@ -87,6 +88,7 @@ def _tail(name: str) -> str:
 def trajectory_sentences(flown: Trajectories) -> list[str]:
     """How the fits ended, what was held, and how often the tolerances are kept."""
     said = [*_status("The card's model", flown.card), *_status("The extended model", flown.extended)]
+    said += lag_sentences(flown)
     for name, held in flown.held.items():
         if held:
             verb = "it keeps its value" if len(held) == 1 else "they keep their values"
@@ -114,6 +116,26 @@ def trajectory_sentences(flown: Trajectories) -> list[str]:
                 f"probability that all of it is: {', '.join(kept)}."
             )
     return said
+
+
+def lag_sentences(flown: Trajectories) -> list[str]:
+    """What trajectories say of a lag that coefficients leave open."""
+    lag = flown.lag
+    if lag is None:
+        return []
+    elpd, elpd_se = lag.unseen
+    if not lag.kept:
+        asked = f", unseen flight {elpd:+.0f} ± {elpd_se:.0f}" if math.isfinite(elpd) else ""
+        gained = f"log density {lag.gain:+.1f}{asked}" if math.isfinite(lag.gain) else "its fit did not settle"
+        return [f"Coefficients leave {lag.effect} open, and trajectories do not want it ({gained})."]
+    names = [p.name for p in CATALOGUE[lag.effect].parameters]
+    after = flown.extended
+    sizes = [f"{n} {size_text(after.values[n], flown.deviation[n], after.units[n])}" for n in names]
+    instead = f" in place of {several(lag.instead)}" if lag.instead else ""
+    return [
+        f"Flown, the extended model has {lag.effect} too{instead}: {several(sizes)}. Coefficients alone leave it open; "
+        f"the trajectories gain log density {lag.gain:.0f} by it, unseen flight {elpd:.0f} ± {elpd_se:.0f}."
+    ]
 
 
 def _status(who: str, fit: Estimates) -> list[str]:

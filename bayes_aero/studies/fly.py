@@ -181,6 +181,7 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
         "iterations": fit.iterations,
         "cost": fit.cost,
         "colour_cost": flown.colour_cost,
+        "swell": dict(flown.swell),
         "parameters": parameter_rows(flown),
         "initial_states": {
             manoeuvre: {n: {"value": x, "departure": d, "unit": units[n]} for n, (x, d) in states.items()}

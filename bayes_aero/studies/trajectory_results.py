@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from bayes_aero.criticism.flown_lag import Lag
 from bayes_aero.criticism.residuals import TheilParts
 from bayes_aero.criticism.trajectory import Error, Estimates, Path, Trajectories
 from bayes_aero.flight.card import Card
@@ -23,6 +24,8 @@ def trajectory_results(flown: Trajectories, card: Card) -> dict[str, Any]:
         "status": {"card": before.status.name, "extended": after.status.name},
         "at_bound": {"card": list(before.at_bound), "extended": list(after.at_bound)},
         "colour_cost": flown.colour_cost,
+        "swell": dict(flown.swell),
+        "lag": None if flown.lag is None else _lag(flown.lag),
         "tolerances": {
             name: {"value": t.value, "unit": STANDARD_CHANNELS[name].unit, "source": t.source}
             for name, t in card.tolerances.items()
@@ -102,7 +105,20 @@ def trajectories_of(told: Mapping[str, Any], histories: Histories, card: Card) -
         held={name: tuple(held) for name, held in told["held_without"].items()},
         fitted=tuple(told["fitted_outputs"]),
         outputs=tuple(paths[0].errors),
+        swell={name: number(x) for name, x in told["swell"].items()},
+        lag=None if told["lag"] is None else _lag_of(told["lag"]),
     )
+
+
+def _lag(lag: Lag) -> dict[str, Any]:
+    elpd, elpd_se = lag.unseen
+    unseen = {"elpd": elpd, "elpd_se": elpd_se}
+    return {"effect": lag.effect, "gain": lag.gain, "unseen": unseen, "kept": lag.kept, "instead_of": list(lag.instead)}
+
+
+def _lag_of(told: Mapping[str, Any]) -> Lag:
+    unseen = number(told["unseen"]["elpd"]), number(told["unseen"]["elpd_se"])
+    return Lag(told["effect"], number(told["gain"]), bool(told["kept"]), unseen, tuple(told["instead_of"]))
 
 
 def _path(told: Mapping[str, Any], histories: Histories, card: Card) -> Path:

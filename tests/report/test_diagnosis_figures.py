@@ -16,7 +16,7 @@ from bayes_aero.report.figures import DIAGNOSIS_FIGURES, draw_all
 from bayes_aero.report.figures_diagnosis import autocorrelation
 from bayes_aero.report.figures_found import telling
 from bayes_aero.report.page_alternatives import diagnosis_alternatives
-from bayes_aero.report.style import NotDrawn, close, save
+from bayes_aero.report.style import NotDrawn, close, save, size_text
 from bayes_aero.report.words_diagnosis import (
     cause_table,
     causes_frame,
@@ -25,7 +25,6 @@ from bayes_aero.report.words_diagnosis import (
     revealed,
     screen_frame,
     sentences,
-    size_text,
 )
 
 DOES_NOT_APPLY = {"gain", "moves", "trajectories_unseen", "trajectories_fitted"}  # nothing was added or flown

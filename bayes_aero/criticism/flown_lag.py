@@ -1,0 +1,120 @@
+"""A lag of the separation point that coefficients leave open, asked of trajectories.
+
+The coefficients follow from the measured angle of attack and its rate, so that a lag and a quasi-steady hysteresis draw
+nearly the same loops of a few seconds. Flown, they differ: hysteresis answers alpha-dot at once, so that lift depends
+on what it does itself, and a lag does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.criticism.candidates import Field, lag_of
+from bayes_aero.criticism.confirmation import MISSED
+from bayes_aero.criticism.diagnosis import POSSIBLE
+from bayes_aero.criticism.extension import DECISIVE, Extension
+from bayes_aero.criticism.flown_paths import Path
+from bayes_aero.criticism.flown_unseen import Contender, Noise
+from bayes_aero.criticism.gain import deviation_of_sum
+from bayes_aero.effect import Effect, Stage
+from bayes_aero.inference.output_error import fit_output_error
+from bayes_aero.inference.output_error_result import OutputErrorStatus
+from bayes_aero.model.dynamics import aircraft_dynamics
+from bayes_aero.model.flights import Flights
+from bayes_aero.model.model import Model
+
+SETTLED = (OutputErrorStatus.CONVERGED, OutputErrorStatus.AT_BOUND)
+
+
+@dataclass(frozen=True)
+class Lag:
+    """The lag tried beside the extended model: log density that the joint fit gains, and unseen flight, by it.
+
+    Both are divided by what the residuals' colour costs. `unseen` has its deviation, and is not a number where unseen
+    flight was not asked, the joint fit gaining too little. `instead`: hysteresis that the lag leaves nothing of.
+    """
+
+    effect: str
+    gain: float
+    kept: bool
+    unseen: tuple[float, float] = (float("nan"), float("nan"))
+    instead: tuple[str, ...] = ()
+
+
+def open_lag(field: Field, found: Extension, model: Model) -> Effect | None:
+    """The catalogue's lag, if the flow of the extended model separates without one and the last election gives it the
+    score of a rival."""
+    lag, stages = lag_of(field), {e.stage for e in model.acting}
+    if lag is None or Stage.LAG in stages or Stage.SEPARATION not in stages or not found.steps:
+        return None
+    scores = [s.score for s in found.steps[-1].poll.standings if s.effect == lag.name]
+    return lag if max(scores, default=0.0) >= POSSIBLE else None
+
+
+def with_lag(
+    model: Model, effect: Effect, extended: Contender, noise: Noise, flights: Flights
+) -> tuple[Contender, Lag]:
+    """`model`, the extended one with the lag, fitted to all from the extended one's optimum; kept if decisively better.
+
+    Hysteresis that is left at none is held there: the lag stands in for it.
+    """
+    model = _without_lead(model)
+    dynamics = aircraft_dynamics(model, flights)
+    fitted = dict(zip(extended.fit.names, map(float, extended.fit.estimate), strict=True))
+    start = np.array([fitted.get(p.name, p.start) for p in model.free])
+    whole = replace(extended.fit.flown, dynamics=dynamics, substeps=dynamics.substeps(start, flights))
+    fit = fit_output_error(whole, start=start, prior_weight=noise.cost)
+    found = dict(zip(fit.names, fit.estimate, strict=True))
+    none = {n: x for n, x in _hysteresis(model).items() if n in fit.at_bound and found[n] == x}
+    if none:
+        fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, held=none, prior_weight=noise.cost)
+    gain = -np.inf
+    if fit.status in SETTLED and extended.fit.status in SETTLED:
+        gain = (extended.fit.cost - fit.cost) / noise.cost
+    own = extended.own | {p.name for p in effect.parameters}
+    return Contender("lagged", fit, own, none), Lag(
+        effect.name, float(gain), bool(gain > DECISIVE), instead=tuple(none)
+    )
+
+
+def confirmed(
+    lag: Lag,
+    without: Sequence[Path],
+    lagged: Sequence[Path],
+    outputs: Sequence[str],
+    swell: Sequence[Float[np.ndarray, "m c"]],
+    cost: float,
+) -> Lag:
+    """Kept if unseen flight misses the lag as it must miss any cause: both flew the same manoeuvres, in order.
+
+    Its density is normal, with the variance of attached flow that the left-out residuals themselves have.
+    """
+    density = []
+    for paths in (without, lagged):
+        left = [np.stack([p.measured[n] - p.simulated[n] for n in outputs], axis=1) for p in paths]
+        r = np.concatenate([x / s for x, s in zip(left, swell, strict=True)])
+        variance = np.mean(r**2, axis=0)
+        density.append(-0.5 * (r**2 / variance + np.log(variance)).sum(axis=1))
+    difference = (density[1] - density[0]) / cost
+    told = float(difference.sum()), deviation_of_sum(difference, [len(p.time) for p in without])
+    flew = all(p.inside for p in lagged)
+    return replace(lag, unseen=told, kept=bool(flew and told[0] > MISSED * told[1]))
+
+
+def _hysteresis(model: Model) -> Mapping[str, float]:
+    """Parameters of the quasi-steady flow's hysteresis and their neutral values."""
+    return {p.name: p.neutral for e in model.effects if e.stage is Stage.INCIDENCE for p in e.parameters}
+
+
+def _without_lead(model: Model) -> Model:
+    """Hysteresis not below none: beside a lag it would be a lead that cancels it, and mean nothing."""
+    own = _hysteresis(model)
+    bounded = [
+        replace(p, bounds=(max(own[p.name], p.bounds[0]), p.bounds[1])) if p.name in own else p
+        for p in model.parameters
+    ]
+    return replace(model, parameters=tuple(bounded))

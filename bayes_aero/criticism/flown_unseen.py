@@ -1,0 +1,104 @@
+"""Models fitted to all segments of flight but one, and flown on that one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from threading import Event
+
+import equinox as eqx
+import numpy as np
+
+from bayes_aero.criticism.flown_colour import colour_cost
+from bayes_aero.criticism.flown_paths import Path, paths_of
+from bayes_aero.inference.cores import cores
+from bayes_aero.inference.output_error import fit_output_error
+from bayes_aero.inference.output_error_result import OutputErrorResult
+from bayes_aero.inference.swell import Separated
+from bayes_aero.model.segments import Flown
+
+UNKNOWN = 10.0  # times the joint fit's deviation from which a manoeuvre says nothing of a cause
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What a first fit tells of residuals: how much their colour multiplies variances, how they grow in the stall."""
+
+    cost: float
+    parts: Separated | None
+
+    @classmethod
+    def of(cls, fit: OutputErrorResult) -> Noise:
+        """From a fit to all."""
+        return cls(colour_cost(fit)[0], Separated.of(fit))
+
+    def on(self, flown: Flown, without: int | None = None) -> Flown:
+        """The same segments with their swell; its size is read from all of them, or from all but one."""
+        return flown if self.parts is None else replace(flown, swell=self.parts.swell(without))
+
+    def told(self, outputs: Sequence[str]) -> dict[str, float]:
+        """By output, how many times more is missed in wholly separated flow than in attached flow."""
+        growths = np.zeros(len(outputs)) if self.parts is None else self.parts.growths()
+        return {name: 1.0 + float(b) for name, b in zip(outputs, growths, strict=True)}
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A model fitted to all segments; `held` parameters are never fitted, `own` are those of its causes."""
+
+    name: str
+    fit: OutputErrorResult
+    own: frozenset[str] = frozenset()
+    held: Mapping[str, float] = field(default_factory=dict)
+
+    def silent(self, segment: int) -> dict[str, float]:
+        """Parameters of causes of which the other segments say less than a hundredth of what all say; joint values."""
+        if not self.own:
+            return {}
+        part = fit_output_error(
+            masked(self.fit.flown, segment, keep=False), start=self.fit.estimate, departure=self.fit.departure, most=0
+        )
+        told = zip(self.fit.names, self.fit.estimate, part.crb, self.fit.crb, strict=True)
+        with np.errstate(invalid="ignore"):
+            return {n: float(x) for n, x, alone, all_ in told if n in self.own and not alone < UNKNOWN * all_}
+
+
+def masked(flown: Flown, segment: int, *, keep: bool) -> Flown:
+    """Only one of the segments counts, or all others; the shapes stay, so nothing compiles anew."""
+    counts = (np.arange(len(flown.index)) == segment) == keep
+    return eqx.tree_at(lambda f: f.inside, flown, flown.inside & counts[:, None])
+
+
+def unseen(
+    contenders: Sequence[Contender],
+    silent: Mapping[tuple[str, int], Mapping[str, float]],
+    noise: Noise,
+    tolerances: Mapping[str, float],
+    seed: int,
+) -> Iterator[tuple[str, list[Path]]]:
+    """Every contender (its name is told) and segment: the segment flown by a fit to the others, `silent` ones held.
+
+    Two fits keep as many cores busy as one with twice the segments, so several are made at once.
+    """
+    count = len(contenders[0].fit.flown.index)
+    jobs = [(c, k) for c in contenders for k in range(count)]
+    stopped = Event()
+
+    def one(job: tuple[Contender, int]) -> tuple[str, list[Path]]:
+        contender, k = job
+        fit, held = contender.fit, {**contender.held, **silent[contender.name, k]}
+        weighed = fit.flown if fit.flown.swell is None else noise.on(fit.flown, without=k)
+        rest = masked(weighed, k, keep=False)
+        again = fit_output_error(rest, start=fit.estimate, held=held, prior_weight=noise.cost, stopped=stopped.is_set)
+        if stopped.is_set():
+            return contender.name, []
+        alone, still = masked(fit.flown, k, keep=True), np.zeros_like(fit.departure)
+        return contender.name, paths_of(again, alone, contender.name, "unseen", still, tolerances, noise.cost, seed)
+
+    with ThreadPoolExecutor(max(1, cores() // max(1, count - 1))) as pool:
+        try:
+            yield from pool.map(one, jobs)
+        except BaseException:  # Ctrl-C does not wait for whole fits
+            stopped.set()
+            raise
