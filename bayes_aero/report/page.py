@@ -21,6 +21,9 @@ from bayes_aero import __version__
 from bayes_aero.errors import no_space
 
 ACROSS = 150  # characters in a row of a table from which paper is turned
+HALF = 56  # characters in a row that fit in half a sheet
+SHEET = 40  # lines of a table that surely fit on a sheet
+FOLDED = 25  # characters in a line of a column of text
 
 
 @dataclass(frozen=True)
@@ -75,15 +78,28 @@ class Table:
             words=tuple(new for new, i in enumerate(kept) if i in self.words),
         )
 
+    def _widths(self) -> list[int]:
+        """Characters in the longest line of each column."""
+        columns = zip(*self.rows, strict=True) if self.rows else ()
+        return [max(len(line) for cell in column for line in cell.split("\n")) for column in columns]
+
+    @property
+    def across(self) -> int:
+        """Characters in a row, with room between columns; text can be folded."""
+        widths = [min(width, FOLDED) if i in self.words else width for i, width in enumerate(self._widths())]
+        return sum(widths) + 2 * len(widths)
+
     @property
     def broad(self) -> bool:
         """Whether it needs a sheet across when printed."""
-        columns = enumerate(zip(*self.rows, strict=True) if self.rows else ())
-        widths = [
-            max(len(line) for cell in column for line in cell.split("\n")) if i not in self.words else 25
-            for i, column in columns
-        ]
-        return sum(widths) + 2 * len(widths) > ACROSS
+        return self.across > ACROSS
+
+    @property
+    def slim(self) -> bool:
+        """Whether another one has room beside it when printed: all of it unfolded, and on one sheet."""
+        widths = self._widths()
+        lines = sum(max(cell.count("\n") + 1 for cell in row) for row in self.rows)
+        return sum(widths) + 2 * len(widths) <= HALF and lines <= SHEET
 
 
 @dataclass(frozen=True)

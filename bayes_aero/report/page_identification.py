@@ -176,7 +176,7 @@ def _stall(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
 
 def _parameters(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
     names = ordered(run.mle.names)
-    pictures = [*gallery("forest"), *gallery("crb_vs_credible")]
+    pictures = [*gallery("crb_vs_credible"), *gallery("forest")]  # the high one last: printed, it needs its own sheet
     single = page_tables.each_alone(run)
     return (
         page_tables.parameters(run),

@@ -15,6 +15,8 @@ PANEL, AXIS = 150, 44  # pixels: height of a panel, and of the time axis below t
 LOW = 105  # of a panel that only gives context
 LETTER = 7.5  # pixels of an axis label's letter, with some room
 HIGHEST = 2 * PANEL  # whatever a channel is called
+PAPER = 580  # pixels of all panels together on paper, so that two figures share a sheet
+LEAST = 0.5  # of a panel's height there, however many panels there are
 FARTHEST = 1e30  # single precision ends soon beyond
 INK, GRID = "#222222", "#dddddd"
 
@@ -110,6 +112,8 @@ def linked(time: Float[np.ndarray, " n"], panels: Sequence[Panel], name: str, ov
     shared = Range1d(start=float(time[0]), end=float(time[-1]), bounds="auto", name=name)
     cross = Span(dimension="height", line_dash="dotted", line_color="#777777", line_width=1)
     figures = [_panel(time, panel, shared, cross, over, last=panel is panels[-1]) for panel in panels]
+    for f, height in zip(figures, _on_paper(panels), strict=True):
+        f.tags = [height]
     fit = {
         "x": shared,
         "first": shared.start,
@@ -167,6 +171,15 @@ def _fitting(panel: Panel) -> tuple[str, int]:
     label = "\n[".join(panel.label.rsplit(" [", 1))
     longest = LETTER * max(map(len, label.split("\n")))
     return label, int(min(max(panel.height, longest), HIGHEST))
+
+
+def _on_paper(panels: Sequence[Panel]) -> list[int]:
+    """Heights when printed, the axis with the last: lower than on a screen, though never than a label is long."""
+    fitting = [_fitting(panel) for panel in panels]
+    share = max(min((PAPER - AXIS) / sum(height for _, height in fitting), 1.0), LEAST)
+    longest = [LETTER * max(map(len, label.split("\n"))) for label, _ in fitting]
+    heights = [int(min(max(share * h, long + 6), h)) for (_, h), long in zip(fitting, longest, strict=True)]
+    return [*heights[:-1], heights[-1] + AXIS]
 
 
 def _draw(f: Any, time: np.ndarray, panel: Panel, over: Over) -> None:

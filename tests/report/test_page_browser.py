@@ -173,15 +173,19 @@ def test_it_prints_with_everything_open_and_the_plots_as_drawn(fresh):
         "addEventListener('beforeprint', () => { "
         "window.closed = document.querySelectorAll('details:not([open])').length })"
     )
+    high = "Bokeh.documents.map((d) => d.roots()[0].children.map(([f]) => f.inner_height))"
+    heights = fresh.evaluate(high)
     pdf = fresh.pdf(prefer_css_page_size=True)
     assert pdf.startswith(b"%PDF")
     assert len(re.findall(rb"/Type\s*/Page\b", pdf)) >= 3
     assert fresh.evaluate("window.closed") == 0
     assert fresh.evaluate("document.querySelectorAll('details:not([open])').length") == closed
+    assert fresh.evaluate(high) == heights
     fresh.emulate_media(media="print")
     sizes = fresh.evaluate("[...document.querySelectorAll('.still')].map((c) => [c.width, c.height, c.clientHeight])")
     assert len(sizes) == fresh.evaluate("document.querySelectorAll('[data-plot]').length")
     assert all(min(size) > 150 for size in sizes)
+    assert all(height < 0.65 * width for width, height, _ in sizes)  # two of them share a sheet
     ink = fresh.evaluate(
         "(() => { const c = document.querySelector('.still'); const d = c.getContext('2d').getImageData(0, 0, c.width, "
         "c.height).data; let n = 0; for (let i = 0; i < d.length; i += 4) "
@@ -190,3 +194,17 @@ def test_it_prints_with_everything_open_and_the_plots_as_drawn(fresh):
     assert ink > 2000
     assert not fresh.locator(".bk-Toolbar, .wake").first.is_visible()
     assert fresh.heard == []
+
+
+def test_no_table_is_broader_than_the_sheet(fresh):
+    fresh.set_viewport_size({"width": 703, "height": 1047})  # A4 between its margins
+    fresh.emulate_media(media="print")
+    fresh.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true })")
+    ends = fresh.evaluate(
+        "[...document.querySelectorAll('.table:not(.broad) table')].map((t) => t.getBoundingClientRect().right)"
+    )
+    assert len(ends) >= 5
+    assert max(ends) <= 704
+    slim = "[...document.querySelectorAll('.slim:has(+ .slim), .slim + .slim')]"
+    tops = fresh.evaluate(slim + ".map((table) => table.offsetTop)")
+    assert len(set(tops)) < len(tops)  # some stand side by side

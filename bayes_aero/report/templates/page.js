@@ -16,13 +16,32 @@
     canvas.append(wake);
   }
 
+  const SHEET = 1040;  // pixels across a sheet: text is then as large as that of a table
+
+  function drawn(view, place) {  // as broad as the sheet, whatever the window is, and low enough to share it
+    const panels = view.model.children.map((child) => child[0]);
+    const usual = panels.map((panel) => panel.height);
+    const lay = (width, height, heights) => {
+      place.style.width = width;
+      place.style.height = height;  // else the page were shorter for a moment, and scrolled
+      panels.forEach((panel, i) => panel.setv({height: heights[i]}, {silent: true}));
+      view.invalidate_layout();
+    };
+    lay(SHEET + "px", place.offsetHeight + "px", panels.map((panel) => panel.tags[0]));
+    try {
+      return view.export("png", true).canvas;
+    } finally {
+      lay("", "", usual);
+    }
+  }
+
   function still(place) {  // a canvas of its own, for its size follows the paper while Bokeh's follows the window
     const view = (views.get(place) || []).find((one) => one.bbox && one.bbox.height > 0);  // not the notifications
     const old = place.parentElement.querySelector(".still");
     if (old) old.remove();
     if (!view) return;
     try {
-      const copy = view.export("png", true).canvas;
+      const copy = drawn(view, place);
       copy.className = "still";
       copy.removeAttribute("style");
       copy.setAttribute("aria-hidden", "true");
