@@ -76,7 +76,9 @@ def simulation_gain(flown: Trajectories) -> str:
     if not told:
         return ""
     failed = [*_status("The card's model", flown.card), *_status("The extended model", flown.extended)]
-    said = f"Flown through the recorded inputs on flights that were not fitted, the error (RMS) goes: {several(told)}."
+    lagging = f", {flown.lag.effect} besides in the model," if flown.lag is not None and flown.lag.kept else ""
+    where = "Flown through the recorded inputs on flights that were not fitted"
+    said = f"{where}, the error (RMS){lagging} goes: {several(told)}."
     return " ".join([said, *failed])
 
 

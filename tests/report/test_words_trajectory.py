@@ -2,7 +2,8 @@
 
 from dataclasses import replace
 
-from bayes_aero.report.words_trajectory import simulation_gain
+from bayes_aero.criticism.flown_lag import Lag
+from bayes_aero.report.words_trajectory import lag_sentences, simulation_gain
 
 
 def test_the_gain_is_that_of_unseen_flights(simulated):
@@ -19,3 +20,23 @@ def test_without_unseen_flights_or_without_a_gain_nothing_is_said(simulated):
             object.__setattr__(shown, name, getattr(simulated, name))
         object.__setattr__(shown, "paths", paths)
         assert simulation_gain(shown) == ""
+
+
+def test_a_lag_is_told_with_its_size_and_what_it_stands_in_for(simulated):
+    lag = Lag("separation_lag", 25.4, True, (62.1, 15.5), ("tau2",))
+    after = replace(simulated.extended, values={"tau1": 13.31}, units={"tau1": "c/V"})
+    lagged = replace(simulated, extended=after, deviation={"tau1": 1.57}, lag=lag)
+    (said,) = lag_sentences(lagged)
+    assert "separation_lag too in place of tau2: tau1 13.3 ± 1.6 c/V" in said
+    assert "62 ± 16" in said
+    assert "separation_lag besides in the model" in simulation_gain(lagged)
+
+
+def test_a_lag_that_is_not_wanted_says_why(simulated):
+    asked = replace(simulated, lag=Lag("separation_lag", 4.2, False, (-1.0, 2.0)))
+    assert "do not want it (log density +4.2, unseen flight -1 ± 2)" in lag_sentences(asked)[0]
+    weak = replace(simulated, lag=Lag("separation_lag", 1.2, False))
+    assert "do not want it (log density +1.2)" in lag_sentences(weak)[0]
+    lost = replace(simulated, lag=Lag("separation_lag", float("-inf"), False))
+    assert "its fit did not settle" in lag_sentences(lost)[0]
+    assert lag_sentences(simulated) == []
