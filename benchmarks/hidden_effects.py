@@ -5,6 +5,7 @@
     python benchmarks/hidden_effects.py two 100 --out study         # two effects
     python benchmarks/hidden_effects.py unknown 60 --out study      # effects of no catalogue
     python benchmarks/hidden_effects.py report --out study          # tables of everything found so far
+    python benchmarks/hidden_effects.py effects --out study         # power and confusion by effect, with a picture
     python benchmarks/hidden_effects.py one 60 --single --out alone # on a single manoeuvre
     python benchmarks/hidden_effects.py one 30 --trajectories --out flown   # without accelerometers
 
@@ -17,10 +18,10 @@ import argparse
 import json
 import time
 from collections import Counter
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from detection_tables import draw, heads, named, power, print_power
 
 from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.criticism.flown import diagnose_flown
@@ -130,7 +131,7 @@ def report(out: Path) -> None:
     print("  named falsely:", Counter(c["name"] for r in silence for c in r["causes"]).most_common())
     _naming(rows["one"])
     two = [r for r in rows["two"] if len(r["scores"]) == 2 and min(r["scores"].values()) >= CLEAR]
-    both = sum(all(_named(r, name) for name in r["hidden"]) for r in two)
+    both = sum(all(named(r, name) for name in r["hidden"]) for r in two)
     print(f"two effects, both >= {CLEAR:g} standard errors: both named {_share(both, len(two))}")
     unknown = rows["unknown"]
     for stray in sorted({r["unknown"] for r in unknown}):
@@ -142,10 +143,6 @@ def report(out: Path) -> None:
         )
     every = [r["seconds"] for rs in rows.values() for r in rs]
     print(f"seconds a diagnosis: median {np.median(every):.1f}, 95 % below {np.quantile(every, 0.95):.1f}")
-
-
-def _named(row: dict, name: str) -> bool:
-    return any(c["name"] == name or name in c["ambiguous_with"] for c in row["causes"])
 
 
 def _naming(rows: list[dict]) -> None:
@@ -171,16 +168,14 @@ def _naming(rows: list[dict]) -> None:
     print(f"one effect >= {CLEAR:g} standard errors: first or in the ambiguity set {_share(first, len(clear))}, "
           f"alone and first {_share(alone, len(clear))}, interval covers {_share(covered, sized)}")  # fmt: skip
     print("  confused (true, named):", missed.most_common())
-    edges = [0, 2, 4, 6, 9, 15, 30, 100, np.inf]
-    for low, high in pairwise(edges):
-        here = [r for r in rows if r["scores"] and low <= max(r["scores"].values()) < high]
-        hits = sum(_named(r, next(iter(r["hidden"]))) for r in here)
-        print(f"  power, {low:g} to {high:g} standard errors: named {_share(hits, len(here))}")
+    for head, classes in zip(heads(), zip(*power(rows).values(), strict=True), strict=True):
+        hits, of = (sum(counts) for counts in zip(*classes, strict=True))
+        print(f"  power, {head} standard errors: named {_share(hits, of)}")
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("kind", choices=("silence", "one", "two", "unknown", "report"))
+    parser.add_argument("kind", choices=("silence", "one", "two", "unknown", "report", "effects"))
     parser.add_argument("count", type=int, nargs="?", default=200)
     parser.add_argument("--out", type=Path, default=Path("study"))
     parser.add_argument("--first", type=int, default=1000, help="first seed")
@@ -189,5 +184,9 @@ if __name__ == "__main__":
     given = parser.parse_args()
     if given.kind == "report":
         report(given.out)
+    elif given.kind == "effects":
+        rows = [r for r in _read(given.out / "one.jsonl") if "refused" not in r]
+        print_power(rows)
+        draw(rows, CLEAR, given.out / "detection.png")
     else:
         run(given.kind, given.count, given.out, given.first, SINGLE if given.single else PAIR, given.trajectories)

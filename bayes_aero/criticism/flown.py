@@ -62,7 +62,8 @@ class FlownResponses(Linearisable):
         names = tuple(n for n in dynamics.outputs if n in flights.channels)
         cut = segments(flights, dynamics, outputs=names, window=WINDOW, substeps=substeps)
         whole = cut.index.shape[1] // FILTER_STEP * FILTER_STEP
-        cut = eqx.tree_at(lambda f: (f.index, f.inside), cut, (cut.index[:, :whole], cut.inside[:, :whole]))
+        index, inside, swell = (x[:, :whole] for x in (cut.index, cut.inside, cut.swell))
+        cut = replace(cut, index=index, inside=inside, swell=swell)
         place = np.flatnonzero(cut.inside.reshape(-1, FILTER_STEP).all(axis=1))
         return cls(flights=flights, windows=cut, place=place, model=dynamics.model)
 

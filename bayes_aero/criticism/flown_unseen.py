@@ -45,12 +45,16 @@ class Noise:
 
 @dataclass(frozen=True)
 class Contender:
-    """A model fitted to all segments; `held` parameters are never fitted, `own` are those of its causes."""
+    """A model fitted to all segments; `held` parameters are never fitted, `own` are those of its causes.
+
+    `weighed`: samples count by the swell of what is missed.
+    """
 
     name: str
     fit: OutputErrorResult
     own: frozenset[str] = frozenset()
     held: Mapping[str, float] = field(default_factory=dict)
+    weighed: bool = True
 
     def silent(self, segment: int) -> dict[str, float]:
         """Parameters of causes of which the other segments say less than a hundredth of what all say; joint values."""
@@ -88,7 +92,7 @@ def unseen(
     def one(job: tuple[Contender, int]) -> tuple[str, list[Path]]:
         contender, k = job
         fit, held = contender.fit, {**contender.held, **silent[contender.name, k]}
-        weighed = fit.flown if fit.flown.swell is None else noise.on(fit.flown, without=k)
+        weighed = noise.on(fit.flown, without=k) if contender.weighed else fit.flown
         rest = masked(weighed, k, keep=False)
         again = fit_output_error(rest, start=fit.estimate, held=held, prior_weight=noise.cost, stopped=stopped.is_set)
         if stopped.is_set():

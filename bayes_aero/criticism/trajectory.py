@@ -164,7 +164,7 @@ def _card(
     shared = np.array([fitted[name] for name in theirs.whole.dynamics.names])
     starts = [theirs.start, shared]  # a model with something missing may have several optima
     fit = fit_cascade([theirs.window, theirs.whole], starts, held=held, prior_weight=noise.cost)
-    return Contender("card", fit, held=held)
+    return Contender("card", fit, held=held, weighed=False)
 
 
 @dataclass(frozen=True)

@@ -78,9 +78,7 @@ def _normal(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w 
     point = (theta, jnp.zeros(s))
     towards = (jnp.concatenate([jnp.eye(k), jnp.zeros((s, k))]), jnp.concatenate([jnp.zeros((k, s)), jnp.eye(s)]))
     r, slope, inside = jax.vmap(lambda t: jax.jvp(residual, point, t, has_aux=True), out_axes=(None, -1, None))(towards)
-    columns = jnp.concatenate([r[..., None], -slope], axis=-1)  # w n c j
-    if flown.swell is not None:
-        columns = columns / flown.swell[..., None]
+    columns = jnp.concatenate([r[..., None], -slope], axis=-1) / flown.swell[..., None]  # w n c j
     return jnp.einsum("wnci,wncj->wcij", columns, columns), jnp.sum(inside & flown.inside, axis=1), columns
 
 
@@ -96,7 +94,7 @@ class Looks:
         size = -(-w // min(w, os.cpu_count() or 1))
         self.prior = prior
         self.count = flown.inside.sum(axis=1).astype(float)
-        self.swell = 0.0 if flown.swell is None else float(np.log(flown.swell[flown.inside]).sum())
+        self.swell = float(np.log(flown.swell[flown.inside]).sum())
         self._rows = [np.minimum(np.arange(a, a + size), w - 1) for a in range(0, w, size)]  # the last may repeat
         self._parts = {
             number: jax.tree.map(jnp.asarray, flown.nameless.part(rows))

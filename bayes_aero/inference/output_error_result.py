@@ -153,7 +153,7 @@ def result_of(
     else:
         status = OutputErrorStatus.AT_BOUND if at_bound else OutputErrorStatus.CONVERGED
     columns = np.concatenate(point.normal.columns)[:w]
-    residual = columns[..., 0] if flown.swell is None else columns[..., 0] * flown.swell
+    residual = columns[..., 0] * flown.swell
     moving = np.ix_(~rest, ~rest)
     scale = np.sqrt(np.diag(A)[~rest])
     covariance = np.zeros_like(A)

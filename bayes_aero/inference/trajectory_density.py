@@ -60,9 +60,7 @@ class TrajectoryDensity(LogDensity):
         k, (w, _) = len(self.flown.dynamics.free), self.flown.index.shape
         s, c = len(self.flown.dynamics.states), len(self.flown.outputs)
         found = simulate(self.flown, x[:k], x[k : k + w * s].reshape(w, s))
-        sigma = x[-c:]
-        if self.flown.swell is not None:
-            sigma = sigma * self.flown.swell
+        sigma = x[-c:] * self.flown.swell
         z = found.residual / sigma
         each = -0.5 * jnp.square(z) - jnp.log(sigma) - 0.5 * jnp.log(2.0 * jnp.pi)
         total = jnp.sum(jnp.where(self.flown.inside[:, :, None], each, 0.0)) / self.cost

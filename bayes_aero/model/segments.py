@@ -24,18 +24,18 @@ SHORTEST = 0.5  # of a window: a shorter rest at the end of a manoeuvre joins th
 class Flown(eqx.Module):
     """Segments of flights, a row each, filled up to one length with their last sample; `inside` marks the real ones.
 
-    `swell` is how many times an output's noise is that of attached flow, sample by sample; None where it is steady.
+    `swell` is how many times an output's noise is that of attached flow, sample by sample; one where it is steady.
     """
 
     flights: Flights
     index: Int[np.ndarray, "w n"]
     inside: Bool[np.ndarray, "w n"]
     dt: Float[np.ndarray, " w"]
+    swell: Float[np.ndarray, "w n c"]
     dynamics: Dynamics = eqx.field(static=True)
     outputs: tuple[str, ...] = eqx.field(static=True)
     begin: int = eqx.field(static=True, default=2)  # samples from which the measured initial state is read
     substeps: int = eqx.field(static=True, default=1)
-    swell: Float[np.ndarray, "w n c"] | None = None
 
     @property
     def nameless(self) -> Flown:
@@ -50,13 +50,11 @@ class Flown(eqx.Module):
     @property
     def growth(self) -> list[Float[np.ndarray, "m c"]]:
         """`swell` of the real samples, by segment."""
-        swell = np.ones((*self.inside.shape, len(self.outputs))) if self.swell is None else self.swell
-        return [swell[k][real] for k, real in enumerate(self.inside)]
+        return [self.swell[k][real] for k, real in enumerate(self.inside)]
 
     def part(self, rows: Sequence[int] | Int[np.ndarray, " r"]) -> Flown:
         """Some of the segments, in the order of `rows`."""
-        index, inside, dt = (x[np.asarray(rows)] for x in (self.index, self.inside, self.dt))
-        swell = None if self.swell is None else self.swell[np.asarray(rows)]
+        index, inside, dt, swell = (x[np.asarray(rows)] for x in (self.index, self.inside, self.dt, self.swell))
         return replace(self, index=index, inside=inside, dt=dt, swell=swell)
 
 
@@ -106,7 +104,8 @@ def segments(
     index = np.stack([np.append(row, np.full(longest - len(row), row[-1])) for row in rows])
     inside = np.stack([np.arange(longest) < len(row) for row in rows])
     begin = max(2, min(round(BEGIN / float(np.median(dts))) + 1, int(inside.sum(axis=1).min())))
-    return Flown(flights, index, inside, np.array(dts), dynamics, chosen, begin, substeps)
+    steady = np.ones((*index.shape, len(chosen)))
+    return Flown(flights, index, inside, np.array(dts), steady, dynamics, chosen, begin, substeps)
 
 
 def simulate(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w s"]) -> Simulated:
