@@ -35,14 +35,20 @@ class Lag:
     """The lag tried beside the extended model: log density that the joint fit gains, and unseen flight, by it.
 
     Both are divided by what the residuals' colour costs. `unseen` has its deviation, and is not a number where unseen
-    flight was not asked, the joint fit gaining too little. `instead`: hysteresis that the lag leaves nothing of.
+    flight was not asked, the joint fit gaining too little. `kept`: unseen flight confirms it. `instead`: hysteresis
+    that the lag leaves nothing of.
     """
 
     effect: str
     gain: float
-    kept: bool
+    kept: bool = False
     unseen: tuple[float, float] = (float("nan"), float("nan"))
     instead: tuple[str, ...] = ()
+
+    @property
+    def gains(self) -> bool:
+        """Whether the joint fit gains enough by it that unseen flight is worth asking."""
+        return self.gain > DECISIVE
 
 
 def open_lag(field: Field, found: Extension, model: Model) -> Effect | None:
@@ -58,7 +64,7 @@ def open_lag(field: Field, found: Extension, model: Model) -> Effect | None:
 def with_lag(
     model: Model, effect: Effect, extended: Contender, noise: Noise, flights: Flights
 ) -> tuple[Contender, Lag]:
-    """`model`, the extended one with the lag, fitted to all from the extended one's optimum; kept if decisively better.
+    """`model`, the extended one with the lag, fitted to all from the extended one's optimum.
 
     Hysteresis that is left at none is held there: the lag stands in for it.
     """
@@ -76,9 +82,7 @@ def with_lag(
     if fit.status in SETTLED and extended.fit.status in SETTLED:
         gain = (extended.fit.cost - fit.cost) / noise.cost
     own = extended.own | {p.name for p in effect.parameters}
-    return Contender("lagged", fit, own, none), Lag(
-        effect.name, float(gain), bool(gain > DECISIVE), instead=tuple(none)
-    )
+    return Contender("lagged", fit, own, none), Lag(effect.name, float(gain), instead=tuple(none))
 
 
 def confirmed(

@@ -110,7 +110,7 @@ def fly_both(
     if effect is not None:
         tell("lag of the separation point", 0.2)
         lagged, lag = with_lag(_extended(whole.model, [*base, *added, effect]), effect, extended, noise, flights)
-        contenders += [lagged] if lag.kept else []
+        contenders += [lagged] if lag.gains else []
     tell("card's model", 0.3)
     contenders.append(_card(diagnosis, _extended(whole.model, base), ours, added, extended, noise, flights))
     tell("left out", 0.5)
@@ -119,7 +119,7 @@ def fly_both(
     for number, (name, paths) in enumerate(unseen(contenders, silent, noise, tolerances, seed), start=1):
         unseen_paths[name] += paths
         tell("left out", 0.5 + 0.4 * number / (count * len(contenders)))
-    if lag is not None and lag.kept:
+    if lag is not None and lag.gains:
         both = unseen_paths["extended"], unseen_paths["lagged"]
         lag = confirmed(lag, *both, joint.flown.outputs, joint.flown.growth, noise.cost)
     best = contenders[1] if lag is not None and lag.kept else extended
