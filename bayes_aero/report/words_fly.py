@@ -12,6 +12,7 @@ from rich.table import Table
 
 from bayes_aero.criticism.flown_fit import FITTED, START, FlownFit
 from bayes_aero.inference.output_error_result import OutputErrorStatus
+from bayes_aero.model.dynamics import AircraftDynamics
 from bayes_aero.report.style import for_people, several
 from bayes_aero.report.tables import concise
 from bayes_aero.report.words_signs import sign_sentences
@@ -19,6 +20,7 @@ from bayes_aero.report.words_trajectory import SYMBOLS, short
 
 MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound"}
 COLOURED = 1.5  # times by which the colour must multiply variances to be worth a sentence; our choice
+OFTEN = 0.5  # share of the time outside a tolerance from which it is worth a sentence; our choice
 SWOLLEN = 2.0  # times more, in wholly separated flow, from which it is worth a sentence; our choice
 
 
@@ -109,13 +111,14 @@ def errors_of_all(flown: FlownFit) -> dict[str, tuple[float, float]]:
 
 
 def fly_sentences(flown: FlownFit) -> list[str]:
-    """How the fit ended, what the colour costs, what the records do not say, which first values could not fly."""
+    """How the fit ended, what it misses, what the colour costs, what the records do not say, what could not fly."""
     fit = flown.fit
     bound = f" ({several(fit.at_bound)})" if fit.at_bound else ""
     said = [f"The fit {fit.status.value}{bound}{_off(flown)}."]
     if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
         said = [f"The fit failed: {fit.status.value}."]
-    elif flown.colour_cost >= COLOURED:
+    said += _wanting(flown)
+    if flown.colour_cost >= COLOURED and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         said.append(
             f"The residuals are coloured: they multiply variances {short(flown.colour_cost)} times in the median, and "
             "the Cramér-Rao bound is too small; use the corrected deviation."
@@ -132,6 +135,28 @@ def fly_sentences(flown: FlownFit) -> list[str]:
     if lost:
         said.append(f"Outside the flight envelope at the end of the fit: {several(lost)}.")
     return said
+
+
+def outside(flown: FlownFit) -> dict[str, float]:
+    """Share of the time, all manoeuvres together, that the fit of each output spends outside its tolerance."""
+    paths = [p for p in flown.paths if p.model == FITTED and p.inside]
+    shares = {}
+    for output in flown.outputs:
+        told = [(p.errors[output].within, len(p.time)) for p in paths]
+        within = [(share, n) for share, n in told if share is not None]
+        if within:
+            shares[output] = 1.0 - float(np.average([s for s, _ in within], weights=[n for _, n in within]))
+    return shares
+
+
+def _wanting(flown: FlownFit) -> list[str]:
+    """That the model lacks something, where even its best flies mostly outside the tolerances."""
+    shares = {name: share for name, share in outside(flown).items() if share > OFTEN}
+    if not shares or flown.fit.status is OutputErrorStatus.LEFT_ENVELOPE:
+        return []
+    told = several(f"{SYMBOLS.get(name, name)} {share:.0%} of the time" for name, share in shares.items())
+    where = "; `bayes-aero diagnose` looks for what" if isinstance(flown.fit.flown.dynamics, AircraftDynamics) else ""
+    return [f"Fitted, it still flies outside its tolerances ({told}): the model lacks something{where}."]
 
 
 def _off(flown: FlownFit) -> str:

@@ -1,0 +1,27 @@
+"""What is said of a fit that flies outside the tolerances even at its best."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from flown_samples import flight, with_offsets
+
+from bayes_aero.report.words_fly import fly_sentences, outside
+
+DEGREE = np.deg2rad(1.0)
+
+
+def test_time_outside_is_counted_over_all_manoeuvres():
+    """3 deg off for 300 samples of 400, with a tolerance of 2 deg."""
+    flown = with_offsets(flight().flown, {"one": 100, "two": 300}, {"one": 1.0 * DEGREE, "two": 3.0 * DEGREE})
+    assert outside(flown) == {"alpha": pytest.approx(0.75)}
+    (said,) = [line for line in fly_sentences(flown) if "tolerances" in line]
+    assert "α 75% of the time" in said
+    assert "diagnose" not in said, "it takes models of effects alone, and this one is linear"
+
+
+def test_nothing_is_said_where_it_stays_inside_most_of_the_time():
+    """The same errors, the other way round: a quarter outside."""
+    flown = with_offsets(flight().flown, {"one": 100, "two": 300}, {"one": 3.0 * DEGREE, "two": 1.0 * DEGREE})
+    assert outside(flown) == {"alpha": pytest.approx(0.25)}
+    assert not any("tolerances" in line for line in fly_sentences(flown))
