@@ -74,7 +74,7 @@ def draw(rows: Sequence[Row], clear: float, path: Path) -> None:
     true, first, counts = confusion(rows, clear)
     figure = Figure(figsize=(15.0, 0.22 * len(table) + 3.2), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=[1.0, 2.4])
-    image = left.imshow(share, cmap="viridis", vmin=0.0, vmax=1.0, aspect="auto")
+    left.imshow(share, cmap="viridis", vmin=0.0, vmax=1.0, aspect="auto")
     left.set_xticks(range(len(heads())), heads(), rotation=40, ha="right")
     left.set_yticks(range(len(table)), list(table))
     left.set_xlabel("size of the hidden effect [standard errors]")
@@ -82,8 +82,7 @@ def draw(rows: Sequence[Row], clear: float, path: Path) -> None:
         for j, (hits, of) in enumerate(classes):
             if of:
                 left.text(j, i, f"{hits}/{of}", ha="center", va="center", fontsize=7, color="w" if hits < of else "k")
-    left.set_title("Named (blank: none of that size was drawn)")
-    figure.colorbar(image, ax=left, label="share named [-]", location="bottom", shrink=0.8)
+    left.set_title("Named of those flown (blank: none of that size)")
     right.imshow(np.where(counts > 0, 1.0, np.nan), cmap="Blues", vmin=0.0, vmax=2.5, aspect="auto")
     for i, j in zip(*np.nonzero(counts), strict=True):
         right.text(j, i, str(counts[i, j]), ha="center", va="center", fontsize=7)
