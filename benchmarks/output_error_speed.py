@@ -79,6 +79,7 @@ STATES = ("airspeed", "alpha", "theta", "q")
 N, DT = 600, 0.1
 FLAT = 1e4  # deviation of the priors
 NEAR = 1e-2  # Cramer-Rao deviations: how near both must end
+LOOSE = 0.3  # where a peer stops on differences of its own: some hundredths of a nat short
 
 
 def problem():
@@ -215,7 +216,7 @@ def aeroid_runs(reference, flown, aircraft, start, best):
         off = max(
             abs(found.parameters[n] - x) / sd for n, x, sd in zip(best.names, best.estimate, best.crb, strict=True)
         )
-        assert off < (NEAR if gradient == "jax" else 0.1), off  # with differences it integrates by other steps
+        assert off < (NEAR if gradient == "jax" else LOOSE), off  # with differences it integrates by other steps
         return off
 
     rollout = KeptRollout()

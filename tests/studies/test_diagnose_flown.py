@@ -27,7 +27,7 @@ def test_numbers_histories_and_page_are_of_this_run(card, tmp_path):
     hidden = {"thrust_moment": {"thrust_arm": 0.6}}
     records = [
         without(r, "ax", "ay", "az")
-        for r in hidden_records(hidden, seed=int(np.random.default_rng().integers(10**6)), seconds=90.0)
+        for r in hidden_records(hidden, seed=int(np.random.default_rng().integers(10**6)), seconds=60.0)
     ]
     found, flown, _ = run_flown(records, card, out=tmp_path)
     assert not (tmp_path / MARK).exists()
