@@ -1,6 +1,7 @@
 """How time and memory grow with the length of a record, with the number of manoeuvres, and with the approximate GP.
 
-    OPENBLAS_NUM_THREADS=1 python benchmarks/scaling.py [samples | manoeuvres | gp | page | checkpoint ...] [--picture FILE]
+    OPENBLAS_NUM_THREADS=1 python benchmarks/scaling.py [samples | manoeuvres | gp | page | checkpoint ...]
+    OPENBLAS_NUM_THREADS=1 python benchmarks/scaling.py samples manoeuvres --picture FILE
 
 Every row is a process of its own, so that its peak memory is its own. Compilation is counted apart: what a second fit
 of the same shape takes is `again`. Exponents are of a power law between neighbouring rows: 1 is linear.
