@@ -152,10 +152,10 @@ def outside(flown: FlownFit) -> dict[str, float]:
 def _wanting(flown: FlownFit) -> list[str]:
     """That the model lacks something, where even its best flies mostly outside the tolerances."""
     shares = {name: share for name, share in outside(flown).items() if share > OFTEN}
-    if not shares or flown.fit.status is OutputErrorStatus.LEFT_ENVELOPE:
+    if not (shares and flown.converged):  # what has not converged may still come nearer
         return []
     told = several(f"{SYMBOLS.get(name, name)} {share:.0%} of the time" for name, share in shares.items())
-    where = "; `bayes-aero diagnose` looks for what" if isinstance(flown.fit.flown.dynamics, AircraftDynamics) else ""
+    where = "; bayes-aero diagnose looks for what" if isinstance(flown.fit.flown.dynamics, AircraftDynamics) else ""
     return [f"Fitted, it still flies outside its tolerances ({told}): the model lacks something{where}."]
 
 

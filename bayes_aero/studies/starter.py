@@ -13,7 +13,7 @@ import numpy as np
 
 from bayes_aero.criticism.accuracy import recording_noise
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aircraft import AIRCRAFT_UNITS, NO_AIRCRAFT, OPTIONAL
+from bayes_aero.flight.aircraft import NO_AIRCRAFT
 from bayes_aero.flight.aliases import split_heading
 from bayes_aero.flight.card_channels import ATMOSPHERE, DERIVABLE
 from bayes_aero.flight.channel import STANDARD_CHANNELS
@@ -22,26 +22,9 @@ from bayes_aero.flight.raw import RawColumn, read_raw
 from bayes_aero.model.flights import Flights
 from bayes_aero.physics.coefficients import REQUIRED
 from bayes_aero.studies.guess import Guess, guessed
+from bayes_aero.studies.starter_aircraft import aircraft_block
 from bayes_aero.units import from_si
 
-MEANING = {
-    "mass": "of the flight, with fuel and crew",
-    "Ix": "moment of inertia about the roll axis",
-    "Iy": "moment of inertia about the pitch axis",
-    "Iz": "moment of inertia about the yaw axis",
-    "Ixz": 'product of inertia; "0 kg m^2" if nobody knows it',
-    "wing_area": "reference area of CL, CD and Cm",
-    "chord": "mean aerodynamic chord",
-    "half_span": "half the wing span",
-    "aspect_ratio": "span squared over wing area",
-    "tail_arm": "from the centre of gravity to the tailplane's quarter chord",
-}
-POSITION = '["0 m", "0 m", "0 m"]'
-PLACES = {
-    "reference_point": "that Cm is referred to, if it is not the centre of gravity",
-    "accelerometer": "where ax and az are measured",
-    "engine": "where the total thrust acts",
-}
 ATTACHED = (
     "attached_lift", "elevator_moment", "pitching_moment", "pitch_damping", "profile_drag", "induced_drag",
 )  # fmt: skip
@@ -112,7 +95,7 @@ def starter_card(path: Path) -> Starter:
         f"title = {_text('the aircraft of ' + path.stem)}",
         'source = "starter card; state where the constants come from"',
         "",
-        *_aircraft(),
+        *aircraft_block(),
         "",
         *_channels(found, unknown, raw.columns),
         "",
@@ -133,18 +116,6 @@ def _text(words: str) -> str:
 
 def _comment(words: str) -> str:
     return "# " + " ".join("".join(c if c.isprintable() else " " for c in words).split())
-
-
-def _aircraft() -> Iterator[str]:
-    yield "[aircraft]"
-    for key, unit in AIRCRAFT_UNITS.items():
-        if key not in OPTIONAL:
-            said = "a number" if unit == "1" else f'write "... {unit}", or another unit of the kind'
-            yield f'{key} = "TODO" # {MEANING[key]}; {said}'
-    yield "# Positions from the centre of gravity, x forward, y right, z down; left out, they are zero."
-    for key, meaning in PLACES.items():
-        yield f"# {key} = {POSITION} # {meaning}"
-    yield '# engine_inclination = "0 deg" # of the thrust line, nose up'
 
 
 def _channels(found: Mapping[str, Guess], unknown: Sequence[RawColumn], columns: Sequence[RawColumn]) -> Iterator[str]:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from flown_samples import flight, with_offsets
 
+from bayes_aero.inference.output_error_result import OutputErrorStatus
 from bayes_aero.report.words_fly import fly_sentences, outside
 
 DEGREE = np.deg2rad(1.0)
@@ -25,3 +28,11 @@ def test_nothing_is_said_where_it_stays_inside_most_of_the_time():
     flown = with_offsets(flight().flown, {"one": 100, "two": 300}, {"one": 3.0 * DEGREE, "two": 1.0 * DEGREE})
     assert outside(flown) == {"alpha": pytest.approx(0.25)}
     assert not any("tolerances" in line for line in fly_sentences(flown))
+
+
+def test_nothing_is_said_of_the_model_where_the_fit_has_not_converged():
+    """It may still come nearer."""
+    flown = with_offsets(flight().flown, {"one": 100}, {"one": 3.0 * DEGREE})
+    assert any("lacks something" in line for line in fly_sentences(flown))
+    early = replace(flown, fit=replace(flown.fit, status=OutputErrorStatus.NOT_CONVERGED))
+    assert not any("lacks something" in line for line in fly_sentences(early))

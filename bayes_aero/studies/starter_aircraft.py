@@ -1,0 +1,39 @@
+"""The aircraft's constants on a starter card: nothing of them can be read off a record."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from bayes_aero.flight.aircraft import AIRCRAFT_UNITS, OPTIONAL
+
+MEANING = {
+    "mass": "of the flight, with fuel and crew",
+    "Ix": "moment of inertia about the roll axis",
+    "Iy": "moment of inertia about the pitch axis",
+    "Iz": "moment of inertia about the yaw axis",
+    "Ixz": 'product of inertia; "0 kg m^2" if nobody knows it',
+    "wing_area": "reference area of CL, CD and Cm",
+    "chord": "mean aerodynamic chord",
+    "half_span": "half the wing span",
+    "aspect_ratio": "span squared over wing area",
+    "tail_arm": "from the centre of gravity to the tailplane's quarter chord",
+}
+POSITION = '["0 m", "0 m", "0 m"]'
+PLACES = {
+    "reference_point": "that Cm is referred to, if it is not the centre of gravity",
+    "accelerometer": "where ax and az are measured",
+    "engine": "where the total thrust acts",
+}
+
+
+def aircraft_block() -> Iterator[str]:
+    """Lines of `[aircraft]`: what is needed as TODO with its unit, what is optional as a comment."""
+    yield "[aircraft]"
+    for key, unit in AIRCRAFT_UNITS.items():
+        if key not in OPTIONAL:
+            said = "a number" if unit == "1" else f'write "... {unit}", or another unit of the kind'
+            yield f'{key} = "TODO" # {MEANING[key]}; {said}'
+    yield "# Positions from the centre of gravity, x forward, y right, z down; left out, they are zero."
+    for key, meaning in PLACES.items():
+        yield f"# {key} = {POSITION} # {meaning}"
+    yield '# engine_inclination = "0 deg" # of the thrust line, nose up'
