@@ -30,7 +30,7 @@ from bayes_aero.model.observations import observe
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.physics.coefficients import NAMES
 
-AMBIGUOUS = 3.0  # nats, after the colour's cost, within which another effect explains as well
+AMBIGUOUS = 3.0  # nats, under the colour of their difference, within which another effect explains as well
 EXCITED = 0.1  # least over largest spread of an effect's sensitivities among manoeuvres; our choice
 POSSIBLE = 2.0  # score that an effect needs on its own to be a rival at all
 
@@ -221,10 +221,9 @@ def _rivals(extension: Extension, name: str) -> tuple[float, tuple[str, ...]]:
     own = best.get(name)
     if own is None:
         return 1.0, ()
-    cost = 2.0 * max(own.inflation, 1.0)
-    weights = {effect: np.exp(min(0.0, (s.gain - own.gain) / cost)) for effect, s in best.items()}
-    nothing = np.exp(-max(own.gain, 0.0) / cost)
-    close = tuple(effect for effect, s in best.items() if effect != name and (own.gain - s.gain) / cost < AMBIGUOUS)
+    weights = {effect: np.exp(min(0.0, -own.nats(s))) for effect, s in best.items()}
+    nothing = np.exp(-max(own.gain, 0.0) / (2.0 * max(own.inflation, 1.0)))
+    close = tuple(effect for effect, s in best.items() if effect != name and own.nats(s) < AMBIGUOUS)
     return float(1.0 / (sum(weights.values()) + nothing)), close
 
 

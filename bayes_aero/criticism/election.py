@@ -29,7 +29,8 @@ class Standing:
     `gain` is the deviance it takes away, `together` what it would take away if the outputs' noise were allowed to
     correlate; `score` its estimate in standard deviations that know the colour (for several
     parameters the equivalent of one); `inflation` the variance over what white residuals would leave; `log_bayes` the
-    log Bayes factor of estimate and deviation under the effect's prior.
+    log Bayes factor of estimate and deviation under the effect's prior. `apart` is the inflation along the difference
+    between what it explains and what the addition explains that was taken out (see `poll`).
     """
 
     effect: str
@@ -42,6 +43,20 @@ class Standing:
     step: tuple[float, ...]
     sd: tuple[float, ...]
     together: float = math.nan
+    apart: float = math.nan
+
+    def nats(self, other: Standing) -> float:
+        """Log likelihood by which this addition, which was taken out, explains more than `other`.
+
+        What tells the two from each other is the residual along the difference d of what they explain. Its variance
+        is d'Sd where white residuals would leave s2 d'd: the log likelihood ratio is the white one over that inflation.
+        """
+        return (self.gain - other.gain) / other.cost_apart
+
+    @property
+    def cost_apart(self) -> float:
+        """Deviance that a nat costs where this is weighed against the addition that was taken out."""
+        return 2.0 * max(self.apart, 1.0)
 
 
 @dataclass(frozen=True)
@@ -75,6 +90,7 @@ class Projected:
         self.information = np.einsum("mci,c,mcj->ij", self.P, weight, self.P, optimize=True)
         self.bread = [inverse(self.information[np.ix_(place, place)]) for place in self.place]
         self.weight = weight
+        self.folds = state.folds
         self.middle = Middle(self.P, fit.variance, state.folds, self.place)
 
     def right(self, residual: Float[np.ndarray, "*r m c"]) -> Float[np.ndarray, "*r w"]:
@@ -129,6 +145,27 @@ class Projected:
             found.append(bread @ disagreement(rows, stretch) @ bread)
         return found
 
+    def apart(
+        self,
+        residual: Float[np.ndarray, "m c"],
+        estimates: Sequence[np.ndarray],
+        own: int,
+        colour: Colour,
+        stretch: Int[np.ndarray, " m"] | None,
+    ) -> Float[np.ndarray, " j"]:
+        """Inflation of the variance along the difference of what each block and block `own` explain (1 for `own`).
+
+        Under the colour, or by how far the stretches disagree where that is more.
+        """
+        explained = [self.P[:, :, place] @ estimate for place, estimate in zip(self.place, estimates, strict=True)]
+        D = np.stack([part - explained[own] for part in explained], axis=2)
+        variance, _ = Middle(D, 1.0 / self.weight, self.folds, []).under(colour, [])
+        if stretch is not None:
+            rows = np.einsum("mcj,c,mc->mj", D, self.weight, residual - explained[own], optimize=True)
+            variance = np.maximum(variance, np.diag(disagreement(rows, stretch)))
+        white = np.einsum("mcj,c,mcj->j", D, self.weight, D, optimize=True)
+        return np.where(white > 0.0, variance / np.maximum(white, TINY), 1.0)
+
 
 def disagreement(rows: Float[np.ndarray, "m k"], stretch: Int[np.ndarray, " m"]) -> Float[np.ndarray, "k k"]:
     """Sum over stretches of the outer products of what each contributes to the normal equations."""
@@ -160,7 +197,8 @@ def equivalent(estimate: np.ndarray, covariance: np.ndarray) -> float:
 def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, without: str | None = None) -> Poll:
     """Fit every candidate with all active parameters free; draw noise-only replicates under the present model.
 
-    `without` takes one addition out first, to first order: it then stands for election like the others.
+    `without` takes one addition out first, to first order: it then stands for election like the others, and each of
+    them is told `apart` from it.
     """
     products, mean, columns = state.products, state.mean, state.columns()
     residual = state.left(fit)
@@ -196,6 +234,8 @@ def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, wit
         covariances = [C if equivalent(b, C) < equivalent(b, W) else W for b, C, W in pairs]
     gains = _gains(state, products, mean, columns, [b[1] for b in blocks], fit)
     before = projected.deviance(residual)
+    away = _most(blocks, gains[0], without)
+    apart = None if away is None else projected.apart(residual, estimates, away, colour, stretch)
     found = []
     for j, (effect, own, value) in enumerate(blocks):
         variance = np.maximum(np.diag(covariances[j]), 0.0)
@@ -214,6 +254,7 @@ def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, wit
                 step=tuple(float(x) for x in step),
                 sd=tuple(float(x) for x in np.sqrt(variance)),
                 together=before - projected.deviance(residual, j, estimates[j]),
+                apart=math.nan if apart is None else float(apart[j]),
             )
         )
     noises = without_active(state, fit, colour.simulate(replicates, state.folds, m, rng))
@@ -243,6 +284,12 @@ def without_active(state: State, fit: Fit, residual: Float[np.ndarray, "*r m c"]
     B = state.scaled[:, :, fit.columns]
     step = np.tensordot(residual, B / fit.variance[:, None], 2) @ inverse(fit.normal)
     return residual - np.tensordot(step, B, (-1, 2))
+
+
+def _most(blocks: Sequence[tuple], gains: Float[np.ndarray, " j"], effect: str | None) -> int | None:
+    """The block of an effect that gains most; None where it has none."""
+    own = [j for j, block in enumerate(blocks) if block[0] == effect]
+    return max(own, key=lambda j: gains[j], default=None)
 
 
 def _gains(

@@ -249,7 +249,7 @@ def _reconsidered(state: State, fit: Fit) -> tuple[State, Fit]:
         faint = own is not None and own.log_bayes < 0.0 and _bayes_within(state, fit, own) < 0.0
         if own is None or faint or explained(state, own) < WORTH or mixes_noise(state, own):
             state, fit = refitted(removed(state, effect))
-        elif best.effect != effect and best.gain > (1.0 + SHARE) * own.gain + 2.0 * own.inflation:
+        elif best.effect != effect and best.gain > (1.0 + SHARE) * own.gain + best.cost_apart:
             state, fit = refitted(added(removed(state, effect), best))
     return state, fit
 

@@ -1,10 +1,13 @@
 """What a candidate is worth where folds have gaps between them, as those of a single manoeuvre do."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import lstsq
 from test_mixing import part
 
+from bayes_aero.criticism.colour import Colour
 from bayes_aero.criticism.election import Projected
 from bayes_aero.criticism.regression import Products
 from bayes_aero.criticism.state import State
@@ -29,3 +32,44 @@ def test_information_is_what_the_model_cannot_follow_in_the_folds(gap):
     left = A[:, k + 1] - A[:, :k] @ lstsq(A[:, :k], A[:, k + 1])[0]
     assert found[1, 1] == pytest.approx(left @ left, rel=1e-6)
     assert found[0, 0] < 1e-12 * (A[:, k] @ A[:, k])
+
+
+def test_two_rivals_are_told_apart_by_the_noise_along_what_parts_them():
+    """Log likelihood ratios of two simple hypotheses have a variance of twice their mean; so has the white one, over
+    `apart`, under a colour that white noise does not know."""
+    rng = np.random.default_rng()
+    n, phi = 400, rng.uniform(0.7, 0.95)
+    colour = Colour(np.array([[phi, 0.0, 0.0]]), np.array([np.sqrt(1.0 - phi**2)]))
+    folds = (slice(0, n),)
+    t = np.linspace(0.0, 1.0, n)
+    period = rng.uniform(0.05, 0.4)
+    S = np.stack([np.ones(n), t, np.sin(2.0 * np.pi * t / period), t**2, np.zeros(n)], axis=1)[:, None, :]
+    fit = Products.of(colour.simulate(1, folds, n, rng)[0], S, folds).fit(np.arange(2), np.zeros(5), np.zeros(5))
+    fit = replace(fit, variance=np.ones(1), normal=S[:, 0, :2].T @ S[:, 0, :2])
+    projected = Projected(part(State, S=S, swell=np.ones((n, 1)), folds=folds), fit, [np.array([2]), np.array([3])])
+    sizes = [np.array([0.3]), np.array([2.0])]
+    apart = projected.apart(np.zeros((n, 1)), sizes, 0, colour, None)
+    assert apart[0] == 1.0
+
+    d = projected.P[:, 0, :] @ np.array([-sizes[0][0], sizes[1][0]])
+    covariance = phi ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    assert apart[1] == pytest.approx(d @ covariance @ d / (d @ d), rel=0.02)  # the ends of the record but for
+
+    ratios = (0.5 * d @ d - colour.simulate(4000, folds, n, rng)[:, :, 0] @ d) / apart[1]
+    assert ratios.var() == pytest.approx(2.0 * ratios.mean(), rel=0.15)
+
+
+def test_stretches_that_disagree_more_than_the_colour_says_part_rivals_less():
+    rng = np.random.default_rng()
+    n, stretches = 400, np.repeat(np.arange(20), 20)
+    S = np.stack([np.ones(n), *rng.standard_normal((2, n)) + np.repeat(rng.standard_normal((2, 20)), 20, axis=1)])
+    S = np.append(S, np.zeros((1, n)), axis=0).T[:, None, :]
+    residual = np.repeat(rng.standard_normal(20), 20)[:, None]
+    folds, white = (slice(0, n),), Colour(np.zeros((1, 3)), np.ones(1))
+    fit = Products.of(residual, S, folds).fit(np.arange(1), np.zeros(4), np.zeros(4))
+    projected = Projected(part(State, S=S, swell=np.ones((n, 1)), folds=folds), fit, [np.array([1]), np.array([2])])
+    estimates = [np.zeros(1), np.ones(1)]
+    alone, together = (projected.apart(residual, estimates, 0, white, s)[1] for s in (None, stretches))
+    sums = np.add.reduceat(projected.P[:, 0, 1] * residual[:, 0], np.arange(0, n, 20)) / fit.variance[0]
+    assert together == pytest.approx(np.sum(sums**2) * 20 / 19 / np.sum(projected.P[:, 0, 1] ** 2 / fit.variance[0]))
+    assert together > alone
