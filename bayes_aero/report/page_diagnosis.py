@@ -19,6 +19,7 @@ from bayes_aero.report.figures_flight import SYMBOLS, shown_in
 from bayes_aero.report.page import Block, Fold, Page, Table, Text, filled, section
 from bayes_aero.report.page_alternatives import diagnosis_alternatives, gained
 from bayes_aero.report.page_diagnosis_tables import (
+    by_manoeuvre,
     calibration,
     causes,
     moved,
@@ -41,10 +42,12 @@ from bayes_aero.report.page_plots import LOW, Line, Panel
 from bayes_aero.report.page_trajectories import trajectories
 from bayes_aero.report.page_words import WORDS
 from bayes_aero.report.style import COLOURS, bracket, several
+from bayes_aero.report.unseen import Unseen
 from bayes_aero.report.words_diagnosis import NAMED_IF, diagnosis_sentences
 from bayes_aero.report.words_trajectory import simulation_gain, trajectory_sentences
 
 CONTEXT = ("alpha", "elevator", "stabilizer", "thrust", "airspeed")
+FEW = 4  # manoeuvres that are listed one by one in the open
 LEADERS = 10  # candidates of a stage that are listed
 
 
@@ -188,8 +191,17 @@ def _gain(view: View, gallery: Gallery) -> tuple[Block, ...]:
             tuple(rows),
             note="5 Hz means. R² below zero: worse than a constant.",
         ),
+        *_each(view),
         *gallery("gain"),
     )
+
+
+def _each(view: View) -> tuple[Block, ...]:
+    """The manoeuvres one by one, where there are several; many are folded."""
+    if len(view.names) == 1 or not view.extended.state.active:
+        return ()
+    table = by_manoeuvre(Unseen(view))
+    return (table,) if len(view.names) <= FEW else (Fold("The same, manoeuvre by manoeuvre", (table,)),)
 
 
 def _open(d: Diagnosis, told: Told, rest: Sequence[str]) -> tuple[Block, ...]:

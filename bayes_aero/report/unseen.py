@@ -2,39 +2,80 @@
 
 from __future__ import annotations
 
-import pandas as pd
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 
-from bayes_aero.criticism.gain import LeftOut, measured_blocks
-from bayes_aero.inference.scores import score
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+
+from bayes_aero.criticism.confirmation import MISSED
+from bayes_aero.criticism.gain import Compared, LeftOut, compared, measured_blocks
+from bayes_aero.inference.scores import Scores, score
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.diagnosed import View
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """Both models of a view on what they were not fitted to."""
+
+    view: View
+
+    @cached_property
+    def left(self) -> Mapping[str, LeftOut]:
+        """By model; each is fitted again without each fold."""
+        models = {"card": self.view.card, "extended": self.view.extended}
+        return {name: LeftOut.refitted(fitted.state) for name, fitted in models.items()}
+
+    @cached_property
+    def measured(self) -> Float[np.ndarray, "m c"]:
+        """Coefficients as the card reconstructs them, by block."""
+        return measured_blocks(self.view.extended.state)
+
+    def scores(self, residual: Float[np.ndarray, "m c"], manoeuvre: int) -> dict[str, Scores]:
+        """Scores of each coefficient on one manoeuvre, by these residuals of all blocks."""
+        here = (self.view.extended.state.responses.manoeuvre == manoeuvre) & self.left["extended"].inside
+        z, e = self.measured[here], residual[here]
+        return {name: score(z[:, c], z[:, c] - e[:, c]) for c, name in enumerate(NAMES)}
+
+    @cached_property
+    def gains(self) -> Mapping[tuple[str, str], Compared]:
+        """What the extended model gains on the card's, by manoeuvre and coefficient."""
+        left, state = self.left, self.view.extended.state
+        return {
+            (manoeuvre, name): found
+            for k, manoeuvre in enumerate(self.view.names)
+            for name, found in compared(left["card"], left["extended"], state, self.measured, k).items()
+        }
+
+    def worse(self) -> list[tuple[str, str]]:
+        """Manoeuvres and coefficients of which the extended model loses log density beyond chance (one-sided, 5 %)."""
+        return [pair for pair, gain in self.gains.items() if gain.elpd < -MISSED * gain.elpd_sd]
 
 
 def scores_frame(view: View) -> pd.DataFrame:
     """A row for each model, fit, manoeuvre and coefficient: r, R2, RMSE [-] and Theil's coefficient of 5 Hz means.
 
     `fitted`: parameters from all manoeuvres. `unseen`: from the others; of a single one, each stretch from the others.
+    Rows of the extended model on unseen data say what it gains on the card's: log density `elpd_gain` [nats] and
+    `r2_gain`, each with its deviation (see `criticism.gain.Compared`).
     """
-    measured = measured_blocks(view.extended.state)
-    rows = []
-    for model, state in (("card", view.card.state), ("extended", view.extended.state)):
-        left = LeftOut.refitted(state)
-        for data, residual in (("fitted", state.residual), ("unseen", left.residual)):
+    unseen, rows = Unseen(view), []
+    for model, left in unseen.left.items():
+        fitted = {"card": view.card, "extended": view.extended}[model].state.residual
+        for data, residual in (("fitted", fitted), ("unseen", left.residual)):
             for k, manoeuvre in enumerate(view.names):
-                here = (state.responses.manoeuvre == k) & left.inside
-                for c, name in enumerate(NAMES):
-                    z = measured[here, c]
-                    found = score(z, z - residual[here, c])
-                    rows.append(
-                        {
-                            "model": model,
-                            "data": data,
-                            "manoeuvre": manoeuvre,
-                            "coefficient": name,
-                            "r": found.r,
-                            "r2": found.r2,
-                            "rmse": found.rmse,
-                            "theil": found.theil,
-                        }
-                    )
+                for name, found in unseen.scores(residual, k).items():
+                    row = {"model": model, "data": data, "manoeuvre": manoeuvre, "coefficient": name}
+                    row |= {"r": found.r, "r2": found.r2, "rmse": found.rmse, "theil": found.theil}
+                    if (model, data) == ("extended", "unseen"):
+                        row |= _columns(unseen.gains[manoeuvre, name])
+                    rows.append(row)
     return pd.DataFrame(rows)
+
+
+def _columns(gain: Compared) -> dict[str, float]:
+    names = {"elpd_gain": gain.elpd, "elpd_gain_sd": gain.elpd_sd}
+    return names | {"r2_gain": gain.r2, "r2_gain_sd": gain.r2_sd}

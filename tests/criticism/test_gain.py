@@ -1,10 +1,15 @@
 """The deviation of a gain on unseen data, against closed forms."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.signal import lfilter
+from test_mixing import part
 
-from bayes_aero.criticism.gain import deviation_of_sum
+from bayes_aero.criticism.gain import LeftOut, compared, deviation_of_sum
+from bayes_aero.criticism.state import State
 
 LENGTHS = (600, 400)
 
@@ -30,3 +35,31 @@ def test_stretches_that_are_not_neighbours_are_independent():
     values = np.repeat(rng.standard_normal(20), 50)
     apart = deviation_of_sum(values, [50] * 20)
     assert apart < deviation_of_sum(values, [len(values)])
+
+
+def test_a_comparison_by_manoeuvre_is_the_difference_of_plain_scores():
+    """Two manoeuvres, three coefficients, known residuals: R2 and normal log densities formed by hand."""
+    rng = np.random.default_rng()
+    m, second = 900, 350
+    manoeuvre = np.repeat([0, 1], [m - second, second])
+    measured = np.cumsum(rng.standard_normal((m, 3)), axis=0)
+    swell = 1.0 + rng.uniform(0.0, 3.0, (m, 1)) * np.ones(3)
+    before, after = (LeftOut(size * rng.standard_normal((m, 3)), swell, np.ones(m, bool)) for size in (2.0, 1.0))
+    temper = rng.uniform(1.0, 9.0)
+    state = part(State, responses=SimpleNamespace(manoeuvre=manoeuvre), temper=temper)
+    density = []
+    for left in (before, after):
+        deviation = np.sqrt(np.mean((left.residual / swell) ** 2, axis=0)) * swell
+        density.append(stats.norm.logpdf(left.residual, 0.0, deviation))
+    for k in (0, 1):
+        found, here = compared(before, after, state, measured, k), manoeuvre == k
+        for c, name in enumerate(("CL", "CD", "Cm")):
+            r2 = [r2_score(measured[here, c], (measured - left.residual)[here, c]) for left in (before, after)]
+            assert found[name].r2 == pytest.approx(r2[1] - r2[0], rel=1e-9)
+            assert found[name].elpd == pytest.approx((density[1] - density[0])[here, c].sum() / temper, rel=1e-9)
+            assert found[name].r2_sd > 0.0
+            assert 0.0 < found[name].elpd_sd < found[name].elpd
+
+
+def r2_score(z, y):
+    return 1.0 - np.sum((z - y) ** 2) / np.sum((z - z.mean()) ** 2)

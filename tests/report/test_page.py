@@ -254,6 +254,7 @@ def test_a_diagnosis_tells_causes_gain_and_what_is_open(diagnosed, flown, card):
         "CD",
         "Cm",
     ]
+    assert "manoeuvre by manoeuvre" not in text  # there is one
     only = flown_page(d, flown.trajectories, ["A verdict.", "A finding."], told)
     text = Outline(render(only)).text
     assert "A verdict." in text

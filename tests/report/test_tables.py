@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 from rich.console import Console
 
+from bayes_aero.criticism.gain import Compared
 from bayes_aero.inference.mle import MleStatus
+from bayes_aero.inference.scores import Scores
 from bayes_aero.model.noise import Colour
 from bayes_aero.report.comparison import ORDER, ordered, scatter
+from bayes_aero.report.page_diagnosis_tables import by_manoeuvre
 from bayes_aero.report.tables import (
     concise,
     paper_table,
@@ -21,11 +25,26 @@ from bayes_aero.report.tables import (
     validation_table,
     write_csv,
 )
+from bayes_aero.report.unseen import Unseen
 
 
 def test_parameters_come_in_the_canonical_order_and_others_behind():
     assert ordered(["zeta", "Cma", "CD0", "tau1", "e"]) == ["CD0", "e", "Cma", "tau1", "zeta"]
     assert " ".join(ORDER) == "CD0 e CDX CL0 CLa CLaM Cm0 Cma Cmq Cmde CmX a1 alpha_star tau1 tau2"
+
+
+@pytest.mark.parametrize("loses", [-1.5, -2.0])
+def test_manoeuvres_are_compared_one_by_one_and_a_loss_beyond_chance_is_said(loses):
+    gains = {(m, c): Compared(2.0, 1.0, 0.1, 0.05) for m in ("a", "b") for c in ("CL", "CD", "Cm")}
+    gains["b", "CD"] = Compared(loses, 1.0, -0.012, 0.015)
+    scores = {c: Scores(0.9, 0.1, 0.1, 0.8) for c in ("CL", "CD", "Cm")}
+    left = {model: SimpleNamespace(residual=None) for model in ("card", "extended")}
+    unseen = object.__new__(Unseen)
+    unseen.__dict__.update(view=SimpleNamespace(names=("a", "b")), gains=gains, left=left, scores=lambda *_: scores)
+    table = by_manoeuvre(unseen)
+    assert [row[:2] for row in table.rows] == [(m, c) for m in ("a", "b") for c in ("CL", "CD", "Cm")]
+    assert table.rows[4][2:] == ("0.800", "0.800", "-0.012 ± 0.015", f"{loses:+.1f} ± 1.0")
+    assert ("falls for CD of b." in table.note) == (loses < -1.645)
 
 
 def test_parameter_table(full):
