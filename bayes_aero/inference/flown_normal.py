@@ -123,6 +123,21 @@ class Looks:
         normal = Normal(gram, self.count, float(within.sum() / self.count.sum()), columns)
         return _point(theta, departure, normal, self.prior, self.swell)
 
+    def ahead(self, point: Point, step: Float[np.ndarray, " k"], own: Float[np.ndarray, "w s"]) -> Point:
+        """What would be seen after a step of parameters and initial states so short that residuals are linear in it."""
+        w = len(own)
+        all_steps = np.concatenate([np.tile(step, (w, 1)), own], axis=1)
+        turned = np.tile(np.eye(1 + all_steps.shape[1]), (w, 1, 1))
+        turned[:, 1:, 0] = -all_steps
+        gram = np.einsum("wia,wcij,wjb->wcab", turned, point.normal.gram, turned, optimize=True)
+        columns = []
+        for rows, part in zip(self._rows, point.normal.columns, strict=True):
+            moved = part.copy()
+            moved[..., 0] -= np.einsum("wncj,wj->wnc", part[..., 1:], all_steps[rows])
+            columns.append(moved)
+        normal = point.normal._replace(gram=gram, columns=tuple(columns))
+        return _point(point.theta + step, point.departure + own, normal, self.prior, self.swell)
+
 
 class Point(NamedTuple):
     """Where a look was taken, and what was seen."""

@@ -22,8 +22,8 @@ from bayes_aero.model.segments import Flown, Simulated, simulate
 from bayes_aero.parameter import Prior
 
 MAX_ITERATIONS, EARLY = 60, 12  # of the last stage of a cascade, and of those before
-DECREMENT = 2e-5  # expected gain in log-likelihood of one more step, at which it stops
-SLACK = 1e-3  # the same per sample's weight, where residuals are coloured: 0.05 of a deviation that knows the colour
+LAST = 1e-3  # expected gain in log-likelihood of a step that is taken without a look, the last: 0.05 of a deviation
+SLACK = 1e-3  # the same per sample's weight, where residuals are coloured: as much of a deviation that knows the colour
 BEGIN_DAMPING, LEAST_DAMPING = 1e-2, 1e-4  # relative to the information's diagonal: far steps end in other basins
 WORTH = 0.05  # least share of the expected gain that a step must bring
 
@@ -78,8 +78,13 @@ def fit_output_error(
         moving = np.flatnonzero(~active)
         newton = solve(A[np.ix_(moving, moving)], g[moving], 0.0)
         gain = 0.5 * float(newton @ g[moving]) + local.gain
-        if 0.0 <= gain < max(DECREMENT, SLACK * (prior_weight - 1.0)):
+        if 0.0 <= gain < max(LAST, SLACK * (prior_weight - 1.0)):
             converged = True
+            if gain < LAST:
+                step = np.zeros(len(free))
+                step[moving] = newton
+                step = np.clip(here.theta + step, lower, upper) - here.theta
+                here = look.ahead(here, step, local.step(step))
             break
         better = None
         for _ in range(12):

@@ -21,7 +21,7 @@ from scipy.signal import lfilter
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.flown_normal import DEPARTURE
+from bayes_aero.inference.flown_normal import DEPARTURE, Looks, Priors
 from bayes_aero.inference.output_error import fit_cascade, fit_output_error, trajectories
 from bayes_aero.inference.output_error_result import OutputErrorStatus
 from bayes_aero.model.dynamics import aircraft_dynamics
@@ -95,6 +95,35 @@ def test_it_stopped_at_the_optimum(short_period):
             moved = found.estimate.copy()
             moved[k] += sign * sd
             assert cost(moved) > here + 0.3, found.names[k]
+
+
+def test_what_is_told_of_the_last_step_is_what_is_flown_there(short_period, lateral):
+    """It is taken without a look."""
+    for found in (short_period[1], lateral):
+        flown = trajectories(found.flown, jnp.asarray(found.estimate), jnp.asarray(found.departure)).residual
+        inside = found.flown.inside
+        told = (found.columns[..., 0] * found.flown.swell)[inside]
+        np.testing.assert_array_less(
+            np.abs(told - np.asarray(flown)[inside]), 1e-3 * np.sqrt(found.R) + np.zeros_like(told)
+        )
+        np.testing.assert_allclose(np.mean(told**2, axis=0), found.R, rtol=1e-6)
+
+
+def test_a_step_of_the_initial_states_needs_no_look_where_the_system_is_linear():
+    flown = flown_of(SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH), 3, window=4.0)
+    rng = np.random.default_rng()
+    theta = np.array([SHORT_PERIOD_TRUTH[p.name] for p in flown.dynamics.free])
+    w, s = flown.index.shape[0], len(flown.dynamics.states)
+    look, steps = Looks(flown, Priors.of(flown, 1.0)), 0.02 * rng.standard_normal((2, w, s))
+    here, there = look(theta, steps[0]), look(theta, steps[0] + steps[1])
+    found = look.ahead(here, np.zeros(len(theta)), steps[1])
+    assert abs(there.cost - here.cost) > 1.0
+    assert found.cost == pytest.approx(there.cost, rel=1e-9)
+    states = [0, *range(1 + len(theta), 1 + len(theta) + s)]  # sensitivities to parameters do change
+    gram, seen = (point.normal.gram[:, :, 0, states] for point in (found, there))
+    np.testing.assert_allclose(gram, seen, rtol=1e-6, atol=1e-9)
+    for a, b in zip(found.normal.columns, there.normal.columns, strict=True):
+        np.testing.assert_allclose(a[..., 0], b[..., 0], atol=1e-9)
 
 
 def test_deviations_are_those_of_a_fisher_information_by_differences():
