@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy import stats
+from jaxtyping import Bool, Float, Int
 
-from bayes_aero.criticism.colour import Colour, Middle, colour_of, colours_of, unbiased
-from bayes_aero.criticism.regression import TINY, Fit, inverse
+from bayes_aero.criticism.colour import Colour, colour_of, colours_of, unbiased
+from bayes_aero.criticism.projected import Projected, equivalent, score
+from bayes_aero.criticism.regression import Fit, inverse
 from bayes_aero.criticism.state import State
 
 REPLICATES = 200  # noise-only replicates behind every p-value
@@ -76,124 +76,6 @@ class Poll:
         return next((s for s in self.standings if s.effect == effect), None)
 
 
-class Projected:
-    """Candidate columns with the active ones projected out, under the variances of the present fit."""
-
-    def __init__(self, state: State, fit: Fit, blocks: Sequence[np.ndarray]) -> None:
-        self.wanted = np.unique(np.concatenate(blocks))
-        self.place = [np.searchsorted(self.wanted, block) for block in blocks]
-        S, base, weight = state.scaled, fit.columns, 1.0 / fit.variance
-        self.inside = state.inside
-        A, B = (np.where(self.inside[:, None, None], S[:, :, own], 0.0) for own in (self.wanted, base))
-        cross = np.einsum("mcb,c,mcj->bj", B, weight, A, optimize=True)
-        self.P = A - np.einsum("mcb,bj->mcj", B, inverse(fit.normal) @ cross, optimize=True)
-        self.information = np.einsum("mci,c,mcj->ij", self.P, weight, self.P, optimize=True)
-        self.bread = [inverse(self.information[np.ix_(place, place)]) for place in self.place]
-        self.weight = weight
-        self.folds = state.folds
-        self.middle = Middle(self.P, fit.variance, state.folds, self.place)
-
-    def right(self, residual: Float[np.ndarray, "*r m c"]) -> Float[np.ndarray, "*r w"]:
-        """Right sides of the normal equations of any number of records."""
-        return np.tensordot(residual * self.weight, self.P, 2)
-
-    def scores(self, residual: Float[np.ndarray, "m c"], colour: Colour) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """First-order estimate and its covariance for each block."""
-        right = self.right(residual)
-        _, whole = self.middle.under(colour, range(len(self.place)))
-        estimates = [bread @ right[place] for bread, place in zip(self.bread, self.place, strict=True)]
-        return estimates, [bread @ meat @ bread for bread, meat in zip(self.bread, whole, strict=True)]
-
-    def deviance(
-        self, residual: Float[np.ndarray, "m c"], block: int | None = None, estimate: np.ndarray | float = 0.0
-    ) -> float:
-        """n log det of the whole covariance of what a block leaves at its first-order estimate.
-
-        It stays the same when an output is exchanged for its sum with a share of another; the product of the
-        variances does not.
-        """
-        left = residual if block is None else residual - self.P[:, :, self.place[block]] @ estimate
-        left = left[self.inside]
-        return float(len(left) * np.linalg.slogdet(left.T @ left / len(left))[1])
-
-    def largest(self, noises: Float[np.ndarray, "r m c"], colours: Sequence[Colour]) -> Float[np.ndarray, " r"]:
-        """The largest score that any block reaches in each of r records."""
-        alone = np.array([place[0] for place in self.place if len(place) == 1], int)
-        wide = [j for j, place in enumerate(self.place) if len(place) > 1]
-        found = []
-        for right, colour in zip(self.right(noises), colours, strict=True):
-            diagonal, whole = self.middle.under(colour, wide)
-            # Of a single parameter the information cancels.
-            best = float(np.max(np.abs(right[alone]) / np.sqrt(np.maximum(diagonal[alone], TINY)), initial=0.0))
-            for j, meat in zip(wide, whole, strict=True):
-                bread = self.bread[j]
-                best = max(best, equivalent(bread @ right[self.place[j]], bread @ meat @ bread))
-            found.append(best)
-        return np.array(found)
-
-    def between(
-        self, residual: Float[np.ndarray, "m c"], estimates: Sequence[np.ndarray], stretch: Int[np.ndarray, " m"]
-    ) -> list[np.ndarray]:
-        """Covariance of each block's estimate from how far the stretches disagree about it, whatever the colour within.
-
-        Cluster-robust (Liang and Zeger 1986, Biometrika 73, 13), with the estimate itself taken out.
-        """
-        found = []
-        for place, bread, estimate in zip(self.place, self.bread, estimates, strict=True):
-            P = self.P[:, :, place]
-            rows = np.einsum("mci,c,mc->mi", P, self.weight, residual - P @ estimate, optimize=True)
-            found.append(bread @ disagreement(rows, stretch) @ bread)
-        return found
-
-    def apart(
-        self,
-        residual: Float[np.ndarray, "m c"],
-        estimates: Sequence[np.ndarray],
-        own: int,
-        colour: Colour,
-        stretch: Int[np.ndarray, " m"] | None,
-    ) -> Float[np.ndarray, " j"]:
-        """Inflation of the variance along the difference of what each block and block `own` explain (1 for `own`).
-
-        Under the colour, or by how far the stretches disagree where that is more.
-        """
-        explained = [self.P[:, :, place] @ estimate for place, estimate in zip(self.place, estimates, strict=True)]
-        D = np.stack([part - explained[own] for part in explained], axis=2)
-        variance, _ = Middle(D, 1.0 / self.weight, self.folds, []).under(colour, [])
-        if stretch is not None:
-            rows = np.einsum("mcj,c,mc->mj", D, self.weight, residual - explained[own], optimize=True)
-            variance = np.maximum(variance, np.diag(disagreement(rows, stretch)))
-        white = np.einsum("mcj,c,mcj->j", D, self.weight, D, optimize=True)
-        return np.where(white > 0.0, variance / np.maximum(white, TINY), 1.0)
-
-
-def disagreement(rows: Float[np.ndarray, "m k"], stretch: Int[np.ndarray, " m"]) -> Float[np.ndarray, "k k"]:
-    """Sum over stretches of the outer products of what each contributes to the normal equations."""
-    count = int(stretch.max()) + 1
-    sums = np.zeros((count, rows.shape[1]))
-    np.add.at(sums, stretch, rows)
-    return sums.T @ sums * count / (count - 1.0)
-
-
-def _score(estimate: np.ndarray, covariance: np.ndarray, freedom: int) -> float:
-    score = equivalent(estimate, covariance)
-    return as_normal(score, freedom) if freedom else score
-
-
-def as_normal(score: float, freedom: int) -> float:
-    """Student's score as the normal one of the same tail probability."""
-    return float(stats.norm.isf(max(stats.t.sf(score, freedom), 1e-300)))
-
-
-def equivalent(estimate: np.ndarray, covariance: np.ndarray) -> float:
-    """Wald statistic as the standard score of one parameter with the same tail probability."""
-    if len(estimate) == 1:
-        return abs(float(estimate[0])) / math.sqrt(max(float(covariance[0, 0]), 1e-300))
-    wald = float(estimate @ inverse(covariance) @ estimate)
-    tail = stats.chi2.logsf(wald, len(estimate))
-    return float(stats.norm.isf(math.exp(max(tail, -700.0)) / 2.0)) if tail < 0.0 else 0.0
-
-
 def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, without: str | None = None) -> Poll:
     """Fit every candidate with all active parameters free; draw noise-only replicates under the present model.
 
@@ -248,7 +130,7 @@ def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, wit
                 columns=tuple(int(i) for i in own),
                 value=value,
                 gain=float(gains[0][j]) if possible else 0.0,
-                score=_score(estimates[j], covariances[j], freedom) if possible else 0.0,
+                score=score(estimates[j], covariances[j], freedom) if possible else 0.0,
                 inflation=float(np.max(variance / white)),
                 log_bayes=log_bayes(estimates[j], covariances[j], mean[own], state.precision[own] / state.temper),
                 step=tuple(float(x) for x in step),
@@ -327,14 +209,32 @@ def uncertainty(state: State, fit: Fit, colour: Colour) -> Float[np.ndarray, "k 
     return bread @ colour.meat(state.scaled[:, :, fit.columns], fit.variance, state.folds) @ bread
 
 
-def between_stretches(state: State, fit: Fit) -> Float[np.ndarray, "k k"]:
-    """Covariance of the active columns' estimates from how far the stretches disagree (see `Projected.between`)."""
+def without_each_stretch(state: State, fit: Fit) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
+    """Active columns that are no offsets, and the covariance of their estimates from how far these move when a stretch
+    is left out.
+
+    The jackknife over clusters: a stretch that decides a parameter alone leaves no residual there to disagree with,
+    and `Projected.between` takes that for agreement. Source: Bell and McCaffrey 2002, Survey Methodology 28, 169.
+    """
     stretch = state.responses.stretch
     assert stretch is not None
-    left = np.where(state.inside[:, None], state.left(fit), 0.0)
-    rows = np.einsum("mci,c,mc->mi", state.scaled[:, :, fit.columns], 1.0 / fit.variance, left, optimize=True)
-    bread = inverse(fit.normal)
-    return bread @ disagreement(rows, stretch) @ bread
+    columns = fit.columns[~np.isin(fit.columns, state.offsets)]
+    parts = [_without_offsets(state, fit, stretch == k, columns) for k in range(int(stretch.max()) + 1)]
+    whole = sum(information for information, _ in parts) + np.diag(state.precision[columns])
+    moves = np.array([inverse(whole - information) @ right for information, right in parts])
+    return columns, moves.T @ moves * (len(parts) - 1.0) / len(parts)
+
+
+def _without_offsets(
+    state: State, fit: Fit, here: Bool[np.ndarray, " m"], columns: Int[np.ndarray, " k"]
+) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
+    """Information of one stretch on these columns, its offsets free, and what it adds to the right side."""
+    here, weight = here & state.inside, 1.0 / fit.variance
+    S, begin = state.scaled[here][:, :, columns], state.scaled[here][:, :, state.offsets]
+    begin = begin[:, :, np.any(begin != 0.0, axis=(0, 1))]
+    cross, own = (np.einsum("mci,c,mcj->ij", begin, weight, other) for other in (S, begin))
+    S = S - begin @ (inverse(own) @ cross)
+    return np.einsum("mci,c,mcj->ij", S, weight, S), np.einsum("mci,c,mc->i", S, weight, state.left(fit)[here])
 
 
 def columns_of(state: State, standing: Standing) -> Int[np.ndarray, " k"]:

@@ -16,14 +16,13 @@ from bayes_aero.criticism.election import (
     REPLICATES,
     Poll,
     Standing,
-    as_normal,
-    between_stretches,
     columns_of,
-    equivalent,
     log_bayes,
     poll,
     uncertainty,
+    without_each_stretch,
 )
+from bayes_aero.criticism.projected import as_normal, equivalent
 from bayes_aero.criticism.regression import Fit, Products
 from bayes_aero.criticism.second_look import SecondLook
 from bayes_aero.criticism.state import State, moved, refitted, swelling
@@ -98,11 +97,11 @@ def extend(state: State, *, seed: int = 0, most: int = 8, progress: Progress | N
 
 
 def _between_sizes(state: State, fit: Fit) -> dict[str, Size]:
-    """Sizes whose deviations are no smaller than the stretches' disagreement makes them."""
-    told, names = sizes(state, fit), state.field.model.names
-    between = np.sqrt(np.diag(between_stretches(state, fit)))
-    wide = {names[c]: float(sd) for c, sd in zip(fit.columns, between, strict=True) if c < len(names)}
-    return {name: replace(size, sd=max(size.sd, wide[name])) for name, size in told.items()}
+    """Sizes whose deviations are no smaller than the scatter of estimates without each stretch makes them."""
+    columns, covariance = without_each_stretch(state, fit)
+    names = state.field.model.names
+    wide = {names[c]: float(sd) for c, sd in zip(columns, np.sqrt(np.diag(covariance)), strict=True) if c < len(names)}
+    return {name: replace(size, sd=max(size.sd, wide[name])) for name, size in sizes(state, fit).items()}
 
 
 def _inflation(state: State, fit: Fit) -> float:
@@ -154,7 +153,7 @@ def _election(state: State, fit: Fit, seed: int, first: bool) -> Step:
 
 
 def between_p_value(wider: State, fit: Fit, effect: str, among: int) -> float:
-    """p-value of an addition by how far the stretches disagree about it, Bonferroni over `among` candidates.
+    """p-value of an addition by how far it moves without each stretch, Bonferroni over `among` candidates.
 
     It is in, and all is fitted again: a large effect that is out bends the first-order residuals, and the stretches
     then seem to disagree more than they do.
@@ -163,11 +162,11 @@ def between_p_value(wider: State, fit: Fit, effect: str, among: int) -> float:
     columns = wider.field.columns(names)
     if not np.all(np.isin(columns, fit.columns)):
         return 1.0
-    at = [int(np.flatnonzero(fit.columns == c)[0]) for c in columns]
     away = wider.theta[columns] - np.array([wider.field.neutral[name] for name in names])
-    covariance = between_stretches(wider, fit)[np.ix_(at, at)]
+    own, covariance = without_each_stretch(wider, fit)
+    at = [int(np.flatnonzero(own == c)[0]) for c in columns]
     freedom = int(np.max(wider.responses.stretch))  # pyright: ignore[reportArgumentType, reportCallIssue]
-    score = as_normal(equivalent(away, covariance), freedom)
+    score = as_normal(equivalent(away, covariance[np.ix_(at, at)]), freedom)
     return min(1.0, 2.0 * among * float(stats.norm.sf(score)))
 
 

@@ -16,13 +16,12 @@ from bayes_aero.criticism.colour import Colour, colour_of, colours_of, unbiased
 from bayes_aero.criticism.election import (
     CORRECTION,
     REPLICATES,
-    Projected,
     Standing,
     columns_of,
-    equivalent,
     log_bayes,
     without_active,
 )
+from bayes_aero.criticism.projected import Projected, equivalent
 from bayes_aero.criticism.state import State
 
 

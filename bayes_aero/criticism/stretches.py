@@ -14,8 +14,9 @@ from jaxtyping import Float, Int
 from scipy import stats
 
 from bayes_aero.criticism.accuracy import sizes
-from bayes_aero.criticism.election import as_normal, disagreement, equivalent, poll
+from bayes_aero.criticism.election import poll
 from bayes_aero.criticism.extension import ALPHA, Extension, Step, removed, worth
+from bayes_aero.criticism.projected import as_normal, disagreement, equivalent
 from bayes_aero.criticism.regression import Fit, inverse
 from bayes_aero.criticism.state import State, refitted
 

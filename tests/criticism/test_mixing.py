@@ -7,8 +7,8 @@ import pytest
 
 from bayes_aero.criticism.accuracy import Size
 from bayes_aero.criticism.candidates import Field
-from bayes_aero.criticism.election import Projected
 from bayes_aero.criticism.extension import LEAST_SCORE, worth
+from bayes_aero.criticism.projected import Projected
 from bayes_aero.criticism.regression import Fit
 from bayes_aero.criticism.state import State
 from bayes_aero.effects import CATALOGUE

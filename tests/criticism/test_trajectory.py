@@ -83,8 +83,8 @@ def test_an_effect_is_named_without_accelerometers(card):
     named = {c.name: c for c in found.causes}
     assert name in named or any(name in c.ambiguous_with for c in found.causes), (SEED, name, truth, list(named))
     if name in named:
-        for key, size in named[name].parameters.items():
-            assert size.mean == pytest.approx(truth[key], rel=0.4), (SEED, name)
+        for key, size in named[name].parameters.items():  # disturbances of the flight bias what windows gather of them
+            assert size.mean == pytest.approx(truth[key], rel=0.4, abs=4.0 * size.sd), (SEED, name)
     assert "accel_x_bias" in found.not_testable
 
 
@@ -92,10 +92,10 @@ def test_an_effect_is_named_without_accelerometers(card):
 def test_a_lag_of_the_separation_point_is_named_without_accelerometers(card):
     """A state that the card's model does not have: hysteresis, inertia and delays stand in while it is out.
 
-    A flight whose stall is short may hide it, and some the card's model cannot fly at all, and says so: so one of two
-    that it can fly must do.
+    A flight whose stall is short may hide it (one in ten of 4 to 6 chords), and some the card's model cannot fly at
+    all, and says so: so one of two that it can fly must do.
     """
-    truth, missed = {"tau1": np.random.default_rng(SEED).uniform(6.0, 14.0)}, []
+    truth, missed = {"tau1": np.random.default_rng(SEED).uniform(4.0, 14.0)}, []
     for seed in range(SEED, SEED + 6):
         flights = hidden_flights({"separation_lag": truth}, seed=seed, seconds=90.0)
         try:
@@ -104,7 +104,8 @@ def test_a_lag_of_the_separation_point_is_named_without_accelerometers(card):
             continue
         names = [c.name for c in found.causes]
         if names[:1] == ["separation_lag"]:
-            assert found.causes[0].parameters["tau1"].mean == pytest.approx(truth["tau1"], rel=0.2), (seed, truth)
+            size = found.causes[0].parameters["tau1"]
+            assert size.mean == pytest.approx(truth["tau1"], rel=0.2, abs=4.0 * size.sd), (seed, truth)
             return
         missed.append((seed, names))
         if len(missed) == 2:
