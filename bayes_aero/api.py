@@ -27,7 +27,7 @@ from bayes_aero.criticism.diagnosis import diagnose as run_diagnosis
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card, read_card
-from bayes_aero.flight.readers import read_record
+from bayes_aero.flight.readers import read_records
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.ensemble import sample_ensemble
 from bayes_aero.inference.identification import Identification
@@ -147,8 +147,7 @@ def read(
 ) -> list[FlightRecord]:
     """Read and check flight records, a manoeuvre a file; `resample` s for unevenly sampled ones."""
     one = isinstance(paths, str | os.PathLike)
-    channels = _card(card).channels
-    return [read_record(path, channels, resample=resample) for path in ([paths] if one else paths)]
+    return read_records([paths] if one else paths, _card(card).channels, resample=resample)
 
 
 def fit(

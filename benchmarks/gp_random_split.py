@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayes_aero.flight.card import read_card
+from bayes_aero.flight.readers import read_records
 from bayes_aero.inference.gp import Priors
 from bayes_aero.inference.gp.kernel import Scaling
 from bayes_aero.inference.gp.optimum import curvature, distinct, find_map, maximise
@@ -27,7 +28,6 @@ from bayes_aero.inference.validation import gp_inputs
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.physics.coefficients import NAMES
-from bayes_aero.studies.identify import read_records
 
 PRIORS = Priors.quasi_steady()
 ASKED = {"CL": 0.0015, "CD": 0.005, "Cm": 0.40}
@@ -58,7 +58,7 @@ def main():
     options = parser.parse_args()
     card = read_card(options.model)
     model = Model.from_card(card)
-    seen = observe(read_records(options.records, card), card, model)
+    seen = observe(read_records(options.records, card.channels), card, model)
     X, z = gp_inputs(seen, card.gp_inputs), np.asarray(seen.measured)
     start = fit_mle(model, seen).estimate
     margins: dict[str, list[tuple[float, float]]] = {name: [] for name in NAMES}

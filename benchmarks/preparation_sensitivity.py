@@ -21,6 +21,7 @@ import pandas as pd
 from scipy import signal
 
 from bayes_aero.flight.card import Card, read_card
+from bayes_aero.flight.readers import read_records
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.model import Model
@@ -28,7 +29,6 @@ from bayes_aero.model.observations import Observations, observe, with_sums
 from bayes_aero.physics.coefficients import NAMES, RATES, SMOOTHED, coefficients
 from bayes_aero.physics.filters import differentiate, smooth
 from bayes_aero.studies.demo import simulate_stall
-from bayes_aero.studies.identify import read_records
 
 Filter = Callable[[np.ndarray, float], np.ndarray]
 PUBLISHED = "Spencer, 8th order"
@@ -104,7 +104,11 @@ def main() -> None:
     given = parser.parse_args()
     card = read_card(given.model)
     model = Model.from_card(card)
-    records = read_records(given.records, card) if given.records else [simulate_stall(i, card=card) for i in range(2)]
+    records = (
+        read_records(given.records, card.channels)
+        if given.records
+        else [simulate_stall(i, card=card) for i in range(2)]
+    )
     ours = observe(records, card, model)
     fits = {}
     for name, way in PREPARATIONS.items():

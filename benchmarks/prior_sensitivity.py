@@ -9,6 +9,7 @@ import argparse
 from pathlib import Path
 
 from bayes_aero.flight.card import read_card
+from bayes_aero.flight.readers import read_records
 from bayes_aero.inference.ensemble import sample_ensemble
 from bayes_aero.inference.laplace import density_start, find_mode
 from bayes_aero.inference.mle import fit_mle
@@ -18,7 +19,6 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import observe
 from bayes_aero.studies.demo import simulate_stall
-from bayes_aero.studies.identify import read_records
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("records", type=Path, nargs="*")
@@ -26,7 +26,9 @@ parser.add_argument("--model", default="attas")
 given = parser.parse_args()
 card = read_card(given.model)
 model = Model.from_card(card)
-records = read_records(given.records, card) if given.records else [simulate_stall(i, card=card) for i in range(2)]
+records = (
+    read_records(given.records, card.channels) if given.records else [simulate_stall(i, card=card) for i in range(2)]
+)
 observations = observe(records, card, model)
 mle = fit_mle(model, observations)
 for colour in (Colour.AR1, Colour.WHITE):

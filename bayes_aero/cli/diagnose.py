@@ -14,6 +14,7 @@ from bayes_aero.cli.terminal import (
     ResampleOption,
     SeedOption,
     bar,
+    card_and_records,
     interruptible,
     kept_stages,
     loading,
@@ -48,15 +49,12 @@ def diagnose(
 
     Example: bayes-aero diagnose qst01.asc qst02.asc --model attas --out diagnosis
     """
+    (card, flights), hidden = card_and_records(model, records or [], resample), None
     with loading():
-        from bayes_aero.flight.card import read_card
         from bayes_aero.studies.diagnose import hide_one
-        from bayes_aero.studies.identify import read_records
         from bayes_aero.studies.tasks import Flown, diagnose_records
 
-    card = read_card(model)
     console = teller(quiet=json, highlight=True)
-    flights, hidden = (read_records(records, card, resample=resample), None) if records else ([], None)
     with interruptible(kept_stages(out, taken_up=True)), bar("reading" if records else "simulating") as tell:
         if not records:
             console.print("No record given: an effect is hidden in two simulated manoeuvres, to be found.")

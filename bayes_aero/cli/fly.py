@@ -14,6 +14,7 @@ from bayes_aero.cli.terminal import (
     ResampleOption,
     SeedOption,
     bar,
+    card_and_records,
     interruptible,
     kept_stages,
     loading,
@@ -39,16 +40,13 @@ def fly(
 
     Example: bayes-aero fly run1.csv run2.csv --model short_period.toml --out trajectories
     """
+    card, flights = card_and_records(model, records, resample)
     with loading():
-        from bayes_aero.flight.card import read_card
         from bayes_aero.report.words_fly import error_table, parameter_table
         from bayes_aero.studies.fly import RESULTS
         from bayes_aero.studies.fly import fly as run
-        from bayes_aero.studies.identify import read_records
 
-    card = read_card(model)
     console = teller(quiet=json, highlight=True)
-    flights = read_records(records, card, resample=resample)
     with interruptible(kept_stages(out)), bar("reading") as tell:
         found = run(flights, card, out=out, windows=windows, seed=seed, figures=figures, progress=tell)
     if json:

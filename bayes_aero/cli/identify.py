@@ -14,6 +14,7 @@ from bayes_aero.cli.terminal import (
     ResampleOption,
     SeedOption,
     bar,
+    card_and_records,
     interruptible,
     kept_stages,
     loading,
@@ -49,7 +50,8 @@ def identify(
 
     Example: bayes-aero identify qst01.asc qst02.asc --model attas --out results
     """
-    # Imported here: --help and a mistyped option need not wait for the numerical libraries.
+    card, flights = card_and_records(model, records or [], resample)
+    # Imported here: --help, a mistyped option and a file that is not there need not wait for the numerical libraries.
     with loading():
         from bayes_aero.flight.card import read_card
         from bayes_aero.model.noise import Colour
@@ -57,13 +59,9 @@ def identify(
         from bayes_aero.report.words import verdict
         from bayes_aero.studies.demo import TRUTH, demo_records
         from bayes_aero.studies.identify import identify as run
-        from bayes_aero.studies.identify import read_records
 
-    card = read_card(model)
-    console = teller(quiet=json, highlight=True)
-    if records:
-        flights, truth = read_records(records, card, resample=resample), None
-    else:
+    console, truth = teller(quiet=json, highlight=True), None
+    if not records:
         console.print("No record given: two simulated stall manoeuvres are identified.")
         same = card.sha256 == read_card("attas").sha256  # with another card's constants the parameters are others
         flights, truth = demo_records(), TRUTH if same else None

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -15,6 +15,10 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from bayes_aero.cli.durations import Durations, TimeLeft
 from bayes_aero.studies.compiled import cache_folder
+
+if TYPE_CHECKING:  # the real imports wait until a command needs them
+    from bayes_aero.flight.card import Card
+    from bayes_aero.flight.record import FlightRecord
 
 FAILED = 1
 BAD_INPUT = 2
@@ -64,6 +68,18 @@ def loading() -> Iterator[None]:
     """While the numerical libraries are imported, which takes seconds."""
     with bar("loading libraries"):
         yield
+
+
+def card_and_records(model: str, records: Sequence[Path], resample: float | None) -> tuple[Card, list[FlightRecord]]:
+    """What a command is given, read before anything that takes seconds to load: a mistake is told at once."""
+    from bayes_aero.flight.readers import present, read_records
+
+    for path in records:
+        present(path)
+    with loading():
+        from bayes_aero.flight.card import read_card
+    card = read_card(model)
+    return card, read_records(records, card.channels, resample=resample)
 
 
 def print_json(content: Mapping[str, Any]) -> None:

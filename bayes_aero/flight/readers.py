@@ -26,7 +26,7 @@ from bayes_aero.flight.text import read_columns, read_csv
 from bayes_aero.flight.writers import write_record
 from bayes_aero.units import same_unit, to_si
 
-__all__ = ["READERS", "read_record", "write_record"]
+__all__ = ["READERS", "present", "read_record", "read_records", "write_record"]
 
 Reader = Callable[[bytes, Sequence[Channel]], dict[str, Column]]
 
@@ -74,6 +74,23 @@ def read_record(
     except InputError as reason:
         raise InputError(f"{name}: {reason}") from reason
     return record
+
+
+def read_records(
+    paths: Sequence[str | os.PathLike[str]], channels: Sequence[Channel], *, resample: float | None = None
+) -> list[FlightRecord]:
+    """Every file, one manoeuvre each; the first bad one is reported."""
+    return [read_record(path, channels, resample=resample) for path in paths]
+
+
+def present(path: Path) -> None:
+    """Refuse a name of which there is no file; nothing need be loaded to see that."""
+    try:
+        there = path.exists()
+    except (OSError, ValueError):  # a name that cannot be one: reading says so
+        return
+    if not there:
+        raise InputError(f"{path}: {_no_such_file(path)}")
 
 
 def reader_for(path: Path) -> Reader:

@@ -16,7 +16,6 @@ from bayes_aero.criticism.flown_paths import Path as Flown
 from bayes_aero.criticism.preparation import preparation_notes
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.readers import read_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.flight.record_doubt import record_doubts
 from bayes_aero.inference.checkpoint import Checkpoint
@@ -48,11 +47,6 @@ from bayes_aero.studies.results import results
 
 Progress = Callable[[str, float], None]
 CHAINS = ".chains"
-
-
-def read_records(paths: Sequence[Path], card: Card, *, resample: float | None = None) -> list[FlightRecord]:
-    """Read and check every file; the first bad one is reported."""
-    return [read_record(path, card.channels, resample=resample) for path in paths]
 
 
 def identify(

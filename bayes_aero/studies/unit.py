@@ -138,14 +138,15 @@ def _full(target: Path) -> str:
 
 def perform(unit: Unit, out: Path, progress: Progress | None = None) -> None:
     """The unit's own work: everything that it writes lies in `out`."""
+    from bayes_aero.flight.readers import read_records
     from bayes_aero.model.noise import Colour  # here, since whoever only hands units out needs none of these
     from bayes_aero.studies.fly import fly
-    from bayes_aero.studies.identify import identify, read_records
+    from bayes_aero.studies.identify import identify
     from bayes_aero.studies.tasks import diagnose_records
 
     card = card_of(unit)
     options = dict(unit.options)
-    records = read_records([Path(p) for p in unit.records], card, resample=options.pop("resample", None))
+    records = read_records([Path(p) for p in unit.records], card.channels, resample=options.pop("resample", None))
     settings = unit.settings | {"environment": environment_id()}
     write_json(provenance(card, records, unit.seed, settings), out / "provenance.json")
     if unit.task == "identify":

@@ -16,6 +16,7 @@ from bayes_aero.cli import app, choices
 from bayes_aero.cli.terminal import BAD_INPUT, FAILED, INTERRUPTED, kept_stages
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.entry import _heed
+from bayes_aero.flight import readers
 from bayes_aero.flight.card import read_card
 from bayes_aero.inference.splits import SplitKind
 from bayes_aero.model.noise import Colour
@@ -150,7 +151,7 @@ def test_an_interruption_while_reading_is_told_too(program, monkeypatch, flights
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(job, "read_records", interrupted)
+    monkeypatch.setattr(readers, "read_records", interrupted)
     done = program("identify", flights.sound)
     assert done.code == INTERRUPTED
     assert "nothing had been written" in done.err
