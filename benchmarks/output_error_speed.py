@@ -78,7 +78,7 @@ SENSORS = {"airspeed": 0.2, "alpha": 0.002, "theta": 0.002, "q": 0.001, "ax": 0.
 STATES = ("airspeed", "alpha", "theta", "q")
 N, DT = 600, 0.1
 FLAT = 1e4  # deviation of the priors
-NEAR = 1e-2  # Cramer-Rao deviations: how near both must end
+NEAR = 2e-2  # Cramer-Rao deviations: how near both must end
 EXACT = {"rtol": 1e-9, "atol": 1e-11, "max_step": DT}  # lest a peer's integrator step over the inputs' kinks
 
 
@@ -236,10 +236,14 @@ def aeroid_runs(reference, flown, aircraft, start, best):
 
 
 def timed(runs, repeats):
-    """Least seconds of each, taken in turn so that a slow moment of the machine falls on all."""
+    """Least seconds of each, taken in turn so that a slow moment of the machine falls on all.
+
+    Each runs once untimed in its turn: else the shortest pays for the caches and the memory that the longest left.
+    """
     times = {name: [] for name in runs}
     for _ in range(repeats):
         for name, run in runs.items():
+            run()
             began = time.perf_counter()
             run()
             times[name].append(time.perf_counter() - began)
