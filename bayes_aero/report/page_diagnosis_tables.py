@@ -100,7 +100,6 @@ def by_manoeuvre(unseen: Unseen) -> Table:
         "Unseen, manoeuvre by manoeuvre: the card's model and the extended one",
         ("manoeuvre", "coefficient", "R²\ncard", "R²\nextended", "change of R²", "log density\ngained [nats]"),
         tuple(rows),
-        words=(1,),
         note="± is one deviation, the colour counted. R² weighs every sample alike and so hangs on the few of the "
         "deepest stall; the log density knows that noise grows as the flow separates. "
         + (f"Beyond chance (one-sided, 5 %) the log density falls for {worse}." if worse else NOWHERE_WORSE),
