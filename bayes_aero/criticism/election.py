@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from bayes_aero.criticism.colour import Colour, colour_of, colours_of, unbiased
 from bayes_aero.criticism.projected import Projected, equivalent, score
-from bayes_aero.criticism.regression import Fit, inverse
+from bayes_aero.criticism.regression import Fit, Products, inverse
 from bayes_aero.criticism.state import State
 
 REPLICATES = 200  # noise-only replicates behind every p-value
@@ -82,21 +82,11 @@ def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, wit
     `without` takes one addition out first, to first order: it then stands for election like the others, and each of
     them is told `apart` from it.
     """
-    products, mean, columns = state.products, state.mean, state.columns()
-    residual = state.left(fit)
     active = tuple(e for e in state.active if e != without)
+    standpoint = _Standpoint(state.products, state.mean, state.columns(), fit, state.left(fit))
     if without is not None:
-        names = state.field.parameters_of(without)
-        own = state.field.columns(names)
-        neutral = np.array([state.field.neutral[name] for name in names])
-        products = products.shifted(own, neutral - state.theta[own])
-        mean = mean.copy()
-        mean[own] += state.theta[own] - neutral
-        columns = state.columns(active)
-        shifted = products.fit(columns, mean, state.precision)
-        residual = residual + state.scaled[:, :, own] @ (state.theta[own] - neutral)
-        residual = residual - state.scaled[:, :, columns] @ shifted.step + state.scaled[:, :, fit.columns] @ fit.step
-        fit = shifted
+        standpoint = _taken_out(state, standpoint, without, active)
+    fit, residual, mean = standpoint.fit, standpoint.residual, standpoint.mean
     blocks = [b for b in state.blocks if b[0] not in active]
     if not blocks:
         return Poll((), colour_of(residual, state.folds), np.zeros(0))
@@ -114,7 +104,7 @@ def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, wit
         wider = projected.between(residual, estimates, stretch)
         pairs = zip(estimates, covariances, wider, strict=True)
         covariances = [C if equivalent(b, C) < equivalent(b, W) else W for b, C, W in pairs]
-    gains = _gains(state, products, mean, columns, [b[1] for b in blocks], fit)
+    gains = _gains(state, standpoint, [b[1] for b in blocks])
     before = projected.deviance(residual)
     away = _most(blocks, gains[0], without)
     apart = None if away is None else projected.apart(residual, estimates, away, colour, stretch)
@@ -174,15 +164,37 @@ def _most(blocks: Sequence[tuple], gains: Float[np.ndarray, " j"], effect: str |
     return max(own, key=lambda j: gains[j], default=None)
 
 
-def _gains(
-    state: State, products, mean: np.ndarray, columns: np.ndarray, blocks: Sequence[np.ndarray], fit: Fit
-) -> tuple[np.ndarray, np.ndarray]:
+@dataclass(frozen=True)
+class _Standpoint:
+    """From where candidates are judged: what is active, its fit, and what that leaves."""
+
+    products: Products
+    mean: Float[np.ndarray, " K"]
+    columns: Int[np.ndarray, " k"]
+    fit: Fit
+    residual: Float[np.ndarray, "m c"]
+
+
+def _taken_out(state: State, here: _Standpoint, effect: str, active: Sequence[str]) -> _Standpoint:
+    """The same with one addition at neutral, to first order; `active` are the others."""
+    names = state.field.parameters_of(effect)
+    own = state.field.columns(names)
+    away = state.theta[own] - np.array([state.field.neutral[name] for name in names])
+    products, mean, columns = here.products.shifted(own, -away), here.mean.copy(), state.columns(active)
+    mean[own] += away
+    fit = products.fit(columns, mean, state.precision)
+    before = state.scaled[:, :, here.fit.columns] @ here.fit.step
+    residual = here.residual + state.scaled[:, :, own] @ away + before - state.scaled[:, :, columns] @ fit.step
+    return _Standpoint(products, mean, columns, fit, residual)
+
+
+def _gains(state: State, here: _Standpoint, blocks: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Deviance that each block takes away, and its steps; short blocks are filled up with the column of zeros."""
     dummy = state.S.shape[2] - 1
     width = max(len(own) for own in blocks)
-    rows = np.array([np.concatenate([columns, own, np.full(width - len(own), dummy)]) for own in blocks], int)
-    step, _, _, deviance = products.fit_many(rows, mean, state.precision)
-    return fit.deviance - deviance, step[:, len(columns) :]
+    rows = np.array([np.concatenate([here.columns, own, np.full(width - len(own), dummy)]) for own in blocks], int)
+    step, _, _, deviance = here.products.fit_many(rows, here.mean, state.precision)
+    return here.fit.deviance - deviance, step[:, len(here.columns) :]
 
 
 def log_bayes(estimate: np.ndarray, covariance: np.ndarray, mean: np.ndarray, precision: np.ndarray) -> float:
