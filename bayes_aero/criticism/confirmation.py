@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 from bayes_aero.criticism.gain import LeftOut, gained, truncated
 from bayes_aero.criticism.state import State
@@ -26,24 +27,64 @@ class Confirmation:
     missed: Mapping[str, tuple[float, float]]
 
 
-def confirmation(state: State) -> Confirmation:
+T = TypeVar("T")
+
+
+class Unseen(Protocol[T]):
+    """Data as a model with some of the additions predicts them without having been fitted to them."""
+
+    def nearly(self, effects: Sequence[str]) -> T:
+        """To first order, in no time."""
+        ...
+
+    def refitted(self, effects: Sequence[str]) -> T:
+        """Everything fitted again."""
+        ...
+
+    def gained(self, before: T, after: T) -> tuple[float, float]:
+        """Log density that `after` has beyond `before`, the colour's cost counted, and its deviation."""
+        ...
+
+
+def confirmed(additions: Sequence[str], unseen: Unseen[T]) -> Confirmation:
     """Each addition in turn, least missed to first order first, is taken out and everything fitted again."""
-    kept, missed, waiting = list(state.active), {}, list(state.active)
-    whole: LeftOut | None = None
+    kept, missed, waiting = list(additions), {}, list(additions)
+    whole: T | None = None
     while waiting:
-        near = LeftOut.first_order(state, kept)
-        losses = {e: gained(LeftOut.first_order(state, _less(kept, e)), near, state) for e in waiting}
+        near = unseen.nearly(kept)
+        losses = {e: unseen.gained(unseen.nearly(_less(kept, e)), near) for e in waiting}
         least = min(waiting, key=lambda e: losses[e][0] - PLAIN * losses[e][1])
         if losses[least][0] > PLAIN * losses[least][1]:
             missed |= losses
             break
-        whole = whole or LeftOut.refitted(truncated(state, kept))
-        without = LeftOut.refitted(truncated(state, _less(kept, least)))
-        missed[least] = gained(without, whole, state)
+        whole = whole or unseen.refitted(kept)
+        without = unseen.refitted(_less(kept, least))
+        missed[least] = unseen.gained(without, whole)
         if not missed[least][0] > MISSED * missed[least][1]:
             kept, whole = _less(kept, least), without
         waiting.remove(least)
-    return Confirmation(tuple(kept), missed)
+    return Confirmation(tuple(kept), {e: missed[e] for e in additions})
+
+
+@dataclass(frozen=True)
+class _Coefficients:
+    """Those of the record, from sensitivities where the state stands or from fits of their own."""
+
+    state: State
+
+    def nearly(self, effects: Sequence[str]) -> LeftOut:
+        return LeftOut.first_order(self.state, effects)
+
+    def refitted(self, effects: Sequence[str]) -> LeftOut:
+        return LeftOut.refitted(truncated(self.state, effects))
+
+    def gained(self, before: LeftOut, after: LeftOut) -> tuple[float, float]:
+        return gained(before, after, self.state)
+
+
+def confirmation(state: State) -> Confirmation:
+    """What unseen coefficients confirm of all additions of a state."""
+    return confirmed(state.active, _Coefficients(state))
 
 
 def _less(effects: Sequence[str], one: str) -> list[str]:

@@ -17,9 +17,9 @@ from bayes_aero.criticism.candidates import Field, lag_of
 from bayes_aero.criticism.confirmation import MISSED
 from bayes_aero.criticism.diagnosis import POSSIBLE
 from bayes_aero.criticism.extension import DECISIVE, Extension
+from bayes_aero.criticism.flown_density import UnseenFlight, gained_in_flight
 from bayes_aero.criticism.flown_paths import Path
 from bayes_aero.criticism.flown_unseen import Contender, Noise
-from bayes_aero.criticism.gain import deviation_of_sum
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.inference.output_error import fit_output_error
 from bayes_aero.inference.output_error_result import OutputErrorStatus
@@ -93,20 +93,10 @@ def confirmed(
     swell: Sequence[Float[np.ndarray, "m c"]],
     cost: float,
 ) -> Lag:
-    """Kept if unseen flight misses the lag as it must miss any cause: both flew the same manoeuvres, in order.
-
-    Its density is normal, with the variance of attached flow that the left-out residuals themselves have.
-    """
-    density = []
-    for paths in (without, lagged):
-        left = [np.stack([p.measured[n] - p.simulated[n] for n in outputs], axis=1) for p in paths]
-        r = np.concatenate([x / s for x, s in zip(left, swell, strict=True)])
-        variance = np.mean(r**2, axis=0)
-        density.append(-0.5 * (r**2 / variance + np.log(variance)).sum(axis=1))
-    difference = (density[1] - density[0]) / cost
-    told = float(difference.sum()), deviation_of_sum(difference, [len(p.time) for p in without])
-    flew = all(p.inside for p in lagged)
-    return replace(lag, unseen=told, kept=bool(flew and told[0] > MISSED * told[1]))
+    """Kept if unseen flight misses the lag as it must miss any cause: both flew the same manoeuvres, in order."""
+    before, after = (UnseenFlight.of(paths, outputs, swell) for paths in (without, lagged))
+    told = gained_in_flight(before, after, cost)
+    return replace(lag, unseen=told, kept=bool(after.inside and told[0] > MISSED * told[1]))
 
 
 def _hysteresis(model: Model) -> Mapping[str, float]:

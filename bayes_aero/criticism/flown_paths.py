@@ -67,12 +67,15 @@ def paths_of(
     split: str,
     departure: Float[np.ndarray, "w s"],
     tolerances: Mapping[str, float],
+    *,
+    drawn: bool = False,
     cost: float = 1.0,
     seed: int = 0,
 ) -> list[Path]:
-    """Every segment of `flown` that counts, simulated with the parameters of `fit`."""
+    """Every segment of `flown` that counts, simulated with the parameters of `fit`; `drawn`: with its posterior, too,
+    under a likelihood that counts each sample for one in `cost`."""
     draws = None
-    if split == "unseen" and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
+    if drawn and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         draws = _draws(fit, cost, seed)
     return simulated(fit.estimate, flown, model, split, departure, tolerances, draws)
 

@@ -74,14 +74,10 @@ def masked(flown: Flown, segment: int, *, keep: bool) -> Flown:
     return eqx.tree_at(lambda f: f.inside, flown, flown.inside & counts[:, None])
 
 
-def unseen(
-    contenders: Sequence[Contender],
-    silent: Mapping[tuple[str, int], Mapping[str, float]],
-    noise: Noise,
-    tolerances: Mapping[str, float],
-    seed: int,
-) -> Iterator[tuple[str, list[Path]]]:
-    """Every contender (its name is told) and segment: the segment flown by a fit to the others, `silent` ones held.
+def left_out(
+    contenders: Sequence[Contender], silent: Mapping[str, Mapping[int, Mapping[str, float]]], noise: Noise
+) -> Iterator[tuple[str, OutputErrorResult]]:
+    """Every contender (its name is told) and segment: the fit to all other segments, its `silent` parameters held.
 
     Two fits keep as many cores busy as one with twice the segments, so several are made at once.
     """
@@ -89,16 +85,12 @@ def unseen(
     jobs = [(c, k) for c in contenders for k in range(count)]
     stopped = Event()
 
-    def one(job: tuple[Contender, int]) -> tuple[str, list[Path]]:
+    def one(job: tuple[Contender, int]) -> tuple[str, OutputErrorResult]:
         contender, k = job
-        fit, held = contender.fit, {**contender.held, **silent[contender.name, k]}
+        fit, held = contender.fit, {**contender.held, **silent[contender.name][k]}
         weighed = noise.on(fit.flown, without=k) if contender.weighed else fit.flown
-        rest = masked(weighed, k, keep=False)
-        again = fit_output_error(rest, start=fit.estimate, held=held, prior_weight=noise.cost, stopped=stopped.is_set)
-        if stopped.is_set():
-            return contender.name, []
-        alone, still = masked(fit.flown, k, keep=True), np.zeros_like(fit.departure)
-        return contender.name, paths_of(again, alone, contender.name, "unseen", still, tolerances, noise.cost, seed)
+        rest, options = masked(weighed, k, keep=False), {"prior_weight": noise.cost, "stopped": stopped.is_set}
+        return contender.name, fit_output_error(rest, start=fit.estimate, held=held, **options)
 
     with ThreadPoolExecutor(max(1, cores() // max(1, count - 1))) as pool:
         try:
@@ -106,3 +98,19 @@ def unseen(
         except BaseException:  # Ctrl-C does not wait for whole fits
             stopped.set()
             raise
+
+
+def flown_unseen(
+    contender: Contender,
+    fits: Sequence[OutputErrorResult],
+    tolerances: Mapping[str, float],
+    cost: float = 1.0,
+    seed: int = 0,
+) -> list[Path]:
+    """Every segment flown from its measured initial state by the fit without it, in order; by draws from that fit's
+    posterior, too, where there are tolerances to stay inside."""
+    flown, still, name = contender.fit.flown, np.zeros_like(contender.fit.departure), contender.name
+    options = {"drawn": bool(tolerances), "cost": cost, "seed": seed}
+    alone = [masked(flown, k, keep=True) for k in range(len(fits))]
+    found = [paths_of(f, one, name, "unseen", still, tolerances, **options) for f, one in zip(fits, alone, strict=True)]
+    return [path for paths in found for path in paths]

@@ -6,17 +6,19 @@ extended model misses grows as the flow separates, and counts for less there (se
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.criticism.confirmation import Confirmation
 from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.flown_lag import Lag, confirmed, open_lag, with_lag
+from bayes_aero.criticism.flown_needed import needed
 from bayes_aero.criticism.flown_paths import Error as Error
 from bayes_aero.criticism.flown_paths import Path, label, paths_of, posterior_covariance
-from bayes_aero.criticism.flown_unseen import Contender, Noise, unseen
+from bayes_aero.criticism.flown_unseen import Contender, Noise, flown_unseen, left_out
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.inference.cores import blas_threads
 from bayes_aero.inference.output_error import fit_cascade, fit_output_error
@@ -44,10 +46,11 @@ class Estimates:
     held: tuple[str, ...]  # by their priors: the trajectories say next to nothing of them
 
     @classmethod
-    def of(cls, fit: OutputErrorResult) -> Estimates:
-        """What is told of a fit."""
-        values = dict(zip(fit.names, map(float, fit.estimate), strict=True))
-        return cls(values, {p.name: p.unit for p in fit.parameters}, fit.status, fit.at_bound, fit.held)
+    def of(cls, fit: OutputErrorResult, gone: Collection[str] = ()) -> Estimates:
+        """What is told of a fit, but for parameters that are `gone`."""
+        values = {n: float(x) for n, x in zip(fit.names, fit.estimate, strict=True) if n not in gone}
+        units = {p.name: p.unit for p in fit.parameters if p.name in values}
+        return cls(values, units, fit.status, fit.at_bound, tuple(n for n in fit.held if n in values))
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,12 @@ class Trajectories:
         default_factory=dict
     )  # by fitted output: how many times more is missed in wholly separated flow
     lag: Lag | None = None  # of the separation point, if it was tried
+    asked: Confirmation = field(default_factory=lambda: Confirmation((), {}))  # of the causes: which flight misses
+
+    @property
+    def out(self) -> tuple[str, ...]:
+        """Causes that flight does not miss: the extended model flies without them."""
+        return tuple(e for e in self.asked.missed if e not in self.asked.kept)
 
     def path(self, manoeuvre: str, model: str, split: str) -> Path | None:
         """One of the paths."""
@@ -83,8 +92,8 @@ def fly_both(
 ) -> Trajectories:
     """Fit the card's model and the extended one to the trajectories, jointly and with each manoeuvre left out.
 
-    The extended one has the causes that unseen data confirm, and a lag of the separation point if the coefficients
-    leave one open and unseen trajectories confirm it (see `flown_lag`).
+    The extended one has the causes that unseen coefficients confirm and unseen flight misses (see `flown_needed`), and
+    a lag of the separation point if the coefficients leave one open and unseen flight misses that (see `flown_lag`).
     """
     whole = diagnosis.aerodynamics.state.field
     causes = [c.name for c in diagnosis.causes if c.confirmed]
@@ -92,7 +101,6 @@ def fly_both(
     base = [e for e in whole.model.effects if e.name in whole.base or not e.parameters]
     found = dict(zip(whole.model.names, diagnosis.theta, strict=True))
     model = _extended(whole.model, [*base, *added])
-    own = frozenset(p.name for e in added for p in e.parameters)
 
     def tell(text: str, share: float) -> None:
         if progress:
@@ -104,41 +112,67 @@ def fly_both(
     noise = Noise.of(joint)
     options = {"departure": joint.departure, "prior_weight": noise.cost}
     joint = fit_output_error(noise.on(ours.whole), start=joint.estimate, **options)
-    extended, lag = Contender("extended", joint, own), None
-    contenders = [extended]
-    effect = open_lag(whole, diagnosis.aerodynamics, model)
+    extended = Contender("extended", joint, frozenset(p.name for e in added for p in e.parameters))
+    lagged, lag, effect = None, None, open_lag(whole, diagnosis.aerodynamics, model)
     if effect is not None:
         tell("lag of the separation point", 0.2)
         lagged, lag = with_lag(_extended(whole.model, [*base, *added, effect]), effect, extended, noise, flights)
-        contenders += [lagged] if lag.gains else []
+        lagged = lagged if lag.gains else None
     tell("card's model", 0.3)
-    contenders.append(_card(diagnosis, _extended(whole.model, base), ours, added, extended, noise, flights))
-    tell("left out", 0.5)
-    count, unseen_paths = len(joint.flown.index), {c.name: [] for c in contenders}
-    silent = {(c.name, k): c.silent(k) for c in contenders for k in range(count)}
-    for number, (name, paths) in enumerate(unseen(contenders, silent, noise, tolerances, seed), start=1):
-        unseen_paths[name] += paths
-        tell("left out", 0.5 + 0.4 * number / (count * len(contenders)))
-    if lag is not None and lag.gains:
-        both = unseen_paths["extended"], unseen_paths["lagged"]
-        lag = confirmed(lag, *both, joint.flown.outputs, joint.flown.growth, noise.cost)
-    best = contenders[1] if lag is not None and lag.kept else extended
-    shown = [(name, c) for name, c in (("card", contenders[-1]), ("extended", best))]
-    paths = [p for name, c in shown for p in paths_of(c.fit, c.fit.flown, name, "fitted", c.fit.departure, tolerances)]
-    paths += [replace(p, model=name) for name, c in shown for p in unseen_paths[c.name]]
-    sd = np.sqrt(np.diag(posterior_covariance(best.fit, noise.cost)))
+    card = _card(diagnosis, _extended(whole.model, base), ours, added, extended, noise, flights)
+    fits, silent = _left_out([c for c in (extended, lagged, card) if c is not None], noise, tell)
+    best = extended
+    if lag is not None and lagged is not None:
+        without, within = (flown_unseen(c, fits[c.name], {}) for c in (extended, lagged))
+        lag = confirmed(lag, without, within, joint.flown.outputs, joint.flown.growth, noise.cost)
+        best = lagged if lag.kept else extended
+    tell("causes that flight misses", 0.8)
+    flies = needed(best, fits[best.name], added, silent[best.name], noise)
+    tell("errors", 0.9)
+    paths = _paths({"card": card, "extended": flies.contender}, (fits["card"], flies.fits), noise, tolerances, seed)
+    fit, gone = flies.contender.fit, flies.gone
+    sd = np.sqrt(np.diag(posterior_covariance(fit, noise.cost)))
     return Trajectories(
         paths=tuple(paths),
-        card=Estimates.of(contenders[-1].fit),
-        extended=Estimates.of(best.fit),
-        deviation=dict(zip(best.fit.names, map(float, sd), strict=True)),
+        card=Estimates.of(card.fit),
+        extended=Estimates.of(fit, gone),
+        deviation={n: float(x) for n, x in zip(fit.names, sd, strict=True) if n not in gone},
         colour_cost=noise.cost,
-        held={label(joint.flown, k): tuple(silent[best.name, k]) for k in range(count)},
-        fitted=joint.flown.outputs,
-        outputs=tuple(n for n in joint.flown.dynamics.outputs if n in flights.channels),
-        swell=noise.told(joint.flown.outputs),
+        held={label(fit.flown, k): tuple(n for n in names if n not in gone) for k, names in silent[best.name].items()},
+        fitted=fit.flown.outputs,
+        outputs=tuple(n for n in fit.flown.dynamics.outputs if n in flights.channels),
+        swell=noise.told(fit.flown.outputs),
         lag=lag,
+        asked=flies.confirmation,
     )
+
+
+def _left_out(contenders: Sequence[Contender], noise: Noise, tell: Progress) -> tuple[dict[str, list], dict[str, dict]]:
+    """By contender: its fits to all segments but one each, and by that segment what the others say nothing of."""
+    tell("left out", 0.5)
+    count = len(contenders[0].fit.flown.index)
+    silent = {c.name: {k: c.silent(k) for k in range(count)} for c in contenders}
+    fits: dict[str, list[OutputErrorResult]] = {c.name: [] for c in contenders}
+    for number, (name, fit) in enumerate(left_out(contenders, silent, noise), start=1):
+        fits[name].append(fit)
+        tell("left out", 0.5 + 0.3 * number / (count * len(contenders)))
+    return fits, silent
+
+
+def _paths(
+    models: Mapping[str, Contender],
+    without: Sequence[Sequence[OutputErrorResult]],
+    noise: Noise,
+    tolerances: Mapping[str, float],
+    seed: int,
+) -> list[Path]:
+    """What is shown of every model: fitted to all, then by each of its fits `without` a segment, on that segment."""
+    paths = []
+    for name, c in models.items():
+        paths += paths_of(c.fit, c.fit.flown, name, "fitted", c.fit.departure, tolerances)
+    for (name, c), fits in zip(models.items(), without, strict=True):
+        paths += [replace(p, model=name) for p in flown_unseen(c, fits, tolerances, noise.cost, seed)]
+    return paths
 
 
 def _card(

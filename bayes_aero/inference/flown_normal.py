@@ -184,18 +184,23 @@ def _cholesky(own: Float[np.ndarray, "w s s"]) -> Float[np.ndarray, "w s s"]:
 
 
 def reduced(point: Point, prior: Priors) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"], Local]:
-    """Information and gradient of theta with every segment's state at its best."""
+    """Information and gradient of theta with every segment's state at its best, priors counted."""
+    A, g, local = by_segment(point, prior)
+    A = A.sum(axis=0) + np.diag(prior.precision)
+    return A, g.sum(axis=0) - prior.precision * (point.theta - prior.mean), local
+
+
+def by_segment(point: Point, prior: Priors) -> tuple[Float[np.ndarray, "w k k"], Float[np.ndarray, "w k"], Local]:
+    """The same of each segment alone, without the priors of theta."""
     k = len(point.theta)
     N = np.einsum("wcij,c->wij", point.normal.gram, 1.0 / point.R)
-    A = N[:, 1 : k + 1, 1 : k + 1].sum(axis=0) + np.diag(prior.precision)
-    g = N[:, 1 : k + 1, 0].sum(axis=0) - prior.precision * (point.theta - prior.mean)
     own = N[:, k + 1 :, k + 1 :] + np.diag(prior.states)
     cross, gradient = N[:, k + 1 :, 1 : k + 1], N[:, k + 1 :, 0] - prior.states * point.departure
     # By Cholesky factors: where a trial is unstable, A less cross' own^-1 cross loses all its digits otherwise.
     L = _cholesky(own)
     Y, y = np.linalg.solve(L, cross), np.linalg.solve(L, gradient[:, :, None])[:, :, 0]
-    A = A - np.einsum("wia,wib->ab", Y, Y)
-    g = g - np.einsum("wia,wi->a", Y, y)
+    A = N[:, 1 : k + 1, 1 : k + 1] - np.einsum("wia,wib->wab", Y, Y)
+    g = N[:, 1 : k + 1, 0] - np.einsum("wia,wi->wa", Y, y)
     gain = 0.5 * float(np.sum(y**2))
     inverse = np.linalg.inv(L)
     inverse = np.swapaxes(inverse, 1, 2) @ inverse

@@ -77,6 +77,7 @@ def simulation_gain(flown: Trajectories) -> str:
         return ""
     failed = [*_status("The card's model", flown.card), *_status("The extended model", flown.extended)]
     lagging = f", {flown.lag.effect} besides in the model," if flown.lag is not None and flown.lag.kept else ""
+    lagging += f", {several(flown.out)} not in the model," if flown.out else ""
     where = "Flown through the recorded inputs on flights that were not fitted"
     said = f"{where}, the error (RMS){lagging} goes: {several(told)}."
     return " ".join([said, *failed])
@@ -90,7 +91,7 @@ def _tail(name: str) -> str:
 def trajectory_sentences(flown: Trajectories) -> list[str]:
     """How the fits ended, what was held, and how often the tolerances are kept."""
     said = [*_status("The card's model", flown.card), *_status("The extended model", flown.extended)]
-    said += lag_sentences(flown)
+    said += [*lag_sentences(flown), *cause_sentences(flown)]
     for name, held in flown.held.items():
         if held:
             verb = "it keeps its value" if len(held) == 1 else "they keep their values"
@@ -138,6 +139,23 @@ def lag_sentences(flown: Trajectories) -> list[str]:
         f"Flown, the extended model has {lag.effect} too{instead}: {several(sizes)}. Coefficients alone leave it open; "
         f"the trajectories gain log density {lag.gain:.0f} by it, unseen flight {elpd:.0f} ± {elpd_se:.0f}."
     ]
+
+
+def cause_sentences(flown: Trajectories) -> list[str]:
+    """Which of the causes that the coefficients confirm unseen flight misses, and by how much."""
+    missed, kept, said = flown.asked.missed, flown.asked.kept, []
+    if flown.out:
+        gains = [f"{e} ({missed[e][0]:+.0f} ± {missed[e][1]:.0f} nats)" for e in flown.out]
+        them, they_are = ("it", "it is") if len(gains) == 1 else ("them", "they are")
+        said.append(
+            f"Flown, the extended model is without {several(gains)}: the coefficients confirm {them}, but unseen "
+            f"flight does not miss {them} beyond chance when {they_are} taken out."
+        )
+    if kept:
+        least = min(kept, key=lambda e: missed[e][0] / missed[e][1])
+        elpd, elpd_se = missed[least]
+        said.append(f"Unseen flight misses {several(kept)} (least {least}, by {elpd:.0f} ± {elpd_se:.0f} nats).")
+    return said
 
 
 def _status(who: str, fit: Estimates) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from bayes_aero.criticism.confirmation import Confirmation
 from bayes_aero.criticism.flown_lag import Lag
 from bayes_aero.criticism.residuals import TheilParts
 from bayes_aero.criticism.trajectory import Error, Estimates, Path, Trajectories
@@ -26,6 +27,10 @@ def trajectory_results(flown: Trajectories, card: Card) -> dict[str, Any]:
         "colour_cost": flown.colour_cost,
         "swell": dict(flown.swell),
         "lag": None if flown.lag is None else _lag(flown.lag),
+        "causes": {
+            name: {"elpd": elpd, "elpd_se": elpd_se, "kept": name in flown.asked.kept}
+            for name, (elpd, elpd_se) in flown.asked.missed.items()
+        },
         "tolerances": {
             name: {"value": t.value, "unit": STANDARD_CHANNELS[name].unit, "source": t.source}
             for name, t in card.tolerances.items()
@@ -107,7 +112,13 @@ def trajectories_of(told: Mapping[str, Any], histories: Histories, card: Card) -
         outputs=tuple(paths[0].errors),
         swell={name: number(x) for name, x in told["swell"].items()},
         lag=None if told["lag"] is None else _lag_of(told["lag"]),
+        asked=_asked_of(told["causes"]),
     )
+
+
+def _asked_of(told: Mapping[str, Any]) -> Confirmation:
+    missed = {name: (number(one["elpd"]), number(one["elpd_se"])) for name, one in told.items()}
+    return Confirmation(tuple(name for name, one in told.items() if one["kept"]), missed)
 
 
 def _lag(lag: Lag) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import pytest
 from bayes_aero.criticism.candidates import field_of, lag_of
 from bayes_aero.criticism.flown_lag import Lag, confirmed, with_lag
 from bayes_aero.criticism.flown_paths import Path
-from bayes_aero.criticism.flown_unseen import Contender, Noise, unseen
+from bayes_aero.criticism.flown_unseen import Contender, Noise, flown_unseen, left_out
 from bayes_aero.inference.output_error import fit_cascade, fit_output_error
 from bayes_aero.model.dynamics import aircraft_dynamics
 from bayes_aero.model.flights import despiked, join
@@ -40,11 +40,12 @@ def asked(card, hidden, seed):
     lagged, lag = with_lag(wider, effect, plain, noise, flights)
     if not lag.gains:
         return lag, lagged
-    paths: dict[str, list[Path]] = {"extended": [], "lagged": []}
-    silent = {(c.name, k): {} for c in (plain, lagged) for k in (0, 1)}
-    for name, found in unseen((plain, lagged), silent, noise, {}, 0):
-        paths[name] += found
-    return confirmed(lag, paths["extended"], paths["lagged"], OUTPUTS, fit.flown.growth, noise.cost), lagged
+    silent = {c.name: {0: {}, 1: {}} for c in (plain, lagged)}
+    fits: dict[str, list] = {"extended": [], "lagged": []}
+    for name, found in left_out((plain, lagged), silent, noise):
+        fits[name].append(found)
+    without, within = (flown_unseen(c, fits[c.name], {}) for c in (plain, lagged))
+    return confirmed(lag, without, within, OUTPUTS, fit.flown.growth, noise.cost), lagged
 
 
 @pytest.mark.recovery
