@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 from bayes_aero.criticism.gain import LeftOut, gained, truncated
 from bayes_aero.criticism.state import State
@@ -30,6 +30,7 @@ class Confirmation:
 T = TypeVar("T")
 
 
+@runtime_checkable
 class Unseen(Protocol[T]):
     """Data as a model with some of the additions predicts them without having been fitted to them."""
 
@@ -57,7 +58,8 @@ def confirmed(additions: Sequence[str], unseen: Unseen[T]) -> Confirmation:
         if losses[least][0] > PLAIN * losses[least][1]:
             missed |= losses
             break
-        whole = whole or unseen.refitted(kept)
+        if whole is None:
+            whole = unseen.refitted(kept)
         without = unseen.refitted(_less(kept, least))
         missed[least] = unseen.gained(without, whole)
         if not missed[least][0] > MISSED * missed[least][1]:

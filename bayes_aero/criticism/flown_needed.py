@@ -52,6 +52,8 @@ def needed(
     neutral = {e.name: {p.name: p.neutral for p in e.parameters} for e in causes}
     neutral = {name: values for name, values in neutral.items() if not unheard & set(values)}
     flight = _Flight(contender, neutral, silent, noise, {tuple(neutral): fits})
+    if not flight.refitted(tuple(neutral)).inside:  # what cannot be flown is no measure of anything
+        return Needed(contender, fits, Confirmation((), {}))
     found = confirmed(tuple(neutral), flight)
     less = flight.without(found.kept)
     gone = frozenset(less.held) - frozenset(contender.held)
@@ -118,4 +120,6 @@ class _Flight:
         return UnseenFlight.of(paths, flown.outputs, flown.growth)
 
     def gained(self, before: UnseenFlight, after: UnseenFlight) -> tuple[float, float]:
+        if not (before.inside and after.inside):  # without it the envelope is left, or with it alone
+            return (np.inf if after.inside else -np.inf), 0.0
         return gained_in_flight(before, after, self.noise.cost)

@@ -152,9 +152,10 @@ def cause_sentences(flown: Trajectories) -> list[str]:
             f"flight does not miss {them} beyond chance when {they_are} taken out."
         )
     if kept:
-        least = min(kept, key=lambda e: missed[e][0] / missed[e][1])
-        elpd, elpd_se = missed[least]
-        said.append(f"Unseen flight misses {several(kept)} (least {least}, by {elpd:.0f} ± {elpd_se:.0f} nats).")
+        finite = [e for e in kept if math.isfinite(missed[e][0])]  # without the others the flight leaves its envelope
+        least = min(finite, key=lambda e: missed[e][0] / missed[e][1], default=None)
+        told = f" (least {least}, by {missed[least][0]:.0f} ± {missed[least][1]:.0f} nats)" if least else ""
+        said.append(f"Unseen flight misses {several(kept)}{told}.")
     return said
 
 

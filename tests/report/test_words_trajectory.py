@@ -2,8 +2,9 @@
 
 from dataclasses import replace
 
+from bayes_aero.criticism.confirmation import Confirmation
 from bayes_aero.criticism.flown_lag import Lag
-from bayes_aero.report.words_trajectory import lag_sentences, simulation_gain
+from bayes_aero.report.words_trajectory import cause_sentences, lag_sentences, simulation_gain
 
 
 def test_the_gain_is_that_of_unseen_flights(simulated):
@@ -40,3 +41,25 @@ def test_a_lag_that_is_not_wanted_says_why(simulated):
     lost = replace(simulated, lag=Lag("separation_lag", float("-inf"), False))
     assert "its fit did not settle" in lag_sentences(lost)[0]
     assert lag_sentences(simulated) == []
+
+
+def test_causes_that_flight_does_not_miss_are_told_and_the_weakest_of_the_others(simulated):
+    missed = {"thrust_moment": (900.0, 80.0), "thrust_scale": (-4.4, 16.1), "thrust_lift": (91.0, 20.7)}
+    asked = replace(simulated, asked=Confirmation(("thrust_moment", "thrust_lift"), missed))
+    assert asked.out == ("thrust_scale",)
+    without, misses = cause_sentences(asked)
+    assert "without thrust_scale (-4 ± 16 nats)" in without
+    assert "does not miss it beyond chance when it is taken out" in without
+    assert misses == "Unseen flight misses thrust_moment and thrust_lift (least thrust_lift, by 91 ± 21 nats)."
+    assert "thrust_scale not in the model" in simulation_gain(asked)
+    both = replace(simulated, asked=Confirmation((), {"a": (1.0, 1.0), "b": (0.0, 2.0)}))
+    (said,) = cause_sentences(both)
+    assert "a (+1 ± 1 nats) and b (+0 ± 2 nats)" in said
+    assert "confirm them" in said
+    assert said.endswith("when they are taken out.")
+    assert cause_sentences(simulated) == []
+
+
+def test_a_cause_without_which_nothing_flies_needs_no_number(simulated):
+    alone = replace(simulated, asked=Confirmation(("a",), {"a": (float("inf"), 0.0)}))
+    assert cause_sentences(alone) == ["Unseen flight misses a."]
