@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 
+import jax
 import numpy as np
 
 from bayes_aero.criticism import trajectory
@@ -56,6 +57,7 @@ def main() -> None:
         trajectory.open_lag = whatever
     card, counts = read_card("attas"), Counter()
     for seed in range(given.first, given.first + given.count):
+        jax.clear_caches()  # every flight has programs of its own, and a process holds only so many
         effects = OTHERS[seed % len(OTHERS)]
         if given.hidden:
             effects = {"separation_lag": {"tau1": float(np.random.default_rng(seed).uniform(4.0, 16.0))}}
