@@ -31,8 +31,8 @@ T = TypeVar("T")
 
 
 @runtime_checkable
-class Unseen(Protocol[T]):
-    """Data as a model with some of the additions predicts them without having been fitted to them."""
+class Predictions(Protocol[T]):
+    """Unseen data as the model with some of its additions predicts them: T is what is left of them."""
 
     def nearly(self, effects: Sequence[str]) -> T:
         """To first order, in no time."""
@@ -47,8 +47,12 @@ class Unseen(Protocol[T]):
         ...
 
 
-def confirmed(additions: Sequence[str], unseen: Unseen[T]) -> Confirmation:
-    """Each addition in turn, least missed to first order first, is taken out and everything fitted again."""
+def backward_elimination(additions: Sequence[str], unseen: Predictions[T]) -> Confirmation:
+    """Each addition in turn, least missed to first order first, is taken out and everything fitted again.
+
+    What stays is missed by `MISSED` deviations of its log density (nats); where all that wait are missed by `PLAIN` of
+    them to first order, nothing is fitted again, and that is told.
+    """
     kept, missed, waiting = list(additions), {}, list(additions)
     whole: T | None = None
     while waiting:
@@ -86,7 +90,7 @@ class _Coefficients:
 
 def confirmation(state: State) -> Confirmation:
     """What unseen coefficients confirm of all additions of a state."""
-    return confirmed(state.active, _Coefficients(state))
+    return backward_elimination(state.active, _Coefficients(state))
 
 
 def _less(effects: Sequence[str], one: str) -> list[str]:

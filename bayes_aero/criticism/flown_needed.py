@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.criticism.confirmation import Confirmation, confirmed
+from bayes_aero.criticism.confirmation import Confirmation, backward_elimination
 from bayes_aero.criticism.flown_density import UnseenFlight, gained_in_flight
 from bayes_aero.criticism.flown_unseen import Contender, Noise, flown_unseen, left_out
 from bayes_aero.effect import Effect
@@ -54,7 +54,7 @@ def needed(
     flight = _Flight(contender, neutral, silent, noise, {tuple(neutral): fits})
     if not flight.refitted(tuple(neutral)).inside:  # what cannot be flown is no measure of anything
         return Needed(contender, fits, Confirmation((), {}))
-    found = confirmed(tuple(neutral), flight)
+    found = backward_elimination(tuple(neutral), flight)
     less = flight.without(found.kept)
     gone = frozenset(less.held) - frozenset(contender.held)
     if not gone:
@@ -120,6 +120,6 @@ class _Flight:
         return UnseenFlight.of(paths, flown.outputs, flown.growth)
 
     def gained(self, before: UnseenFlight, after: UnseenFlight) -> tuple[float, float]:
-        if not (before.inside and after.inside):  # without it the envelope is left, or with it alone
-            return (np.inf if after.inside else -np.inf), 0.0
+        if not before.inside:  # without it the flight leaves its envelope
+            return np.inf, 0.0
         return gained_in_flight(before, after, self.noise.cost)

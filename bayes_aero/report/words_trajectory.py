@@ -76,10 +76,11 @@ def simulation_gain(flown: Trajectories) -> str:
     if not told:
         return ""
     failed = [*_status("The card's model", flown.card), *_status("The extended model", flown.extended)]
-    lagging = f", {flown.lag.effect} besides in the model," if flown.lag is not None and flown.lag.kept else ""
-    lagging += f", {several(flown.out)} not in the model," if flown.out else ""
+    besides = [f"{flown.lag.effect} besides in the model"] if flown.lag is not None and flown.lag.kept else []
+    besides += [f"{several(flown.out)} not in it"] if flown.out else []
+    model = f", {several(besides)}," if besides else ""
     where = "Flown through the recorded inputs on flights that were not fitted"
-    said = f"{where}, the error (RMS){lagging} goes: {several(told)}."
+    said = f"{where}, the error (RMS){model} goes: {several(told)}."
     return " ".join([said, *failed])
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from bayes_aero.criticism.confirmation import confirmed
+from bayes_aero.criticism.confirmation import backward_elimination
 from bayes_aero.criticism.flown_density import UnseenFlight, gained_in_flight
 from bayes_aero.criticism.flown_needed import needed
 from bayes_aero.criticism.flown_unseen import Contender, Noise, flown_unseen, left_out
@@ -124,7 +124,7 @@ class Independent:
 
 def test_additions_go_out_the_least_missed_first_until_all_are_missed():
     unseen = Independent({"a": 9.0, "b": 1.0, "c": -3.0, "d": 2.0})
-    found = confirmed(tuple(unseen.worth), unseen)
+    found = backward_elimination(tuple(unseen.worth), unseen)
     assert found.kept == ("a", "d")
     assert found.missed == {name: (worth, 1.0) for name, worth in unseen.worth.items()}
     assert list(found.missed) == list(unseen.worth)
@@ -132,7 +132,7 @@ def test_additions_go_out_the_least_missed_first_until_all_are_missed():
 
 
 def test_what_is_plain_to_first_order_is_not_fitted_again():
-    unseen = Independent({"a": 9.0, "b": 6.0})
-    found = confirmed(tuple(unseen.worth), unseen)
+    unseen = Independent({"a": 9.0, "b": 3.0}, factor=2.0)
+    found = backward_elimination(tuple(unseen.worth), unseen)
     assert found.kept == ("a", "b")
     assert unseen.refits == ()
