@@ -36,7 +36,8 @@ from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.output_error import OutputErrorStatus, fit_cascade
+from bayes_aero.inference.output_error import fit_cascade
+from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
 from bayes_aero.model.dynamics import AircraftDynamics, aircraft_dynamics
 from bayes_aero.model.flights import Flights, despiked, join
 from bayes_aero.model.longitudinal import FLIGHT
@@ -46,6 +47,7 @@ from bayes_aero.model.segments import Flown, segments, simulate
 from bayes_aero.physics.filters import FILTER_STEP
 
 WINDOW = 10.0  # s: long enough to integrate what is wrong, short enough to stay near the flight
+FIRST = (10.0, 5.0, 2.5)  # s, of first windows, tried until a fit converges: begun far off, long ones may stray
 
 
 class FlownResponses(Linearisable):
@@ -172,10 +174,7 @@ def diagnose_flown(
     model = model or Model.from_card(card)
     flights, outliers = despiked(join(records, card, FLIGHT))
     base = aircraft_dynamics(model, flights)
-    start = np.array([p.start for p in model.free])
-    finer = base.substeps(start, flights)
-    windows = segments(flights, base, window=WINDOW, substeps=finer)
-    fit = fit_cascade([windows, windows], [start])
+    fit = in_windows(flights, base)
     if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
         raise InputError(f"card {card.name}: {fit.status.value}")
     whole = field_of(model, flights, (*own_effects(card.effect_files).values(), *extra))
@@ -200,6 +199,19 @@ def diagnose_flown(
         base_moves=moves_of(found),
         notes=() if fit.status is OutputErrorStatus.CONVERGED else (f"The card's model: {fit.status.value}.",),
     )
+
+
+def in_windows(flights: Flights, dynamics: AircraftDynamics) -> OutputErrorResult:
+    """The card's model fitted to windows of `WINDOW` s: the first fit that converges, or the best."""
+    start = np.array([p.start for p in dynamics.free])
+    finer = dynamics.substeps(start, flights)
+    found = []
+    for seconds in FIRST:
+        first, windows = (segments(flights, dynamics, window=w, substeps=finer) for w in (seconds, WINDOW))
+        found.append(fit_cascade([first, windows], [start]))
+        if found[-1].status is OutputErrorStatus.CONVERGED:
+            return found[-1]
+    return min(found, key=lambda fit: (fit.status is OutputErrorStatus.LEFT_ENVELOPE, fit.cost))
 
 
 def _state(
