@@ -60,6 +60,8 @@ def edit(path, value):
         (edit(["parameters", "CLX"], {"start": 0.0}), "CLX"),
         (edit(["sums", "thrust"], ["thrust_middle"]), "thrust_middle"),
         (edit(["sensors", "ax"], "-1 m/s^2"), "negative"),
+        (edit(["output_biases"], {"theta": "0 deg"}), r"\[output_biases\] theta .* positive"),
+        (edit(["output_biases"], {"tetha": "1 deg"}), "tetha"),
     ],
 )
 def test_a_wrong_card_is_one_sentence(table, change, words):

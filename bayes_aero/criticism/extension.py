@@ -26,7 +26,7 @@ from bayes_aero.criticism.projected import as_normal, equivalent
 from bayes_aero.criticism.regression import Fit, Products
 from bayes_aero.criticism.second_look import SecondLook
 from bayes_aero.criticism.state import State, moved, refitted, swelling
-from bayes_aero.effect import Stage
+from bayes_aero.effect import Effect, Stage
 from bayes_aero.physics.coefficients import NAMES
 
 LEAST_SCORE = 2.5  # below it no candidate is beyond chance in an election among dozens
@@ -273,12 +273,16 @@ def worth(state: State, found: Mapping[str, Size]) -> tuple[tuple[str, ...], tup
     causes, minor = [], []
     for name in state.active:
         effect = next(e for e in state.field.candidates if e.name == name)
-        away = {p: (abs(found[p].mean - state.field.neutral[p]), found[p].sd) for p in effect.sizes if p in found}
-        large = not away or any(
-            size + sd >= effect.sizes[p][0] and size >= LEAST_SCORE * sd for p, (size, sd) in away.items()
-        )
-        (causes if large else minor).append(name)
+        away = {p: (found[p].mean - state.field.neutral[p], found[p].sd) for p in effect.sizes if p in found}
+        (causes if large(effect, away) else minor).append(name)
     return tuple(causes), tuple(minor)
+
+
+def large(effect: Effect, away: Mapping[str, tuple[float, float]]) -> bool:
+    """Whether any parameter of an effect is as far from neutral as is worth a name, and beyond its deviation: `away`
+    has both, for parameters of which the effect says what is worth it (without such, always)."""
+    told = [(abs(size), sd, effect.sizes[p][0]) for p, (size, sd) in away.items()]
+    return not told or any(size + sd >= least and size >= LEAST_SCORE * sd for size, sd, least in told)
 
 
 def nats_gained(old: Extension, new: Extension) -> float:

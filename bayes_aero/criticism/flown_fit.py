@@ -16,9 +16,11 @@ from bayes_aero.criticism.trajectory import BEGIN_COST, LEFT, WINDOW
 from bayes_aero.inference.cores import blas_threads
 from bayes_aero.inference.output_error import fit_cascade, fit_output_error, trajectories
 from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.model.biases import biased_dynamics
 from bayes_aero.model.dynamics import AircraftDynamics, Dynamics
 from bayes_aero.model.flights import Flights
 from bayes_aero.model.segments import segments
+from bayes_aero.parameter import Prior
 
 START, FITTED = "start", "fitted"
 Progress = Callable[[str, float], None]
@@ -65,23 +67,28 @@ def fit_flown(
     starts: Sequence[Float[np.ndarray, " k"]] = (),
     window: float = WINDOW,
     tolerances: Mapping[str, float] | None = None,
+    biases: Mapping[str, Prior] | None = None,
     progress: Progress | None = None,
 ) -> FlownFit:
     """Fit windows of `window` s from the parameters' own start and every one of `starts`, then whole manoeuvres.
 
     Colour, and growth as the flow separates, of what is missed are measured on the way; the last fit weighs its priors
-    by the one and its samples by the other, as `trajectory.fly_both` does.
+    by the one and its samples by the other, as `trajectory.fly_both` does. `biases`: outputs recorded with a constant
+    error of each manoeuvre's own; these are fitted with the rest.
     """
 
     def tell(text: str, share: float) -> None:
         if progress:
             progress(text, share)
 
+    left = LEFT if isinstance(dynamics, AircraftDynamics) else ()
+    dynamics = biased_dynamics(dynamics, flights, biases or {})
     first = np.array([p.start for p in dynamics.free])
+    starts = [np.append(s, first[len(s) :]) for s in starts]
     shown = tuple(name for name in dynamics.outputs if name in flights.channels)
-    chosen = tuple(n for n in shown if n not in LEFT) if isinstance(dynamics, AircraftDynamics) else None
+    compared = tuple(n for n in shown if n not in left)
     finer = dynamics.substeps(first, flights)
-    short, whole = (segments(flights, dynamics, outputs=chosen, window=w, substeps=finer) for w in (window, None))
+    short, whole = (segments(flights, dynamics, outputs=compared, window=w, substeps=finer) for w in (window, None))
     stages = [whole] if len(short.index) == len(whole.index) else [short, whole]
     tell("windows, then whole manoeuvres", 0.0)
     fit = fit_cascade(stages, [first, *starts], prior_weight=BEGIN_COST)

@@ -16,13 +16,14 @@ from jaxtyping import Float
 from bayes_aero.criticism.candidates import Field, lag_of
 from bayes_aero.criticism.confirmation import MISSED
 from bayes_aero.criticism.diagnosis import POSSIBLE
-from bayes_aero.criticism.extension import DECISIVE, Extension
+from bayes_aero.criticism.extension import DECISIVE, Extension, large
 from bayes_aero.criticism.flown_density import UnseenFlight, gained_in_flight
-from bayes_aero.criticism.flown_paths import Path
+from bayes_aero.criticism.flown_paths import Path, posterior_covariance
 from bayes_aero.criticism.flown_unseen import Contender, Noise
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.inference.output_error import fit_output_error
-from bayes_aero.inference.output_error_result import OutputErrorStatus
+from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.model.biases import with_biases_of
 from bayes_aero.model.dynamics import aircraft_dynamics
 from bayes_aero.model.flights import Flights
 from bayes_aero.model.model import Model
@@ -36,7 +37,7 @@ class Lag:
 
     Both are divided by what the residuals' colour costs. `unseen` has its deviation, and is not a number where unseen
     flight was not asked, the joint fit gaining too little. `kept`: unseen flight confirms it. `instead`: hysteresis
-    that the lag leaves nothing of.
+    that the lag leaves nothing of. `slight`: less of it is found than is worth a name.
     """
 
     effect: str
@@ -44,11 +45,12 @@ class Lag:
     kept: bool = False
     unseen: tuple[float, float] = (float("nan"), float("nan"))
     instead: tuple[str, ...] = ()
+    slight: bool = False
 
     @property
     def gains(self) -> bool:
-        """Whether the joint fit gains enough by it that unseen flight is worth asking."""
-        return self.gain > DECISIVE
+        """Whether the joint fit finds and gains enough by it that unseen flight is worth asking."""
+        return self.gain > DECISIVE and not self.slight
 
 
 def open_lag(field: Field, found: Extension, model: Model) -> Effect | None:
@@ -69,9 +71,9 @@ def with_lag(
     Hysteresis that is left at none is held there: the lag stands in for it.
     """
     model = _without_lead(model)
-    dynamics = aircraft_dynamics(model, flights)
+    dynamics = with_biases_of(extended.fit.flown.dynamics, aircraft_dynamics(model, flights))
     fitted = dict(zip(extended.fit.names, map(float, extended.fit.estimate), strict=True))
-    start = np.array([fitted.get(p.name, p.start) for p in model.free])
+    start = np.array([fitted.get(p.name, p.start) for p in dynamics.free])
     whole = replace(extended.fit.flown, dynamics=dynamics, substeps=dynamics.substeps(start, flights))
     fit = fit_output_error(whole, start=start, prior_weight=noise.cost)
     found = dict(zip(fit.names, fit.estimate, strict=True))
@@ -82,7 +84,16 @@ def with_lag(
     if fit.status in SETTLED and extended.fit.status in SETTLED:
         gain = (extended.fit.cost - fit.cost) / noise.cost
     own = extended.own | {p.name for p in effect.parameters}
-    return Contender("lagged", fit, own, none), Lag(effect.name, float(gain), instead=tuple(none))
+    slight = np.isfinite(gain) and not large(effect, _away(effect, fit, noise.cost))
+    lag = Lag(effect.name, float(gain), instead=tuple(none), slight=bool(slight))
+    return Contender("lagged", fit, own, none), lag
+
+
+def _away(effect: Effect, fit: OutputErrorResult, cost: float) -> dict[str, tuple[float, float]]:
+    """By parameter of which the effect says what is worth a name: how far from neutral it is, and the deviation."""
+    sd = np.sqrt(np.diag(posterior_covariance(fit, cost)))
+    told = {n: (float(x), float(s)) for n, x, s in zip(fit.names, fit.estimate, sd, strict=True)}
+    return {p.name: (told[p.name][0] - p.neutral, told[p.name][1]) for p in effect.parameters if p.name in effect.sizes}
 
 
 def confirmed(

@@ -23,10 +23,12 @@ from bayes_aero.effect import Effect, Stage
 from bayes_aero.inference.cores import blas_threads
 from bayes_aero.inference.output_error import fit_cascade, fit_output_error
 from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.model.biases import biased_dynamics
 from bayes_aero.model.dynamics import aircraft_dynamics
 from bayes_aero.model.flights import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.model.segments import Flown, segments
+from bayes_aero.parameter import Prior
 
 WINDOW = 12.0  # s, of the first fits
 BEGIN_COST = 30.0  # taken for the colour's cost until it is measured
@@ -87,6 +89,7 @@ def fly_both(
     diagnosis: Diagnosis,
     tolerances: Mapping[str, float],
     *,
+    biases: Mapping[str, Prior] | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Trajectories:
@@ -94,6 +97,8 @@ def fly_both(
 
     The extended one has the causes that unseen coefficients confirm and unseen flight misses (see `flown_needed`), and
     a lag of the separation point if the coefficients leave one open and unseen flight misses that (see `flown_lag`).
+    `biases`: outputs recorded with a constant error of each manoeuvre's own, fitted with the rest; what is flown unseen
+    is compared with the record as it is.
     """
     whole = diagnosis.aerodynamics.state.field
     causes = [c.name for c in diagnosis.causes if c.confirmed]
@@ -107,7 +112,7 @@ def fly_both(
             progress(f"trajectories: {text}", share)
 
     tell("extended model", 0.0)
-    ours = _side(model, flights, found)
+    ours = _side(model, flights, found, biases)
     joint = fit_cascade([ours.window, ours.whole], [ours.start], prior_weight=BEGIN_COST)
     noise = Noise.of(joint)
     options = {"departure": joint.departure, "prior_weight": noise.cost}
@@ -119,7 +124,7 @@ def fly_both(
         lagged, lag = with_lag(_extended(whole.model, [*base, *added, effect]), effect, extended, noise, flights)
         lagged = lagged if lag.gains else None
     tell("card's model", 0.3)
-    card = _card(diagnosis, _extended(whole.model, base), ours, added, extended, noise, flights)
+    card = _card(diagnosis, _extended(whole.model, base), ours, added, extended, noise, flights, biases)
     fits, silent = _left_out([c for c in (extended, lagged, card) if c is not None], noise, tell)
     best = extended
     if lag is not None and lagged is not None:
@@ -183,6 +188,7 @@ def _card(
     extended: Contender,
     noise: Noise,
     flights: Flights,
+    biases: Mapping[str, Prior] | None,
 ) -> Contender:
     """The card's model, the causes at neutral; from its own start and from what the extended one shares with it.
 
@@ -191,9 +197,10 @@ def _card(
     base, neutral = diagnosis.aerodynamics.base, diagnosis.aerodynamics.state.field.neutral
     before = dict(zip(base.field.model.names, base.theta, strict=True))
     held = {name: neutral[name] for name in extended.own if name in extended.fit.names}
-    theirs = replace(ours, start=np.array([held.get(name, before[name]) for name in ours.whole.dynamics.names]))
+    first = {p.name: p.start for p in ours.whole.dynamics.free} | before | held
+    theirs = replace(ours, start=np.array([first[name] for name in ours.whole.dynamics.names]))
     if any(e.stage is Stage.LAG for e in added):  # a state that the card's model does not have
-        theirs, held = _side(bare, flights, before), {}
+        theirs, held = _side(bare, flights, before, biases), {}
     fitted = dict(zip(extended.fit.names, extended.fit.estimate, strict=True))
     shared = np.array([fitted[name] for name in theirs.whole.dynamics.names])
     starts = [theirs.start, shared]  # a model with something missing may have several optima
@@ -210,9 +217,11 @@ class _Side:
     start: Float[np.ndarray, " k"]
 
 
-def _side(model: Model, flights: Flights, values: Mapping[str, float]) -> _Side:
-    dynamics = aircraft_dynamics(model, flights)
-    start = np.array([values[name] for name in model.names])
+def _side(
+    model: Model, flights: Flights, values: Mapping[str, float], biases: Mapping[str, Prior] | None = None
+) -> _Side:
+    dynamics = biased_dynamics(aircraft_dynamics(model, flights), flights, biases or {})
+    start = np.array([values.get(p.name, p.start) for p in dynamics.free])
     outputs = tuple(n for n in dynamics.outputs if n in flights.channels and n not in LEFT)
     half = _half(flights) if len(flights.lengths) == 1 else None
     finer = dynamics.substeps(start, flights)

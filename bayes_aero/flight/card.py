@@ -27,7 +27,7 @@ from bayes_aero.units import quantity_to_si
 
 SECTIONS = (
     "title", "source", "aircraft", "channels", "sums", "constants", "derived", "sensors", "model", "linear",
-    "parameters", "gp", "tolerances",
+    "parameters", "gp", "tolerances", "output_biases",
 )  # fmt: skip
 PARAMETER_KEYS = ("start", "bounds", "prior")
 POSITIONS = ("reference_point", "accelerometer", "engine")
@@ -69,6 +69,7 @@ class Card:
     derived: tuple[str, ...] = ()  # channels that a file may lack, formed from others
     linear: LinearCard | None = None
     tolerances: Mapping[str, Tolerance] = field(default_factory=lambda: dict(TOLERANCES))
+    output_biases: Mapping[str, Prior] = field(default_factory=dict)  # of each manoeuvre's own, in fits of trajectories
 
 
 def shipped_cards() -> dict[str, Path]:
@@ -128,6 +129,7 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
         sums=sums,
         sensors=_sensors(section(table, "sensors", where), where),
         tolerances=_tolerances(section(table, "tolerances", where), where),
+        output_biases=_output_biases(section(table, "output_biases", where), where),
         effects=effects,
         effect_files=_files(model.get("effect_files", []), where),
         fixed=numbers(model.get("fixed", {}), f"{where}: [model] fixed"),
@@ -199,14 +201,23 @@ def _tolerances(table: Mapping[str, Any], where: str) -> dict[str, Tolerance]:
     """Bands of the card, `source` said once for all of them; without a section the program's own."""
     if not table:
         return dict(TOLERANCES)
-    source = str(table.get("source", "the card, no source stated"))
-    bands = {key: parse_quantity(key, value, "tolerances", where) for key, value in table.items() if key != "source"}
-    for key, value in bands.items():
-        if not value > 0.0:
-            raise InputError(
-                f"card {where}: [tolerances] {key} is {table[key]!r}; half the width of a band is positive"
-            )
+    bands, source = _by_output(table, "tolerances", "half the width of a band is positive", where)
     return {key: Tolerance(value, source) for key, value in bands.items()}
+
+
+def _output_biases(table: Mapping[str, Any], where: str) -> dict[str, Prior]:
+    """Normal priors about zero: the card says their standard deviations."""
+    deviations, source = _by_output(table, "output_biases", "a standard deviation is positive", where)
+    return {key: Prior("normal", 0.0, value, source) for key, value in deviations.items()}
+
+
+def _by_output(table: Mapping[str, Any], name: str, rule: str, where: str) -> tuple[dict[str, float], str]:
+    """Positive quantities of outputs, SI, and the `source` that is said once for all of them."""
+    found = {key: parse_quantity(key, value, name, where) for key, value in table.items() if key != "source"}
+    for key, value in found.items():
+        if not value > 0.0:
+            raise InputError(f"card {where}: [{name}] {key} is {table[key]!r}; {rule}")
+    return found, str(table.get("source", "the card, no source stated"))
 
 
 def _change(key: str, given: Any, where: str) -> ParameterChange:

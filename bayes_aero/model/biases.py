@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -92,13 +92,23 @@ class BiasedDynamics(Dynamics):
         return self.plain.slowest_step(values, flights)
 
 
-def biased_dynamics(dynamics: Dynamics, flights: Flights, priors: Mapping[str, Prior]) -> BiasedDynamics:
-    """The dynamics with a bias of each named output for each manoeuvre, under these priors (SI)."""
+def biased_dynamics(dynamics: Dynamics, flights: Flights, priors: Mapping[str, Prior]) -> Dynamics:
+    """The dynamics with a bias of each named output for each manoeuvre, under these priors (SI); without any, as is."""
     for name in priors:
         if name not in dynamics.outputs or name not in flights.channels:
             there = ", ".join(n for n in dynamics.outputs if n in flights.channels)
             raise InputError(f"{name} cannot have a bias: it was not recorded or is not simulated; there are {there}")
-    return BiasedDynamics(dynamics, tuple(priors.items()), flights.lengths)
+    return BiasedDynamics(dynamics, tuple(priors.items()), flights.lengths) if priors else dynamics
+
+
+def unbiased(dynamics: Dynamics) -> Dynamics:
+    """What is recorded with biases, or the dynamics themselves."""
+    return dynamics.plain if isinstance(dynamics, BiasedDynamics) else dynamics
+
+
+def with_biases_of(other: Dynamics, plain: Dynamics) -> Dynamics:
+    """`plain` recorded with the biases of `other`, if that has any."""
+    return replace(other, plain=plain) if isinstance(other, BiasedDynamics) else plain
 
 
 def _name(output: str, manoeuvre: int) -> str:

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from bayes_aero.criticism.flown_fit import FITTED, START, FlownFit
 from bayes_aero.inference.output_error_result import OutputErrorStatus
+from bayes_aero.model.biases import unbiased
 from bayes_aero.model.dynamics import AircraftDynamics
 from bayes_aero.report.style import for_people, several
 from bayes_aero.report.tables import concise
@@ -155,7 +156,8 @@ def _wanting(flown: FlownFit) -> list[str]:
     if not (shares and flown.converged):  # what has not converged may still come nearer
         return []
     told = several(f"{SYMBOLS.get(name, name)} {share:.0%} of the time" for name, share in shares.items())
-    where = "; bayes-aero diagnose looks for what" if isinstance(flown.fit.flown.dynamics, AircraftDynamics) else ""
+    aircraft = isinstance(unbiased(flown.fit.flown.dynamics), AircraftDynamics)
+    where = "; bayes-aero diagnose looks for what" if aircraft else ""
     return [f"Fitted, it still flies outside its tolerances ({told}): the model lacks something{where}."]
 
 

@@ -131,7 +131,8 @@ def lag_sentences(flown: Trajectories) -> list[str]:
     if not lag.kept:
         asked = f", unseen flight {elpd:+.0f} ± {elpd_se:.0f}" if math.isfinite(elpd) else ""
         gained = f"log density {lag.gain:+.1f}{asked}" if math.isfinite(lag.gain) else "its fit did not settle"
-        return [f"Coefficients leave {lag.effect} open, and trajectories do not want it ({gained})."]
+        why = "find less of it than is worth a name" if lag.slight else "do not want it"
+        return [f"Coefficients leave {lag.effect} open, and trajectories {why} ({gained})."]
     names = [p.name for p in CATALOGUE[lag.effect].parameters]
     after = flown.extended
     sizes = [f"{n} {size_text(after.values[n], flown.deviation[n], after.units[n])}" for n in names]

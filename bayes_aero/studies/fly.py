@@ -82,6 +82,7 @@ def fly(
         starts=_starts(records, card, dynamics, seed, progress),
         window=windows,
         tolerances={name: tolerance.value for name, tolerance in card.tolerances.items()},
+        biases=card.output_biases,
         progress=progress,
     )
     found = Flight(flown, tuple(fly_sentences(flown)), (*record_doubts(records, card.channels), *notes))

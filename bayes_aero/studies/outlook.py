@@ -64,4 +64,5 @@ def simulations(
 ) -> Trajectories:
     """The card's model and the extended one flown through the records' inputs, fitted there and on unseen flight."""
     bands = {name: tolerance.value for name, tolerance in card.tolerances.items()}
-    return fly_both(despiked(join(records, card, FLIGHT))[0], diagnosis, bands, seed=seed, progress=progress)
+    flights = despiked(join(records, card, FLIGHT))[0]
+    return fly_both(flights, diagnosis, bands, biases=card.output_biases, seed=seed, progress=progress)

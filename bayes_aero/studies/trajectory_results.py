@@ -124,7 +124,8 @@ def _asked_of(told: Mapping[str, Any]) -> Confirmation:
 def _lag(lag: Lag) -> dict[str, Any]:
     elpd, elpd_se = lag.unseen
     unseen = {"elpd": elpd, "elpd_se": elpd_se}
-    return {"effect": lag.effect, "gain": lag.gain, "unseen": unseen, "kept": lag.kept, "instead_of": list(lag.instead)}
+    told = {"effect": lag.effect, "gain": lag.gain, "unseen": unseen, "kept": lag.kept}
+    return told | {"instead_of": list(lag.instead), "slight": lag.slight}
 
 
 def _lag_of(told: Mapping[str, Any]) -> Lag:

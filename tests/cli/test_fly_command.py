@@ -85,6 +85,40 @@ def test_the_short_period_is_recovered_and_written(program, tmp_path):
     assert drawn == {f"trajectory_{name}.png" for name in ("alpha", "q", "az")}
 
 
+def test_constant_errors_of_outputs_are_fitted_where_the_card_allows_them(program, tmp_path):
+    """A vane that stands off by another angle in each flight: Zalpha comes right, and the difference is told."""
+    rng, paths = np.random.default_rng(), []
+    truth = rng.uniform(0.01, 0.02, 2) * [1.0, -1.0]
+    text = SHORT_PERIOD + '\n[output_biases]\nalpha = "1.2 deg"\n'
+    for number, x0 in enumerate([(0.04, 0.01), (0.04, -0.02)]):
+        channels = short_period_flight(SHORT_PERIOD_TRUTH, x0=x0)
+        channels["alpha"] = channels["alpha"] + truth[number]
+        card, path = written(tmp_path, text, channels, f"flight{number}", int(rng.integers(10_000)))
+        paths.append(path)
+    done = program("fly", *paths, "--model", card, "--windows", "5", "--out", "out", "--json")
+    assert done.code == 0, done.err
+    found = told(done)["parameters"]
+    assert set(found) == {*SHORT_PERIOD_TRUTH, "bias_alpha_1", "bias_alpha_2"}
+    apart = found["bias_alpha_1"]["estimate"] - found["bias_alpha_2"]["estimate"]
+    assert apart == pytest.approx(truth[0] - truth[1], abs=0.002), truth
+    for name in ("Zalpha", "Malpha", "Mq"):
+        assert abs(found[name]["estimate"] - SHORT_PERIOD_TRUTH[name]) < 4.0 * found[name]["sd_corrected"], (
+            name,
+            truth,
+        )
+
+
+def test_a_bias_of_what_is_not_simulated_is_refused(program, tmp_path):
+    card, path = written(
+        tmp_path, SHORT_PERIOD + '\n[output_biases]\nelevator = "1 deg"\n', short_period_flight(SHORT_PERIOD_TRUTH)
+    )
+    done = program("fly", path, "--model", card, "--out", "out")
+    assert done.code == 2
+    assert "elevator cannot have a bias" in done.err
+    assert "Traceback" not in done.err
+    assert not list((tmp_path / "out").glob("*"))
+
+
 def test_lateral_motion_is_recovered_and_told(program, tmp_path):
     card, record = written(tmp_path, LATERAL, lateral_flight(LATERAL_TRUTH), seed=3)
     done = program("fly", record, "--model", card, "--no-figures")

@@ -16,6 +16,7 @@ from bayes_aero.model.dynamics import aircraft_dynamics
 from bayes_aero.model.flights import despiked, join
 from bayes_aero.model.longitudinal import FLIGHT
 from bayes_aero.model.model import Model
+from bayes_aero.parameter import Prior
 from bayes_aero.studies.demo import TRUTH
 from bayes_aero.studies.hidden import hidden_flights, hidden_records
 
@@ -58,6 +59,26 @@ def test_trajectories_give_the_arm_back(flown):
     assert paths.extended.values["thrust_arm"] == pytest.approx(0.6, abs=near), SEED
     assert paths.card.values["thrust_arm"] == 0.0
     assert paths.colour_cost >= 1.0
+
+
+@pytest.mark.recovery
+def test_an_attitude_off_in_one_flight_is_fitted_and_leaves_the_arm_alone(flown, card):
+    """The second flight's gyro stands off by a constant that the card allows for."""
+    rng = np.random.default_rng(SEED)
+    off = rng.uniform(0.006, 0.012) * rng.choice([-1.0, 1.0])
+    found, plain = flown
+    records = hidden_records({"thrust_moment": {"thrust_arm": 0.6}}, seed=SEED, seconds=90.0)
+    flights = despiked(join(records, card))[0]
+    theta = flights.channels["theta"] + np.where(np.asarray(flights.manoeuvre) == 1, off, 0.0)
+    flights = replace(flights, channels={**flights.channels, "theta": theta})
+    free = fly_both(flights, found, {}, biases={"theta": Prior("normal", 0.0, 0.01)})
+    apart = free.extended.values["bias_theta_2"] - free.extended.values["bias_theta_1"]
+    assert apart == pytest.approx(off, abs=0.002), SEED
+    near = max(0.06, 4.0 * free.deviation["thrust_arm"])
+    assert free.extended.values["thrust_arm"] == pytest.approx(plain.extended.values["thrust_arm"], abs=near), SEED
+    assert "bias_theta_2" not in plain.extended.values
+    unseen = free.path(flights.names[1], "extended", "unseen").errors["theta"]
+    assert unseen.rms > 0.7 * abs(off)  # compared with the record as it is
 
 
 def _without_accelerometers(record: FlightRecord) -> FlightRecord:

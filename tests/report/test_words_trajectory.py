@@ -38,6 +38,8 @@ def test_a_lag_that_is_not_wanted_says_why(simulated):
     assert "do not want it (log density +4.2, unseen flight -1 ± 2)" in lag_sentences(asked)[0]
     weak = replace(simulated, lag=Lag("separation_lag", 1.2, False))
     assert "do not want it (log density +1.2)" in lag_sentences(weak)[0]
+    slight = replace(simulated, lag=Lag("separation_lag", 5.4, slight=True))
+    assert "find less of it than is worth a name (log density +5.4)" in lag_sentences(slight)[0]
     lost = replace(simulated, lag=Lag("separation_lag", float("-inf"), False))
     assert "its fit did not settle" in lag_sentences(lost)[0]
     assert lag_sentences(simulated) == []
