@@ -17,6 +17,8 @@ from bayes_aero.parameter import Parameter
 
 THINNED = 5  # samples, for the colour of the residuals
 INDEFINITE = -1e-14  # least eigenvalue of a scaled information matrix: below, it is more than rounding of a sound one
+STRETCH, STRETCHES = 12.0, 10  # s of flight that the jackknife leaves out at a time, and how many it wants at least
+COLOURED = 2.0  # times the variances, in the median, from which the colour of residuals is beyond doubt
 HELD = 0.9  # posterior over prior deviation from which a parameter is said to be held by its prior
 
 
@@ -85,7 +87,8 @@ class OutputErrorResult:
 
         With D = `covariance` it is D (M + P) D: M the scores' covariance under the residuals' autocovariance, P that
         of the priors; D itself where residuals are white. Sources: Maine and Iliff, NASA RP-1077 (1981); Morelli and
-        Klein, J. Aircraft 1997.
+        Klein, J. Aircraft 1997. Where residuals are coloured, no variance is below what leaving out stretches of flight
+        says (`_left_out`): what disturbs a flight adds up in it, the fit takes up most, and residuals tell too little.
         """
         if not math.isfinite(self.cost):
             return self.covariance
@@ -95,10 +98,42 @@ class OutputErrorResult:
         segment = np.broadcast_to(np.arange(len(inside))[:, None], inside.shape)[inside]
         start = np.diff(segment, prepend=-1) != 0
         D, weight = self.covariance, self.priors.weight
-        found = corrected_covariance(D, S[inside], self.R, self.columns[..., 0][inside], segment, start)
         said = np.diag(self.priors.precision)
         said = said + np.einsum("wsa,s,wsb->ab", self.eliminated, self.priors.states, self.eliminated)
-        return found + weight * D @ said @ D
+        known = weight * D @ said @ D
+        found = known + corrected_covariance(D, S[inside], self.R, self.columns[..., 0][inside], segment, start)
+        own = np.diag(found)
+        moving = own > 0.0
+        if not moving.any() or np.median(own[moving] / np.diag(D)[moving]) < COLOURED:
+            return found
+        wider = np.ones(k)
+        wider[moving] = np.sqrt(np.maximum(1.0, (self._left_out(S) + np.diag(known))[moving] / own[moving]))
+        return found * np.outer(wider, wider)
+
+    def _left_out(self, S: Float[np.ndarray, "w n c k"]) -> Float[np.ndarray, " k"]:
+        """Variances by the jackknife over stretches of flight, to first order and with the segments' states kept.
+
+        Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), ch. 11, of blocks in place of samples.
+        """
+        moving = np.flatnonzero(np.diag(self.covariance) > 0.0)
+        counts = self.flown.inside.sum(axis=1)
+        seconds = counts * np.asarray(self.flown.dt)
+        length = min(STRETCH, seconds.sum() / STRETCHES)
+        A, g = [], []
+        for row in np.flatnonzero(counts):
+            parts = max(1, round(seconds[row] / length))
+            for own in np.array_split(np.flatnonzero(self.flown.inside[row]), parts):
+                weighed = S[row, own][:, :, moving] / self.R[:, None]
+                A.append(np.einsum("nci,ncj->ij", weighed, S[row, own][:, :, moving], optimize=True))
+                g.append(np.einsum("nci,nc->i", weighed, self.columns[row, own, :, 0]))
+        variance = np.zeros(S.shape[3])
+        if len(moving) and len(A) > 1:
+            whole = (self.information + np.diag(self.priors.precision))[np.ix_(moving, moving)]
+            scale = 1.0 / np.sqrt(np.diag(whole))
+            left = (whole - np.array(A)) * np.outer(scale, scale)
+            step = scale * np.linalg.solve(left, -(np.array(g) * scale)[..., None])[..., 0]
+            variance[moving] = (len(A) - 1.0) / len(A) * np.sum((step - step.mean(axis=0)) ** 2, axis=0)
+        return variance
 
     @property
     def sd_corrected(self) -> Float[np.ndarray, " k"]:

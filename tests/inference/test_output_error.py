@@ -273,6 +273,23 @@ def test_corrected_deviations_are_the_plain_ones_under_white_noise():
     assert np.all((ratio > 0.78) & (ratio < 1.08))
 
 
+def test_corrected_deviations_are_no_less_than_those_of_leaving_stretches_out():
+    """The jackknife of refits, ten stretches of two seconds: first order and states kept stand for these."""
+    flown = coloured_flown(11, 0.9)
+    found = fit_output_error(flown, held={"az0": 0.0})
+    own = [k for k, name in enumerate(found.names) if name != "az0"]
+    estimates = []
+    for stretch in np.array_split(np.arange(flown.inside.shape[1]), 10):
+        counts = np.array(flown.inside)
+        counts[:, stretch] = False
+        less = eqx.tree_at(lambda f: f.inside, flown, counts)
+        estimates.append(fit_output_error(less, start=found.estimate, held={"az0": 0.0}).estimate[own])
+    away = np.array(estimates) - np.mean(estimates, axis=0)
+    refitted = np.sqrt(0.9 * np.sum(away**2, axis=0))
+    assert np.all(found.sd_corrected[own] > 0.8 * refitted)
+    assert np.median(found.sd_corrected[own] / refitted) < 1.3
+
+
 def test_a_prior_that_holds_a_parameter_is_its_corrected_deviation_too():
     """The colour of residuals says nothing of what the record does not move."""
     found = fit_output_error(coloured_flown(3, 0.9), prior_weight=7.0)
