@@ -130,7 +130,8 @@ def _lag(lag: Lag) -> dict[str, Any]:
 
 def _lag_of(told: Mapping[str, Any]) -> Lag:
     unseen = number(told["unseen"]["elpd"]), number(told["unseen"]["elpd_se"])
-    return Lag(told["effect"], number(told["gain"]), bool(told["kept"]), unseen, tuple(told["instead_of"]))
+    instead, slight = tuple(told["instead_of"]), bool(told["slight"])
+    return Lag(told["effect"], number(told["gain"]), bool(told["kept"]), unseen, instead, slight)
 
 
 def _path(told: Mapping[str, Any], histories: Histories, card: Card) -> Path:

@@ -52,19 +52,21 @@ def asked(card, hidden, seed):
 def test_a_hidden_lag_is_kept_and_measured(card):
     """Sizes from eight to sixteen chords: half a second and more in the stall.
 
-    One flight in thirty does not confirm it on the other; one of two must. What disturbs the flight biases output
-    error: sizes of 16 flights were off by 14 % (RMS), by 33 % at most.
+    One flight in thirty does not confirm it on the other, and two in sixteen, disturbed, bias its size by more than a
+    quarter (33 % at most): one of three must do both, and no size that is kept be far off.
     """
-    tau1 = np.random.default_rng(SEED).uniform(8.0, 16.0)
-    for seed in (SEED, SEED + 10_000):
+    tau1, told = np.random.default_rng(SEED).uniform(8.0, 16.0), []
+    for seed in (SEED, SEED + 10_000, SEED + 20_000):
         lag, lagged = asked(card, {"separation_lag": {"tau1": tau1}}, seed)
+        assert lag.effect == "separation_lag"
+        found = dict(zip(lagged.fit.names, lagged.fit.estimate, strict=True))
+        assert found["tau2"] >= 0.0
+        told.append((seed, lag.kept, found["tau1"]))
         if lag.kept:
-            break
-    assert lag.kept, (SEED, tau1, lag)
-    assert lag.effect == "separation_lag"
-    found = dict(zip(lagged.fit.names, lagged.fit.estimate, strict=True))
-    assert found["tau1"] == pytest.approx(tau1, rel=0.45), seed
-    assert found["tau2"] >= 0.0
+            assert found["tau1"] == pytest.approx(tau1, rel=0.45), told
+            if found["tau1"] == pytest.approx(tau1, rel=0.25):
+                return
+    pytest.fail(f"{tau1} was not kept and measured: {told}")
 
 
 @pytest.mark.recovery

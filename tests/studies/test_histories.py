@@ -10,9 +10,11 @@ import pytest
 import xarray as xr
 from simulated_halves import halves
 
+from bayes_aero.criticism.flown_lag import Lag
 from bayes_aero.inference.scores import score
 from bayes_aero.report.diagnosed import composition
 from bayes_aero.studies import histories
+from bayes_aero.studies.trajectory_results import _lag, _lag_of
 
 
 @pytest.fixture
@@ -101,3 +103,9 @@ def test_a_file_of_another_kind_is_refused(tmp_path):
     xr.DataTree(xr.Dataset({"a": 1.0})).to_netcdf(tmp_path / "other.nc", engine="h5netcdf")
     with pytest.raises(ValueError, match="bayes_aero/histories/1"):
         histories.read_histories(tmp_path / "other.nc")
+
+
+def test_a_lag_that_was_told_is_read_back_whole():
+    """What an interrupted diagnosis takes up again says of it what was said."""
+    for lag in (Lag("separation_lag", 5.4, slight=True), Lag("separation_lag", 25.4, True, (62.1, 15.5), ("tau2",))):
+        assert repr(_lag_of(_lag(lag))) == repr(lag)  # as text, for nan is not nan
