@@ -52,6 +52,16 @@ RECORDED = [
     ("alpha_delay", "alpha", delay, -0.07),
     ("elevator_delay", "elevator", delay, 0.08),
     ("vertical_wind", "altitude", climb, 2.0),
+    ("accel_y_bias", "ay", bias, 0.1),
+    ("sideslip_bias", "beta", bias, 0.02),
+    ("bank_angle_bias", "phi", bias, -0.01),
+    ("roll_rate_bias", "p", bias, 0.003),
+    ("yaw_rate_bias", "r", bias, -0.002),
+    ("accel_y_scale", "ay", scale, 0.1),
+    ("sideslip_scale", "beta", scale, -0.05),
+    ("bank_angle_scale", "phi", scale, 0.04),
+    ("roll_rate_scale", "p", scale, 0.08),
+    ("yaw_rate_scale", "r", scale, -0.03),
 ]
 
 

@@ -1,6 +1,6 @@
 """Everything measured beside everything modelled, as a function of every effect's parameters at once.
 
-Outputs are the three coefficients and, where attitude and height were recorded, the four flight-path integrals. One
+Outputs are the three coefficients and, where attitude and height were recorded, the flight-path integrals. One
 compiled function gives the residuals and their sensitivity to all parameters of all effects, active or not.
 """
 
@@ -21,9 +21,9 @@ from bayes_aero.model.flights import Flights, response_scales
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficients import NAMES, coefficients
 from bayes_aero.physics.filters import FILTER_STEP
-from bayes_aero.physics.flightpath import PATH, PATH_NEEDS, integral, path_rates
+from bayes_aero.physics.flightpath import LATERAL, PATH, integral, path_outputs, path_rates
 
-RESPONSE = ("q", *PATH)  # measured channels whose own scale an effect may change
+RESPONSE = ("q", *PATH, *LATERAL)  # measured channels whose own scale an effect may change
 
 
 class Responses(Linearisable):
@@ -38,17 +38,17 @@ class Responses(Linearisable):
     flights: Flights
     model: Model = eqx.field(static=True)
     measuring: tuple[int, ...] = eqx.field(static=True)  # parameters that what is measured depends on, not only flow
+    path: tuple[str, ...] = eqx.field(static=True)  # flight-path outputs
 
     @classmethod
     def of(cls, flights: Flights, model: Model) -> Responses:
         """`flights` under `model`."""
-        return cls(flights, model, _measuring(model, flights))
+        return cls(flights, model, _measuring(model, flights), path_outputs(flights.channels))
 
     @property
     def outputs(self) -> tuple[str, ...]:
         """Names of the outputs: coefficients, then flight-path channels."""
-        path = PATH if set(PATH_NEEDS) <= set(self.flights.channels) else ()
-        return (*NAMES, *path)
+        return (*NAMES, *self.path)
 
     @property
     def manoeuvre(self) -> Int[np.ndarray, " m"]:
@@ -146,13 +146,13 @@ def _residuals(responses: Responses, theta):
     modelled, X = _modelled(responses, values, signals, aircraft)
     scales = response_scales(model, values, f.channels, f.aircraft, RESPONSE)
     columns = [(measured - modelled) * _referred(responses, signals, aircraft, scales)]
-    if len(responses.outputs) > len(NAMES):
+    if responses.path:
         rates = path_rates(signals, aircraft)
         columns += [
             ((signals[name] - integral(rates[name], signals["dt"], signals["start"], signals["first"])) / scales[name])[
                 :, None
             ]
-            for name in PATH
+            for name in responses.path
         ]
     residual = f.smoothed(jnp.concatenate(columns, axis=1))
     both = f.smoothed(jnp.concatenate([measured, modelled], axis=1))

@@ -22,7 +22,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.coefficients import REQUIRED
-from bayes_aero.physics.flightpath import PATH, PATH_NEEDS
+from bayes_aero.physics.flightpath import PATH_NEEDS
 
 SENSOR_KINDS = (Kind.MEASUREMENT, Kind.ENVIRONMENT)
 UNITY = {"density": 1.0, "thrust": 0.0}  # stand in for what the flight path does not use
@@ -44,7 +44,7 @@ def agreement(
     """
     candidates = tuple(e for e in field.candidates if e.kind in SENSOR_KINDS and e.name not in known)
     own = replace(field, base=tuple(known), candidates=candidates, priors=priors or {})
-    state = linearised(own, responses, PATH, theta)
+    state = linearised(own, responses, responses.path, theta)
     return borne_out(extend(state, seed=seed, most=most))
 
 

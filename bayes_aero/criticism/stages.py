@@ -53,7 +53,7 @@ def stages(
         state = linearised(_after(field, sensors), responses, NAMES, begin)
         return extend(state, seed=seed + 1000, most=most, progress=progress)
 
-    if len(responses.outputs) == len(NAMES):
+    if not responses.path:
         return Stages(None, coefficients(None))
     if progress:
         progress("sensors", 0.0)

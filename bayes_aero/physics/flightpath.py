@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from bayes_aero.flight.aircraft import Aircraft
@@ -16,19 +17,21 @@ from bayes_aero.physics.atmosphere import GRAVITY
 from bayes_aero.physics.kinematics import Rotation, lever_arm
 
 PATH = ("airspeed", "alpha", "theta", "altitude")
+LATERAL = ("beta", "phi")  # flight-path outputs of records whose lateral motion was flown and recorded
 PATH_NEEDS = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "alpha", "beta", "airspeed", "altitude")
 
 Samples = Float[Array, "*n"]
 
 
 def path_rates(s: Mapping[str, Samples], aircraft: Aircraft) -> dict[str, Samples]:
-    """Time derivatives of airspeed (m/s2), alpha, theta (rad/s) and altitude (m/s) from signals in SI and radians.
+    """Time derivatives of airspeed (m/s2), alpha, theta, beta, phi (rad/s) and altitude (m/s) from signals in SI.
 
     `s` holds `PATH_NEEDS` and the angular accelerations `p_dot`, `q_dot`, `r_dot`; accelerations at the sensor.
     """
     rotation = Rotation(s["p"], s["q"], s["r"], s["p_dot"], s["q_dot"], s["r_dot"])
     x, y, z = lever_arm(rotation, aircraft.accelerometer)
-    return motion_of_path(s, (s["ax"] - x, s["ay"] - y, s["az"] - z))
+    force = (s["ax"] - x, s["ay"] - y, s["az"] - z)
+    return motion_of_path(s, force) | lateral_motion(s, force)
 
 
 def motion_of_path(s: Mapping[str, Samples], force: tuple[Samples, Samples, Samples]) -> dict[str, Samples]:
@@ -46,6 +49,33 @@ def motion_of_path(s: Mapping[str, Samples], force: tuple[Samples, Samples, Samp
         "theta": s["q"] * cos_p - s["r"] * sin_p,
         "altitude": V * (cos_a * cos_b * sin_t - sin_b * sin_p * cos_t - sin_a * cos_b * cos_p * cos_t),
     }
+
+
+def lateral_motion(s: Mapping[str, Samples], force: tuple[Samples, Samples, Samples]) -> dict[str, Samples]:
+    """Time derivatives of sideslip and bank (rad/s) from the specific force at the centre of gravity (m/s2)."""
+    ax, ay, az = force
+    sin_a, cos_a = jnp.sin(s["alpha"]), jnp.cos(s["alpha"])
+    sin_b, cos_b = jnp.sin(s["beta"]), jnp.cos(s["beta"])
+    sin_t, cos_t = jnp.sin(s["theta"]), jnp.cos(s["theta"])
+    sin_p, cos_p = jnp.sin(s["phi"]), jnp.cos(s["phi"])
+    ax, ay, az = ax - GRAVITY * sin_t, ay + GRAVITY * cos_t * sin_p, az + GRAVITY * cos_t * cos_p
+    across = ay * cos_b - (ax * cos_a + az * sin_a) * sin_b
+    return {
+        "beta": across / s["airspeed"] + s["p"] * sin_a - s["r"] * cos_a,
+        "phi": s["p"] + (s["q"] * sin_p + s["r"] * cos_p) * sin_t / cos_t,
+    }
+
+
+def path_outputs(channels: Mapping[str, Samples]) -> tuple[str, ...]:
+    """Flight-path outputs that (n,) channels allow: `PATH`, and of `LATERAL` what moves; none without `PATH_NEEDS`.
+
+    Sideslip that a card states as constant, or bank of wings that stayed level, is no measurement.
+    """
+    if not set(PATH_NEEDS) <= set(channels):
+        return ()
+    moves = {name for name in PATH_NEEDS if float(np.ptp(np.asarray(channels[name]))) > 0.0}
+    sideslip = ("beta",) if {"beta", "ay"} <= moves else ()
+    return (*PATH, *sideslip, *(("phi",) if {"phi", "p"} <= moves else ()))
 
 
 def side_force(s: Mapping[str, Samples], ax: Samples, az: Samples) -> Samples:

@@ -23,7 +23,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import with_sums
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.physics.coefficients import REQUIRED
-from bayes_aero.physics.flightpath import PATH, PATH_NEEDS
+from bayes_aero.physics.flightpath import PATH_NEEDS
 from bayes_aero.report.page import put_page
 from bayes_aero.report.page_check import check_page
 from bayes_aero.studies.folder import writable
@@ -131,7 +131,9 @@ def _sensors(records: Sequence[FlightRecord], card: Card, seed: int) -> SensorCh
     }
     before = np.sqrt(np.mean((found.base.left(found.base_fit) * found.base.swell) ** 2, axis=0))
     after = np.sqrt(np.mean((found.state.left(found.fit) * found.state.swell) ** 2, axis=0))
-    return SensorCheck("", errors, {n: (float(a), float(b)) for n, a, b in zip(PATH, before, after, strict=True)})
+    return SensorCheck(
+        "", errors, {n: (float(a), float(b)) for n, a, b in zip(found.state.outputs, before, after, strict=True)}
+    )
 
 
 def check_results(report: CheckReport) -> dict[str, Any]:

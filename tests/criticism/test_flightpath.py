@@ -9,7 +9,7 @@ import pytest
 
 from bayes_aero.model.flights import despiked, join
 from bayes_aero.physics.filters import LONG_REACH, differentiate_joined, smooth_joined
-from bayes_aero.physics.flightpath import PATH, integral, path_rates, side_force
+from bayes_aero.physics.flightpath import LATERAL, PATH, integral, path_rates, side_force
 from bayes_aero.physics.kinematics import Rotation, lever_arm
 from bayes_aero.studies.hidden import hidden_records
 
@@ -25,8 +25,8 @@ def test_recorded_path_is_the_integral_of_its_rates(quiet, card):
     rates = path_rates(signals, card.aircraft)
     start, first = quiet.channels["start"], quiet.channels["first"]
     # Smoothing and the trapezoidal rule err where the flight bends within half a second.
-    tolerance = {"airspeed": 0.05, "alpha": 1e-3, "theta": 5e-4, "altitude": 0.5}
-    for name in PATH:
+    tolerance = {"airspeed": 0.05, "alpha": 1e-3, "theta": 5e-4, "altitude": 0.5, "beta": 1e-3, "phi": 1e-3}
+    for name in (*PATH, *LATERAL):
         found = signals[name][first] + integral(rates[name], signals["dt"], start, first)
         off = np.abs(np.asarray(found - signals[name]))
         assert off.max() < tolerance[name], name
