@@ -16,14 +16,15 @@ from bayes_aero.cli.fly import fly
 from bayes_aero.cli.identify import identify
 from bayes_aero.cli.run import run
 from bayes_aero.cli.simulate import simulate
-from bayes_aero.cli.terminal import BAD_INPUT, FAILED, INTERRUPTED, InterruptionError
+from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED, InterruptionError
 from bayes_aero.errors import InputError, plain_line
 from bayes_aero.studies.compiled import keep_compiled
 
 EPILOG = (
     f"Exit codes: 0 done; {FAILED} a record is not usable (check), a fit did not converge or cannot fly "
     "(fly), or units of a study failed or differ, or its cluster was lost (run); "
-    f"{BAD_INPUT} bad input, told in one sentence; {INTERRUPTED} interrupted, finished stages are kept.\n\n"
+    f"{BAD_INPUT} bad input, told in one sentence; {DOUBT} done, but the records are in doubt: sensors disagree or a "
+    f"channel is faulty, told first; {INTERRUPTED} interrupted, finished stages are kept.\n\n"
     "Each command's --help has an example; a new aircraft starts with: bayes-aero card RECORD."
 )
 

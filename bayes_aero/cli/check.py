@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bayes_aero.cli.terminal import (
+    DOUBT,
     FAILED,
     JsonOption,
     ModelOption,
@@ -41,7 +42,7 @@ def check(
 ) -> None:
     """Check records against a card: channels, units, gaps, what they can test, whether the sensors agree.
 
-    Nothing aerodynamic is fitted. Exit code 0: usable; 1: not, with the reasons.
+    Nothing aerodynamic is fitted. Exit code 0: usable; 1: not, with the reasons; 3: usable, but in doubt.
 
     Example: bayes-aero check qst01.asc qst02.asc --model attas
     """
@@ -62,14 +63,20 @@ def check(
             teller().print(f"! {failure}" if failure else f"The report is in {out / 'report.html'}", soft_wrap=True)
     if not report.usable:
         raise typer.Exit(FAILED)
+    if report.consistency.disagrees:
+        raise typer.Exit(DOUBT)
 
 
 def _tell(console: Console, report: CheckReport) -> None:
-    from bayes_aero.report.words_check import card_sentences, headline, left_over, sensor_verdict, sizes, use_sentences
+    from bayes_aero.report.words_check import card_sentences, headline, left_over, sensor_sentences, use_sentences
+    from bayes_aero.report.words_consistency import sizes
 
+    doubt, told = report.consistency.disagrees, sensor_sentences(report)
+    if doubt:
+        console.print(f"! {told[0]}", style="yellow")
     for record in report.records:
         _tell_record(console, record)
-    for sentence in (*card_sentences(report), *use_sentences(report), sensor_verdict(report)):
+    for sentence in (*card_sentences(report), *use_sentences(report), *told[doubt:]):
         console.print(sentence)
     for name, error in report.sensors.errors.items():
         faint = " (too small to be worth a name)" if error["minor"] else ""
@@ -78,7 +85,7 @@ def _tell(console: Console, report: CheckReport) -> None:
         console.print(f"  {left_over(report)}")
     for caution in report.cautions:
         console.print(f"! {caution}", style="yellow")
-    colour = "red" if not report.usable else "yellow" if report.cautions else "green"
+    colour = "red" if not report.usable else "yellow" if report.cautions or doubt else "green"
     console.print(headline(report), style=f"bold {colour}")
 
 

@@ -15,9 +15,11 @@ from bayes_aero.cli.terminal import (
     SeedOption,
     bar,
     card_and_records,
+    exit_in_doubt,
     interruptible,
     kept_stages,
     loading,
+    tell_consistency,
     teller,
 )
 
@@ -73,12 +75,14 @@ def diagnose(
         )
     if json:
         typer.echo((out / "diagnosis.json").read_text(encoding="utf-8"), nl=False)
-        return
     if isinstance(found, Flown):
         _tell_flown(console, found)
-    else:
-        _tell(console, found)
+        console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
+        return
+    tell_consistency(console, found.consistency, corrects=True)
+    _tell(console, found)
     console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
+    exit_in_doubt(found.consistency, corrects=True)
 
 
 def _tell(console: Console, found: Outcome) -> None:

@@ -15,9 +15,11 @@ from bayes_aero.cli.terminal import (
     SeedOption,
     bar,
     card_and_records,
+    exit_in_doubt,
     interruptible,
     kept_stages,
     loading,
+    tell_consistency,
     teller,
 )
 
@@ -82,10 +84,11 @@ def identify(
         )
     if json:
         typer.echo((out / "results.json").read_text(encoding="utf-8"), nl=False)
-        return
+    tell_consistency(console, found.consistency, corrects=False)
     console.print(terminal_table(found))
     for sentence in verdict(found):
         console.print(f"• {sentence}", highlight=False)
     for note in found.notes:
         console.print(f"! {note}", highlight=False)
     console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
+    exit_in_doubt(found.consistency, corrects=False)

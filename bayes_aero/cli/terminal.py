@@ -17,11 +17,13 @@ from bayes_aero.cli.durations import Durations, TimeLeft
 from bayes_aero.studies.compiled import cache_folder
 
 if TYPE_CHECKING:  # the real imports wait until a command needs them
+    from bayes_aero.flight.agreement import Consistency
     from bayes_aero.flight.card import Card
     from bayes_aero.flight.record import FlightRecord
 
 FAILED = 1
 BAD_INPUT = 2
+DOUBT = 3  # done and written, but sensors disagree or a channel is faulty
 INTERRUPTED = 130
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines, and nothing else, on stdout.")]
@@ -87,6 +89,23 @@ def print_json(content: Mapping[str, Any]) -> None:
     from bayes_aero.studies.provenance import as_json
 
     sys.stdout.write(as_json(dict(content)))
+
+
+def tell_consistency(console: Console, found: Consistency | None, *, corrects: bool) -> None:
+    """Whether the sensors agree: the first thing that is printed. `corrects`: the command takes known errors out."""
+    from bayes_aero.report.words_consistency import consistency_sentences
+
+    if found is not None:
+        first, *rest = consistency_sentences(found, corrects=corrects)
+        console.print(f"{'!' if found.disagrees else '•'} {first}", highlight=False)
+        for sentence in rest:
+            console.print(f"• {sentence}", highlight=False)
+
+
+def exit_in_doubt(found: Consistency | None, *, corrects: bool) -> None:
+    """Leave with `DOUBT` where sensors disagree, but for known errors that the command has corrected."""
+    if found is not None and found.disagrees and not (corrects and found.agreement == "disagree_explained"):
+        raise typer.Exit(DOUBT)
 
 
 class InterruptionError(Exception):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.inspection import RecordReport
 
@@ -30,6 +31,7 @@ class CheckReport:
     uses: dict[str, str]
     not_testable: dict[str, str]
     sensors: SensorCheck
+    consistency: Consistency
     cautions: tuple[str, ...] = ()
 
     @property

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from enum import StrEnum
+from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -12,10 +11,11 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.criticism.extension import Extension
-from bayes_aero.criticism.path_check import Departure, PathCheck, path_check
+from bayes_aero.criticism.path_check import path_check
 from bayes_aero.criticism.sensors import compatibility
 from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
+from bayes_aero.flight.agreement import Agreement, Consistency, PathCheck
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.flights import Flights, despiked, join
@@ -24,52 +24,6 @@ from bayes_aero.physics.flightpath import PATH_NEEDS
 
 CORE = ("ax", "az", "q", "theta", "alpha", "airspeed")  # without these nothing of the flight path can be checked
 SHORTEST = 4.0  # s of a record that can be checked
-
-
-class Agreement(StrEnum):
-    """The answer in a word."""
-
-    AGREE = "agree"
-    EXPLAINED = "disagree_explained"
-    UNEXPLAINED = "disagree_unexplained"
-    NOT_CHECKED = "not_checked"
-
-
-@dataclass(frozen=True)
-class Consistency:
-    """The flight path of each record as recorded, and with known errors of sensors taken out.
-
-    Attributes:
-        why_not: why nothing was checked; empty where it was.
-        unchecked: channels of the flight path that could not be checked, for they were not recorded.
-        recorded: a check of each record as it is.
-        corrected: the same with `errors` taken out; empty where none were sought or found.
-        errors: errors of sensors and winds that the flight path asks for: claim, whether minor, parameters.
-        unsought: why no known error could be sought though the sensors disagree; empty where it could.
-    """
-
-    why_not: str = ""
-    unchecked: tuple[str, ...] = ()
-    recorded: tuple[PathCheck, ...] = ()
-    corrected: tuple[PathCheck, ...] = ()
-    errors: Mapping[str, Mapping[str, Any]] | None = None
-    unsought: str = ""
-
-    @property
-    def agreement(self) -> Agreement:
-        """Agree, disagree with or without an explanation, or not checked."""
-        if self.why_not:
-            return Agreement.NOT_CHECKED
-        if not any(check.departures for check in self.recorded):
-            return Agreement.AGREE
-        explained = self.corrected and not any(check.departures for check in self.corrected)
-        return Agreement.EXPLAINED if explained else Agreement.UNEXPLAINED
-
-    @property
-    def departures(self) -> tuple[Departure, ...]:
-        """What is to be told: where records depart; of disagreement that is explained in part, what is left."""
-        left = tuple(d for check in self.corrected for d in check.departures)
-        return left or tuple(d for check in self.recorded for d in check.departures)
 
 
 def consistency(
@@ -89,8 +43,8 @@ def consistency(
     flights, _ = despiked(_true_as_the_card_says(join(records, card, CORE), card))
     unchecked = tuple(n for n in ("altitude", "beta", "phi") if n not in flights.channels)
     found = Consistency("", unchecked, checks(flights, card, seed))
-    if found.agreement is Agreement.AGREE and known is None:
-        return found
+    if found.agreement is Agreement.AGREE:
+        return found if known is None else replace(found, errors=errors_of(known))
     if known is None:
         if not seek:
             return found

@@ -27,6 +27,7 @@ from bayes_aero.criticism.path_noise import (
     sensor_noise,
 )
 from bayes_aero.criticism.path_residuals import path_residuals
+from bayes_aero.flight.agreement import Departure, PathCheck
 from bayes_aero.flight.card import Card
 from bayes_aero.physics.flightpath import PATH_NEEDS, path_outputs
 
@@ -46,34 +47,6 @@ class Kind(IntEnum):
 
 
 Channels = Mapping[str, Float[np.ndarray, " n"]]
-
-
-@dataclass(frozen=True)
-class Departure:
-    """A channel of a record that leaves the flight path: from `begin` to `end` (s) by `rms`, where noise permits
-    `permitted` (both in the channel's SI unit, root mean square)."""
-
-    record: str
-    channel: str
-    begin: float
-    end: float
-    rms: float
-    permitted: float
-
-
-@dataclass(frozen=True)
-class PathCheck:
-    """One record: where it departs, and the root mean square left of each channel with what is permitted.
-
-    `turbulence` (m/s) is the standard deviation of gusts that was permitted; `assumed` are channels that were not
-    recorded and taken as zero.
-    """
-
-    record: str
-    departures: tuple[Departure, ...]
-    rms: Mapping[str, tuple[float, float]]
-    turbulence: float
-    assumed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

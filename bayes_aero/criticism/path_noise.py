@@ -20,7 +20,7 @@ DEGREE = math.pi / 180.0
 DEFAULT_NOISE = {
     "ax": 0.02, "ay": 0.02, "az": 0.05, "p": 0.02 * DEGREE, "q": 0.02 * DEGREE, "r": 0.02 * DEGREE,
     "phi": 0.1 * DEGREE, "theta": 0.1 * DEGREE, "alpha": 0.1 * DEGREE, "beta": 0.1 * DEGREE,
-    "airspeed": 0.3, "altitude": 2.0,
+    "airspeed": 0.3, "altitude": 3.0,
 }  # fmt: skip
 """Standard deviation of each sensor's noise where the card states none, SI: a usual flight-test installation."""
 

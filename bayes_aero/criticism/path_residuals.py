@@ -40,13 +40,12 @@ def path_residuals(
     """
     n = len(next(iter(channels.values())))
     longer = _few_lengths(n)
-    full = {name: _padded(np.asarray(channels[name]), longer) for name in PATH_NEEDS}
+    full = {name: jnp.asarray(_padded(np.asarray(channels[name]), longer)) for name in PATH_NEEDS}
     count = len(next(iter(added.values())))
-    more = {name: _padded(x, longer) for name, x in added.items()} | {
-        name: np.zeros((count, longer)) for name in PATH_NEEDS if name not in added
-    }
-    place = tuple(jnp.asarray(x, float) for x in accelerometer)
-    found = _program(full, more, place, jnp.asarray(dt), jnp.asarray(n - 1), tuple(outputs))
+    nothing = jnp.zeros((count, longer))
+    more = {name: jnp.asarray(_padded(added[name], longer)) if name in added else nothing for name in PATH_NEEDS}
+    x, y, z = (jnp.asarray(coordinate, float) for coordinate in accelerometer)
+    found = _program(full, more, (x, y, z), jnp.asarray(dt), jnp.asarray(n - 1), tuple(outputs))
     return np.asarray(found)[:, :n]
 
 

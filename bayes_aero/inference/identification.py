@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Int
 
+from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.gp import GPFit
@@ -62,6 +63,7 @@ class Identification:
     `alone` holds the maximum-likelihood fit of each manoeuvre by itself. `posteriors` has `emcee` and `nuts` under
     the chosen noise model `noise`, and `white`, by emcee, where that is another one. `stall` is over the draws of the
     first of them. `preparation` tells, in words, what the way the coefficients were formed does to the estimates.
+    `consistency` tells whether the sensors agree.
     `truth` has the parameters (SI and radians) that simulated records were flown with.
     """
 
@@ -77,5 +79,6 @@ class Identification:
     stall: Stall | None = None
     notes: tuple[str, ...] = ()
     preparation: tuple[str, ...] = ()
+    consistency: Consistency | None = None
     truth: Mapping[str, float] | None = None
     seconds: dict[str, float] = field(default_factory=dict)

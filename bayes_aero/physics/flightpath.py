@@ -66,7 +66,7 @@ def lateral_motion(s: Mapping[str, Samples], force: tuple[Samples, Samples, Samp
     }
 
 
-def path_outputs(channels: Mapping[str, Samples]) -> tuple[str, ...]:
+def path_outputs(channels: Mapping[str, Samples | Float[np.ndarray, "*n"]]) -> tuple[str, ...]:
     """Flight-path outputs that (n,) channels allow: `PATH`, and of `LATERAL` what moves; none without `PATH_NEEDS`.
 
     Sideslip that a card states as constant, or bank of wings that stayed level, is no measurement.

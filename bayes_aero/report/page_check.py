@@ -10,7 +10,7 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.inspection import RecordReport
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.report.page import Block, Fold, Page, Plot, Table, Text, filled, section
-from bayes_aero.report.page_parts import at_a_glance, bullets, first, histories, provenance_blocks
+from bayes_aero.report.page_parts import at_a_glance, bullets, consistency_lead, first, histories, provenance_blocks
 from bayes_aero.report.page_plots import Line, Panel
 from bayes_aero.report.page_trajectories import axis_label
 from bayes_aero.report.style import COLOURS, for_people
@@ -18,11 +18,11 @@ from bayes_aero.report.words_check import (
     card_sentences,
     headline,
     left_over,
-    sensor_verdict,
-    sizes,
+    sensor_sentences,
     taken,
     use_sentences,
 )
+from bayes_aero.report.words_consistency import sizes
 
 SHOWN = ("airspeed", "altitude", "alpha", "theta", "q", "az", "ax", "elevator", "stabilizer", "thrust", "beta", "phi")
 LEGEND = (("recorded", COLOURS["measured"], "solid"),)
@@ -37,7 +37,11 @@ def check_page(report: CheckReport, source: Mapping[str, Any]) -> Page:
         title=f"Record check: {report.card.title}",
         subtitle="Channels, units, sampling, and whether the sensors agree; no aerodynamics is fitted",
         verdict=headline(report),
-        lead=(*(Text(w, "warning") for w in (*wrong, *report.cautions)), *plots[:1]),
+        lead=(
+            *consistency_lead(report.consistency, corrects=False),
+            *(Text(w, "warning") for w in (*wrong, *report.cautions)),
+            *plots[:1],
+        ),
         sections=filled(
             section("uses", "What the records are good for", lambda: bullets(use_sentences(report))),
             section("sensors", "Do the sensors agree?", lambda: _sensors(report)),
@@ -68,13 +72,13 @@ def _plot(record: FlightRecord, key: str) -> Plot | None:
 def _sensors(report: CheckReport) -> tuple[Block, ...]:
     s = report.sensors
     if s.note:
-        return (Text(sensor_verdict(report)),)
+        return bullets(sensor_sentences(report))
     faint = {True: "too small to be worth a name", False: ""}
     rows = tuple((name, e["claim"], sizes(e), faint[e["minor"]]) for name, e in s.errors.items())
     head = ("error", "claim", "size ± sd", "remark")
     table = Table("Errors that the flight path asks for", head, rows, words=(1, 2, 3)).lean()
     said = f"{left_over(report)[:1].upper()}{left_over(report)[1:]}."
-    return (Text(sensor_verdict(report)), *((table,) if rows else ()), Text(said))
+    return (*bullets(sensor_sentences(report)), *((table,) if rows else ()), Text(said))
 
 
 def _channels(report: CheckReport) -> tuple[Block, ...]:

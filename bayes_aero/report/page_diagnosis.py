@@ -11,6 +11,7 @@ import numpy as np
 
 from bayes_aero.criticism.finding import Cause, Diagnosis
 from bayes_aero.criticism.trajectory import Trajectories
+from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.coefficients import NAMES
@@ -30,6 +31,7 @@ from bayes_aero.report.page_diagnosis_tables import (
 from bayes_aero.report.page_parts import (
     at_a_glance,
     bullets,
+    consistency_lead,
     doubts,
     first,
     histories,
@@ -63,6 +65,7 @@ class Told:
     separating: Sequence[Mapping[str, Any]] = ()
     revealed: Sequence[str] = ()
     notes: Sequence[str] = ()
+    consistency: Consistency | None = None
 
 
 def diagnosis_page(view: View, told: Told) -> Page:
@@ -70,7 +73,11 @@ def diagnosis_page(view: View, told: Told) -> Page:
     d = view.diagnosis
     gallery = Gallery(told.figures, diagnosis_alternatives(view))
     verdict, *rest = diagnosis_sentences(d)
-    lead: list[Block] = [*doubts(told.records, told.card), *(Text(one, "lead") for one in told.revealed)]
+    lead: list[Block] = [
+        *consistency_lead(told.consistency, corrects=True),
+        *doubts(told.records, told.card),
+        *(Text(one, "lead") for one in told.revealed),
+    ]
     if gained(view):
         lead.append(Text(f"On data that were not fitted, before and after: {gained(view)}", "lead"))
     if view.trajectories is not None and (gain := simulation_gain(view.trajectories)):
@@ -107,6 +114,7 @@ def flown_page(d: Diagnosis, flown: Trajectories | None, said: Sequence[str], to
         subtitle="What the model gets wrong, from trajectories alone: the record has no coefficients",
         verdict=said[0],
         lead=(
+            *consistency_lead(told.consistency, corrects=False),
             *doubts(told.records, told.card),
             Text("The record lacks what lift, drag and moment coefficients are formed from; see the last finding."),
         ),

@@ -10,12 +10,22 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.criticism.flown_fit import FITTED, START, FlownFit
+from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.report import page_fly_tables as tables
 from bayes_aero.report.figures_fly import stem_of
 from bayes_aero.report.page import Block, Fold, Page, Text, filled, section
-from bayes_aero.report.page_parts import at_a_glance, bullets, conventions, doubts, first, provenance_blocks, symbols
+from bayes_aero.report.page_parts import (
+    at_a_glance,
+    bullets,
+    consistency_lead,
+    conventions,
+    doubts,
+    first,
+    provenance_blocks,
+    symbols,
+)
 from bayes_aero.report.page_pictures import Gallery
 from bayes_aero.report.page_plots import LOW, Line, Panel
 from bayes_aero.report.page_trajectories import Curve, axis_label, over_measured, sources
@@ -40,6 +50,7 @@ class FlyTold:
     said: Sequence[str]
     notes: Sequence[str] = ()
     figures: Mapping[str, Path] = field(default_factory=dict)  # those drawn, by stem
+    consistency: Consistency | None = None
 
 
 def fly_page(flown: FlownFit, told: FlyTold) -> Page:
@@ -49,7 +60,12 @@ def fly_page(flown: FlownFit, told: FlyTold) -> Page:
         title=f"Trajectories: {told.card.title}",
         subtitle="A model fitted to trajectories by output error",
         verdict=verdict,
-        lead=(*doubts(told.records, told.card), *_lead(flown), *_opening(flown, told.figures)),
+        lead=(
+            *consistency_lead(told.consistency, corrects=False),
+            *doubts(told.records, told.card),
+            *_lead(flown),
+            *_opening(flown, told.figures),
+        ),
         sections=filled(
             section("findings", "What to make of it", lambda: (*bullets([*rest, *told.notes]), words(FLOWN))),
             section("records", "The records at a glance", lambda: at_a_glance(told.records, told.card)),

@@ -23,6 +23,7 @@ from bayes_aero.report.page_parts import (
     DEG,
     at_a_glance,
     bullets,
+    consistency_lead,
     doubts,
     first,
     histories,
@@ -58,7 +59,11 @@ def identification_page(
     """
     gallery = Gallery(figures, identification_alternatives(run))
     said = verdict(run)
-    lead: list[Block] = [*doubts(run.records, run.card), *(Text(w, "warning") for w in _warnings(run))]
+    lead: list[Block] = [
+        *consistency_lead(run.consistency, corrects=False),
+        *doubts(run.records, run.card),
+        *(Text(w, "warning") for w in _warnings(run)),
+    ]
     pictures = gallery("stall") or gallery("crb_vs_credible")
     lead += pictures
     if not figures:

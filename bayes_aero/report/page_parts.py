@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import FlightRecord
@@ -17,6 +18,7 @@ from bayes_aero.parameter import Parameter
 from bayes_aero.report.page import Block, Facts, Fold, Plot, Points, Table, Text
 from bayes_aero.report.page_plots import MOST, TIME, Over, Panel, linked
 from bayes_aero.report.style import bracket, for_people, several
+from bayes_aero.report.words_consistency import consistency_sentences
 from bayes_aero.report.words_trajectory import SYMBOLS
 
 GLANCE = ("airspeed", "alpha", "altitude", "elevator", "q")
@@ -67,6 +69,13 @@ def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...
 def doubts(records: Sequence[FlightRecord], card: Card) -> tuple[Text, ...]:
     """Warnings of units that cannot be right: nothing below them is then what it seems."""
     return tuple(Text(f"{said}.", "warning") for said in record_doubts(records, card.channels))
+
+
+def consistency_lead(found: Consistency | None, *, corrects: bool) -> tuple[Text, ...]:
+    """The doubt that sensors disagree, where they do: it stands before everything else of a page."""
+    if found is None or not found.disagrees:
+        return ()
+    return (Text(consistency_sentences(found, corrects=corrects)[0], "warning"),)
 
 
 def _glanced(card: Card) -> dict[str, str]:

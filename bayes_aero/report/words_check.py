@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from bayes_aero.criticism.checked import CheckReport
+from bayes_aero.flight.agreement import Agreement
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.inspection import ChannelReport
-from bayes_aero.report.style import for_people
+from bayes_aero.report.style import for_people, several
+from bayes_aero.report.words_consistency import consistency_sentences
 
 
 def taken(channel: ChannelReport) -> tuple[str, str, str, str]:
@@ -43,24 +42,12 @@ def use_sentences(report: CheckReport) -> list[str]:
     return said + [f"not testable, for {why}: {', '.join(names)}" for why, names in reasons.items()]
 
 
-def sensor_verdict(report: CheckReport) -> str:
-    """Whether the sensors agree, in a sentence."""
-    s = report.sensors
-    if s.note:
-        return f"Sensors were not checked against each other: {s.note}."
-    if not s.errors:
-        return "The sensors agree with each other along the flight path."
-    return "Along the flight path the sensors disagree; diagnose takes this into account:"
-
-
-def sizes(error: Mapping[str, Any]) -> str:
-    """A sensor error's parameters with their deviations."""
-    told = []
-    for parameter, size in error["parameters"].items():
-        unit, factor = for_people(size["unit"])
-        behind = "" if unit == "1" else f" {unit}"
-        told.append(f"{parameter} {factor * size['mean']:.3g} ± {factor * size['sd']:.2g}{behind}")
-    return ", ".join(told)
+def sensor_sentences(report: CheckReport) -> list[str]:
+    """Whether the sensors agree, the answer first; then which errors are found though they are within the noise."""
+    said = consistency_sentences(report.consistency, corrects=False)
+    if report.sensors.errors and not report.consistency.disagrees:
+        said.append("Errors within that noise, which diagnose takes into account:")
+    return said
 
 
 def left_over(report: CheckReport) -> str:
@@ -77,8 +64,10 @@ def headline(report: CheckReport) -> str:
     """The verdict in a sentence."""
     if report.usable:
         able = [name for name, why in report.uses.items() if not why]
-        errors = [name for name, error in report.sensors.errors.items() if not error["minor"]]
-        wrong = f"; the sensors disagree ({', '.join(errors)}), which diagnose takes into account" if errors else ""
+        wrong = {
+            Agreement.EXPLAINED: f"; the sensors disagree ({several(report.sensors.errors)})",
+            Agreement.UNEXPLAINED: ", but the sensors disagree and no known error explains it",
+        }.get(report.consistency.agreement, "")
         if report.cautions:  # an error of a sensor would be what the card gets wrong
             wrong = ", but first mend the card or the file, which other channels contradict (warnings)"
         return f"Usable for {', '.join(able)}{wrong}."

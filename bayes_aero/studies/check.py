@@ -11,8 +11,10 @@ import numpy as np
 
 from bayes_aero.criticism.candidates import field_of
 from bayes_aero.criticism.checked import CheckReport, SensorCheck
+from bayes_aero.criticism.consistency import consistency, errors_of
 from bayes_aero.criticism.sensors import compatibility
 from bayes_aero.errors import InputError
+from bayes_aero.flight.agreement import Agreement, Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.inspection import inspect_record
 from bayes_aero.flight.record import FlightRecord
@@ -23,9 +25,9 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import with_sums
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.physics.coefficients import REQUIRED
-from bayes_aero.physics.flightpath import PATH_NEEDS
 from bayes_aero.report.page import put_page
 from bayes_aero.report.page_check import check_page
+from bayes_aero.studies.consistency_results import consistency_results
 from bayes_aero.studies.folder import writable
 from bayes_aero.studies.guess import pitch_response
 from bayes_aero.studies.provenance import provenance, write_json
@@ -52,15 +54,12 @@ def check_records(
         looked.append(inspect_record(path, card.channels, resample=resample))
     sound = [r.record for r in looked if r.record is not None]
     uses, not_testable = _purpose(sound, card) if len(sound) == len(looked) else ({}, {})
-    skipped = SensorCheck("not asked for", {}, {})
-    if sensors and len(sound) < len(looked):
-        skipped = SensorCheck("a record is not usable", {}, {})
-    elif sensors:
-        if progress:
-            progress("do the sensors agree?", 0.5)
-        skipped = _sensors(sound, card, seed)
+    why = "not asked for" if not sensors else "a record is not usable" if len(sound) < len(looked) else ""
+    if not why and progress:
+        progress("do the sensors agree?", 0.5)
+    agreement, checked = (Consistency(why), SensorCheck(why, {}, {})) if why else _sensors(sound, card, seed)
     cautions = (*record_doubts(sound, card.channels), *_cautions(sound))
-    return CheckReport(card, tuple(looked), uses, not_testable, skipped, cautions)
+    return CheckReport(card, tuple(looked), uses, not_testable, checked, agreement, cautions)
 
 
 def _cautions(records: Sequence[FlightRecord]) -> tuple[str, ...]:
@@ -105,35 +104,18 @@ def _lacks(missing: Sequence[str]) -> str:
     return f"no channel {', '.join(missing)}: map {'it' if len(missing) == 1 else 'them'}, or state a constant"
 
 
-def _sensors(records: Sequence[FlightRecord], card: Card, seed: int) -> SensorCheck:
-    have = _available(records, card)
-    missing = [n for n in PATH_NEEDS if n not in have]
-    if missing:
-        mend = 'state what stood still under [constants], as phi = "0 deg"'
-        return SensorCheck(f"the flight path needs {', '.join(missing)}; {mend}", {}, {})
-    if not np.isfinite(float(card.aircraft.mass)):
-        return SensorCheck("the card states no [aircraft], so nobody knows where the sensors are", {}, {})
+def _sensors(records: Sequence[FlightRecord], card: Card, seed: int) -> tuple[Consistency, SensorCheck]:
+    """Agreement in absolute terms, and the errors that an election along the flight path names."""
     try:
-        found = compatibility(list(records), card, seed=seed)
+        known = compatibility(list(records), card, seed=seed)
     except InputError as reason:
-        return SensorCheck(str(reason), {}, {})
-    effects = {e.name: e for e in found.state.field.candidates}
-    errors = {
-        name: {
-            "claim": effects[name].claim,
-            "minor": name in found.minor,
-            "parameters": {
-                p.name: {"mean": found.sizes[p.name].mean, "sd": found.sizes[p.name].sd, "unit": p.unit}
-                for p in effects[name].parameters
-            },
-        }
-        for name in (*found.causes, *found.minor)
-    }
-    before = np.sqrt(np.mean((found.base.left(found.base_fit) * found.base.swell) ** 2, axis=0))
-    after = np.sqrt(np.mean((found.state.left(found.fit) * found.state.swell) ** 2, axis=0))
-    return SensorCheck(
-        "", errors, {n: (float(a), float(b)) for n, a, b in zip(found.state.outputs, before, after, strict=True)}
-    )
+        agreement = consistency(records, card, seed=seed, seek=False)
+        return replace(agreement, unsought=str(reason)), SensorCheck(str(reason), {}, {})
+    agreement = consistency(records, card, seed=seed, known=known)
+    before = np.sqrt(np.mean((known.base.left(known.base_fit) * known.base.swell) ** 2, axis=0))
+    after = np.sqrt(np.mean((known.state.left(known.fit) * known.state.swell) ** 2, axis=0))
+    rms = {n: (float(a), float(b)) for n, a, b in zip(known.state.outputs, before, after, strict=True)}
+    return agreement, SensorCheck("", errors_of(known), rms)
 
 
 def check_results(report: CheckReport) -> dict[str, Any]:
@@ -150,6 +132,7 @@ def check_results(report: CheckReport) -> dict[str, Any]:
         "constants": dict(report.card.constants),
         "derived": list(report.card.derived),
         "sums": {name: list(parts) for name, parts in report.card.sums.items()},
+        "consistency": consistency_results(report.consistency),
         "records": records,
         "uses": {name: {"possible": not why, "why_not": why or None} for name, why in report.uses.items()},
         "not_testable": report.not_testable,
@@ -157,11 +140,16 @@ def check_results(report: CheckReport) -> dict[str, Any]:
         "sensors": {
             "checked": not report.sensors.note,
             "why_not": report.sensors.note or None,
-            "agree": None if report.sensors.note else not report.sensors.errors,
+            "agree": _agree(report),
             "errors": report.sensors.errors,
             "rms": {n: {"before": a, "after": b} for n, (a, b) in report.sensors.rms.items()},
         },
     }
+
+
+def _agree(report: CheckReport) -> bool | None:
+    """Whether the sensors agree within their noise; None where that was not checked."""
+    return None if report.consistency.agreement is Agreement.NOT_CHECKED else not report.consistency.disagrees
 
 
 def write_check(report: CheckReport, out: Path, seed: int = 0) -> str | None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from bayes_aero.criticism.consistency import consistency
 from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.trajectory import Trajectories
@@ -88,11 +89,15 @@ def run(
     source = provenance(card, records, seed, {"max_effects": most})
     source[RESTS_ON] = digest(rests_on(source, records) | {"settings": source["settings"]})
     unfinished = Unfinished(out, source[RESTS_ON])
-    view = view_of(diagnose(records, card, seed=seed, most=most, progress=progress))
+    if progress:
+        progress("do the sensors agree?", 0.0)
+    found = diagnose(records, card, seed=seed, most=most, progress=progress)
+    agreement = consistency(records, card, seed=seed, seek=False, known=found.sensors)
+    view = view_of(found)
     causes = view.diagnosis.causes
     earlier = unfinished.earlier(card, causes, predictors=predict is not None, trajectories=fly is not None)
     named = {name: _found(view.diagnosis, name) for name in hidden} if hidden else {}
-    outcome = Outcome(view, hidden, named, record_doubts(records, card.channels))
+    outcome = Outcome(view, hidden, named, record_doubts(records, card.channels), agreement)
     kept = Kept(outcome, out, card, records, source, earlier)
     unfinished.begin()
     shown = DIAGNOSIS_FIGURES if figures else {}

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from bayes_aero.criticism.consistency import consistency
 from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.flown import diagnose_flown
 from bayes_aero.criticism.trajectory import Trajectories
@@ -20,6 +21,7 @@ from bayes_aero.report.page import put_page
 from bayes_aero.report.page_diagnosis import Told, flown_page
 from bayes_aero.report.style import several
 from bayes_aero.report.words_diagnosis import diagnosis_sentences
+from bayes_aero.studies.consistency_results import consistency_results
 from bayes_aero.studies.diagnosis_results import SCHEMA, cause_results, noise_results, record_results, screen
 from bayes_aero.studies.folder import writable
 from bayes_aero.studies.histories import HISTORIES, flights, put_histories
@@ -100,6 +102,7 @@ def _results(
         "schema": SCHEMA,
         "card": {"name": card.name, "title": card.title},
         "records": record_results(records),
+        "consistency": consistency_results(consistency(records, card, seek=False)),
         "verdict": d.verdict.value,
         "sentences": list(said),
         "causes": [cause_results(cause) for cause in d.causes],

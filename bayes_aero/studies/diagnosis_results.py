@@ -6,10 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bayes_aero.criticism.finding import Cause, Diagnosis, Gain, NoiseReport
+from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.diagnosed import Ranking, View, composition
+from bayes_aero.studies.consistency_results import consistency_results
 from bayes_aero.studies.trajectory_results import trajectory_results
 
 SCHEMA = "bayes_aero/diagnosis/1"
@@ -27,6 +29,7 @@ def diagnosis_results(
     separating: Sequence[Mapping[str, Any]] = (),
     hidden: Mapping[str, Any] | None = None,
     notes: Sequence[str] = (),
+    agreement: Consistency | None = None,
 ) -> dict[str, Any]:
     """Everything found, as plain numbers and text; `hidden` is the truth where the records are simulated."""
     d = view.diagnosis
@@ -34,6 +37,7 @@ def diagnosis_results(
         "schema": SCHEMA,
         "card": {"name": card.name, "title": card.title},
         "records": record_results(records),
+        "consistency": {} if agreement is None else consistency_results(agreement),
         "verdict": d.verdict.value,
         "sentences": list(sentences),
         "causes": [cause_results(cause) for cause in d.causes],

@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.criticism.consistency import consistency
 from bayes_aero.criticism.flown_fit import FITTED, FlownFit, fit_flown
 from bayes_aero.criticism.trajectory import WINDOW
 from bayes_aero.errors import InputError
+from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import FlightRecord
@@ -32,6 +34,7 @@ from bayes_aero.report.page_fly import FlyTold, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES, several
 from bayes_aero.report.tables import write_csv
 from bayes_aero.report.words_fly import fly_sentences, parameter_frame, parameter_rows
+from bayes_aero.studies.consistency_results import consistency_results
 from bayes_aero.studies.diagnosis_results import record_results
 from bayes_aero.studies.folder import writable
 from bayes_aero.studies.histories import flights, put_histories
@@ -51,6 +54,7 @@ class Flight:
     flown: FlownFit
     sentences: tuple[str, ...]
     notes: tuple[str, ...]
+    consistency: Consistency
 
 
 def fly(
@@ -75,6 +79,9 @@ def fly(
     if out is not None:
         writable(out)
     source = provenance(card, records, seed, {"windows": windows})
+    if progress:
+        progress("do the sensors agree?", 0.0)
+    agreement = consistency(records, card, seed=seed)
     flown = fit_flown(
         flights,
         dynamics,
@@ -85,7 +92,7 @@ def fly(
         biases=card.output_biases,
         progress=progress,
     )
-    found = Flight(flown, tuple(fly_sentences(flown)), (*record_doubts(records, card.channels), *notes))
+    found = Flight(flown, tuple(fly_sentences(flown)), (*record_doubts(records, card.channels), *notes), agreement)
     if out is None:
         return found
     return _written(found, card, records, source, out, figures=figures, progress=progress)
@@ -122,7 +129,8 @@ def _written(
         found = noted(said) if said else found
     if progress:
         progress("report", 0.95)
-    told = FlyTold(card, records, source, found.sentences, found.notes, {path.stem: path for path in drawn})
+    shown = {path.stem: path for path in drawn}
+    told = FlyTold(card, records, source, found.sentences, found.notes, shown, found.consistency)
     failure = put_page(lambda: fly_page(found.flown, told), out)
     return noted([failure]) if failure else found
 
@@ -174,6 +182,7 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
         "schema": SCHEMA,
         "card": {"name": card.name, "title": card.title},
         "records": record_results(records),
+        "consistency": consistency_results(found.consistency),
         "status": fit.status.name.lower(),
         "converged": flown.converged,
         "sentences": list(found.sentences),

@@ -12,6 +12,7 @@ from typing import Any
 
 import xarray as xr
 
+from bayes_aero.criticism.consistency import consistency
 from bayes_aero.criticism.flown_paths import Path as Flown
 from bayes_aero.criticism.preparation import preparation_notes
 from bayes_aero.errors import InputError
@@ -78,6 +79,8 @@ def identify(
     model = Model.from_card(card)
     observations = observe(records, card, model)
     seconds: dict[str, float] = {}
+    with _timed(seconds, "do the sensors agree?", progress):
+        agreement = consistency(records, card, seed=seed)
     with _timed(seconds, "mle", progress):
         mle = fit_mle(model, observations, seed=seed)
         alone = fit_alone(model, observations, seed=seed)
@@ -93,6 +96,7 @@ def identify(
         {},
         notes=(*record_doubts(records, card.channels), *_many(len(records))),
         preparation=told,
+        consistency=agreement,
         truth=truth,
         seconds=seconds,
     )

@@ -10,6 +10,7 @@ from typing import Any
 
 from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.trajectory import Trajectories
+from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.report.diagnosed import View
@@ -34,6 +35,7 @@ class Outcome:
     hidden: Hidden | None
     named: Mapping[str, str]
     notes: tuple[str, ...]
+    consistency: Consistency | None = None
 
     @property
     def diagnosis(self) -> Diagnosis:
@@ -105,6 +107,7 @@ class Kept:
             self._separating,
             revealed(outcome.hidden, outcome.named) if outcome.hidden else (),
             outcome.notes,
+            outcome.consistency,
         )
         failure = None if self.path is None else put_page(lambda: diagnosis_page(outcome.view, told), self.path)
         if failure:
@@ -144,5 +147,6 @@ class Kept:
             separating=self._separating,
             hidden=None if hidden is None else {"effects": hidden, "named": named},
             notes=self.outcome.notes,
+            agreement=self.outcome.consistency,
         )
         write_json(content, self.path / RESULTS)

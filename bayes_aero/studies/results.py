@@ -15,6 +15,7 @@ from bayes_aero.inference.posterior import Posterior
 from bayes_aero.inference.scores import Scores, score
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.comparison import flown
+from bayes_aero.studies.consistency_results import consistency_results
 from bayes_aero.studies.trajectory_results import open_loop
 
 SCHEMA = "bayes_aero/results/1"
@@ -36,6 +37,8 @@ def results(
         ],
         "mle": _mle(identification.mle) | {"alone": {k: _mle(v) for k, v in identification.alone.items()}},
     }
+    if identification.consistency is not None:
+        found["consistency"] = consistency_results(identification.consistency)
     if identification.posteriors:
         found["posterior"] = {"noise": identification.noise.value} | {
             engine: {name: asdict(m) for name, m in posterior.marginals.items()}

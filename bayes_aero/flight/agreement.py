@@ -1,0 +1,87 @@
+"""Whether the sensors of records agree along the flight path: the answer as plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+
+class Agreement(StrEnum):
+    """The answer in a word."""
+
+    AGREE = "agree"
+    EXPLAINED = "disagree_explained"
+    UNEXPLAINED = "disagree_unexplained"
+    NOT_CHECKED = "not_checked"
+
+
+@dataclass(frozen=True)
+class Departure:
+    """A channel of a record that leaves the flight path: from `begin` to `end` (s) by `rms`, where noise permits
+    `permitted` (both in the channel's SI unit, root mean square)."""
+
+    record: str
+    channel: str
+    begin: float
+    end: float
+    rms: float
+    permitted: float
+
+
+@dataclass(frozen=True)
+class PathCheck:
+    """One record: where it departs, and the root mean square left of each channel with what is permitted.
+
+    `turbulence` (m/s) is the standard deviation of gusts that was permitted; `assumed` are channels that were not
+    recorded and taken as zero.
+    """
+
+    record: str
+    departures: tuple[Departure, ...]
+    rms: Mapping[str, tuple[float, float]]
+    turbulence: float
+    assumed: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """The flight path of each record as recorded, and with known errors of sensors taken out.
+
+    Attributes:
+        why_not: why nothing was checked; empty where it was.
+        unchecked: channels of the flight path that could not be checked, for they were not recorded.
+        recorded: a check of each record as it is.
+        corrected: the same with `errors` taken out; empty where none were sought or found.
+        errors: errors of sensors and winds that the flight path asks for: claim, whether minor, parameters.
+        unsought: why no known error could be sought though the sensors disagree; empty where it could.
+    """
+
+    why_not: str = ""
+    unchecked: tuple[str, ...] = ()
+    recorded: tuple[PathCheck, ...] = ()
+    corrected: tuple[PathCheck, ...] = ()
+    errors: Mapping[str, Mapping[str, Any]] | None = None
+    unsought: str = ""
+
+    @property
+    def agreement(self) -> Agreement:
+        """Agree, disagree with or without an explanation, or not checked."""
+        if self.why_not:
+            return Agreement.NOT_CHECKED
+        if not any(check.departures for check in self.recorded):
+            return Agreement.AGREE
+        explained = self.corrected and not any(check.departures for check in self.corrected)
+        return Agreement.EXPLAINED if explained else Agreement.UNEXPLAINED
+
+    @property
+    def disagrees(self) -> bool:
+        """Whether the sensors disagree, explained or not."""
+        return self.agreement in (Agreement.EXPLAINED, Agreement.UNEXPLAINED)
+
+    @property
+    def departures(self) -> tuple[Departure, ...]:
+        """What is to be told: where records depart; of disagreement that is explained in part, what is left."""
+        left = tuple(d for check in self.corrected for d in check.departures)
+        return left or tuple(d for check in self.recorded for d in check.departures)

@@ -1,0 +1,86 @@
+"""Whether the sensors agree, in sentences: the first thing that is printed and the first thing on a page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from bayes_aero.flight.agreement import Agreement, Consistency, Departure
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.report.style import for_people, several
+
+SHOWN = 4  # departures in the sentence
+FOLLOWS = {
+    "airspeed": "the accelerations along the flight path (ax, az, theta, alpha)",
+    "alpha": "pitch rate (q), normal acceleration (az) and airspeed",
+    "theta": "pitch rate (q)",
+    "altitude": "airspeed, pitch attitude (theta) and angle of attack (alpha)",
+    "beta": "lateral acceleration (ay), yaw rate (r) and bank angle (phi)",
+    "phi": "roll rate (p) and yaw rate (r)",
+}
+"""What each channel of the flight path must follow."""
+
+
+def consistency_sentences(found: Consistency, *, corrects: bool) -> list[str]:
+    """The answer, the doubt first. `corrects`: whether the command takes known errors of sensors out by itself."""
+    if found.agreement is Agreement.NOT_CHECKED:
+        return [f"Whether the sensors agree was not checked: {found.why_not}."]
+    return [_answer(found, corrects=corrects), *_limits(found)]
+
+
+def _answer(found: Consistency, *, corrects: bool) -> str:
+    if found.agreement is Agreement.AGREE:
+        return "The sensors agree along the flight path within what their noise permits."
+    where = departures_told(found)
+    errors = several(f"{name} ({sizes(error)})" for name, error in (found.errors or {}).items())
+    if found.agreement is Agreement.EXPLAINED:
+        mend = "it is corrected here" if corrects else "it is not corrected here; diagnose corrects it"
+        return (
+            f"The sensors disagree along the flight path, and a known error explains it ({mend}): {errors}. "
+            f"As recorded, {where}."
+        )
+    beside = f", once {errors} is taken out" if errors else ""
+    unsought = f" Known errors could not be sought: {found.unsought}." if found.unsought else ""
+    return (
+        f"The sensors disagree along the flight path, and no known error of a sensor explains it: {where}{beside}. "
+        f"Repair or recalibrate the channel, or cut the record there; results rest on it.{unsought}"
+    )
+
+
+def departures_told(found: Consistency) -> str:
+    """Where and by how much, the worst first."""
+    listed = sorted(found.departures, key=lambda d: -d.rms / d.permitted)
+    more = f"; and {len(listed) - SHOWN} more" if len(listed) > SHOWN else ""
+    return "; ".join(map(_departure, listed[:SHOWN])) + more
+
+
+def _departure(d: Departure) -> str:
+    standard = STANDARD_CHANNELS[d.channel]
+    unit, factor = for_people(standard.unit)
+    return (
+        f"{d.channel} ({standard.description}) of {d.record} does not follow {FOLLOWS[d.channel]} from {d.begin:.4g} "
+        f"to {d.end:.4g} s, by {factor * d.rms:.2g} {unit} in root mean square where noise permits "
+        f"{factor * d.permitted:.2g} {unit}"
+    )
+
+
+def _limits(found: Consistency) -> list[str]:
+    """What could not be checked, and what was taken for granted."""
+    said = []
+    if found.unchecked:
+        verb = "were" if len(found.unchecked) > 1 else "was"
+        said.append(f"{several(found.unchecked)} {verb} not recorded and could not be checked along the flight path.")
+    assumed = dict.fromkeys(name for check in found.recorded for name in check.assumed)
+    if assumed:
+        said.append(f"Not recorded, and taken as zero along the flight path: {several(assumed)}.")
+    return said
+
+
+def sizes(error: Mapping[str, Any]) -> str:
+    """A sensor error's parameters with their standard errors."""
+    told = []
+    for parameter, size in error["parameters"].items():
+        unit, factor = for_people(size["unit"])
+        behind = "" if unit == "1" else f" {unit}"
+        told.append(f"{parameter} {factor * size['mean']:.3g} ± {factor * size['sd']:.2g}{behind}")
+    return ", ".join(told)

@@ -1,0 +1,34 @@
+"""`consistency` of the JSON files: whether the sensors agree, as plain numbers in SI."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from bayes_aero.flight.agreement import Consistency, PathCheck
+
+
+def consistency_results(found: Consistency) -> dict[str, Any]:
+    """The outcome, where records depart from their flight path, what explains it, and what was left and permitted."""
+    return {
+        "outcome": found.agreement.value,
+        "why_not": found.why_not or None,
+        "unchecked": list(found.unchecked),
+        "departures": [asdict(d) for d in found.departures],
+        "errors": {name: dict(error) for name, error in (found.errors or {}).items()},
+        "unsought": found.unsought or None,
+        "recorded": _checks(found.recorded),
+        "corrected": _checks(found.corrected),
+    }
+
+
+def _checks(checks: Sequence[PathCheck]) -> dict[str, Any]:
+    return {
+        check.record: {
+            "rms": {name: {"left": left, "permitted": limit} for name, (left, limit) in check.rms.items()},
+            "turbulence": check.turbulence,
+            "assumed_zero": list(check.assumed),
+        }
+        for check in checks
+    }
