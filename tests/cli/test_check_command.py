@@ -11,9 +11,10 @@ import pytest
 
 def test_a_gyro_bias_is_seen_without_aerodynamics(program, flights):
     done = program("check", flights.biased, "--json")
-    assert done.code == 0, done.err
+    assert done.code == 3, done.err  # usable, but in doubt
     found = json.loads(done.out)
     assert found["usable"]
+    assert found["consistency"]["outcome"] == "disagree_explained"
     assert found["uses"]["identify"]["possible"]
     assert found["sensors"]["agree"] is False
     size = found["sensors"]["errors"]["pitch_rate_bias"]["parameters"]["pitch_rate_bias"]
@@ -81,10 +82,10 @@ def test_an_elevator_that_the_file_counts_the_other_way_is_told(program, flights
 
 
 def test_a_report_of_the_check_is_written_on_request_only(program, flights, tmp_path):
-    assert program("check", flights.biased).code == 0
+    assert program("check", flights.biased).code == 3
     assert list(tmp_path.iterdir()) == []
     done = program("check", flights.biased, "--out", "checked")
-    assert done.code == 0
+    assert done.code == 3
     assert "checked/report.html" in done.out.replace("\n", "")
     html = (tmp_path / "checked" / "report.html").read_text().replace("<wbr>", "")
     for words in ("pitch_rate_bias", "Usable for identify, diagnose, fly", "spoiler_lift", "ALCG"):
@@ -121,7 +122,7 @@ def test_a_unit_that_the_flight_path_refutes_is_doubted(
     assert f"{name}, {declared} on the card, were in {meant}" in said
     for record, doubted in ((flights.sound, False), ("other.csv", True)):
         done = program("identify", record, "--no-sample", "--no-gp", "--no-figures", "--out", "id")
-        assert done.code == 0, done.err
+        assert done.code == (3 if doubted else 0), done.err
         assert ("the altitude changes" in done.out) == doubted
         page = (tmp_path / "id" / "report.html").read_text().replace("<wbr>", "")
         assert ("on the card, were in" in page.split("<h2")[0]) == doubted  # before all sections

@@ -1,0 +1,104 @@
+"""The faulty records of `../shared/records`: each is told by `check` and by `identify`; sound ones pass in silence.
+
+`make.py` there writes the records, and `run.py` has the tables and says what counts as told. They are read here, and
+the program is called in this process: forty processes would each load and compile it.
+"""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+SHARED = Path(__file__).resolve().parents[3] / "shared" / "records"
+QUICK = ("--no-sample", "--no-gp", "--no-figures")
+
+
+def judge():
+    """`WRONG`, `SOUND` and `told` of run.py, without running it."""
+    if not (SHARED / "run.py").is_file():
+        return {"WRONG": {}, "SOUND": [], "told": None}
+    tree = ast.parse((SHARED / "run.py").read_text())
+    tree.body = [
+        node
+        for node in tree.body
+        if (isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") in ("WRONG", "SOUND"))
+        or (isinstance(node, ast.FunctionDef) and node.name == "told")
+    ]
+    found = {"re": re}
+    exec(compile(tree, "run.py", "exec"), found)
+    return found
+
+
+JUDGE = judge()
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory):
+    """The records, made once for all workers."""
+    if not JUDGE["WRONG"]:
+        pytest.skip(f"the faulty records are not in {SHARED}")
+    root = tmp_path_factory.getbasetemp().parent / "faulty_records"
+    done = root.with_suffix(".done")
+    try:
+        root.mkdir()
+    except FileExistsError:
+        while not done.exists():
+            time.sleep(0.5)
+    else:
+        path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+        made = subprocess.run(
+            [sys.executable, str(SHARED / "make.py"), str(root)],
+            env=os.environ | {"PATH": path},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        done.write_text(made.stderr)
+    assert (root / "files" / "matrix.mat").is_file(), done.read_text()[-2000:]
+    return root
+
+
+@pytest.fixture
+def call(program, made, tmp_path):
+    """`run.py`'s own: copies under names that give nothing away."""
+
+    def called(*words):
+        given, number = [], 0
+        for word in words:
+            path = made / word
+            if path.is_file() and not word.startswith("-"):
+                number += path.suffix != ".toml"
+                name = "c.toml" if path.suffix == ".toml" else f"r{number}{path.suffix}"
+                shutil.copy(path, tmp_path / name)
+                given.append(f"./{name}")
+            else:
+                given.append(word)
+        done = program(*given)
+        return done.code, done.out + done.err
+
+    return called
+
+
+@pytest.mark.parametrize("records", JUDGE["SOUND"], ids=" ".join)
+def test_sound_records_pass(call, records):
+    code, said = call("check", *records)
+    fit, told = call("identify", *records, *QUICK, "--out", "sound")
+    assert (code, fit) == (0, 0)
+    assert "disagree" not in said + told
+    assert "✗" not in said + told
+
+
+@pytest.mark.parametrize("records", JUDGE["WRONG"], ids=" ".join)
+def test_wrong_contents_are_told(call, records):
+    options, words = JUDGE["WRONG"][records]
+    for command, more in (("check", ()), ("identify", (*QUICK, "--out", "wrong"))):
+        code, said = call(command, *records, *options, *more)
+        assert JUDGE["told"](code, said, words), (command, code, said)
