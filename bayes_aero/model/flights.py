@@ -64,6 +64,7 @@ def response_scales(
     model: Model, values: Mapping[str, Any], channels: Mapping[str, Array], aircraft: Aircraft, names: Sequence[str]
 ) -> dict[str, Array]:
     """Derivative of each corrected channel of `names` with respect to its recorded self: what its unit has become."""
+
     def correct(name, series):
         return model.corrected(values, {**channels, name: series}, aircraft)[name]
 
