@@ -18,7 +18,6 @@ from bayes_aero.criticism.extension import Extension
 from bayes_aero.criticism.state import State
 
 CORRELATED = 0.9  # of two estimates, beyond which one follows the other
-CANCELLED = 0.5  # of the smaller contribution, below which the sum of both must lie
 NEAR_ONE = 0.15  # of a sum or a difference, within which the factor is said as one
 
 
@@ -68,7 +67,7 @@ def _cancel(state: State, i: int, j: int) -> bool:
     moved = [state.scaled[state.inside][:, :, c] * _away(state, c) for c in (i, j)]
     moved = [x - x.mean(axis=0) for x in moved]
     one, other, both = (float(np.sum(weight * x**2)) for x in (*moved, moved[0] + moved[1]))
-    return both < CANCELLED**2 * min(one, other)
+    return both < min(one, other)
 
 
 def _together(state: State, effects: tuple[str, str], names: tuple[str, str], C: np.ndarray) -> Together:

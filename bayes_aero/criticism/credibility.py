@@ -43,13 +43,16 @@ def own_share(state: State, fit: Fit, effect: str) -> float:
 
 
 def attributed(causes: Sequence[Cause]) -> tuple[tuple[Cause, ...], tuple[Cause, ...]]:
-    """Causes that the record can attribute, and those with more equals than it can choose among."""
-    crowded = [c for c in causes if 1 + len(c.ambiguous_with) > MOST_NAMES]
-    return tuple(c for c in causes if c not in crowded), tuple(crowded)
+    """Causes that the record can attribute, and the others.
+
+    The latter have more equals than it can choose among, or are neither confirmed nor likelier than not.
+    """
+    named = tuple(c for c in causes if 1 + len(c.ambiguous_with) <= MOST_NAMES and (c.confirmed or c.likely))
+    return named, tuple(c for c in causes if c not in named)
 
 
 def as_structure(cause: Cause, extension: Extension, effect: Effect) -> Unknown:
-    """What a cause with too many equals explained: the output of which it takes most, through which channel."""
+    """What a cause that is none explained: the output of which it takes most, through which channel."""
     state, fit = extension.state, extension.fit
     standing = poll(state, fit, seed=0, replicates=0, without=cause.name).of(cause.name)
     columns = state.field.columns(state.field.parameters_of(cause.name))

@@ -70,9 +70,9 @@ def diagnose(
     named = [("flight path", sensors)] if sensors is not None else []
     named.append(("coefficients", aerodynamics))
     confirmations = {stage: confirmation(one.state) for stage, one in named} if gains_wanted else {}
-    causes, crowded = attributed(causes_of(field, named, confirmations, progress))
-    unknown = (*left.unknown, *structure_of(field, named, crowded))
-    minor = (*(sensors.minor if sensors else ()), *aerodynamics.minor, *(c.name for c in crowded))
+    causes, unnamed = attributed(causes_of(field, named, confirmations, progress))
+    unknown = (*left.unknown, *structure_of(field, named, unnamed))
+    minor = (*(sensors.minor if sensors else ()), *aerodynamics.minor, *(c.name for c in unnamed))
     return Diagnosis(
         verdict=verdict_of(causes, unknown),
         causes=causes,
@@ -155,10 +155,13 @@ def causes_of(
     return found
 
 
-def structure_of(field: Field, stages: Sequence[tuple[str, Extension]], crowded: Sequence[Cause]) -> tuple:
-    """Causes with too many equals, as structure without a name."""
+def structure_of(
+    field: Field, stages: Sequence[tuple[str, Extension]], unnamed: Sequence[Cause]
+) -> tuple[Unknown, ...]:
+    """What the record shows and cannot attribute; without rivals it is likelier nothing."""
     effects, extensions = {e.name: e for e in field.candidates}, dict(stages)
-    return tuple(as_structure(cause, extensions[cause.stage], effects[cause.name]) for cause in crowded)
+    several = [c for c in unnamed if c.ambiguous_with]
+    return tuple(as_structure(cause, extensions[cause.stage], effects[cause.name]) for cause in several)
 
 
 def together_of(stages: Sequence[tuple[str, Extension]], causes: Sequence[Cause]) -> tuple[Together, ...]:

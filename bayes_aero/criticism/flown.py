@@ -186,12 +186,12 @@ def diagnose_flown(
         found = _with_lag(whole, found, seed, most, progress) or found
     field = found.state.field
     named = [("trajectories", found)]
-    causes, crowded = attributed(causes_of(field, named, {}, progress))
-    unknown = structure_of(field, named, crowded)
+    causes, unnamed = attributed(causes_of(field, named, {}, progress))
+    unknown = structure_of(field, named, unnamed)
     return Diagnosis(
         verdict=verdict_of(causes, unknown),
         causes=causes,
-        minor=(*found.minor, *(c.name for c in crowded)),
+        minor=(*found.minor, *(c.name for c in unnamed)),
         unknown=unknown,
         noise=_noise(found, outliers),
         not_testable=field.not_testable,

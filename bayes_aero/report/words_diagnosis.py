@@ -63,9 +63,10 @@ def _cause(cause: Cause) -> str:
         most = size_text(largest, 0.0, cause.parameters[name].unit)
         said += f" {name} is beyond what aircraft have (at most {most}): suspect another cause."
     if cause.own_share < LITTLE:
+        share = f"{100.0 * cause.own_share:.1f} %" if cause.own_share >= 0.001 else "less than 0.1 %"
         said += (
-            f" The record hardly excites it: {cause.own_share:.1%} of what it does is not done as well by other "
-            "parameters, so that small errors of the model move it far."
+            f" The record hardly excites it: other parameters can do all but {share} of what it does, so that small "
+            "errors of the model move it far."
         )
     if not cause.excited:
         said += " Not every manoeuvre excites it."
@@ -147,7 +148,7 @@ def cause_table(view: View) -> Table | None:
     table = Table(
         title=f"Causes; R² on unseen data ({SPLITS[d.split]}), before → after",
         caption="Before: the card's model; once sensors are corrected, with corrected sensors. ±: one deviation. "
-        "*: not confirmed on unseen data, not in the extended model.",
+        "*: not confirmed on unseen data, not in the extended model. †: the verdict does not rest on it, see below.",
         box=SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
         pad_edge=False,
@@ -160,8 +161,7 @@ def cause_table(view: View) -> Table | None:
         table.add_column(f"R² {name}", justify="right", no_wrap=True)
     for cause in d.causes:
         sizes = "\n".join(size_text(s.mean, s.sd, s.unit) for s in cause.parameters.values())
-        name = cause.name if cause.confirmed else f"{cause.name}*"
-        table.add_row(name, sizes, probability(cause.probability), *(_r2(cause, c) for c in NAMES))
+        table.add_row(_marked(cause), sizes, probability(cause.probability), *(_r2(cause, c) for c in NAMES))
     return table
 
 
@@ -174,8 +174,14 @@ def flown_table(d: Diagnosis) -> Table | None:
         table.add_column(head)
     for cause in d.causes:
         sizes = "\n".join(size_text(s.mean, s.sd, s.unit) for s in cause.parameters.values())
-        table.add_row(cause.name, sizes, probability(cause.probability), several(cause.ambiguous_with))
+        table.add_row(_marked(cause), sizes, probability(cause.probability), several(cause.ambiguous_with))
+    if not all(cause.sure for cause in d.causes):
+        table.caption = "*: not confirmed on unseen flight. †: the verdict does not rest on it, see below."
     return table
+
+
+def _marked(cause: Cause) -> str:
+    return cause.name if cause.sure else f"{cause.name}*" if not cause.confirmed else f"{cause.name}†"
 
 
 def probability(value: float) -> str:
