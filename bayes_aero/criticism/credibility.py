@@ -28,7 +28,7 @@ def implausible(effect: Effect, sizes: Mapping[str, Size], neutral: Mapping[str,
 
 
 def own_share(state: State, fit: Fit, effect: str) -> float:
-    """Share of what an effect does to the outputs that no other free parameter can do as well.
+    """Share of what an effect does to the outputs, means aside, that no other free parameter can do as well.
 
     One over the variance inflation factor, the largest over its parameters; priors left out, for they are no data.
     Not a number where the effect is not in the fit.
@@ -37,8 +37,9 @@ def own_share(state: State, fit: Fit, effect: str) -> float:
     at = [int(np.flatnonzero(fit.columns == c)[0]) for c in columns if c in fit.columns]
     if not at:
         return float("nan")
-    data = fit.normal - np.diag(state.precision[fit.columns])
-    own, uncertain = np.diag(data)[at], np.diag(inverse(data))[at]
+    S = state.scaled[state.inside][:, :, fit.columns[at]]
+    own = np.einsum("mci,c->i", (S - S.mean(axis=0)) ** 2, 1.0 / fit.variance)
+    uncertain = np.diag(inverse(fit.normal - np.diag(state.precision[fit.columns])))[at]
     return float(np.max(1.0 / np.maximum(own * uncertain, 1.0)))
 
 

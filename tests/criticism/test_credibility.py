@@ -138,14 +138,15 @@ def test_two_terms_that_cancel_are_known_by_their_sum(both):
 
 
 def test_own_share_is_one_over_the_variance_inflation(both):
-    """Closed form: 1 - R2 of the effect's sensitivity regressed on the others', outputs weighed by their noise."""
+    """Closed form: what a regression on the others leaves of the effect's sensitivity, over its spread."""
     found = on(both, both.responses.flights, {"CLq": 4.0})
     state, fit = found.state, found.fit
     own = int(state.field.columns(["CLq"])[0])
-    weight = 1.0 / np.sqrt(fit.variance)
-    S = (state.scaled[state.inside] * weight[:, None]).transpose(0, 1, 2).reshape(-1, state.S.shape[2])
+    weighed = state.scaled[state.inside] / np.sqrt(fit.variance)[:, None]
+    S = weighed.reshape(-1, state.S.shape[2])
     x, others = S[:, own], S[:, [c for c in fit.columns if c != own]]
     scale = np.sqrt(np.sum(others**2, axis=0))
     left = x - (others / scale) @ np.linalg.lstsq(others / scale, x, rcond=None)[0]
-    assert own_share(state, fit, "pitch_rate_lift") == pytest.approx(left @ left / (x @ x), rel=1e-3)
+    spread = np.sum((weighed[:, :, own] - weighed[:, :, own].mean(axis=0)) ** 2)
+    assert own_share(state, fit, "pitch_rate_lift") == pytest.approx(left @ left / spread, rel=1e-3)
     assert np.isnan(own_share(state, fit, "sideslip_drag"))  # not in
