@@ -8,6 +8,7 @@ import pytest
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.flights import response_scales
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks, observe
 
@@ -87,7 +88,50 @@ def test_mach_number_follows_the_airspeed_that_it_was_made_from(card, name, size
 
 def test_every_effect_on_the_record_has_its_sign_tested():
     measured = {e.name for e in CATALOGUE.values() if e.kind in ("measurement", "environment")}
-    assert measured == {row[0] for row in RECORDED}
+    assert measured == {row[0] for row in RECORDED} | {"vane_position"}
+
+
+@pytest.mark.parametrize("x", [13.08, -4.0])
+def test_a_vane_ahead_of_the_cg_reads_the_flow_of_its_own_place(card, x):
+    """Velocities of a rigid body: (u, v + x r, w - x q) at x ahead of (u, v, w)."""
+    t = np.arange(N) * DT
+    alpha, beta, q, r = 0.2 + wave(t) / 3.0, wave(t + 1.0) / 4.0, 0.2 * wave(t + 2.0), 0.2 * wave(t + 3.0)
+    V = 80.0 + 5.0 * wave(t + 4.0)
+    u, v, w = V * np.cos(alpha) * np.cos(beta), V * np.sin(beta), V * np.sin(alpha) * np.cos(beta)
+    there = (v + x * r, w - x * q)
+    recorded = {
+        "alpha": np.arctan2(there[1], u),
+        "q": q,
+        "r": r,
+        "airspeed": np.sqrt(u**2 + there[0] ** 2 + there[1] ** 2),
+    }
+    recorded["beta"] = np.arcsin(there[0] / recorded["airspeed"])
+    given = marks(N, DT) | {name: jnp.asarray(series) for name, series in recorded.items()}
+    model = Model.of(["vane_position"])
+    true = model.corrected({"vane_position": jnp.asarray(x)}, given, card.aircraft)
+    moved = max(np.abs(recorded["alpha"] - alpha).max(), np.abs(recorded["beta"] - beta).max())
+    assert moved > 0.003  # of which less than a hundredth may be left: the airspeed is taken as that of the CG
+    np.testing.assert_allclose(true["alpha"], alpha, atol=0.01 * moved)
+    np.testing.assert_allclose(true["beta"], beta, atol=0.03 * moved)
+    without = {name: series for name, series in given.items() if name not in ("beta", "r")}
+    alone = model.corrected({"vane_position": jnp.asarray(x)}, without, card.aircraft)
+    assert "beta" not in alone
+    np.testing.assert_allclose(alone["alpha"] - given["alpha"], true["alpha"] - given["alpha"], rtol=0.02, atol=1e-12)
+
+
+def test_pitch_rate_in_the_vanes_angle_does_not_change_its_unit(card):
+    """A delay and a place away from the CG leave a degree a degree; a scale does not."""
+    t = np.arange(N) * DT
+    channels = marks(N, DT) | {
+        "alpha": jnp.asarray(wave(t)),
+        "q": jnp.asarray(wave(t + 1.0)),
+        "airspeed": jnp.full(N, 80.0),
+    }
+    names = ("alpha", "q", "airspeed")
+    for effect, value, unit in (("vane_position", 13.0, 1.0), ("alpha_delay", 0.1, 1.0), ("alpha_scale", 0.25, 0.8)):
+        scale = response_scales(Model.of([effect]), {effect: jnp.asarray(value)}, channels, card.aircraft, names)
+        np.testing.assert_allclose(scale["alpha"][5:-5], unit, rtol=0.02)
+        np.testing.assert_allclose(scale["q"], 1.0)
 
 
 def test_all_effects_see_the_record_and_none_the_others_correction(card):

@@ -9,10 +9,12 @@ import numpy as np
 
 from bayes_aero.criticism.accuracy import filtered_channels
 from bayes_aero.criticism.candidates import Field, field_of
+from bayes_aero.criticism.collinear import Together, cancelling
 from bayes_aero.criticism.confirmation import Confirmation, confirmation
+from bayes_aero.criticism.credibility import as_structure, attributed, implausible, own_share
 from bayes_aero.criticism.election import Standing, poll
 from bayes_aero.criticism.extension import Extension
-from bayes_aero.criticism.finding import Cause, Diagnosis, Gain, Verdict
+from bayes_aero.criticism.finding import Cause, Diagnosis, Gain, Unknown, Verdict
 from bayes_aero.criticism.gain import LeftOut, gain, gained, measured_blocks, split_name, truncated
 from bayes_aero.criticism.residuals import noise_report
 from bayes_aero.criticism.responses import Responses
@@ -68,13 +70,14 @@ def diagnose(
     named = [("flight path", sensors)] if sensors is not None else []
     named.append(("coefficients", aerodynamics))
     confirmations = {stage: confirmation(one.state) for stage, one in named} if gains_wanted else {}
-    causes = causes_of(field, named, confirmations, progress)
-    minor = (*(sensors.minor if sensors else ()), *aerodynamics.minor)
+    causes, unnamed = attributed(causes_of(field, named, confirmations, progress))
+    unknown = (*left.unknown, *structure_of(field, named, unnamed))
+    minor = (*(sensors.minor if sensors else ()), *aerodynamics.minor, *(c.name for c in unnamed))
     return Diagnosis(
-        verdict=verdict_of(causes, left.unknown),
-        causes=tuple(causes),
+        verdict=verdict_of(causes, unknown),
+        causes=causes,
         minor=minor,
-        unknown=left.unknown,
+        unknown=unknown,
         noise=noise_report(aerodynamics, outliers),
         not_testable=field.not_testable,
         sensors=sensors,
@@ -84,6 +87,7 @@ def diagnose(
         base_moves=moves_of(aerodynamics),
         kept=confirmations["coefficients"].kept if gains_wanted else aerodynamics.state.active,
         notes=(*_notes(flights), *_denials(both)),
+        together=together_of(named, causes),
     )
 
 
@@ -144,9 +148,29 @@ def causes_of(
                     excited=_excited(extension.state, name),
                     confirmed=sure is None or name in sure.kept,
                     missed=NOTHING if sure is None else sure.missed[name],
+                    implausible=implausible(effect, extension.sizes, field.neutral),
+                    own_share=own_share(extension.state, extension.fit, name),
                 )
             )
     return found
+
+
+def structure_of(
+    field: Field, stages: Sequence[tuple[str, Extension]], unnamed: Sequence[Cause]
+) -> tuple[Unknown, ...]:
+    """What the record shows and cannot attribute; without rivals it is likelier nothing."""
+    effects, extensions = {e.name: e for e in field.candidates}, dict(stages)
+    several = [c for c in unnamed if c.ambiguous_with]
+    return tuple(as_structure(cause, extensions[cause.stage], effects[cause.name]) for cause in several)
+
+
+def together_of(stages: Sequence[tuple[str, Extension]], causes: Sequence[Cause]) -> tuple[Together, ...]:
+    """Pairs of named causes of one stage that cancel."""
+    return tuple(
+        pair
+        for stage, extension in stages
+        for pair in cancelling(extension, [c.name for c in causes if c.stage == stage])
+    )
 
 
 def _excited(state: State, name: str) -> bool:
@@ -237,7 +261,19 @@ def moves_of(extension: Extension) -> Mapping[str, tuple[float, float, float]]:
     }
 
 
-def verdict_of(causes: Sequence[Cause], unknown: Sequence) -> Verdict:
-    if unknown:
-        return Verdict.PARTLY_EXPLAINED if causes else Verdict.UNEXPLAINED
-    return Verdict.EXPLAINED if causes else Verdict.NO_EFFECT
+def verdict_of(causes: Sequence[Cause], unknown: Sequence[Unknown]) -> Verdict:
+    """What is missing counts as explained by causes that are sure alone (see `Cause.sure`)."""
+    if any(cause.sure for cause in causes):
+        return Verdict.PARTLY_EXPLAINED if unknown else Verdict.EXPLAINED
+    return Verdict.UNEXPLAINED if unknown or causes else Verdict.NO_EFFECT
+
+
+def asked_of_flight(found: Diagnosis, confirmation: Confirmation) -> Diagnosis:
+    """The diagnosis with what unseen flight says of its causes; one that it was not asked about stays as it is."""
+    causes = tuple(
+        replace(c, confirmed=c.name in confirmation.kept, missed=confirmation.missed[c.name])
+        if c.name in confirmation.missed
+        else c
+        for c in found.causes
+    )
+    return replace(found, causes=causes, verdict=verdict_of(causes, found.unknown))

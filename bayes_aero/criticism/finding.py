@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.criticism.accuracy import Size
+from bayes_aero.criticism.collinear import Together
 from bayes_aero.criticism.extension import Extension
 from bayes_aero.inference.scores import Scores
+
+LIKELY = 0.5  # probability beyond which a cause is likelier than all else together
 
 
 class Verdict(StrEnum):
@@ -43,7 +46,9 @@ class Cause:
     """One named effect. `stage` tells where it was found: the flight path (sensors) or the coefficients.
 
     `confirmed`: unseen data miss it when it is taken out, by the log density `missed` with its deviation; what is not
-    confirmed stays out of the model that is flown and compared (see `confirmation`).
+    confirmed stays out of the model that is flown and compared (see `confirmation`). `implausible`: parameters beyond
+    the largest size that aircraft have, with that size; `own_share`: of what it does, what no other free parameter
+    can do as well (see `credibility`).
     """
 
     name: str
@@ -58,16 +63,37 @@ class Cause:
     excited: bool = True
     confirmed: bool = True
     missed: tuple[float, float] = (float("nan"), float("nan"))
+    implausible: Mapping[str, float] = field(default_factory=dict)
+    own_share: float = float("nan")
+
+    @property
+    def bounded(self) -> tuple[str, ...]:
+        """Parameters whose fit wants to go on beyond their bounds."""
+        return tuple(name for name, size in self.parameters.items() if size.at_bound)
+
+    @property
+    def likely(self) -> bool:
+        """Whether it is more probable than all that could take its place, nothing included."""
+        return self.probability > LIKELY
+
+    @property
+    def sure(self) -> bool:
+        """Whether the verdict may rest on it: confirmed, likelier than not, and of a size that aircraft have."""
+        return self.confirmed and self.likely and not self.bounded and not self.implausible
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """Structure that no known effect explains: predicted on unseen data by a recorded channel or a period."""
+    """Structure that no known effect explains: predicted on unseen data by a recorded channel or a period.
+
+    `rivals`: more effects would explain it about equally well than the record can choose among.
+    """
 
     coefficient: str
     channel: str
     share: float  # of the remaining variance of that coefficient
     p_value: float
+    rivals: tuple[str, ...] = ()
 
 
 # Lag-1 correlation of means over five samples, our choice from a dozen simulated flights: white noise leaves up to a
@@ -114,3 +140,4 @@ class Diagnosis:
     base_moves: Mapping[str, tuple[float, float, float]]  # base parameter: before, after, deviation after
     kept: tuple[str, ...] = ()  # additions to the coefficients that unseen data confirm
     notes: tuple[str, ...] = ()
+    together: tuple[Together, ...] = ()  # pairs of causes of which the record knows one combination alone

@@ -17,7 +17,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from bayes_aero.criticism.candidates import Field, field_of, lag_of
-from bayes_aero.criticism.diagnosis import causes_of, moves_of, verdict_of
+from bayes_aero.criticism.credibility import attributed
+from bayes_aero.criticism.diagnosis import causes_of, moves_of, structure_of, together_of, verdict_of
 from bayes_aero.criticism.extension import (
     ALPHA,
     DECISIVE,
@@ -184,12 +185,14 @@ def diagnose_flown(
     if found.state.active:
         found = _with_lag(whole, found, seed, most, progress) or found
     field = found.state.field
-    causes = tuple(causes_of(field, [("trajectories", found)], {}, progress))
+    named = [("trajectories", found)]
+    causes, unnamed = attributed(causes_of(field, named, {}, progress))
+    unknown = structure_of(field, named, unnamed)
     return Diagnosis(
-        verdict=verdict_of(causes, ()),
+        verdict=verdict_of(causes, unknown),
         causes=causes,
-        minor=found.minor,
-        unknown=(),
+        minor=(*found.minor, *(c.name for c in unnamed)),
+        unknown=unknown,
         noise=_noise(found, outliers),
         not_testable=field.not_testable,
         sensors=None,
@@ -198,6 +201,7 @@ def diagnose_flown(
         split=split_name(found.state),
         base_moves=moves_of(found),
         notes=() if fit.status is OutputErrorStatus.CONVERGED else (f"The card's model: {fit.status.value}.",),
+        together=together_of(named, causes),
     )
 
 

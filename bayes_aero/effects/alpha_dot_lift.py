@@ -27,5 +27,5 @@ EFFECT = Effect(
         "2 x 0.04 x 3/80, by hand, chord 3 m",
     ),
     source="a linear aerodynamic derivative; textbook form",
-    sizes={"CLadot": (2.0, 20.0)},
+    sizes={"CLadot": (2.0, 10.0)},
 )

@@ -22,5 +22,5 @@ EFFECT = Effect(
         {"CLq": 4.0}, {"q": 0.05, "airspeed": 75.0}, {"CL_attached": 0.008}, "4 x 0.05 x 3/75, by hand, chord 3 m"
     ),
     source="a linear aerodynamic derivative; textbook form",
-    sizes={"CLq": (2.0, 20.0)},
+    sizes={"CLq": (2.0, 10.0)},
 )

@@ -36,5 +36,5 @@ EFFECT = Effect(
         "9000 x 0.3/(1800 x 60 x 3), by hand, 60 m^2 and chord 3 m",
     ),
     source="a force at an arm makes a moment, by mechanics",
-    sizes={"thrust_arm": (0.05, 1.0)},
+    sizes={"thrust_arm": (0.05, 2.0)},
 )

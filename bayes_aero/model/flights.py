@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -63,13 +64,13 @@ def response_scales(
     model: Model, values: Mapping[str, Any], channels: Mapping[str, Array], aircraft: Aircraft, names: Sequence[str]
 ) -> dict[str, Array]:
     """Derivative of each corrected channel of `names` with respect to its recorded self: what its unit has become."""
+
+    def correct(name, series):
+        return model.corrected(values, {**channels, name: series}, aircraft)[name]
+
+    # One channel at a time: what another channel adds to it (the vane's angle its pitch rate) is not its unit.
     own = {name: channels[name] for name in names if name in channels}
-
-    def correct(part):
-        fixed = model.corrected(values, {**channels, **part}, aircraft)
-        return {name: fixed[name] for name in part}
-
-    return jax.jvp(correct, (own,), ({name: jnp.ones_like(x) for name, x in own.items()},))[1]
+    return {name: jax.jvp(partial(correct, name), (x,), (jnp.ones_like(x),))[1] for name, x in own.items()}
 
 
 ADDED = MARKS

@@ -219,10 +219,11 @@ def _open(d: Diagnosis, told: Told, rest: Sequence[str]) -> tuple[Block, ...]:
         blocks.append(Text(f"Equally good explanations on this record: {'; '.join(sets)}."))
     else:
         blocks.append(Text("No named cause has a rival that explains the record about as well."))
-    blocks += separating(told.separating)
+    pairs = [one for one in rest if " cancel each other " in one]
+    blocks += [*bullets(pairs), *separating(told.separating)]
     unknown = [one for one in rest if one.startswith("Unexplained")]
     blocks += bullets(unknown) or (Text("No structure is left that a recorded channel would predict."),)
-    others = [s for s in rest if s not in unknown and not any(s.startswith(f"{c.name}: ") for c in d.causes)]
+    others = [s for s in rest if s not in (*unknown, *pairs) and not any(s.startswith(f"{c.name}: ") for c in d.causes)]
     blocks.append(
         Fold("Noise, and effects that this record cannot test", bullets(others) or (Text("Nothing to say."),))
     )

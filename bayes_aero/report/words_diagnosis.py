@@ -9,7 +9,7 @@ import pandas as pd
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from bayes_aero.criticism.finding import Cause, Diagnosis, Verdict
+from bayes_aero.criticism.finding import Cause, Diagnosis
 from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.physics.coefficients import NAMES
@@ -17,8 +17,9 @@ from bayes_aero.report.diagnosed import View
 from bayes_aero.report.style import several, size_text
 from bayes_aero.report.words_signs import sign_sentences
 from bayes_aero.report.words_trajectory import trajectory_sentences
+from bayes_aero.report.words_verdict import verdict_sentence
 
-FEW = 3  # causes whose sizes stand in the verdict
+LITTLE = 0.02  # own share of an effect below which the record hardly excites it
 SPLITS = {
     "manoeuvre": "each manoeuvre predicted from the others",
     "block": "each stretch of the manoeuvre predicted from the others",
@@ -39,9 +40,10 @@ def sentences(view: View) -> list[str]:
 def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list[str]:
     """As `sentences`, of a diagnosis alone."""
     return [
-        _verdict(d),
+        verdict_sentence(d),
         *sign_sentences({name: (after, sd) for name, (_, after, sd) in d.base_moves.items()}),
         *(_cause(cause) for cause in d.causes),
+        *_together(d),
         *_minor(d),
         *_unknown(d),
         *_noise(d),
@@ -51,51 +53,21 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
     ]
 
 
-def _verdict(d: Diagnosis) -> str:
-    sure = [c for c in d.causes if c.confirmed and not _bounded(c)]
-    plural = "causes explain" if len(sure) > 1 else "cause explains"
-    subject = f"{len(sure)} {plural}" if sure else "Nothing that can be relied on explains"
-    sized = len(sure) <= FEW
-    names = several(_named(c, sized) for c in sure)
-    names = f": {names}{_doubtful(d)}" if sure else _doubtful(d)
-    unknown = several(sorted({f"{u.coefficient} over {u.channel}" for u in d.unknown}))
-    return {
-        Verdict.NO_EFFECT: "Nothing worth a name, that this record could show, is missing from the card's model.",
-        Verdict.EXPLAINED: f"{subject} what the card's model gets wrong{names}.",
-        Verdict.PARTLY_EXPLAINED: f"{subject} a part of what the card's model gets wrong{names}; "
-        f"unexplained structure remains ({unknown}).",
-        Verdict.UNEXPLAINED: f"The card's model is wrong and no effect of the catalogue explains it ({unknown}).",
-    }[d.verdict]
-
-
-def _named(cause: Cause, sized: bool) -> str:
-    """Its name, its size if that is asked for, and its equals."""
-    sizes = ", ".join(size_text(x.mean, x.sd, x.unit) for x in cause.parameters.values()) if sized else ""
-    rivals = f"or {' or '.join(cause.ambiguous_with)}" if cause.ambiguous_with else ""
-    said = ", ".join(part for part in (sizes, rivals) if part)
-    return f"{cause.name} ({said})" if said else cause.name
-
-
-def _bounded(cause: Cause) -> list[str]:
-    return [name for name, size in cause.parameters.items() if size.at_bound]
-
-
-def _doubtful(d: Diagnosis) -> str:
-    """Causes that are named and carry the explanation in no way that a user should rely on."""
-    bounded = several(c.name for c in d.causes if _bounded(c))
-    open_ = several(c.name for c in d.causes if not c.confirmed and not _bounded(c))
-    said = f"; named, but not confirmed on unseen data: {open_}" if open_ else ""
-    return said + (
-        f"; at the bounds of what is sensible, so that another cause must be behind: {bounded}" if bounded else ""
-    )
-
-
 def _cause(cause: Cause) -> str:
     said = f"{cause.name}: {cause.claim}"
     if cause.ambiguous_with:
         said += f" On this record {several(cause.ambiguous_with)} would explain it about as well."
-    if held := _bounded(cause):
-        said += f" {several(held)} would go beyond the bounds of what is sensible: suspect another cause behind it."
+    if cause.bounded:
+        said += f" {several(cause.bounded)} would go beyond the bounds of what is sensible: suspect another cause."
+    for name, largest in cause.implausible.items():
+        most = size_text(largest, 0.0, cause.parameters[name].unit)
+        said += f" {name} is beyond what aircraft have (at most {most}): suspect another cause."
+    if cause.own_share < LITTLE:
+        share = f"{100.0 * cause.own_share:.1f} %" if cause.own_share >= 0.001 else "less than 0.1 %"
+        said += (
+            f" The record hardly excites it: other parameters can do all but {share} of what it does, so that small "
+            "errors of the model move it far."
+        )
     if not cause.excited:
         said += " Not every manoeuvre excites it."
     lost, sd = cause.missed
@@ -105,6 +77,22 @@ def _cause(cause: Cause) -> str:
         model = "simulation" if cause.stage == "flight path" else "extended model"
         said += f" Unseen data do not confirm it (taken out: log density {-lost:+.1f} ± {sd:.1f})"
         said += f"; the {model} does without it."
+    return said
+
+
+def _together(d: Diagnosis) -> list[str]:
+    """What the record knows of two terms that cancel."""
+    said = []
+    for pair in d.together:
+        one, other = pair.parameters
+        factor = "" if abs(pair.factor) == 1.0 else f"{abs(pair.factor):.3g} "
+        sign = "+" if pair.factor > 0.0 else "-"
+        size = size_text(pair.mean, pair.sd, pair.unit)
+        said.append(
+            f"{several(pair.effects)} cancel each other (correlation {pair.correlation:+.2f}): this record does not "
+            f"know {one} and {other} but {one} {sign} {factor}{other} = {size}. A manoeuvre that moves them apart "
+            "would tell."
+        )
     return said
 
 
@@ -118,8 +106,11 @@ def _minor(d: Diagnosis) -> list[str]:
 
 def _unknown(d: Diagnosis) -> list[str]:
     return [
-        f"Unexplained: {u.coefficient} still follows {u.channel} ({u.share:.0%} of the variance that is left), and no "
-        "known effect says why."
+        f"Unexplained: {u.coefficient} shows structure over {u.channel} ({u.share:.0%} of the variance that is left) "
+        f"that this record cannot attribute: {several(u.rivals)} would explain it about equally well."
+        if u.rivals
+        else f"Unexplained: {u.coefficient} still follows {u.channel} ({u.share:.0%} of the variance that is left), "
+        "and no known effect says why."
         for u in d.unknown
     ]
 
@@ -157,7 +148,7 @@ def cause_table(view: View) -> Table | None:
     table = Table(
         title=f"Causes; R² on unseen data ({SPLITS[d.split]}), before → after",
         caption="Before: the card's model; once sensors are corrected, with corrected sensors. ±: one deviation. "
-        "*: not confirmed on unseen data, not in the extended model.",
+        "*: not confirmed on unseen data, not in the extended model. †: the verdict does not rest on it, see below.",
         box=SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
         pad_edge=False,
@@ -170,8 +161,7 @@ def cause_table(view: View) -> Table | None:
         table.add_column(f"R² {name}", justify="right", no_wrap=True)
     for cause in d.causes:
         sizes = "\n".join(size_text(s.mean, s.sd, s.unit) for s in cause.parameters.values())
-        name = cause.name if cause.confirmed else f"{cause.name}*"
-        table.add_row(name, sizes, probability(cause.probability), *(_r2(cause, c) for c in NAMES))
+        table.add_row(_marked(cause), sizes, probability(cause.probability), *(_r2(cause, c) for c in NAMES))
     return table
 
 
@@ -184,8 +174,14 @@ def flown_table(d: Diagnosis) -> Table | None:
         table.add_column(head)
     for cause in d.causes:
         sizes = "\n".join(size_text(s.mean, s.sd, s.unit) for s in cause.parameters.values())
-        table.add_row(cause.name, sizes, probability(cause.probability), several(cause.ambiguous_with))
+        table.add_row(_marked(cause), sizes, probability(cause.probability), several(cause.ambiguous_with))
+    if not all(cause.sure for cause in d.causes):
+        table.caption = "*: not confirmed on unseen flight. †: the verdict does not rest on it, see below."
     return table
+
+
+def _marked(cause: Cause) -> str:
+    return cause.name if cause.sure else f"{cause.name}*" if not cause.confirmed else f"{cause.name}†"
 
 
 def probability(value: float) -> str:
@@ -232,6 +228,7 @@ def causes_frame(view: View) -> pd.DataFrame:
                 "kind": cause.kind,
                 "stage": cause.stage,
                 "confirmed": cause.confirmed,
+                "sure": cause.sure,
                 "parameter": name,
                 "mean": size.mean,
                 "sd": size.sd,

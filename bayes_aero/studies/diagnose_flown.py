@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bayes_aero.criticism.consistency import consistency
+from bayes_aero.criticism.diagnosis import asked_of_flight
 from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.flown import diagnose_flown
 from bayes_aero.criticism.trajectory import Trajectories
@@ -22,7 +23,15 @@ from bayes_aero.report.page_diagnosis import Told, flown_page
 from bayes_aero.report.style import several
 from bayes_aero.report.words_diagnosis import diagnosis_sentences
 from bayes_aero.studies.consistency_results import consistency_results
-from bayes_aero.studies.diagnosis_results import SCHEMA, cause_results, noise_results, record_results, screen
+from bayes_aero.studies.diagnosis_results import (
+    SCHEMA,
+    cause_results,
+    noise_results,
+    record_results,
+    screen,
+    together_results,
+    unknown_results,
+)
 from bayes_aero.studies.folder import writable
 from bayes_aero.studies.histories import HISTORIES, flights, put_histories
 from bayes_aero.studies.outlook import simulations
@@ -65,6 +74,8 @@ def run_flown(
     if still:
         note += f" Not recorded, and taken as zero: {several(still)}."
     flown: Trajectories | None = None
+    if found.causes and not fly:
+        note += " Without trajectories unseen flight was not asked about any cause."
 
     def write() -> list[str]:
         said = [*diagnosis_sentences(found, flown), note, *record_doubts(records, card.channels)]
@@ -76,6 +87,7 @@ def run_flown(
     if fly:
         try:
             flown = simulations(found, card, records, seed, progress)
+            found = asked_of_flight(found, flown.asked)
         except InputError as error:
             note += f" Trajectories were not compared: {error}"
         said = write()
@@ -107,7 +119,8 @@ def _results(
         "sentences": list(said),
         "causes": [cause_results(cause) for cause in d.causes],
         "minor": list(d.minor),
-        "unexplained": [],
+        "unexplained": unknown_results(d.unknown),
+        "together": together_results(d),
         "noise": noise_results(d.noise),
         "not_testable": dict(d.not_testable),
         "screen": screen(d, rankings_of(d)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bayes_aero.criticism.finding import Cause, Diagnosis, Gain, NoiseReport
+from bayes_aero.criticism.finding import Cause, Diagnosis, Gain, NoiseReport, Unknown
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
@@ -42,10 +42,8 @@ def diagnosis_results(
         "sentences": list(sentences),
         "causes": [cause_results(cause) for cause in d.causes],
         "minor": list(d.minor),
-        "unexplained": [
-            {"coefficient": u.coefficient, "channel": u.channel, "share_of_variance": u.share, "p_value": u.p_value}
-            for u in d.unknown
-        ],
+        "unexplained": unknown_results(d.unknown),
+        "together": together_results(d),
         "noise": noise_results(d.noise),
         "not_testable": dict(d.not_testable),
         "screen": screen(d, view.rankings),
@@ -71,6 +69,36 @@ def diagnosis_results(
     if hidden is not None:
         found["hidden"] = dict(hidden)
     return found
+
+
+def unknown_results(unknown: Sequence[Unknown]) -> list[dict[str, Any]]:
+    """Structure without a name, and that of which the record cannot choose a name."""
+    return [
+        {
+            "coefficient": u.coefficient,
+            "channel": u.channel,
+            "share_of_variance": u.share,
+            "p_value": u.p_value,
+            "rivals": list(u.rivals),
+        }
+        for u in unknown
+    ]
+
+
+def together_results(d: Diagnosis) -> list[dict[str, Any]]:
+    """Pairs of causes that cancel, and the combination that the record knows."""
+    return [
+        {
+            "effects": list(pair.effects),
+            "parameters": list(pair.parameters),
+            "factor": pair.factor,
+            "mean": pair.mean,
+            "sd": pair.sd,
+            "unit": pair.unit,
+            "correlation": pair.correlation,
+        }
+        for pair in d.together
+    ]
 
 
 def noise_results(noise: NoiseReport) -> dict[str, Any]:
@@ -120,6 +148,9 @@ def cause_results(cause: Cause) -> dict[str, Any]:
         "excited": cause.excited,
         "confirmed": cause.confirmed,
         "missed": {"elpd": cause.missed[0], "elpd_se": cause.missed[1]},
+        "sure": cause.sure,
+        "implausible": dict(cause.implausible),
+        "own_share": cause.own_share,
         "ambiguous_with": list(cause.ambiguous_with),
         "parameters": {
             name: {

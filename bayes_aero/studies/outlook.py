@@ -31,13 +31,20 @@ def predictors(diagnosis: Diagnosis, card: Card, progress: Progress | None = Non
 
 
 def separations(diagnosis: Diagnosis, progress: Progress | None = None) -> list[dict[str, Any]]:
-    """For each ambiguity set of the coefficients' causes: the standard manoeuvre that would tell its members apart."""
+    """For each ambiguity set of the coefficients' causes, and each pair that cancels: the standard manoeuvre that would
+    tell its members apart."""
     state = diagnosis.aerodynamics.state
     sets: dict[frozenset[str], dict[str, float]] = {}
     for cause in diagnosis.causes:
         members = frozenset((cause.name, *cause.ambiguous_with))
         if len(members) > 1 and cause.stage == "coefficients":
             sets.setdefault(members, {name: abs(size.mean) for name, size in cause.parameters.items()})
+    known = {c.name: c.parameters for c in diagnosis.causes if c.stage == "coefficients"}
+    for pair in diagnosis.together:
+        if set(pair.effects) <= set(known):
+            sets = {
+                frozenset(pair.effects): {}
+            } | sets  # at the least sizes worth modelling: the estimates mean nothing
     sets = dict(list(sets.items())[:SETS])
     if not sets:
         return []
