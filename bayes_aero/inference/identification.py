@@ -17,7 +17,7 @@ from bayes_aero.inference.scores import Scores
 from bayes_aero.inference.stall import Stall
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour
-from bayes_aero.model.observations import Observations
+from bayes_aero.model.observations import Forming, Observations
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Identification:
     `alone` holds the maximum-likelihood fit of each manoeuvre by itself. `posteriors` has `emcee` and `nuts` under
     the chosen noise model `noise`, and `white`, by emcee, where that is another one. `stall` is over the draws of the
     first of them. `preparation` tells, in words, what the way the coefficients were formed does to the estimates.
-    `truth` has the parameters (SI and radians) that simulated records were flown with.
+    `forming` is how. `truth` has the parameters (SI and radians) that simulated records were flown with.
     """
 
     card: Card
@@ -79,3 +79,4 @@ class Identification:
     preparation: tuple[str, ...] = ()
     truth: Mapping[str, float] | None = None
     seconds: dict[str, float] = field(default_factory=dict)
+    forming: Forming = Forming.MATCHED

@@ -2,8 +2,8 @@
 
 Signals are conditioned in one of three ways. `condition`: exactly as the published ATTAS coefficients were formed:
 alpha, beta, V smoothed; alpha-dot the derivative of smoothed alpha; p, q, r smoothed and differentiated for the angular
-accelerations, unsmoothed where they enter kinematics. `alike_joined`: every channel smoothed alike. `unsmoothed_joined`:
-none, for whoever smooths the difference of what is measured and modelled.
+accelerations, unsmoothed where they enter kinematics. `alike_joined`: every channel smoothed alike.
+`unsmoothed_joined`: none, for whoever smooths the difference of what is measured and modelled.
 Source: Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, ch. 12 and its companion data set.
 """
 
