@@ -40,4 +40,4 @@ def sign_sentences(estimates: Mapping[str, tuple[float, float]]) -> list[str]:
 def _beyond(limit: float, value: float, deviation: float, side: float) -> bool:
     """Whether a value lies beyond the limit on that side, surely or by more than twice the limit."""
     margin = SURE * deviation if math.isfinite(deviation) else 0.0
-    return side * (value - limit) > (min(margin, 2.0 * abs(limit)) if limit else margin)
+    return bool(side * (value - limit) > (min(margin, 2.0 * abs(limit)) if limit else margin))
