@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import pandas as pd
+
+from bayes_aero.inference.prior_sensitivity import SENSITIVE
 from bayes_aero.inference.restraints import Bounded, PriorConflict
 from bayes_aero.report.style import several
 
@@ -17,6 +20,23 @@ def conflict_sentences(conflicts: Sequence[PriorConflict]) -> list[str]:
         f"{c.name} with it; widen the prior, or find out why the record differs."
         for c in conflicts
     ]
+
+
+def leaning_sentences(table: pd.DataFrame, conflicts: Sequence[PriorConflict]) -> tuple[str, ...]:
+    """How far the posterior leans on priors that the record contradicts, and which other parameters do besides.
+
+    Args:
+        table: of `prior_sensitivity`.
+        conflicts: the priors.
+    """
+    names = [c.name for c in conflicts if c.name in table.index]
+    if not names:
+        return ()
+    prior, data = (table[part].astype(float).to_dict() for part in ("prior", "likelihood"))
+    own = several(f"{n} {prior[n]:.2f} to the prior, {data[n]:.2f} to the data" for n in names)
+    others = [str(n) for n in prior if n not in names and prior[n] >= SENSITIVE]
+    more = f" Priors move {several(others)} as well." if others else ""
+    return (f"Sensitivity of the posterior by power-scaling ({SENSITIVE:g} and above counts): {own}.{more}",)
 
 
 def bound_sentences(found: Sequence[Bounded]) -> list[str]:

@@ -26,6 +26,7 @@ from bayes_aero.inference.laplace import density_start, other_modes, search_mode
 from bayes_aero.inference.mle import MOST_ALONE, fit_alone, fit_mle
 from bayes_aero.inference.nuts import sample_nuts
 from bayes_aero.inference.posterior import PosteriorStatus
+from bayes_aero.inference.prior_sensitivity import prior_sensitivity
 from bayes_aero.inference.splits import SplitKind
 from bayes_aero.inference.stall import stall_of_posterior
 from bayes_aero.inference.validation import validate
@@ -39,6 +40,7 @@ from bayes_aero.report.page_identification import identification_page
 from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.tables import paper_table, parameter_table, validation_table, write_csv
 from bayes_aero.report.words import verdict
+from bayes_aero.report.words_restraints import leaning_sentences
 from bayes_aero.studies.environment import rests_on
 from bayes_aero.studies.folder import writable
 from bayes_aero.studies.histories import identified, put_histories
@@ -123,6 +125,8 @@ def identify(
                 kept["checkpoint"] = stores(f"{key}_{colour.value}")
             posterior = engine(density, mode, seed=seed, progress=progress, **kept)
         told = other_modes(mode, f"{key}, {colour.value} noise")
+        if mle.conflicts and key == "emcee":
+            told += leaning_sentences(prior_sensitivity(density, posterior), mle.conflicts)
         run = replace(run, posteriors=run.posteriors | {key: posterior}, notes=(*run.notes, *told))
         writer.stage(run, posterior_name=key)
 
