@@ -22,6 +22,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import air
 from bayes_aero.physics.coefficients import (
     REQUIRED,
+    SMOOTHED,
     alike_joined,
     coefficient_noise,
     coefficients,
@@ -224,10 +225,10 @@ def _formed(
     true = model.corrected(values, {**joined, **beside}, aircraft)
     channels, ends = {key: true[key] for key in joined}, [beside[key] for key in ("dt", "first", "last")]
     if forming is Forming.MATCHED:
-        signals = alike_joined(channels, aircraft.accelerometer, *ends)
+        signals, smoothed = alike_joined(channels, aircraft.accelerometer, *ends), tuple(channels)
     else:
-        signals = condition_joined(channels, *ends)
-    noise = coefficient_noise(signals, aircraft, sensors, beside["dt"])
+        signals, smoothed = condition_joined(channels, *ends), SMOOTHED
+    noise = coefficient_noise(signals, aircraft, sensors, beside["dt"], smoothed)
     return signals, jnp.stack(coefficients(signals, aircraft), axis=-1), noise
 
 

@@ -9,7 +9,7 @@ Source: Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, ch. 1
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -150,15 +150,16 @@ def coefficient_noise(
     aircraft: Aircraft,
     sensor_sd: Mapping[str, float],
     dt: float | Float[Array, " n"],
+    smoothed: Collection[str] = SMOOTHED,
 ) -> Float[Array, "n 3"]:
     """Standard deviation of CL, CD, Cm per sample from independent white sensor noise of deviation `sensor_sd` (SI).
 
-    First order. Smoothing and differentiation scale the noise by their weights' root sum of squares, which is exact
-    away from the outer eight samples; a raw rate and the derivative of its smoothed self are uncorrelated at one
-    sample because the one filter is even and the other odd.
+    First order; `smoothed` names the channels that were smoothed. Smoothing and differentiation scale the noise by
+    their weights' root sum of squares, which is exact away from the outer eight samples; a rate and the derivative of
+    its smoothed self are uncorrelated at one sample because the one filter is even and the other odd.
     """
     noisy = {name: value for name, value in sensor_sd.items() if value != 0.0}
-    sd: dict[str, Any] = {name: value * (SMOOTHING_GAIN if name in SMOOTHED else 1.0) for name, value in noisy.items()}
+    sd: dict[str, Any] = {name: value * (SMOOTHING_GAIN if name in smoothed else 1.0) for name, value in noisy.items()}
     for name in ("p", "q", "r"):
         if name in noisy:
             sd[f"{name}_dot"] = noisy[name] * SMOOTHED_DERIVATIVE_GAIN / dt

@@ -24,7 +24,7 @@ def test_the_mean_of_a_first_order_autoregression(rho):
     """The variance of a sample mean of n samples tends to (1 + rho)/(1 - rho)/n."""
     rng, n, found = np.random.default_rng(5), 3000, []
     for _ in range(30):
-        noise = lfilter([np.sqrt(1.0 - rho**2)], [1.0, -rho], rng.standard_normal(n + 200))[200:]
+        noise = np.asarray(lfilter([np.sqrt(1.0 - rho**2)], [1.0, -rho], rng.standard_normal(n + 200)))[200:]
         found.append(variance(np.ones(n), (noise - noise.mean())[:, None])[0])
     assert np.mean(found) == pytest.approx((1.0 + rho) / (1.0 - rho) / n, rel=0.15)
 
