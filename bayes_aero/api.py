@@ -40,7 +40,7 @@ from bayes_aero.inference.validation import validate
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
-from bayes_aero.model.observations import observe
+from bayes_aero.model.observations import Forming, observe
 from bayes_aero.report.diagnosed import View, view_of
 from bayes_aero.report.figures import DIAGNOSIS_FIGURES, FIGURES
 from bayes_aero.report.style import NotDrawn
@@ -54,6 +54,7 @@ __all__ = ["Diagnosed", "Fit", "diagnose", "fit", "gpr", "plot", "read", "sample
 
 Engine = Literal["emcee", "nuts"]
 NoiseName = Literal["white", "ar1", "buffet-ar1"]
+FormingName = Literal["matched", "published"]
 Shown = TypeVar("Shown")
 ENGINES = {"emcee": sample_ensemble, "nuts": sample_nuts}
 
@@ -151,16 +152,29 @@ def read(
 
 
 def fit(
-    records: Sequence[FlightRecord], card: str | Card = "attas", *, model: Model | None = None, seed: int = 0
+    records: Sequence[FlightRecord],
+    card: str | Card = "attas",
+    *,
+    model: Model | None = None,
+    coefficients: FormingName = "matched",
+    seed: int = 0,
 ) -> Fit:
     """Maximum likelihood (Gauss-Newton) of `model`, by default the card's, to all records jointly and to each alone
-    (up to 24 of them)."""
-    card = _card(card)
+    (up to 24 of them).
+
+    `coefficients` are formed from signals all filtered alike (`matched`), or as the published ATTAS ones were, which
+    filters the accelerations and not the controls (`published`).
+    """
+    if coefficients not in get_args(FormingName):
+        known = ", ".join(get_args(FormingName))
+        raise InputError(f"there is no way of forming coefficients {coefficients!r}; choose one of {known}")
+    card, forming = _card(card), Forming(coefficients)
     model = model or Model.from_card(card)
-    observations = observe(records, card, model)
+    observations = observe(records, card, model, forming)
     joint = fit_mle(model, observations, seed=seed)
     alone = fit_alone(model, observations, seed=seed)
-    return Fit(Identification(card, model, tuple(records), observations, Colour.AR1, joint, alone, {}))
+    found = Identification(card, model, tuple(records), observations, Colour.AR1, joint, alone, {}, forming=forming)
+    return Fit(found)
 
 
 def sample(fit: Fit, *, engine: Engine = "emcee", noise: NoiseName = "ar1", seed: int = 0) -> Fit:

@@ -12,7 +12,7 @@ from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.readers import read_record
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import observe
+from bayes_aero.model.observations import Forming, observe
 from bayes_aero.report.diagnosed import view_of
 from bayes_aero.studies.demo import simulate_stall
 from bayes_aero.studies.hidden import hidden_records
@@ -45,8 +45,8 @@ def attas_paths():
 
 @pytest.fixture(scope="session")
 def attas(attas_paths, card, model):
-    """Observations of both real manoeuvres."""
-    return observe([read_record(path, card.channels) for path in attas_paths], card, model)
+    """Observations of both real manoeuvres, formed as published."""
+    return observe([read_record(path, card.channels) for path in attas_paths], card, model, Forming.PUBLISHED)
 
 
 @pytest.fixture(scope="session")

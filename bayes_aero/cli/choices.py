@@ -11,6 +11,13 @@ class NoiseModel(StrEnum):
     BUFFET_AR1 = "buffet-ar1"
 
 
+class Coefficients(StrEnum):
+    """How coefficients are formed: `model.observations.Forming`."""
+
+    MATCHED = "matched"
+    PUBLISHED = "published"
+
+
 class Split(StrEnum):
     """How data are held back to test the Gaussian process: `inference.splits.SplitKind`."""
 

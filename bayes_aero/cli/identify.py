@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from bayes_aero.cli.choices import NoiseModel, Split
+from bayes_aero.cli.choices import Coefficients, NoiseModel, Split
 from bayes_aero.cli.terminal import (
     JsonOption,
     ModelOption,
@@ -33,6 +33,10 @@ def identify(
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("results"),
     seed: SeedOption = 0,
     noise: Annotated[NoiseModel, typer.Option(help="Noise model of the posterior.")] = NoiseModel.AR1,
+    coefficients: Annotated[
+        Coefficients,
+        typer.Option(help="Form coefficients from signals all filtered alike, or as the published ones were."),
+    ] = Coefficients.MATCHED,
     split: Annotated[
         Split, typer.Option(help="Split whose Gaussian-process hyperparameters are sampled.")
     ] = Split.RANDOM,
@@ -72,6 +76,7 @@ def identify(
             flights,
             card,
             noise=Colour(noise.value),
+            coefficients=coefficients.value,
             split=split.value,
             seed=seed,
             out=out,

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.signal import lfilter
 
-ORDER = 3  # of the autoregression at the blocks' rate of about 5 Hz; our choice
-ROOT = 0.995  # largest root: a memory of 40 s
+from bayes_aero.inference.autoregression import autoregression, stationary
+
 RUN_IN = 400  # blocks simulated and thrown away before a noise record begins
 
 
@@ -101,42 +101,11 @@ def colour_of(residual: Float[np.ndarray, "m c"], folds: Sequence[slice]) -> Col
 def colours_of(residuals: Float[np.ndarray, "r m c"], folds: Sequence[slice]) -> list[Colour]:
     """`colour_of` of r records at once."""
     each = [
-        _autoregression([np.ascontiguousarray(residuals[:, fold, c]) for fold in folds])
+        autoregression([np.ascontiguousarray(residuals[:, fold, c]) for fold in folds])
         for c in range(residuals.shape[2])
     ]
     phi, sigma = (np.stack(parts, axis=1) for parts in zip(*each, strict=True))
     return [Colour(p, s) for p, s in zip(phi, sigma, strict=True)]
-
-
-def _autoregression(
-    folds: Sequence[Float[np.ndarray, "r _"]],
-) -> tuple[Float[np.ndarray, "r p"], Float[np.ndarray, " r"]]:
-    """Coefficients and the innovation's deviation of one output in r records."""
-    lags = [[x[:, ORDER - i : x.shape[1] - i] for i in range(ORDER + 1)] for x in folds]
-    gram = np.empty((len(folds[0]), ORDER + 1, ORDER + 1))
-    for i in range(ORDER + 1):
-        for j in range(i, ORDER + 1):
-            gram[:, i, j] = gram[:, j, i] = sum(np.einsum("rt,rt->r", lag[i], lag[j]) for lag in lags)
-    past, right = gram[:, 1:, 1:], gram[:, 1:, :1]
-    ridge = 1e-9 * np.trace(past, axis1=1, axis2=2) + 1e-300
-    phi = _stationary(np.linalg.solve(past + ridge[:, None, None] * np.eye(ORDER), right)[:, :, 0])
-    squares = sum(
-        np.sum((now - sum(p[:, None] * x for p, x in zip(phi.T, before, strict=True))) ** 2, axis=1)
-        for now, *before in lags
-    )
-    return phi, np.sqrt(squares / sum(lag[0].shape[1] for lag in lags))
-
-
-def _stationary(phi: Float[np.ndarray, "r p"]) -> Float[np.ndarray, "r p"]:
-    """Autoregressions with no root outside `ROOT`: those that are outside are drawn onto it."""
-    companion = np.zeros((len(phi), ORDER, ORDER))
-    companion[:, 0] = phi
-    companion[:, 1:, :-1] = np.eye(ORDER - 1)
-    roots, found = np.linalg.eigvals(companion), phi.copy()
-    for k in np.flatnonzero(np.any(np.abs(roots) > ROOT, axis=1)):
-        size = np.abs(roots[k])
-        found[k] = -np.real(np.poly(np.where(size > ROOT, roots[k] * ROOT / np.maximum(size, 1e-300), roots[k])))[1:]
-    return found
 
 
 def unbiased(colour: Colour, again: Sequence[Colour]) -> Colour:
@@ -145,6 +114,6 @@ def unbiased(colour: Colour, again: Sequence[Colour]) -> Colour:
     Coefficients are shifted by their mean bias, their roots drawn inside `ROOT`; sigma is divided by its mean ratio.
     """
     shift = colour.phi - np.mean([c.phi for c in again], axis=0)
-    phi = _stationary(colour.phi + shift)
+    phi = stationary(colour.phi + shift)
     ratio = np.mean([c.sigma for c in again], axis=0) / colour.sigma
     return Colour(phi, colour.sigma / ratio)

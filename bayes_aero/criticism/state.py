@@ -11,10 +11,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from bayes_aero.criticism.candidates import Field
-from bayes_aero.criticism.colour import ORDER, colour_of
+from bayes_aero.criticism.colour import colour_of
 from bayes_aero.criticism.linearisable import Linearisable
 from bayes_aero.criticism.regression import Fit, Products
 from bayes_aero.errors import InputError
+from bayes_aero.inference.autoregression import ORDER
 from bayes_aero.physics.coefficients import NAMES
 
 REFITS = 8

@@ -18,7 +18,7 @@ from bayes_aero.inference.scores import Scores
 from bayes_aero.inference.stall import Stall
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour
-from bayes_aero.model.observations import Observations
+from bayes_aero.model.observations import Forming, Observations
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,8 @@ class Identification:
     `alone` holds the maximum-likelihood fit of each manoeuvre by itself. `posteriors` has `emcee` and `nuts` under
     the chosen noise model `noise`, and `white`, by emcee, where that is another one. `stall` is over the draws of the
     first of them. `preparation` tells, in words, what the way the coefficients were formed does to the estimates.
-    `consistency` tells whether the sensors agree.
-    `truth` has the parameters (SI and radians) that simulated records were flown with.
+    `forming` is how. `consistency` tells whether the sensors agree. `truth` has the parameters (SI and radians) that
+    simulated records were flown with.
     """
 
     card: Card
@@ -82,3 +82,4 @@ class Identification:
     consistency: Consistency | None = None
     truth: Mapping[str, float] | None = None
     seconds: dict[str, float] = field(default_factory=dict)
+    forming: Forming = Forming.MATCHED

@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.inference.coloured import corrected_covariance
+from bayes_aero.inference.restraints import Bounded, PriorConflict, bounded, prior_conflicts
+from bayes_aero.inference.robust import robust_covariance
 from bayes_aero.inference.scores import Scores, score
 from bayes_aero.inference.sensitivity import data_of, evaluate, full_steps
 from bayes_aero.model.model import Model
@@ -26,6 +27,7 @@ MAX_ITERATIONS = 100
 DECREMENT = 1e-7  # expected gain in log-likelihood of one more step, at which it stops: 5e-4 of a Cramer-Rao deviation
 SINGULAR = 1e-11  # smallest eigenvalue of the information scaled to unit diagonal
 MOST_ALONE = 24  # manoeuvres that are fitted one by one, too
+FEWEST_BLOCKS = 10  # of 0.2 s for each parameter, below which intervals rest on too little; our choice
 FROZEN_X = 0.05  # a separation point that moves less than this over a record says nothing of the stall
 
 
@@ -60,6 +62,9 @@ class MleResult:
     fit: dict[str, Scores]
     lag1: dict[str, float]
     starts: tuple[tuple[float, str], ...]
+    bounded: tuple[Bounded, ...] = ()
+    conflicts: tuple[PriorConflict, ...] = ()
+    blocks: int | None = None  # of 0.2 s, on which the corrected bounds rest
 
     @property
     def det_R(self) -> float:
@@ -73,7 +78,7 @@ class MleResult:
 
     @property
     def crb_corrected(self) -> Float[np.ndarray, " k"]:
-        """Standard deviations that allow for the residuals' colour (Morelli and Klein)."""
+        """Standard deviations that allow for the residuals' colour and uneven size (`robust_covariance`)."""
         return np.sqrt(np.diag(self.corrected))
 
     @property
@@ -92,6 +97,12 @@ class MleResult:
     def warnings(self) -> list[str]:
         """What the user should know before using the numbers, one sentence each."""
         said = [] if self.status is MleStatus.CONVERGED else [f"Maximum likelihood: {self.status.value}."]
+        if self.blocks is not None and self.blocks < FEWEST_BLOCKS * len(self.names):
+            said.append(
+                f"The record is too short for its intervals to be relied on: {self.blocks} independent values of each "
+                f"coefficient (one in 0.2 s) for {len(self.names)} parameters, where {FEWEST_BLOCKS} for each "
+                "parameter are wanted; add manoeuvres or fix parameters."
+            )
         low, high = self.separation
         if "alpha_star" in self.names and low > 0.5:
             said.append(
@@ -229,7 +240,9 @@ def _report(
     inverse = np.full_like(A, np.nan)
     if not singular:
         inverse = np.linalg.inv(A / np.outer(scale, scale)) / np.outer(scale, scale)
-    corrected = corrected_covariance(inverse, S, R, residual, observations.manoeuvre, np.asarray(observations.start))
+    corrected, blocks = robust_covariance(
+        inverse, S, R, residual, observations.manoeuvre, np.asarray(observations.start), observations.dt
+    )
     if not sound:
         status = MleStatus.STALL_NOT_IDENTIFIED
     elif singular:
@@ -258,4 +271,7 @@ def _report(
         fit={n: score(measured[:, i], measured[:, i] - residual[:, i]) for i, n in enumerate(NAMES)},
         lag1=lag1,
         starts=tuple(table),
+        blocks=blocks,
+        bounded=bounded(model.free, best.theta, point.gradient, inverse, np.sqrt(np.diag(corrected)), best.active),
+        conflicts=prior_conflicts(model.free, best.theta, np.sqrt(np.diag(corrected))) if best.converged else (),
     )

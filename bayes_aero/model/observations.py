@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from enum import StrEnum
 from typing import Any
 
 import equinox as eqx
@@ -15,11 +16,26 @@ from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card import Card
+from bayes_aero.flight.common_rate import at_common_rate
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import air
-from bayes_aero.physics.coefficients import REQUIRED, coefficient_noise, coefficients, condition_joined
+from bayes_aero.physics.coefficients import (
+    REQUIRED,
+    SMOOTHED,
+    alike_joined,
+    coefficient_noise,
+    coefficients,
+    condition_joined,
+)
 from bayes_aero.physics.filters import FILTER_STEP
+
+
+class Forming(StrEnum):
+    """How coefficients are formed from the record."""
+
+    MATCHED = "matched"  # all signals at a common rate and filtered alike, those that the model answers to as well
+    PUBLISHED = "published"  # as the published ATTAS coefficients: accelerations filtered, controls and rates not
 
 
 class Observations(eqx.Module):
@@ -148,14 +164,25 @@ def plain_marks(n: int, dt: float, first: int) -> dict[str, Shaped[np.ndarray, "
     }
 
 
-def observe(records: Sequence[FlightRecord], card: Card, model: Model) -> Observations:
+def observe(
+    records: Sequence[FlightRecord], card: Card, model: Model, forming: Forming = Forming.MATCHED
+) -> Observations:
     """Reconstruct the coefficients of every record and lay the manoeuvres end to end.
 
     Effects that act on the record or the aircraft itself are applied at the values the model fixes for them.
+
+    Args:
+        records: one a manoeuvre; `matched` brings them to a common rate (`flight.common_rate`).
+        card: aircraft, sensors, sums.
+        model: the effects whose channels are needed.
+        forming: `matched` or `published`.
     """
     if not records:
         raise InputError("there is no flight record to work on; name at least one file")
     names = named_apart(records)
+    forming = Forming(forming)
+    if forming is Forming.MATCHED:
+        records = at_common_rate(records)
     values = _settled(model)
     aircraft = model.actual_aircraft(values, card.aircraft)
     parts, offset = [], 0
@@ -171,7 +198,7 @@ def observe(records: Sequence[FlightRecord], card: Card, model: Model) -> Observ
     shared = set.intersection(*(set(part) for part in parts))
     joined = {key: jnp.asarray(np.concatenate([part[key] for part in parts])) for key in sorted(shared)}
     beside = {key: joined.pop(key) for key in MARKS}
-    signals, measured, noise = _formed(model, values, joined, beside, aircraft, dict(card.sensors))
+    signals, measured, noise = _formed(model, forming, values, joined, beside, aircraft, dict(card.sensors))
     return Observations(
         signals=dict(sorted((signals | {key: beside[key] for key in ("dt", "start")}).items())),
         measured=measured,
@@ -187,6 +214,7 @@ def observe(records: Sequence[FlightRecord], card: Card, model: Model) -> Observ
 @eqx.filter_jit
 def _formed(
     model: Model,
+    forming: Forming,
     values: Mapping[str, Any],
     joined: Mapping[str, Array],
     beside: Mapping[str, Array],
@@ -195,8 +223,12 @@ def _formed(
 ) -> tuple[dict[str, Array], Float[Array, "n 3"], Float[Array, "n 3"]]:
     """Conditioned signals, the coefficients and their noise: one program, where step by step each would be one."""
     true = model.corrected(values, {**joined, **beside}, aircraft)
-    signals = condition_joined({key: true[key] for key in joined}, *(beside[key] for key in ("dt", "first", "last")))
-    noise = coefficient_noise(signals, aircraft, sensors, beside["dt"])
+    channels, ends = {key: true[key] for key in joined}, [beside[key] for key in ("dt", "first", "last")]
+    if forming is Forming.MATCHED:
+        signals, smoothed = alike_joined(channels, aircraft.accelerometer, *ends), tuple(channels)
+    else:
+        signals, smoothed = condition_joined(channels, *ends), SMOOTHED
+    noise = coefficient_noise(signals, aircraft, sensors, beside["dt"], smoothed)
     return signals, jnp.stack(coefficients(signals, aircraft), axis=-1), noise
 
 

@@ -1,13 +1,15 @@
 """From recorded accelerations and rates to lift, drag and pitching-moment coefficients.
 
-Formed exactly as the published ATTAS coefficients were: alpha, beta, V smoothed; alpha-dot the derivative of smoothed
-alpha; p, q, r smoothed and differentiated for the angular accelerations, unsmoothed where they enter kinematics.
+Signals are conditioned in one of three ways. `condition`: exactly as the published ATTAS coefficients were formed:
+alpha, beta, V smoothed; alpha-dot the derivative of smoothed alpha; p, q, r smoothed and differentiated for the angular
+accelerations, unsmoothed where they enter kinematics. `alike_joined`: every channel smoothed alike.
+`unsmoothed_joined`: none, for whoever smooths the difference of what is measured and modelled.
 Source: Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, ch. 12 and its companion data set.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -16,22 +18,19 @@ from jaxtyping import Array, Float, Int
 
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.physics.filters import (
-    LONG_REACH,
     SMOOTHED_DERIVATIVE_GAIN,
     SMOOTHING_GAIN,
     differentiate,
     differentiate_joined,
-    inside_joined,
     smooth,
     smooth_joined,
-    smooth_long,
 )
 from bayes_aero.physics.frames import lift_drag_from_body
+from bayes_aero.physics.incidence_rate import RATES, alpha_rate
 from bayes_aero.physics.kinematics import Rotation, lever_arm
 
 NAMES = ("CL", "CD", "Cm")
 SMOOTHED = ("alpha", "beta", "airspeed")
-RATES = ("p", "q", "r")
 REQUIRED = ("ax", "az", "p", "q", "r", "alpha", "airspeed", "density", "thrust")
 
 Signals = dict[str, Float[Array, "*n"]]
@@ -89,41 +88,37 @@ def unsmoothed_joined(
     For whoever smooths the difference of what is measured and modelled: what the filter takes from one it then takes
     from the other, whatever is not linear included. As published a smoothed pitch acceleration stands against an
     elevator as recorded and the lift of a smoothed angle of attack against a lift as recorded, and what moves fast
-    comes out too small. alpha-dot is the one exception, for models bend its noise: see `_alpha_dot`.
+    comes out too small. alpha-dot is the one exception, for models bend its noise: see `alpha_rate`.
     """
-    slopes = _slopes([channels[name] for name in ("alpha", *RATES)], lambda x: differentiate_joined(x, dt, first, last))
-    signals = dict(channels) | slopes
-    return signals | {"alpha_dot": _alpha_dot(signals, accelerometer, dt, first, last)}
+    rates = [channels[name] for name in RATES]
+    signals = dict(channels) | _slopes(rates, lambda x: differentiate_joined(x, dt, first, last), RATES)
+    return signals | {"alpha_dot": alpha_rate(signals, accelerometer, dt, first, last)}
 
 
-def _alpha_dot(
-    s: Mapping[str, Array],
+def alike_joined(
+    channels: Mapping[str, Array],
     accelerometer: tuple[Any, Any, Any],
     dt: Float[Array, " n"],
     first: Int[Array, " n"],
     last: Int[Array, " n"],
-) -> Float[Array, " n"]:
-    """Slow part from the vane, fast part from pitch rate and specific force (Newton's law across the flight path).
+) -> Signals:
+    """Every channel smoothed by the one filter, manoeuvres laid end to end, and the derivatives that `condition` adds.
 
-    A vane's noise, differentiated, is several times that of gyro and accelerometer, and a one-sided hysteresis makes a
-    bias of it; offsets of gyro and accelerometer and gravity are slow. Near the ends the smoothed vane alone.
+    The filter is linear, so a coefficient that is a sum of terms is, once filtered, the sum of its filtered terms:
+    what is formed from these signals and what a model makes of them are treated alike. alpha-dot: `alpha_rate`.
     """
-    rotation = Rotation(*(s[name] for name in (*RATES, *(f"{name}_dot" for name in RATES))))
-    arm_x, _, arm_z = lever_arm(rotation, accelerometer)
-    sin, cos = jnp.sin(s["alpha"]), jnp.cos(s["alpha"])
-    across = ((s["az"] - arm_z) * cos - (s["ax"] - arm_x) * sin) / s["airspeed"]
-    kinematic = s["q"] + across
-    if "beta" in s:
-        kinematic -= (s["p"] * cos + s["r"] * sin) * jnp.tan(s["beta"])
-    vane, slow = (smooth_joined(x, first, last) for x in (s["alpha"], kinematic))
-    alone, long = (differentiate_joined(x, dt, first, last) for x in (vane, smooth_long(vane)))
-    inside = inside_joined(vane.shape[0], first, last) >= LONG_REACH
-    return jnp.where(inside, long + kinematic - smooth_long(slow), alone)
+    raw = unsmoothed_joined(channels, accelerometer, dt, first, last)
+    names = [*channels, "alpha_dot"]
+    smoothed = jax.vmap(lambda x: smooth_joined(x, first, last))(jnp.stack([jnp.asarray(raw[n], float) for n in names]))
+    signals = dict(zip(names, smoothed, strict=True))
+    return signals | _slopes([signals[n] for n in RATES], lambda x: differentiate_joined(x, dt, first, last), RATES)
 
 
-def _slopes(rows: Sequence[Float[Array, " n"]], derivative: Filter) -> Signals:
-    names = ("alpha_dot", *(f"{name}_dot" for name in RATES))
-    return dict(zip(names, jax.vmap(derivative)(jnp.stack(rows)), strict=True))
+def _slopes(
+    rows: Sequence[Float[Array, " n"]], derivative: Filter, names: Sequence[str] = ("alpha", *RATES)
+) -> Signals:
+    slopes = jax.vmap(derivative)(jnp.stack(rows))
+    return {f"{name}_dot": slope for name, slope in zip(names, slopes, strict=True)}
 
 
 def coefficients(signals: Mapping[str, Float[Array, "*n"]], aircraft: Aircraft) -> Coefficients:
@@ -155,15 +150,16 @@ def coefficient_noise(
     aircraft: Aircraft,
     sensor_sd: Mapping[str, float],
     dt: float | Float[Array, " n"],
+    smoothed: Collection[str] = SMOOTHED,
 ) -> Float[Array, "n 3"]:
     """Standard deviation of CL, CD, Cm per sample from independent white sensor noise of deviation `sensor_sd` (SI).
 
-    First order. Smoothing and differentiation scale the noise by their weights' root sum of squares, which is exact
-    away from the outer eight samples; a raw rate and the derivative of its smoothed self are uncorrelated at one
-    sample because the one filter is even and the other odd.
+    First order; `smoothed` names the channels that were smoothed. Smoothing and differentiation scale the noise by
+    their weights' root sum of squares, which is exact away from the outer eight samples; a rate and the derivative of
+    its smoothed self are uncorrelated at one sample because the one filter is even and the other odd.
     """
     noisy = {name: value for name, value in sensor_sd.items() if value != 0.0}
-    sd: dict[str, Any] = {name: value * (SMOOTHING_GAIN if name in SMOOTHED else 1.0) for name, value in noisy.items()}
+    sd: dict[str, Any] = {name: value * (SMOOTHING_GAIN if name in smoothed else 1.0) for name, value in noisy.items()}
     for name in ("p", "q", "r"):
         if name in noisy:
             sd[f"{name}_dot"] = noisy[name] * SMOOTHED_DERIVATIVE_GAIN / dt

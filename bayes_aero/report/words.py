@@ -9,6 +9,7 @@ import numpy as np
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.posterior import PosteriorStatus
 from bayes_aero.model.noise import Colour
+from bayes_aero.model.observations import Forming
 from bayes_aero.report.between import between_manoeuvres, left_out
 from bayes_aero.report.comparison import (
     Method,
@@ -23,6 +24,7 @@ from bayes_aero.report.comparison import (
 )
 from bayes_aero.report.splits import split_verdict
 from bayes_aero.report.style import several
+from bayes_aero.report.words_restraints import bound_sentences, conflict_sentences
 from bayes_aero.report.words_signs import sign_sentences
 
 # What counts as a disagreement: our choice, wide enough to stay silent on sampling error and on chance.
@@ -43,6 +45,7 @@ def verdict(identification: Identification) -> list[str]:
             *_engines(identification),
             *split_verdict(identification),
         ]
+    signs += [*bound_sentences(mle.bounded), *conflict_sentences(mle.conflicts)]
     truth = _truth(identification)
     colour = _colour(identification)
     against = [*colour, *(_white(identification) if colour else [])]
@@ -153,15 +156,28 @@ def _noise_model(identification: Identification) -> list[str]:
         f"{_plain(in_crb[far])} for {far}."
     ]
     if beyond:
-        smoothing = "one side alone is smoothed (see above), " if identification.preparation else ""
         said.append(
             f"That is more than the intervals allow for {several(f'{n} ({z:.1f})' for n, z in beyond.items())}, in "
-            "deviations of both together. A coloured-noise likelihood listens mostly to changes from sample to sample, "
-            "a white one to levels; were the modelled and the measured side treated alike, both would find the same "
-            f"values. So {smoothing}the model's mean function is wrong, or the residual's colour is not of first "
-            "order; neither interval covers that."
+            f"deviations of both together. {_why_apart(identification)} Neither interval covers that."
         )
     return said
+
+
+def _why_apart(identification: Identification) -> str:
+    """What may set posterior and maximum likelihood apart, the certain before the possible."""
+    conflicts = identification.mle.conflicts
+    if conflicts:
+        names = several(c.name for c in conflicts)
+        return f"Maximum likelihood uses no prior, the posterior the card's, which contradicts the record: {names}."
+    smoothing = "one side alone is smoothed (see above), " if identification.preparation else ""
+    return (
+        "A coloured-noise likelihood listens mostly to changes from sample to sample, a white one to levels; were the "
+        "modelled and the measured side treated alike, both would find the same values. So "
+        f"{smoothing}the model's mean function is wrong, or the residual's colour is not of first order."
+        if identification.forming is Forming.PUBLISHED
+        else "A coloured-noise likelihood listens mostly to changes from sample to sample, a white one to levels. The "
+        "model's mean function is wrong, or the residual's colour is not of first order."
+    )
 
 
 def _agreement(identification: Identification) -> list[str]:

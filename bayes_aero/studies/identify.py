@@ -17,6 +17,7 @@ from bayes_aero.criticism.flown_paths import Path as Flown
 from bayes_aero.criticism.preparation import preparation_notes
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
+from bayes_aero.flight.common_rate import rate_notes
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.flight.record_doubt import record_doubts
 from bayes_aero.inference.checkpoint import Checkpoint
@@ -26,19 +27,21 @@ from bayes_aero.inference.laplace import density_start, other_modes, search_mode
 from bayes_aero.inference.mle import MOST_ALONE, fit_alone, fit_mle
 from bayes_aero.inference.nuts import sample_nuts
 from bayes_aero.inference.posterior import PosteriorStatus
+from bayes_aero.inference.prior_sensitivity import prior_sensitivity
 from bayes_aero.inference.splits import SplitKind
 from bayes_aero.inference.stall import stall_of_posterior
 from bayes_aero.inference.validation import validate
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
-from bayes_aero.model.observations import observe
+from bayes_aero.model.observations import Forming, observe
 from bayes_aero.report.figures import FIGURES, write_figures
 from bayes_aero.report.page import put_page
 from bayes_aero.report.page_identification import identification_page
 from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.tables import paper_table, parameter_table, validation_table, write_csv
 from bayes_aero.report.words import verdict
+from bayes_aero.report.words_restraints import leaning_sentences
 from bayes_aero.studies.environment import rests_on
 from bayes_aero.studies.folder import writable
 from bayes_aero.studies.histories import identified, put_histories
@@ -55,6 +58,7 @@ def identify(
     card: Card,
     *,
     noise: Colour = Colour.AR1,
+    coefficients: str = Forming.MATCHED,
     split: SplitKind = "random",
     seed: int = 0,
     out: Path | None = None,
@@ -72,19 +76,21 @@ def identify(
     With `out` and `resume` emcee's chains are on disk as they grow, in `out`/.chains until the run is complete: the
     same call after a kill goes on with them, if records, card, settings and versions are the same.
 
+    `coefficients` are formed from signals all filtered alike (`matched`) or as the published ones (`published`).
     Without `sample` maximum likelihood alone stands for the parameters; without `page` no report.html is made. `split`
     chooses the split whose Gaussian-process hyperparameters are sampled; scores are given for all splits. `truth` has
     the parameters that simulated records were flown with: they are shown beside the estimates.
     """
     model = Model.from_card(card)
-    observations = observe(records, card, model)
+    forming = Forming(coefficients)
+    observations = observe(records, card, model, forming)
     seconds: dict[str, float] = {}
     with _timed(seconds, "do the sensors agree?", progress):
         agreement = consistency(records, card, seed=seed)
     with _timed(seconds, "mle", progress):
         mle = fit_mle(model, observations, seed=seed)
         alone = fit_alone(model, observations, seed=seed)
-        told = preparation_notes(records, card, model, mle)
+        told = preparation_notes(records, card, model, mle) if forming is Forming.PUBLISHED else ()
     run = Identification(
         card,
         model,
@@ -94,13 +100,15 @@ def identify(
         mle,
         alone,
         {},
-        notes=(*record_doubts(records, card.channels), *_many(len(records))),
+        notes=(*record_doubts(records, card.channels), *_rates(records, forming), *_many(len(records))),
         preparation=told,
         consistency=agreement,
         truth=truth,
         seconds=seconds,
+        forming=forming,
     )
-    writer = _Writer(out, provenance(card, records, seed, {"noise": noise.value, "split": split}))
+    settings = {"noise": noise.value, "split": split, "coefficients": forming.value}
+    writer = _Writer(out, provenance(card, records, seed, settings))
     writer.stage(run)
     if out is not None:  # they are for the page and the file alone
         with _timed(seconds, "flights", progress):
@@ -110,7 +118,7 @@ def identify(
     failure = None if out is None else put_histories(lambda: identified(run), out)
     run = replace(run, notes=(*run.notes, failure)) if failure else run
     chains = None if out is None else out / CHAINS
-    stores = None if chains is None or not resume else _stores(chains, card, records, seed)
+    stores = None if chains is None or not resume else _stores(chains, card, records, seed, forming)
 
     for key, colour, engine in _plan(noise) if sample else ():
         with _timed(seconds, key, progress):
@@ -121,6 +129,8 @@ def identify(
                 kept["checkpoint"] = stores(f"{key}_{colour.value}")
             posterior = engine(density, mode, seed=seed, progress=progress, **kept)
         told = other_modes(mode, f"{key}, {colour.value} noise")
+        if mle.conflicts and key == "emcee":
+            told += leaning_sentences(prior_sensitivity(density, posterior), mle.conflicts)
         run = replace(run, posteriors=run.posteriors | {key: posterior}, notes=(*run.notes, *told))
         writer.stage(run, posterior_name=key)
 
@@ -162,6 +172,10 @@ def identify(
     return run
 
 
+def _rates(records: Sequence[FlightRecord], forming: Forming) -> tuple[str, ...]:
+    return rate_notes(records) if forming is Forming.MATCHED else ()
+
+
 def _many(manoeuvres: int) -> tuple[str, ...]:
     """What is left out because there are so many."""
     said = []
@@ -172,10 +186,12 @@ def _many(manoeuvres: int) -> tuple[str, ...]:
     return tuple(said)
 
 
-def _stores(folder: Path, card: Card, records: Sequence[FlightRecord], seed: int) -> Callable[[str], Checkpoint]:
+def _stores(
+    folder: Path, card: Card, records: Sequence[FlightRecord], seed: int, forming: Forming
+) -> Callable[[str], Checkpoint]:
     """Where the chain of each posterior is kept while it grows, and all that its numbers rest on."""
     source = provenance(card, records, seed, {})
-    made_from = rests_on(source, records)
+    made_from = rests_on(source, records) | {"coefficients": forming.value}
     return lambda key: Checkpoint(folder / key, made_from | {"posterior": key})
 
 

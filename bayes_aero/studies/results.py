@@ -35,6 +35,7 @@ def results(
             {"name": r.name, "samples": r.n, "dt": r.dt, "duration": float(r.time[-1] - r.time[0])}
             for r in identification.records
         ],
+        "coefficients": identification.forming.value,
         "mle": _mle(identification.mle) | {"alone": {k: _mle(v) for k, v in identification.alone.items()}},
     }
     if identification.consistency is not None:

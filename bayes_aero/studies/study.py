@@ -36,12 +36,14 @@ OPTIONS: dict[str, dict[str, type]] = {
         "figures": bool,
         "page": bool,
         "resample": float,
+        "coefficients": str,
     },
     "diagnose": {
         "max_effects": int, "predictors": bool, "trajectories": bool, "figures": bool, "resample": float,
     },
     "fly": {"windows": float, "figures": bool, "resample": float},
 }  # fmt: skip
+FORMINGS = ("matched", "published")
 MOST_UNITS = 100_000
 LARGEST_SEED = 2**32 - 1  # that every generator takes
 LONGEST = 90  # characters of a unit's name before its hash
@@ -266,6 +268,10 @@ def _options(given: Any, task: str, where: str) -> dict[str, Any]:
     _known(given, tuple(OPTIONS[task]), where, f"option of the task {task}")
     for key, value in given.items():
         kind = OPTIONS[task][key]
+        if kind is str:
+            if value not in FORMINGS:
+                raise InputError(f"{where}: option {key} is {value!r}; use one of {', '.join(FORMINGS)}")
+            continue
         number = isinstance(value, int | float) and not isinstance(value, bool)
         if not (isinstance(value, bool) if kind is bool else number and (kind is float or isinstance(value, int))):
             raise InputError(

@@ -20,6 +20,7 @@ from bayes_aero.flight import readers
 from bayes_aero.flight.card import read_card
 from bayes_aero.inference.splits import SplitKind
 from bayes_aero.model.noise import Colour
+from bayes_aero.model.observations import Forming
 from bayes_aero.studies import identify as job
 from bayes_aero.studies import request, study
 from bayes_aero.studies.unfinished import Unfinished
@@ -39,6 +40,7 @@ EFFECT = Effect(
 
 
 def test_choices_are_those_of_the_libraries():
+    assert {x.value for x in choices.Coefficients} == {x.value for x in Forming} == set(study.FORMINGS)
     assert {x.value for x in choices.NoiseModel} == {x.value for x in Colour} == set(study.NOISES)
     assert {x.value for x in choices.Split} == set(get_args(SplitKind)) == set(study.SPLITS)
     assert [x.value for x in choices.Manoeuvre] == list(request.MANOEUVRES)

@@ -1,0 +1,42 @@
+"""Autoregressions of residuals by least squares, kept stationary."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+ORDER = 3  # at some 5 samples a second; our choice
+ROOT = 0.995  # largest root: a memory of 40 s at 5 samples a second
+
+
+def autoregression(
+    folds: Sequence[Float[np.ndarray, "r _"]],
+) -> tuple[Float[np.ndarray, "r p"], Float[np.ndarray, " r"]]:
+    """Coefficients and the innovation's deviation of one output in r records."""
+    lags = [[x[:, ORDER - i : x.shape[1] - i] for i in range(ORDER + 1)] for x in folds]
+    gram = np.empty((len(folds[0]), ORDER + 1, ORDER + 1))
+    for i in range(ORDER + 1):
+        for j in range(i, ORDER + 1):
+            gram[:, i, j] = gram[:, j, i] = sum(np.einsum("rt,rt->r", lag[i], lag[j]) for lag in lags)
+    past, right = gram[:, 1:, 1:], gram[:, 1:, :1]
+    ridge = 1e-9 * np.trace(past, axis1=1, axis2=2) + 1e-300
+    phi = stationary(np.linalg.solve(past + ridge[:, None, None] * np.eye(ORDER), right)[:, :, 0])
+    squares = sum(
+        np.sum((now - sum(p[:, None] * x for p, x in zip(phi.T, before, strict=True))) ** 2, axis=1)
+        for now, *before in lags
+    )
+    return phi, np.sqrt(squares / sum(lag[0].shape[1] for lag in lags))
+
+
+def stationary(phi: Float[np.ndarray, "r p"]) -> Float[np.ndarray, "r p"]:
+    """Autoregressions with no root outside `ROOT`: those that are outside are drawn onto it."""
+    companion = np.zeros((len(phi), ORDER, ORDER))
+    companion[:, 0] = phi
+    companion[:, 1:, :-1] = np.eye(ORDER - 1)
+    roots, found = np.linalg.eigvals(companion), phi.copy()
+    for k in np.flatnonzero(np.any(np.abs(roots) > ROOT, axis=1)):
+        size = np.abs(roots[k])
+        found[k] = -np.real(np.poly(np.where(size > ROOT, roots[k] * ROOT / np.maximum(size, 1e-300), roots[k])))[1:]
+    return found
