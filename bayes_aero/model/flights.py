@@ -107,13 +107,31 @@ BEYOND = 2.5  # times that, which a spike must be away
 NEAR = 51  # samples over which the local deviation is measured
 
 
+STEPPED, SMALL = 0.4, 0.1  # a channel moves in steps if so many of them are below a tenth of the large ones
+
+
+def _step_size(steps: Float[np.ndarray, " n"]) -> float:
+    """The size of the steps in which a channel is recorded; the least that noise makes where it has none.
+
+    A channel computed from a quantised one (airspeed from a pressure, in air of changing density) moves a little
+    between its steps, too: these small ones say nothing of the step, and a jump over a few steps is no spike.
+    """
+    moving = steps[steps > 0.0]
+    if not len(moving):
+        return 0.0
+    large = np.quantile(moving, 0.9)
+    if np.mean(steps <= SMALL * large) < STEPPED:
+        return float(np.quantile(moving, 0.05))
+    return float(np.median(steps[steps > SMALL * large]))
+
+
 def despiked(flights: Flights) -> tuple[Flights, dict[str, int]]:
     """Replace isolated spikes by the median of their neighbours; the count of replaced samples by channel.
 
     A sample is a spike if it lies `SPIKE` local deviations from the median of five, and stands out of how fast the
     channel moves there. Steps, buffet and the sharp peaks of a doublet are kept: a median follows the first, the local
     deviation grows with the second, and the third are no further from the median than the channel goes in a sample.
-    Nor is a step of a quantised channel a spike. Source: Hampel's identifier.
+    Nor are some steps of a quantised channel a spike. Source: Hampel's identifier.
     """
     channels, count = dict(flights.channels), {}
     for name in SPIKED:
@@ -128,8 +146,7 @@ def despiked(flights: Flights) -> tuple[Flights, dict[str, int]]:
             # The mean, not the median, of |away|: on a quantised channel the median is zero nearly everywhere.
             local = 1.25 * uniform_filter1d(away, NEAR, mode="nearest")
             steps = np.abs(np.diff(part))
-            quantum = np.quantile(steps[steps > 0.0], 0.05) if np.any(steps > 0.0) else 0.0
-            floor = 1.25 * np.mean(away) + quantum + np.abs(part).max() * 1e-9
+            floor = 1.25 * np.mean(away) + _step_size(steps) + np.abs(part).max() * 1e-9
             pace = rank_filter(np.append(steps, 0.0), SLOW, BESIDE, mode="nearest")
             spikes = (away > SPIKE * np.maximum(local, floor)) & (away > BEYOND * pace)
             part[spikes] = middle[spikes]

@@ -1,0 +1,50 @@
+"""Health of each channel by itself and against the others, before anything is computed from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.health.air import air_data
+from bayes_aero.flight.health.dropout import dropouts
+from bayes_aero.flight.health.dropped import dropped_channels
+from bayes_aero.flight.health.elevator import elevator_response
+from bayes_aero.flight.health.finding import HealthFinding
+from bayes_aero.flight.health.frozen import frozen
+from bayes_aero.flight.health.ground import in_flight, on_ground
+from bayes_aero.flight.health.held import held
+from bayes_aero.flight.health.idle import idle
+from bayes_aero.flight.health.quantised import quantised
+from bayes_aero.flight.health.rates import different_rates
+from bayes_aero.flight.health.refuted import refuted
+from bayes_aero.flight.health.same_record import same_records
+from bayes_aero.flight.health.saturated import saturated
+from bayes_aero.flight.health.short import short
+from bayes_aero.flight.health.wrapped import wrapped
+from bayes_aero.flight.record import FlightRecord
+
+__all__ = ["HealthFinding", "channel_health"]
+
+_CHECKS: tuple[Callable[[FlightRecord, Card], list[HealthFinding]], ...] = (
+    refuted, air_data, elevator_response, dropouts, frozen, held, saturated, quantised, wrapped, short, idle,
+    dropped_channels,
+)  # fmt: skip
+
+
+def channel_health(records: Sequence[FlightRecord], card: Card) -> tuple[HealthFinding, ...]:
+    """Everything that is wrong with records by themselves; grave findings first.
+
+    Args:
+        records: as read, in SI.
+        card: what the channels are said to be.
+
+    Returns:
+        One finding a fault; empty for sound records.
+    """
+    said = []
+    for record in records:
+        said += on_ground(record, card)
+        flown = in_flight(record, card)
+        said += [finding for check in _CHECKS for finding in check(flown, card)]
+    said += [*same_records(records), *different_rates(records)]
+    return tuple(sorted(said, key=lambda finding: not finding.grave))

@@ -1,0 +1,61 @@
+"""A channel that is cut off at the end of its range."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.health.finding import HealthFinding, found, shown, span
+from bayes_aero.flight.health.signals import CONTROLS, level_step, noise_of, quantum_of, runs_of
+from bayes_aero.flight.record import FlightRecord
+
+FEWEST = 6  # samples at the limit
+LONGEST = 3  # samples in a row of which a noisy channel has none at its very extreme
+SCATTERS = 0.03  # share of equal neighbours elsewhere up to which equal samples at an extreme are no chance
+MORE = 5.0  # recording steps, or deviations of the noise, that the signal would have gone beyond
+MOST = 0.5  # share of the record at the limit at most: a channel that stands there is no cut-off peak
+
+
+def saturated(record: FlightRecord, card: Card) -> list[HealthFinding]:
+    """A finding for each measured channel with a flat top or bottom that the signal runs into."""
+    said = []
+    for name, x in record.channels.items():
+        if name in CONTROLS or name in ("psi", "mach", "fuel_used") or np.ptp(x) == 0.0:
+            continue
+        for extreme, end in ((float(x.max()), "upper"), (float(x.min()), "lower")):
+            run = _flat(x, extreme)
+            if run is None:
+                continue
+            first, last = run
+            count = int(np.sum(x == extreme))
+            sentence = (
+                f"{name} is cut off at {shown(card, name, extreme)}, the {end} end of its range: {count} samples "
+                f"stand there, the longest stretch {span(record, first, last)}; the sensor or its converter is "
+                "saturated, so cut these parts out or use a sensor of larger range"
+            )
+            said.append(found(record, name, "saturated", sentence, at=(first, last)))
+    return said
+
+
+def _flat(x: np.ndarray, extreme: float) -> tuple[int, int] | None:
+    """The longest run at the extreme, where the signal would have gone well beyond it."""
+    at = x == extreme
+    runs = [(a, b) for a, b in runs_of(at) if a > 0 and b < len(x) - 1]
+    if not FEWEST <= int(at.sum()) <= MOST * len(x) or not runs:
+        return None
+    first, last = max(runs, key=lambda run: run[1] - run[0])
+    if last - first + 1 < LONGEST:
+        return None
+    others = np.diff(x)[~(at[1:] & at[:-1])]
+    if np.mean(others == 0.0) < SCATTERS:
+        return first, last
+    return (first, last) if _beyond(x, first, last) > MORE * max(level_step(x), quantum_of(x), noise_of(x)) else None
+
+
+def _beyond(x: np.ndarray, first: int, last: int) -> float:
+    """How far the signal would have gone on beyond the run: half its length at the slope on both sides."""
+    length = last - first + 1
+    before, after = max(first - length, 0), min(last + length, len(x) - 1)
+    into = abs(x[first] - x[before]) / max(first - before, 1)
+    out = abs(x[after] - x[last]) / max(after - last, 1)
+    return 0.5 * length * min(into, out)
