@@ -67,6 +67,8 @@ def check(
 def _tell(console: Console, report: CheckReport) -> None:
     from bayes_aero.report.words_check import card_sentences, headline, left_over, sensor_verdict, sizes, use_sentences
 
+    for caution in report.cautions:
+        console.print(f"! {caution}", style="yellow")
     for record in report.records:
         _tell_record(console, record)
     for sentence in (*card_sentences(report), *use_sentences(report), sensor_verdict(report)):
@@ -76,8 +78,6 @@ def _tell(console: Console, report: CheckReport) -> None:
         console.print(f"  {name}: {error['claim']} {sizes(error)}{faint}")
     if not report.sensors.note:
         console.print(f"  {left_over(report)}")
-    for caution in report.cautions:
-        console.print(f"! {caution}", style="yellow")
     colour = "red" if not report.usable else "yellow" if report.cautions else "green"
     console.print(headline(report), style=f"bold {colour}")
 

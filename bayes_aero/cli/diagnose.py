@@ -74,6 +74,8 @@ def diagnose(
     if json:
         typer.echo((out / "diagnosis.json").read_text(encoding="utf-8"), nl=False)
         return
+    for finding in found.health:
+        console.print(f"! {finding.sentence}", highlight=False)
     if isinstance(found, Flown):
         _tell_flown(console, found)
     else:

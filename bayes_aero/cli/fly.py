@@ -51,6 +51,8 @@ def fly(
         found = run(flights, card, out=out, windows=windows, seed=seed, figures=figures, progress=tell)
     if json:
         typer.echo((out / RESULTS).read_text(encoding="utf-8"), nl=False)
+    for finding in found.health:
+        console.print(f"! {finding.sentence}", highlight=False)
     console.print(parameter_table(found.flown))
     console.print(error_table(found.flown))
     for sentence in found.sentences:

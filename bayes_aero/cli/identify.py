@@ -83,6 +83,8 @@ def identify(
     if json:
         typer.echo((out / "results.json").read_text(encoding="utf-8"), nl=False)
         return
+    for finding in found.health:
+        console.print(f"! {finding.sentence}", highlight=False)
     console.print(terminal_table(found))
     for sentence in verdict(found):
         console.print(f"• {sentence}", highlight=False)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bayes_aero.flight.card import Card
+from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.inspection import RecordReport
 
 
@@ -22,7 +23,7 @@ class SensorCheck:
 class CheckReport:
     """All records together. `uses` says of each command why it cannot work on them; empty text: it can.
 
-    `cautions` are sentences on what may be right but rarely is.
+    `health` is what is wrong with the channels of the usable records, and `cautions` its sentences.
     """
 
     card: Card
@@ -30,7 +31,12 @@ class CheckReport:
     uses: dict[str, str]
     not_testable: dict[str, str]
     sensors: SensorCheck
-    cautions: tuple[str, ...] = ()
+    health: tuple[HealthFinding, ...] = ()
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """What is wrong with the records, in words."""
+        return tuple(finding.sentence for finding in self.health)
 
     @property
     def usable(self) -> bool:

@@ -79,8 +79,8 @@ def headline(report: CheckReport) -> str:
         able = [name for name, why in report.uses.items() if not why]
         errors = [name for name, error in report.sensors.errors.items() if not error["minor"]]
         wrong = f"; the sensors disagree ({', '.join(errors)}), which diagnose takes into account" if errors else ""
-        if report.cautions:  # an error of a sensor would be what the card gets wrong
-            wrong = ", but first mend the card or the file, which other channels contradict (warnings)"
+        if any(finding.grave for finding in report.health):  # an error of a sensor would be what the card gets wrong
+            wrong = ", but first mend the card or the file: its channels are not sound (warnings)"
         return f"Usable for {', '.join(able)}{wrong}."
     problems = [p for r in report.records for p in r.problems] or [f"{n}: {w}" for n, w in report.uses.items() if w]
     more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""

@@ -7,9 +7,11 @@ from typing import Any
 
 from bayes_aero.criticism.finding import Cause, Diagnosis, Gain, NoiseReport
 from bayes_aero.flight.card import Card
+from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.diagnosed import Ranking, View, composition
+from bayes_aero.studies.health_results import health_results
 from bayes_aero.studies.trajectory_results import trajectory_results
 
 SCHEMA = "bayes_aero/diagnosis/1"
@@ -27,6 +29,7 @@ def diagnosis_results(
     separating: Sequence[Mapping[str, Any]] = (),
     hidden: Mapping[str, Any] | None = None,
     notes: Sequence[str] = (),
+    health: Sequence[HealthFinding] = (),
 ) -> dict[str, Any]:
     """Everything found, as plain numbers and text; `hidden` is the truth where the records are simulated."""
     d = view.diagnosis
@@ -61,6 +64,7 @@ def diagnosis_results(
         "trajectories": {} if view.trajectories is None else trajectory_results(view.trajectories, card),
         "stall": {name: stall.numbers() for name, stall in view.stalls.items()},
         "separating": [dict(one) for one in separating],
+        "health": health_results(health),
         "notes": [*d.notes, *notes],
         "provenance": dict(provenance),
     }

@@ -16,8 +16,8 @@ from bayes_aero.criticism.flown_paths import Path as Flown
 from bayes_aero.criticism.preparation import preparation_notes
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
+from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.record_doubt import record_doubts
 from bayes_aero.inference.checkpoint import Checkpoint
 from bayes_aero.inference.ensemble import sample_ensemble
 from bayes_aero.inference.identification import Identification
@@ -43,6 +43,7 @@ from bayes_aero.studies.folder import writable
 from bayes_aero.studies.histories import identified, put_histories
 from bayes_aero.studies.identified_flight import fly_identified
 from bayes_aero.studies.provenance import provenance, write_json
+from bayes_aero.studies.repair import repaired
 from bayes_aero.studies.results import results
 
 Progress = Callable[[str, float], None]
@@ -76,12 +77,13 @@ def identify(
     the parameters that simulated records were flown with: they are shown beside the estimates.
     """
     model = Model.from_card(card)
-    observations = observe(records, card, model)
+    without_spikes, spikes = repaired(records)
+    observations = observe(without_spikes, card, model)
     seconds: dict[str, float] = {}
     with _timed(seconds, "mle", progress):
         mle = fit_mle(model, observations, seed=seed)
         alone = fit_alone(model, observations, seed=seed)
-        told = preparation_notes(records, card, model, mle)
+        told = preparation_notes(without_spikes, card, model, mle)
     run = Identification(
         card,
         model,
@@ -91,7 +93,8 @@ def identify(
         mle,
         alone,
         {},
-        notes=(*record_doubts(records, card.channels), *_many(len(records))),
+        notes=(*spikes, *_many(len(records))),
+        health=channel_health(records, card),
         preparation=told,
         truth=truth,
         seconds=seconds,

@@ -11,6 +11,7 @@ from typing import Any
 from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.flight.card import Card
+from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.report.diagnosed import View
 from bayes_aero.report.page import put_page
@@ -34,6 +35,7 @@ class Outcome:
     hidden: Hidden | None
     named: Mapping[str, str]
     notes: tuple[str, ...]
+    health: tuple[HealthFinding, ...] = ()
 
     @property
     def diagnosis(self) -> Diagnosis:
@@ -144,5 +146,6 @@ class Kept:
             separating=self._separating,
             hidden=None if hidden is None else {"effects": hidden, "named": named},
             notes=self.outcome.notes,
+            health=self.outcome.health,
         )
         write_json(content, self.path / RESULTS)

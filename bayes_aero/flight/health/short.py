@@ -9,9 +9,9 @@ from bayes_aero.flight.health.finding import HealthFinding, found
 from bayes_aero.flight.record import FlightRecord
 
 ENDS = 30  # samples at both ends together that the smoother (7) and the differentiator (8) distort
-SHARE = 0.2  # of a record that may be ends
-CHORDS = 200.0  # lengths travelled within which an aircraft has answered: two short periods, or a separation and back
-LEAST = 6.0  # s, where the card states no chord
+SHARE = 0.25  # of a record that may be ends
+CHORDS = 120.0  # lengths travelled: two short periods, or a separation and, at 20 to 30 chords, its reattachment
+LEAST = 5.0  # s, where the card states no chord
 
 
 def short(record: FlightRecord, card: Card) -> list[HealthFinding]:
@@ -28,7 +28,7 @@ def short(record: FlightRecord, card: Card) -> list[HealthFinding]:
     why = (
         f"{CHORDS:.0f} chords of flight, in which an aircraft has answered a control and a stall has come and gone"
         if motion >= ends
-        else f"{ENDS} samples at the ends, which the filters distort, must not be more than a fifth of it"
+        else f"{ENDS} samples at the ends, which the filters distort, must not be more than a quarter of it"
     )
     sentence = (
         f"the record is too short: {lasts:.3g} s, and {needed:.2g} s are needed ({why}); estimates can be off by "
