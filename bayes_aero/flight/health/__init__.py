@@ -45,6 +45,12 @@ def channel_health(records: Sequence[FlightRecord], card: Card) -> tuple[HealthF
     for record in records:
         said += on_ground(record, card)
         flown = in_flight(record, card)
-        said += [finding for check in _CHECKS for finding in check(flown, card)]
+        said += _once([finding for check in _CHECKS for finding in check(flown, card)])
     said += [*same_records(records), *different_rates(records)]
     return tuple(sorted(said, key=lambda finding: not finding.grave))
+
+
+def _once(said: list[HealthFinding]) -> list[HealthFinding]:
+    """Without what a dropout looks like besides: a flat stretch, at an end of the channel's range."""
+    dropped = {finding.channel for finding in said if finding.fault == "dropout"}
+    return [f for f in said if not (f.fault in ("frozen", "saturated", "quantised") and f.channel in dropped)]

@@ -13,6 +13,7 @@ from bayes_aero.flight.record import FlightRecord
 SHORTEST = 0.4  # s: shorter ones are told as a held signal or do no harm
 SURE = 4.0  # times the longest run that chance gives
 CONTINUOUS = 0.3  # share of equal neighbours up to which a run of equal values cannot be calm flight
+NOISELESS = 1e-5  # noise over range that no sensor has, and a simulation without noise has
 MOVED = {"alpha": 0.009, "beta": 0.015, "theta": 0.009, "phi": 0.015, "psi": 0.02, "airspeed": 1.5, "altitude": 8.0}
 ALONG = 50.0  # m of altitude in which the radio altitude cannot stand still
 RATES = {"q": ("theta", 0.015), "p": ("phi", 0.03), "r": ("psi", 0.03)}
@@ -74,7 +75,8 @@ def _frozen(record: FlightRecord, view: dict[str, np.ndarray], name: str, x: np.
     moved = _moved(record, view, name, run)
     if moved is not None:
         return moved > max(4.0 * level_step(x), 5.0 * noise_of(x), MOVED.get(name, 0.0))
-    return share < CONTINUOUS and _others_move(record, name, run)
+    scatters = noise_of(np.delete(x, np.s_[first : last + 1])) > NOISELESS * np.ptp(x)
+    return share < CONTINUOUS and scatters and _others_move(record, name, run)
 
 
 def _moved(record: FlightRecord, view: dict[str, np.ndarray], name: str, run: tuple[int, int]) -> float | None:

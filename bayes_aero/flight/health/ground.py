@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import binary_closing
+from scipy.ndimage import binary_closing, median_filter
 
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import HealthFinding, found
@@ -17,6 +17,7 @@ from bayes_aero.flight.tolerances import GRAVITY
 LIFT = 4.5  # lift coefficient that no wing has, for a load factor of one
 SLOW = 0.25  # of the speed that the record keeps in its faster half, where the card states no wing
 SHORTEST = 1.0  # s
+DROPOUTS = 7  # samples of a median, for a dropout is no landing
 FEWEST = 50  # samples of flight that the other checks need
 
 
@@ -51,7 +52,7 @@ def _grounded(record: FlightRecord, card: Card) -> list[tuple[int, int]]:
     """First and last sample of each part on the ground; none if the whole record looks like that."""
     if not record.has("airspeed"):
         return []
-    V, aircraft = np.maximum(record["airspeed"], 1e-3), card.aircraft
+    V, aircraft = np.maximum(median_filter(record["airspeed"], DROPOUTS, mode="nearest"), 1e-3), card.aircraft
     ratio = thinness(record.channels, frozenset(record.channels))
     density = DENSITY0 * (1.0 if ratio is None else ratio**2)
     weight, area = float(aircraft.mass) * GRAVITY, float(aircraft.wing_area)

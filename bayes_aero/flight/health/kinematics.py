@@ -113,6 +113,7 @@ RELATIONS: dict[str, Relation] = {
         Relation("beta", ("beta", "r", "ay", "phi", *_AIR), _beta, np.deg2rad(1.5), 10.0),
     )
 }
+SHORTEST = 25  # samples of a piece
 LEVEL = 1.5
 """m/s2 that the mean normal acceleration may be off: a bias of .5 deg/s at 100 m/s and one of .6 m/s2."""
 
@@ -134,7 +135,8 @@ def misfits(view: View, recorded: frozenset[str]) -> dict[str, float]:
 def _misfit(view: View, relation: Relation) -> float:
     time, measured = view["time"], view[relation.channel]
     off = measured - integrated(relation.rate(view), time)
-    pieces = 1 if relation.piece is None else max(1, round((time[-1] - time[0]) / relation.piece))
+    pieces = 1 if relation.piece is None else round((time[-1] - time[0]) / relation.piece)
+    pieces = min(max(pieces, 1), len(off) // SHORTEST)
     left = np.concatenate([_without_drift(part) for part in np.array_split(off, pieces)])
     return float(np.sqrt(np.mean(np.minimum(np.abs(left), 1e9) ** 2))) / relation.allowed
 

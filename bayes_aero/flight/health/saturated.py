@@ -11,6 +11,8 @@ from bayes_aero.flight.record import FlightRecord
 
 FEWEST = 6  # samples at the limit
 LONGEST = 3  # samples in a row of which a noisy channel has none at its very extreme
+NOISELESS = 1e-6  # noise over range that no sensor has
+NEAR = 4  # samples beside the run from which the slope is read
 SCATTERS = 0.03  # share of equal neighbours elsewhere up to which equal samples at an extreme are no chance
 MORE = 5.0  # recording steps, or deviations of the noise, that the signal would have gone beyond
 MOST = 0.5  # share of the record at the limit at most: a channel that stands there is no cut-off peak
@@ -46,6 +48,8 @@ def _flat(x: np.ndarray, extreme: float) -> tuple[int, int] | None:
     first, last = max(runs, key=lambda run: run[1] - run[0])
     if last - first + 1 < LONGEST:
         return None
+    if noise_of(x) < NOISELESS * np.ptp(x):  # a simulation without noise rests where it is told to
+        return None
     others = np.diff(x)[~(at[1:] & at[:-1])]
     if np.mean(others == 0.0) < SCATTERS:
         return first, last
@@ -55,7 +59,8 @@ def _flat(x: np.ndarray, extreme: float) -> tuple[int, int] | None:
 def _beyond(x: np.ndarray, first: int, last: int) -> float:
     """How far the signal would have gone on beyond the run: half its length at the slope on both sides."""
     length = last - first + 1
-    before, after = max(first - length, 0), min(last + length, len(x) - 1)
+    beside = min(length, NEAR)
+    before, after = max(first - beside, 0), min(last + beside, len(x) - 1)
     into = abs(x[first] - x[before]) / max(first - before, 1)
     out = abs(x[after] - x[last]) / max(after - last, 1)
     return 0.5 * length * min(into, out)

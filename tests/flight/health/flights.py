@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 import numpy as np
 
 from bayes_aero.flight.card import parse_card
@@ -62,8 +61,8 @@ def flight(seed=0, dt=0.04, seconds=60.0, noise=1.0, altitude=4000.0, bank=0.4, 
     az = rate(w) + p * v - q * u - G * np.cos(phi) * np.cos(theta)
     # An elevator that makes this pitching motion, nose down when it goes down.
     elevator = (-4.0 * (alpha - 0.12) - 2.0 * q - rate(q)) / 6.0
-    true = dict(ax=ax, ay=ay, az=az, p=p, q=q, r=r, phi=phi, theta=theta, psi=psi, alpha=alpha, beta=beta, airspeed=V)
-    true |= dict(altitude=h, elevator=elevator)
+    true = {"ax": ax, "ay": ay, "az": az, "p": p, "q": q, "r": r, "phi": phi, "theta": theta, "psi": psi}
+    true |= {"alpha": alpha, "beta": beta, "airspeed": V, "altitude": h, "elevator": elevator}
     found = {k: x + noise * NOISE[k] * rng.standard_normal(n) for k, x in true.items()}
     for name, digit in (digits or {}).items():
         found[name] = np.round(found[name] / digit) * digit
@@ -82,5 +81,3 @@ def put(x, index, value):
     x = np.array(x)
     x[index] = value
     return x
-
-

