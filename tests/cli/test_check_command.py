@@ -119,11 +119,8 @@ def test_a_unit_that_the_flight_path_refutes_is_doubted(
     done = program("check", "other.csv", "--no-sensors", "--json")
     found = json.loads(done.out)
     assert f"{name} is in {meant} and not in {declared}, as the card says" in found["cautions"][0]
-    assert (found["health"][0]["channel"], found["health"][0]["fault"], found["health"][0]["grave"]) == (
-        name,
-        "unit",
-        True,
-    )
+    first = found["health"][0]
+    assert (first["channel"], first["fault"], first["grave"]) == (name, "unit", True)
     for record, doubted in ((flights.sound, False), ("other.csv", True)):
         done = program("identify", record, "--no-sample", "--no-gp", "--no-figures", "--out", "id")
         assert done.code == 0, done.err

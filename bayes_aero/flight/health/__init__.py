@@ -43,9 +43,11 @@ def channel_health(records: Sequence[FlightRecord], card: Card) -> tuple[HealthF
     """
     said = []
     for record in records:
-        said += on_ground(record, card)
         flown = in_flight(record, card)
-        said += _once([finding for check in _CHECKS for finding in check(flown, card)])
+        found = _once([finding for check in _CHECKS for finding in check(flown, card)])
+        if not any(f.channel == "airspeed" and f.fault in ("unit", "airspeed_kind") for f in found):
+            said += on_ground(record, card)
+        said += found
     said += [*same_records(records), *different_rates(records)]
     return tuple(sorted(said, key=lambda finding: not finding.grave))
 

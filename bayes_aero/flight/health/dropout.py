@@ -7,6 +7,7 @@ from scipy.ndimage import median_filter
 
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import HealthFinding, as_filed, declared, found
+from bayes_aero.flight.health.held import held_period
 from bayes_aero.flight.health.signals import CONTROLS, noise_of, quantum_of, runs_of
 from bayes_aero.flight.record import FlightRecord
 
@@ -15,6 +16,7 @@ STEPS = 3.5  # recording steps that it is away at least
 MOST = 0.25  # share of a record that is a dropout at most: beyond it, the rest would be the exception
 STEP = 0.12  # s that a control may not be away: no actuator goes and comes back in that time
 CONTINUOUS = 0.95  # share of levels that occur once in a channel whose equal samples are no chance
+TRIED = 20  # constants, the most frequent first
 USUAL = 0.9  # quantile of the steps that is called usual
 
 
@@ -22,6 +24,8 @@ def dropouts(record: FlightRecord, card: Card) -> list[HealthFinding]:
     """A finding for each channel with samples at a constant that its neighbours refute."""
     said = []
     for name, x in record.channels.items():
+        if held_period(x):  # each of its steps would be one
+            continue
         at, value = dropped(x, record.dt, control=name in CONTROLS)
         if not at.any():
             continue
@@ -51,9 +55,8 @@ def dropped(x: np.ndarray, dt: float, *, control: bool = False) -> tuple[np.ndar
     best, value = nothing, 0.0
     levels, counts = np.unique(x, return_counts=True)
     repeated = dict(zip(levels, counts, strict=True))
-    for level in suspect:
-        if repeated[level] < 2 and level != 0.0:
-            continue
+    often = [level for level in suspect if repeated[level] > 1 or level == 0.0]
+    for level in sorted(often, key=lambda level: -repeated[level])[:TRIED]:
         at = _at(x, level, floor, dt, control=control)
         if at.sum() > best.sum() and (level == 0.0 or sum(1 for _ in runs_of(at)) > 1 or at.sum() > 3):
             best, value = at, float(level)

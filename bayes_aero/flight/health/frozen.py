@@ -14,6 +14,8 @@ SHORTEST = 0.4  # s: shorter ones are told as a held signal or do no harm
 SURE = 4.0  # times the longest run that chance gives
 CONTINUOUS = 0.3  # share of equal neighbours up to which a run of equal values cannot be calm flight
 NOISELESS = 1e-5  # noise over range that no sensor has, and a simulation without noise has
+SELDOM = 0.02  # the same of air data, which change slowly
+MOTION = ("ax", "ay", "az", "p", "q", "r")
 MOVED = {"alpha": 0.009, "beta": 0.015, "theta": 0.009, "phi": 0.015, "psi": 0.02, "airspeed": 1.5, "altitude": 8.0}
 ALONG = 50.0  # m of altitude in which the radio altitude cannot stand still
 RATES = {"q": ("theta", 0.015), "p": ("phi", 0.03), "r": ("psi", 0.03)}
@@ -29,7 +31,7 @@ def frozen(record: FlightRecord, card: Card) -> list[HealthFinding]:
             continue
         if name in CONTROLS and not _noisy_control(x):
             continue
-        stretches = [run for run in still_runs(x) if _frozen(record, view, name, x, run)]
+        stretches = [run for run in still_runs(x) if not _cut_off(x, run) and _frozen(record, view, name, x, run)]
         if not stretches:
             continue
         first, last = max(stretches, key=lambda run: run[1] - run[0])
@@ -57,6 +59,12 @@ def _dead(record: FlightRecord, card: Card, name: str) -> list[HealthFinding]:
     return [found(record, name, "frozen", sentence, at=(0, record.n - 1), grave=grave)]
 
 
+def _cut_off(x: np.ndarray, run: tuple[int, int]) -> bool:
+    """Whether the run is at an end of the channel's range where it stands at other times, too: saturated."""
+    value = x[run[0]]
+    return value in (x.max(), x.min()) and int(np.sum(x == value)) > 1.2 * (run[1] - run[0] + 1)
+
+
 def _noisy_control(x: np.ndarray) -> bool:
     """Whether the deflection is a measurement that scatters from sample to sample, not a clean command."""
     return noise_of(x) > 0.0 and float(np.mean(np.diff(x) == 0.0)) < CONTINUOUS
@@ -76,7 +84,8 @@ def _frozen(record: FlightRecord, view: dict[str, np.ndarray], name: str, x: np.
     if moved is not None:
         return moved > max(4.0 * level_step(x), 5.0 * noise_of(x), MOVED.get(name, 0.0))
     scatters = noise_of(np.delete(x, np.s_[first : last + 1])) > NOISELESS * np.ptp(x)
-    return share < CONTINUOUS and scatters and _others_move(record, name, run)
+    often = CONTINUOUS if name in MOTION or name in CONTROLS else SELDOM
+    return share < often and scatters and _others_move(record, name, run)
 
 
 def _moved(record: FlightRecord, view: dict[str, np.ndarray], name: str, run: tuple[int, int]) -> float | None:

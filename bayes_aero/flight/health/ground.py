@@ -17,6 +17,7 @@ from bayes_aero.flight.tolerances import GRAVITY
 LIFT = 4.5  # lift coefficient that no wing has, for a load factor of one
 SLOW = 0.25  # of the speed that the record keeps in its faster half, where the card states no wing
 SHORTEST = 1.0  # s
+LEVEL = 15.0  # m that the altitude of a runway and its noise stay within
 DROPOUTS = 7  # samples of a median, for a dropout is no landing
 FEWEST = 50  # samples of flight that the other checks need
 
@@ -65,4 +66,8 @@ def _grounded(record: FlightRecord, card: Card) -> list[tuple[int, int]]:
         return []
     gap = max(1, round(SHORTEST / record.dt))
     too_slow = binary_closing(np.pad(too_slow, gap, mode="edge"), np.ones(gap))[gap:-gap]
-    return [run for run in runs_of(too_slow) if (run[1] - run[0]) * record.dt >= SHORTEST]
+    runs = [run for run in runs_of(too_slow) if (run[1] - run[0]) * record.dt >= SHORTEST]
+    if not record.has("altitude"):
+        return runs
+    height = median_filter(record["altitude"], DROPOUTS, mode="nearest")
+    return [(a, b) for a, b in runs if np.ptp(height[a : b + 1]) < LEVEL]

@@ -6,9 +6,10 @@ import numpy as np
 
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import HealthFinding, found, shown, span
-from bayes_aero.flight.health.signals import CONTROLS, level_step, noise_of, quantum_of, runs_of
+from bayes_aero.flight.health.signals import level_step, noise_of, quantum_of, runs_of
 from bayes_aero.flight.record import FlightRecord
 
+SENSED = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "alpha", "beta", "airspeed")
 FEWEST = 6  # samples at the limit
 LONGEST = 3  # samples in a row of which a noisy channel has none at its very extreme
 NOISELESS = 1e-6  # noise over range that no sensor has
@@ -21,8 +22,9 @@ MOST = 0.5  # share of the record at the limit at most: a channel that stands th
 def saturated(record: FlightRecord, card: Card) -> list[HealthFinding]:
     """A finding for each measured channel with a flat top or bottom that the signal runs into."""
     said = []
-    for name, x in record.channels.items():
-        if name in CONTROLS or name in ("psi", "mach", "fuel_used") or np.ptp(x) == 0.0:
+    for name in SENSED:
+        x = record.channels.get(name)
+        if x is None or np.ptp(x) == 0.0:
             continue
         for extreme, end in ((float(x.max()), "upper"), (float(x.min()), "lower")):
             run = _flat(x, extreme)
@@ -48,12 +50,20 @@ def _flat(x: np.ndarray, extreme: float) -> tuple[int, int] | None:
     first, last = max(runs, key=lambda run: run[1] - run[0])
     if last - first + 1 < LONGEST:
         return None
+    if int(at.sum()) <= 1.2 * (last - first + 1) and _jumps_away(x, first, last):  # frozen there by chance
+        return None
     if noise_of(x) < NOISELESS * np.ptp(x):  # a simulation without noise rests where it is told to
         return None
     others = np.diff(x)[~(at[1:] & at[:-1])]
     if np.mean(others == 0.0) < SCATTERS:
         return first, last
     return (first, last) if _beyond(x, first, last) > MORE * max(level_step(x), quantum_of(x), noise_of(x)) else None
+
+
+def _jumps_away(x: np.ndarray, first: int, last: int) -> bool:
+    """Whether the signal leaves its only run at the extreme by a step that it does not make on the way in."""
+    usual = max(float(np.quantile(np.abs(np.diff(x)), 0.9)), abs(x[first] - x[first - 1]))
+    return abs(x[last + 1] - x[last]) > 2.0 * usual
 
 
 def _beyond(x: np.ndarray, first: int, last: int) -> float:
