@@ -34,6 +34,9 @@ ALPHA_MOVES = 1e-6
 ROUNDED = 0.15
 """Part of the median step from which a common divisor of all steps is taken for the rounding of time stamps."""
 
+SOME = 0.1
+"""Share of repeated stamps up to which samples were written twice, and beyond which stamps are rounded."""
+
 Check = Callable[[FlightRecord], None]
 
 
@@ -106,7 +109,7 @@ def _rounding(record: FlightRecord) -> str:
     """What to do if the time stamps are rounded: all steps are multiples of one that is no small part of the median."""
     step = np.diff(record.time)
     positive = step[step > 0.0]
-    if (step < 0.0).any() or len(positive) < 10:
+    if (step < 0.0).any() or len(positive) < 10 or 0.0 < np.mean(step == 0.0) < SOME:
         return ""
     mean = float((record.time[-1] - record.time[0]) / (record.n - 1))
     least = float(positive.min())
