@@ -62,7 +62,7 @@ def _dead(record: FlightRecord, card: Card, name: str) -> list[HealthFinding]:
 def _cut_off(x: np.ndarray, run: tuple[int, int]) -> bool:
     """Whether the run is at an end of the channel's range where it stands at other times, too: saturated."""
     value = x[run[0]]
-    return value in (x.max(), x.min()) and int(np.sum(x == value)) > 1.2 * (run[1] - run[0] + 1)
+    return bool(value in (x.max(), x.min()) and int(np.sum(x == value)) > 1.2 * (run[1] - run[0] + 1))
 
 
 def _noisy_control(x: np.ndarray) -> bool:

@@ -63,7 +63,7 @@ def _flat(x: np.ndarray, extreme: float) -> tuple[int, int] | None:
 def _jumps_away(x: np.ndarray, first: int, last: int) -> bool:
     """Whether the signal leaves its only run at the extreme by a step that it does not make on the way in."""
     usual = max(float(np.quantile(np.abs(np.diff(x)), 0.9)), abs(x[first] - x[first - 1]))
-    return abs(x[last + 1] - x[last]) > 2.0 * usual
+    return bool(abs(x[last + 1] - x[last]) > 2.0 * usual)
 
 
 def _beyond(x: np.ndarray, first: int, last: int) -> float:
