@@ -11,13 +11,13 @@ from rich.console import Console
 from rich.table import Table
 
 from bayes_aero.cli.terminal import (
-    DOUBT,
     FAILED,
     JsonOption,
     ModelOption,
     ResampleOption,
     SeedOption,
     bar,
+    exit_in_doubt,
     interruptible,
     loading,
     print_json,
@@ -63,8 +63,7 @@ def check(
             teller().print(f"! {failure}" if failure else f"The report is in {out / 'report.html'}", soft_wrap=True)
     if not report.usable:
         raise typer.Exit(FAILED)
-    if report.consistency.disagrees:
-        raise typer.Exit(DOUBT)
+    exit_in_doubt(report.consistency, report.health, corrects=False)
 
 
 def _tell(console: Console, report: CheckReport) -> None:
@@ -72,6 +71,8 @@ def _tell(console: Console, report: CheckReport) -> None:
     from bayes_aero.report.words_consistency import sizes
 
     doubt, told = report.consistency.disagrees, sensor_sentences(report)
+    for caution in report.cautions:
+        console.print(f"! {caution}", style="yellow")
     if doubt:
         console.print(f"! {told[0]}", style="yellow")
     for record in report.records:
@@ -83,8 +84,6 @@ def _tell(console: Console, report: CheckReport) -> None:
         console.print(f"  {name}: {error['claim']} {sizes(error)}{faint}")
     if not report.sensors.note:
         console.print(f"  {left_over(report)}")
-    for caution in report.cautions:
-        console.print(f"! {caution}", style="yellow")
     colour = "red" if not report.usable else "yellow" if report.cautions or doubt else "green"
     console.print(headline(report), style=f"bold {colour}")
 

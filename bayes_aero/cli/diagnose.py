@@ -19,7 +19,7 @@ from bayes_aero.cli.terminal import (
     interruptible,
     kept_stages,
     loading,
-    tell_consistency,
+    tell_doubts,
     teller,
 )
 
@@ -75,14 +75,14 @@ def diagnose(
         )
     if json:
         typer.echo((out / "diagnosis.json").read_text(encoding="utf-8"), nl=False)
+    agreement = None if isinstance(found, Flown) else found.consistency
+    tell_doubts(console, agreement, found.health, corrects=True)
     if isinstance(found, Flown):
         _tell_flown(console, found)
-        console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
-        return
-    tell_consistency(console, found.consistency, corrects=True)
-    _tell(console, found)
+    else:
+        _tell(console, found)
     console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
-    exit_in_doubt(found.consistency, corrects=True)
+    exit_in_doubt(agreement, found.health, corrects=True)
 
 
 def _tell(console: Console, found: Outcome) -> None:

@@ -19,7 +19,7 @@ from bayes_aero.cli.terminal import (
     interruptible,
     kept_stages,
     loading,
-    tell_consistency,
+    tell_doubts,
     teller,
 )
 
@@ -53,7 +53,7 @@ def fly(
         found = run(flights, card, out=out, windows=windows, seed=seed, figures=figures, progress=tell)
     if json:
         typer.echo((out / RESULTS).read_text(encoding="utf-8"), nl=False)
-    tell_consistency(console, found.consistency, corrects=False)
+    tell_doubts(console, found.consistency, found.health, corrects=False)
     console.print(parameter_table(found.flown))
     console.print(error_table(found.flown))
     for sentence in found.sentences:
@@ -63,4 +63,4 @@ def fly(
     console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
     if not found.flown.converged:
         raise typer.Exit(FAILED)
-    exit_in_doubt(found.consistency, corrects=False)
+    exit_in_doubt(found.consistency, found.health, corrects=False)

@@ -19,7 +19,7 @@ from bayes_aero.cli.terminal import (
     interruptible,
     kept_stages,
     loading,
-    tell_consistency,
+    tell_doubts,
     teller,
 )
 
@@ -89,11 +89,11 @@ def identify(
         )
     if json:
         typer.echo((out / "results.json").read_text(encoding="utf-8"), nl=False)
-    tell_consistency(console, found.consistency, corrects=False)
+    tell_doubts(console, found.consistency, found.health, corrects=False)
     console.print(terminal_table(found))
     for sentence in verdict(found):
         console.print(f"• {sentence}", highlight=False)
     for note in found.notes:
         console.print(f"! {note}", highlight=False)
     console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
-    exit_in_doubt(found.consistency, corrects=False)
+    exit_in_doubt(found.consistency, found.health, corrects=False)

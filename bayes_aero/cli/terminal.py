@@ -19,6 +19,7 @@ from bayes_aero.studies.compiled import cache_folder
 if TYPE_CHECKING:  # the real imports wait until a command needs them
     from bayes_aero.flight.agreement import Consistency
     from bayes_aero.flight.card import Card
+    from bayes_aero.flight.health import HealthFinding
     from bayes_aero.flight.record import FlightRecord
 
 FAILED = 1
@@ -91,20 +92,30 @@ def print_json(content: Mapping[str, Any]) -> None:
     sys.stdout.write(as_json(dict(content)))
 
 
-def tell_consistency(console: Console, found: Consistency | None, *, corrects: bool) -> None:
-    """Whether the sensors agree: the first thing that is printed. `corrects`: the command takes known errors out."""
+def tell_doubts(
+    console: Console, agreement: Consistency | None, health: Sequence[HealthFinding], *, corrects: bool
+) -> None:
+    """Faulty channels and whether the sensors agree: the first things that are printed.
+
+    `corrects`: whether the command takes known errors of sensors out by itself.
+    """
     from bayes_aero.report.words_consistency import consistency_sentences
 
-    if found is not None:
-        first, *rest = consistency_sentences(found, corrects=corrects)
-        console.print(f"{'!' if found.disagrees else '•'} {first}", highlight=False)
+    for finding in health:
+        console.print(f"! {finding.sentence}", highlight=False)
+    if agreement is not None:
+        first, *rest = consistency_sentences(agreement, corrects=corrects)
+        console.print(f"{'!' if agreement.disagrees else '•'} {first}", highlight=False)
         for sentence in rest:
             console.print(f"• {sentence}", highlight=False)
 
 
-def exit_in_doubt(found: Consistency | None, *, corrects: bool) -> None:
-    """Leave with `DOUBT` where sensors disagree, but for known errors that the command has corrected."""
-    if found is not None and found.disagrees and not (corrects and found.agreement == "disagree_explained"):
+def exit_in_doubt(agreement: Consistency | None, health: Sequence[HealthFinding], *, corrects: bool) -> None:
+    """Leave with `DOUBT` where a channel is faulty or sensors disagree, but for known errors that were corrected."""
+    disagrees = agreement is not None and agreement.disagrees
+    if disagrees and corrects and agreement is not None and agreement.agreement == "disagree_explained":
+        disagrees = False
+    if disagrees or any(finding.grave for finding in health):
         raise typer.Exit(DOUBT)
 
 

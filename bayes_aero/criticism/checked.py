@@ -7,6 +7,7 @@ from typing import Any
 
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
+from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.inspection import RecordReport
 
 
@@ -23,7 +24,7 @@ class SensorCheck:
 class CheckReport:
     """All records together. `uses` says of each command why it cannot work on them; empty text: it can.
 
-    `cautions` are sentences on what may be right but rarely is.
+    `health` is what is wrong with the channels of the usable records, and `cautions` its sentences.
     """
 
     card: Card
@@ -32,7 +33,12 @@ class CheckReport:
     not_testable: dict[str, str]
     sensors: SensorCheck
     consistency: Consistency
-    cautions: tuple[str, ...] = ()
+    health: tuple[HealthFinding, ...] = ()
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """What is wrong with the records, in words."""
+        return tuple(finding.sentence for finding in self.health)
 
     @property
     def usable(self) -> bool:

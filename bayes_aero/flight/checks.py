@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.channel import STANDARD_CHANNELS, StandardChannel
+from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
+from bayes_aero.flight.plausible import at, implausible, time_hint
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.units import same_unit
 
 __all__ = ["GAP", "JITTER", "MIN_SAMPLES", "check_record", "failures"]
 
@@ -28,19 +31,29 @@ ALPHA_MOVES = 1e-6
 """Smallest range of alpha, rad, that counts as variation at all."""
 
 
-def check_record(record: FlightRecord, *, even: bool = True) -> None:
+ROUNDED = 0.15
+"""Part of the median step from which a common divisor of all steps is taken for the rounding of time stamps."""
+
+SOME = 0.1
+"""Share of repeated stamps up to which samples were written twice, and beyond which stamps are rounded."""
+
+Check = Callable[[FlightRecord], None]
+
+
+def check_record(record: FlightRecord, *, even: bool = True, channels: Sequence[Channel] = ()) -> None:
     """Raise InputError, naming channel, sample and remedy, for the first thing that is wrong with a record.
 
-    With `even=False` gaps and uneven sampling pass: the record is about to be resampled.
+    With `even=False` gaps and uneven sampling pass: the record is about to be resampled. `channels` are the card's:
+    what it says already is not advised.
     """
-    for check in _checks(even):
+    for check in _checks(even, channels):
         check(record)
 
 
-def failures(record: FlightRecord, *, even: bool = True) -> list[str]:
+def failures(record: FlightRecord, *, even: bool = True, channels: Sequence[Channel] = ()) -> list[str]:
     """Everything that is wrong with a record, one sentence each; `check_record` raises the first."""
     said = []
-    for check in _checks(even):
+    for check in _checks(even, channels):
         try:
             check(record)
         except InputError as reason:
@@ -50,13 +63,11 @@ def failures(record: FlightRecord, *, even: bool = True) -> list[str]:
     return said
 
 
-def _checks(even: bool) -> list[Callable[[FlightRecord], None]]:
-    sampled = [_evenly_sampled] if even else []
-    return [_length, _finite, _plausible, _monotonic, _rate, *sampled, _positive, _in_g, _varies]
-
-
-def _at(record: FlightRecord, index: int | np.integer) -> str:
-    return f"sample {int(index)} (counted from 0; t = {record.time[index]:.6g} s)"
+def _checks(even: bool, channels: Sequence[Channel]) -> list[Check]:
+    card = {channel.name: channel for channel in channels}
+    sampled: list[Check] = [_evenly_sampled] if even else []
+    plausible, rate, in_g = (partial(check, card=card) for check in (_plausible, _rate, _in_g))
+    return [_length, _finite, plausible, _monotonic, rate, *sampled, _positive, in_g, _varies]
 
 
 def _length(record: FlightRecord) -> None:
@@ -75,7 +86,7 @@ def _finite(record: FlightRecord) -> None:
         if bad.any():
             first = int(np.argmax(bad))
             kind = "not a number (NaN)" if np.isnan(values[first]) else "infinite"
-            when = f"sample {first} (counted from 0)" if name == "time" else _at(record, first)
+            when = f"sample {first} (counted from 0)" if name == "time" else at(record, first)
             raise InputError(
                 f"channel {name} is {kind} at {when}, {int(bad.sum())} of {record.n} samples in all; "
                 f"repair or cut out these samples, or take the channel off the card if it is not needed"
@@ -88,62 +99,68 @@ def _monotonic(record: FlightRecord) -> None:
         i = int(np.argmax(step <= 0.0)) + 1
         what = "repeats" if step[i - 1] == 0.0 else "runs backwards from"
         raise InputError(
-            f"channel time {what} {record.time[i - 1]:.9g} s at {_at(record, i)}; time must increase: "
-            f"sort the samples, drop the repeated ones, or split the file into one record per manoeuvre"
+            f"channel time {what} {record.time[i - 1]:.9g} s at {at(record, i)}, {int((step <= 0.0).sum())} times in "
+            f"all; time must increase: {_rounding(record) or 'sort the samples, drop the repeated ones, or split the '}"
+            f"{'' if _rounding(record) else 'file into one record per manoeuvre'}"
         )
 
 
-def _rate(record: FlightRecord) -> None:
+def _rounding(record: FlightRecord) -> str:
+    """What to do if the time stamps are rounded: all steps are multiples of one that is no small part of the median."""
+    step = np.diff(record.time)
+    positive = step[step > 0.0]
+    if (step < 0.0).any() or len(positive) < 10 or 0.0 < np.mean(step == 0.0) < SOME:
+        return ""
+    mean = float((record.time[-1] - record.time[0]) / (record.n - 1))
+    least = float(positive.min())
+    off = np.abs(positive / least - np.round(positive / least))
+    levels = len(np.unique(np.round(step / least)))
+    regular = abs(record.time[record.n // 2] - record.time[0] - mean * (record.n // 2)) <= 2.0 * max(least, mean)
+    if least < ROUNDED * mean or off.max() > 0.02 or not 2 <= levels <= 4 or not regular:
+        return ""
+    return (
+        f"the stamps are rounded to {least:.3g} s, and {record.n} samples in "
+        f"{record.time[-1] - record.time[0]:.6g} s make {1.0 / mean:.4g} Hz; write time with more digits, or as sample "
+        f"number times {mean:.6g} s"
+    )
+
+
+def _rate(record: FlightRecord, card: Mapping[str, Channel]) -> None:
     median = float(np.median(np.diff(record.time)))
     if not RATES[0] <= median <= RATES[1]:
-        hint = 'looks like milliseconds: set unit = "ms"' if median > RATES[1] else "is its unit hours or days? Set it"
         raise InputError(
-            f"channel time has a median step of {median:.6g} s from {_at(record, 0)}, outside "
-            f"{RATES[0]:g} to {RATES[1]:g} s; {hint} on the card"
+            f"channel time has a median step of {median:.6g} s from {at(record, 0)}, outside "
+            f"{RATES[0]:g} to {RATES[1]:g} s; {time_hint(median, card.get('time'))}"
         )
 
 
 def _evenly_sampled(record: FlightRecord) -> None:
     step = np.diff(record.time)
     median = float(np.median(step))
-    if (step > GAP * median).any():
+    rounding = _rounding(record)
+    if (step > GAP * median).any() and not rounding:
         i = int(np.argmax(step > GAP * median))
         raise InputError(
-            f"channel time has a gap of {step[i]:.6g} s after {_at(record, i)}, where {median:.6g} s is the "
-            f"sampling interval; cut the record there into two files, or ask for resampling if the gap is "
-            f"short"
+            f"channel time has a gap of {step[i]:.6g} s after {at(record, i)}, where {median:.6g} s is the "
+            f"sampling interval; cut the record there into two files, or ask for resampling if the gap is short"
         )
     off = np.abs(step - median) > JITTER * median
     if off.any():
         i = int(np.argmax(off))
+        mean = float(np.mean(step)) if rounding else median
         raise InputError(
-            f"channel time is sampled unevenly: the step after {_at(record, i)} is {step[i]:.6g} s, the "
-            f"median step "
-            f"{median:.6g} s, {int(off.sum())} steps differ by more than {JITTER:.0%}; write time with more "
-            f"digits, "
-            f"or ask for resampling (resample = {median:.4g})"
+            f"channel time is sampled unevenly: the step after {at(record, i)} is {step[i]:.6g} s, the median step "
+            f"{median:.6g} s, {int(off.sum())} steps differ by more than {JITTER:.0%}; "
+            f"{rounding or 'write time with more digits'}, or ask for resampling (resample = {mean:.4g})"
         )
 
 
-def _plausible(record: FlightRecord) -> None:
+def _plausible(record: FlightRecord, card: Mapping[str, Channel]) -> None:
     for name in record.names:
         known = STANDARD_CHANNELS.get(name)
-        if known is None:
-            continue
-        values = record[name]
-        lo, hi = known.plausible
-        outside = (values < lo) | (values > hi)
-        if outside.any() and not (lo == 0.0 and (values < lo).any()):  # signs are told better by _positive
-            raise InputError(_implausible(record, known, int(np.argmax(outside))))
-
-
-def _implausible(record: FlightRecord, known: StandardChannel, index: int) -> str:
-    value, (lo, hi) = record[known.name][index], known.plausible
-    hint = known.hint or f"correct its unit on the card ({known.unit} inside the program) or repair the sample"
-    return (
-        f"channel {known.name} is {value:.6g} {known.unit} at {_at(record, index)}, outside {lo:g} to {hi:g} "
-        f"{known.unit}; {hint}"
-    )
+        why = None if known is None else implausible(record, known, card.get(name))
+        if why is not None:
+            raise InputError(why)
 
 
 def _positive(record: FlightRecord) -> None:
@@ -159,29 +176,29 @@ def _positive(record: FlightRecord) -> None:
             i = int(np.argmax(bad))
             raise InputError(
                 f"channel {name} is {record[name][i]:.6g} {STANDARD_CHANNELS[name].unit} at "
-                f"{_at(record, i)}, "
+                f"{at(record, i)}, "
                 f"{int(bad.sum())} samples not above zero; {remedy}"
             )
 
 
-def _in_g(record: FlightRecord) -> None:
+def _in_g(record: FlightRecord, card: Mapping[str, Channel]) -> None:
     if not all(record.has(axis) for axis in ("ax", "ay", "az")):
         return
     load = float(np.median(np.sqrt(record["ax"] ** 2 + record["ay"] ** 2 + record["az"] ** 2)))
-    if 0.7 < load < 1.4:  # near 9.8 in m/s2; only a record flown at a tenth of gravity throughout would look like this
+    in_g = "az" in card and same_unit(card["az"].unit, "g")
+    if 0.7 < load < 1.4 and not in_g:  # near 9.8 in m/s2; only a record flown at a tenth of gravity throughout is so
         i = int(np.argmax(np.abs(record["az"])))
         raise InputError(
-            f"channels ax, ay, az have a median magnitude of {load:.3g} m/s^2 (az is {record['az'][i]:.3g} "
-            f"at "
-            f'{_at(record, i)}); looks like multiples of gravity: set unit = "g" for them on the card'
+            f"channels ax, ay, az have a median magnitude of {load:.3g} m/s^2 (az is {record['az'][i]:.3g} at "
+            f'{at(record, i)}); looks like multiples of gravity: set unit = "g" for them on the card'
         )
 
 
 def _varies(record: FlightRecord) -> None:
     if record.has("alpha") and float(np.ptp(record["alpha"])) < ALPHA_MOVES:
         raise InputError(
-            f"channel alpha stays at {record['alpha'][0]:.6g} rad from {_at(record, 0)} to "
-            f"{_at(record, record.n - 1)}; "
+            f"channel alpha stays at {record['alpha'][0]:.6g} rad from {at(record, 0)} to "
+            f"{at(record, record.n - 1)}; "
             f"nothing can be identified from a constant angle of attack: check the sensor and the card's "
             f"column or label"
         )

@@ -12,6 +12,7 @@ import numpy as np
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.flight.checks import GAP, JITTER, failures
+from bayes_aero.flight.plausible import without_bad_options
 from bayes_aero.flight.raw import RawColumn, read_raw
 from bayes_aero.flight.readers import read_record
 from bayes_aero.flight.record import FlightRecord
@@ -77,8 +78,8 @@ def inspect_record(
     time = values.get("time", np.empty(0))
     if "time" in values:
         same = {name: x for name, x in values.items() if len(x) == len(time)}
-        looked = FlightRecord(Path(path).stem, time, same, os.fspath(path), "")
-        problems += failures(looked, even=resample is None)
+        looked = without_bad_options(FlightRecord(Path(path).stem, time, same, os.fspath(path), ""), channels)
+        problems += failures(looked, even=resample is None, channels=channels)
     try:
         record = read_record(path, channels, resample=resample)
     except InputError as reason:  # what it says of a column that no channel of the card was found in

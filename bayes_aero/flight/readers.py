@@ -20,6 +20,7 @@ from bayes_aero.flight.binary import read_mat, read_netcdf, read_parquet
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.flight.checks import check_record
 from bayes_aero.flight.columns import Column
+from bayes_aero.flight.plausible import without_bad_options
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.flight.resample import resample_record
 from bayes_aero.flight.text import read_columns, read_csv
@@ -67,10 +68,11 @@ def read_record(
             source=name,
             sha256=hashlib.sha256(data).hexdigest(),
         )
-        check_record(record, even=resample is None)
+        record = without_bad_options(record, channels)
+        check_record(record, even=resample is None, channels=channels)
         if resample is not None:
             record = resample_record(record, resample)
-            check_record(record)
+            check_record(record, channels=channels)
     except InputError as reason:
         raise InputError(f"{name}: {reason}") from reason
     return record

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import cached_property
 from types import MappingProxyType
@@ -41,6 +41,7 @@ class FlightRecord:
         channels: channel name -> (n,) values in SI and radians; time is not among them.
         source: where the record came from, for provenance.
         sha256: SHA-256 of the file's bytes; of the arrays' bytes for a record made in memory.
+        dropped: channel -> why it was left out when the file was read.
     """
 
     name: str
@@ -48,6 +49,7 @@ class FlightRecord:
     channels: Mapping[str, np.ndarray]
     source: str
     sha256: str
+    dropped: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         time = _frozen(self.time, f"record {self.name}: channel time")
@@ -121,8 +123,9 @@ class FlightRecord:
             channels={key: values[keep] for key, values in self.channels.items()},
             source=f"{self.source}, {t0:g} s to {t1:g} s",
             sha256=self.sha256,
+            dropped=self.dropped,
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
         # A mapping proxy cannot be pickled, and records are sent to worker processes.
-        return FlightRecord, (self.name, self.time, dict(self.channels), self.source, self.sha256)
+        return FlightRecord, (self.name, self.time, dict(self.channels), self.source, self.sha256, dict(self.dropped))

@@ -63,6 +63,7 @@ def resample_record(record: FlightRecord, dt: float, max_gap: float = MAX_GAP) -
         channels={key: _onto(record, key, time, factor) for key in record.channels},
         source=f"{record.source}, resampled to {dt:g} s",
         sha256=record.sha256,
+        dropped=record.dropped,
     )
 
 

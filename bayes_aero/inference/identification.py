@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
+from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.gp import GPFit
 from bayes_aero.inference.mle import MleResult
@@ -63,8 +64,8 @@ class Identification:
     `alone` holds the maximum-likelihood fit of each manoeuvre by itself. `posteriors` has `emcee` and `nuts` under
     the chosen noise model `noise`, and `white`, by emcee, where that is another one. `stall` is over the draws of the
     first of them. `preparation` tells, in words, what the way the coefficients were formed does to the estimates.
-    `forming` is how. `consistency` tells whether the sensors agree. `truth` has the parameters (SI and radians) that
-    simulated records were flown with.
+    `forming` is how. `health` is what is wrong with the records' channels, and `consistency` whether the sensors agree.
+    `truth` has the parameters (SI and radians) that simulated records were flown with.
     """
 
     card: Card
@@ -78,6 +79,7 @@ class Identification:
     gp: GPReport | None = None
     stall: Stall | None = None
     notes: tuple[str, ...] = ()
+    health: tuple[HealthFinding, ...] = ()
     preparation: tuple[str, ...] = ()
     consistency: Consistency | None = None
     truth: Mapping[str, float] | None = None

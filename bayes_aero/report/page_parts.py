@@ -10,8 +10,8 @@ import numpy as np
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.record_doubt import record_doubts
 from bayes_aero.inference.stall import Interval, Stall
 from bayes_aero.model.linear import channel_units
 from bayes_aero.parameter import Parameter
@@ -67,8 +67,8 @@ def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...
 
 
 def doubts(records: Sequence[FlightRecord], card: Card) -> tuple[Text, ...]:
-    """Warnings of units that cannot be right: nothing below them is then what it seems."""
-    return tuple(Text(f"{said}.", "warning") for said in record_doubts(records, card.channels))
+    """What is wrong with the records' channels: nothing below is then what it seems."""
+    return tuple(Text(f"{finding.sentence}.", "warning") for finding in channel_health(records, card))
 
 
 def consistency_lead(found: Consistency | None, *, corrects: bool) -> tuple[Text, ...]:

@@ -68,8 +68,8 @@ def headline(report: CheckReport) -> str:
             Agreement.EXPLAINED: f"; the sensors disagree ({several(report.sensors.errors)})",
             Agreement.UNEXPLAINED: ", but the sensors disagree and no known error explains it",
         }.get(report.consistency.agreement, "")
-        if report.cautions:  # an error of a sensor would be what the card gets wrong
-            wrong = ", but first mend the card or the file, which other channels contradict (warnings)"
+        if any(finding.grave for finding in report.health):  # an error of a sensor would be what the card gets wrong
+            wrong = ", but first mend the card or the file: its channels are not sound (warnings)"
         return f"Usable for {', '.join(able)}{wrong}."
     problems = [p for r in report.records for p in r.problems] or [f"{n}: {w}" for n, w in report.uses.items() if w]
     more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""

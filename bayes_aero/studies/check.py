@@ -16,9 +16,9 @@ from bayes_aero.criticism.sensors import compatibility
 from bayes_aero.errors import InputError
 from bayes_aero.flight.agreement import Agreement, Consistency
 from bayes_aero.flight.card import Card
+from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.inspection import inspect_record
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.record_doubt import record_doubts
 from bayes_aero.model.flights import join
 from bayes_aero.model.longitudinal import FLIGHT
 from bayes_aero.model.model import Model
@@ -29,7 +29,7 @@ from bayes_aero.report.page import put_page
 from bayes_aero.report.page_check import check_page
 from bayes_aero.studies.consistency_results import consistency_results
 from bayes_aero.studies.folder import writable
-from bayes_aero.studies.guess import pitch_response
+from bayes_aero.studies.health_results import health_results
 from bayes_aero.studies.provenance import provenance, write_json
 
 SCHEMA = "bayes_aero/check/1"
@@ -58,20 +58,7 @@ def check_records(
     if not why and progress:
         progress("do the sensors agree?", 0.5)
     agreement, checked = (Consistency(why), SensorCheck(why, {}, {})) if why else _sensors(sound, card, seed)
-    cautions = (*record_doubts(sound, card.channels), *_cautions(sound))
-    return CheckReport(card, tuple(looked), uses, not_testable, checked, agreement, cautions)
-
-
-def _cautions(records: Sequence[FlightRecord]) -> tuple[str, ...]:
-    """What may be right but rarely is."""
-    able = [r for r in records if all(r.has(name) for name in ("elevator", "alpha", "q"))]
-    responses = [pitch_response(r["elevator"], r["alpha"], r["q"], r.dt) for r in able]
-    if responses and min(responses) > 0.0:
-        return (
-            f"the nose rises with the elevator ({np.mean(responses):+.2g} 1/s^2 a rad); trailing edge down counts as "
-            "positive and must lower it. If the file counts trailing edge up, write sign = -1 at elevator",
-        )
-    return ()
+    return CheckReport(card, tuple(looked), uses, not_testable, checked, agreement, channel_health(sound, card))
 
 
 def _purpose(records: Sequence[FlightRecord], card: Card) -> tuple[dict[str, str], dict[str, str]]:
@@ -137,6 +124,7 @@ def check_results(report: CheckReport) -> dict[str, Any]:
         "uses": {name: {"possible": not why, "why_not": why or None} for name, why in report.uses.items()},
         "not_testable": report.not_testable,
         "cautions": list(report.cautions),
+        "health": health_results(report.health),
         "sensors": {
             "checked": not report.sensors.note,
             "why_not": report.sensors.note or None,

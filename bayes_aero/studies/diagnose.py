@@ -17,8 +17,8 @@ from bayes_aero.effect import Kind
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
+from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.record_doubt import record_doubts
 from bayes_aero.inference.cores import blas_threads, cores
 from bayes_aero.model.model import Model
 from bayes_aero.report.diagnosed import view_of
@@ -97,7 +97,7 @@ def run(
     causes = view.diagnosis.causes
     earlier = unfinished.earlier(card, causes, predictors=predict is not None, trajectories=fly is not None)
     named = {name: _found(view.diagnosis, name) for name in hidden} if hidden else {}
-    outcome = Outcome(view, hidden, named, record_doubts(records, card.channels), agreement)
+    outcome = Outcome(view, hidden, named, (), channel_health(records, card), agreement)
     kept = Kept(outcome, out, card, records, source, earlier)
     unfinished.begin()
     shown = DIAGNOSIS_FIGURES if figures else {}

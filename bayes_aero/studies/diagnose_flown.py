@@ -13,8 +13,8 @@ from bayes_aero.criticism.flown import diagnose_flown
 from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
+from bayes_aero.flight.health import HealthFinding, channel_health
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.record_doubt import record_doubts
 from bayes_aero.model.dynamics import taken_as_zero
 from bayes_aero.physics.coefficients import REQUIRED
 from bayes_aero.report.diagnosed import rankings_of
@@ -33,6 +33,7 @@ from bayes_aero.studies.diagnosis_results import (
     unknown_results,
 )
 from bayes_aero.studies.folder import writable
+from bayes_aero.studies.health_results import health_results
 from bayes_aero.studies.histories import HISTORIES, flights, put_histories
 from bayes_aero.studies.outlook import simulations
 from bayes_aero.studies.provenance import provenance, write_json
@@ -76,11 +77,12 @@ def run_flown(
     flown: Trajectories | None = None
     if found.causes and not fly:
         note += " Without trajectories unseen flight was not asked about any cause."
+    health = channel_health(records, card)
 
     def write() -> list[str]:
-        said = [*diagnosis_sentences(found, flown), note, *record_doubts(records, card.channels)]
+        said = [*diagnosis_sentences(found, flown), note]
         if out is not None:
-            write_json(_results(found, flown, card, records, said, source), out / "diagnosis.json")
+            write_json(_results(found, flown, card, records, said, health, source), out / "diagnosis.json")
         return said
 
     said = write()
@@ -107,6 +109,7 @@ def _results(
     card: Card,
     records: Sequence[FlightRecord],
     said: Sequence[str],
+    health: Sequence[HealthFinding],
     source: Any,
 ) -> dict[str, Any]:
     units = {p.name: p.unit for p in d.aerodynamics.state.field.model.free}
@@ -132,6 +135,7 @@ def _results(
         "residuals": {},
         "predictors": {},
         "trajectories": {} if flown is None else trajectory_results(flown, card),
+        "health": health_results(health),
         "notes": list(d.notes),
         "provenance": dict(source),
     }

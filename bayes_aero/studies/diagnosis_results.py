@@ -8,10 +8,12 @@ from typing import Any
 from bayes_aero.criticism.finding import Cause, Diagnosis, Gain, NoiseReport, Unknown
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
+from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.diagnosed import Ranking, View, composition
 from bayes_aero.studies.consistency_results import consistency_results
+from bayes_aero.studies.health_results import health_results
 from bayes_aero.studies.trajectory_results import trajectory_results
 
 SCHEMA = "bayes_aero/diagnosis/1"
@@ -30,6 +32,7 @@ def diagnosis_results(
     hidden: Mapping[str, Any] | None = None,
     notes: Sequence[str] = (),
     agreement: Consistency | None = None,
+    health: Sequence[HealthFinding] = (),
 ) -> dict[str, Any]:
     """Everything found, as plain numbers and text; `hidden` is the truth where the records are simulated."""
     d = view.diagnosis
@@ -63,6 +66,7 @@ def diagnosis_results(
         "trajectories": {} if view.trajectories is None else trajectory_results(view.trajectories, card),
         "stall": {name: stall.numbers() for name, stall in view.stalls.items()},
         "separating": [dict(one) for one in separating],
+        "health": health_results(health),
         "notes": [*d.notes, *notes],
         "provenance": dict(provenance),
     }

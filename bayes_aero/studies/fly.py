@@ -18,8 +18,8 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.health import HealthFinding, channel_health
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.record_doubt import record_doubts
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.dynamics import Dynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.model.flights import Flights, despiked, join
@@ -37,8 +37,10 @@ from bayes_aero.report.words_fly import fly_sentences, parameter_frame, paramete
 from bayes_aero.studies.consistency_results import consistency_results
 from bayes_aero.studies.diagnosis_results import record_results
 from bayes_aero.studies.folder import writable
+from bayes_aero.studies.health_results import health_results
 from bayes_aero.studies.histories import flights, put_histories
 from bayes_aero.studies.provenance import provenance, write_json
+from bayes_aero.studies.repair import spike_notes
 from bayes_aero.studies.trajectory_results import open_loop
 
 SCHEMA = "bayes_aero/trajectories/1"
@@ -54,7 +56,8 @@ class Flight:
     flown: FlownFit
     sentences: tuple[str, ...]
     notes: tuple[str, ...]
-    consistency: Consistency
+    health: tuple[HealthFinding, ...] = ()
+    consistency: Consistency | None = None
 
 
 def fly(
@@ -92,7 +95,7 @@ def fly(
         biases=card.output_biases,
         progress=progress,
     )
-    found = Flight(flown, tuple(fly_sentences(flown)), (*record_doubts(records, card.channels), *notes), agreement)
+    found = Flight(flown, tuple(fly_sentences(flown)), tuple(notes), channel_health(records, card), agreement)
     if out is None:
         return found
     return _written(found, card, records, source, out, figures=figures, progress=progress)
@@ -148,9 +151,7 @@ def _flights(records: Sequence[FlightRecord], card: Card) -> tuple[Flights, Dyna
         notes += [f"Not recorded, and taken as zero: {several(still)}."] if still else []
     unseen = [n for n in dynamics.states if n not in flights.channels and n in STANDARD_CHANNELS]
     notes += [f"States that were not recorded begin at zero or as fitted: {several(unseen)}."] if unseen else []
-    if spikes:
-        counts = several(f"{count} of {name}" for name, count in spikes.items())
-        notes.append(f"Isolated spikes were replaced by the median of their neighbours: {counts}.")
+    notes += spike_notes(spikes)
     return flights, dynamics, notes
 
 
@@ -182,7 +183,7 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
         "schema": SCHEMA,
         "card": {"name": card.name, "title": card.title},
         "records": record_results(records),
-        "consistency": consistency_results(found.consistency),
+        "consistency": {} if found.consistency is None else consistency_results(found.consistency),
         "status": fit.status.name.lower(),
         "converged": flown.converged,
         "sentences": list(found.sentences),
@@ -204,6 +205,7 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
             if name in flown.outputs
         },
         "paths": [open_loop(path, flown.units) for path in flown.paths],
+        "health": health_results(found.health),
         "notes": list(found.notes),
         "provenance": source,
     }

@@ -18,8 +18,8 @@ from bayes_aero.criticism.preparation import preparation_notes
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.common_rate import rate_notes
+from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.record_doubt import record_doubts
 from bayes_aero.inference.checkpoint import Checkpoint
 from bayes_aero.inference.ensemble import sample_ensemble
 from bayes_aero.inference.identification import Identification
@@ -47,6 +47,7 @@ from bayes_aero.studies.folder import writable
 from bayes_aero.studies.histories import identified, put_histories
 from bayes_aero.studies.identified_flight import fly_identified
 from bayes_aero.studies.provenance import provenance, write_json
+from bayes_aero.studies.repair import repaired
 from bayes_aero.studies.results import results
 
 Progress = Callable[[str, float], None]
@@ -83,14 +84,15 @@ def identify(
     """
     model = Model.from_card(card)
     forming = Forming(coefficients)
-    observations = observe(records, card, model, forming)
+    without_spikes, spikes = repaired(records)
+    observations = observe(without_spikes, card, model, forming)
     seconds: dict[str, float] = {}
     with _timed(seconds, "do the sensors agree?", progress):
         agreement = consistency(records, card, seed=seed)
     with _timed(seconds, "mle", progress):
         mle = fit_mle(model, observations, seed=seed)
         alone = fit_alone(model, observations, seed=seed)
-        told = preparation_notes(records, card, model, mle) if forming is Forming.PUBLISHED else ()
+        told = preparation_notes(without_spikes, card, model, mle) if forming is Forming.PUBLISHED else ()
     run = Identification(
         card,
         model,
@@ -100,7 +102,8 @@ def identify(
         mle,
         alone,
         {},
-        notes=(*record_doubts(records, card.channels), *_rates(records, forming), *_many(len(records))),
+        notes=(*spikes, *_rates(records, forming), *_many(len(records))),
+        health=channel_health(records, card),
         preparation=told,
         consistency=agreement,
         truth=truth,

@@ -12,6 +12,7 @@ from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
+from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.report.diagnosed import View
 from bayes_aero.report.page import put_page
@@ -35,6 +36,7 @@ class Outcome:
     hidden: Hidden | None
     named: Mapping[str, str]
     notes: tuple[str, ...]
+    health: tuple[HealthFinding, ...] = ()
     consistency: Consistency | None = None
 
     @property
@@ -148,5 +150,6 @@ class Kept:
             hidden=None if hidden is None else {"effects": hidden, "named": named},
             notes=self.outcome.notes,
             agreement=self.outcome.consistency,
+            health=self.outcome.health,
         )
         write_json(content, self.path / RESULTS)

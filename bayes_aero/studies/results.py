@@ -16,6 +16,7 @@ from bayes_aero.inference.scores import Scores, score
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.comparison import flown
 from bayes_aero.studies.consistency_results import consistency_results
+from bayes_aero.studies.health_results import health_results
 from bayes_aero.studies.trajectory_results import open_loop
 
 SCHEMA = "bayes_aero/results/1"
@@ -55,6 +56,7 @@ def results(
     if identification.truth is not None:
         found["truth"] = {name: identification.truth[name] for name in flown(identification)}
     found["verdict"] = verdict
+    found["health"] = health_results(identification.health)
     found["notes"] = list(identification.notes)
     found["provenance"] = provenance | {"seconds": {k: round(v, 2) for k, v in identification.seconds.items()}}
     return found

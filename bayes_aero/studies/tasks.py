@@ -9,6 +9,7 @@ from pathlib import Path
 from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.flight.card import Card
+from bayes_aero.flight.health import HealthFinding, channel_health
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.studies.diagnose import run
 from bayes_aero.studies.diagnose_flown import lacking, run_flown
@@ -26,6 +27,7 @@ class Flown:
     diagnosis: Diagnosis
     trajectories: Trajectories | None
     sentences: Sequence[str]
+    health: Sequence[HealthFinding] = ()
 
 
 def diagnose_records(
@@ -43,9 +45,10 @@ def diagnose_records(
 ) -> Outcome | Flown:
     """Diagnose, as `bayes-aero diagnose` does: by coefficients, or by trajectories where these cannot be formed."""
     if lacking(flights, card):
-        return Flown(
-            *run_flown(flights, card, out=out, seed=seed, most=max_effects, fly=trajectories, progress=progress)
+        found, flown, said = run_flown(
+            flights, card, out=out, seed=seed, most=max_effects, fly=trajectories, progress=progress
         )
+        return Flown(found, flown, said, channel_health(flights, card))
     return run(
         flights,
         card,

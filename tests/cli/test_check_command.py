@@ -113,28 +113,33 @@ def test_a_unit_that_the_flight_path_refutes_is_doubted(
 ):
     """A file in knots or feet that the card takes for SI; each number alone is plausible."""
     cautions = json.loads(program("check", flights.sound, "--no-sensors", "--json").out)["cautions"]
-    assert not any("altitude changes" in caution for caution in cautions)
+    assert cautions == []
     table = pd.read_csv(flights.sound)
     table[column] *= factor
     table.to_csv("other.csv", index=False)
     done = program("check", "other.csv", "--no-sensors", "--json")
-    (said,) = [caution for caution in json.loads(done.out)["cautions"] if "altitude changes" in caution]
-    assert f"{name}, {declared} on the card, were in {meant}" in said
+    found = json.loads(done.out)
+    assert f"{name} is in {meant} and not in {declared}, as the card says" in found["cautions"][0]
+    first = found["health"][0]
+    assert (first["channel"], first["fault"], first["grave"]) == (name, "unit", True)
     for record, doubted in ((flights.sound, False), ("other.csv", True)):
         done = program("identify", record, "--no-sample", "--no-gp", "--no-figures", "--out", "id")
         assert done.code == (3 if doubted else 0), done.err
-        assert ("the altitude changes" in done.out) == doubted
+        assert (f"! other: {name} is in {meant}" in done.out) == doubted
+        assert [f["fault"] for f in json.loads((tmp_path / "id" / "results.json").read_text())["health"]][:1] == (
+            ["unit"] if doubted else []
+        )
         page = (tmp_path / "id" / "report.html").read_text().replace("<wbr>", "")
-        assert ("on the card, were in" in page.split("<h2")[0]) == doubted  # before all sections
+        assert (f"is in {meant} and not in" in page.split("<h2")[0]) == doubted  # before all sections
 
 
 @pytest.mark.parametrize(
     ("column", "factor", "words"),
     [
         ("AZCG", -1.0, "write sign = -1 at az"),
-        ("AZCG", 0.2, "and level flight has -1 g; correct its unit"),
-        ("QRGY", -1.0, "pitch attitude falls where the pitch rate is positive"),
-        ("QRGY", np.pi / 180.0, "pitch attitude changes 57"),
+        ("AZCG", 1.0 / 9.80665, 'set unit = "g"'),
+        ("QRGY", -1.0, "q counts the other way"),
+        ("QRGY", np.pi / 180.0, "q is in rad/s and not in deg/s"),
     ],
 )
 def test_a_sign_or_unit_that_other_channels_refute_is_doubted(program, flights, column, factor, words):

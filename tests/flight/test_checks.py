@@ -5,7 +5,7 @@ import pytest
 from flight_samples import sound
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.flight.checks import MIN_SAMPLES, check_record
 
 T = np.arange(120) * 0.04
@@ -17,7 +17,7 @@ def put(values: np.ndarray, index: int, value: float) -> np.ndarray:
     return changed
 
 
-def told(record, *words: str, **options: bool) -> None:
+def told(record, *words: str, **options) -> None:
     with pytest.raises(InputError) as caught:
         check_record(record, **options)
     message = str(caught.value)
@@ -58,7 +58,7 @@ CASES = {
     "dense": ({"density": put(T * 0 + 1.2, 9, 2.5)}, ("channel density", "2.5 kg/m^3", "sample 9 ", "unit")),
     "n1 in per cent": ({"n1_left": 80 + T}, ("channel n1_left", "sample 0 ", 'unit = "%"')),
     "pressure in hPa": ({"static_pressure": 510 + T}, ("channel static_pressure", "sample 0 ", '"hPa"')),
-    "pressure converted twice": ({"static_pressure": 5.1e6 + T}, ("channel static_pressure", '"Pa"')),
+    "pressure beyond any unit": ({"static_pressure": 5.1e6 + T}, ("channel static_pressure", "no other unit")),
     "celsius": ({"static_temperature": T - 20}, ("channel static_temperature", '"degC"')),
     "no airspeed": (
         {"airspeed": put(put(T + 50, 17, 0.0), 90, -1.0)},
@@ -80,6 +80,20 @@ CASES = {
 def test_told(case):
     changed, words = CASES[case]
     told(sound(**changed), *words)
+
+
+def test_the_unit_that_the_card_has_is_not_advised():
+    hpa = [Channel("static_pressure", "hPa")]  # of a file in Pa
+    told(sound(static_pressure=5.1e6 + T), 'looks like Pa: set unit = "Pa"', channels=hpa)
+    ms = [Channel("time", "ms")]  # of a file in microseconds
+    told(sound(time=T * 1e3), 'set unit = "us"', channels=ms)
+
+
+@pytest.mark.parametrize("value", [-9999.0, 9999.0, 99999.0])
+def test_a_fill_value_is_told_before_any_unit(value):
+    degrees = [Channel("alpha", "deg")]
+    filled = sound(alpha=put(put(sound()["alpha"], 11, np.deg2rad(value)), 50, np.deg2rad(value)))
+    told(filled, f"{value:.10g} deg stands at 2 of 120 samples", "sample 11 ", "fill value", channels=degrees)
 
 
 def test_odd_but_possible_flying_passes():

@@ -13,6 +13,7 @@ import pytest
 import xarray as xr
 from PIL import Image
 
+from bayes_aero.flight.health import HealthFinding
 from bayes_aero.inference.posterior import PosteriorStatus
 from bayes_aero.report import page_parts
 from bayes_aero.report.figures import FIGURES
@@ -262,7 +263,10 @@ def test_a_diagnosis_tells_causes_gain_and_what_is_open(diagnosed, flown, card):
 
 
 def test_a_unit_that_cannot_be_is_the_first_word(diagnosed, flown, card, monkeypatch):
-    monkeypatch.setattr(page_parts, "record_doubts", lambda records, _: (f"{len(records)} in knots",))
+    def in_knots(records, _):
+        return (HealthFinding(records[0].name, "airspeed", "unit", None, None, f"{len(records)} in knots", True),)
+
+    monkeypatch.setattr(page_parts, "channel_health", in_knots)
     told = Told(card, diagnosed.records, provenance(card, diagnosed.records, 0, {}))
     for page in (diagnosis_page(flown, told), flown_page(flown.diagnosis, None, ["A verdict."], told)):
         assert page.lead[0] == Text(f"{len(diagnosed.records)} in knots.", "warning")

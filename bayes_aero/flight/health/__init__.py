@@ -1,0 +1,58 @@
+"""Health of each channel by itself and against the others, before anything is computed from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.health.air import air_data
+from bayes_aero.flight.health.dropout import dropouts
+from bayes_aero.flight.health.dropped import dropped_channels
+from bayes_aero.flight.health.elevator import elevator_response
+from bayes_aero.flight.health.finding import HealthFinding
+from bayes_aero.flight.health.frozen import frozen
+from bayes_aero.flight.health.ground import in_flight, on_ground
+from bayes_aero.flight.health.held import held
+from bayes_aero.flight.health.idle import idle
+from bayes_aero.flight.health.quantised import quantised
+from bayes_aero.flight.health.rates import different_rates
+from bayes_aero.flight.health.refuted import refuted
+from bayes_aero.flight.health.same_record import same_records
+from bayes_aero.flight.health.saturated import saturated
+from bayes_aero.flight.health.short import short
+from bayes_aero.flight.health.wrapped import wrapped
+from bayes_aero.flight.record import FlightRecord
+
+__all__ = ["HealthFinding", "channel_health"]
+
+_CHECKS: tuple[Callable[[FlightRecord, Card], list[HealthFinding]], ...] = (
+    refuted, air_data, elevator_response, dropouts, frozen, held, saturated, quantised, wrapped, short, idle,
+    dropped_channels,
+)  # fmt: skip
+
+
+def channel_health(records: Sequence[FlightRecord], card: Card) -> tuple[HealthFinding, ...]:
+    """Everything that is wrong with records by themselves; grave findings first.
+
+    Args:
+        records: as read, in SI.
+        card: what the channels are said to be.
+
+    Returns:
+        One finding a fault; empty for sound records.
+    """
+    said = []
+    for record in records:
+        flown = in_flight(record, card)
+        found = _once([finding for check in _CHECKS for finding in check(flown, card)])
+        if not any(f.channel == "airspeed" and f.fault in ("unit", "airspeed_kind") for f in found):
+            said += on_ground(record, card)
+        said += found
+    said += [*same_records(records), *different_rates(records)]
+    return tuple(sorted(said, key=lambda finding: not finding.grave))
+
+
+def _once(said: list[HealthFinding]) -> list[HealthFinding]:
+    """Without what a dropout looks like besides: a flat stretch, at an end of the channel's range."""
+    dropped = {finding.channel for finding in said if finding.fault == "dropout"}
+    return [f for f in said if not (f.fault in ("frozen", "saturated", "quantised") and f.channel in dropped)]

@@ -1,0 +1,153 @@
+"""Other ways to read a channel - sign, unit, gravity, kind of airspeed - that the kinematics are tried with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.health.finding import declared
+from bayes_aero.flight.health.kinematics import View
+from bayes_aero.flight.tolerances import GRAVITY
+from bayes_aero.units import same_unit, to_si
+
+_ANGLE, _RATE, _FORCE = ("deg", "rad"), ("deg/s", "rad/s"), ("m/s^2", "g", "ft/s^2")
+UNITS: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("phi", "theta", "psi", "alpha", "beta"), _ANGLE),
+    **dict.fromkeys(("p", "q", "r"), _RATE),
+    **dict.fromkeys(("ax", "ay", "az"), _FORCE),
+    "airspeed": ("m/s", "kt", "km/h", "ft/s", "mph"),
+    "altitude": ("m", "ft"),
+    "time": ("s", "ms", "us", "ns", "min"),
+}
+GROUPS = (("p", "q", "r"), ("ax", "ay", "az"), ("phi", "theta", "psi"), ("alpha", "beta"))
+"""Channels of one instrument, which share their unit."""
+SIGNS = ("p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "ax", "ay", "az", "altitude")
+DENSITY0 = 1.225  # kg/m3
+THIN = 0.93  # calibrated over true airspeed from which the two can be told apart
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Channels read in another way: the kind of fault, what it looks like, how to mend it."""
+
+    channels: tuple[str, ...]
+    fault: str
+    looks: str
+    mend: str
+    applied: Callable[[View], dict[str, np.ndarray]]
+    subject: str = ""  # who it is said of, if not of all the channels
+
+    @property
+    def names(self) -> str:
+        """Of whom it is said."""
+        return self.subject or ", ".join(self.channels)
+
+
+def readings(view: View, card: Card, recorded: frozenset[str]) -> Iterator[Reading]:
+    """All other ways to read what was recorded."""
+    for name in SIGNS:
+        if name in recorded:
+            sign = -declared(card, name).sign
+            yield _scaled((name,), -1.0, "sign", "counts the other way", f"write sign = {sign} at {name} on the card")
+    for group in [(name,) for name in UNITS] + [tuple(n for n in group if n in recorded) for group in GROUPS]:
+        if group and set(group) <= recorded:
+            yield from _units(group, card)
+    yield from _gravity(card, recorded)
+    yield from _kinds(view, recorded)
+
+
+def _scaled(names: tuple[str, ...], factor: float, fault: str, looks: str, mend: str) -> Reading:
+    return Reading(names, fault, looks, mend, lambda view: {name: factor * view[name] for name in names})
+
+
+def _units(group: tuple[str, ...], card: Card) -> Iterator[Reading]:
+    of = {name: declared(card, name).unit for name in group}
+    if len(set(of.values())) > 1:
+        return
+    for unit in UNITS[group[0]]:
+        factors = [_factor(name, unit, of[name]) for name in group]
+        if not all(factors) or abs(np.log(factors[0])) < 0.1:  # type: ignore[arg-type]
+            continue
+        are = "is" if len(group) == 1 else "are"
+        looks = f"{are} in {unit} and not in {of[group[0]]}, as the card says"
+        mend = f'set unit = "{unit}" for {"it" if len(group) == 1 else "them"} on the card'
+        yield _scaled(group, factors[0], "unit", looks, mend)  # type: ignore[arg-type]
+
+
+def _factor(name: str, unit: str, declared_unit: str) -> float | None:
+    """What the numbers inside must be multiplied by if the file is in `unit`; None where that is no news."""
+    if same_unit(unit, declared_unit) is not False:
+        return None
+    standard = STANDARD_CHANNELS[name].unit
+    return float(to_si(1.0, unit, name, standard) / to_si(1.0, declared_unit, name, standard))
+
+
+def _gravity(card: Card, recorded: frozenset[str]) -> Iterator[Reading]:
+    """Accelerations that inertial units give out: without gravity, one, some or all; the load factor less one."""
+    if "theta" not in recorded:
+        return
+    have = tuple(n for n in ("ax", "ay", "az") if n in recorded)
+    back = {
+        "ax": ("ax + g sin(theta)", lambda v: GRAVITY * np.sin(v["theta"])),
+        "ay": ("ay - g cos(theta) sin(phi)", lambda v: -GRAVITY * np.cos(v["theta"]) * np.sin(v["phi"])),
+        "az": ("az - g cos(theta) cos(phi)", lambda v: -GRAVITY * np.cos(v["theta"]) * np.cos(v["phi"])),
+    }
+
+    def put_back(names: tuple[str, ...], factor: float) -> Callable[[View], dict[str, np.ndarray]]:
+        return lambda v: {n: factor * v[n] + back[n][1](v) for n in names}
+
+    for names in dict.fromkeys([*((n,) for n in have), have]):
+        for factor, unit in ((1.0, ""), (GRAVITY, ", and in multiples of g")):
+            looks = (
+                f"{'has' if len(names) == 1 else 'have'} no part of gravity{unit}: an acceleration, no specific force"
+            )
+            mend = f"write {', '.join(back[n][0] for n in names)} into the file"
+            yield Reading(names, "gravity", looks, mend, put_back(names, factor))
+    if "az" in have:
+        for names in dict.fromkeys([("az",), have]):
+            for sign, factor in product((1.0, -1.0), (1.0, GRAVITY)):
+                yield _less_one(names, sign, factor, card)
+
+
+def _less_one(names: tuple[str, ...], sign: float, factor: float, card: Card) -> Reading:
+    """az as a load factor from which the one of level flight was taken; the others in g with it, or not."""
+    others = tuple(n for n in names if n != "az")
+
+    def applied(v: View) -> dict[str, np.ndarray]:
+        rest = {n: factor * v[n] for n in others}
+        return {**rest, "az": sign * factor * v["az"] - GRAVITY}
+
+    unit = "in multiples of g" if factor != 1.0 else f"in {declared(card, 'az').unit}"
+    turned = "positive upward" if sign < 0.0 else "positive downward"
+    also = f" ({' and '.join(others)} in multiples of g, too)" if factor != 1.0 and others else ""
+    looks = (
+        f"is about zero in level flight, where gravity makes it -1 g: a load factor minus one, {turned}, {unit}{also}"
+    )
+    mend = 'add the one back in the file, and set unit = "g" and the sign on the card'
+    return Reading(("az", *others), "gravity", looks, mend, applied, "az")
+
+
+def _kinds(view: View, recorded: frozenset[str]) -> Iterator[Reading]:
+    """Calibrated airspeed where true airspeed is meant."""
+    ratio = thinness(view, recorded)
+    if "airspeed" in recorded and ratio is not None and float(np.median(ratio)) < THIN:
+        looks = (
+            f"is calibrated (or indicated) airspeed: true airspeed is {1.0 / np.median(ratio):.3g} times as large at "
+            "this density"
+        )
+        mend = "divide it by the square root of density over 1.225 kg/m^3 in the file, or map the true airspeed"
+        yield Reading(("airspeed",), "airspeed_kind", looks, mend, lambda v: {"airspeed": v["airspeed"] / ratio})
+
+
+def thinness(view: View, recorded: frozenset[str]) -> np.ndarray | None:
+    """Equivalent over true airspeed, (n,), from density, else from a standard atmosphere at the altitude."""
+    if "density" in recorded and np.median(view["density"]) > 0.0:
+        return np.sqrt(np.maximum(view["density"], 1e-3) / DENSITY0)
+    if "altitude" in recorded:
+        return np.maximum(1.0 - 2.25577e-5 * np.clip(view["altitude"], -1000.0, 11000.0), 0.1) ** 2.12794
+    return None

@@ -1,0 +1,70 @@
+"""Simple measures of a recorded signal: how it scatters, steps, repeats."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.record import FlightRecord
+
+CONTROLS = frozenset(
+    {"elevator", "stabilizer", "rudder", "aileron_left", "aileron_right", "flap", "spoiler_left", "spoiler_right"}
+    | {"dlc_left", "dlc_right", "n1_left", "n1_right", "thrust_left", "thrust_right", "thrust", "gear", "fuel_used"}
+)
+"""Channels that may rightly stand still, step, and rest at a stop."""
+
+STEPPED, SMALL = 0.4, 0.1  # share of steps that are smaller than a tenth of the large ones: Gaussian noise has 0.13
+
+
+def channels_of(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
+    """The record's channels and what the card states where nothing was recorded, each (n,) in SI."""
+    stated = {name: np.full(record.n, value) for name, value in card.constants.items()}
+    return {**stated, **record.channels}
+
+
+def noise_of(x: np.ndarray) -> float:
+    """Standard deviation of the noise of (n,) samples that is new at each, from third differences; robust."""
+    if len(x) < 8:
+        return 0.0
+    third = np.diff(x, 3)
+    return float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0))
+
+
+def quantum_of(x: np.ndarray) -> float:
+    """The step in which (n,) samples are recorded; zero if they are continuous.
+
+    Channels computed from a quantised one (airspeed from a pressure) move a little between its steps: steps below a
+    tenth of the large ones are not counted where they are many.
+    """
+    steps = np.abs(np.diff(x))
+    if not np.any(steps > 0.0):
+        return 0.0
+    large = float(np.quantile(steps[steps > 0.0], 0.9))
+    if np.mean(steps <= SMALL * large) < STEPPED:
+        nonzero = steps[steps > 1e-9 * large]
+        repeated = 1.0 - len(np.unique(x)) / len(x)
+        return float(np.quantile(nonzero, 0.05)) if repeated > 0.5 else 0.0
+    return float(np.median(steps[steps > SMALL * large]))
+
+
+def level_step(x: np.ndarray) -> float:
+    """The distance of neighbouring levels of (n,) samples that take few values; zero if they take many."""
+    levels = np.unique(x)
+    if len(levels) < 2 or len(levels) > len(x) / 4:
+        return 0.0
+    gaps = np.diff(levels)
+    return float(np.median(gaps[gaps > 1e-6 * np.ptp(levels)]))
+
+
+def runs_of(equal: np.ndarray) -> Iterator[tuple[int, int]]:
+    """First and last index of each run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], equal.astype(np.int8), [0]])))
+    for first, after in edges.reshape(-1, 2):
+        yield int(first), int(after) - 1
+
+
+def still_runs(x: np.ndarray) -> list[tuple[int, int]]:
+    """First and last sample of each run of two or more equal values."""
+    return [(first, last + 1) for first, last in runs_of(np.diff(x) == 0.0)]

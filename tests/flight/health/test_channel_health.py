@@ -1,0 +1,263 @@
+"""Each kind of fault, written into a flight that kinematics alone made, is told with its channel, and no other is."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from flights import G, card, changed, flight, put
+
+from bayes_aero.flight.health import channel_health
+from bayes_aero.flight.record import FlightRecord
+
+KNOT, FOOT = 0.514444, 0.3048
+POOR = {"alpha": np.deg2rad(0.1), "theta": np.deg2rad(0.1), "q": np.deg2rad(0.1), "elevator": np.deg2rad(0.1),
+        "az": 0.004 * G, "ax": 0.004 * G, "airspeed": 0.2 * KNOT, "altitude": 5.0 * FOOT}  # fmt: skip
+
+
+def told(record, *more, **changes):
+    """(fault, channel) of the grave findings."""
+    return [(f.fault, f.channel) for f in channel_health([record, *more], card(**changes)) if f.grave]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("dt", [0.01, 0.04, 0.1])
+def test_sound_flights_are_silent(seed, dt):
+    assert channel_health([flight(seed, dt, noise=(0.3, 1.0, 3.0)[seed % 3])], card()) == ()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_recorders_that_round_are_silent(seed):
+    assert channel_health([flight(seed, digits=POOR)], card()) == ()
+
+
+def test_a_simulation_without_noise_that_begins_in_trim_is_silent():
+    record = flight(1, noise=0.0)
+    still = {
+        k: np.concatenate([np.full(250, x[0]), x]) for k, x in record.channels.items() if k in ("alpha", "elevator")
+    }
+    assert (
+        told(changed(record, **{k: x[: record.n] for k, x in still.items()}, without=set(record.channels) - set(still)))
+        == []
+    )
+
+
+@pytest.mark.parametrize("name", ["q", "p", "r", "phi", "theta", "alpha", "az", "ax", "altitude"])
+@pytest.mark.parametrize("seed", [0])
+def test_a_sign_is_told_at_any_bank_angle(name, seed):
+    record = flight(seed)
+    flipped = -record[name] if name != "altitude" else 8000.0 - record[name]
+    findings = [f for f in channel_health([changed(record, **{name: flipped})], card()) if f.grave]
+    assert findings
+    assert all(f.fault == "sign" for f in findings)
+    assert name in findings[0].sentence
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "unit"),
+    [
+        ("airspeed", 1.0 / KNOT, "kt"), ("airspeed", 3.6, "km/h"), ("airspeed", 1.0 / FOOT, "ft/s"),
+        ("altitude", 1.0 / FOOT, "ft"), ("q", np.pi / 180.0, "rad/s"), ("theta", np.pi / 180.0, "rad"),
+        ("phi", np.pi / 180.0, "rad"), ("alpha", np.pi / 180.0, "rad"), ("az", 1.0 / G, "g"),
+    ],
+)  # fmt: skip
+def test_a_unit_is_told_with_the_one_that_it_is_in(name, factor, unit):
+    record = flight(2)
+    (finding,) = [f for f in channel_health([changed(record, **{name: record[name] * factor})], card()) if f.grave]
+    assert (finding.fault, finding.channel) == ("unit", name)
+    assert f'unit = "{unit}"' in finding.sentence
+
+
+def test_a_unit_that_the_card_has_already_is_not_advised():
+    record = flight(2)
+    wrong = changed(record, airspeed=record["airspeed"] * KNOT)  # the file is in m/s, the card says kt
+    (finding,) = [f for f in channel_health([wrong], card(airspeed={"unit": "kt"})) if f.grave]
+    assert 'unit = "m/s"' in finding.sentence
+    assert 'unit = "kt"' not in finding.sentence
+
+
+def test_specific_force_without_gravity():
+    record = flight(3)
+    sin, cos = np.sin(record["theta"]), np.cos(record["theta"])
+    ax = record["ax"] - G * sin
+    ay, az = record["ay"] + G * cos * np.sin(record["phi"]), record["az"] + G * cos * np.cos(record["phi"])
+    assert told(changed(record, ax=ax)) == [("gravity", "ax")]
+    assert [f for f, _ in told(changed(record, ax=ax, ay=ay, az=az))] == ["gravity"]
+    less = changed(record, ax=record["ax"] / G, ay=record["ay"] / G, az=-(record["az"] / G + 1.0))
+    assert told(less) == [("gravity", "az")]
+
+
+@pytest.mark.parametrize("altitude", [6000.0, 9000.0])
+def test_calibrated_airspeed_in_place_of_true(altitude):
+    record = flight(4, altitude=altitude)
+    density = (1.0 - 2.25577e-5 * record["altitude"]) ** 4.25588  # over that at sea level, standard atmosphere
+    assert told(changed(record, airspeed=record["airspeed"] * np.sqrt(density))) == [("airspeed_kind", "airspeed")]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("alpha", 0.0), ("q", 0.0), ("az", 0.0), ("theta", 0.0), ("altitude", 30479.695), ("airspeed", 0.01), ("p", 3.0)],
+)
+def test_scattered_dropouts_to_a_constant(name, value):
+    record = flight(5, bank=0.1)
+    spots = np.random.default_rng(1).choice(record.n, 20, replace=False)
+    (finding,) = [
+        f for f in channel_health([changed(record, **{name: put(record[name], spots, value)})], card()) if f.grave
+    ]
+    assert (finding.fault, finding.channel) == ("dropout", name)
+    assert f"{len(spots)} of {record.n}" in finding.sentence
+
+
+def test_a_dropout_of_a_second():
+    record = flight(5)
+    assert told(changed(record, alpha=put(record["alpha"], slice(500, 525), -0.5))) == [("dropout", "alpha")]
+
+
+@pytest.mark.parametrize("name", ["alpha", "theta", "q", "airspeed", "az", "beta", "elevator"])
+@pytest.mark.parametrize("digits", [None, POOR])
+def test_a_frozen_channel(name, digits):
+    if digits and name in ("beta", "az"):
+        pytest.skip("this one is not rounded, or calm flight looks alike")
+    record = flight(6, digits=None if name == "elevator" else digits)
+    frozen = changed(record, **{name: put(record[name], slice(600, 750), record[name][600])})
+    (finding,) = [f for f in channel_health([frozen], card()) if f.grave]
+    assert (finding.fault, finding.channel) == ("frozen", name)
+    assert finding.begin == pytest.approx(24.0, abs=0.1)
+    assert finding.end == pytest.approx(30.0, abs=0.1)
+
+
+@pytest.mark.parametrize("period", [3, 5, 8])
+@pytest.mark.parametrize("name", ["alpha", "elevator", "q"])
+def test_a_held_channel_has_its_true_rate_said(period, name):
+    record = flight(7, 0.02)
+    x = record[name][(np.arange(record.n) // period) * period]
+    (finding,) = [f for f in channel_health([changed(record, **{name: x})], card()) if f.grave]
+    assert (finding.fault, finding.channel) == ("held", name)
+    assert f"true rate is {50.0 / period:.3g} Hz" in finding.sentence
+
+
+@pytest.mark.parametrize("rate", [12.5, 10.0, 8.0])  # the last ratio is no integer
+def test_an_interpolated_channel_has_its_true_rate_said(rate):
+    record = flight(8, 0.02)
+    own = np.arange(0.0, record.time[-1] + 1e-9, 1.0 / rate)
+    x = np.interp(record.time, own, np.interp(own, record.time, record["alpha"]))
+    (finding,) = [f for f in channel_health([changed(record, alpha=np.round(x, 7))], card()) if f.grave]
+    assert (finding.fault, finding.channel) == ("held", "alpha")
+    assert "interpolated" in finding.sentence
+
+
+def test_a_channel_held_at_a_rate_that_is_no_divisor():
+    record = flight(9, 0.02)
+    x = record["q"][(np.floor(record.time * 15.0 + 1e-9) / 15.0 / 0.02).round().astype(int)]
+    assert told(changed(record, q=x)) == [("held", "q")]
+
+
+@pytest.mark.parametrize("digits", [None, {"q": np.deg2rad(0.1)}])
+def test_a_saturated_channel(digits):
+    record = flight(10, digits=digits)
+    limit = np.quantile(record["q"], 0.9)
+    limit = limit if digits is None else np.round(limit / digits["q"]) * digits["q"]
+    assert ("saturated", "q") in told(changed(record, q=np.minimum(record["q"], limit)))
+
+
+@pytest.mark.parametrize(("name", "step"), [("alpha", 0.5), ("q", 0.5), ("theta", 1.0), ("elevator", 1.0)])
+def test_a_coarse_channel(name, step):
+    record = flight(11)
+    step = np.deg2rad(step)
+    assert ("quantised", name) in told(changed(record, **{name: np.round(record[name] / step) * step}))
+
+
+def test_an_elevator_that_is_positive_trailing_edge_up():
+    record = flight(12)
+    (finding,) = [f for f in channel_health([changed(record, elevator=-record["elevator"])], card()) if f.grave]
+    assert (finding.fault, finding.channel) == ("sign", "elevator")
+    assert "sign = -1 at elevator" in finding.sentence
+
+
+def test_air_data_in_other_units():
+    record = flight(13)
+    temperature = 288.15 - 0.0065 * record["altitude"]
+    pressure = 101325.0 * (temperature / 288.15) ** 5.25588
+    density = pressure / (287.05287 * temperature)
+    air = {"static_temperature": temperature, "static_pressure": pressure, "density": density}
+    units = {"static_temperature": {"unit": "K"}, "static_pressure": {"unit": "Pa"}, "density": {"unit": "kg/m^3"}}
+    assert told(changed(record, **air), **units) == []
+    assert ("unit", "density") in told(changed(record, **{**air, "density": density * 1.9403203e-3}), **units)
+    ias = record["airspeed"] * np.sqrt(density / 1.225)
+    speed = {"calibrated_airspeed": {"unit": "m/s"}}
+    assert channel_health([changed(record, **air, calibrated_airspeed=ias)], card(**units, **speed)) == ()
+    (finding,) = channel_health([changed(record, **air, calibrated_airspeed=ias / KNOT)], card(**units, **speed))
+    assert 'unit = "kt" for calibrated_airspeed' in finding.sentence
+    assert not finding.grave  # nothing is computed from it
+
+
+def test_a_heading_that_wraps():
+    record = flight(14)
+    psi = 3.0 + record["psi"]
+    (finding,) = channel_health([changed(record, psi=(psi + np.pi) % (2 * np.pi) - np.pi)], card())
+    assert (finding.fault, finding.channel, finding.grave) == ("wrapped", "psi", False)
+    assert "360 deg" in finding.sentence
+
+
+def test_time_on_the_ground_is_said_in_seconds_and_nothing_else():
+    record, rng = flight(15), np.random.default_rng(0)
+    on = {k: np.full(500, x[0]) + 1e-3 * rng.standard_normal(500) for k, x in record.channels.items()}
+    on["airspeed"], on["az"] = 4.0 + 0.3 * rng.standard_normal(500), -G + 0.02 * rng.standard_normal(500)
+    both = {k: np.concatenate([on[k], x]) for k, x in record.channels.items()}
+    whole = FlightRecord.from_arrays("flight", np.arange(500 + record.n) * 0.04, both)
+    (finding,) = channel_health([whole], card())
+    assert (finding.fault, finding.begin) == ("ground", 0.0)
+    assert finding.end == pytest.approx(499 * 0.04, abs=0.5)
+    assert "cut" in finding.sentence
+
+
+def test_idle_flight_is_a_note():
+    record, rng = flight(16), np.random.default_rng(0)
+    calm = {
+        k: x[-1] + 1e-4 * rng.standard_normal(1500)
+        for k, x in record.channels.items()
+        if k in ("alpha", "q", "elevator")
+    }
+    both = {k: np.concatenate([record[k], x]) for k, x in calm.items()}
+    found = channel_health([FlightRecord.from_arrays("flight", np.arange(1500 + record.n) * 0.04, both)], card())
+    (finding,) = [f for f in found if f.fault == "idle"]
+    assert not finding.grave
+    assert finding.begin == pytest.approx(60.0, abs=6.0)
+
+
+def test_one_flight_given_twice_whole_cut_renamed_and_rescaled():
+    one, other = flight(17), flight(18)
+    assert told(one, changed(other, "other")) == []
+    assert told(one, changed(one, "again")) == [("same_record", "record")]
+    later = FlightRecord.from_arrays("cut", one.time[300:900] - 7.0, {k: x[300:900] for k, x in one.channels.items()})
+    (finding,) = [f for f in channel_health([one, later], card()) if f.grave]
+    assert "part of the same record as flight: 600 samples" in finding.sentence
+    digits = {k: np.round(x, 5) for k, x in later.channels.items()}
+    assert told(one, FlightRecord.from_arrays("rounded", later.time, digits)) == [("same_record", "record")]
+    tail = FlightRecord.from_arrays("tail", np.arange(1000) * 0.04, {
+        k: np.concatenate([one[k][-400:], other[k][:600]]) for k in one.channels})  # fmt: skip
+    assert ("same_record", "record") in told(one, tail)
+
+
+def test_two_rates_are_said_in_hertz():
+    (finding,) = [f for f in channel_health([flight(19), changed(flight(20, 0.01), "fast")], card()) if f.grave]
+    assert finding.fault == "rates"
+    assert "25 Hz" in finding.sentence
+    assert "100 Hz" in finding.sentence
+
+
+@pytest.mark.parametrize(("seconds", "short"), [(2.4, True), (4.0, True), (8.0, False)])
+def test_a_record_must_cover_what_the_aircraft_does(seconds, short):
+    assert (("short", "record") in told(flight(21, seconds=seconds))) == short
+
+
+def test_time_in_seconds_that_the_card_takes_for_milliseconds():
+    record = flight(22, 0.2)
+    (finding,) = [
+        f
+        for f in channel_health([changed(record, time=record.time * 1e-3)], card(time={"unit": "ms"}))
+        if f.fault == "unit"
+    ]
+    assert 'unit = "s" for it on the card' in finding.sentence
