@@ -51,8 +51,8 @@ class Flights(eqx.Module):
 
     def with_slopes(self, channels: Mapping[str, Array]) -> dict[str, Array]:
         """Channels (corrected ones, too) and their derivatives, manoeuvre by manoeuvre."""
-        ends = (self.channels[name] for name in ("dt", "first", "last"))
-        return unsmoothed_joined(channels, self.aircraft.accelerometer, *ends)
+        dt, first, last = (self.channels[name] for name in ("dt", "first", "last"))
+        return unsmoothed_joined(channels, self.aircraft.accelerometer, dt, first, last, self.channels)
 
     def smoothed(self, rows: Float[Array, "n c"]) -> Float[Array, "n c"]:
         """Columns smoothed manoeuvre by manoeuvre."""

@@ -26,7 +26,7 @@ from bayes_aero.physics.filters import (
     smooth_joined,
 )
 from bayes_aero.physics.frames import lift_drag_from_body
-from bayes_aero.physics.incidence_rate import RATES, alpha_rate
+from bayes_aero.physics.incidence_rate import RATES, alpha_rate, lift_regression
 from bayes_aero.physics.kinematics import Rotation, lever_arm
 
 NAMES = ("CL", "CD", "Cm")
@@ -82,17 +82,25 @@ def unsmoothed_joined(
     dt: Float[Array, " n"],
     first: Int[Array, " n"],
     last: Int[Array, " n"],
+    recorded: Mapping[str, Array] | None = None,
 ) -> dict[str, Array]:
     """Channels as they are, manoeuvres laid end to end, and the derivatives that `condition` adds.
 
     For whoever smooths the difference of what is measured and modelled: what the filter takes from one it then takes
     from the other, whatever is not linear included. As published a smoothed pitch acceleration stands against an
     elevator as recorded and the lift of a smoothed angle of attack against a lift as recorded, and what moves fast
-    comes out too small. alpha-dot is the one exception, for models bend its noise: see `alpha_rate`.
+    comes out too small. alpha-dot is the one exception, for models bend its noise: see `alpha_rate`. `recorded` are the
+    channels as they were recorded, where `channels` are corrected ones: its regression is of them.
     """
-    rates = [channels[name] for name in RATES]
-    signals = dict(channels) | _slopes(rates, lambda x: differentiate_joined(x, dt, first, last), RATES)
-    return signals | {"alpha_dot": alpha_rate(signals, accelerometer, dt, first, last)}
+
+    def with_slopes(given: Mapping[str, Array]) -> dict[str, Array]:
+        rates = [given[name] for name in RATES]
+        return dict(given) | _slopes(rates, lambda x: differentiate_joined(x, dt, first, last), RATES)
+
+    signals = with_slopes(channels)
+    reference = signals if recorded is None else with_slopes(recorded)
+    regression = lift_regression(reference, accelerometer, dt, first, last)
+    return signals | {"alpha_dot": alpha_rate(signals, regression, dt, first, last)}
 
 
 def alike_joined(

@@ -6,7 +6,7 @@ Newton's law across the flight path: alpha-dot is pitch rate, less what specific
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,9 +23,21 @@ RIDGE = 1e-6  # of the mean square of a column
 Operator = Callable[[Float[Array, " n"]], Float[Array, " n"]]
 
 
+class LiftRegression(NamedTuple):
+    """What the specific force adds to alpha-dot, regressed on what lift depends on.
+
+    `share` (c,) of each cause (see `_causes`), `knots` (j,) in rad, and the part of alpha-dot (n,) in rad/s that the
+    hysteresis was taken with.
+    """
+
+    share: Float[Array, " c"]
+    knots: Float[Array, " j"]
+    before: Float[Array, " n"]
+
+
 def alpha_rate(
     s: Mapping[str, Array],
-    accelerometer: tuple[Any, Any, Any],
+    regression: LiftRegression,
     dt: Float[Array, " n"],
     first: Int[Array, " n"],
     last: Int[Array, " n"],
@@ -40,15 +52,53 @@ def alpha_rate(
     two-stage least squares. Near the ends of a manoeuvre the smoothed vane alone.
 
     Args:
-        s: channels (n,) as recorded, SI, with `p_dot`, `q_dot`, `r_dot` in rad/s2.
-        accelerometer: its position from the CG, m.
+        s: channels (n,), SI, with `p_dot`, `q_dot`, `r_dot` in rad/s2.
+        regression: of the record as it was recorded (`lift_regression`), held whatever is corrected in `s`.
         dt: sampling interval, s.
         first, last: the ends of each sample's manoeuvre.
 
     Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 10 (kinematics); two-stage least squares:
     Wooldridge, *Econometric Analysis of Cross Section and Panel Data*, 2010, ch. 5.
     """
-    turning, across = _kinematic(s, accelerometer)
+    smooth, fast, base = _parts(s, dt, first, last)
+    raw = regression.share @ _causes(s, base + regression.before, regression.knots)
+    return base + fast(raw, smooth(raw))
+
+
+def lift_regression(
+    s: Mapping[str, Array],
+    accelerometer: tuple[Any, Any, Any],
+    dt: Float[Array, " n"],
+    first: Int[Array, " n"],
+    last: Int[Array, " n"],
+) -> LiftRegression:
+    """Regression of the fast part that specific force adds to alpha-dot on lift's causes; arguments as `alpha_rate`.
+
+    `accelerometer` is its position from the CG, m.
+    """
+    smooth, fast, base = _parts(s, dt, first, last)
+    names = [name for name in ("alpha", "q", "airspeed", "density", "elevator") if name in s]
+    smoothed = dict(zip(names, jax.vmap(smooth)(jnp.stack([s[name] for name in names])), strict=True))
+    known = smooth(_from_force(s, accelerometer))
+    response = fast(known, known)
+    knots = jnp.quantile(smoothed["alpha"], jnp.asarray(KNOTS))
+    before = part = jnp.zeros_like(base)
+    share = jnp.zeros(0)
+    for _ in range(CURVES):
+        even = jax.vmap(fast)(*(2 * (_causes(smoothed, smooth(base + part), knots),)))
+        size = jnp.sqrt(jnp.mean(even**2, axis=1) + 1e-30)
+        gram = even @ even.T / jnp.outer(size, size) / even.shape[1]
+        right = even @ response / size / even.shape[1]
+        share = jnp.linalg.solve(gram + RIDGE * jnp.eye(len(size)), right) / size
+        raw = share @ _causes(s, base + part, knots)
+        before, part = part, fast(raw, smooth(raw))
+    return LiftRegression(share, knots, before)
+
+
+def _parts(
+    s: Mapping[str, Array], dt: Float[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"]
+) -> tuple[Operator, Callable[[Array, Array], Array], Float[Array, " n"]]:
+    """The smoothing filter, what takes the fast part of a signal, and alpha-dot without the specific force's part."""
 
     def smooth(x):
         return smooth_joined(x, first, last)
@@ -60,46 +110,17 @@ def alpha_rate(
     def fast(x, smoothed):
         return jnp.where(inside, x - smooth_long(smoothed), 0.0)
 
-    base = jnp.where(inside, long, alone) + fast(turning, smooth(turning))
-    return base + _lift_part(s, across, base, smooth, fast)
-
-
-def _kinematic(s: Mapping[str, Array], accelerometer: tuple[Any, Any, Any]) -> tuple[Array, Array]:
-    """What rotation and what specific force at the CG add to alpha-dot, rad/s."""
-    rotation = Rotation(*(s[name] for name in (*RATES, *(f"{name}_dot" for name in RATES))))
-    arm_x, _, arm_z = lever_arm(rotation, accelerometer)
-    sin, cos = jnp.sin(s["alpha"]), jnp.cos(s["alpha"])
-    across = ((s["az"] - arm_z) * cos - (s["ax"] - arm_x) * sin) / s["airspeed"]
     turning = s["q"]
     if "beta" in s:
-        turning = turning - (s["p"] * cos + s["r"] * sin) * jnp.tan(s["beta"])
-    return turning, across
+        turning = turning - (s["p"] * jnp.cos(s["alpha"]) + s["r"] * jnp.sin(s["alpha"])) * jnp.tan(s["beta"])
+    return smooth, fast, jnp.where(inside, long, alone) + fast(turning, smooth(turning))
 
 
-def _lift_part(
-    s: Mapping[str, Array],
-    across: Float[Array, " n"],
-    rate: Float[Array, " n"],
-    smooth: Operator,
-    fast: Callable[[Array, Array], Array],
-) -> Float[Array, " n"]:
-    """The fast part of `across` that lift's causes explain; `rate` is alpha-dot without it."""
-    names = [name for name in ("alpha", "q", "airspeed", "density", "elevator") if name in s]
-    smoothed = dict(zip(names, jax.vmap(smooth)(jnp.stack([s[name] for name in names])), strict=True))
-    known = smooth(across)
-    response = fast(known, known)
-    knots = jnp.quantile(jax.lax.stop_gradient(smoothed["alpha"]), jnp.asarray(KNOTS))
-    part = jnp.zeros_like(across)
-    for _ in range(CURVES):
-        falling = smooth(rate + part)
-        even = jax.vmap(fast)(*(2 * (_causes(smoothed, falling, knots),)))
-        size = jnp.sqrt(jnp.mean(even**2, axis=1) + 1e-30)
-        gram = even @ even.T / jnp.outer(size, size) / even.shape[1]
-        right = even @ response / size / even.shape[1]
-        share = jnp.linalg.solve(gram + RIDGE * jnp.eye(len(size)), right) / size
-        raw = share @ _causes(s, rate + part, knots)
-        part = fast(raw, smooth(raw))
-    return part
+def _from_force(s: Mapping[str, Array], accelerometer: tuple[Any, Any, Any]) -> Float[Array, " n"]:
+    """What specific force at the CG adds to alpha-dot, rad/s."""
+    rotation = Rotation(*(s[name] for name in (*RATES, *(f"{name}_dot" for name in RATES))))
+    arm_x, _, arm_z = lever_arm(rotation, accelerometer)
+    return ((s["az"] - arm_z) * jnp.cos(s["alpha"]) - (s["ax"] - arm_x) * jnp.sin(s["alpha"])) / s["airspeed"]
 
 
 def _causes(s: Mapping[str, Array], rate: Float[Array, " n"], knots: Float[Array, " j"]) -> Float[Array, "c n"]:
