@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from bayes_aero.criticism.extension import Extension
 from bayes_aero.criticism.path_check import path_check
-from bayes_aero.criticism.sensors import compatibility
-from bayes_aero.effect import Stage
+from bayes_aero.criticism.sensors import as_the_card_states, compatibility, with_corrections
 from bayes_aero.errors import InputError
 from bayes_aero.flight.agreement import Agreement, Consistency, PathCheck
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.flights import Flights, despiked, join
-from bayes_aero.model.model import Model
 from bayes_aero.physics.flightpath import PATH_NEEDS
 
 CORE = ("ax", "az", "q", "theta", "alpha", "airspeed")  # without these nothing of the flight path can be checked
@@ -40,7 +37,7 @@ def consistency(
     """
     if why := _impossible(records, card):
         return Consistency(why)
-    flights, _ = despiked(_true_as_the_card_says(join(records, card, CORE), card))
+    flights, _ = despiked(as_the_card_states(join(records, card, CORE), card))
     unchecked = tuple(n for n in ("altitude", "beta", "phi") if n not in flights.channels)
     found = Consistency("", unchecked, checks(flights, card, seed))
     if found.agreement is Agreement.AGREE:
@@ -65,7 +62,7 @@ def explained_by(found: Consistency, known: Extension, flights: Flights, card: C
     for effect in known.state.field.candidates:
         if effect.name not in errors:
             values |= {p.name: jnp.asarray(p.neutral) for p in effect.parameters}
-    return replace(found, errors=errors, corrected=checks(_corrected(flights, model, values), card, seed))
+    return replace(found, errors=errors, corrected=checks(with_corrections(flights, model, values), card, seed))
 
 
 def errors_of(known: Extension) -> dict[str, dict[str, Any]]:
@@ -105,25 +102,3 @@ def _impossible(records: Sequence[FlightRecord], card: Card) -> str:
         return "the card states no [aircraft], so the places of the sensors are not known"
     short = [r.name for r in records if r.time[-1] - r.time[0] < SHORTEST]
     return f"record {short[0]} is shorter than {SHORTEST:g} s" if short else ""
-
-
-def _true_as_the_card_says(flights: Flights, card: Card) -> Flights:
-    """Errors of the record that the card states are taken out first."""
-    if card.linear is not None:
-        return flights
-    model = Model.from_card(card)
-    stated = [e for e in model.effects if e.stage is Stage.CHANNEL]
-    if not stated:
-        return flights
-    fixed = dict(model.fixed)
-    values = {p.name: jnp.asarray(fixed.get(p.name, p.start)) for e in stated for p in e.parameters}
-    return _corrected(flights, Model.of(stated), values)
-
-
-def _corrected(flights: Flights, model: Model, values: Mapping[str, Float[np.ndarray, ""] | Any]) -> Flights:
-    """The flights as a model of errors of the record makes them true."""
-    true = model.corrected(values, flights.channels, flights.aircraft)
-    return Flights(
-        {n: true[n] for n in flights.channels},
-        flights.aircraft, flights.manoeuvre, flights.time, flights.lengths, flights.names,
-    )  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,10 +15,10 @@ from bayes_aero.criticism.extension import Extension, extend
 from bayes_aero.criticism.responses import Responses
 from bayes_aero.criticism.state import linearised
 from bayes_aero.criticism.stretches import borne_out
-from bayes_aero.effect import Kind
+from bayes_aero.effect import Kind, Stage
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.flights import despiked, join
+from bayes_aero.model.flights import Flights, despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.parameter import Prior
@@ -53,7 +54,7 @@ def compatibility(records: list[FlightRecord], card: Card, *, seed: int = 0, mos
 
     Raises `InputError` where a channel of `PATH_NEEDS` is missing or a single manoeuvre is too short.
     """
-    flights, _ = despiked(join(records, card, PATH_NEEDS))
+    flights, _ = despiked(as_the_card_states(join(records, card, PATH_NEEDS), card))
     extra = {name: jnp.full(flights.n, UNITY[name]) for name in REQUIRED if name not in flights.channels}
     flights = type(flights)(
         flights.channels | extra, flights.aircraft, flights.manoeuvre, flights.time, flights.lengths, flights.names
@@ -64,3 +65,22 @@ def compatibility(records: list[FlightRecord], card: Card, *, seed: int = 0, mos
     field = Field(model, (), sensors, {})
     theta = np.array([field.neutral[name] for name in model.names])
     return agreement(field, Responses.of(flights, model), theta, seed=seed, most=most)
+
+
+def as_the_card_states(flights: Flights, card: Card) -> Flights:
+    """Flights without the errors of the record that the card states."""
+    if card.linear is not None:
+        return flights
+    model = Model.from_card(card)
+    stated = [e for e in model.effects if e.stage is Stage.CHANNEL]
+    if not stated:
+        return flights
+    fixed = dict(model.fixed)
+    values = {p.name: jnp.asarray(fixed.get(p.name, p.start)) for e in stated for p in e.parameters}
+    return with_corrections(flights, Model.of(stated), values)
+
+
+def with_corrections(flights: Flights, model: Model, values: Mapping[str, Any]) -> Flights:
+    """Flights as a model of errors of the record makes them true."""
+    true = model.corrected(values, flights.channels, flights.aircraft)
+    return replace(flights, channels={name: true[name] for name in flights.channels})

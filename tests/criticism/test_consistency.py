@@ -113,6 +113,13 @@ def test_a_known_error_explains(card):
     assert size["mean"] == pytest.approx(0.008, abs=4.0 * size["sd"])
 
 
+def test_an_error_that_the_card_states_is_taken_out(sound, card):
+    biased = changed(sound, q=sound["q"] + 0.008)
+    stated = replace(card, effects=(*card.effects, "pitch_rate_bias"), fixed={**card.fixed, "pitch_rate_bias": 0.008})
+    assert consistency([biased], card, seek=False).agreement is Agreement.UNEXPLAINED
+    assert consistency([biased], stated, seek=False).agreement is Agreement.AGREE
+
+
 def test_what_cannot_be_checked_is_said(sound, card):
     without = [FlightRecord.from_arrays("a", sound.time, {k: v for k, v in sound.channels.items() if k != "altitude"})]
     found = consistency(without, card, seek=False)
