@@ -2,29 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
+from bayes_aero.criticism.accuracy import Size
 from bayes_aero.criticism.extension import Extension
+from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.path_check import path_check
-from bayes_aero.criticism.sensors import as_the_card_states, compatibility, with_corrections
+from bayes_aero.criticism.sensors import SENSOR_KINDS, as_the_card_states, compatibility, with_corrections
+from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
 from bayes_aero.flight.agreement import Agreement, Consistency, PathCheck
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.flights import Flights, despiked, join
+from bayes_aero.model.model import Model
 from bayes_aero.physics.flightpath import PATH_NEEDS
 
 CORE = ("ax", "az", "q", "theta", "alpha", "airspeed")  # without these nothing of the flight path can be checked
 SHORTEST = 4.0  # s of a record that can be checked
 
 
+@dataclass(frozen=True)
+class KnownErrors:
+    """Errors of the record that were found: effects of stage CHANNEL, and plain data of each (see `Consistency`)."""
+
+    effects: tuple[Effect, ...]
+    errors: Mapping[str, Mapping[str, Any]]
+
+
 def consistency(
-    records: Sequence[FlightRecord], card: Card, *, seed: int = 0, seek: bool = True, known: Extension | None = None
+    records: Sequence[FlightRecord], card: Card, *, seed: int = 0, seek: bool = True, known: KnownErrors | None = None
 ) -> Consistency:
     """Check the flight path of each record in absolute terms.
 
@@ -41,44 +53,43 @@ def consistency(
     unchecked = tuple(n for n in ("altitude", "beta", "phi") if n not in flights.channels)
     found = Consistency("", unchecked, checks(flights, card, seed))
     if found.agreement is Agreement.AGREE:
-        return found if known is None else replace(found, errors=errors_of(known))
+        return found if known is None else replace(found, errors=known.errors)
     if known is None:
         if not seek:
             return found
         try:
-            known = compatibility(list(records), card, seed=seed)
+            known = errors_of_path(compatibility(list(records), card, seed=seed))
         except InputError as reason:
             return replace(found, unsought=str(reason))
-    return explained_by(found, known, flights, card, seed)
+    if not known.effects:
+        return replace(found, errors=known.errors)
+    model = Model.of(known.effects)
+    values = {p: jnp.asarray(x["mean"]) for e in known.errors.values() for p, x in e["parameters"].items()}
+    return replace(found, errors=known.errors, corrected=checks(with_corrections(flights, model, values), card, seed))
 
 
-def explained_by(found: Consistency, known: Extension, flights: Flights, card: Card, seed: int) -> Consistency:
-    """`found` with the errors of sensors that an election along the flight path has named taken out."""
-    errors = errors_of(known)
-    if not errors:
-        return replace(found, errors=errors)
-    model = known.state.field.model
-    values = model.values(jnp.asarray(known.state.theta))
-    for effect in known.state.field.candidates:
-        if effect.name not in errors:
-            values |= {p.name: jnp.asarray(p.neutral) for p in effect.parameters}
-    return replace(found, errors=errors, corrected=checks(with_corrections(flights, model, values), card, seed))
+def errors_of_path(known: Extension) -> KnownErrors:
+    """Errors of sensors and winds that a search along the flight path has found, minor ones included."""
+    named = {e.name: e for e in known.state.field.candidates}
+    found = [named[name] for name in (*known.causes, *known.minor)]
+    return KnownErrors(tuple(found), {e.name: _plain(e, known.sizes, minor=e.name in known.minor) for e in found})
 
 
-def errors_of(known: Extension) -> dict[str, dict[str, Any]]:
-    """Errors of sensors and winds of an election as plain data, sizes in SI."""
-    effects = {e.name: e for e in known.state.field.candidates}
-    return {
-        name: {
-            "claim": effects[name].claim,
-            "minor": name in known.minor,
-            "parameters": {
-                p.name: {"mean": known.sizes[p.name].mean, "sd": known.sizes[p.name].sd, "unit": p.unit}
-                for p in effects[name].parameters
-            },
-        }
-        for name in (*known.causes, *known.minor)
+def errors_of_diagnosis(found: Diagnosis) -> KnownErrors:
+    """Errors of the record that a diagnosis has confirmed, by the flight path or by the coefficients."""
+    named = {e.name: e for e in found.aerodynamics.state.field.model.effects}
+    causes = {c.name: c for c in found.causes if c.confirmed and named[c.name].kind in SENSOR_KINDS}
+    return KnownErrors(
+        tuple(named[name] for name in causes),
+        {name: _plain(named[name], cause.parameters, minor=False) for name, cause in causes.items()},
+    )
+
+
+def _plain(effect: Effect, sizes: Mapping[str, Size], *, minor: bool) -> dict[str, Any]:
+    parameters = {
+        p.name: {"mean": sizes[p.name].mean, "sd": sizes[p.name].sd, "unit": p.unit} for p in effect.parameters
     }
+    return {"claim": effect.claim, "minor": minor, "parameters": parameters}
 
 
 def checks(flights: Flights, card: Card, seed: int) -> tuple[PathCheck, ...]:

@@ -82,6 +82,12 @@ class _Noise:
     colour: Colour
     growth: Float[np.ndarray, " c"]
 
+    def of(self, outputs: Sequence[str]) -> _Noise:
+        """Of those outputs alone that are among `outputs`."""
+        at = [c for c, name in enumerate(self.outputs) if name in outputs]
+        colour = Colour(self.colour.phi[at], self.colour.sigma[at])
+        return _Noise(tuple(self.outputs[c] for c in at), self.variance[at], colour, self.growth[at])
+
 
 @dataclass(frozen=True)
 class Standard:
@@ -214,7 +220,9 @@ def _on_record(
     active = tuple(e for e in state.active if e not in {c.name for c in chosen})
     field = replace(state.field, model=model, candidates=tuple(chosen))
     at = np.array([theta[name] for name in model.names])
-    there = linearised(field, Responses.of(flights, model), noise.outputs, at, active, temper=state.temper)
+    responses = Responses.of(flights, model)
+    noise = noise.of(responses.outputs)  # a manoeuvre with wings level says nothing of sideslip and bank
+    there = linearised(field, responses, noise.outputs, at, active, temper=state.temper)
     X = np.asarray(there.responses.block(there.responses.evaluate(jnp.asarray(at))[1]["X"]))
     return replace(there, swell=1.0 + noise.growth * (1.0 - X[:, None])), noise
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from bayes_aero.criticism.candidates import field_of
 from bayes_aero.criticism.checked import CheckReport, SensorCheck
-from bayes_aero.criticism.consistency import consistency, errors_of
+from bayes_aero.criticism.consistency import consistency, errors_of_path
 from bayes_aero.criticism.sensors import compatibility
 from bayes_aero.errors import InputError
 from bayes_aero.flight.agreement import Agreement, Consistency
@@ -94,15 +94,16 @@ def _lacks(missing: Sequence[str]) -> str:
 def _sensors(records: Sequence[FlightRecord], card: Card, seed: int) -> tuple[Consistency, SensorCheck]:
     """Agreement in absolute terms, and the errors that an election along the flight path names."""
     try:
-        known = compatibility(list(records), card, seed=seed)
+        found = compatibility(list(records), card, seed=seed)
     except InputError as reason:
         agreement = consistency(records, card, seed=seed, seek=False)
         return replace(agreement, unsought=str(reason)), SensorCheck(str(reason), {}, {})
+    known = errors_of_path(found)
     agreement = consistency(records, card, seed=seed, known=known)
-    before = np.sqrt(np.mean((known.base.left(known.base_fit) * known.base.swell) ** 2, axis=0))
-    after = np.sqrt(np.mean((known.state.left(known.fit) * known.state.swell) ** 2, axis=0))
-    rms = {n: (float(a), float(b)) for n, a, b in zip(known.state.outputs, before, after, strict=True)}
-    return agreement, SensorCheck("", errors_of(known), rms)
+    before = np.sqrt(np.mean((found.base.left(found.base_fit) * found.base.swell) ** 2, axis=0))
+    after = np.sqrt(np.mean((found.state.left(found.fit) * found.state.swell) ** 2, axis=0))
+    rms = {n: (float(a), float(b)) for n, a, b in zip(found.state.outputs, before, after, strict=True)}
+    return agreement, SensorCheck("", {n: dict(error) for n, error in known.errors.items()}, rms)
 
 
 def check_results(report: CheckReport) -> dict[str, Any]:

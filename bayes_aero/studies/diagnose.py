@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.criticism.consistency import consistency
+from bayes_aero.criticism.consistency import consistency, errors_of_diagnosis
 from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.trajectory import Trajectories
@@ -92,7 +92,7 @@ def run(
     if progress:
         progress("do the sensors agree?", 0.0)
     found = diagnose(records, card, seed=seed, most=most, progress=progress)
-    agreement = consistency(records, card, seed=seed, seek=False, known=found.sensors)
+    agreement = consistency(records, card, seed=seed, known=errors_of_diagnosis(found))
     view = view_of(found)
     causes = view.diagnosis.causes
     earlier = unfinished.earlier(card, causes, predictors=predict is not None, trajectories=fly is not None)
