@@ -268,8 +268,8 @@ def verdict_of(causes: Sequence[Cause], unknown: Sequence[Unknown]) -> Verdict:
     return Verdict.UNEXPLAINED if unknown or causes else Verdict.NO_EFFECT
 
 
-def asked_of_flight(found: Diagnosis, confirmation: Confirmation) -> Diagnosis:
-    """The diagnosis with what unseen flight says of its causes; one that it was not asked about stays as it is."""
+def tested_on_held_out_flights(found: Diagnosis, confirmation: Confirmation) -> Diagnosis:
+    """The diagnosis with each cause confirmed, or not, by held-out flights; causes not tested there stay as they are."""
     causes = tuple(
         replace(c, confirmed=c.name in confirmation.kept, missed=confirmation.missed[c.name])
         if c.name in confirmation.missed

@@ -51,7 +51,7 @@ Channels = Mapping[str, Float[np.ndarray, " n"]]
 
 @dataclass(frozen=True)
 class _Measures:
-    """Root mean squares of r + 1 residual records (the recorded one first) as columns, and what each column is."""
+    """Root mean squares, a row for each residual record (the recorded one first), and what each column is."""
 
     values: Float[np.ndarray, "r k"]
     channel: tuple[str, ...]

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from scipy.signal import lfilter
 
 from bayes_aero.flight.card import Card
+from bayes_aero.flight.health.signals import noise_of
 
 DEGREE = math.pi / 180.0
 DEFAULT_NOISE = {
@@ -48,18 +49,9 @@ def sensor_noise(channels: Mapping[str, Float[np.ndarray, " n"]], card: Card) ->
     A constant error as large as the stated noise is permitted, too.
     """
     stated = {name: float(card.sensors.get(name) or DEFAULT_NOISE[name]) for name in DEFAULT_NOISE if name in channels}
-    shown = {name: white_noise(np.asarray(channels[name])) for name in stated}
+    shown = {name: noise_of(np.asarray(channels[name])) for name in stated}
     permitted = {n: float(np.clip(shown[n], sd, NOISIER * sd)) for n, sd in stated.items()}
     return SensorNoise(permitted, stated, shown)
-
-
-def white_noise(x: Float[np.ndarray, " n"]) -> float:
-    """Standard deviation of what changes from sample to sample: from third differences, outliers left out.
-
-    Source: third differences of white noise have 20 times its variance; 1.4826 times the median of their size is their
-    standard deviation.
-    """
-    return float(1.4826 * np.median(np.abs(np.diff(x, 3))) / math.sqrt(20.0))
 
 
 def gusts(

@@ -24,8 +24,8 @@ SHOWN = 4
 def preparation_notes(records: Sequence[FlightRecord], card: Card, model: Model, mle: MleResult) -> tuple[str, ...]:
     """A sentence where estimates move by more than their intervals allow for; none where they do not.
 
-    `mle` is the fit to coefficients formed as published. None, too, where it or that with all signals filtered alike
-    has failed.
+    `mle` is the fit to coefficients formed as published. No sentence either where that fit, or the one with all signals
+    filtered alike, has failed.
     """
     sound = (MleStatus.CONVERGED, MleStatus.AT_BOUND)
     if mle.status not in sound:

@@ -54,10 +54,11 @@ def prior_conflicts(
         if p.prior.family == "uniform" or not np.isfinite(sd):
             continue
         mean, wide = p.prior.normal
-        away = x - mean
+        away, scatter = x - mean, sd
         if p.prior.family == "lognormal" and x > 0.0:  # on the scale on which it is normal
             away = p.prior.location * np.log(x / p.prior.location)
-        apart = abs(away) / np.hypot(sd, wide)
+            scatter = sd * p.prior.location / x
+        apart = abs(away) / np.hypot(scatter, wide)
         if apart > AGAINST:
             found.append(
                 PriorConflict(p.name, p.unit, (mean, wide), (float(x), float(sd)), float(apart), p.prior.source)

@@ -85,7 +85,8 @@ def lift_regression(
     before = part = jnp.zeros_like(base)
     share = jnp.zeros(0)
     for _ in range(CURVES):
-        even = jax.vmap(fast)(*(2 * (_causes(smoothed, smooth(base + part), knots),)))
+        causes = _causes(smoothed, smooth(base + part), knots)
+        even = jax.vmap(fast)(causes, causes)
         size = jnp.sqrt(jnp.mean(even**2, axis=1) + 1e-30)
         gram = even @ even.T / jnp.outer(size, size) / even.shape[1]
         right = even @ response / size / even.shape[1]

@@ -31,7 +31,7 @@ def consistency_sentences(found: Consistency, *, corrects: bool) -> list[str]:
 def _answer(found: Consistency, *, corrects: bool) -> str:
     if found.agreement is Agreement.AGREE:
         return "The sensors agree along the flight path within what their noise permits."
-    where = departures_told(found)
+    where = departures_sentence(found)
     errors = several(f"{name} ({sizes(error)})" for name, error in (found.errors or {}).items())
     if found.agreement is Agreement.EXPLAINED:
         mend = "it is corrected here" if corrects else "it is not corrected here; diagnose corrects it"
@@ -47,7 +47,7 @@ def _answer(found: Consistency, *, corrects: bool) -> str:
     )
 
 
-def departures_told(found: Consistency) -> str:
+def departures_sentence(found: Consistency) -> str:
     """Where and by how much, the worst first."""
     listed = sorted(found.departures, key=lambda d: -d.rms / d.permitted)
     more = f"; and {len(listed) - SHOWN} more" if len(listed) > SHOWN else ""

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from bayes_aero.criticism.consistency import consistency
-from bayes_aero.criticism.path_noise import LIGHT_TURBULENCE, gusts, sensor_noise, white_noise
+from bayes_aero.criticism.path_noise import LIGHT_TURBULENCE, gusts, sensor_noise
 from bayes_aero.flight.agreement import Agreement
+from bayes_aero.flight.health.signals import noise_of
 from bayes_aero.flight.readers import read_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.studies.hidden import hidden_records
@@ -42,7 +43,7 @@ def test_gusts_have_the_spectrum_of_dryden(across):
 def test_white_noise_is_read_off_a_channel_that_moves():
     t = np.arange(4000) * 0.04
     x = np.sin(0.8 * t) + 0.02 * np.random.default_rng(0).standard_normal(t.size)
-    assert white_noise(x) == pytest.approx(0.02, rel=0.05)
+    assert noise_of(x) == pytest.approx(0.02, rel=0.05)
 
 
 def test_noise_is_the_card_s_where_it_states_any(sound, card):

@@ -14,7 +14,7 @@ from bayes_aero.criticism.colour import colour_of
 from bayes_aero.criticism.confirmation import Confirmation
 from bayes_aero.criticism.credibility import MOST_NAMES, as_structure, attributed, implausible, own_share
 from bayes_aero.criticism.design import standard
-from bayes_aero.criticism.diagnosis import asked_of_flight, verdict_of
+from bayes_aero.criticism.diagnosis import tested_on_held_out_flights, verdict_of
 from bayes_aero.criticism.election import uncertainty
 from bayes_aero.criticism.extension import Extension
 from bayes_aero.criticism.finding import Cause, Gain, Unknown, Verdict
@@ -85,10 +85,10 @@ def test_flight_that_does_not_miss_a_cause_takes_it_out_of_the_verdict(diagnosed
     d = diagnosed.view.diagnosis
     names = [c.name for c in d.causes]
     assert d.verdict is not Verdict.UNEXPLAINED
-    nothing = asked_of_flight(d, Confirmation((), dict.fromkeys(names, (1.0, 2.0))))
+    nothing = tested_on_held_out_flights(d, Confirmation((), dict.fromkeys(names, (1.0, 2.0))))
     assert not any(c.confirmed for c in nothing.causes)
     assert nothing.verdict is Verdict.UNEXPLAINED
-    assert asked_of_flight(d, Confirmation((), {})) == d
+    assert tested_on_held_out_flights(d, Confirmation((), {})) == d
 
 
 @pytest.fixture(scope="module")

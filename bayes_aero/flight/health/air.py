@@ -22,7 +22,6 @@ UNITS = {
     "airspeed": ("m/s", "kt", "km/h", "ft/s", "mph"),
     "calibrated_airspeed": ("m/s", "kt", "km/h", "ft/s", "mph"),
     "altitude": ("m", "ft"),
-    "static_temperature": ("K",),
     "mach": ("1", "%"),
 }
 
@@ -76,7 +75,7 @@ def _explains(card: Card, name: str, k: float, power: int) -> list[str]:
     has, standard = declared(card, name).unit, STANDARD_CHANNELS[name].unit
     fit = []
     for unit in UNITS[name]:
-        if same_unit(unit, has) is not False or name == "static_temperature":
+        if same_unit(unit, has) is not False:
             continue
         factor = float(to_si(1.0, unit, name, standard) / to_si(1.0, has, name, standard))
         if abs(np.log(k * factor**power)) < NEAR:

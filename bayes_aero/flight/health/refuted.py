@@ -7,7 +7,7 @@ from scipy.ndimage import median_filter
 
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import HealthFinding, found
-from bayes_aero.flight.health.kinematics import RELATIONS, misfits, view_of
+from bayes_aero.flight.health.kinematics import LEVEL, RELATIONS, misfits, view_of
 from bayes_aero.flight.health.readings import Reading, readings
 from bayes_aero.flight.record import FlightRecord
 
@@ -59,7 +59,7 @@ def _calm(name: str, x: np.ndarray) -> np.ndarray:
 
 def _gain(before: dict[str, float], after: dict[str, float]) -> float:
     """Logarithm of the misfit that is mended, over all relations; zero where none is, or another is spoiled."""
-    mended = [n for n, a in before.items() if a > 1.0 and after[n] < max(MENDED * a, 0.0)]
+    mended = [n for n, a in before.items() if a > 1.0 and after[n] < MENDED * a]
     spoiled = [n for n, a in before.items() if after[n] > 1.0 and after[n] > WORSE * a]
     if not mended or spoiled:
         return 0.0
@@ -87,7 +87,7 @@ def _finding(
 
 def _evidence(relation: str, before: dict[str, float], after: dict[str, float]) -> str:
     if relation == "level":
-        size, left, unit = 1.5 * before["level"], 1.5 * after["level"], "m/s^2 in the mean"
+        size, left, unit = LEVEL * before["level"], LEVEL * after["level"], "m/s^2 in the mean"
     else:
         angle = relation not in ("altitude", "airspeed")
         scale = RELATIONS[relation].allowed * (np.degrees(1.0) if angle else 1.0)
