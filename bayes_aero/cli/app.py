@@ -24,7 +24,7 @@ EPILOG = (
     f"Exit codes: 0 done; {FAILED} a record is not usable (check), a fit did not converge or cannot fly "
     "(fly), or units of a study failed or differ, or its cluster was lost (run); "
     f"{BAD_INPUT} bad input, told in one sentence; {DOUBT} done, but the records are in doubt: sensors disagree or a "
-    f"channel is faulty, told first; {INTERRUPTED} interrupted, finished stages are kept.\n\n"
+    f"channel is faulty, reported first; {INTERRUPTED} interrupted, finished stages are kept.\n\n"
     "Each command's --help has an example; a new aircraft starts with: bayes-aero card RECORD."
 )
 

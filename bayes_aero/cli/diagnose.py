@@ -19,7 +19,7 @@ from bayes_aero.cli.terminal import (
     interruptible,
     kept_stages,
     loading,
-    tell_doubts,
+    print_doubts,
     teller,
 )
 
@@ -76,7 +76,7 @@ def diagnose(
     if json:
         typer.echo((out / "diagnosis.json").read_text(encoding="utf-8"), nl=False)
     agreement = None if isinstance(found, Flown) else found.consistency
-    tell_doubts(console, agreement, found.health, corrects=True)
+    print_doubts(console, agreement, found.health, corrects=True)
     if isinstance(found, Flown):
         _tell_flown(console, found)
     else:

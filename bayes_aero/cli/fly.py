@@ -19,7 +19,7 @@ from bayes_aero.cli.terminal import (
     interruptible,
     kept_stages,
     loading,
-    tell_doubts,
+    print_doubts,
     teller,
 )
 
@@ -53,7 +53,7 @@ def fly(
         found = run(flights, card, out=out, windows=windows, seed=seed, figures=figures, progress=tell)
     if json:
         typer.echo((out / RESULTS).read_text(encoding="utf-8"), nl=False)
-    tell_doubts(console, found.consistency, found.health, corrects=False)
+    print_doubts(console, found.consistency, found.health, corrects=False)
     console.print(parameter_table(found.flown))
     console.print(error_table(found.flown))
     for sentence in found.sentences:

@@ -19,7 +19,7 @@ from bayes_aero.cli.terminal import (
     interruptible,
     kept_stages,
     loading,
-    tell_doubts,
+    print_doubts,
     teller,
 )
 
@@ -89,7 +89,7 @@ def identify(
         )
     if json:
         typer.echo((out / "results.json").read_text(encoding="utf-8"), nl=False)
-    tell_doubts(console, found.consistency, found.health, corrects=False)
+    print_doubts(console, found.consistency, found.health, corrects=False)
     console.print(terminal_table(found))
     for sentence in verdict(found):
         console.print(f"• {sentence}", highlight=False)

@@ -92,7 +92,7 @@ def print_json(content: Mapping[str, Any]) -> None:
     sys.stdout.write(as_json(dict(content)))
 
 
-def tell_doubts(
+def print_doubts(
     console: Console, agreement: Consistency | None, health: Sequence[HealthFinding], *, corrects: bool
 ) -> None:
     """Faulty channels and whether the sensors agree: the first things that are printed.

@@ -269,7 +269,7 @@ def verdict_of(causes: Sequence[Cause], unknown: Sequence[Unknown]) -> Verdict:
 
 
 def tested_on_held_out_flights(found: Diagnosis, confirmation: Confirmation) -> Diagnosis:
-    """The diagnosis with each cause confirmed, or not, by held-out flights; causes not tested there stay as they are."""
+    """The diagnosis with each cause confirmed, or not, by held-out flights; untested causes stay as they are."""
     causes = tuple(
         replace(c, confirmed=c.name in confirmation.kept, missed=confirmation.missed[c.name])
         if c.name in confirmation.missed

@@ -82,6 +82,6 @@ class Consistency:
 
     @property
     def departures(self) -> tuple[Departure, ...]:
-        """What is to be told: where records depart; of disagreement that is explained in part, what is left."""
+        """Where records depart from their flight path; if errors explain that in part, where they still do."""
         left = tuple(d for check in self.corrected for d in check.departures)
         return left or tuple(d for check in self.recorded for d in check.departures)

@@ -52,7 +52,7 @@ def implausible(record: FlightRecord, known: StandardChannel, channel: Channel |
     fill = _fill(record, known, channel, outside)
     if fill is not None:
         return fill
-    if lo == 0.0 and (x < lo).any():  # airspeed and density not above zero: told with their own remedy
+    if lo == 0.0 and (x < lo).any():  # airspeed and density not above zero: another check reports these
         return None
     i = int(np.argmax(outside))
     filed = (
@@ -90,8 +90,8 @@ def _fill(record: FlightRecord, known: StandardChannel, channel: Channel | None,
     unit = "" if own.unit == "1" else f" {own.unit}"
     return (
         f"channel {known.name}: {named}{unit} stands at {int(outside.sum())} of {record.n} samples, the first at "
-        f"{at(record, i)}: a fill value of the recorder, no measurement; cut these samples out or interpolate across "
-        "them in the file"
+        f"{at(record, i)}: a fill value of the recorder, not a measurement; cut these samples out or interpolate "
+        "across them in the file"
     )
 
 

@@ -78,7 +78,7 @@ class MleResult:
 
     @property
     def crb_corrected(self) -> Float[np.ndarray, " k"]:
-        """Standard deviations that allow for the residuals' colour and uneven size (`robust_covariance`)."""
+        """Standard errors that allow for the residuals' autocorrelation and uneven size (`robust_covariance`)."""
         return np.sqrt(np.diag(self.corrected))
 
     @property
@@ -99,9 +99,9 @@ class MleResult:
         said = [] if self.status is MleStatus.CONVERGED else [f"Maximum likelihood: {self.status.value}."]
         if self.blocks is not None and self.blocks < FEWEST_BLOCKS * len(self.names):
             said.append(
-                f"The record is too short for its intervals to be relied on: {self.blocks} independent values of each "
-                f"coefficient (one in 0.2 s) for {len(self.names)} parameters, where {FEWEST_BLOCKS} for each "
-                "parameter are wanted; add manoeuvres or fix parameters."
+                f"The record is too short for reliable intervals: it has {self.blocks} blocks of 0.2 s for "
+                f"{len(self.names)} parameters, and at least {FEWEST_BLOCKS} for each parameter are needed; add "
+                "manoeuvres or fix parameters."
             )
         low, high = self.separation
         if "alpha_star" in self.names and low > 0.5:

@@ -1,4 +1,4 @@
-"""What holds an estimate away from where the data would have it: priors against which they speak, and bounds."""
+"""What holds an estimate away from the value that the data support: priors that they contradict, and bounds."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from jaxtyping import Float
 
 from bayes_aero.parameter import Parameter
 
-AGAINST = 3.0  # deviations of both together between prior and likelihood, from which that is worth a word
-PUSHED = 1.0  # corrected deviations that lifting a bound moves another estimate
+AGAINST = 3.0  # combined standard errors between prior and likelihood, beyond which a conflict is named
+PUSHED = 1.0  # corrected standard errors by which lifting a bound moves an estimate that is reported
 
 
 @dataclass(frozen=True)
 class PriorConflict:
-    """A prior (mean, deviation) and the likelihood's own estimate, `apart` deviations of both together from it."""
+    """A prior (mean, standard deviation) and the likelihood's own estimate, `apart` combined standard errors away."""
 
     name: str
     unit: str
@@ -29,7 +29,7 @@ class PriorConflict:
 @dataclass(frozen=True)
 class Bounded:
     """A parameter at its bound. To first order `without` is its value without it; `pushed` are the other estimates'
-    moves then, in corrected deviations."""
+    moves then, in corrected standard errors."""
 
     name: str
     unit: str
@@ -42,12 +42,12 @@ class Bounded:
 def prior_conflicts(
     parameters: Sequence[Parameter], estimate: Float[np.ndarray, " k"], deviation: Float[np.ndarray, " k"]
 ) -> tuple[PriorConflict, ...]:
-    """Priors against which the data speak, the strongest conflict first.
+    """Priors that the data contradict, the strongest conflict first.
 
     Args:
         parameters: the free ones.
         estimate: by likelihood alone.
-        deviation: its standard deviation, the residuals' colour allowed for.
+        deviation: its standard error, corrected for the residuals' autocorrelation.
     """
     found = []
     for p, x, sd in zip(parameters, estimate, deviation, strict=True):
@@ -81,7 +81,7 @@ def bounded(
         estimate: with the bounds.
         gradient: of the log-likelihood there; it vanishes but for the active parameters.
         inverse: of the information, active parameters included.
-        deviation: corrected standard deviations.
+        deviation: corrected standard errors.
         active: whether a parameter is at its bound.
     """
     found = []

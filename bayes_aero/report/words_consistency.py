@@ -39,7 +39,7 @@ def _answer(found: Consistency, *, corrects: bool) -> str:
             f"The sensors disagree along the flight path, and a known error explains it ({mend}): {errors}. "
             f"As recorded, {where}."
         )
-    beside = f", once {errors} is taken out" if errors else ""
+    beside = f", after correction for {errors}" if errors else ""
     unsought = f" Known errors could not be sought: {found.unsought}." if found.unsought else ""
     return (
         f"The sensors disagree along the flight path, and no known error of a sensor explains it: {where}{beside}. "
@@ -78,9 +78,9 @@ def _limits(found: Consistency) -> list[str]:
 
 def sizes(error: Mapping[str, Any]) -> str:
     """A sensor error's parameters with their standard errors."""
-    told = []
+    listed = []
     for parameter, size in error["parameters"].items():
         unit, factor = for_people(size["unit"])
         behind = "" if unit == "1" else f" {unit}"
-        told.append(f"{parameter} {factor * size['mean']:.3g} ± {factor * size['sd']:.2g}{behind}")
-    return ", ".join(told)
+        listed.append(f"{parameter} {factor * size['mean']:.3g} ± {factor * size['sd']:.2g}{behind}")
+    return ", ".join(listed)

@@ -65,8 +65,8 @@ def _cause(cause: Cause) -> str:
     if cause.own_share < LITTLE:
         share = f"{100.0 * cause.own_share:.1f} %" if cause.own_share >= 0.001 else "less than 0.1 %"
         said += (
-            f" The record hardly excites it: other parameters can do all but {share} of what it does, so that small "
-            "errors of the model move it far."
+            f" The record hardly excites it: other parameters reproduce all but {share} of its contribution, so small "
+            "errors of the model move its estimate far."
         )
     if not cause.excited:
         said += " Not every manoeuvre excites it."
@@ -81,7 +81,7 @@ def _cause(cause: Cause) -> str:
 
 
 def _together(d: Diagnosis) -> list[str]:
-    """What the record knows of two terms that cancel."""
+    """The combination that the record determines of two terms that cancel."""
     said = []
     for pair in d.together:
         one, other = pair.parameters
@@ -89,9 +89,9 @@ def _together(d: Diagnosis) -> list[str]:
         sign = "+" if pair.factor > 0.0 else "-"
         size = size_text(pair.mean, pair.sd, pair.unit)
         said.append(
-            f"{several(pair.effects)} cancel each other (correlation {pair.correlation:+.2f}): this record does not "
-            f"know {one} and {other} but {one} {sign} {factor}{other} = {size}. A manoeuvre that moves them apart "
-            "would tell."
+            f"{several(pair.effects)} cancel each other (correlation {pair.correlation:+.2f}): this record "
+            f"determines only {one} {sign} {factor}{other} = {size}. A manoeuvre that moves them apart would determine "
+            "both."
         )
     return said
 
@@ -176,7 +176,7 @@ def flown_table(d: Diagnosis) -> Table | None:
         sizes = "\n".join(size_text(s.mean, s.sd, s.unit) for s in cause.parameters.values())
         table.add_row(_marked(cause), sizes, probability(cause.probability), several(cause.ambiguous_with))
     if not all(cause.sure for cause in d.causes):
-        table.caption = "*: not confirmed on unseen flight. †: the verdict does not rest on it, see below."
+        table.caption = "*: not confirmed on hold-out flights. †: the verdict does not rest on it, see below."
     return table
 
 

@@ -1,4 +1,4 @@
-"""Priors against which the data speak, and parameters at their bounds, in words."""
+"""Priors that the record contradicts, and parameters at their bounds, in words."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ def conflict_sentences(conflicts: Sequence[PriorConflict]) -> list[str]:
     return [
         f"The card's prior on {c.name}, {c.prior[0]:.4g} ± {c.prior[1]:.2g}{_unit(c.unit)} ({c.source}), contradicts "
         f"the record: the likelihood alone gives {c.likelihood[0]:.4g} ± {c.likelihood[1]:.2g}, {c.apart:.1f} "
-        "deviations of both together away. Posteriors are drawn towards the prior, and parameters correlated with "
-        f"{c.name} with it; widen the prior, or find out why the record differs."
+        f"combined standard errors away. The prior pulls the posterior of {c.name} and of parameters correlated with "
+        "it; widen the prior, or find out why the record differs."
         for c in conflicts
     ]
 
 
 def leaning_sentences(table: pd.DataFrame, conflicts: Sequence[PriorConflict]) -> tuple[str, ...]:
-    """How far the posterior leans on priors that the record contradicts, and which other parameters do besides.
+    """How far the posterior depends on priors that the record contradicts, and which others depend on priors.
 
     Args:
         table: of `prior_sensitivity`.
@@ -36,7 +36,7 @@ def leaning_sentences(table: pd.DataFrame, conflicts: Sequence[PriorConflict]) -
     own = several(f"{n} {prior[n]:.2f} to the prior, {data[n]:.2f} to the data" for n in names)
     others = [str(n) for n in prior if n not in names and prior[n] >= SENSITIVE]
     more = f" Priors move {several(others)} as well." if others else ""
-    return (f"Sensitivity of the posterior by power-scaling ({SENSITIVE:g} and above counts): {own}.{more}",)
+    return (f"Sensitivity of the posterior by power-scaling ({SENSITIVE:g} and above matters): {own}.{more}",)
 
 
 def bound_sentences(found: Sequence[Bounded]) -> list[str]:
@@ -45,13 +45,12 @@ def bound_sentences(found: Sequence[Bounded]) -> list[str]:
     for b in found:
         side = "lower" if b.lower else "upper"
         text = (
-            f"{b.name} is at its {side} bound, {b.bound:.4g}{_unit(b.unit)}: its interval means little. Without the "
+            f"{b.name} is at its {side} bound, {b.bound:.4g}{_unit(b.unit)}: its interval is not reliable. Without the "
             f"bound it would be about {b.without:.4g} (to first order)"
         )
         if b.pushed:
-            text += (
-                f"; the bound pushes {several(f'{n} ({-x:+.1f} corrected deviations)' for n, x in b.pushed.items())}"
-            )
+            pushed = several(f"{n} ({-x:+.1f} corrected standard errors)" for n, x in b.pushed.items())
+            text += f"; the bound pushes {pushed}"
         said.append(f"{text}. Widen the bound, or fix {b.name}.")
     return said
 

@@ -9,7 +9,7 @@ FEW = 3  # causes whose sizes stand in the verdict
 
 
 def verdict_sentence(d: Diagnosis) -> str:
-    """What explains what the card's model gets wrong, what is named and does not, and what is left."""
+    """The causes that explain what the card's model gets wrong, those that are only named, and what is left."""
     sure = [c for c in d.causes if c.sure]
     plural = "causes explain" if len(sure) > 1 else "cause explains"
     subject = f"{len(sure)} {plural}"
@@ -21,8 +21,7 @@ def verdict_sentence(d: Diagnosis) -> str:
         Verdict.EXPLAINED: f"{subject} what the card's model gets wrong{names}.",
         Verdict.PARTLY_EXPLAINED: f"{subject} a part of what the card's model gets wrong{names}; "
         f"unexplained structure remains{left}.",
-        Verdict.UNEXPLAINED: f"The card's model is wrong and nothing that can be relied on explains it{left}"
-        f"{_doubtful(d)}."
+        Verdict.UNEXPLAINED: f"The card's model is wrong and no reliable cause explains it{left}{_doubtful(d)}."
         if d.causes
         else f"The card's model is wrong and no effect of the catalogue explains it{left}.",
     }[d.verdict]
@@ -37,8 +36,7 @@ def _named(cause: Cause, sized: bool) -> str:
 
 
 def _doubtful(d: Diagnosis) -> str:
-    """Causes that are named and carry the explanation in no way that a user should rely on, each for its first
-    reason."""
+    """Named causes on which the verdict does not rest, each with the first reason."""
     reasons: dict[str, list[str]] = {}
     for cause in d.causes:
         if not cause.sure:
@@ -49,9 +47,9 @@ def _doubtful(d: Diagnosis) -> str:
 def _why_not(cause: Cause) -> str:
     """Why the verdict does not rest on a cause."""
     if cause.bounded:
-        return "at a parameter bound, so that another cause must be behind"
+        return "at a parameter bound, so another cause is to be suspected"
     if cause.implausible:
-        return "named with a size beyond what aircraft have, so that another cause must be behind"
+        return "larger than on any aircraft, so another cause is to be suspected"
     if not cause.confirmed:
-        return "named, but not confirmed on unseen data"
-    return "named, but no likelier than its rivals"
+        return "named, but not confirmed on hold-out data"
+    return "named, but no more probable than its rivals"

@@ -76,7 +76,7 @@ def run_flown(
         note += f" Not recorded, and taken as zero: {several(still)}."
     flown: Trajectories | None = None
     if found.causes and not fly:
-        note += " Without trajectories unseen flight was not asked about any cause."
+        note += " Without trajectories no cause was tested on hold-out flights."
     health = channel_health(records, card)
 
     def write() -> list[str]:

@@ -1,4 +1,4 @@
-"""The repair of isolated spikes, as every job that uses records tells it."""
+"""The repair of isolated spikes, and the note that every job gives on it."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from typing import get_args
 import pytest
 
 from bayes_aero.cli import app, choices
-from bayes_aero.cli.terminal import BAD_INPUT, FAILED, INTERRUPTED, kept_stages
+from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED, kept_stages
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.entry import _heed
 from bayes_aero.flight import readers
@@ -56,7 +56,7 @@ def test_every_help_has_an_example(program, command):
 
 def test_help_states_the_exit_codes(program):
     done = program("--help")
-    for code in (FAILED, BAD_INPUT, INTERRUPTED):
+    for code in (FAILED, BAD_INPUT, DOUBT, INTERRUPTED):
         assert f"{code} " in done.out.split("Exit codes:")[1]
     for command in COMMANDS:
         assert f" {command} " in done.out

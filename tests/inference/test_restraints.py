@@ -20,6 +20,7 @@ def test_a_prior_that_the_record_contradicts_is_named_with_its_distance():
     (said,) = conflict_sentences([found])
     assert "CLa" in said
     assert "wind tunnel" in said
+    assert "29.1 combined standard errors away" in said
 
 
 @pytest.mark.parametrize("estimate", [2.49, 2.55])

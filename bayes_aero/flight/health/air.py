@@ -33,14 +33,14 @@ def air_data(record: FlightRecord, card: Card) -> list[HealthFinding]:
     said = []
     if {"static_pressure", "density", "static_temperature"} <= have and median["static_temperature"] > 0.0:
         k = median["static_pressure"] / (median["density"] * GAS * median["static_temperature"])
-        said += _told(record, card, k, "static_pressure", ("density",), "density times R T")
+        said += _off_by_factor(record, card, k, "static_pressure", ("density",), "density times R T")
     if {"mach", "airspeed", "static_temperature"} <= have and median["static_temperature"] > 0.0:
         moving = record["mach"] > 0.05
         if moving.mean() > 0.5:
             sound = np.sqrt(GAMMA * GAS * median["static_temperature"])
             k = float(np.median(record["airspeed"][moving] / record["mach"][moving])) / sound
-            kind = _as_calibrated(record, k, "Mach number times the speed of sound")
-            said += kind or _told(record, card, k, "airspeed", ("mach",), "Mach number times the speed of sound")
+            meant = "Mach number times the speed of sound"
+            said += _as_calibrated(record, k, meant) or _off_by_factor(record, card, k, "airspeed", ("mach",), meant)
     ratio = thinness(record.channels, have)
     if {"calibrated_airspeed", "airspeed"} <= have and ratio is not None and median["airspeed"] > 0.0:
         moving = record["airspeed"] > 0.5 * median["airspeed"]
@@ -51,7 +51,7 @@ def air_data(record: FlightRecord, card: Card) -> list[HealthFinding]:
     return said
 
 
-def _told(
+def _off_by_factor(
     record: FlightRecord, card: Card, k: float, name: str, others: Sequence[str], meant: str, grave: bool = True
 ) -> list[HealthFinding]:
     """A channel that is k times what it must be, with the units that would explain it."""
@@ -94,7 +94,7 @@ def _as_calibrated(record: FlightRecord, k: float, meant: str) -> list[HealthFin
         return []
     sentence = (
         f"airspeed is {k:.3g} times {meant}, as calibrated airspeed is at this density ({middle:.3g}): true airspeed "
-        "is wanted; divide it by the square root of density over 1.225 kg/m^3 in the file, or map the true airspeed"
+        "is needed; divide it by the square root of density over 1.225 kg/m^3 in the file, or map the true airspeed"
     )
     return [found(record, "airspeed", "airspeed_kind", sentence, at=(0, record.n - 1))]
 
@@ -108,7 +108,7 @@ def _calibrated(record: FlightRecord, card: Card, k: float, ratio: float) -> lis
         )
         return [found(record, "airspeed", "airspeed_kind", sentence, at=(0, record.n - 1))]
     meant = f"true airspeed times the root of density over {DENSITY0} kg/m^3"
-    return _told(record, card, k, "calibrated_airspeed", (), meant, grave=False)
+    return _off_by_factor(record, card, k, "calibrated_airspeed", (), meant, grave=False)
 
 
 def _pressure_altitude(record: FlightRecord, card: Card, median: dict[str, float]) -> list[HealthFinding]:
@@ -118,4 +118,4 @@ def _pressure_altitude(record: FlightRecord, card: Card, median: dict[str, float
         return []
     k = median["altitude"] / meant
     fit = _explains(card, "altitude", k, 1)
-    return _told(record, card, k, "altitude", (), "the altitude of the static pressure") if fit else []
+    return _off_by_factor(record, card, k, "altitude", (), "the altitude of the static pressure") if fit else []

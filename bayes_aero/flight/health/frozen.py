@@ -10,7 +10,7 @@ from bayes_aero.flight.health.kinematics import RELATIONS, view_of
 from bayes_aero.flight.health.signals import CONTROLS, level_step, noise_of, still_runs
 from bayes_aero.flight.record import FlightRecord
 
-SHORTEST = 0.4  # s: shorter ones are told as a held signal or do no harm
+SHORTEST = 0.4  # s: shorter ones are reported as a held signal or do no harm
 SURE = 4.0  # times the longest run that chance gives
 CONTINUOUS = 0.3  # share of equal neighbours up to which a run of equal values cannot be calm flight
 NOISELESS = 1e-5  # noise over range that no sensor has, and a simulation without noise has

@@ -37,7 +37,7 @@ def idle(record: FlightRecord, card: Card) -> list[HealthFinding]:  # noqa: ARG0
         return []
     first, last = max(runs, key=lambda run: run[1] - run[0])
     sentence = (
-        f"nothing is flown from {record.time[first]:.6g} to {record.time[last]:.6g} s ({', '.join(have[:3])} and all "
-        "else stand still within their noise): this part only adds noise; cut it out, or leave it for the bias"
+        f"no manoeuvre is flown from {record.time[first]:.6g} to {record.time[last]:.6g} s ({', '.join(have[:3])} and "
+        "all else hardly move): this part only adds noise; cut it out, or keep it for the estimates of biases"
     )
     return [found(record, "record", "idle", sentence, at=(first, last), grave=False)]

@@ -15,7 +15,7 @@ COARSEST = {
     "ax": 0.2, "ay": 0.2, "az": 0.4, "airspeed": 1.2, "altitude": 15.0, "mach": 0.01, "density": 0.02,
 }  # fmt: skip
 """Steps, SI, whose rounding error (a step over the square root of 12) is as large as a good sensor's error is tenfold;
-recorders for accident investigation keep 0.2 to 0.35 deg, 0.01 g, 1 kt and are not told."""
+recorders for accident investigation keep 0.2 to 0.35 deg, 0.01 g, 1 kt and are not reported."""
 LEVELS = 8  # levels that the motion must cross, at least
 
 
@@ -33,8 +33,8 @@ def quantised(record: FlightRecord, card: Card) -> list[HealthFinding]:
             continue
         sentence = (
             f"{name} is recorded in steps of {shown(card, name, step, size=True)}, and the flight crosses "
-            f"{moved / step:.0f} of them: its error of {shown(card, name, step / np.sqrt(12.0), size=True)} repeats "
-            "itself and is no noise; read it out with more digits, or do not rest results on it"
+            f"{moved / step:.0f} of them: its rounding error of {shown(card, name, step / np.sqrt(12.0), size=True)} "
+            "is not random noise; record it with more digits, or do not rely on results that use it"
         )
         said.append(found(record, name, "quantised", sentence, at=(0, record.n - 1)))
     return said

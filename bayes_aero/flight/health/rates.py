@@ -20,9 +20,10 @@ def different_rates(records: Sequence[FlightRecord]) -> list[HealthFinding]:
     off = np.flatnonzero(np.abs(np.log(rates / rates[0])) > ALIKE)
     if not len(off):
         return []
-    told = ", ".join(f"{r.name} {rate:.4g} Hz" for r, rate in zip(records, rates, strict=True))
+    listed = ", ".join(f"{r.name} {rate:.4g} Hz" for r, rate in zip(records, rates, strict=True))
     sentence = (
-        f"the records have different sampling rates ({told}): filters span samples, so each record's derivatives and "
-        f"noise are others; resample all to the lowest rate (--resample {1.0 / rates.min():.4g})"
+        f"the records have different sampling rates ({listed}): filters span samples, so derivatives and noise differ "
+        f"between them; identify brings them to the lowest rate by default, elsewhere resample "
+        f"(--resample {1.0 / rates.min():.4g})"
     )
     return [found(records[int(off[0])], "time", "rates", sentence)]

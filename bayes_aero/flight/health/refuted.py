@@ -48,7 +48,7 @@ def refuted(record: FlightRecord, card: Card) -> list[HealthFinding]:
 
 
 def _calm(name: str, x: np.ndarray) -> np.ndarray:
-    """Without isolated spikes, dropouts and the jumps of an angle, which are told elsewhere."""
+    """Without isolated spikes, dropouts and the jumps of an angle, which other checks report."""
     if name == "time":
         return x
     if name in ("psi", "phi"):
@@ -94,6 +94,6 @@ def _evidence(relation: str, before: dict[str, float], after: dict[str, float]) 
         unit = "deg" if angle else {"altitude": "m", "airspeed": "m/s"}[relation]
         size, left = scale * before[relation], scale * after[relation]
     return (
-        f"the {NOUNS[relation]} departs by {size:.3g} {unit} from what the other channels say, and by {left:.2g} "
-        "if that is put right"
+        f"the {NOUNS[relation]} differs by {size:.3g} {unit} from what the other channels imply, and by {left:.2g} "
+        "once that is corrected"
     )

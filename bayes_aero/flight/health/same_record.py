@@ -35,7 +35,7 @@ def same_records(records: Sequence[FlightRecord]) -> list[HealthFinding]:
             )
             sentence = (
                 f"{part} {one.name}: {count} samples ({count * two.dt:.4g} s) are the same samples, so the flight "
-                "counts twice and every interval is too narrow; give it once"
+                "counts twice and every interval is too narrow; give the flight once"
             )
             said.append(found(two, "record", "same_record", sentence, at=(first, first + count - 1)))
     return said

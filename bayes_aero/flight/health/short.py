@@ -32,6 +32,6 @@ def short(record: FlightRecord, card: Card) -> list[HealthFinding]:
     )
     sentence = (
         f"the record is too short: {lasts:.3g} s, and {needed:.2g} s are needed ({why}); estimates can be off by "
-        "several of their deviations, so give the whole manoeuvre with some seconds of trimmed flight before it"
+        "several standard errors, so give the whole manoeuvre with some seconds of trimmed flight before it"
     )
     return [found(record, "record", "short", sentence, at=(0, record.n - 1))]
