@@ -75,14 +75,14 @@ def diagnose(
         )
     if json:
         typer.echo((out / "diagnosis.json").read_text(encoding="utf-8"), nl=False)
-    agreement = None if isinstance(found, Flown) else found.consistency
-    print_doubts(console, agreement, found.health, corrects=True)
+    corrects = not isinstance(found, Flown)  # trajectories are fitted to the record as it is
+    print_doubts(console, found.consistency, found.health, corrects=corrects)
     if isinstance(found, Flown):
         _tell_flown(console, found)
     else:
         _tell(console, found)
     console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
-    exit_in_doubt(agreement, found.health, corrects=True)
+    exit_in_doubt(found.consistency, found.health, corrects=corrects)
 
 
 def _tell(console: Console, found: Outcome) -> None:

@@ -12,6 +12,7 @@ from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.flown import diagnose_flown
 from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.errors import InputError
+from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import HealthFinding, channel_health
 from bayes_aero.flight.record import FlightRecord
@@ -61,9 +62,13 @@ def run_flown(
     seed: int = 0,
     most: int = 8,
     fly: bool = True,
+    agreement: Consistency | None = None,
     progress: Progress | None = None,
 ) -> tuple[Diagnosis, Trajectories | None, list[str]]:
-    """Diagnose from trajectories; `out` gets diagnosis.json, report.html. Returns the sentences of the finding too."""
+    """Diagnose from trajectories; `out` gets diagnosis.json, report.html. Returns the sentences of the finding too.
+
+    `agreement`: whether the sensors agree, where that has been checked already.
+    """
     if out is not None:
         writable(out)
         (out / MARK).unlink(missing_ok=True)  # what another run left here to be taken up is written over
@@ -78,11 +83,12 @@ def run_flown(
     if found.causes and not fly:
         note += " Without trajectories no cause was tested on hold-out flights."
     health = channel_health(records, card)
+    checked = agreement or consistency(records, card, seed=seed)
 
     def write() -> list[str]:
         said = [*diagnosis_sentences(found, flown), note]
         if out is not None:
-            write_json(_results(found, flown, card, records, said, health, source), out / "diagnosis.json")
+            write_json(_results(found, flown, card, records, said, (checked, health), source), out / "diagnosis.json")
         return said
 
     said = write()
@@ -98,7 +104,8 @@ def run_flown(
         failure = put_histories(lambda: flights(paths), out)
         said += [failure] if failure else []
     if out is not None:
-        failure = put_page(lambda: flown_page(found, flown, said, Told(card, records, source)), out)
+        told = Told(card, records, source, consistency=checked)
+        failure = put_page(lambda: flown_page(found, flown, said, told), out)
         said += [failure] if failure else []
     return found, flown, said
 
@@ -109,7 +116,7 @@ def _results(
     card: Card,
     records: Sequence[FlightRecord],
     said: Sequence[str],
-    health: Sequence[HealthFinding],
+    doubts: tuple[Consistency, Sequence[HealthFinding]],
     source: Any,
 ) -> dict[str, Any]:
     units = {p.name: p.unit for p in d.aerodynamics.state.field.model.free}
@@ -117,7 +124,7 @@ def _results(
         "schema": SCHEMA,
         "card": {"name": card.name, "title": card.title},
         "records": record_results(records),
-        "consistency": consistency_results(consistency(records, card, seek=False)),
+        "consistency": consistency_results(doubts[0]),
         "verdict": d.verdict.value,
         "sentences": list(said),
         "causes": [cause_results(cause) for cause in d.causes],
@@ -135,7 +142,7 @@ def _results(
         "residuals": {},
         "predictors": {},
         "trajectories": {} if flown is None else trajectory_results(flown, card),
-        "health": health_results(health),
+        "health": health_results(doubts[1]),
         "notes": list(d.notes),
         "provenance": dict(source),
     }

@@ -6,8 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from bayes_aero.criticism.consistency import consistency
 from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.trajectory import Trajectories
+from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import HealthFinding, channel_health
 from bayes_aero.flight.record import FlightRecord
@@ -28,6 +30,7 @@ class Flown:
     trajectories: Trajectories | None
     sentences: Sequence[str]
     health: Sequence[HealthFinding] = ()
+    consistency: Consistency | None = None
 
 
 def diagnose_records(
@@ -45,10 +48,18 @@ def diagnose_records(
 ) -> Outcome | Flown:
     """Diagnose, as `bayes-aero diagnose` does: by coefficients, or by trajectories where these cannot be formed."""
     if lacking(flights, card):
+        agreement = consistency(flights, card, seed=seed)
         found, flown, said = run_flown(
-            flights, card, out=out, seed=seed, most=max_effects, fly=trajectories, progress=progress
+            flights,
+            card,
+            out=out,
+            seed=seed,
+            most=max_effects,
+            fly=trajectories,
+            agreement=agreement,
+            progress=progress,
         )
-        return Flown(found, flown, said, channel_health(flights, card))
+        return Flown(found, flown, said, channel_health(flights, card), agreement)
     return run(
         flights,
         card,
