@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from bayes_aero.criticism.colour import ORDER, ROOT, Colour, Middle, colour_of, colours_of
+from bayes_aero.criticism.colour import Colour, Middle, colour_of, colours_of
 from bayes_aero.criticism.regression import Products
+from bayes_aero.inference.autoregression import ORDER, ROOT
 
 
 @pytest.fixture(params=[3, 4])
