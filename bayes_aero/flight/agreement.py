@@ -54,7 +54,7 @@ class Consistency:
         unchecked: channels of the flight path that could not be checked, for they were not recorded.
         recorded: a check of each record as it is.
         corrected: the same with `errors` taken out; empty where none were sought or found.
-        errors: errors of sensors and winds that the flight path asks for: claim, whether minor, parameters.
+        errors: errors of sensors and winds found along the flight path: claim, whether minor, parameters.
         unsought: why no known error could be sought though the sensors disagree; empty where it could.
     """
 

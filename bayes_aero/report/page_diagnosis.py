@@ -31,7 +31,6 @@ from bayes_aero.report.page_diagnosis_tables import (
 from bayes_aero.report.page_parts import (
     at_a_glance,
     bullets,
-    consistency_lead,
     doubts,
     first,
     histories,
@@ -74,8 +73,7 @@ def diagnosis_page(view: View, told: Told) -> Page:
     gallery = Gallery(told.figures, diagnosis_alternatives(view))
     verdict, *rest = diagnosis_sentences(d)
     lead: list[Block] = [
-        *consistency_lead(told.consistency, corrects=True),
-        *doubts(told.records, told.card),
+        *doubts(told.records, told.card, told.consistency, corrects=True),
         *(Text(one, "lead") for one in told.revealed),
     ]
     if gained(view):
@@ -114,8 +112,7 @@ def flown_page(d: Diagnosis, flown: Trajectories | None, said: Sequence[str], to
         subtitle="What the model gets wrong, from trajectories alone: the record has no coefficients",
         verdict=said[0],
         lead=(
-            *consistency_lead(told.consistency, corrects=False),
-            *doubts(told.records, told.card),
+            *doubts(told.records, told.card, told.consistency, corrects=False),
             Text("The record lacks what lift, drag and moment coefficients are formed from; see the last finding."),
         ),
         sections=filled(

@@ -19,7 +19,6 @@ from bayes_aero.report.page import Block, Fold, Page, Text, filled, section
 from bayes_aero.report.page_parts import (
     at_a_glance,
     bullets,
-    consistency_lead,
     conventions,
     doubts,
     first,
@@ -61,8 +60,7 @@ def fly_page(flown: FlownFit, told: FlyTold) -> Page:
         subtitle="A model fitted to trajectories by output error",
         verdict=verdict,
         lead=(
-            *consistency_lead(told.consistency, corrects=False),
-            *doubts(told.records, told.card),
+            *doubts(told.records, told.card, told.consistency, corrects=False),
             *_lead(flown),
             *_opening(flown, told.figures),
         ),

@@ -23,7 +23,6 @@ from bayes_aero.report.page_parts import (
     DEG,
     at_a_glance,
     bullets,
-    consistency_lead,
     doubts,
     first,
     histories,
@@ -60,8 +59,7 @@ def identification_page(
     gallery = Gallery(figures, identification_alternatives(run))
     said = verdict(run)
     lead: list[Block] = [
-        *consistency_lead(run.consistency, corrects=False),
-        *doubts(run.records, run.card),
+        *doubts(run.records, run.card, run.consistency, corrects=False),
         *(Text(w, "warning") for w in _warnings(run)),
     ]
     pictures = gallery("stall") or gallery("crb_vs_credible")

@@ -66,9 +66,12 @@ def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...
     )
 
 
-def doubts(records: Sequence[FlightRecord], card: Card) -> tuple[Text, ...]:
-    """What is wrong with the records' channels: nothing below is then what it seems."""
-    return tuple(Text(f"{finding.sentence}.", "warning") for finding in channel_health(records, card))
+def doubts(
+    records: Sequence[FlightRecord], card: Card, agreement: Consistency | None, *, corrects: bool
+) -> tuple[Text, ...]:
+    """That sensors disagree, and what is wrong with the records' channels: it stands before all else of a page."""
+    faults = (Text(f"{finding.sentence}.", "warning") for finding in channel_health(records, card))
+    return (*consistency_lead(agreement, corrects=corrects), *faults)
 
 
 def consistency_lead(found: Consistency | None, *, corrects: bool) -> tuple[Text, ...]:

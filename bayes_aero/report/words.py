@@ -170,13 +170,14 @@ def _why_apart(identification: Identification) -> str:
         names = several(c.name for c in conflicts)
         return f"Maximum likelihood uses no prior, the posterior the card's, which contradicts the record: {names}."
     smoothing = "one side alone is smoothed (see above), " if identification.preparation else ""
-    return (
-        "A coloured-noise likelihood listens mostly to changes from sample to sample, a white one to levels; were the "
-        "modelled and the measured side treated alike, both would find the same values. So "
-        f"{smoothing}the model's mean function is wrong, or the residual's colour is not of first order."
+    alike = (
+        "; were the modelled and the measured side treated alike, both would find the same values. So "
         if identification.forming is Forming.PUBLISHED
-        else "A coloured-noise likelihood listens mostly to changes from sample to sample, a white one to levels. The "
-        "model's mean function is wrong, or the residual's colour is not of first order."
+        else ". Either "
+    )
+    return (
+        "A coloured-noise likelihood listens mostly to changes from sample to sample, a white one to levels"
+        f"{alike}{smoothing}the model's mean function is wrong, or the residual's colour is not of first order."
     )
 
 
