@@ -103,7 +103,9 @@ def _gravity(card: Card, recorded: frozenset[str]) -> Iterator[Reading]:
 
     for names in dict.fromkeys([*((n,) for n in have), have]):
         for factor, unit in ((1.0, ""), (GRAVITY, ", and in multiples of g")):
-            looks = f"{'has' if len(names) == 1 else 'have'} no part of gravity{unit}: acceleration, not specific force"
+            looks = (
+                f"{'has' if len(names) == 1 else 'have'} no part of gravity (acceleration, not specific force{unit})"
+            )
             mend = f"write {', '.join(back[n][0] for n in names)} into the file"
             yield Reading(names, "gravity", looks, mend, put_back(names, factor))
     if "az" in have:
