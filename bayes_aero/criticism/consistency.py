@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayes_aero.criticism.accuracy import Size
+from bayes_aero.criticism.credibility import implausible
 from bayes_aero.criticism.extension import Extension
 from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.path_check import path_check
@@ -24,6 +25,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.physics.flightpath import PATH_NEEDS
 
 CORE = ("ax", "az", "q", "theta", "alpha", "airspeed")  # without these nothing of the flight path can be checked
+LEVEL = np.radians(5.0)  # of bank: wings that move less count as level where bank was not recorded
 SHORTEST = 4.0  # s of a record that can be checked
 
 
@@ -69,16 +71,24 @@ def consistency(
 
 
 def errors_of_path(known: Extension) -> KnownErrors:
-    """Errors of sensors and winds that a search along the flight path has found, minor ones included."""
-    named = {e.name: e for e in known.state.field.candidates}
-    found = [named[name] for name in (*known.causes, *known.minor)]
+    """Errors of sensors and winds that a search along the flight path has found, minor ones included.
+
+    One at a parameter bound, or larger than sensors have, explains nothing: another cause is behind it.
+    """
+    named, neutral = {e.name: e for e in known.state.field.candidates}, known.state.field.neutral
+    found = [
+        named[name]
+        for name in (*known.causes, *known.minor)
+        if not implausible(named[name], known.sizes, neutral)
+        and not any(known.sizes[p.name].at_bound for p in named[name].parameters)
+    ]
     return KnownErrors(tuple(found), {e.name: _plain(e, known.sizes, minor=e.name in known.minor) for e in found})
 
 
 def errors_of_diagnosis(found: Diagnosis) -> KnownErrors:
     """Errors of the record that a diagnosis has confirmed, by the flight path or by the coefficients."""
     named = {e.name: e for e in found.aerodynamics.state.field.model.effects}
-    causes = {c.name: c for c in found.causes if c.confirmed and named[c.name].kind in SENSOR_KINDS}
+    causes = {c.name: c for c in found.causes if c.sure and named[c.name].kind in SENSOR_KINDS}
     return KnownErrors(
         tuple(named[name] for name in causes),
         {name: _plain(named[name], cause.parameters, minor=False) for name, cause in causes.items()},
@@ -103,6 +113,17 @@ def checks(flights: Flights, card: Card, seed: int) -> tuple[PathCheck, ...]:
     return tuple(found)
 
 
+def _rolls(flights: Flights) -> bool:
+    """Whether the roll rate of some manoeuvre changes the bank angle, a drift apart."""
+    begin = 0
+    for length in flights.lengths:
+        p, dt = (np.asarray(flights.channels[name])[begin : begin + length] for name in ("p", "dt"))
+        if np.ptp(np.cumsum((p - p.mean()) * dt)) > LEVEL:
+            return True
+        begin += length
+    return False
+
+
 def _impossible(records: Sequence[FlightRecord], card: Card) -> str:
     """Why the flight path cannot be checked at all."""
     flights = join(records, card, ())
@@ -111,5 +132,7 @@ def _impossible(records: Sequence[FlightRecord], card: Card) -> str:
         return f"the flight path needs {', '.join(missing)}"
     if not np.isfinite(float(card.aircraft.mass)):
         return "the card states no [aircraft], so the places of the sensors are not known"
+    if "phi" not in flights.channels and "p" in flights.channels and _rolls(flights):
+        return "the flight path needs phi, for the aircraft rolled; map it, or state what stood still under [constants]"
     short = [r.name for r in records if r.time[-1] - r.time[0] < SHORTEST]
     return f"record {short[0]} is shorter than {SHORTEST:g} s" if short else ""

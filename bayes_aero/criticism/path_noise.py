@@ -28,7 +28,7 @@ DEFAULT_NOISE = {
 NOISIER = 3.0  # times the stated noise: white noise that a record shows is no disagreement up to here
 LIGHT_TURBULENCE = 1.0  # m/s, standard deviation of light turbulence; MIL-F-8785C, 3.7
 CALM = 0.3  # m/s: air is never taken for calmer
-SCALE_LENGTH = 533.0  # m, of turbulence along the path above 2000 ft; half of it across: MIL-HDBK-1797, appendix A
+SCALE_LENGTH = 533.0  # m, of turbulence above 2000 ft (1750 ft): MIL-F-8785C, 3.7.2
 MARGIN = 2.0  # times the calmest air-data channel's own gusts: turbulence comes and goes within a record
 AIR_DATA = ("airspeed", "alpha", "beta")
 
@@ -59,11 +59,10 @@ def gusts(
 ) -> Float[np.ndarray, "r n"]:
     """Dryden turbulence of unit standard deviation along or across the path, met at a speed in m/s.
 
-    Source: MIL-HDBK-1797, appendix A; along, first order with time constant T = L/V; across, T = L/2V and
-    (1 + sqrt(3) T s)/(1 + T s)^2.
+    Source: MIL-F-8785C, 3.7.2, T = L/V: along, 1/(1 + T s); across, (1 + sqrt(3) T s)/(1 + T s)^2.
     """
     run_in = min(n, 4000)
-    T = SCALE_LENGTH / max(airspeed, 1.0) / (2.0 if across else 1.0)
+    T = SCALE_LENGTH / max(airspeed, 1.0)
     keep = math.exp(-dt / T)
     slow = np.asarray(lfilter([1.0], [1.0, -keep], rng.standard_normal((count, n + run_in)), axis=1))
     if across:

@@ -29,9 +29,9 @@ def sound():
 
 @pytest.mark.parametrize("across", [False, True])
 def test_gusts_have_the_spectrum_of_dryden(across):
-    """MIL-HDBK-1797: variance one; autocorrelation exp(-t/T), across the path (1 - t/2T) exp(-t/T) with half the T."""
+    """MIL-F-8785C: variance one; autocorrelation exp(-t/T), across the path (1 - t/2T) exp(-t/T), T = L/V."""
     dt, V = 0.1, 80.0
-    T = 533.0 / V / (2.0 if across else 1.0)
+    T = 533.0 / V
     drawn = gusts(np.random.default_rng(4), 400, 1500, dt, V, across=across)
     assert drawn.std() == pytest.approx(1.0, abs=0.03)
     for lag in (5, 20, 60):
