@@ -23,10 +23,12 @@ from typing import Literal, TypeVar, get_args
 import pandas as pd
 from matplotlib.figure import Figure
 
+from bayes_aero.criticism.consistency import consistency
 from bayes_aero.criticism.diagnosis import diagnose as run_diagnosis
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card, read_card
+from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.readers import read_records
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.ensemble import sample_ensemble
@@ -47,8 +49,10 @@ from bayes_aero.report.style import NotDrawn
 from bayes_aero.report.tables import parameter_table, validation_table
 from bayes_aero.report.unseen import scores_frame
 from bayes_aero.report.words import verdict
+from bayes_aero.report.words_consistency import consistency_sentences
 from bayes_aero.report.words_diagnosis import causes_frame, screen_frame, sentences
 from bayes_aero.studies.outlook import predictors
+from bayes_aero.studies.repair import repaired
 
 __all__ = ["Diagnosed", "Fit", "diagnose", "fit", "gpr", "plot", "read", "sample"]
 
@@ -77,8 +81,16 @@ class Fit:
 
     @property
     def sentences(self) -> list[str]:
-        """What the numbers say, and where methods disagree."""
-        return verdict(self.run)
+        """Doubts of the records first; then what the numbers say, and where methods disagree."""
+        return [*self.doubts, *verdict(self.run)]
+
+    @property
+    def doubts(self) -> list[str]:
+        """Faulty channels, and sensors that disagree along the flight path; empty for sound records."""
+        agreement = self.run.consistency
+        disagree = agreement is not None and agreement.disagrees
+        answer = consistency_sentences(agreement, corrects=False)[:1] if agreement is not None and disagree else []
+        return [*(finding.sentence for finding in self.run.health), *answer]
 
     def table(self) -> pd.DataFrame:
         """Parameters as rows; estimates, bounds, posteriors, each manoeuvre by itself as columns. SI and radians."""
@@ -163,17 +175,32 @@ def fit(
     (up to 24 of them).
 
     `coefficients` are formed from signals all filtered alike (`matched`), or as the published ATTAS ones were, which
-    filters the accelerations and not the controls (`published`).
+    filters the accelerations and not the controls (`published`). Isolated spikes are repaired, the health of channels
+    and the agreement of sensors are checked: see `Fit.doubts`.
     """
     if coefficients not in get_args(FormingName):
         known = ", ".join(get_args(FormingName))
         raise InputError(f"there is no way of forming coefficients {coefficients!r}; choose one of {known}")
     card, forming = _card(card), Forming(coefficients)
     model = model or Model.from_card(card)
-    observations = observe(records, card, model, forming)
+    without_spikes, spikes = repaired(records)
+    observations = observe(without_spikes, card, model, forming)
     joint = fit_mle(model, observations, seed=seed)
     alone = fit_alone(model, observations, seed=seed)
-    found = Identification(card, model, tuple(records), observations, Colour.AR1, joint, alone, {}, forming=forming)
+    found = Identification(
+        card,
+        model,
+        tuple(records),
+        observations,
+        Colour.AR1,
+        joint,
+        alone,
+        {},
+        notes=spikes,
+        health=channel_health(records, card),
+        consistency=consistency(records, card, seed=seed, seek=False),
+        forming=forming,
+    )
     return Fit(found)
 
 
