@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.linalg import expm
 
 from bayes_aero.flight.card import Card, parse_card
@@ -121,7 +122,7 @@ def lateral_flight(truth, n=500, dt=0.04, x0=(0.02, -0.01)):
     """True channels under ailerons, rudder and a prescribed sideslip."""
     t = np.arange(n) * dt
     da, dr = multistep(n, dt, 1.0, 0.4, 0.05), multistep(n, dt, 8.0, 0.6, 0.04)
-    beta = np.interp(t, np.linspace(0.0, t[-1], 25), 0.03 * np.sin(1.7 * np.arange(25)))
+    beta = CubicSpline(np.linspace(0.0, t[-1], 25), 0.03 * np.sin(1.7 * np.arange(25)))(t)
     k = truth
     A = np.array([[k["Lp"], k["Lr"]], [k["Np"], k["Nr"]]])
     B = np.array([[k["Lbeta"], k["Lda"], k["Ldr"], k["L0"]], [k["Nbeta"], 0.0, k["Ndr"], k["N0"]]])

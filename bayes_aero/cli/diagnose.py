@@ -73,9 +73,11 @@ def diagnose(
             hidden=hidden,
             progress=tell,
         )
+    corrects = not isinstance(found, Flown)  # trajectories are fitted to the record as it is
     if json:
         typer.echo((out / "diagnosis.json").read_text(encoding="utf-8"), nl=False)
-    corrects = not isinstance(found, Flown)  # trajectories are fitted to the record as it is
+        exit_in_doubt(found.consistency, found.health, corrects=corrects)
+        return
     print_doubts(console, found.consistency, found.health, corrects=corrects)
     if isinstance(found, Flown):
         _tell_flown(console, found)

@@ -89,6 +89,8 @@ def identify(
         )
     if json:
         typer.echo((out / "results.json").read_text(encoding="utf-8"), nl=False)
+        exit_in_doubt(found.consistency, found.health, corrects=False)
+        return
     print_doubts(console, found.consistency, found.health, corrects=False)
     console.print(terminal_table(found))
     for sentence in verdict(found):

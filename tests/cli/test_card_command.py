@@ -194,7 +194,7 @@ def test_wings_that_stayed_level_let_the_sensors_be_checked(program, tmp_path, r
     said = " ".join(done.out.split())
     assert done.code == 0, done.err
     assert ("state what stood still under [constants]" in said) == rolling
-    assert ("Sensors were not checked" in said) == rolling
+    assert ("Whether the sensors agree was not checked" in said) == rolling
 
 
 def test_guesses_are_told_on_a_page(program, foreign, tmp_path):

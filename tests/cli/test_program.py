@@ -163,6 +163,7 @@ def test_json_is_all_that_is_on_stdout(program, monkeypatch):
     def finished(*_, out, **__):
         out.mkdir()
         (out / "results.json").write_text('{"schema": "bayes_aero/results/1"}\n')
+        return SimpleNamespace(consistency=None, health=())
 
     monkeypatch.setattr(job, "identify", finished)
     done = program("identify", "--json")
