@@ -34,14 +34,15 @@ def path_rates(s: Mapping[str, Samples], aircraft: Aircraft) -> dict[str, Sample
     return motion_of_path(s, force) | lateral_motion(s, force)
 
 
+def _sines(s: Mapping[str, Samples]) -> tuple[Samples, ...]:
+    """Sine and cosine of alpha, beta, theta and phi, in that order."""
+    return tuple(f(s[name]) for name in ("alpha", "beta", "theta", "phi") for f in (jnp.sin, jnp.cos))
+
+
 def motion_of_path(s: Mapping[str, Samples], force: tuple[Samples, Samples, Samples]) -> dict[str, Samples]:
     """As `path_rates`, from the specific force at the centre of gravity (body axes, m/s2)."""
-    ax, ay, az = force
-    sin_a, cos_a = jnp.sin(s["alpha"]), jnp.cos(s["alpha"])
-    sin_b, cos_b = jnp.sin(s["beta"]), jnp.cos(s["beta"])
-    sin_t, cos_t = jnp.sin(s["theta"]), jnp.cos(s["theta"])
-    sin_p, cos_p = jnp.sin(s["phi"]), jnp.cos(s["phi"])
-    ax, ay, az = ax - GRAVITY * sin_t, ay + GRAVITY * cos_t * sin_p, az + GRAVITY * cos_t * cos_p
+    sin_a, cos_a, sin_b, cos_b, sin_t, cos_t, sin_p, cos_p = _sines(s)
+    ax, ay, az = force[0] - GRAVITY * sin_t, force[1] + GRAVITY * cos_t * sin_p, force[2] + GRAVITY * cos_t * cos_p
     V = s["airspeed"]
     return {
         "airspeed": ax * cos_a * cos_b + ay * sin_b + az * sin_a * cos_b,
@@ -53,12 +54,8 @@ def motion_of_path(s: Mapping[str, Samples], force: tuple[Samples, Samples, Samp
 
 def lateral_motion(s: Mapping[str, Samples], force: tuple[Samples, Samples, Samples]) -> dict[str, Samples]:
     """Time derivatives of sideslip and bank (rad/s) from the specific force at the centre of gravity (m/s2)."""
-    ax, ay, az = force
-    sin_a, cos_a = jnp.sin(s["alpha"]), jnp.cos(s["alpha"])
-    sin_b, cos_b = jnp.sin(s["beta"]), jnp.cos(s["beta"])
-    sin_t, cos_t = jnp.sin(s["theta"]), jnp.cos(s["theta"])
-    sin_p, cos_p = jnp.sin(s["phi"]), jnp.cos(s["phi"])
-    ax, ay, az = ax - GRAVITY * sin_t, ay + GRAVITY * cos_t * sin_p, az + GRAVITY * cos_t * cos_p
+    sin_a, cos_a, sin_b, cos_b, sin_t, cos_t, sin_p, cos_p = _sines(s)
+    ax, ay, az = force[0] - GRAVITY * sin_t, force[1] + GRAVITY * cos_t * sin_p, force[2] + GRAVITY * cos_t * cos_p
     across = ay * cos_b - (ax * cos_a + az * sin_a) * sin_b
     return {
         "beta": across / s["airspeed"] + s["p"] * sin_a - s["r"] * cos_a,
@@ -84,10 +81,7 @@ def side_force(s: Mapping[str, Samples], ax: Samples, az: Samples) -> Samples:
     From sideslip, its rate `beta_dot`, p and r: the lateral acceleration is v_dot + r u - p w with v = V sin(beta).
     `ax` and `az` are the specific forces beside it, at the centre of gravity; in sideslip they are not all that slows.
     """
-    sin_a, cos_a = jnp.sin(s["alpha"]), jnp.cos(s["alpha"])
-    sin_b, cos_b = jnp.sin(s["beta"]), jnp.cos(s["beta"])
-    sin_t, cos_t = jnp.sin(s["theta"]), jnp.cos(s["theta"])
-    sin_p, cos_p = jnp.sin(s["phi"]), jnp.cos(s["phi"])
+    sin_a, cos_a, sin_b, cos_b, sin_t, cos_t, sin_p, cos_p = _sines(s)
     in_plane = (ax - GRAVITY * sin_t) * cos_a + (az + GRAVITY * cos_t * cos_p) * sin_a
     turning = s["airspeed"] * (s["beta_dot"] + s["r"] * cos_a - s["p"] * sin_a)
     airspeed_dot = in_plane / cos_b + turning * sin_b / cos_b

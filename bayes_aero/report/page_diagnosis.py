@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
 from bayes_aero.criticism.finding import Cause, Diagnosis
 from bayes_aero.criticism.trajectory import Trajectories
-from bayes_aero.flight.agreement import Consistency
-from bayes_aero.flight.card import Card
-from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.diagnosed import Ranking, View, rankings_of, unseen_scores
 from bayes_aero.report.figures_flight import SYMBOLS, shown_in
 from bayes_aero.report.page import Block, Fold, Page, Table, Text, filled, section
 from bayes_aero.report.page_alternatives import diagnosis_alternatives, gained
+from bayes_aero.report.page_context import PageContext
 from bayes_aero.report.page_diagnosis_tables import (
     by_manoeuvre,
     calibration,
@@ -52,22 +47,7 @@ FEW = 4  # manoeuvres that are listed one by one in the open
 LEADERS = 10  # candidates of a stage that are listed
 
 
-@dataclass(frozen=True)
-class Told:
-    """What a diagnosis page needs beside the finding; `notes` are stages that were left out and why."""
-
-    card: Card
-    records: Sequence[FlightRecord]
-    source: Mapping[str, Any]
-    figures: Mapping[str, Path] = field(default_factory=dict)
-    predictors: Mapping[str, Any] = field(default_factory=dict)
-    separating: Sequence[Mapping[str, Any]] = ()
-    revealed: Sequence[str] = ()
-    notes: Sequence[str] = ()
-    consistency: Consistency | None = None
-
-
-def diagnosis_page(view: View, told: Told) -> Page:
+def diagnosis_page(view: View, told: PageContext) -> Page:
     """The page of a diagnosis from coefficients."""
     d = view.diagnosis
     gallery = Gallery(told.figures, diagnosis_alternatives(view))
@@ -104,7 +84,7 @@ def diagnosis_page(view: View, told: Told) -> Page:
     )
 
 
-def flown_page(d: Diagnosis, flown: Trajectories | None, said: Sequence[str], told: Told) -> Page:
+def flown_page(d: Diagnosis, flown: Trajectories | None, said: Sequence[str], told: PageContext) -> Page:
     """The page of a diagnosis from trajectories alone; `said` are its sentences, the verdict first."""
     gallery = Gallery({}, {})
     return Page(
@@ -209,7 +189,7 @@ def _each(view: View) -> tuple[Block, ...]:
     return (table,) if len(view.names) <= FEW else (Fold("The same, manoeuvre by manoeuvre", (table,)),)
 
 
-def _open(d: Diagnosis, told: Told, rest: Sequence[str]) -> tuple[Block, ...]:
+def _open(d: Diagnosis, told: PageContext, rest: Sequence[str]) -> tuple[Block, ...]:
     blocks: list[Block] = []
     sets = [f"{c.name} or {several(c.ambiguous_with)}" for c in d.causes if c.ambiguous_with]
     if sets:
@@ -265,7 +245,7 @@ def _coefficients(view: View) -> tuple[Block, ...]:
     )
 
 
-def _flown(flown: Trajectories | None, told: Told) -> tuple[Block, ...]:
+def _flown(flown: Trajectories | None, told: PageContext) -> tuple[Block, ...]:
     if flown is None:
         return (Text("No trajectories were simulated in this run."),)
     remarks = [s for s in trajectory_sentences(flown) if "within tolerance" not in s]  # the table has those
@@ -289,7 +269,7 @@ def _parameters(view: View, gallery: Gallery) -> tuple[Block, ...]:
     return (moved(view), symbols(view.card.state.field.model.parameters, view.moves, degrees=True), *gallery("moves"))
 
 
-def _predictors(told: Told) -> tuple[Block, ...]:
+def _predictors(told: PageContext) -> tuple[Block, ...]:
     if not told.predictors:
         return (Text("Predictors were not compared in this run."),)
     return (predictors(told.predictors),)

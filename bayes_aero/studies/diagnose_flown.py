@@ -20,7 +20,8 @@ from bayes_aero.model.dynamics import taken_as_zero
 from bayes_aero.physics.coefficients import REQUIRED
 from bayes_aero.report.diagnosed import rankings_of
 from bayes_aero.report.page import put_page
-from bayes_aero.report.page_diagnosis import Told, flown_page
+from bayes_aero.report.page_context import PageContext
+from bayes_aero.report.page_diagnosis import flown_page
 from bayes_aero.report.style import several
 from bayes_aero.report.words_diagnosis import diagnosis_sentences
 from bayes_aero.studies.consistency_results import consistency_results
@@ -104,7 +105,7 @@ def run_flown(
         failure = put_histories(lambda: flights(paths), out)
         said += [failure] if failure else []
     if out is not None:
-        told = Told(card, records, source, consistency=checked)
+        told = PageContext(card, records, source, consistency=checked)
         failure = put_page(lambda: flown_page(found, flown, said, told), out)
         said += [failure] if failure else []
     return found, flown, said

@@ -16,7 +16,8 @@ from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.report.diagnosed import View
 from bayes_aero.report.page import put_page
-from bayes_aero.report.page_diagnosis import Told, diagnosis_page
+from bayes_aero.report.page_context import PageContext
+from bayes_aero.report.page_diagnosis import diagnosis_page
 from bayes_aero.report.tables import write_csv
 from bayes_aero.report.words_diagnosis import causes_frame, revealed, screen_frame, sentences
 from bayes_aero.studies.diagnosis_results import diagnosis_results
@@ -100,7 +101,7 @@ class Kept:
     def put_page(self, drawn: Mapping[str, Path]) -> None:
         """report.html with the figures `drawn`; a note says why if there is none."""
         outcome = self.outcome
-        told = Told(
+        told = PageContext(
             self._card,
             self._records,
             self._source,

@@ -1,4 +1,4 @@
-"""The faulty records of `../shared/records`: each is told by `check` and by `identify`; sound ones pass in silence.
+"""The faulty records of `../shared/records`: `check` and `identify` must report each, and nothing on sound ones.
 
 `make.py` there writes the records, and `run.py` has the tables and says what counts as told. They are read here, and
 the program is called in this process: forty processes would each load and compile it.

@@ -18,7 +18,8 @@ from bayes_aero.inference.posterior import PosteriorStatus
 from bayes_aero.report import page_parts
 from bayes_aero.report.figures import FIGURES
 from bayes_aero.report.page import Fold, Page, Picture, Plot, Table, Text, put_page, render, section, write_page
-from bayes_aero.report.page_diagnosis import Told, diagnosis_page, flown_page
+from bayes_aero.report.page_context import PageContext
+from bayes_aero.report.page_diagnosis import diagnosis_page, flown_page
 from bayes_aero.report.page_identification import headline, identification_page
 from bayes_aero.report.page_parts import stall_table
 from bayes_aero.report.page_pictures import Gallery, embedded
@@ -233,7 +234,7 @@ def test_a_diagnosis_tells_causes_gain_and_what_is_open(diagnosed, flown, card):
     separating = [
         {"effects": ["a", "b"], "status": "s", "manoeuvres": [{"manoeuvre": "slow_stall", "deviations": 3.2}]}
     ]
-    told = Told(
+    told = PageContext(
         card,
         diagnosed.records,
         provenance(card, diagnosed.records, 0, {}),
@@ -267,7 +268,7 @@ def test_a_unit_that_cannot_be_is_the_first_word(diagnosed, flown, card, monkeyp
         return (HealthFinding(records[0].name, "airspeed", "unit", None, None, f"{len(records)} in knots", True),)
 
     monkeypatch.setattr(page_parts, "channel_health", in_knots)
-    told = Told(card, diagnosed.records, provenance(card, diagnosed.records, 0, {}))
+    told = PageContext(card, diagnosed.records, provenance(card, diagnosed.records, 0, {}))
     for page in (diagnosis_page(flown, told), flown_page(flown.diagnosis, None, ["A verdict."], told)):
         assert page.lead[0] == Text(f"{len(diagnosed.records)} in knots.", "warning")
 

@@ -52,7 +52,7 @@ def _flat(x: np.ndarray, extreme: float) -> tuple[int, int] | None:
         return None
     if int(at.sum()) <= 1.2 * (last - first + 1) and _jumps_away(x, first, last):  # frozen there by chance
         return None
-    if noise_of(x) < NOISELESS * np.ptp(x):  # a simulation without noise rests where it is told to
+    if noise_of(x) < NOISELESS * np.ptp(x):  # a simulation without noise has exact rests
         return None
     others = np.diff(x)[~(at[1:] & at[:-1])]
     if np.mean(others == 0.0) < SCATTERS:

@@ -1,4 +1,4 @@
-"""Each kind of fault, written into a flight that kinematics alone made, is told with its channel, and no other is."""
+"""Each kind of fault, written into a flight that kinematics alone made: its channel is reported, and no other."""
 
 import sys
 from pathlib import Path
