@@ -14,7 +14,7 @@ from bayes_aero.criticism.confirmation import Confirmation, confirmation
 from bayes_aero.criticism.credibility import as_structure, attributed, implausible, own_share
 from bayes_aero.criticism.election import Standing, poll
 from bayes_aero.criticism.extension import Extension
-from bayes_aero.criticism.finding import Cause, Diagnosis, Gain, Unknown, Verdict
+from bayes_aero.criticism.finding import FLIGHT_PATH, Cause, Diagnosis, Gain, Unknown, Verdict
 from bayes_aero.criticism.gain import LeftOut, gain, gained, measured_blocks, split_name, truncated
 from bayes_aero.criticism.residuals import noise_report
 from bayes_aero.criticism.responses import Responses
@@ -67,7 +67,7 @@ def diagnose(
     both = stages(field, responses, theta, seed=seed, most=most, progress=progress)
     left = unexplained(both.aerodynamics, seed=seed + 2000)
     sensors, aerodynamics = both.sensors, _withdrawn(both.aerodynamics, left.replaced)
-    named = [("flight path", sensors)] if sensors is not None else []
+    named = [(FLIGHT_PATH, sensors)] if sensors is not None else []
     named.append(("coefficients", aerodynamics))
     confirmations = {stage: confirmation(one.state) for stage, one in named} if gains_wanted else {}
     causes, unnamed = attributed(causes_of(field, named, confirmations, progress))
@@ -265,10 +265,11 @@ def verdict_of(causes: Sequence[Cause], unknown: Sequence[Unknown]) -> Verdict:
     """What is missing counts as explained by causes that are sure alone (see `Cause.sure`)."""
     if any(cause.sure for cause in causes):
         return Verdict.PARTLY_EXPLAINED if unknown else Verdict.EXPLAINED
-    return Verdict.UNEXPLAINED if unknown or causes else Verdict.NO_EFFECT
+    of_the_model = [cause for cause in causes if cause.stage != FLIGHT_PATH]  # the others are the sensors', not its own
+    return Verdict.UNEXPLAINED if unknown or of_the_model else Verdict.NO_EFFECT
 
 
-def tested_on_held_out_flights(found: Diagnosis, confirmation: Confirmation) -> Diagnosis:
+def judged_on_held_out_flights(found: Diagnosis, confirmation: Confirmation) -> Diagnosis:
     """The diagnosis with each cause confirmed, or not, by held-out flights; untested causes stay as they are."""
     causes = tuple(
         replace(c, confirmed=c.name in confirmation.kept, missed=confirmation.missed[c.name])

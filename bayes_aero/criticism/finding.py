@@ -14,6 +14,7 @@ from bayes_aero.criticism.collinear import Together
 from bayes_aero.criticism.extension import Extension
 from bayes_aero.inference.scores import Scores
 
+FLIGHT_PATH = "flight path"  # the stage of sensors and winds
 LIKELY = 0.5  # probability beyond which a cause is likelier than all else together
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayes_aero.criticism.finding import Cause
+from bayes_aero.criticism.finding import FLIGHT_PATH, Cause
 from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.scores import score
@@ -20,7 +20,6 @@ from bayes_aero.report.style import COLOURS, PHONE, for_people, housed, size_tex
 from bayes_aero.report.words_trajectory import short
 
 SHOWN = 10  # candidates
-FLIGHT_PATH = "flight path"  # the stage of sensors
 WIDTH = 0.021  # of a letter, in widths of the widest bar
 
 

@@ -156,13 +156,14 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """A report: a verdict in one sentence, one picture, then sections."""
+    """A report: doubts of the records, if any; a verdict in one sentence, one picture, then sections."""
 
     title: str
     subtitle: str
     verdict: str
     lead: tuple[Block, ...]
     sections: tuple[Section, ...]
+    doubts: tuple[Block, ...] = ()
 
 
 def section(key: str, title: str, make: Callable[[], Iterable[Block]]) -> Section:

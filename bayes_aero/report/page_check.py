@@ -37,11 +37,11 @@ def check_page(report: CheckReport, source: Mapping[str, Any]) -> Page:
         title=f"Record check: {report.card.title}",
         subtitle="Channels, units, sampling, and whether the sensors agree; no aerodynamics is fitted",
         verdict=headline(report),
-        lead=(
+        doubts=(
             *consistency_lead(report.consistency, corrects=False),
             *(Text(w, "warning") for w in (*wrong, *report.cautions)),
-            *plots[:1],
         ),
+        lead=tuple(plots[:1]),
         sections=filled(
             section("uses", "What the records are good for", lambda: bullets(use_sentences(report))),
             section("sensors", "Do the sensors agree?", lambda: _sensors(report)),

@@ -52,10 +52,7 @@ def diagnosis_page(view: View, told: PageContext) -> Page:
     d = view.diagnosis
     gallery = Gallery(told.figures, diagnosis_alternatives(view))
     verdict, *rest = diagnosis_sentences(d)
-    lead: list[Block] = [
-        *doubts(told.records, told.card, told.consistency, corrects=True),
-        *(Text(one, "lead") for one in told.revealed),
-    ]
+    lead: list[Block] = [Text(one, "lead") for one in told.revealed]
     if gained(view):
         lead.append(Text(f"On data that were not fitted, before and after: {gained(view)}", "lead"))
     if view.trajectories is not None and (gain := simulation_gain(view.trajectories)):
@@ -68,6 +65,7 @@ def diagnosis_page(view: View, told: PageContext) -> Page:
         subtitle="What the model gets wrong, why, and what mending it gains",
         verdict=verdict,
         lead=tuple(lead),
+        doubts=doubts(told.records, told.card, told.consistency, corrects=True),
         sections=filled(
             section("records", "The records at a glance", lambda: at_a_glance(told.records, told.card)),
             section("causes", "What is wrong, and the cause", lambda: _causes(view.diagnosis, view.rankings, gallery)),
@@ -91,10 +89,8 @@ def flown_page(d: Diagnosis, flown: Trajectories | None, said: Sequence[str], to
         title=f"Diagnosis: {told.card.title}",
         subtitle="What the model gets wrong, from trajectories alone: the record has no coefficients",
         verdict=said[0],
-        lead=(
-            *doubts(told.records, told.card, told.consistency, corrects=False),
-            Text("The record lacks what lift, drag and moment coefficients are formed from; see the last finding."),
-        ),
+        doubts=doubts(told.records, told.card, told.consistency, corrects=False),
+        lead=(Text("The record lacks what lift, drag and moment coefficients are formed from; see the last finding."),),
         sections=filled(
             section("records", "The records at a glance", lambda: at_a_glance(told.records, told.card)),
             section("causes", "What is wrong, and the cause", lambda: _causes(d, rankings_of(d), gallery)),

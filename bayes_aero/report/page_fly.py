@@ -59,11 +59,8 @@ def fly_page(flown: FlownFit, told: FlyTold) -> Page:
         title=f"Trajectories: {told.card.title}",
         subtitle="A model fitted to trajectories by output error",
         verdict=verdict,
-        lead=(
-            *doubts(told.records, told.card, told.consistency, corrects=False),
-            *_lead(flown),
-            *_opening(flown, told.figures),
-        ),
+        doubts=doubts(told.records, told.card, told.consistency, corrects=False),
+        lead=(*_lead(flown), *_opening(flown, told.figures)),
         sections=filled(
             section("findings", "What to make of it", lambda: (*bullets([*rest, *told.notes]), words(FLOWN))),
             section("records", "The records at a glance", lambda: at_a_glance(told.records, told.card)),

@@ -58,10 +58,7 @@ def identification_page(
     """
     gallery = Gallery(figures, identification_alternatives(run))
     said = verdict(run)
-    lead: list[Block] = [
-        *doubts(run.records, run.card, run.consistency, corrects=False),
-        *(Text(w, "warning") for w in _warnings(run)),
-    ]
+    lead: list[Block] = [Text(w, "warning") for w in _warnings(run)]
     pictures = gallery("stall") or gallery("crb_vs_credible")
     lead += pictures
     if not figures:
@@ -71,6 +68,7 @@ def identification_page(
         subtitle="Stall model identified from flight data, with uncertainty",
         verdict=headline(run),
         lead=tuple(lead),
+        doubts=doubts(run.records, run.card, run.consistency, corrects=False),
         sections=filled(
             section("findings", "What to make of it", lambda: (*bullets(said), WORDS)),
             section("records", "The records at a glance", lambda: at_a_glance(run.records, run.card)),

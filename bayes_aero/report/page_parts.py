@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.flight.agreement import Consistency
+from bayes_aero.flight.agreement import Agreement, Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import channel_health
@@ -75,10 +75,11 @@ def doubts(
 
 
 def consistency_lead(found: Consistency | None, *, corrects: bool) -> tuple[Text, ...]:
-    """The doubt that sensors disagree, where they do: it stands before everything else of a page."""
-    if found is None or not found.disagrees:
+    """That sensors disagree, or that it could not be checked: before everything else of a page."""
+    if found is None or found.agreement is Agreement.AGREE:
         return ()
-    return (Text(consistency_sentences(found, corrects=corrects)[0], "warning"),)
+    answer = consistency_sentences(found, corrects=corrects)[0]
+    return (Text(answer, "warning") if found.disagrees else Text(answer),)
 
 
 def _glanced(card: Card) -> dict[str, str]:

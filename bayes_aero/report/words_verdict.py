@@ -17,7 +17,8 @@ def verdict_sentence(d: Diagnosis) -> str:
     unknown = several(sorted({f"{u.coefficient} over {u.channel}" for u in d.unknown}))
     left = f" ({unknown})" if unknown else ""
     return {
-        Verdict.NO_EFFECT: "Nothing worth a name, that this record could show, is missing from the card's model.",
+        Verdict.NO_EFFECT: "Nothing worth a name, that this record could show, is missing from the card's model"
+        f"{_doubtful(d)}.",
         Verdict.EXPLAINED: f"{subject} what the card's model gets wrong{names}.",
         Verdict.PARTLY_EXPLAINED: f"{subject} a part of what the card's model gets wrong{names}; "
         f"unexplained structure remains{left}.",

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bayes_aero.criticism.consistency import consistency
-from bayes_aero.criticism.diagnosis import tested_on_held_out_flights
+from bayes_aero.criticism.diagnosis import judged_on_held_out_flights
 from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.flown import diagnose_flown
 from bayes_aero.criticism.trajectory import Trajectories
@@ -96,7 +96,7 @@ def run_flown(
     if fly:
         try:
             flown = simulations(found, card, records, seed, progress)
-            found = tested_on_held_out_flights(found, flown.asked)
+            found = judged_on_held_out_flights(found, flown.asked)
         except InputError as error:
             note += f" Trajectories were not compared: {error}"
         said = write()

@@ -14,7 +14,7 @@ from bayes_aero.criticism.colour import colour_of
 from bayes_aero.criticism.confirmation import Confirmation
 from bayes_aero.criticism.credibility import MOST_NAMES, as_structure, attributed, implausible, own_share
 from bayes_aero.criticism.design import standard
-from bayes_aero.criticism.diagnosis import tested_on_held_out_flights, verdict_of
+from bayes_aero.criticism.diagnosis import judged_on_held_out_flights, verdict_of
 from bayes_aero.criticism.election import uncertainty
 from bayes_aero.criticism.extension import Extension
 from bayes_aero.criticism.finding import Cause, Gain, Unknown, Verdict
@@ -44,6 +44,10 @@ def test_the_verdict_rests_on_what_is_confirmed_and_likely():
     for doubtful in (open_, unlikely, cause(implausible={"thrust_scale": 0.3})):
         assert verdict_of([doubtful], ()) is Verdict.UNEXPLAINED
         assert verdict_of([doubtful], LEFT) is Verdict.UNEXPLAINED
+    of_a_sensor = replace(
+        cause(name="roll_rate_scale", mean=0.22, implausible={"roll_rate_scale": 0.15}), stage="flight path"
+    )
+    assert verdict_of([of_a_sensor], ()) is Verdict.NO_EFFECT  # that sensors disagree is no fault of the card's model
     bounded = replace(sure, parameters={"thrust_scale": Size(-0.9, 0.01, "1", at_bound=True)})
     assert verdict_of([bounded], ()) is Verdict.UNEXPLAINED
 
@@ -85,10 +89,10 @@ def test_flight_that_does_not_miss_a_cause_takes_it_out_of_the_verdict(diagnosed
     d = diagnosed.view.diagnosis
     names = [c.name for c in d.causes]
     assert d.verdict is not Verdict.UNEXPLAINED
-    nothing = tested_on_held_out_flights(d, Confirmation((), dict.fromkeys(names, (1.0, 2.0))))
+    nothing = judged_on_held_out_flights(d, Confirmation((), dict.fromkeys(names, (1.0, 2.0))))
     assert not any(c.confirmed for c in nothing.causes)
     assert nothing.verdict is Verdict.UNEXPLAINED
-    assert tested_on_held_out_flights(d, Confirmation((), {})) == d
+    assert judged_on_held_out_flights(d, Confirmation((), {})) == d
 
 
 @pytest.fixture(scope="module")

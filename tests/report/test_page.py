@@ -270,7 +270,9 @@ def test_a_unit_that_cannot_be_is_the_first_word(diagnosed, flown, card, monkeyp
     monkeypatch.setattr(page_parts, "channel_health", in_knots)
     told = PageContext(card, diagnosed.records, provenance(card, diagnosed.records, 0, {}))
     for page in (diagnosis_page(flown, told), flown_page(flown.diagnosis, None, ["A verdict."], told)):
-        assert page.lead[0] == Text(f"{len(diagnosed.records)} in knots.", "warning")
+        assert page.doubts[0] == Text(f"{len(diagnosed.records)} in knots.", "warning")
+        html = render(page)
+        assert html.index("in knots") < html.index('class="verdict"')
 
 
 def test_a_long_record_with_a_hostile_name_makes_a_page_of_bearable_size(make, monkeypatch):
