@@ -6,7 +6,7 @@ compiled function gives the residuals and their sensitivity to all parameters of
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -23,6 +23,7 @@ from bayes_aero.physics.coefficients import NAMES, coefficients
 from bayes_aero.physics.filters import FILTER_STEP
 from bayes_aero.physics.flightpath import LATERAL, PATH, integral, path_outputs, path_rates
 
+GROUP = 4  # directions at a time: most calls ask for no more, and the others lose nothing
 RESPONSE = ("q", *PATH, *LATERAL)  # measured channels whose own scale an effect may change
 
 
@@ -166,7 +167,7 @@ _evaluate = eqx.filter_jit(_residuals)
 @eqx.filter_jit
 def _linearise(responses: Responses, theta, directions):
     residual, slope = jax.linearize(lambda t: _residuals(responses, t)[0], theta)
-    return residual, -jax.vmap(slope)(directions)
+    return residual, _along(lambda d: -slope(d), directions)
 
 
 @eqx.filter_jit
@@ -185,7 +186,17 @@ def _linearise_flow(responses: Responses, theta, directions):
         return responses.block(f.smoothed(moved))
 
     _, slope = jax.linearize(flow, theta)
-    coefficients_alone = jax.vmap(lambda d: blocks(slope(d)))(directions)
+    coefficients_alone = _along(lambda d: blocks(slope(d)), directions)
     residual = _residuals(responses, theta)[0]
     others = residual.shape[1] - len(NAMES)
     return residual, jnp.pad(coefficients_alone, ((0, 0), (0, 0), (0, others)))
+
+
+def _along(slope: Callable[[Array], Array], directions: Float[Array, "d k"]) -> Float[Array, "d m c"]:
+    """Slopes in all directions, `GROUP` at a time; zero and not computed in groups of no direction at the end."""
+    groups = directions.reshape(-1, GROUP, directions.shape[1])
+    used = jnp.sum(jnp.any(groups != 0.0, axis=(1, 2)))
+    shape = jax.eval_shape(slope, directions[0])
+    nothing = jnp.zeros((len(groups), GROUP, *shape.shape), shape.dtype)
+    found = jax.lax.fori_loop(0, used, lambda i, x: x.at[i].set(jax.vmap(slope)(groups[i])), nothing)
+    return found.reshape(-1, *shape.shape)
