@@ -41,6 +41,7 @@ from bayes_aero.inference.splits import SplitKind
 from bayes_aero.inference.validation import validate
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
+from bayes_aero.model.noise import DEFAULT as DEFAULT_NOISE
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Forming, observe
 from bayes_aero.report.diagnosed import View, view_of
@@ -192,7 +193,7 @@ def fit(
         model,
         tuple(records),
         observations,
-        Colour.AR1,
+        DEFAULT_NOISE,
         joint,
         alone,
         {},
@@ -204,7 +205,7 @@ def fit(
     return Fit(found)
 
 
-def sample(fit: Fit, *, engine: Engine = "emcee", noise: NoiseName = "ar1", seed: int = 0) -> Fit:
+def sample(fit: Fit, *, engine: Engine = "emcee", noise: NoiseName = "buffet-ar1", seed: int = 0) -> Fit:
     """The same fit with a posterior added, by emcee or by NUTS.
 
     Posteriors of one fit that stand beside each other have one noise model; only `white` may be added to another one

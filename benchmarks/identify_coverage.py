@@ -5,8 +5,9 @@
 
 A pair is two stalls of 90 s with the demo's 14 parameters as truth: the demo's own recipe, or random stalls of
 `bayes-aero simulate`, with sensor noise alone (white) or with coloured disturbances besides (ar1), at 25 or 50 Hz. Each
-is fitted as `identify` fits it: maximum likelihood with corrected bounds, then the AR(1) posterior by emcee. Kinds take
-turns, so that a study that is stopped early has as many of each. `--forming published` studies the published way.
+is fitted as `identify` fits it: maximum likelihood with corrected bounds, then the posterior by emcee under `--noise`.
+Kinds take turns, so that a study that is stopped early has as many of each. `--forming published` studies the published
+way.
 """
 
 from __future__ import annotations
@@ -27,14 +28,14 @@ from bayes_aero.inference.laplace import density_start, find_mode
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Noise
+from bayes_aero.model.noise import DEFAULT, Colour, Noise
 from bayes_aero.model.observations import Forming, observe
 from bayes_aero.studies.demo import TRUTH, simulate_stall
 from bayes_aero.studies.request import Request
 from bayes_aero.studies.synthetic import synthetic
 
 KINDS = (("white", 0.04), ("white", 0.02), ("ar1", 0.04), ("ar1", 0.02), ("demo", 0.04))
-METHODS = ("corrected bound", "AR(1) posterior")
+METHODS = ("corrected bound", "posterior")
 FIRST = 910_000  # of the seeds, apart from those on which the method was made
 Z95 = 1.959963984540054
 
@@ -55,7 +56,7 @@ def pair(kind: str, dt: float, number: int) -> list[FlightRecord]:
     return found
 
 
-def run(count: int, out: Path, forming: Forming, sample: bool) -> None:
+def run(count: int, out: Path, forming: Forming, noise: Colour, sample: bool) -> None:
     """Pairs until there are `count`, a line of pairs.jsonl each: errors and interval ends by method."""
     out.mkdir(parents=True, exist_ok=True)
     path, card = out / "pairs.jsonl", read_card("attas")
@@ -69,7 +70,7 @@ def run(count: int, out: Path, forming: Forming, sample: bool) -> None:
         ends = {METHODS[0]: np.stack([mle.estimate - Z95 * sd, mle.estimate + Z95 * sd], axis=1).tolist()}
         status = ""
         if sample:
-            density = Density.of(observations, model, Noise(Colour.AR1))
+            density = Density.of(observations, model, Noise(noise))
             mode = find_mode(density, density_start(density, mle))
             posterior = sample_ensemble(density, mode, seed=number, ensembles=2, max_steps=1000, predictive=False)
             ends[METHODS[1]] = [list(posterior.marginals[name].ci95) for name in model.names]
@@ -109,9 +110,10 @@ if __name__ == "__main__":
     parser.add_argument("count", type=int, nargs="?", default=100)
     parser.add_argument("--out", type=Path, default=Path("coverage_identify"))
     parser.add_argument("--forming", type=Forming, choices=list(Forming), default=Forming.MATCHED)
+    parser.add_argument("--noise", type=Colour, choices=list(Colour), default=DEFAULT, help="Of the posterior.")
     parser.add_argument("--no-posterior", dest="sample", action="store_false", help="Corrected bounds alone.")
     given = parser.parse_args()
     if given.what == "report":
         report(given.out)
     else:
-        run(given.count, given.out, given.forming, given.sample)
+        run(given.count, given.out, given.forming, given.noise, given.sample)

@@ -12,8 +12,11 @@ import pytest
 import xarray as xr
 
 import bayes_aero as ba
+from bayes_aero.cli.identify import identify as command
 from bayes_aero.inference.posterior import Posterior, PosteriorStatus
+from bayes_aero.model.noise import DEFAULT, Colour
 from bayes_aero.report.comparison import ordered
+from bayes_aero.studies.identify import identify
 
 PUBLIC = {
     "CATALOGUE", "Card", "Diagnosed", "Effect", "Fit", "FlightRecord", "InputError", "Model", "Parameter", "Prior",
@@ -74,9 +77,14 @@ def test_table_and_plot(fitted):
 def test_posteriors_under_different_noise_models_are_kept_apart(fitted):
     """Side by side they would be read as engines that disagree."""
     sampled = Posterior("emcee", "ar1", fitted.mle.names, xr.DataTree(), {}, PosteriorStatus.CONVERGED, 0.0)
-    beside = ba.Fit(replace(fitted.run, posteriors={"emcee": sampled}))
+    beside = ba.Fit(replace(fitted.run, noise=Colour.AR1, posteriors={"emcee": sampled}))
     with pytest.raises(ba.InputError, match="under ar1 noise"):
         ba.sample(beside, engine="nuts", noise="buffet-ar1")
+
+
+def test_one_noise_model_is_the_default_everywhere():
+    for function in (ba.sample, identify, command):
+        assert Colour(inspect.signature(function).parameters["noise"].default) is DEFAULT
 
 
 def test_diagnosed_says_what_the_view_holds(diagnosed):

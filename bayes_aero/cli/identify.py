@@ -32,7 +32,7 @@ def identify(
     model: ModelOption = "attas",
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("results"),
     seed: SeedOption = 0,
-    noise: Annotated[NoiseModel, typer.Option(help="Noise model of the posterior.")] = NoiseModel.AR1,
+    noise: Annotated[NoiseModel, typer.Option(help="Noise model of the posterior.")] = NoiseModel.BUFFET_AR1,
     coefficients: Annotated[
         Coefficients,
         typer.Option(help="Form coefficients from signals all filtered alike, or as the published ones were."),

@@ -23,6 +23,9 @@ class Colour(StrEnum):
     BUFFET_AR1 = "buffet-ar1"  # the same, its standard deviation growing as 1 + buffet (1 - X)
 
 
+DEFAULT = Colour.BUFFET_AR1  # near the stall the vane's noise, too, is multiplied by a steep model
+
+
 @dataclass(frozen=True)
 class Noise:
     """A noise model with its parameters: `sigma_*` (stationary sd, attached flow), `rho_*`, `buffet_*`."""

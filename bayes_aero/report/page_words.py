@@ -8,7 +8,8 @@ GLOSSARY = {
     "Cramér–Rao bound": "The usual standard deviation of a maximum-likelihood estimate. It takes every sample's error "
     "to be independent of its neighbours'.",
     "Corrected bound": "The same, widened for residuals whose neighbouring samples are correlated (coloured).",
-    "White, AR(1) noise": "Noise models: independent samples, and samples that follow their predecessor in part.",
+    "White, AR(1) noise": "Noise models: independent samples, and samples that follow their predecessor in part. "
+    "With buffet, the noise grows as the flow separates.",
     "Posterior, 95 % interval": "What is known of a parameter after the data, from prior and likelihood; the interval "
     "holds it with 95 % probability if model and noise model are right.",
     "emcee, NUTS": "Two independent ways to draw from the same posterior. They should agree.",

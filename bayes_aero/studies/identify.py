@@ -33,6 +33,7 @@ from bayes_aero.inference.stall import stall_of_posterior
 from bayes_aero.inference.validation import validate
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
+from bayes_aero.model.noise import DEFAULT as DEFAULT_NOISE
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Forming, observe
 from bayes_aero.report.figures import FIGURES, write_figures
@@ -58,7 +59,7 @@ def identify(
     records: Sequence[FlightRecord],
     card: Card,
     *,
-    noise: Colour = Colour.AR1,
+    noise: Colour = DEFAULT_NOISE,
     coefficients: str = Forming.MATCHED,
     split: SplitKind = "random",
     seed: int = 0,

@@ -121,7 +121,7 @@ def read_study(path: Path, *, trust_effects: bool = False) -> Study:
         sets,
         list(cards),
         _variants(table.get("effects", [[]]), cards, task, where),
-        _chosen(table.get("noise", ["ar1"]), NOISES, where, "noise") if task == "identify" else [None],
+        _chosen(table.get("noise", ["buffet-ar1"]), NOISES, where, "noise") if task == "identify" else [None],
         _chosen(table.get("splits", ["random"]), SPLITS, where, "splits") if task == "identify" else [None],
         _seeds(table.get("seeds", [0]), where),
     ]
