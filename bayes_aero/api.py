@@ -35,6 +35,7 @@ from bayes_aero.inference.ensemble import sample_ensemble
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.laplace import density_start, other_modes, search_modes
 from bayes_aero.inference.mle import MleResult, fit_alone, fit_mle
+from bayes_aero.inference.noise_bias import without_noise_bias
 from bayes_aero.inference.nuts import sample_nuts
 from bayes_aero.inference.posterior import Posterior
 from bayes_aero.inference.splits import SplitKind
@@ -187,6 +188,8 @@ def fit(
     without_spikes, spikes = repaired(records)
     observations = observe(without_spikes, card, model, forming)
     joint = fit_mle(model, observations, seed=seed)
+    if forming is Forming.MATCHED:
+        joint = without_noise_bias(joint, without_spikes, card, model, seed=seed)
     alone = fit_alone(model, observations, seed=seed)
     found = Identification(
         card,
@@ -217,7 +220,7 @@ def sample(fit: Fit, *, engine: Engine = "emcee", noise: NoiseName = "buffet-ar1
     beside = colour is Colour.WHITE and run.noise is not Colour.WHITE and any(k != "white" for k in run.posteriors)
     if run.posteriors and colour is not run.noise and not beside:
         raise InputError(f"this fit has posteriors under {run.noise.value} noise; sample a new fit under {noise}")
-    density = Density.of(run.observations, run.model, Noise(colour))
+    density = Density.of(run.observations, run.model, Noise(colour), run.mle.bias)
     mode = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
     posterior = ENGINES[engine](density, mode, seed=seed)
     posteriors = run.posteriors | {"white" if beside else engine: posterior}

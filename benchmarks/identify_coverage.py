@@ -26,6 +26,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.ensemble import sample_ensemble
 from bayes_aero.inference.laplace import density_start, find_mode
 from bayes_aero.inference.mle import fit_mle
+from bayes_aero.inference.noise_bias import without_noise_bias
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import DEFAULT, Colour, Noise
@@ -64,13 +65,16 @@ def run(count: int, out: Path, forming: Forming, noise: Colour, sample: bool) ->
     done = len(path.read_text().splitlines()) if path.exists() else 0
     for number in range(done, count):
         began, (kind, dt) = time.perf_counter(), KINDS[number % len(KINDS)]
-        observations = observe(pair(kind, dt, number), card, model, forming)
+        records = pair(kind, dt, number)
+        observations = observe(records, card, model, forming)
         mle = fit_mle(model, observations, seed=0)
+        if forming is Forming.MATCHED:
+            mle = without_noise_bias(mle, records, card, model)
         sd = mle.crb_corrected
         ends = {METHODS[0]: np.stack([mle.estimate - Z95 * sd, mle.estimate + Z95 * sd], axis=1).tolist()}
         status = ""
         if sample:
-            density = Density.of(observations, model, Noise(noise))
+            density = Density.of(observations, model, Noise(noise), mle.bias)
             mode = find_mode(density, density_start(density, mle))
             posterior = sample_ensemble(density, mode, seed=number, ensembles=2, max_steps=1000, predictive=False)
             ends[METHODS[1]] = [list(posterior.marginals[name].ci95) for name in model.names]

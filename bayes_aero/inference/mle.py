@@ -28,6 +28,7 @@ DECREMENT = 1e-7  # expected gain in log-likelihood of one more step, at which i
 SINGULAR = 1e-11  # smallest eigenvalue of the information scaled to unit diagonal
 MOST_ALONE = 24  # manoeuvres that are fitted one by one, too
 FEWEST_BLOCKS = 10  # of 0.2 s for each parameter, below which intervals rest on too little; our choice
+LARGE_BIAS = 0.75  # share of the corrected deviation, which contains the bias
 FROZEN_X = 0.05  # a separation point that moves less than this over a record says nothing of the stall
 
 
@@ -46,7 +47,10 @@ class MleStatus(Enum):
 
 @dataclass(frozen=True)
 class MleResult:
-    """Estimate, bounds and what they rest on. Arrays follow `names`; k parameters."""
+    """Estimate, bounds and what they rest on. Arrays follow `names`; k parameters.
+
+    `bias` is what recording noise added to the fit and the estimate is without (`noise_bias`); None: not asked.
+    """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -65,6 +69,7 @@ class MleResult:
     bounded: tuple[Bounded, ...] = ()
     conflicts: tuple[PriorConflict, ...] = ()
     blocks: int | None = None  # of 0.2 s, on which the corrected bounds rest
+    bias: Float[np.ndarray, " k"] | None = None
 
     @property
     def det_R(self) -> float:
@@ -112,6 +117,13 @@ class MleResult:
         for name, value, bound in zip(self.names, self.estimate, self.crb, strict=True):
             if bound > 0.5 * abs(value):
                 said.append(f"{name} is not identified: its Cramer-Rao deviation is {bound / abs(value):.0%} of it.")
+        bias = np.zeros(len(self.names)) if self.bias is None else self.bias
+        for name, moved, sd in zip(self.names, bias, self.crb_corrected, strict=True):
+            if abs(moved) > LARGE_BIAS * sd:
+                said.append(
+                    f"Noise of the recorded signals had moved {name} by {moved:+.2g}, most of its corrected deviation; "
+                    "it is taken off to first order only. Recordings with less noise would tell more."
+                )
         said += [f"{a} and {b} are correlated by {value:+.3f}." for a, b, value in self.strong_correlations()]
         return said
 

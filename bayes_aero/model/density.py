@@ -7,6 +7,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_aero.model.log_density import LogDensity
@@ -27,9 +28,14 @@ class Density(LogDensity):
     observations: Observations = eqx.field(converter=lambda given: given.nameless)
     model: Model = eqx.field(static=True)
     noise: Noise = eqx.field(static=True)
+    bias: Float[Array, " p"] | None = (
+        None  # what recording noise adds to the free model parameters: coefficients follow x + bias
+    )
 
     @classmethod
-    def of(cls, observations: Observations, model: Model, noise: Noise) -> Density:
+    def of(
+        cls, observations: Observations, model: Model, noise: Noise, bias: Float[np.ndarray, " p"] | None = None
+    ) -> Density:
         """The density of a record under `noise`; under coloured noise it takes the record at the filters' rate.
 
         Cm is formed from a smoothed and differentiated rate, which ties neighbouring samples together in a way that no
@@ -37,7 +43,8 @@ class Density(LogDensity):
         sample-to-sample changes alone, where filtered and unfiltered signals disagree. One sample in `FILTER_STEP`
         keeps the band that the filter passes, in which the coloured model holds.
         """
-        return cls(observations if noise.colour is Colour.WHITE else observations.thinned(), model, noise)
+        known = None if bias is None else jnp.asarray(bias)
+        return cls(observations if noise.colour is Colour.WHITE else observations.thinned(), model, noise, known)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -50,7 +57,10 @@ class Density(LogDensity):
         return self.noise.colour.value
 
     def values(self, x: Float[Array, " k"]) -> dict[str, Any]:
-        """Values of all parameters, fixed ones too, by name."""
+        """Values of all parameters, fixed ones too, by name, with the bias that recording noise gives them."""
+        if self.bias is not None:
+            own = len(self.bias)
+            x = jnp.concatenate([x[:own] + self.bias, x[own:]])
         return dict(self.model.fixed) | {name: x[i] for i, name in enumerate(self.names)}
 
     def predict(self, x: Float[Array, " k"]) -> Float[Array, "n 3"]:

@@ -36,7 +36,8 @@ def transformed(identification: Identification) -> Transformed:
     if not found:
         raise NotDrawn("no posterior was sampled")
     engine, posterior = next(iter(found.items()))
-    density = Density.of(identification.observations, identification.model, Noise(Colour(posterior.noise)))
+    noise = Noise(Colour(posterior.noise))
+    density = Density.of(identification.observations, identification.model, noise, identification.mle.bias)
     order = [posterior.names.index(name) for name in density.names]
     values = pit(density, posterior.draws()[:, order])
     columns = [values[:, c] for c in range(len(NAMES))]

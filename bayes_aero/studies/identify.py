@@ -25,6 +25,7 @@ from bayes_aero.inference.ensemble import sample_ensemble
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.laplace import density_start, other_modes, search_modes
 from bayes_aero.inference.mle import MOST_ALONE, fit_alone, fit_mle
+from bayes_aero.inference.noise_bias import without_noise_bias
 from bayes_aero.inference.nuts import sample_nuts
 from bayes_aero.inference.posterior import PosteriorStatus
 from bayes_aero.inference.prior_sensitivity import prior_sensitivity
@@ -92,6 +93,8 @@ def identify(
         agreement = consistency(records, card, seed=seed)
     with _timed(seconds, "mle", progress):
         mle = fit_mle(model, observations, seed=seed)
+        if forming is Forming.MATCHED:
+            mle = without_noise_bias(mle, without_spikes, card, model, seed=seed)
         alone = fit_alone(model, observations, seed=seed)
         told = preparation_notes(without_spikes, card, model, mle) if forming is Forming.PUBLISHED else ()
     run = Identification(
@@ -126,7 +129,7 @@ def identify(
 
     for key, colour, engine in _plan(noise) if sample else ():
         with _timed(seconds, key, progress):
-            density = Density.of(observations, model, Noise(colour))
+            density = Density.of(observations, model, Noise(colour), mle.bias)
             mode = search_modes(density, density_start(density, mle), observations.n, seed=seed)
             kept: dict[str, Any] = {}
             if stores is not None and engine is sample_ensemble:

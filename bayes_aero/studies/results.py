@@ -67,15 +67,16 @@ def _scores(scores: Scores) -> dict[str, float]:
 
 
 def _mle(result: MleResult) -> dict[str, Any]:
-    columns = zip(result.names, result.units, result.estimate, result.crb, result.crb_corrected, strict=True)
+    bias = [None] * len(result.names) if result.bias is None else result.bias
+    columns = zip(result.names, result.units, result.estimate, result.crb, result.crb_corrected, bias, strict=True)
     return {
         "status": result.status.name.lower(),
         "advice": result.status.value,
         "det_R": result.det_R,
         "iterations": result.iterations,
         "parameters": {
-            name: {"estimate": x, "crb": crb, "crb_corrected": corrected, "unit": unit}
-            for name, unit, x, crb, corrected in columns
+            name: {"estimate": x, "crb": crb, "crb_corrected": corrected, "noise_bias": moved, "unit": unit}
+            for name, unit, x, crb, corrected, moved in columns
         },
         "fit": {name: _scores(scores) for name, scores in result.fit.items()},
         "lag1": result.lag1,
