@@ -27,6 +27,7 @@ from bayes_aero.model.flights import Flights
 from bayes_aero.model.manoeuvres import MOVED, fly_standard
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks
+from bayes_aero.physics.atmosphere import altitude_of_density
 from bayes_aero.physics.coefficients import NAMES
 
 BEGINNING = 2.0  # s of the record whose means are the flight condition
@@ -114,7 +115,7 @@ def standard(state: State, effects: Sequence[str], *, amplitude: float = 1.0) ->
             theta |= {p.name: state.field.neutral[p.name] for p in effect.parameters if p.name in theta}
     values, flights = dict(small.fixed) | theta, state.responses.flights
     begin = round(BEGINNING * 5 / state.responses.seconds)
-    start = {name: float(np.mean(np.asarray(flights.channels[name])[:begin])) for name in ("airspeed", "altitude")}
+    start = _start({name: float(np.mean(np.asarray(x)[:begin])) for name, x in flights.channels.items()})
     dt = float(np.median(np.asarray(flights.channels["dt"])))
     aircraft = small.actual_aircraft(values, flights.aircraft)
     flown, refused = fly_standard(small, values, aircraft, **start, dt=dt, amplitude=amplitude)
@@ -122,6 +123,12 @@ def standard(state: State, effects: Sequence[str], *, amplitude: float = 1.0) ->
     refused |= {name: f"{channel} was not recorded" for name, channel in unseen.items()}
     recorded = {name: _recorded(flights, channels, dt) for name, channels in flown.items() if name not in unseen}
     return Standard(small, theta, recorded, refused)
+
+
+def _start(mean: Mapping[str, float]) -> dict[str, float]:
+    """Airspeed, m/s, and altitude, m: where none was recorded, that of standard air of the record's density."""
+    altitude = mean["altitude"] if "altitude" in mean else altitude_of_density(mean["density"])
+    return {"airspeed": mean["airspeed"], "altitude": altitude}
 
 
 def separating(

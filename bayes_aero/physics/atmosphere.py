@@ -14,3 +14,9 @@ def air(altitude: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Float[Array, 
     temperature = _T0 - _LAPSE * altitude
     pressure = _P0 * (temperature / _T0) ** (GRAVITY / (_LAPSE * _GAS))
     return pressure / (_GAS * temperature), jnp.sqrt(_GAMMA * _GAS * temperature)
+
+
+def altitude_of_density(density: float) -> float:
+    """Geopotential altitude (m) at which the standard atmosphere has this density (kg/m3): the inverse of `air`."""
+    share = density / (_P0 / (_GAS * _T0))
+    return _T0 / _LAPSE * (1.0 - share ** (1.0 / (GRAVITY / (_LAPSE * _GAS) - 1.0)))

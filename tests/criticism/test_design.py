@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -15,7 +16,7 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.model.flights import join
 from bayes_aero.model.manoeuvres import commands, trimmed
-from bayes_aero.physics.atmosphere import GRAVITY
+from bayes_aero.physics.atmosphere import GRAVITY, air, altitude_of_density
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.studies.demo import TRUTH, simulate_stall
 
@@ -70,6 +71,24 @@ def test_one_set_of_flights_serves_several_sets_of_effects(state, rates):
     for one, other in zip(shared.manoeuvres, rates.manoeuvres, strict=True):
         assert one.manoeuvre == other.manoeuvre
         assert one.weakest == pytest.approx(other.weakest, rel=1e-6)
+
+
+def test_a_record_without_altitude_begins_in_air_of_its_density(state):
+    flights = state.responses.flights
+    channels = {name: x for name, x in flights.channels.items() if name != "altitude"}
+    without = replace(flights, channels=channels)
+    there = replace(state, responses=Responses.of(without, state.responses.model))
+    flown = standard(there, ("alpha_dot_lift",)).flown["elevator_doublet"]
+    begin = float(np.mean(np.asarray(flights.channels["density"])[:50]))
+    assert float(flown.channels["density"][0]) == pytest.approx(begin, rel=0.01)
+
+
+@pytest.mark.parametrize("height", [0.0, 4500.0, 11000.0])
+def test_altitude_of_density_is_the_inverse_of_the_standard_atmosphere(height):
+    """ISO 2533:1975: 1.225 kg/m3 at sea level, 0.3639 at 11 km."""
+    assert altitude_of_density(float(air(jnp.asarray(height))[0])) == pytest.approx(height, abs=1e-6)
+    assert altitude_of_density(1.225) == pytest.approx(0.0, abs=0.5)
+    assert altitude_of_density(0.36391) == pytest.approx(11000.0, abs=2.0)
 
 
 def test_a_larger_effect_is_told_apart_in_proportion(state, rates):
