@@ -11,6 +11,7 @@ from bayes_aero.criticism.election import poll
 from bayes_aero.criticism.extension import Extension
 from bayes_aero.criticism.finding import Cause, Unknown
 from bayes_aero.criticism.regression import Fit, inverse
+from bayes_aero.criticism.sensors import SENSOR_KINDS
 from bayes_aero.criticism.state import State
 from bayes_aero.effect import Effect
 
@@ -46,10 +47,20 @@ def own_share(state: State, fit: Fit, effect: str) -> float:
 def attributed(causes: Sequence[Cause]) -> tuple[tuple[Cause, ...], tuple[Cause, ...]]:
     """Causes that the record can attribute, and the others.
 
-    The latter have more equals than it can choose among, or are neither confirmed nor likelier than not.
+    The latter have more equals than it can choose among, are neither confirmed nor likelier than not, or are errors
+    that no sensor has (`beyond_sensors`).
     """
-    named = tuple(c for c in causes if 1 + len(c.ambiguous_with) <= MOST_NAMES and (c.confirmed or c.likely))
+    named = tuple(
+        c
+        for c in causes
+        if 1 + len(c.ambiguous_with) <= MOST_NAMES and (c.confirmed or c.likely) and not beyond_sensors(c)
+    )
     return named, tuple(c for c in causes if c not in named)
+
+
+def beyond_sensors(cause: Cause) -> bool:
+    """Whether it is an error of the record larger than any sensor has: another fault of the record is behind it."""
+    return cause.kind in SENSOR_KINDS and bool(cause.implausible)
 
 
 def as_structure(cause: Cause, extension: Extension, effect: Effect) -> Unknown:

@@ -73,6 +73,12 @@ def test_more_than_five_names_are_no_name():
     assert attributed([neither]) == ((), (neither,))
 
 
+def test_an_error_that_no_sensor_has_is_no_cause():
+    scale = cause(name="roll_rate_scale", mean=0.22, implausible={"roll_rate_scale": 0.15})
+    of_a_sensor, of_the_model = replace(scale, kind="measurement"), replace(scale, kind="aerodynamics")
+    assert attributed([of_a_sensor, of_the_model]) == ((of_the_model,), (of_a_sensor,))
+
+
 def test_structure_with_many_names_tells_where_and_how_much(diagnosed):
     """The hidden curvature of the pitching moment, as if five others explained it as well."""
     d = diagnosed.view.diagnosis
