@@ -228,7 +228,7 @@ def optimum(state: State, folds: Sequence[int], most: int = REFITS) -> Float[np.
     bounds = np.array([p.bounds for p in state.field.model.free])
     columns = state.columns()
     at = columns[columns < len(state.theta)]
-    theta, here = state.theta, _regressed(state, state.residual, state.S[:, :, at], state.theta, at, folds)
+    theta, here = state.theta, local_fit(state, state.theta, at, folds)
     for _ in range(most):
         fit, value = here
         for share in (1.0, 0.5, 0.2, 0.05):
@@ -255,19 +255,7 @@ def local_fit(
     """Regression on the columns `at` at `theta`, and the deviance there; with variances it finds, or `held` ones."""
     keep = [state.responses.outputs.index(name) for name in state.outputs]
     residual, S = state.responses.linearise(theta, at)
-    return _regressed(state, residual[:, keep], np.where(np.isfinite(S), S, 0.0)[:, keep], theta, at, folds, held)
-
-
-def _regressed(
-    state: State,
-    residual: Float[np.ndarray, "m c"],
-    S: Float[np.ndarray, "m c a"],
-    theta: Float[np.ndarray, " k"],
-    at: Int[np.ndarray, " a"],
-    folds: Sequence[int],
-    held: Float[np.ndarray, " c"] | None = None,
-) -> tuple[Fit, float]:
-    """As `local_fit`, with the residuals and sensitivities at `theta`."""
+    residual, S = residual[:, keep], np.where(np.isfinite(S), S, 0.0)[:, keep]
     S = np.concatenate([S, state.S[:, :, state.offsets]], axis=2)
     products = Products.of(residual / state.swell, S / state.swell[:, :, None], [state.folds[f] for f in folds])
     mean, precision = state.field.prior(at, theta)

@@ -20,11 +20,11 @@ SENSORS = ("alpha_bias", "accel_z_bias", "airspeed_scale", "pitch_rate_bias", "a
 
 @pytest.fixture(scope="module")
 def silent():
-    return hidden_records({}, seed=int(np.random.default_rng().integers(1_000_000)), noise="white", seconds=90.0)
+    return hidden_records({}, seed=413_232, noise="white", seconds=90.0)
 
 
 def test_stretches_measure_an_error_with_its_uncertainty(card):
-    rng = np.random.default_rng()
+    rng = np.random.default_rng(4132)
     seed, name = int(rng.integers(1_000_000)), str(rng.choice(SENSORS))
     truth = draw_hidden(rng, name)
     records = hidden_records({name: truth}, seed=seed, noise="ar1", seconds=90.0)

@@ -62,7 +62,7 @@ def test_no_better_mode_lies_at_the_truth():
     card = read_card("attas")
     model = Model.from_card(card)
     signals = observe([simulate_stall(0, card=card)], card, model).thinned(16)
-    rng = np.random.default_rng()
+    rng = np.random.default_rng(4132)
     for seed in rng.integers(10**6, size=4):
         draw = np.random.default_rng(seed)
         maker = Density(signals, model, Noise(Colour.AR1))
