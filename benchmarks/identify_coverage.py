@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -99,6 +100,11 @@ def report(out: Path) -> None:
         each = inside.mean(axis=1)
         error = each.std(ddof=1) / np.sqrt(len(each))
         print(f"\n{method}: {len(having)} pairs, {inside.mean():.3f} +- {error:.3f}")
+        if method == METHODS[1]:
+            print(
+                "  status: "
+                + ", ".join(f"{n} {name.lower()}" for name, n in Counter(r["posterior"] for r in having).items())
+            )
         for kind, dt in KINDS:
             here = np.array([row["kind"] == kind and row["dt"] == dt for row in having])
             if here.any():

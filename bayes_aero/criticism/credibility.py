@@ -44,23 +44,15 @@ def own_share(state: State, fit: Fit, effect: str) -> float:
     return float(np.max(1.0 / np.maximum(own * uncertain, 1.0)))
 
 
-def attributed(causes: Sequence[Cause]) -> tuple[tuple[Cause, ...], tuple[Cause, ...]]:
-    """Causes that the record can attribute, and the others.
+def attributed(causes: Sequence[Cause]) -> tuple[tuple[Cause, ...], tuple[Cause, ...], tuple[Cause, ...]]:
+    """Causes that the record can attribute; errors larger than any sensor has, behind which is another fault; others.
 
-    The latter have more equals than it can choose among, are neither confirmed nor likelier than not, or are errors
-    that no sensor has (`beyond_sensors`).
+    The others have more equals than the record can choose among, or are neither confirmed nor likelier than not.
     """
-    named = tuple(
-        c
-        for c in causes
-        if 1 + len(c.ambiguous_with) <= MOST_NAMES and (c.confirmed or c.likely) and not beyond_sensors(c)
-    )
-    return named, tuple(c for c in causes if c not in named)
-
-
-def beyond_sensors(cause: Cause) -> bool:
-    """Whether it is an error of the record larger than any sensor has: another fault of the record is behind it."""
-    return cause.kind in SENSOR_KINDS and bool(cause.implausible)
+    beyond = tuple(c for c in causes if c.kind in SENSOR_KINDS and c.implausible)
+    rest = [c for c in causes if c not in beyond]
+    named = tuple(c for c in rest if 1 + len(c.ambiguous_with) <= MOST_NAMES and (c.confirmed or c.likely))
+    return named, beyond, tuple(c for c in rest if c not in named)
 
 
 def as_structure(cause: Cause, extension: Extension, effect: Effect) -> Unknown:

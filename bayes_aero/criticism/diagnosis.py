@@ -11,7 +11,7 @@ from bayes_aero.criticism.accuracy import filtered_channels
 from bayes_aero.criticism.candidates import Field, field_of
 from bayes_aero.criticism.collinear import Together, cancelling
 from bayes_aero.criticism.confirmation import Confirmation, confirmation
-from bayes_aero.criticism.credibility import as_structure, attributed, beyond_sensors, implausible, own_share
+from bayes_aero.criticism.credibility import as_structure, attributed, implausible, own_share
 from bayes_aero.criticism.election import Standing, poll
 from bayes_aero.criticism.extension import Extension
 from bayes_aero.criticism.finding import FLIGHT_PATH, Cause, Diagnosis, Gain, Unknown, Verdict
@@ -70,9 +70,7 @@ def diagnose(
     named = [(FLIGHT_PATH, sensors)] if sensors is not None else []
     named.append(("coefficients", aerodynamics))
     confirmations = {stage: confirmation(one.state) for stage, one in named} if gains_wanted else {}
-    causes, unnamed = attributed(causes_of(field, named, confirmations, progress))
-    beyond = [c for c in unnamed if beyond_sensors(c)]
-    unnamed = [c for c in unnamed if c not in beyond]
+    causes, beyond, unnamed = attributed(causes_of(field, named, confirmations, progress))
     unknown = (*left.unknown, *structure_of(field, named, unnamed))
     minor = (*(sensors.minor if sensors else ()), *aerodynamics.minor, *(c.name for c in unnamed))
     return Diagnosis(
@@ -88,8 +86,9 @@ def diagnose(
         split=split_name(aerodynamics.state),
         base_moves=moves_of(aerodynamics),
         kept=confirmations["coefficients"].kept if gains_wanted else aerodynamics.state.active,
-        notes=(*_beyond(beyond), *_notes(flights), *_denials(both)),
+        notes=(*_notes(flights), *_denials(both)),
         together=together_of(named, causes),
+        beyond=beyond,
     )
 
 
@@ -107,16 +106,6 @@ def _notes(flights: Flights) -> tuple[str, ...]:
     return (
         f"No white noise of {', '.join(filtered)} can be read off the record (filtered before it was recorded, or "
         "none): sizes are not freed of the bias that such noise gives, and their intervals do not allow for it.",
-    )
-
-
-def _beyond(causes: Sequence[Cause]) -> tuple[str, ...]:
-    """A sentence on each error that the record asks for and no sensor has."""
-    return tuple(
-        f"The record asks for a {name} of {cause.parameters[name].mean:.2g} ± {cause.parameters[name].sd:.1g}; no "
-        f"sensor is off by more than {largest:g}, so another fault of the record is behind it, and it is no cause here."
-        for cause in causes
-        for name, largest in cause.implausible.items()
     )
 
 

@@ -142,3 +142,4 @@ class Diagnosis:
     kept: tuple[str, ...] = ()  # additions to the coefficients that unseen data confirm
     notes: tuple[str, ...] = ()
     together: tuple[Together, ...] = ()  # pairs of causes of which the record knows one combination alone
+    beyond: tuple[Cause, ...] = ()  # errors larger than any sensor has: no causes, but in the model where confirmed

@@ -186,7 +186,7 @@ def diagnose_flown(
         found = _with_lag(whole, found, seed, most, progress) or found
     field = found.state.field
     named = [("trajectories", found)]
-    causes, unnamed = attributed(causes_of(field, named, {}, progress))
+    causes, beyond, unnamed = attributed(causes_of(field, named, {}, progress))
     unknown = structure_of(field, named, unnamed)
     return Diagnosis(
         verdict=verdict_of(causes, unknown),
@@ -202,6 +202,7 @@ def diagnose_flown(
         base_moves=moves_of(found),
         notes=() if fit.status is OutputErrorStatus.CONVERGED else (f"The card's model: {fit.status.value}.",),
         together=together_of(named, causes),
+        beyond=beyond,
     )
 
 

@@ -44,6 +44,7 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
         *sign_sentences({name: (after, sd) for name, (_, after, sd) in d.base_moves.items()}),
         *(_cause(cause) for cause in d.causes),
         *_together(d),
+        *_beyond(d),
         *_minor(d),
         *_unknown(d),
         *_noise(d),
@@ -94,6 +95,17 @@ def _together(d: Diagnosis) -> list[str]:
             "both."
         )
     return said
+
+
+def _beyond(d: Diagnosis) -> list[str]:
+    return [
+        f"The record asks for a {name} of {size_text(x.mean, x.sd, x.unit)}, where sensors are off by "
+        f"{size_text(cause.implausible[name], 0.0, x.unit)} at most: another fault of the record is behind it. It is "
+        "carried along and is no cause."
+        for cause in d.beyond
+        for name, x in cause.parameters.items()
+        if name in cause.implausible
+    ]
 
 
 def _minor(d: Diagnosis) -> list[str]:

@@ -23,6 +23,7 @@ from bayes_aero.criticism.state import linearised
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.model.flights import join
 from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.words_diagnosis import diagnosis_sentences
 from bayes_aero.studies.demo import TRUTH, simulate_stall
 
 PAIR = ("pitch_rate_lift", "alpha_dot_lift")
@@ -63,20 +64,31 @@ def test_half_the_thrust_missing_is_beyond_what_aircraft_have():
     assert not implausible(CATALOGUE["pitch_rate_lift"], {"CLq": Size(5.0, 1.1, "1")}, {"CLq": 0.0})
 
 
+def test_an_error_that_no_sensor_has_is_said_with_its_unit(diagnosed):
+    off = replace(
+        cause("alpha_bias", np.radians(9.0), np.radians(0.5), implausible={"alpha_bias": np.radians(3.0)}),
+        kind="measurement",
+    )
+    said = diagnosis_sentences(replace(diagnosed.view.diagnosis, beyond=(off,)))
+    (sentence,) = [one for one in said if "alpha_bias" in one]
+    assert "9.00 ± 0.50 deg" in sentence
+    assert "3 deg at most" in sentence
+
+
 def test_more_than_five_names_are_no_name():
     names = ("mass_scale", "drag_offset", "accel_x_bias", "density_scale", "mach_drag")
     few, many = cause(ambiguous_with=names[: MOST_NAMES - 1]), cause(ambiguous_with=names)
-    assert attributed([few, many]) == ((few,), (many,))
+    assert attributed([few, many]) == ((few,), (), (many,))
     unlikely, open_ = cause(probability=0.33), cause(confirmed=False)
-    assert attributed([unlikely, open_]) == ((unlikely, open_), ())
+    assert attributed([unlikely, open_]) == ((unlikely, open_), (), ())
     neither = replace(unlikely, confirmed=False)
-    assert attributed([neither]) == ((), (neither,))
+    assert attributed([neither]) == ((), (), (neither,))
 
 
 def test_an_error_that_no_sensor_has_is_no_cause():
     scale = cause(name="roll_rate_scale", mean=0.22, implausible={"roll_rate_scale": 0.15})
     of_a_sensor, of_the_model = replace(scale, kind="measurement"), replace(scale, kind="aerodynamics")
-    assert attributed([of_a_sensor, of_the_model]) == ((of_the_model,), (of_a_sensor,))
+    assert attributed([of_a_sensor, of_the_model]) == ((of_the_model,), (of_a_sensor,), ())
 
 
 def test_structure_with_many_names_tells_where_and_how_much(diagnosed):
