@@ -24,12 +24,12 @@ from bayes_aero.report.page_diagnosis_tables import (
     separating,
 )
 from bayes_aero.report.page_parts import (
-    at_a_glance,
     bullets,
     doubts,
     first,
     histories,
     provenance_blocks,
+    records_and_faults,
     stall_table,
     symbols,
 )
@@ -67,7 +67,7 @@ def diagnosis_page(view: View, told: PageContext) -> Page:
         lead=tuple(lead),
         doubts=doubts(told.records, told.card, told.consistency, corrects=True),
         sections=filled(
-            section("records", "The records at a glance", lambda: at_a_glance(told.records, told.card)),
+            section("records", "The records at a glance", lambda: records_and_faults(told.records, told.card)),
             section("causes", "What is wrong, and the cause", lambda: _causes(view.diagnosis, view.rankings, gallery)),
             section("gain", "What the extension gains on unseen data", lambda: _gain(view, gallery)),
             section("open", "What cannot be told apart, and what stays unexplained", lambda: _open(d, told, rest)),
@@ -92,7 +92,7 @@ def flown_page(d: Diagnosis, flown: Trajectories | None, said: Sequence[str], to
         doubts=doubts(told.records, told.card, told.consistency, corrects=False),
         lead=(Text("The record lacks what lift, drag and moment coefficients are formed from; see the last finding."),),
         sections=filled(
-            section("records", "The records at a glance", lambda: at_a_glance(told.records, told.card)),
+            section("records", "The records at a glance", lambda: records_and_faults(told.records, told.card)),
             section("causes", "What is wrong, and the cause", lambda: _causes(d, rankings_of(d), gallery)),
             section("open", "Findings in full", lambda: bullets(said[1:])),
             section("trajectories", "Trajectories, before and after", lambda: _flown(flown, told)),
@@ -194,7 +194,7 @@ def _open(d: Diagnosis, told: PageContext, rest: Sequence[str]) -> tuple[Block, 
         blocks.append(Text("No named cause has a rival that explains the record about as well."))
     pairs = [one for one in rest if " cancel each other " in one]
     blocks += [*bullets(pairs), *separating(told.separating)]
-    unknown = [one for one in rest if one.startswith("Unexplained")]
+    unknown = [one for one in rest if one.startswith(("Unexplained", "The record asks for"))]
     blocks += bullets(unknown) or (Text("No structure is left that a recorded channel would predict."),)
     others = [s for s in rest if s not in (*unknown, *pairs) and not any(s.startswith(f"{c.name}: ") for c in d.causes)]
     blocks.append(

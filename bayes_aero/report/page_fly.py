@@ -17,12 +17,12 @@ from bayes_aero.report import page_fly_tables as tables
 from bayes_aero.report.figures_fly import stem_of
 from bayes_aero.report.page import Block, Fold, Page, Text, filled, section
 from bayes_aero.report.page_parts import (
-    at_a_glance,
     bullets,
     conventions,
     doubts,
     first,
     provenance_blocks,
+    records_and_faults,
     symbols,
 )
 from bayes_aero.report.page_pictures import Gallery
@@ -63,7 +63,7 @@ def fly_page(flown: FlownFit, told: FlyTold) -> Page:
         lead=(*_lead(flown), *_opening(flown, told.figures)),
         sections=filled(
             section("findings", "What to make of it", lambda: (*bullets([*rest, *told.notes]), words(FLOWN))),
-            section("records", "The records at a glance", lambda: at_a_glance(told.records, told.card)),
+            section("records", "The records at a glance", lambda: records_and_faults(told.records, told.card)),
             section("fit", "Measured and simulated", lambda: _flights(flown)),
             section("errors", "How near it comes", lambda: _errors(flown, told.card)),
             section("parameters", "Parameters", lambda: _parameters(flown, told.card)),

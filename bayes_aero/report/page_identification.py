@@ -21,13 +21,13 @@ from bayes_aero.report.page_alternatives import identification_alternatives
 from bayes_aero.report.page_given import given_flights
 from bayes_aero.report.page_parts import (
     DEG,
-    at_a_glance,
     bullets,
     doubts,
     first,
     histories,
     interval,
     provenance_blocks,
+    records_and_faults,
     stall_table,
     symbols,
 )
@@ -71,7 +71,7 @@ def identification_page(
         doubts=doubts(run.records, run.card, run.consistency, corrects=False),
         sections=filled(
             section("findings", "What to make of it", lambda: (*bullets(said), WORDS)),
-            section("records", "The records at a glance", lambda: at_a_glance(run.records, run.card)),
+            section("records", "The records at a glance", lambda: records_and_faults(run.records, run.card)),
             section(
                 "fit",
                 "Measured and fitted",

@@ -66,11 +66,17 @@ def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...
     )
 
 
+def records_and_faults(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...]:
+    """`at_a_glance`, and what is wrong with channels that no result rests on; the rest is among the `doubts`."""
+    minor = bullets([f"{finding.sentence}." for finding in channel_health(records, card) if not finding.grave])
+    return (*minor, *at_a_glance(records, card))
+
+
 def doubts(
     records: Sequence[FlightRecord], card: Card, agreement: Consistency | None, *, corrects: bool
 ) -> tuple[Text, ...]:
-    """That sensors disagree, and what is wrong with the records' channels: it stands before all else of a page."""
-    faults = (Text(f"{finding.sentence}.", "warning") for finding in channel_health(records, card))
+    """That sensors disagree, and channels that results cannot rest on: it stands before all else of a page."""
+    faults = (Text(f"{finding.sentence}.", "warning") for finding in channel_health(records, card) if finding.grave)
     return (*consistency_lead(agreement, corrects=corrects), *faults)
 
 
