@@ -15,7 +15,7 @@ import numpy as np
 
 from bayes_aero.errors import InputError
 
-__all__ = ["from_si", "quantity_to_si", "same_unit", "si_unit", "to_si"]
+__all__ = ["from_si", "quantity_to_si", "same_kind", "same_unit", "si_unit", "to_si"]
 
 # Aviation writes "g" for standard gravity; to pint it is the gram. Blank spellings of "no unit" are common
 # in files.
@@ -132,6 +132,15 @@ def same_unit(one: str, other: str) -> bool | None:
     quantity = _registry().Quantity
     # Two points, for scales with an offset such as degC.
     return all(math.isclose(quantity(x, first).to(second).magnitude, x, rel_tol=1e-9) for x in (1.0, 300.0))
+
+
+def same_kind(one: str, other: str) -> bool:
+    """Whether a quantity can be given in either unit; False where one is no unit at all."""
+    try:
+        first, second = _parse(one, "unit"), _parse(other, "unit")
+    except InputError:
+        return False
+    return first.dimensionality == second.dimensionality and _turns(first) == _turns(second)
 
 
 def quantity_to_si(value: Any, expected: str, where: str) -> float:

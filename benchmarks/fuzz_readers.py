@@ -24,7 +24,7 @@ with atheris.instrument_imports(include=["bayes_aero"], enable_loader_override=F
 
     from bayes_aero.errors import InputError
     from bayes_aero.flight.card import read_card, shipped_cards
-    from bayes_aero.flight.readers import read_record, write_record
+    from bayes_aero.flight.reading import read_record, write_record
     from bayes_aero.studies.study import read_study
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "flight"))

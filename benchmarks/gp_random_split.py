@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayes_aero.flight.card import read_card
-from bayes_aero.flight.readers import read_records
+from bayes_aero.flight.reading import read_records
 from bayes_aero.inference.gp import Priors
 from bayes_aero.inference.gp.kernel import Scaling
 from bayes_aero.inference.gp.optimum import curvature, distinct, find_map, maximise

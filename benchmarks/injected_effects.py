@@ -18,7 +18,7 @@ import numpy as np
 from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
-from bayes_aero.flight.readers import read_record
+from bayes_aero.flight.reading import read_record
 from bayes_aero.studies.detectability import standard_scores
 from bayes_aero.studies.injected import injected
 

@@ -23,7 +23,7 @@ from stranger_records import HIDDEN, Recorder, flown
 
 from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.flight.card import read_card
-from bayes_aero.flight.readers import read_record
+from bayes_aero.flight.reading import read_record
 
 
 def case(seed: int, gusts: float, poor: bool, manoeuvres: int, silent: bool) -> dict:

@@ -21,7 +21,7 @@ import pandas as pd
 from scipy import signal
 
 from bayes_aero.flight.card import Card, read_card
-from bayes_aero.flight.readers import read_records
+from bayes_aero.flight.reading import read_records
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.model import Model

@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 
 from bayes_aero.flight.card import read_card
-from bayes_aero.flight.readers import read_records
+from bayes_aero.flight.reading import read_records
 from bayes_aero.inference.ensemble import sample_ensemble
 from bayes_aero.inference.laplace import density_start, find_mode
 from bayes_aero.inference.mle import fit_mle

@@ -26,7 +26,7 @@ PARAMETERS = ("CL0", "CLa", "CLaM", "Cmde", "Cm0", "Cma", "Cmq", "CD0", "e", "ta
 def load(paths: list[Path]) -> tuple[Card, Model, Observations]:
     """The ATTAS card, its model, and the records at `paths` (none: the simulated ones of the package)."""
     from bayes_aero.flight.card import read_card
-    from bayes_aero.flight.readers import read_record
+    from bayes_aero.flight.reading import read_record
     from bayes_aero.model.model import Model
     from bayes_aero.model.observations import observe
     from bayes_aero.studies.demo import demo_records

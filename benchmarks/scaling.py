@@ -44,7 +44,7 @@ def long_record(n: int, seed: int = 0):
 def samples(n: int) -> dict[str, float]:
     """Read a CSV file, fit, and a fixed number of emcee's steps under AR(1) noise."""
     from bayes_aero.flight.card import read_card
-    from bayes_aero.flight.readers import read_record, write_record
+    from bayes_aero.flight.reading import read_record, write_record
     from bayes_aero.inference import ensemble
     from bayes_aero.inference.laplace import density_start, find_mode
     from bayes_aero.inference.mle import fit_mle

@@ -22,7 +22,7 @@ from bayes_aero.criticism.extension import refitted, removed
 from bayes_aero.criticism.sensors import compatibility
 from bayes_aero.criticism.state import State
 from bayes_aero.flight.card import read_card
-from bayes_aero.flight.readers import read_record
+from bayes_aero.flight.reading import read_record
 from bayes_aero.inference.autoregression import ORDER
 
 RIVALS = ("vane_position", "alpha_delay")

@@ -10,7 +10,7 @@ import pytest
 
 from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.flight.card import read_card
-from bayes_aero.flight.readers import read_record
+from bayes_aero.flight.reading import read_record
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Forming, observe
 from bayes_aero.report.diagnosed import view_of

@@ -12,7 +12,7 @@ import jsonschema
 import pytest
 from markupsafe import escape
 
-from bayes_aero.flight.readers import write_record
+from bayes_aero.flight.reading import write_record
 
 
 @pytest.fixture(scope="module")

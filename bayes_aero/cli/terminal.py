@@ -75,7 +75,7 @@ def loading() -> Iterator[None]:
 
 def card_and_records(model: str, records: Sequence[Path], resample: float | None) -> tuple[Card, list[FlightRecord]]:
     """What a command is given, read before anything that takes seconds to load: a mistake is told at once."""
-    from bayes_aero.flight.readers import present, read_records
+    from bayes_aero.flight.reading import present, read_records
 
     for path in records:
         present(path)

@@ -34,6 +34,9 @@ ALPHA_MOVES = 1e-6
 ROUNDED = 0.15
 """Part of the median step from which a common divisor of all steps is taken for the rounding of time stamps."""
 
+SLOWEST, REGULAR = 10, 0.9
+"""Fewest values of a channel with blanks, and the share of them a step apart, from which it has a rate of its own."""
+
 SOME = 0.1
 """Share of repeated stamps up to which samples were written twice, and beyond which stamps are rounded."""
 
@@ -67,7 +70,8 @@ def _checks(even: bool, channels: Sequence[Channel]) -> list[Check]:
     card = {channel.name: channel for channel in channels}
     sampled: list[Check] = [_evenly_sampled] if even else []
     plausible, rate, in_g = (partial(check, card=card) for check in (_plausible, _rate, _in_g))
-    return [_length, _finite, plausible, _monotonic, rate, *sampled, _positive, in_g, _varies]
+    finite = partial(_finite, blanks=not even)
+    return [_length, finite, plausible, _monotonic, rate, *sampled, _positive, in_g, _varies]
 
 
 def _length(record: FlightRecord) -> None:
@@ -79,18 +83,41 @@ def _length(record: FlightRecord) -> None:
         )
 
 
-def _finite(record: FlightRecord) -> None:
+def _finite(record: FlightRecord, blanks: bool) -> None:
+    """`blanks`: missing samples pass, for they are about to be interpolated; those of time do not, nor infinities."""
     for name in record.names:
         values = record[name]
         bad = ~np.isfinite(values)
-        if bad.any():
-            first = int(np.argmax(bad))
-            kind = "not a number (NaN)" if np.isnan(values[first]) else "infinite"
-            when = f"sample {first} (counted from 0)" if name == "time" else at(record, first)
-            raise InputError(
-                f"channel {name} is {kind} at {when}, {int(bad.sum())} of {record.n} samples in all; "
-                f"repair or cut out these samples, or take the channel off the card if it is not needed"
-            )
+        missing = np.isnan(values)
+        if not bad.any() or (blanks and name != "time" and not np.isinf(values).any() and not missing.all()):
+            continue
+        first = int(np.argmax(bad))
+        if name != "time" and missing[first] and (rates := several_rates(record, name)):
+            raise InputError(rates)
+        kind = "empty or not a number (NaN)" if missing[first] else "infinite"
+        when = f"sample {first} (counted from 0)" if name == "time" else at(record, first)
+        raise InputError(
+            f"channel {name} is {kind} at {when}, {int(bad.sum())} of {record.n} samples in all; "
+            f"repair or cut out these samples, ask for resampling if they are few (it interpolates), or take the "
+            f"channel off the card if it is not needed"
+        )
+
+
+def several_rates(record: FlightRecord, name: str) -> str:
+    """What to do where a channel has a value at every k-th sample only; empty if its blanks have no such order."""
+    there = np.flatnonzero(np.isfinite(record[name]))
+    if len(there) < SLOWEST:
+        return ""
+    steps = np.diff(there)
+    every = int(np.median(steps))
+    if every < 2 or np.mean(np.abs(steps - every) <= 1) < REGULAR:
+        return ""
+    dt = float(np.median(np.diff(record.time)))
+    return (
+        f"channel {name} has a value at every {every}th sample only ({len(there)} of {record.n}): "
+        f"{1.0 / (every * dt):.4g} Hz in a file of {1.0 / dt:.4g} Hz; resample the record, which interpolates each "
+        f"channel between its own samples (--resample {dt:.4g}, in Python resample={dt:.4g})"
+    )
 
 
 def _monotonic(record: FlightRecord) -> None:

@@ -14,9 +14,10 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.flight.checks import GAP, JITTER, failures
 from bayes_aero.flight.plausible import without_bad_options
 from bayes_aero.flight.raw import RawColumn, read_raw
-from bayes_aero.flight.readers import read_record
+from bayes_aero.flight.readers.base import Column
+from bayes_aero.flight.reading import in_si, read_record
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.units import same_unit, si_unit, to_si
+from bayes_aero.units import si_unit
 
 __all__ = ["ChannelReport", "RecordReport", "inspect_record"]
 
@@ -78,7 +79,8 @@ def inspect_record(
     time = values.get("time", np.empty(0))
     if "time" in values:
         same = {name: x for name, x in values.items() if len(x) == len(time)}
-        looked = without_bad_options(FlightRecord(Path(path).stem, time, same, os.fspath(path), ""), channels)
+        looked = FlightRecord(Path(path).stem, time, same, os.fspath(path), "")
+        looked = without_bad_options(looked, channels, blanks=resample is not None)
         problems += failures(looked, even=resample is None, channels=channels)
     try:
         record = read_record(path, channels, resample=resample)
@@ -106,13 +108,7 @@ def inspect_record(
 def _converted(channel: Channel, column: RawColumn) -> np.ndarray:
     if column.values is None:
         raise InputError(f"channel {channel.name}: {column.place} holds something else than numbers; repair the file")
-    if column.unit is not None and same_unit(column.unit, channel.unit) is False:
-        raise InputError(
-            f"channel {channel.name} is in {column.unit!r} according to the file but in {channel.unit!r} according to "
-            f'the card; correct the card: unit = "{column.unit}"'
-        )
-    standard = STANDARD_CHANNELS.get(channel.name)
-    return channel.sign * to_si(column.values, channel.unit, channel.name, standard.unit if standard else None)
+    return in_si(channel, Column(column.values, column.unit), column.heading)
 
 
 def _report(channel: Channel, column: RawColumn) -> ChannelReport:

@@ -127,15 +127,18 @@ def time_hint(median: float, channel: Channel | None) -> str:
     return f'looks like {WORDS[fit[0]]}, where the card says {own}: set unit = "{fit[0]}" for time on the card'
 
 
-def without_bad_options(record: FlightRecord, channels: Sequence[Channel]) -> FlightRecord:
-    """The record without optional channels that are not finite or not plausible; it remembers why."""
+def without_bad_options(record: FlightRecord, channels: Sequence[Channel], *, blanks: bool = False) -> FlightRecord:
+    """The record without optional channels that are not finite or not plausible; it remembers why.
+
+    `blanks`: missing samples pass, for the record is about to be resampled.
+    """
     dropped = {}
     for channel in channels:
         if channel.required or channel.name not in record.channels:
             continue
         x, known = record[channel.name], STANDARD_CHANNELS.get(channel.name)
         bad = ~np.isfinite(x)
-        if bad.any():
+        if bad.any() and not (blanks and bad.mean() < 1.0):
             dropped[channel.name] = (
                 f"channel {channel.name} is not a number at {int(bad.sum())} of {record.n} samples, the first at "
                 f"{at(record, int(np.argmax(bad)))}"

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import io
 import os
 import time
-from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections import Counter, deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
-from bayes_aero.flight.columns import Column, foreign
-from bayes_aero.flight.hdf5 import list_hdf5
-from bayes_aero.flight.readers import READERS, Reader, bytes_of, reader_for
-from bayes_aero.flight.text import csv_headings, read_columns, width_of
+from bayes_aero.flight.readers.base import Column, Heading, Lookup, Opened
+from bayes_aero.flight.reading import bytes_of, format_of
 
 __all__ = ["RawColumn", "RawFile", "read_raw"]
 
@@ -38,6 +35,7 @@ class RawColumn:
     number: int
     values: np.ndarray | None
     unit: str | None = None
+    heading: Heading = field(default_factory=Heading)
 
     @property
     def place(self) -> str:
@@ -51,83 +49,58 @@ class RawFile:
 
     columns: tuple[RawColumn, ...]
     repeated: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     def find(self, channel: Channel) -> RawColumn | None:
         """The column that a card's channel names."""
-        for column in self.columns:
-            if column.label is None and column.number == channel.column:
-                return column
-            if column.label is not None and column.label == channel.heading:
-                return column
-        return None
+        there = Lookup([column.heading for column in self.columns]).candidates(channel)
+        return next((column for column in self.columns if column.heading in there[:1]), None)
 
 
 def read_raw(path: str | os.PathLike[str]) -> RawFile:
     """Every column of a file, numeric or not; raises `InputError` with the file's name."""
     try:
-        reader = reader_for(Path(path))
-        data = bytes_of(Path(path))
-        if reader is read_columns:
-            labels: list[str | None] = [None] * min(width_of(data), MOST)
-        else:
-            labels = [*_labels(Path(path), data)[:MOST]]
-        repeated = tuple(sorted({name for name in labels if name is not None and labels.count(name) > 1}))
-        places = [
-            Channel(name=str(number), unit="1", label=label, column=number, required=False)
-            for number, label in enumerate(labels, 1)
-            if label not in repeated and label != ""
-        ]
-        found = _read(reader, data, places)
+        opened = format_of(Path(path))(bytes_of(Path(path)))
+        headings = dict(enumerate(opened.headings[:MOST], 1))
+        often = Counter(name for h in headings.values() for name in h.names)
+        repeated = tuple(sorted(name for name, count in often.items() if count > 1))
+        places = {
+            str(number): heading
+            for number, heading in headings.items()
+            if not set(heading.names) & set(repeated) and (heading.names or heading.column is not None)
+        }
+        found = _read(opened, places)
     except InputError as reason:
         raise InputError(f"{os.fspath(path)}: {reason}") from reason
-    columns = (
-        RawColumn(place.label, int(place.name), column.values if column else None, column.unit if column else None)
-        for place in places
-        for column in [found.get(place.name)]
-    )
-    return RawFile(tuple(columns), repeated)
+    columns = []
+    for number, heading in places.items():
+        column = found.get(number)
+        if column is not None and not heading.names and not np.isfinite(column.values).any():
+            continue  # what follows a separator too many
+        at = heading.column if heading.column is not None else int(number)
+        values, unit = (column.values, column.unit) if column else (None, None)
+        columns.append(
+            RawColumn(heading.names[0] if heading.names and not heading.formed else None, at, values, unit, heading)
+        )
+    return RawFile(tuple(columns), repeated, tuple(opened.remarks))
 
 
-def _read(reader: Reader, data: bytes, places: Sequence[Channel]) -> dict[str, Column]:
+def _read(opened: Opened, places: Mapping[str, Heading]) -> dict[str, Column]:
     """All columns at once; where one is no numbers, each half on its own, so that only it is lost.
 
     When `PATIENCE` is over, whatever has not been read is taken for no numbers.
     """
     found: dict[str, Column] = {}
     failure = InputError("it holds no column of numbers; is it the right file?")
-    left = deque([list(places)])
+    left = deque([list(places.items())])
     began = time.monotonic()
     while left and time.monotonic() - began < PATIENCE:
         some = left.popleft()
         try:
-            found |= reader(data, some)
+            found |= opened.read(dict(some))
         except InputError as reason:
             failure, half = reason, len(some) // 2
             left.extend([some[:half], some[half:]] if half else [])
     if not found:
         raise failure from None
     return found
-
-
-def _labels(path: Path, data: bytes) -> list[str]:
-    suffix = path.suffix.lower()
-    assert suffix in READERS
-    if suffix == ".csv":
-        return csv_headings(data)
-    if suffix == ".parquet":
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
-        with foreign("Parquet file"):
-            return list(pq.ParquetFile(pa.BufferReader(data)).schema_arrow.names)
-    if b"\x89HDF\r\n\x1a\n" in (data[:8], data[512:520]):
-        return list_hdf5(data, "NetCDF file" if suffix == ".nc" else "MATLAB v7.3 file")
-    if suffix == ".mat":
-        from scipy.io import whosmat
-
-        with foreign("MATLAB file"):
-            return [name for name, _, _ in whosmat(io.BytesIO(data))]
-    from scipy.io import netcdf_file
-
-    with foreign("NetCDF file"):
-        return [str(name) for name in netcdf_file(io.BytesIO(data), "r", mmap=False).variables]

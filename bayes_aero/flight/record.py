@@ -42,6 +42,7 @@ class FlightRecord:
         source: where the record came from, for provenance.
         sha256: SHA-256 of the file's bytes; of the arrays' bytes for a record made in memory.
         dropped: channel -> why it was left out when the file was read.
+        remarks: how the file was understood where it could be read in more than one way, one sentence each.
     """
 
     name: str
@@ -50,6 +51,7 @@ class FlightRecord:
     source: str
     sha256: str
     dropped: Mapping[str, str] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         time = _frozen(self.time, f"record {self.name}: channel time")

@@ -11,7 +11,7 @@ from typing import Any
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.readers import read_record, write_record
+from bayes_aero.flight.reading import read_record, write_record
 from bayes_aero.flight.writers import WRITERS
 from bayes_aero.report.page import write_page
 from bayes_aero.report.page_simulated import simulated_page

@@ -138,7 +138,7 @@ def _full(target: Path) -> str:
 
 def perform(unit: Unit, out: Path, progress: Progress | None = None) -> None:
     """The unit's own work: everything that it writes lies in `out`."""
-    from bayes_aero.flight.readers import read_records
+    from bayes_aero.flight.reading import read_records
     from bayes_aero.model.noise import DEFAULT, Colour  # here, since whoever only hands units out needs none of these
     from bayes_aero.studies.fly import fly
     from bayes_aero.studies.identify import identify

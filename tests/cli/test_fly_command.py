@@ -20,7 +20,7 @@ from linear_cards import (
     short_period_flight,
 )
 
-from bayes_aero.flight.readers import write_record
+from bayes_aero.flight.reading import write_record
 
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15, "p": 0.004, "r": 0.003, "p_dot": 0.03}
 SCHEMA = json.loads(resources.files("bayes_aero.studies").joinpath("trajectories.schema.json").read_text())

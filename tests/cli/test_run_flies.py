@@ -11,7 +11,7 @@ import pytest
 from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, short_period_flight
 
 from bayes_aero.cli.fly import fly
-from bayes_aero.flight.readers import write_record
+from bayes_aero.flight.reading import write_record
 from bayes_aero.studies.provenance import write_json
 from bayes_aero.studies.study import OPTIONS
 

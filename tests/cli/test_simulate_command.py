@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.readers import read_record
+from bayes_aero.flight.reading import read_record
 from bayes_aero.model.manoeuvres import commands
 from bayes_aero.studies import request
 

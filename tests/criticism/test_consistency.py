@@ -10,7 +10,7 @@ from bayes_aero.criticism.consistency import consistency
 from bayes_aero.criticism.path_noise import LIGHT_TURBULENCE, gusts, sensor_noise
 from bayes_aero.flight.agreement import Agreement
 from bayes_aero.flight.health.signals import noise_of
-from bayes_aero.flight.readers import read_record
+from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.studies.hidden import hidden_records
 

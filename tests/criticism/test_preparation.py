@@ -6,7 +6,7 @@ from stranger_records import flown
 
 from bayes_aero.criticism.preparation import preparation_notes
 from bayes_aero.flight.card import read_card
-from bayes_aero.flight.readers import read_record
+from bayes_aero.flight.reading import read_record
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Forming, observe

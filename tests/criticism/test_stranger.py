@@ -7,7 +7,7 @@ from stranger_records import HIDDEN, Recorder, flown
 from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.criticism.finding import Verdict
 from bayes_aero.flight.card import read_card
-from bayes_aero.flight.readers import read_record
+from bayes_aero.flight.reading import read_record
 
 DRAWN = np.random.default_rng(20261).integers(1_000_000, size=2)
 

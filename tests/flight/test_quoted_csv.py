@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from flight_samples import told
 
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.raw import read_raw
-from bayes_aero.flight.readers import read_record
+from bayes_aero.flight.reading import read_record
 
 QUOTED = (Channel("time", "s", "T"), Channel("alpha", "deg", "alpha, left vane"), Channel("altitude", "m", "H"))
 
@@ -34,11 +36,11 @@ def test_thousands_are_never_taken_for_decimals(tmp_path):
     """ "5,000" is five thousand where points stand before decimals, and cannot be told where nothing else speaks."""
     path = quoted_file(tmp_path)
     rows = path.read_text().splitlines()
-    points = [row.replace("0,", "0.").replace("1,", "1.").replace('"50', '"5,0') for row in rows[1:]]
+    points = [re.sub(r'"(\d),', r'"\1.', row).replace('"50', '"5,0') for row in rows[1:]]
     path.write_text("\n".join([rows[0], *points]))
-    told(path, QUOTED, "channel altitude", "'5,000'", "line 2, column 3")
+    assert read_record(path, QUOTED)["altitude"][0] == 5000.0
     path.write_text("\n".join(["T,H", *(f'{i},"5,{i:03d}"' for i in range(60))]))
-    told(path, (QUOTED[0], QUOTED[2]), "channel altitude", "'5,000'", "line 2, column 2")
+    told(path, (QUOTED[0], QUOTED[2]), "'5,059'", "decimal comma", "thousands")
     path.write_text("\n".join(["T,H", *(f'{i},"0,{i:03d}"' for i in range(60))]))  # no thousands begin with 0
     assert read_record(path, (QUOTED[0], QUOTED[2]))["altitude"][59] == 0.059
 

@@ -9,7 +9,7 @@ from flight_samples import CHANNELS, sound
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.checks import check_record
-from bayes_aero.flight.readers import read_record, write_record
+from bayes_aero.flight.reading import read_record, write_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.flight.resample import resample_record
 
@@ -116,7 +116,7 @@ def test_an_even_record_is_unchanged_by_resampling_to_its_own_interval():
 
 def test_what_resampling_refuses():
     record = sound(time=np.arange(120) * 0.04 + (np.arange(120) > 70) * 0.5)
-    with pytest.raises(InputError, match=r"gap of 0.54 s after sample 70 .*t = 2.8 s.*5 median steps.*cut the record"):
+    with pytest.raises(InputError, match=r"gap of 0.54 s after t = 2.8 s.*5 median steps.*cut the record"):
         resample_record(record, 0.04)
     for dt in (0.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(InputError, match="positive number"):

@@ -15,11 +15,11 @@ from flight.flight_samples import CHANNELS, sound
 from scipy.io import savemat
 
 from bayes_aero.errors import LONGEST, InputError
-from bayes_aero.flight import text
 from bayes_aero.flight.card import read_card, shipped_cards
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.raw import read_raw
-from bayes_aero.flight.readers import READERS, read_record, write_record
+from bayes_aero.flight.readers import text
+from bayes_aero.flight.reading import read_record, write_record
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.studies import environment, unit
 from bayes_aero.studies.study import read_study
@@ -100,8 +100,8 @@ def test_small_files_that_claim_gigabytes(tmp_path, suffix, monkeypatch):
     """Ten channels of many zeros each: some kB compressed or never written."""
     count, rows = 10, 19_000_000 if suffix in (".nc", "v7.mat") else 190_000
     if rows < 1_000_000:  # zeros must be written there; the limit of all is the thing
-        for module in ("columns", "binary"):
-            monkeypatch.setattr(f"bayes_aero.flight.{module}.MOST_VALUES_IN_ALL", 1_000_000, raising=False)
+        for module in ("base", "mat"):
+            monkeypatch.setattr(f"bayes_aero.flight.readers.{module}.MOST_VALUES_IN_ALL", 1_000_000, raising=False)
     channels = (Channel("time", "s", "T", 1), *(Channel(f"c{i}", "1", f"C{i}", i) for i in range(2, count + 1)))
     path = tmp_path / f"big{suffix}"
     if suffix in (".nc", "v7.mat"):
@@ -155,8 +155,8 @@ def test_thousands_of_columns(tmp_path):
 
 def test_many_columns_of_words_are_not_read_one_by_one(tmp_path, monkeypatch):
     calls = []
-    reader = READERS[".csv"]
-    monkeypatch.setitem(READERS, ".csv", lambda data, some: calls.append(1) or reader(data, some))
+    read = text.TextTable.read
+    monkeypatch.setattr(text.TextTable, "read", lambda table, some: calls.append(1) or read(table, some))
     monkeypatch.setattr("bayes_aero.flight.raw.PATIENCE", 3.0)
     rows = [
         ",".join(f"c{i}" for i in range(1000)) + ",t",

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.air import air_data
 from bayes_aero.flight.health.dropout import dropouts
-from bayes_aero.flight.health.dropped import dropped_channels
+from bayes_aero.flight.health.dropped import dropped_channels, read_remarks
 from bayes_aero.flight.health.elevator import elevator_response
 from bayes_aero.flight.health.finding import HealthFinding
 from bayes_aero.flight.health.frozen import frozen
@@ -27,7 +27,7 @@ __all__ = ["HealthFinding", "channel_health"]
 
 _CHECKS: tuple[Callable[[FlightRecord, Card], list[HealthFinding]], ...] = (
     refuted, air_data, elevator_response, dropouts, frozen, held, saturated, quantised, wrapped, short, idle,
-    dropped_channels,
+    dropped_channels, read_remarks,
 )  # fmt: skip
 
 

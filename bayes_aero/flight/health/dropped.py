@@ -1,4 +1,4 @@
-"""Optional channels that were left out when the record was read."""
+"""What was decided when the record was read: optional channels that were left out, text that could mean two things."""
 
 from __future__ import annotations
 
@@ -13,3 +13,8 @@ def dropped_channels(record: FlightRecord, card: Card) -> list[HealthFinding]:  
         found(record, name, "left_out", f"{why}; it is not required and was left out", grave=False)
         for name, why in record.dropped.items()
     ]
+
+
+def read_remarks(record: FlightRecord, card: Card) -> list[HealthFinding]:  # noqa: ARG001 - one signature
+    """A finding for each sentence on how the file was understood."""
+    return [found(record, "record", "read", remark, grave=False) for remark in record.remarks]

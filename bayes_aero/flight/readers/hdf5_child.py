@@ -3,8 +3,8 @@
 The HDF5 library is C code that can loop for ever on a damaged file (fuzzing found such files soon), and nothing
 interrupts a loop in C. The parent, `hdf5.py`, gives this process a time limit instead.
 
-In: the file on stdin, the wanted labels as JSON in argv[1], the most samples a channel may have in argv[2], that
-all may have together in argv[3].
+In: the file on stdin, the wanted datasets as JSON in argv[1] (path and, of a matrix, the column counted from 0; none:
+list what is there), the most samples a channel may have in argv[2], that all may have together in argv[3].
 Out: one line of JSON, then the float64 samples of the vectors in its order. Failures: {"error": ...}.
 """
 
@@ -12,11 +12,13 @@ import io
 import json
 import sys
 from contextlib import suppress
+from itertools import islice
 
 import h5py
 import numpy as np
 
 TOO_MUCH = "and the others claim more values than a record may have; is the file damaged? Otherwise cut the record"
+DEPTH, MOST = 3, 2100
 MEMORY = 8 << 30
 """Bytes of address space for this process; a damaged header may ask for any amount."""
 
@@ -38,21 +40,32 @@ def _scalar(attributes, key, default):
     return float(np.asarray(attributes[key]).reshape(-1)[0]) if key in attributes else default
 
 
-def _is_dataset(file, label, available):
-    link = file.get(label, getlink=True) if label in available else None
-    return isinstance(link, h5py.HardLink) and isinstance(file[label], h5py.Dataset)
+def _datasets(group, path="", depth=0):
+    """Paths and datasets of a group and of the groups in it; no links out of the file, no library's own groups."""
+    for name in group:
+        link = group.get(name, getlink=True)
+        if not isinstance(link, h5py.HardLink) or name.startswith("#"):
+            continue
+        item, where = group[name], f"{path}{name}"
+        if isinstance(item, h5py.Dataset):
+            yield where, item
+        elif isinstance(item, h5py.Group) and depth < DEPTH:
+            yield from _datasets(item, f"{where}/", depth + 1)
 
 
-def _read(dataset, label, most):
+def _read(dataset, column, most):
     if dataset.dtype.kind not in "fiub":
         return None, f"holds {dataset.dtype} where numbers should be; store it as plain numbers"
     if dataset.size is None or dataset.size > most:
         return None, f"claims {dataset.size} samples, more than {most}; is the file damaged?"
-    if dataset.ndim != 1 and dataset.size != max(dataset.shape, default=1):
+    if column is None and dataset.ndim != 1 and dataset.size != max(dataset.shape, default=1):
         return None, f"has shape {dataset.shape} where one value a sample should be; split it up"
     if dataset.external or dataset.is_virtual:
         return None, "is stored in another file; copy the data into this one"
-    values = np.asarray(dataset[()]).reshape(-1)
+    values = np.asarray(dataset[()])
+    if column is not None:
+        values = values[column] if values.shape[0] <= values.shape[1] else values[:, column]
+    values = values.reshape(-1)
     attributes = dataset.attrs
     missing = np.zeros(values.shape, bool)
     for key in ("_FillValue", "missing_value"):
@@ -62,33 +75,43 @@ def _read(dataset, label, most):
         attributes, "add_offset", 0.0
     )
     values[missing] = np.nan
-    unit = _text(attributes["units"]) if "units" in attributes else None
-    return (label, values, unit), None
+    return values, None
+
+
+def _listed(dataset):
+    attributes = dataset.attrs
+    return {
+        "shape": [int(extent) for extent in dataset.shape or ()],
+        "numbers": dataset.dtype.kind in "fiub" and "MATLAB_int_decode" not in attributes,
+        "unit": _text(attributes["units"]) if "units" in attributes else None,
+        "opaque": "MATLAB_object_decode" in attributes,
+    }
 
 
 def main():
     _limit_memory()
-    labels, most, room = json.loads(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+    wanted, most, room = json.loads(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     found: list = []
     reply: dict = {}
     try:
         with h5py.File(io.BytesIO(sys.stdin.buffer.read()), "r") as file:
-            reply["available"] = [str(name)[:100] for name, _ in zip(file, range(1000), strict=False)]
-            wanted = {label: file[label] for label in labels if _is_dataset(file, label, reply["available"])}
-            sizes = [getattr(dataset, "size", None) or 0 for dataset in wanted.values()]
+            there = dict(islice(_datasets(file), MOST))
+            if not wanted:
+                reply["available"] = {path[:200]: _listed(dataset) for path, dataset in there.items()}
+            sizes = [there[path].size or 0 for path, _ in wanted]
             whole = sum(sizes) if max(sizes, default=0) <= most else 0  # one too large is told below
-            for label, dataset in wanted.items():
-                column, problem = _read(dataset, label, most) if whole <= room else (None, TOO_MUCH)
-                if column is None:
-                    reply["problem"] = [label, problem]
+            for place, (path, column) in enumerate(wanted):
+                values, problem = _read(there[path], column, most) if whole <= room else (None, TOO_MUCH)
+                if values is None:
+                    reply["problem"] = [place, problem]
                     break
-                found.append(column)
+                found.append(values)
     except Exception as reason:
         reply = {"error": " ".join(str(reason).split())[:120] or type(reason).__name__}
         found = []
-    reply["columns"] = [[label, values.size, unit] for label, values, unit in found]
+    reply["sizes"] = [values.size for values in found]
     sys.stdout.buffer.write(json.dumps(reply).encode() + b"\n")
-    for _, values, _ in found:
+    for values in found:
         sys.stdout.buffer.write(values.tobytes())
 
 

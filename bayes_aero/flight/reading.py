@@ -1,6 +1,6 @@
 """From a file on disk to a checked flight record in SI.
 
-The way of a file: its bytes are read once (and hashed), a reader for its suffix finds the columns that the
+The way of a file: its bytes are read once (and hashed), the format of its suffix finds the columns that the
 card names, their values are converted to SI, and the record is checked. Whatever is wrong is told in one
 InputError that starts with the file's name.
 """
@@ -9,37 +9,25 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.binary import read_mat, read_netcdf, read_parquet
+from bayes_aero.flight.aliases import split_heading
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.flight.checks import check_record
-from bayes_aero.flight.columns import Column
 from bayes_aero.flight.plausible import without_bad_options
+from bayes_aero.flight.readers import READERS
+from bayes_aero.flight.readers.base import Column, Heading, Opened, located
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.flight.resample import resample_record
-from bayes_aero.flight.text import read_columns, read_csv
 from bayes_aero.flight.writers import write_record
-from bayes_aero.units import same_unit, to_si
+from bayes_aero.units import same_kind, same_unit, to_si
 
-__all__ = ["READERS", "present", "read_record", "read_records", "write_record"]
-
-Reader = Callable[[bytes, Sequence[Channel]], dict[str, Column]]
-
-READERS: Mapping[str, Reader] = {
-    ".asc": read_columns,
-    ".txt": read_columns,
-    ".dat": read_columns,
-    ".csv": read_csv,
-    ".mat": read_mat,
-    ".parquet": read_parquet,
-    ".nc": read_netcdf,
-}
+__all__ = ["bytes_of", "format_of", "in_si", "present", "read_record", "read_records", "unit_in_file", "write_record"]
 
 MAX_BYTES = 1 << 30
 """Largest file that is taken for one manoeuvre: 1 GiB."""
@@ -53,25 +41,34 @@ def read_record(
     Args:
         path: the file; its suffix tells the format (see READERS).
         channels: what the card maps; "time" must be among them.
-        resample: interval in s of an even grid to interpolate onto; without it uneven sampling is refused.
+        resample: interval in s of an even grid to interpolate onto; without it uneven sampling and missing samples are
+            refused.
     """
     name = os.fspath(path)
     try:
-        reader = reader_for(Path(path))
+        opens = format_of(Path(path))
         _refuse_odd_cards(channels)
         data = bytes_of(Path(path))
-        found = reader(data, channels)
+        opened = opens(data)
+        places = located(channels, opened)
+        columns = opened.read(places)
+        if "time" not in columns:
+            raise InputError(
+                "channel time is missing, and a record needs it; set required = true and correct its place"
+            )
+        si = {c.name: in_si(c, columns[c.name], places[c.name]) for c in channels if c.name in columns}
         record = FlightRecord(
             name=Path(path).stem,
-            time=_in_si(found, "time", channels),
-            channels={c.name: _in_si(found, c.name, channels) for c in channels if c.name in found},
+            time=si["time"],
+            channels=si,
             source=name,
             sha256=hashlib.sha256(data).hexdigest(),
+            remarks=tuple(opened.remarks),
         )
-        record = without_bad_options(record, channels)
+        record = without_bad_options(record, channels, blanks=resample is not None)
         check_record(record, even=resample is None, channels=channels)
         if resample is not None:
-            record = resample_record(record, resample)
+            record = without_bad_options(resample_record(record, resample), channels)
             check_record(record, channels=channels)
     except InputError as reason:
         raise InputError(f"{name}: {reason}") from reason
@@ -95,15 +92,15 @@ def present(path: Path) -> None:
         raise InputError(f"{path}: {_no_such_file(path)}")
 
 
-def reader_for(path: Path) -> Reader:
-    """The reader of a file, told by its suffix."""
-    reader = READERS.get(path.suffix.lower())
-    if reader is None:
+def format_of(path: Path) -> Callable[[bytes], Opened]:
+    """What opens a file, told by its suffix."""
+    opens = READERS.get(path.suffix.lower())
+    if opens is None:
         given = f"the suffix {path.suffix!r}" if path.suffix else "a file without suffix"
         raise InputError(
             f"{given} is not known; flight records end in {', '.join(READERS)}: rename or convert the file"
         )
-    return reader
+    return opens
 
 
 def _refuse_odd_cards(channels: Sequence[Channel]) -> None:
@@ -145,16 +142,31 @@ def _no_such_file(path: Path) -> str:
     return "no such file; " + (f"did you mean {' or '.join(close)}?" if close else "correct the path")
 
 
-def _in_si(found: Mapping[str, Column], name: str, channels: Sequence[Channel]) -> np.ndarray:
-    channel = next(channel for channel in channels if channel.name == name)
-    if name not in found:
-        raise InputError("channel time is missing, and a record needs it; set required = true and correct its place")
-    column = found[name]
-    if column.unit is not None and same_unit(column.unit, channel.unit) is False:
+def in_si(channel: Channel, column: Column, heading: Heading) -> np.ndarray:
+    """A channel's values in SI, (n,), with the card's sign.
+
+    Raises:
+        InputError: the file states another unit than the card.
+    """
+    unit = unit_in_file(channel, column, heading)
+    if unit is not None and same_unit(unit, channel.unit) is False:
         raise InputError(
-            f"channel {name} is in {column.unit!r} according to the file but in {channel.unit!r} according "
-            f"to the card; "
-            f'correct the card: unit = "{column.unit}"'
+            f"channel {channel.name} is in {unit!r} according to the file but in {channel.unit!r} according to the "
+            f'card; correct the card: unit = "{unit}"'
         )
-    standard = STANDARD_CHANNELS.get(name)
-    return channel.sign * to_si(column.values, channel.unit, name, standard.unit if standard else None)
+    standard = STANDARD_CHANNELS.get(channel.name)
+    return channel.sign * to_si(column.values, channel.unit, channel.name, standard.unit if standard else None)
+
+
+def unit_in_file(channel: Channel, column: Column, heading: Heading) -> str | None:
+    """The unit that a file states for a channel: in a row of units, an attribute, or its name ("rho (slug/ft3)").
+
+    What a name seems to say counts only where the channel can have that unit: the "g" of "q_g" may be a gyro.
+    """
+    if column.unit is not None:
+        return column.unit
+    for name in heading.names:
+        unit = split_heading(name)[1]
+        if unit is not None and same_kind(unit, channel.unit):
+            return unit
+    return None

@@ -1,0 +1,199 @@
+"""What all file formats share: the columns that a file offers, their values, and the search for those a card names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from bayes_aero.errors import InputError
+from bayes_aero.flight.channel import Channel
+
+__all__ = [
+    "MAX_VALUES", "MOST_HEADINGS", "MOST_VALUES_IN_ALL", "Column", "Heading", "Lookup", "Opened",
+    "foreign", "located", "refuse_huge", "vector",
+]  # fmt: skip
+
+MAX_VALUES = 20_000_000
+"""Most samples that one channel may have; held against the file's header before memory is taken."""
+
+MOST_VALUES_IN_ALL = 100_000_000
+"""Most samples of all channels together: 0.8 GB. A compressed file of some kB can claim any number."""
+
+MOST_HEADINGS = 2000
+"""Most columns of a file; searching for a name among millions would take hours."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One channel as in the file: (n,) values in the file's unit, NaN where it has none, and the unit it states."""
+
+    values: np.ndarray
+    unit: str | None = None
+
+
+@dataclass(frozen=True)
+class Heading:
+    """One column of a file before its values are read.
+
+    Attributes:
+        names: what the file calls it; empty without a header, several where there is more than one row of names.
+        column: its number on a card, counted from 1; None where it goes by its name alone.
+        unit: the unit that the file states beside the name.
+        formed: the name was formed by the reader, "data(:,3)", so that a card's number counts beside any label.
+    """
+
+    names: tuple[str, ...] = ()
+    column: int | None = None
+    unit: str | None = None
+    formed: bool = False
+
+
+@runtime_checkable
+class Opened(Protocol):
+    """A file whose columns are known and whose values are still to be read. All columns have the same length."""
+
+    @property
+    def kind(self) -> str:
+        """What a column is called there: "column", "variable"."""
+        ...
+
+    @property
+    def headings(self) -> Sequence[Heading]:
+        """All columns, in the file's order."""
+        ...
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """How the file was understood, where it could be read in more than one way; one sentence each."""
+        ...
+
+    def read(self, wanted: Mapping[str, Heading]) -> dict[str, Column]:
+        """The values of some headings, each under the name of the channel that it was taken for.
+
+        A column of several rates has NaN at the samples that it lacks.
+
+        Raises:
+            InputError: in words of the channel, where its values are no numbers.
+        """
+        ...
+
+
+def located(channels: Sequence[Channel], opened: Opened) -> dict[str, Heading]:
+    """The heading of each channel, see `candidates`. A required one must be there, and none may be twice."""
+    if len(opened.headings) > MOST_HEADINGS:
+        raise InputError(
+            f"it has {len(opened.headings)} {opened.kind}s, more than {MOST_HEADINGS}; is it a flight record?"
+        )
+    look = Lookup(opened.headings)
+    found = {}
+    for channel in channels:
+        there = look.candidates(channel)
+        if len(there) > 1:
+            raise InputError(
+                f"channel {channel.name}: {len(there)} {opened.kind}s are called {channel.heading!r}; rename all but "
+                "the right one"
+            )
+        if there:
+            found[channel.name] = there[0]
+        elif channel.required:
+            raise InputError(_absent(channel, list(look.by_name), len(look.by_column), opened.kind))
+    return found
+
+
+class Lookup:
+    """Headings by name and by number."""
+
+    def __init__(self, headings: Sequence[Heading]) -> None:
+        self.by_name: dict[str, list[Heading]] = {}
+        for heading in headings:
+            for name in dict.fromkeys(heading.names):
+                self.by_name.setdefault(name, []).append(heading)
+        self.by_column = {heading.column: heading for heading in headings if heading.column is not None}
+
+    def candidates(self, channel: Channel) -> list[Heading]:
+        """The headings of a channel's name; without one the column of its number.
+
+        A label on the card that names no column of a file with names is a mistake, whatever number stands beside it.
+        """
+        numbered = self.by_column.get(channel.column)
+        usable = numbered is not None and (channel.label is None or not numbered.names or numbered.formed)
+        return self.by_name.get(channel.heading) or ([numbered] if usable and numbered is not None else [])
+
+
+def _absent(channel: Channel, available: Sequence[str], columns: int, kind: str) -> str:
+    """Why a required channel is not there, and what to do."""
+    if not available:
+        if channel.column is None:
+            return (
+                f"channel {channel.name} has no column number on the card, and the file has no header; add column = N, "
+                "or write the file with a header line"
+            )
+        return (
+            f"channel {channel.name} is column {channel.column} on the card, but the file has {columns} columns; "
+            "correct the column, or set required = false"
+        )
+    folded = {name.casefold(): name for name in available}
+    close = [folded[name] for name in get_close_matches(channel.heading.casefold(), folded, n=3, cutoff=0.5)]
+    if close:
+        hint = "did you mean " + " or ".join(repr(name) for name in close) + "?"
+    else:
+        more = ", ..." if len(available) > 15 else ""
+        hint = f"the file has {', '.join(repr(name[:40]) for name in available[:15])}{more};"
+    by_number = "" if channel.column is None else ", take the label off it (then its column number counts)"
+    return (
+        f"channel {channel.name}: no {kind} is called {channel.heading!r}; {hint} correct its label on the "
+        f"card{by_number}, or set required = false"
+    )
+
+
+def refuse_huge(name: str, heading: str, size: float, channels: int) -> None:
+    """Hold what a header claims for one of so many `channels` against what a record can have."""
+    if size > MAX_VALUES:
+        raise InputError(
+            f"channel {name} ({heading!r}) claims {size:.0f} samples, more than {MAX_VALUES}; "
+            f"is the file damaged? Write it again"
+        )
+    if size * channels > MOST_VALUES_IN_ALL:
+        raise InputError(
+            f"{channels} channels of {size:.0f} samples, as {name} ({heading!r}) claims, are more than "
+            f"{MOST_VALUES_IN_ALL} values; is the file damaged? Otherwise cut the record"
+        )
+
+
+def vector(values: np.ndarray, name: str) -> np.ndarray:
+    """A numeric array as a float64 vector; row and column vectors are flattened."""
+    if values.dtype.kind not in "fiub":
+        raise InputError(
+            f"channel {name} holds {values.dtype} where numbers should be; store it as plain numbers, "
+            f"and time as seconds"
+        )
+    if values.size > MAX_VALUES:
+        raise InputError(f"channel {name} claims {values.size} samples, more than {MAX_VALUES}; cut the record")
+    if values.ndim != 1 and values.size != max(values.shape, default=1):
+        raise InputError(f"channel {name} has shape {values.shape} where one value a sample should be; split it up")
+    return values.astype(np.float64).reshape(-1)
+
+
+@contextmanager
+def foreign(kind: str) -> Iterator[None]:
+    """Turn whatever a foreign parser throws at a damaged file into one sentence.
+
+    Such parsers raise anything from KeyError to zlib.error and RecursionError, so this border catches them
+    all.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except MemoryError as reason:
+        raise InputError(
+            f"it claims more data than there is memory for; is it damaged? Write the {kind} again"
+        ) from reason
+    except Exception as reason:
+        said = " ".join(str(reason).split())[:120] or type(reason).__name__
+        raise InputError(f"it is not a readable {kind} ({said}); is it damaged or misnamed? Write it again") from reason
