@@ -159,10 +159,20 @@ def read(
     card: str | Card = "attas",
     *,
     resample: float | None = None,
+    split: bool = False,
 ) -> list[FlightRecord]:
-    """Read and check flight records, a manoeuvre a file; `resample` s for unevenly sampled ones."""
-    one = isinstance(paths, str | os.PathLike)
-    return read_records([paths] if one else paths, _card(card).channels, resample=resample)
+    """Read and check flight records, a manoeuvre each.
+
+    Args:
+        paths: files, or parts of them: "flight.csv@12.5:40" in seconds of the file's time.
+        card: what the columns are; its `[segments]` name the manoeuvres of a file.
+        resample: step in s of an even grid to interpolate onto, for records of uneven or of several rates.
+        split: whether gaps in time divide a file into manoeuvres.
+    """
+    one, read_as = isinstance(paths, str | os.PathLike), _card(card)
+    return read_records(
+        [paths] if one else paths, read_as.channels, resample=resample, segments=read_as.segments, split=split
+    )
 
 
 def fit(

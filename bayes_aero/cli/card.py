@@ -28,6 +28,9 @@ def card(
 
     Example: bayes-aero card flight7.csv --out mine.toml
     """
+    from bayes_aero.flight.segments import segment_of
+
+    record = segment_of(record).file
     target = out or Path(f"{record.stem}.toml")
     if target.exists() and not force:
         raise InputError(f"{target} exists; give --force to overwrite it, or another name with --out")

@@ -16,6 +16,7 @@ from bayes_aero.cli.terminal import (
     ModelOption,
     ResampleOption,
     SeedOption,
+    SplitOption,
     bar,
     exit_in_doubt,
     interruptible,
@@ -33,6 +34,7 @@ def check(
     records: Annotated[list[Path], typer.Argument(help="Flight records (.asc .csv .mat .parquet .nc).")],
     model: ModelOption = "attas",
     resample: ResampleOption = None,
+    split: SplitOption = False,
     sensors: Annotated[bool, typer.Option(help="Check the sensors against each other along the flight path.")] = True,
     seed: SeedOption = 0,
     out: Annotated[
@@ -52,7 +54,7 @@ def check(
 
     card, failure = read_card(model), None
     with interruptible(lambda: "nothing was written; give the same command again"), bar("reading") as tell:
-        report = check_records(records, card, resample=resample, sensors=sensors, seed=seed, progress=tell)
+        report = check_records(records, card, resample=resample, split=split, sensors=sensors, seed=seed, progress=tell)
         if out is not None:
             failure = write_check(report, out, seed)
     if json:
@@ -89,7 +91,7 @@ def _tell(console: Console, report: CheckReport) -> None:
 
 
 def _tell_record(console: Console, r: RecordReport) -> None:
-    from bayes_aero.report.words_check import taken
+    from bayes_aero.report.words_check import part_sentences, taken
 
     rate = f"{1.0 / r.dt:.4g} Hz" if r.dt > 0.0 else "no sampling rate"
     console.print(r.path, style="bold", end="", soft_wrap=True)
@@ -107,5 +109,7 @@ def _tell_record(console: Console, r: RecordReport) -> None:
         console.print(f"on the card, not in the file (not required): {', '.join(r.missing)}")
     if r.unused:
         console.print(f"in the file, not on the card: {', '.join(r.unused)}")
+    for sentence in (*r.remarks, *part_sentences(r)):
+        console.print(sentence, soft_wrap=True)
     for problem in r.problems:
         console.print(f"✗ {problem}", style="red")

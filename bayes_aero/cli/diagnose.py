@@ -13,6 +13,7 @@ from bayes_aero.cli.terminal import (
     ModelOption,
     ResampleOption,
     SeedOption,
+    SplitOption,
     bar,
     card_and_records,
     exit_in_doubt,
@@ -38,6 +39,7 @@ def diagnose(
     seed: SeedOption = 0,
     max_effects: Annotated[int, typer.Option(min=1, help="Effects that each stage may add to the model.")] = 8,
     resample: ResampleOption = None,
+    split: SplitOption = False,
     predictors: Annotated[
         bool, typer.Option(help="Compare predictors on unseen data; fly manoeuvres that would separate rival causes.")
     ] = True,
@@ -51,7 +53,7 @@ def diagnose(
 
     Example: bayes-aero diagnose qst01.asc qst02.asc --model attas --out diagnosis
     """
-    (card, flights), hidden = card_and_records(model, records or [], resample), None
+    (card, flights), hidden = card_and_records(model, records or [], resample, split), None
     with loading():
         from bayes_aero.studies.diagnose import hide_one
         from bayes_aero.studies.tasks import Flown, diagnose_records

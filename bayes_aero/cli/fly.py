@@ -13,6 +13,7 @@ from bayes_aero.cli.terminal import (
     ModelOption,
     ResampleOption,
     SeedOption,
+    SplitOption,
     bar,
     card_and_records,
     exit_in_doubt,
@@ -33,6 +34,7 @@ def fly(
     ] = 12.0,
     seed: SeedOption = 0,
     resample: ResampleOption = None,
+    split: SplitOption = False,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
     json: JsonOption = False,
 ) -> None:
@@ -42,7 +44,7 @@ def fly(
 
     Example: bayes-aero fly run1.csv run2.csv --model short_period.toml --out trajectories
     """
-    card, flights = card_and_records(model, records, resample)
+    card, flights = card_and_records(model, records, resample, split)
     with loading():
         from bayes_aero.report.words_fly import error_table, parameter_table
         from bayes_aero.studies.fly import RESULTS

@@ -13,6 +13,7 @@ from bayes_aero.cli.terminal import (
     ModelOption,
     ResampleOption,
     SeedOption,
+    SplitOption,
     bar,
     card_and_records,
     exit_in_doubt,
@@ -37,10 +38,11 @@ def identify(
         Coefficients,
         typer.Option(help="Form coefficients from signals all filtered alike, or as the published ones were."),
     ] = Coefficients.MATCHED,
-    split: Annotated[
+    gp_split: Annotated[
         Split, typer.Option(help="Split whose Gaussian-process hyperparameters are sampled.")
     ] = Split.RANDOM,
     resample: ResampleOption = None,
+    split: SplitOption = False,
     sample: Annotated[
         bool, typer.Option(help="Sample the posterior; without, maximum likelihood and its bounds alone.")
     ] = True,
@@ -56,7 +58,7 @@ def identify(
 
     Example: bayes-aero identify qst01.asc qst02.asc --model attas --out results
     """
-    card, flights = card_and_records(model, records or [], resample)
+    card, flights = card_and_records(model, records or [], resample, split)
     # Imported here: --help, a mistyped option and a file that is not there need not wait for the numerical libraries.
     with loading():
         from bayes_aero.flight.card import read_card
@@ -77,7 +79,7 @@ def identify(
             card,
             noise=Colour(noise.value),
             coefficients=coefficients.value,
-            split=split.value,
+            split=gp_split.value,
             seed=seed,
             out=out,
             sample=sample,

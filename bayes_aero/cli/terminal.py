@@ -32,7 +32,11 @@ ModelOption = Annotated[str, typer.Option(help="Card: a .toml file, or a shipped
 SeedOption = Annotated[
     int, typer.Option(min=0, max=2**32 - 1, help="Same seed, same command, same machine: same numbers.")
 ]
-ResampleOption = Annotated[float | None, typer.Option(help="Resample unevenly sampled records to this time step in s.")]
+ResampleOption = Annotated[
+    float | None,
+    typer.Option(help="Interpolate records of uneven or of several rates onto this time step in s."),
+]
+SplitOption = Annotated[bool, typer.Option("--split", help="Gaps in time divide a file into manoeuvres.")]
 
 
 def teller(*, quiet: bool = False, highlight: bool = False) -> Console:
@@ -73,7 +77,9 @@ def loading() -> Iterator[None]:
         yield
 
 
-def card_and_records(model: str, records: Sequence[Path], resample: float | None) -> tuple[Card, list[FlightRecord]]:
+def card_and_records(
+    model: str, records: Sequence[Path], resample: float | None, split: bool
+) -> tuple[Card, list[FlightRecord]]:
     """What a command is given, read before anything that takes seconds to load: a mistake is told at once."""
     from bayes_aero.flight.reading import present, read_records
 
@@ -82,7 +88,7 @@ def card_and_records(model: str, records: Sequence[Path], resample: float | None
     with loading():
         from bayes_aero.flight.card import read_card
     card = read_card(model)
-    return card, read_records(records, card.channels, resample=resample)
+    return card, read_records(records, card.channels, resample=resample, segments=card.segments, split=split)
 
 
 def print_json(content: Mapping[str, Any]) -> None:

@@ -20,6 +20,7 @@ from bayes_aero.flight.card_channels import (
 from bayes_aero.flight.card_checks import known_keys, number, numbers, refuse_unfilled, section
 from bayes_aero.flight.card_linear import LinearCard, parse_linear
 from bayes_aero.flight.channel import Channel
+from bayes_aero.flight.segments import segment_of
 from bayes_aero.flight.tables import is_file, read_table
 from bayes_aero.flight.tolerances import TOLERANCES, Tolerance
 from bayes_aero.parameter import Prior
@@ -27,7 +28,7 @@ from bayes_aero.units import quantity_to_si
 
 SECTIONS = (
     "title", "source", "aircraft", "channels", "sums", "constants", "derived", "sensors", "model", "linear",
-    "parameters", "gp", "tolerances", "output_biases",
+    "parameters", "gp", "tolerances", "output_biases", "segments",
 )  # fmt: skip
 PARAMETER_KEYS = ("start", "bounds", "prior")
 POSITIONS = ("reference_point", "accelerometer", "engine")
@@ -70,6 +71,9 @@ class Card:
     linear: LinearCard | None = None
     tolerances: Mapping[str, Tolerance] = field(default_factory=lambda: dict(TOLERANCES))
     output_biases: Mapping[str, Prior] = field(default_factory=dict)  # of each manoeuvre's own, in fits of trajectories
+    segments: Mapping[str, tuple[str, ...]] = field(
+        default_factory=dict
+    )  # manoeuvres in a file, by its name: "12.5:40"
 
 
 def shipped_cards() -> dict[str, Path]:
@@ -130,6 +134,7 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
         sensors=_sensors(section(table, "sensors", where), where),
         tolerances=_tolerances(section(table, "tolerances", where), where),
         output_biases=_output_biases(section(table, "output_biases", where), where),
+        segments=_segments(section(table, "segments", where), where),
         effects=effects,
         effect_files=_files(model.get("effect_files", []), where),
         fixed=numbers(model.get("fixed", {}), f"{where}: [model] fixed"),
@@ -185,6 +190,20 @@ def _aircraft(table: Mapping[str, Any], where: str) -> Aircraft:
                 f"card {where}: [aircraft] {key} is {values[key]} {AIRCRAFT_UNITS[key]}; it must be positive"
             )
     return Aircraft(**values)
+
+
+def _segments(table: Mapping[str, Any], where: str) -> dict[str, tuple[str, ...]]:
+    """[segments]: the manoeuvres that a file of this name holds, each as "FROM:TO" in seconds of its time."""
+    for name, parts in table.items():
+        if not isinstance(parts, list) or not parts or not all(isinstance(part, str) for part in parts):
+            raise InputError(f'card {where}: [segments] {name} must be a list of parts, e.g. ["12.5:40", "61:85"]')
+        for part in parts:
+            if segment_of(f"{name}@{part}").whole:
+                raise InputError(
+                    f"card {where}: [segments] {name} has {part!r}; write FROM:TO in seconds of the file's time, e.g. "
+                    '"12.5:40", or "#2" for the second part between gaps'
+                )
+    return {name: tuple(parts) for name, parts in table.items()}
 
 
 def _sensors(table: Mapping[str, Any], where: str) -> dict[str, float]:

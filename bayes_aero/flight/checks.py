@@ -11,15 +11,13 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.flight.plausible import at, implausible, time_hint
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.flight.segments import GAP
 from bayes_aero.units import same_unit
 
-__all__ = ["GAP", "JITTER", "MIN_SAMPLES", "check_record", "failures"]
+__all__ = ["JITTER", "MIN_SAMPLES", "check_record", "failures"]
 
 MIN_SAMPLES = 50
 """The derivative filter alone spans 17 samples and changes its form over the 9 next to either end."""
-
-GAP = 1.5
-"""A step longer than this many median steps is a gap: at least one sample is lost."""
 
 JITTER = 0.01
 """Largest departure of a step from the median step, relative, that still passes for even sampling."""
@@ -127,8 +125,8 @@ def _monotonic(record: FlightRecord) -> None:
         what = "repeats" if step[i - 1] == 0.0 else "runs backwards from"
         raise InputError(
             f"channel time {what} {record.time[i - 1]:.9g} s at {at(record, i)}, {int((step <= 0.0).sum())} times in "
-            f"all; time must increase: {_rounding(record) or 'sort the samples, drop the repeated ones, or split the '}"
-            f"{'' if _rounding(record) else 'file into one record per manoeuvre'}"
+            f"all; time must increase: {_rounding(record) or 'sort the samples, drop the repeated ones, or divide '}"
+            f"{'' if _rounding(record) else 'the record where time starts over (--split)'}"
         )
 
 
@@ -141,9 +139,9 @@ def _rounding(record: FlightRecord) -> str:
     mean = float((record.time[-1] - record.time[0]) / (record.n - 1))
     least = float(positive.min())
     off = np.abs(positive / least - np.round(positive / least))
-    levels = len(np.unique(np.round(step / least)))
+    multiples = np.round(step / least)
     regular = abs(record.time[record.n // 2] - record.time[0] - mean * (record.n // 2)) <= 2.0 * max(least, mean)
-    if least < ROUNDED * mean or off.max() > 0.02 or not 2 <= levels <= 4 or not regular:
+    if least < ROUNDED * mean or off.max() > 0.02 or not 1.0 <= np.ptp(multiples) <= 3.0 or not regular:
         return ""
     return (
         f"the stamps are rounded to {least:.3g} s, and {record.n} samples in "
@@ -169,7 +167,8 @@ def _evenly_sampled(record: FlightRecord) -> None:
         i = int(np.argmax(step > GAP * median))
         raise InputError(
             f"channel time has a gap of {step[i]:.6g} s after {at(record, i)}, where {median:.6g} s is the "
-            f"sampling interval; cut the record there into two files, or ask for resampling if the gap is short"
+            f"sampling interval; divide the record there (--split, or FILE@FROM:TO), or ask for resampling if the gap "
+            "is short"
         )
     off = np.abs(step - median) > JITTER * median
     if off.any():

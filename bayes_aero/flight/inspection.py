@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from bayes_aero.errors import InputError
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
-from bayes_aero.flight.checks import GAP, JITTER, failures
+from bayes_aero.flight.checks import JITTER, failures
 from bayes_aero.flight.plausible import without_bad_options
+from bayes_aero.flight.proposals import Proposal, proposals
 from bayes_aero.flight.raw import RawColumn, read_raw
 from bayes_aero.flight.readers.base import Column
 from bayes_aero.flight.reading import in_si, read_record
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.flight.segments import GAP, cut, segment_of
 from bayes_aero.units import si_unit
 
 __all__ = ["ChannelReport", "RecordReport", "inspect_record"]
@@ -51,12 +53,13 @@ class RecordReport:
     unused: tuple[str, ...]  # columns that the card does not map
     problems: tuple[str, ...]
     record: FlightRecord | None
+    proposals: tuple[Proposal, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
-def inspect_record(
-    path: str | os.PathLike[str], channels: Sequence[Channel], *, resample: float | None = None
-) -> RecordReport:
+def inspect_record(path: str | os.PathLike[str], card: Card, *, resample: float | None = None) -> RecordReport:
     """Read as `read_record` does, but report all that is wrong; only a file that cannot be read at all raises."""
+    channels = card.channels
     raw = read_raw(path)
     problems: list[str] = [f"two columns are called {name!r}; rename all but the right one" for name in raw.repeated]
     reports, values, missing = [], {}, []
@@ -75,13 +78,20 @@ def inspect_record(
             continue
         values[channel.name] = si
         reports.append(_report(channel, column))
-    record = None
+    record, parts = None, ()
     time = values.get("time", np.empty(0))
     if "time" in values:
         same = {name: x for name, x in values.items() if len(x) == len(time)}
-        looked = FlightRecord(Path(path).stem, time, same, os.fspath(path), "")
-        looked = without_bad_options(looked, channels, blanks=resample is not None)
-        problems += failures(looked, even=resample is None, channels=channels)
+        try:
+            segment = segment_of(path)
+            looked = cut(FlightRecord(Path(path).stem, time, same, os.fspath(path), ""), segment)
+            if segment.whole and np.isfinite(time).all():
+                parts = proposals(looked, card)
+            looked = without_bad_options(looked, channels, blanks=resample is not None)
+            problems += failures(looked, even=resample is None, channels=channels)
+            time = looked.time
+        except InputError as reason:
+            problems.append(str(reason))
     try:
         record = read_record(path, channels, resample=resample)
     except InputError as reason:  # what it says of a column that no channel of the card was found in
@@ -102,6 +112,8 @@ def inspect_record(
         unused=tuple(column.place for column in raw.columns if column.number not in taken),
         problems=tuple(problems),
         record=None if problems else record,
+        proposals=parts,
+        remarks=raw.remarks,
     )
 
 

@@ -7,7 +7,6 @@ import time
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.readers.base import Column, Heading, Lookup, Opened
 from bayes_aero.flight.reading import bytes_of, format_of
+from bayes_aero.flight.segments import segment_of
 
 __all__ = ["RawColumn", "RawFile", "read_raw"]
 
@@ -60,7 +60,8 @@ class RawFile:
 def read_raw(path: str | os.PathLike[str]) -> RawFile:
     """Every column of a file, numeric or not; raises `InputError` with the file's name."""
     try:
-        opened = format_of(Path(path))(bytes_of(Path(path)))
+        file = segment_of(path).file
+        opened = format_of(file)(bytes_of(file))
         headings = dict(enumerate(opened.headings[:MOST], 1))
         often = Counter(name for h in headings.values() for name in h.names)
         repeated = tuple(sorted(name for name, count in often.items() if count > 1))

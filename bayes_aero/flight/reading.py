@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -24,10 +25,21 @@ from bayes_aero.flight.readers import READERS
 from bayes_aero.flight.readers.base import Column, Heading, Opened, located
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.flight.resample import resample_record
+from bayes_aero.flight.segments import cut, expanded, segment_of
 from bayes_aero.flight.writers import write_record
 from bayes_aero.units import same_kind, same_unit, to_si
 
-__all__ = ["bytes_of", "format_of", "in_si", "present", "read_record", "read_records", "unit_in_file", "write_record"]
+__all__ = [
+    "bytes_of",
+    "format_of",
+    "in_si",
+    "manoeuvres",
+    "present",
+    "read_record",
+    "read_records",
+    "unit_in_file",
+    "write_record",
+]
 
 MAX_BYTES = 1 << 30
 """Largest file that is taken for one manoeuvre: 1 GiB."""
@@ -39,16 +51,18 @@ def read_record(
     """Read, convert and check one manoeuvre.
 
     Args:
-        path: the file; its suffix tells the format (see READERS).
+        path: the file; its suffix tells the format (see READERS). FILE@FROM:TO is a part of it, in seconds of its time,
+            FILE@#2 the second part between gaps.
         channels: what the card maps; "time" must be among them.
         resample: interval in s of an even grid to interpolate onto; without it uneven sampling and missing samples are
             refused.
     """
     name = os.fspath(path)
     try:
-        opens = format_of(Path(path))
+        segment = segment_of(path)
+        opens = format_of(segment.file)
         _refuse_odd_cards(channels)
-        data = bytes_of(Path(path))
+        data = bytes_of(segment.file)
         opened = opens(data)
         places = located(channels, opened)
         columns = opened.read(places)
@@ -58,14 +72,14 @@ def read_record(
             )
         si = {c.name: in_si(c, columns[c.name], places[c.name]) for c in channels if c.name in columns}
         record = FlightRecord(
-            name=Path(path).stem,
+            name=segment.label,
             time=si["time"],
             channels=si,
             source=name,
             sha256=hashlib.sha256(data).hexdigest(),
             remarks=tuple(opened.remarks),
         )
-        record = without_bad_options(record, channels, blanks=resample is not None)
+        record = without_bad_options(cut(record, segment), channels, blanks=resample is not None)
         check_record(record, even=resample is None, channels=channels)
         if resample is not None:
             record = without_bad_options(resample_record(record, resample), channels)
@@ -76,20 +90,60 @@ def read_record(
 
 
 def read_records(
-    paths: Sequence[str | os.PathLike[str]], channels: Sequence[Channel], *, resample: float | None = None
+    paths: Sequence[str | os.PathLike[str]],
+    channels: Sequence[Channel],
+    *,
+    resample: float | None = None,
+    segments: Mapping[str, Sequence[str]] | None = None,
+    split: bool = False,
 ) -> list[FlightRecord]:
-    """Every file, one manoeuvre each; the first bad one is reported."""
-    return [read_record(path, channels, resample=resample) for path in paths]
+    """Every manoeuvre of every file; the first bad one is reported.
+
+    Args:
+        paths: see `read_record`.
+        channels: what the card maps.
+        resample: see `read_record`.
+        segments: the parts of files that a card states, by file name.
+        split: whether gaps in time divide a file into manoeuvres.
+    """
+    parts = manoeuvres(paths, channels, segments=segments, split=split)
+    return [read_record(path, channels, resample=resample) for path in parts]
+
+
+def manoeuvres(
+    paths: Sequence[str | os.PathLike[str]],
+    channels: Sequence[Channel],
+    *,
+    segments: Mapping[str, Sequence[str]] | None = None,
+    split: bool = False,
+) -> list[Path]:
+    """The paths of single manoeuvres that `paths` stand for, see `read_records`."""
+    times = {os.fspath(path): _time_of(path, channels) for path in paths} if split else None
+    return expanded(paths, segments or {}, times)
+
+
+def _time_of(path: str | os.PathLike[str], channels: Sequence[Channel]) -> np.ndarray:
+    """(n,) time of the whole file, s."""
+    file = segment_of(path).file
+    try:
+        _refuse_odd_cards(channels)
+        opened = format_of(file)(bytes_of(file))
+        clock = [channel for channel in channels if channel.name == "time"]
+        places = located([replace(channel, required=True) for channel in clock], opened)
+        return in_si(clock[0], opened.read(places)["time"], places["time"])
+    except InputError as reason:
+        raise InputError(f"{os.fspath(path)}: {reason}") from reason
 
 
 def present(path: Path) -> None:
     """Refuse a name of which there is no file; nothing need be loaded to see that."""
+    file = segment_of(path).file
     try:
-        there = path.exists()
+        there = file.exists()
     except (OSError, ValueError):  # a name that cannot be one: reading says so
         return
     if not there:
-        raise InputError(f"{path}: {_no_such_file(path)}")
+        raise InputError(f"{path}: {_no_such_file(file)}")
 
 
 def format_of(path: Path) -> Callable[[bytes], Opened]:

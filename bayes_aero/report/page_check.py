@@ -18,6 +18,7 @@ from bayes_aero.report.words_check import (
     card_sentences,
     headline,
     left_over,
+    part_sentences,
     sensor_sentences,
     taken,
     use_sentences,
@@ -95,4 +96,4 @@ def _table(r: RecordReport) -> Fold:
     ).lean()
     absent = [f"On the card, not in the file (not required): {', '.join(r.missing)}."] if r.missing else []
     unused = [f"In the file, not on the card: {', '.join(r.unused)}."] if r.unused else []
-    return Fold(r.path, (table, *bullets([*absent, *unused])))
+    return Fold(r.path, (table, *bullets([*absent, *unused, *r.remarks, *part_sentences(r)])))

@@ -5,9 +5,11 @@ from __future__ import annotations
 from bayes_aero.criticism.checked import CheckReport
 from bayes_aero.flight.agreement import Agreement
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.inspection import ChannelReport
+from bayes_aero.flight.inspection import ChannelReport, RecordReport
 from bayes_aero.report.style import for_people, several
 from bayes_aero.report.words_consistency import consistency_sentences
+
+MOST_PARTS = 12  # of a file that are listed in words; the JSON has all
 
 
 def taken(channel: ChannelReport) -> tuple[str, str, str, str]:
@@ -16,6 +18,19 @@ def taken(channel: ChannelReport) -> tuple[str, str, str, str]:
     unit = c.unit if c.unit == c.si else f"{c.unit} → {c.si}"
     remarks = [*(["sign turned"] if c.sign < 0 else []), *([] if c.moves else ["does not move"])]
     return c.place, unit, f"{c.lowest:.5g} to {c.highest:.5g}", ", ".join(remarks)
+
+
+def part_sentences(record: RecordReport) -> list[str]:
+    """The parts of a file that may be analysed in place of the whole, as they are written on the command line."""
+    said = []
+    for what, words in (("in flight", "parts in flight"), ("manoeuvre", "manoeuvres")):
+        parts = [f"{record.path}@{p.part}" for p in record.proposals if p.what == what]
+        if parts:
+            more = f" and {len(parts) - MOST_PARTS} more" if len(parts) > MOST_PARTS else ""
+            said.append(f"{words}: {', '.join(parts[:MOST_PARTS])}{more}")
+    if said:
+        said.append("give such parts in place of the file, or list them on the card under [segments]")
+    return said
 
 
 def card_sentences(report: CheckReport) -> list[str]:

@@ -18,6 +18,7 @@ from bayes_aero.flight.agreement import Agreement, Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.inspection import inspect_record
+from bayes_aero.flight.reading import manoeuvres
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.flights import join
 from bayes_aero.model.longitudinal import FLIGHT
@@ -42,16 +43,18 @@ def check_records(
     card: Card,
     *,
     resample: float | None = None,
+    split: bool = False,
     sensors: bool = True,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> CheckReport:
     """Look at every record, then at what all of them together allow; no aerodynamics is fitted."""
     looked = []
+    paths = manoeuvres(paths, card.channels, segments=card.segments, split=split)
     for number, path in enumerate(paths):
         if progress:
             progress(f"reading {path.name}", number / len(paths))
-        looked.append(inspect_record(path, card.channels, resample=resample))
+        looked.append(inspect_record(path, card, resample=resample))
     sound = [r.record for r in looked if r.record is not None]
     uses, not_testable = _purpose(sound, card) if len(sound) == len(looked) else ({}, {})
     why = "not asked for" if not sensors else "a record is not usable" if len(sound) < len(looked) else ""

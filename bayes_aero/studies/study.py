@@ -17,6 +17,7 @@ from typing import Any
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card, read_card, shipped_cards
 from bayes_aero.flight.readers import READERS
+from bayes_aero.flight.segments import segment_of
 from bayes_aero.flight.tables import is_file, read_table
 from bayes_aero.model.linear import linear_dynamics
 from bayes_aero.model.model import Model
@@ -36,12 +37,14 @@ OPTIONS: dict[str, dict[str, type]] = {
         "figures": bool,
         "page": bool,
         "resample": float,
+        "split_at_gaps": bool,
         "coefficients": str,
     },
     "diagnose": {
         "max_effects": int, "predictors": bool, "trajectories": bool, "figures": bool, "resample": float,
+        "split_at_gaps": bool,
     },
-    "fly": {"windows": float, "figures": bool, "resample": float},
+    "fly": {"windows": float, "figures": bool, "resample": float, "split_at_gaps": bool},
 }  # fmt: skip
 FORMINGS = ("matched", "published")
 MOST_UNITS = 100_000
@@ -151,7 +154,7 @@ def _unit(
     shown = tuple(Path(os.path.relpath(path, folder)).as_posix() for path in records)
     unit = Unit("", task, tuple(map(str, records)), shown, card[1], card[0], seed, split, noise, effects, dict(options))
     more = f"+{len(records) - 1}" if len(records) > 1 else ""
-    parts = [records[0].stem + more, Path(card[0]).stem, *effects, noise, split, f"seed{seed}"]
+    parts = [segment_of(records[0]).label + more, Path(card[0]).stem, *effects, noise, split, f"seed{seed}"]
     words = "-".join(re.sub(r"[^A-Za-z0-9+_.]", "_", part) for part in parts if part)
     identity = hashlib.sha256(json.dumps(unit.settings, sort_keys=True).encode()).hexdigest()[:8]
     return replace(unit, name=f"{safe_name(words[:LONGEST])}-{identity}")
@@ -192,10 +195,10 @@ def _record_sets(table: Mapping[str, Any], folder: Path, where: str) -> list[tup
 def _matching(pattern: str, folder: Path, where: str) -> list[Path]:
     """Files of a pattern, relative to the study's folder, in the order of their names."""
     if not any(c in pattern for c in "*?["):
-        path = folder / pattern
-        if not is_file(path):
+        segment = segment_of(folder / pattern)
+        if not is_file(segment.file):
             raise InputError(f"{where}: record {pattern!r} does not exist; it is looked for in {folder.resolve()}")
-        return [path.resolve()]
+        return [Path(str(segment.file.resolve()) + str(folder / pattern).removeprefix(str(segment.file)))]
     start = Path(pattern).anchor
     try:
         found = (Path(start) if start else folder).glob(str(Path(pattern).relative_to(start)) if start else pattern)

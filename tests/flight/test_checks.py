@@ -43,8 +43,11 @@ CASES = {
     "inf": ({"strain": put(T, 3, -np.inf)}, ("channel strain", "infinite", "sample 3 ", "repair")),
     "nan time": ({"time": put(T, 5, np.nan)}, ("channel time", "NaN", "sample 5 ", "repair")),
     "repeated time": ({"time": put(T, 30, T[29])}, ("channel time", "repeats", "sample 30 ", "drop the repeated")),
-    "backwards": ({"time": np.r_[T[:60], T[:60]]}, ("channel time", "backwards", "sample 60 ", "one record per man")),
-    "gap": ({"time": T + (np.arange(120) > 70) * 0.2}, ("channel time", "gap", "sample 70 ", "0.24 s", "cut")),
+    "backwards": (
+        {"time": np.r_[T[:60], T[:60]]},
+        ("channel time", "backwards", "sample 60 ", "where time starts over"),
+    ),
+    "gap": ({"time": T + (np.arange(120) > 70) * 0.2}, ("channel time", "gap", "sample 70 ", "0.24 s", "--split")),
     "jitter": ({"time": put(T, 40, T[40] + 0.002)}, ("channel time", "unevenly", "sample 39 ", "resample = 0.04")),
     "milliseconds": ({"time": T * 1e3}, ("channel time", "40 s", "sample 0 ", 'unit = "ms"')),
     "days": ({"time": T / 86400}, ("channel time", "sample 0 ", "days")),

@@ -24,7 +24,7 @@ FEWEST = 50  # samples of flight that the other checks need
 
 def on_ground(record: FlightRecord, card: Card) -> list[HealthFinding]:
     """A finding if the airspeed is too low to fly for a second or more."""
-    runs = _grounded(record, card)
+    runs = grounded(record, card)
     if not runs:
         return []
     parts = " and ".join(f"{record.time[a]:.6g} to {record.time[b]:.6g} s" for a, b in runs[:3])
@@ -39,7 +39,7 @@ def on_ground(record: FlightRecord, card: Card) -> list[HealthFinding]:
 
 def in_flight(record: FlightRecord, card: Card) -> FlightRecord:
     """The longest part of the record that is flown, under the record's name; the record itself if all of it is."""
-    runs = _grounded(record, card)
+    runs = grounded(record, card)
     if not runs:
         return record
     edges = [-1, *(i for a, b in runs for i in (a - 1, b)), record.n - 1]
@@ -49,7 +49,7 @@ def in_flight(record: FlightRecord, card: Card) -> FlightRecord:
     return replace(record.window(record.time[first + 1], record.time[last]), name=record.name)
 
 
-def _grounded(record: FlightRecord, card: Card) -> list[tuple[int, int]]:
+def grounded(record: FlightRecord, card: Card) -> list[tuple[int, int]]:
     """First and last sample of each part on the ground; none if the whole record looks like that."""
     if not record.has("airspeed"):
         return []

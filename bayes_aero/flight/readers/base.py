@@ -120,7 +120,7 @@ class Lookup:
 
         A label on the card that names no column of a file with names is a mistake, whatever number stands beside it.
         """
-        numbered = self.by_column.get(channel.column)
+        numbered = None if channel.column is None else self.by_column.get(channel.column)
         usable = numbered is not None and (channel.label is None or not numbered.names or numbered.formed)
         return self.by_name.get(channel.heading) or ([numbered] if usable and numbered is not None else [])
 
