@@ -145,8 +145,8 @@ def test_a_workbook_cannot_unpack_without_end(monkeypatch):
 FAST, SLOW = np.arange(100) * 0.01, np.arange(25) * 0.04
 
 
-def measured(**formula) -> bytes:
-    """Two groups of different rate that share a name; `formula`: of the conversion of a third one's signal."""
+def measured(*more) -> bytes:
+    """Two groups of different rate that share a name, and more signals, each in a group of its own name."""
     signal = asammdf.Signal
     with asammdf.MDF(version="4.10") as mdf:
         mdf.append(
@@ -167,8 +167,8 @@ def measured(**formula) -> bytes:
             comment="GPS",
             common_timebase=True,
         )
-        for name, said in formula.items():
-            mdf.append([signal(np.arange(25), SLOW, name=name, conversion={"formula": said})], comment=name)
+        for other in more:
+            mdf.append([other], comment=f"of {other.name}")
         out = io.BytesIO()
         mdf.save(out, overwrite=True)
     return out.getvalue()
@@ -191,9 +191,30 @@ def test_mdf_with_two_rates():
     assert both["other"].unit is None
 
 
+def test_mdf_conversions_byte_order_and_invalid_samples():
+    counts = np.arange(25)
+    gear = {f"val_{k}": k for k in range(2)} | {f"text_{k}": f"position {k}".encode() for k in range(2)}
+    opened = open_mdf(
+        measured(
+            asammdf.Signal(counts.astype("u1"), SLOW, name="linear", conversion={"a": 0.5, "b": -1.0}),
+            asammdf.Signal(counts % 2, SLOW, name="gear", conversion=gear | {"default": b"?"}),
+            asammdf.Signal(counts.astype(">f4") / 4, SLOW, name="motorola"),
+            asammdf.Signal(counts.astype(float), SLOW, name="gaps", invalidation_bits=counts == 7),
+        )
+    )
+    found = values_of(opened, time="time", linear="linear", gear="gear", motorola="motorola", gaps="gaps")
+    np.testing.assert_allclose(found["time"].values, SLOW, rtol=1e-15)
+    np.testing.assert_array_equal(found["linear"].values, 0.5 * counts - 1.0)
+    np.testing.assert_array_equal(found["gear"].values, counts % 2)
+    np.testing.assert_array_equal(found["motorola"].values, counts / 4)
+    np.testing.assert_array_equal(found["gaps"].values, np.where(counts == 7, np.nan, counts))
+
+
 def test_formulas_of_an_mdf_file_are_arithmetic_and_no_programs(tmp_path):
     trace = tmp_path / "trace"
-    opened = open_mdf(measured(twice="2*X1+1", evil=f"__import__('pathlib').Path('{trace}').touch() or X1"))
+    formulas = {"twice": "2*X1+1", "evil": f"__import__('pathlib').Path('{trace}').touch() or X1"}
+    signals = (asammdf.Signal(np.arange(25), SLOW, name=n, conversion={"formula": f}) for n, f in formulas.items())
+    opened = open_mdf(measured(*signals))
     np.testing.assert_array_equal(values_of(opened, x="twice")["x"].values, 2.0 * np.arange(25) + 1.0)
     assert "evil" not in names_of(opened)
     assert any("'evil' is left out" in remark for remark in opened.remarks)
@@ -244,10 +265,8 @@ def test_a_clock_that_runs_backwards_is_not_joined_with_another():
     rows = [struct.pack("<f", k) for k in range(150)]
     other = ("b", 0, ["float y"], 10 * np.arange(150), rows)
     raw = ulog([("a", 0, ["float x"], 4000 * np.arange(150), rows), other])
-    stamped = [struct.pack("<Q", 4000 * k) for k in range(150)]
     for k in range(100, 150):  # the samples stay in their places
         raw = raw.replace(struct.pack("<HQ", 0, 4000 * k), struct.pack("<HQ", 0, int(stamps[k])))
-    assert len(stamped) == 150
     opened = open_ulog(raw)
     np.testing.assert_array_equal(values_of(opened, time="time", x="a.x")["time"].values, stamps / 1e6)
     with pytest.raises(InputError, match=r"the time of a runs backwards at its sample 100 .* t = 0 s"):

@@ -30,21 +30,16 @@ def _limit_memory():
 
 
 def _packed(values):
-    """An array in the byte order of this machine, its samples one after the other."""
-    return np.ascontiguousarray(values, values.dtype.newbyteorder("="))
+    """An array in the byte order of this machine."""
+    return values.astype(values.dtype.newbyteorder("="), copy=False)
 
 
 def _reply(groups, remarks, most_bytes, most_columns):
     """The line, and the arrays that follow it."""
     listed, arrays = [], []
     for name, time, columns in groups:
-        listed.append(
-            {
-                "name": str(name)[:200],
-                "size": len(time),
-                "columns": [[[str(n)[:200] for n in names], unit, v.dtype.str] for names, unit, v in columns],
-            }
-        )
+        described = [[[str(n)[:200] for n in names], unit, _packed(v[:0]).dtype.str] for names, unit, v in columns]
+        listed.append({"name": str(name)[:200], "size": len(time), "columns": described})
         arrays += [np.asarray(time, np.float64), *(values for _, _, values in columns)]
     if sum(len(columns) for _, _, columns in groups) > most_columns:
         return {"refused": f"it has more than {most_columns} columns; is it a flight record?"}, []
@@ -68,7 +63,7 @@ def main():
             reply = {"error": " ".join(str(reason).split())[:120] or type(reason).__name__}
     out.write(json.dumps(reply).encode() + b"\n")
     for array in arrays:
-        out.write(memoryview(_packed(array)).cast("B") if array.size else b"")
+        out.write(_packed(array).tobytes())
     out.flush()
 
 
