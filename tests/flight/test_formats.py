@@ -107,6 +107,19 @@ def test_three_decimals_are_no_thousands():
     np.testing.assert_array_equal(values_of(opened, time="time")["time"].values, np.arange(60) / 8 + 1.0)
 
 
+def test_a_channel_may_begin_late_and_notes_stand_close_to_the_names():
+    notes = [["Flight 12"], ["Mass", 12000, "kg"], ["time", "x", "y"], ["s", "m"]]
+    late = [[0.04 * k] if k < 10 else [0.04 * k, k, 1] for k in range(70)]
+    opened = open_excel(workbook(("Data", notes + late)))
+    assert [(heading.names, heading.unit) for heading in opened.headings] == [
+        (("time",), "s"),
+        (("x",), "m"),
+        (("y",), None),
+    ]
+    x = values_of(opened, time="time", x="x")["x"].values
+    np.testing.assert_array_equal(x, np.r_[np.full(10, np.nan), np.arange(10.0, 70.0)])
+
+
 def test_old_workbooks_are_refused():
     with pytest.raises(InputError, match=r"save it as \.xlsx"):
         open_excel(b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(600))

@@ -62,7 +62,7 @@ def rows_of(data: bytes) -> tuple[Rows, list[str]]:
     with foreign("Excel workbook"):
         _refuse_bomb(data)
         sheets = list(_sheets(data))
-    lengths = [sum(map(_is_numeric, (row for _, row in rows))) for _, rows in sheets]
+    lengths = [sum(len(row) > 1 and _is_numeric(row) for _, row in rows) for _, rows in sheets]
     tables = [k for k, length in enumerate(lengths) if length >= A_TABLE] or [
         k for k, length in enumerate(lengths) if length and length == max(lengths)
     ]
@@ -152,7 +152,8 @@ def _header_begins(rows: Rows, first: int) -> int:
         told = sum(map(bool, row))
         units = _are_units(row)
         parted = k < first - 1 and rows[k + 1][0] - number > 1  # a blank row
-        if parted or (not units and 2 * told <= width and (named or told < 2)):
+        few = 2 * told <= width and (named or told < 2)
+        if parted or (not units and (few or (named and any(map(is_value, row))))):
             break
         begin, named = k, named or not units
     return begin
@@ -160,7 +161,7 @@ def _header_begins(rows: Rows, first: int) -> int:
 
 def _is_numeric(row: list[str]) -> bool:
     told = [cell for cell in row if not is_blank(cell)]
-    return len(told) > 1 and 2 * sum(map(is_value, told)) > len(told)
+    return 2 * sum(map(is_value, told)) > len(told)
 
 
 def _are_units(row: list[str]) -> bool:
