@@ -13,7 +13,9 @@ from bayes_aero.errors import InputError
 
 
 def card(
-    record: Annotated[Path, typer.Argument(help="A flight record (.csv .mat .parquet .nc; .asc has no names).")],
+    record: Annotated[
+        Path, typer.Argument(help="A flight record (.csv .asc .mat .xlsx .mf4 .ulg .bin .parquet .nc) with names.")
+    ],
     out: Annotated[
         Path | None, typer.Option(help="File to write; default: the record's name with .toml, here.")
     ] = None,

@@ -31,7 +31,12 @@ if TYPE_CHECKING:
 
 
 def check(
-    records: Annotated[list[Path], typer.Argument(help="Flight records (.asc .csv .mat .parquet .nc).")],
+    records: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Flight records (.csv .asc .mat .xlsx .mf4 .ulg .bin .parquet .nc; FILE@FROM:TO is a part)."
+        ),
+    ],
     model: ModelOption = "attas",
     resample: ResampleOption = None,
     split: SplitOption = False,

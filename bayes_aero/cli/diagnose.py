@@ -32,7 +32,9 @@ if TYPE_CHECKING:  # the real imports wait until the command needs them
 def diagnose(
     records: Annotated[
         list[Path] | None,
-        typer.Argument(help="Flight records (.asc .csv .mat .parquet .nc); none: an effect is hidden and sought."),
+        typer.Argument(
+            help="Flight records (.csv .asc .mat .xlsx .mf4 .ulg .bin .parquet .nc; FILE@FROM:TO is a part); none: an effect is hidden and sought."
+        ),
     ] = None,
     model: ModelOption = "attas",
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("diagnosis"),

@@ -26,7 +26,12 @@ from bayes_aero.cli.terminal import (
 
 
 def fly(
-    records: Annotated[list[Path], typer.Argument(help="Flight records (.asc .csv .mat .parquet .nc).")],
+    records: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Flight records (.csv .asc .mat .xlsx .mf4 .ulg .bin .parquet .nc; FILE@FROM:TO is a part)."
+        ),
+    ],
     model: ModelOption = "attas",
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("trajectories"),
     windows: Annotated[

@@ -32,8 +32,9 @@ ALPHA_MOVES = 1e-6
 ROUNDED = 0.15
 """Part of the median step from which a common divisor of all steps is taken for the rounding of time stamps."""
 
-SLOWEST, REGULAR = 10, 0.9
-"""Fewest values of a channel with blanks, and the share of them a step apart, from which it has a rate of its own."""
+SLOWEST, REGULAR, FEWER = 10, 0.9, 0.7
+"""Fewest values of a channel with blanks, and the share of them a step apart, from which it has a rate of its own; the
+most samples of the file that it then has."""
 
 SOME = 0.1
 """Share of repeated stamps up to which samples were written twice, and beyond which stamps are rounded."""
@@ -102,20 +103,27 @@ def _finite(record: FlightRecord, blanks: bool) -> None:
 
 
 def several_rates(record: FlightRecord, name: str) -> str:
-    """What to do where a channel has a value at every k-th sample only; empty if its blanks have no such order."""
+    """What to do where a channel has samples of its own at a rate of its own; empty if its blanks have no such order."""
     there = np.flatnonzero(np.isfinite(record[name]))
-    if len(there) < SLOWEST:
+    if len(there) < SLOWEST or len(there) > FEWER * record.n or (np.diff(record.time) <= 0.0).any():
         return ""
-    steps = np.diff(there)
-    every = int(np.median(steps))
-    if every < 2 or np.mean(np.abs(steps - every) <= 1) < REGULAR:
+    own = np.diff(record.time[there])
+    step = float(np.median(own))
+    if np.mean(np.abs(own - step) <= 0.5 * step) < REGULAR:
         return ""
-    dt = float(np.median(np.diff(record.time)))
+    fastest = sampling_step(record)
     return (
-        f"channel {name} has a value at every {every}th sample only ({len(there)} of {record.n}): "
-        f"{1.0 / (every * dt):.4g} Hz in a file of {1.0 / dt:.4g} Hz; resample the record, which interpolates each "
-        f"channel between its own samples (--resample {dt:.4g}, in Python resample={dt:.4g})"
+        f"channel {name} has a value at {len(there)} of {record.n} samples only: it is of {1.0 / step:.4g} Hz in a file "
+        f"of several rates ({1.0 / fastest:.4g} Hz the fastest); resample the record, which interpolates each channel "
+        f"between its own samples (--resample {fastest:.4g}, in Python resample={fastest:.4g})"
     )
+
+
+def sampling_step(record: FlightRecord) -> float:
+    """Median step of the channel that has most samples, s: time alone holds the stamps of all rates of a file."""
+    there = [np.isfinite(values) for values in record.channels.values()]
+    fullest = max(there, key=np.count_nonzero, default=np.ones(record.n, bool))
+    return float(np.median(np.diff(record.time[fullest]))) if np.count_nonzero(fullest) > 1 else float("nan")
 
 
 def _monotonic(record: FlightRecord) -> None:
@@ -151,7 +159,7 @@ def _rounding(record: FlightRecord) -> str:
 
 
 def _rate(record: FlightRecord, card: Mapping[str, Channel]) -> None:
-    median = float(np.median(np.diff(record.time)))
+    median = sampling_step(record)
     if not RATES[0] <= median <= RATES[1]:
         raise InputError(
             f"channel time has a median step of {median:.6g} s from {at(record, 0)}, outside "

@@ -18,7 +18,7 @@ from bayes_aero.flight.segments import segment_of
 
 __all__ = ["RawColumn", "RawFile", "read_raw"]
 
-MOST = 2000
+MOST = 20_000
 """Columns beyond this are not looked at."""
 
 PATIENCE = 20.0  # seconds

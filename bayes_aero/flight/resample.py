@@ -38,11 +38,11 @@ def resample_record(record: FlightRecord, dt: float, max_gap: float = MAX_GAP) -
     """
     if not (math.isfinite(dt) and dt > 0.0):
         raise InputError(f"record {record.name}: cannot resample to an interval of {dt!r} s; give a positive number")
-    median = _bridged(record.name, "time", record.time, max_gap)
     knots = {name: _samples(name, values) for name, values in record.channels.items()}
-    for name, own in knots.items():
-        if len(own) < record.n:
-            _bridged(record.name, name, record.time[own], max_gap)
+    steps = [_bridged(record.name, n, record.time[own], max_gap) for n, own in knots.items() if len(own) < record.n]
+    if len(steps) < len(knots) or not knots:  # time belongs to the channels that have all samples
+        steps.append(_bridged(record.name, "time", record.time, max_gap))
+    median = min(steps)
     begin = max((record.time[own[0]] for own in knots.values()), default=record.time[0])
     end = min((record.time[own[-1]] for name, own in knots.items() if np.isnan(record[name]).any()), default=np.inf)
     begin, end = float(begin), float(min(end, record.time[-1]))

@@ -193,7 +193,14 @@ def test_several_rates_are_interpolated_on_request(tmp_path):
     channels = [*CHANNELS, Channel("altitude", "m", "H")]
     frame.loc[np.arange(len(frame)) % 5 != 0, "H"] = np.nan
     frame.to_csv(tmp_path / "a.csv", index=False)
-    told(tmp_path / "a.csv", channels, "altitude", "every 5th sample", "5 Hz in a file of 25 Hz", "--resample 0.04")
+    told(
+        tmp_path / "a.csv",
+        channels,
+        "altitude",
+        "of 5 Hz in a file of several rates",
+        "25 Hz the fastest",
+        "--resample 0.04",
+    )
     record = read_record(tmp_path / "a.csv", channels, resample=0.04)
     np.testing.assert_allclose(record["altitude"], 5000.0 + 100.0 * np.sin(0.5 * record.time), atol=0.02)
     assert "missing samples of altitude (5 Hz in a file of 25 Hz)" in record.remarks[0]

@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from bayes_aero.flight.readers.base import Opened
+from bayes_aero.flight.readers.dataflash import open_dataflash
+from bayes_aero.flight.readers.excel import open_excel
 from bayes_aero.flight.readers.mat import open_mat
+from bayes_aero.flight.readers.mdf import open_mdf
 from bayes_aero.flight.readers.netcdf import open_netcdf
 from bayes_aero.flight.readers.parquet import open_parquet
 from bayes_aero.flight.readers.text import open_text
+from bayes_aero.flight.readers.ulog import open_ulog
 
 __all__ = ["READERS"]
 
@@ -21,5 +25,9 @@ READERS: Mapping[str, Callable[[bytes], Opened]] = {
     ".mat": open_mat,
     ".parquet": open_parquet,
     ".nc": open_netcdf,
+    ".xlsx": open_excel,
+    ".mf4": open_mdf,
+    ".ulg": open_ulog,
+    ".bin": open_dataflash,
 }
 """What opens a file, by its suffix."""

@@ -24,8 +24,8 @@ MAX_VALUES = 20_000_000
 MOST_VALUES_IN_ALL = 100_000_000
 """Most samples of all channels together: 0.8 GB. A compressed file of some kB can claim any number."""
 
-MOST_HEADINGS = 2000
-"""Most columns of a file; searching for a name among millions would take hours."""
+MOST_HEADINGS = 20_000
+"""Most columns of a file: an autopilot's log has thousands; searching for a name among millions would take hours."""
 
 
 @dataclass(frozen=True)
