@@ -8,14 +8,12 @@ from typing import Annotated
 
 import typer
 
-from bayes_aero.cli.terminal import JsonOption, loading, print_json, teller
+from bayes_aero.cli.terminal import SUFFIXES, JsonOption, loading, print_json, teller
 from bayes_aero.errors import InputError
 
 
 def card(
-    record: Annotated[
-        Path, typer.Argument(help="A flight record (.csv .asc .mat .xlsx .mf4 .ulg .bin .parquet .nc) with names.")
-    ],
+    record: Annotated[Path, typer.Argument(help=f"A flight record whose columns have names ({SUFFIXES}).")],
     out: Annotated[
         Path | None, typer.Option(help="File to write; default: the record's name with .toml, here.")
     ] = None,

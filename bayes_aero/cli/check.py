@@ -12,6 +12,7 @@ from rich.table import Table
 
 from bayes_aero.cli.terminal import (
     FAILED,
+    RECORDS,
     JsonOption,
     ModelOption,
     ResampleOption,
@@ -33,9 +34,7 @@ if TYPE_CHECKING:
 def check(
     records: Annotated[
         list[Path],
-        typer.Argument(
-            help="Flight records (.csv .asc .mat .xlsx .mf4 .ulg .bin .parquet .nc; FILE@FROM:TO is a part)."
-        ),
+        typer.Argument(help=f"{RECORDS}."),
     ],
     model: ModelOption = "attas",
     resample: ResampleOption = None,

@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 
 from bayes_aero.cli.terminal import (
+    RECORDS,
     JsonOption,
     ModelOption,
     ResampleOption,
@@ -32,9 +33,7 @@ if TYPE_CHECKING:  # the real imports wait until the command needs them
 def diagnose(
     records: Annotated[
         list[Path] | None,
-        typer.Argument(
-            help="Flight records (.csv .asc .mat .xlsx .mf4 .ulg .bin .parquet .nc; FILE@FROM:TO is a part); none: an effect is hidden and sought."
-        ),
+        typer.Argument(help=f"{RECORDS}; none: an effect is hidden and sought."),
     ] = None,
     model: ModelOption = "attas",
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("diagnosis"),

@@ -9,6 +9,7 @@ import typer
 
 from bayes_aero.cli.terminal import (
     FAILED,
+    RECORDS,
     JsonOption,
     ModelOption,
     ResampleOption,
@@ -28,9 +29,7 @@ from bayes_aero.cli.terminal import (
 def fly(
     records: Annotated[
         list[Path],
-        typer.Argument(
-            help="Flight records (.csv .asc .mat .xlsx .mf4 .ulg .bin .parquet .nc; FILE@FROM:TO is a part)."
-        ),
+        typer.Argument(help=f"{RECORDS}."),
     ],
     model: ModelOption = "attas",
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("trajectories"),

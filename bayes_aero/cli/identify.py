@@ -9,6 +9,7 @@ import typer
 
 from bayes_aero.cli.choices import Coefficients, NoiseModel, Split
 from bayes_aero.cli.terminal import (
+    RECORDS,
     JsonOption,
     ModelOption,
     ResampleOption,
@@ -28,9 +29,7 @@ from bayes_aero.cli.terminal import (
 def identify(
     records: Annotated[
         list[Path] | None,
-        typer.Argument(
-            help="Flight records (.csv .asc .mat .xlsx .mf4 .ulg .bin .parquet .nc; FILE@FROM:TO is a part); none: two simulated manoeuvres."
-        ),
+        typer.Argument(help=f"{RECORDS}; none: two simulated manoeuvres."),
     ] = None,
     model: ModelOption = "attas",
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("results"),

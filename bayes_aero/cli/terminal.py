@@ -27,6 +27,9 @@ BAD_INPUT = 2
 DOUBT = 3  # done and written, but sensors disagree or a channel is faulty
 INTERRUPTED = 130
 
+SUFFIXES = ".csv .asc .mat .xlsx .mf4 .ulg .bin .parquet .nc"
+RECORDS = f"Flight records ({SUFFIXES}), or parts of them, FILE@FROM:TO in seconds"
+
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines, and nothing else, on stdout.")]
 ModelOption = Annotated[str, typer.Option(help="Card: a .toml file, or a shipped one by name.", metavar="CARD")]
 SeedOption = Annotated[

@@ -103,7 +103,7 @@ def _finite(record: FlightRecord, blanks: bool) -> None:
 
 
 def several_rates(record: FlightRecord, name: str) -> str:
-    """What to do where a channel has samples of its own at a rate of its own; empty if its blanks have no such order."""
+    """What to do where a channel has samples of its own at its own rate; empty if its blanks have no such order."""
     there = np.flatnonzero(np.isfinite(record[name]))
     if len(there) < SLOWEST or len(there) > FEWER * record.n or (np.diff(record.time) <= 0.0).any():
         return ""
@@ -113,9 +113,9 @@ def several_rates(record: FlightRecord, name: str) -> str:
         return ""
     fastest = sampling_step(record)
     return (
-        f"channel {name} has a value at {len(there)} of {record.n} samples only: it is of {1.0 / step:.4g} Hz in a file "
-        f"of several rates ({1.0 / fastest:.4g} Hz the fastest); resample the record, which interpolates each channel "
-        f"between its own samples (--resample {fastest:.4g}, in Python resample={fastest:.4g})"
+        f"channel {name} has a value at {len(there)} of {record.n} samples only: it is of {1.0 / step:.4g} Hz in a "
+        f"file of several rates ({1.0 / fastest:.4g} Hz the fastest); resample the record, which interpolates each "
+        f"channel between its own samples (--resample {fastest:.4g}, in Python resample={fastest:.4g})"
     )
 
 

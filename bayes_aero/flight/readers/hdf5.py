@@ -66,7 +66,7 @@ def open_hdf5(data: bytes, kind: str) -> HDF5File:
     places: dict[Heading, tuple[str, int | None]] = {}
     for path, it in listed.items():
         dotted, short = path.replace("/", "."), path.rsplit("/", 1)[-1]
-        names = (dotted, short) if own[short] == 1 else (dotted,)
+        names = (short, dotted) if own[short] == 1 else (dotted,)
         count = _columns(it["shape"]) if path in matrices else 0
         for k in range(count) if count else (None,):
             if k is None:

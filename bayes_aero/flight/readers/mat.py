@@ -71,7 +71,7 @@ class MatFile:
             self._add(_Place(name, kind, shape, None), (name,), name in matrices, len(matrices), names)
         for path, value in fields:
             last = path.rsplit(".", 1)[-1]
-            called = (path, last) if short[last] == 1 else (path,)
+            called = (last, path) if short[last] == 1 else (path,)
             self._add(_Place(path, "field", value.shape, value), called, path in matrices, len(matrices), names)
 
     @property
