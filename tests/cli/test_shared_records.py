@@ -15,21 +15,27 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+import bayes_aero as ba
+from bayes_aero.errors import InputError
+from bayes_aero.studies.starter import starter_card
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "records"
 QUICK = ("--no-sample", "--no-gp", "--no-figures")
+REFUSED = ("several_rates_blank", "several_rates_nan", "unit_row_as_avionics_spell")  # the others are read
 
 
 def judge():
-    """`WRONG`, `SOUND` and `told` of run.py, without running it."""
+    """`WRONG`, `SOUND`, `FILES` and `told` of run.py, without running it."""
     if not (SHARED / "run.py").is_file():
-        return {"WRONG": {}, "SOUND": [], "told": None}
+        return {"WRONG": {}, "SOUND": [], "FILES": {}, "told": None}
     tree = ast.parse((SHARED / "run.py").read_text())
     tree.body = [
         node
         for node in tree.body
-        if (isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") in ("WRONG", "SOUND"))
+        if (isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") in ("WRONG", "SOUND", "FILES"))
         or (isinstance(node, ast.FunctionDef) and node.name == "told")
     ]
     found = {"re": re}
@@ -102,3 +108,45 @@ def test_wrong_contents_are_told(call, records):
     for command, more in (("check", ()), ("identify", (*QUICK, "--out", "wrong"))):
         code, said = call(command, *records, *options, *more)
         assert JUDGE["told"](code, said, words), (command, code, said)
+
+
+@pytest.mark.parametrize("name", JUDGE["FILES"])
+def test_files_are_read_right_or_refused_in_words(made, name):
+    """`run.py` fits each file: one whose channels are those of the base record has its estimates."""
+    base = ba.read(made / "base.csv")[0]
+    if Path(name).stem in REFUSED:
+        with pytest.raises(InputError) as refused:
+            ba.read(made / name)
+        assert any(word in str(refused.value) for word in JUDGE["FILES"][name])
+    else:
+        same(ba.read(made / name)[0], base)
+
+
+@pytest.mark.parametrize("name", ["several_rates_blank", "several_rates_nan"])
+def test_several_rates_are_interpolated(made, name):
+    base = ba.read(made / "base.csv")[0]
+    found = ba.read(made / f"files/{name}.csv", resample=0.04)[0]
+    assert found.n == base.n
+    for channel, noise in (("airspeed", 0.5), ("altitude", 2.0), ("density", 5e-3)):
+        assert np.std(found[channel] - base[channel]) < noise  # of the simulated sensors
+
+
+def same(found, base) -> None:
+    """To the digits of the file; time from the first sample."""
+    np.testing.assert_allclose(found.time - found.time[0], base.time - base.time[0], atol=1e-6)
+    assert set(found.names) == set(base.names)
+    for channel, values in base.channels.items():
+        whole = 0.5 if channel in ("altitude", "thrust_left", "thrust_right") else 0.0
+        np.testing.assert_allclose(found[channel], values, rtol=1e-5, atol=whole + 1e-8 + 1e-6 * np.ptp(values))
+
+
+@pytest.mark.parametrize(
+    ("name", "channels"),
+    [
+        ("pipes.txt", {"time", "alpha", "theta", "phi", "q", "az", "ax", "airspeed", "elevator", "altitude"}),
+        ("two_header_rows.csv", {"time", "ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "alpha", "beta"}),
+        ("struct73.mat", {"time", "ax", "az", "q", "alpha", "airspeed", "elevator", "density", "mach"}),
+    ],
+)
+def test_card_finds_the_columns(made, name, channels):
+    assert channels <= set(starter_card(made / "files" / name).found)
