@@ -16,10 +16,13 @@ from bayes_aero.flight.aliases import ALIASES, plain_heading, split_heading, sym
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.raw import RawColumn
 from bayes_aero.physics.atmosphere import GRAVITY
-from bayes_aero.units import to_si
+from bayes_aero.units import canonical, to_si
 
 ALIKE = 0.84  # likeness of a heading to a known one
 ANGLE = 1.6  # rad; no angle of attack, attitude or deflection of a sound record is larger
+THIN = 0.004  # kg/m3; slug/ft3 at sea level are 0.0024, and no aircraft flies where air is as thin in kg/m3
+MIDDLING = 0.9  # kg/m3, within a third of the air's from sea level to 6 km
+FRACTIONS = ("n1_left", "n1_right", "throttle", "throttle_left", "throttle_right")
 SI = {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
 
 
@@ -68,8 +71,10 @@ def guessed(columns: Sequence[RawColumn]) -> tuple[dict[str, Guess], list[RawCol
     found = _time(found)
     found = _angles(found)
     found = _rates(found)
+    found = _rates_of_rates(found)
     found = _accelerations(found)
     found = _speed_and_height(found)
+    found = _dynamic_pressure(found)
     found = {name: _by_size(guess) for name, guess in found.items()}
     found = _elevator(found)
     return found, unknown
@@ -78,10 +83,12 @@ def guessed(columns: Sequence[RawColumn]) -> tuple[dict[str, Guess], list[RawCol
 def _named(column: RawColumn, loose: bool) -> Guess | None:
     if column.label is None or column.values is None:
         return None
-    key, unit = split_heading(column.label)
-    channel, evidence = ALIASES.get(key), f"the heading {column.label!r}"
+    heading = column.label
+    key, evidence = split_heading(heading)[0], f"the heading {column.label!r}"
+    channel = ALIASES.get(key)
     if channel is None:
-        key, unit = split_heading(plain_heading(column.label))
+        heading = plain_heading(column.label)
+        key = split_heading(heading)[0]
         channel = ALIASES.get(key)
     if channel is None and loose and len(key) > 3:
         close = get_close_matches(key, ALIASES, n=1, cutoff=ALIKE)
@@ -89,14 +96,14 @@ def _named(column: RawColumn, loose: bool) -> Guess | None:
         evidence += f" resembles {close[0]!r}" if close else ""
     symbol = symbol_of(column.label) if channel is None and loose else None
     if symbol is not None:
-        channel, unit = ALIASES[symbol], unit or split_heading(symbol)[1]
+        channel = ALIASES[symbol]
         evidence += f" ends with {symbol!r}"
     if channel is None:
         return None
-    if column.unit:
-        unit = next((u for u in (column.unit, split_heading(f"x [{column.unit}]")[1]) if u and _fits(u, channel)), unit)
-    if unit is not None and not _fits(unit, channel):
-        unit = None
+    si = SI.get(channel)
+    told = [column.unit, split_heading(heading, si)[1], split_heading(symbol, si)[1] if symbol else None]
+    said = (canonical(unit, si) for unit in told if unit)
+    unit = next((u for u in said if u and _fits(u, channel)), None)
     return Guess(channel, column, unit, evidence=evidence + (f" and its unit {unit}" if unit else ""))
 
 
@@ -163,6 +170,22 @@ def _rates(found: dict[str, Guess]) -> dict[str, Guess]:
     return found
 
 
+def _rates_of_rates(found: dict[str, Guess]) -> dict[str, Guess]:
+    """Unit of an angular acceleration from the rate that it changes."""
+    step = _step(found)
+    for name, of in (("p_dot", "p"), ("q_dot", "q"), ("r_dot", "r"), ("alpha_dot", "alpha"), ("beta_dot", "beta")):
+        guess, rate = found.get(name), found.get(of)
+        if guess is None or guess.unit is not None or rate is None or step is None:
+            continue
+        slope = _slope(_smooth(guess.values), np.gradient(_smooth(rate.si)) / step)
+        if slope is not None and slope > 1e-3:
+            radians = slope > math.sqrt(math.pi / 180.0)
+            unit = SI[name] if radians else SI[name].replace("rad", "deg")
+            ratio = slope / (1.0 if radians else math.pi / 180.0)
+            found[name] = guess.because(f"{of} changes at {ratio:.2g} times it", unit=unit)
+    return found
+
+
 def _degrees(found: Mapping[str, Guess]) -> bool:
     units = [g.unit for name, g in found.items() if SI.get(name) == "rad"]
     return units.count("deg") > len(units) / 2
@@ -210,6 +233,22 @@ def _speed_and_height(found: dict[str, Guess]) -> dict[str, Guess]:
     return found
 
 
+def _dynamic_pressure(found: dict[str, Guess]) -> dict[str, Guess]:
+    """Unit in which it makes air of the recorded density, or else of some density, at the airspeed."""
+    guess, speed = found.get("dynamic_pressure"), found.get("airspeed")
+    if guess is None or guess.unit is not None or speed is None or speed.unit is None:
+        return found
+    density = found.get("density")
+    rho = float(np.median(density.si)) if density and density.unit else MIDDLING
+    ratio = float(np.median(guess.values)) / (0.5 * rho * float(np.median(speed.si)) ** 2 or 1.0)
+    if not ratio > 0.0:
+        return found
+    sizes = {u: float(to_si(1.0, u, "dynamic_pressure", "Pa")) for u in ("Pa", "hPa", "kPa", "lbf/ft^2", "psi")}
+    unit = min(sizes, key=lambda u: abs(math.log(ratio * sizes[u])))
+    why = f"it is {ratio * sizes[unit]:.2g} times half of density times airspeed squared in {unit}"
+    return found | {"dynamic_pressure": guess.because(why, unit=unit)}
+
+
 def _by_size(guess: Guess) -> Guess:
     """What is left, by the size of its values."""
     if guess.unit is not None:
@@ -218,8 +257,10 @@ def _by_size(guess: Guess) -> Guess:
     choices = {
         "static_temperature": ("K" if middle > 150.0 else "degC"),
         "static_pressure": ("Pa" if size > 1200.0 else "hPa"),
-        "n1_left": ("%" if size > 2.0 else "1"),
-        "n1_right": ("%" if size > 2.0 else "1"),
+        **dict.fromkeys(FRACTIONS, "%" if size > 2.0 else "1"),
+        **dict.fromkeys(("alpha_dot", "beta_dot"), "deg/s" if size > ANGLE else "rad/s"),
+        "engine_speed": "rpm",
+        "density": "slug/ft^3" if middle < THIN else "kg/m^3",
         "calibrated_airspeed": "m/s",
         "radio_altitude": "ft" if size > 13_000.0 else "m",
     }

@@ -23,7 +23,7 @@ from bayes_aero.model.flights import Flights
 from bayes_aero.physics.coefficients import REQUIRED
 from bayes_aero.studies.guess import Guess, guessed
 from bayes_aero.studies.starter_aircraft import aircraft_block
-from bayes_aero.units import from_si
+from bayes_aero.units import canonical, from_si
 
 ATTACHED = (
     "attached_lift", "elevator_moment", "pitching_moment", "pitch_damping", "profile_drag", "induced_drag",
@@ -148,7 +148,8 @@ def _channels(found: Mapping[str, Guess], unknown: Sequence[RawColumn], columns:
         if column.values is None:
             yield _comment(f"{column.place}: no numbers")
             continue
-        unit = _text(column.unit or (split_heading(column.label)[1] if column.label else None) or "?")
+        said = column.unit or (split_heading(column.label)[1] if column.label else None) or "?"
+        unit = _text(canonical(said) or said)
         yield f"# NAME = {{ {_place(column)}, unit = {unit}, required = false }} # {_range(column.values)}"
     if headless:
         yield "# The file has no header, so nothing can be guessed: say which column is what."
