@@ -119,6 +119,7 @@ def check_results(report: CheckReport) -> dict[str, Any]:
         "card": {"name": report.card.name, "title": report.card.title, "sha256": report.card.sha256},
         "constants": dict(report.card.constants),
         "derived": list(report.card.derived),
+        "tables": {name: [axis.channel for axis in table.axes] for name, table in report.card.tables.items()},
         "sums": {name: list(parts) for name, parts in report.card.sums.items()},
         "consistency": consistency_results(report.consistency),
         "records": records,
