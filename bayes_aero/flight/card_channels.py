@@ -12,16 +12,15 @@ from bayes_aero.units import quantity_to_si
 
 MOST_COLUMNS = 2000
 ATMOSPHERE = "standard atmosphere"
-DERIVABLE = {"density": ("altitude",), "mach": ("altitude", "airspeed")}  # and what each is formed from
 RULES: dict[str, dict[str, tuple[str, ...]]] = {
     "density": {
-        ATMOSPHERE: DERIVABLE["density"],
-        "dynamic pressure": ("dynamic_pressure", "airspeed"),
         "gas law": ("static_pressure", "static_temperature"),
+        "dynamic pressure": ("dynamic_pressure", "airspeed"),
+        ATMOSPHERE: ("altitude",),
     },
-    "mach": {ATMOSPHERE: DERIVABLE["mach"], "static temperature": ("static_temperature", "airspeed")},
+    "mach": {"static temperature": ("static_temperature", "airspeed"), ATMOSPHERE: ("altitude", "airspeed")},
 }
-"""Ways to form a channel, and the channels that each needs."""
+"""Ways to form a channel, the nearest to the air of the day first, and the channels that each needs."""
 
 
 def parse_channel(key: str, given: Any, where: str) -> Channel:

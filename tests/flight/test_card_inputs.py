@@ -167,7 +167,7 @@ LEFT = ("tables", "thrust_left")
         (put(*LEFT, "from", {"n1_lft": {"unit": "%", "points": [1, 2]}}), "does not map it; is 'n1_left' there meant"),
         (put("tables", {"thrust_left": 3}), "must be a table with unit, from and values"),
         (put("tables", {"q": {"unit": "rad/s", "from": {}, "values": []}}), "states q elsewhere, too"),
-        (put("derived", "density", "guess"), "write 'standard atmosphere' or 'dynamic pressure' or 'gas law'"),
+        (put("derived", "density", "guess"), "write 'gas law' or 'dynamic pressure' or 'standard atmosphere'"),
         (put("derived", "density", "standard atmosphere"), "needs altitude"),
         (put("sums", "density", ["mach"]), r"density is in \[sums\], and in \[derived\]"),
         (put("sums", "elevator", {"elevator_left": "half"}), "'half' is not a number"),

@@ -22,7 +22,7 @@ from bayes_aero.units import same_unit, to_si
 DAY = 0.30  # as a logarithm: the density that no weather makes at a pressure altitude (35 %, some 75 K)
 NEAR = 0.15  # to the density of the day that a unit must come, as a logarithm
 COLD = 0.15  # likewise, of the speed of sound at an altitude
-MOVING = 20.0  # m/s above which air data are read
+MOVING = 0.5  # of the median airspeed, above which air data are read
 LEAST, MOST = 0.03, 4.5  # lift coefficients between which level flight is flown
 USUAL = (0.08, 2.5)  # those that a unit must lead to, to be named
 MIDDLING = 0.5  # among units that lead to usual ones, the nearest to this is named
@@ -48,7 +48,8 @@ def across(record: FlightRecord, card: Card) -> list[HealthFinding]:
 def _view(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
     """Finite channels and constants where the aircraft moves, and density by the card's rule if it was not recorded."""
     known = channels_of(record, card)
-    moving = known["airspeed"] > MOVING if "airspeed" in known else np.ones(record.n, bool)
+    V = known.get("airspeed")
+    moving = np.ones(record.n, bool) if V is None else max(MOVING * float(np.nanmedian(V)), 1.0) < V
     view = {name: x[moving] for name, x in known.items() if np.isfinite(x).all()}
     rule = card.derived.get("density", ATMOSPHERE)
     if "density" in view or not set(RULES["density"][rule]) <= set(view):
