@@ -124,10 +124,10 @@ def unclear(text: str) -> bool:
     return text.strip() not in _EXACT and text.strip().lower() in _CASE_TELLS
 
 
-def words() -> Iterator[str]:
-    """Every spelling of one word that the table holds."""
-    yield from _FOLDED
-    yield from _EXACT
+def words() -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Every spelling of one word that the table holds, and what it may mean."""
+    yield from _FOLDED.items()
+    yield from _EXACT.items()
 
 
 def _word(word: str) -> tuple[str, ...]:

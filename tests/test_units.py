@@ -76,7 +76,7 @@ def test_known_factors(unit, target, one):
     np.testing.assert_allclose(from_si(to_si([0.3, 7.0], unit, "x", target), unit, "x", target), [0.3, 7.0], rtol=1e-12)
 
 
-@pytest.mark.parametrize("word", sorted(words()))
+@pytest.mark.parametrize("word", sorted({word for word, _ in words()}))
 def test_every_spelling_of_the_table_is_a_unit_that_stays_itself(word):
     for unit in spellings(word):
         assert canonical(unit, si_unit(unit)) == unit
