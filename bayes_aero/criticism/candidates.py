@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -105,7 +106,7 @@ def field_of(model: Model, flights: Flights, extra: Sequence[Effect] = ()) -> Fi
 def _moves(effect: Effect, flights: Flights) -> bool:
     """Whether what an effect makes of its channels together moves: T/(qbar S) does where only the airspeed changes."""
     values = {p.name: p.start + effect.sizes[p.name][0] for p in effect.parameters}
-    signals = {name: np.asarray(flights.channels[name]) for name in effect.channels}
+    signals: dict[str, Any] = {name: np.asarray(flights.channels[name]) for name in effect.channels}
     made = effect.increments(values, signals, flights.aircraft, NEUTRAL_FLOW)
     return any(float(np.ptp(x)) > MOVES * float(np.max(np.abs(x))) for x in map(np.asarray, made.values()))
 

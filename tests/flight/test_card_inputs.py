@@ -14,6 +14,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.formed import with_sums
 from bayes_aero.model.linear import channel_units
 from bayes_aero.report.words_check import card_sentences
+from bayes_aero.studies.check import check_records
 
 CARD = """
 [channels]
@@ -187,3 +188,17 @@ def test_check_says_what_the_card_forms():
     assert "sum from the card: elevator = 0.5 elevator_left + 0.5 elevator_right" in said
     assert "sum from the card: roll_tail = 0.5 elevator_left - 0.5 elevator_right" in said
     assert "table from the card: thrust_left over n1_left (40 to 100 %), mach (0.2 to 0.4)" in said
+
+
+@pytest.mark.parametrize(("last", "usable"), [(99.0, True), (108.0, False)])
+def test_check_finds_a_record_beyond_a_table_not_usable(tmp_path, last, usable):
+    heads = ["t", "q", "V", "M", "n1", "shaft", "del", "der"]
+    wave = np.sin(np.arange(N) * 0.2)
+    table = [np.arange(N) * 0.04, 0.05 * wave, 80.0 + wave, 0.25 + 0.0 * wave, np.linspace(60.0, last, N),
+             2500.0 + wave, wave, -wave]  # fmt: skip
+    path = tmp_path / "run.csv"
+    np.savetxt(path, np.transpose(table), delimiter=",", header=",".join(heads), comments="")
+    report = check_records([path], card_of(), sensors=False)
+    assert report.usable == usable
+    said = " ".join(report.records[0].problems)
+    assert usable == ("outside the card's table of thrust_left, which goes from 40 to 100 %" not in said)

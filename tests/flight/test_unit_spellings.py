@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from bayes_aero.flight.channel import Channel
+from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
+from bayes_aero.flight.plausible import implausible
 from bayes_aero.flight.raw import read_raw
 from bayes_aero.flight.readers import read_record
+from bayes_aero.flight.record import FlightRecord
 from bayes_aero.studies.guess import guessed
 
 N = 60
@@ -79,3 +81,12 @@ def test_the_unit_of_a_dynamic_pressure_shows_in_the_airspeed(tmp_path, unit, si
     path = tmp_path / "run.csv"
     path.write_text("\n".join(["Time [s],TAS [m/s],Qbar", *rows]), encoding="utf-8")
     assert guessed(read_raw(path).columns)[0]["dynamic_pressure"].unit == unit
+
+
+@pytest.mark.parametrize("unit", ["deg", "DEG", "degrees", "°"])
+def test_the_unit_of_the_card_is_never_advised(unit):
+    record = FlightRecord.from_arrays("run", TIME, {"alpha": (150.0 + 100.0 * WAVE) * DEG})
+    said = implausible(record, STANDARD_CHANNELS["alpha"], Channel("alpha", unit))
+    assert said is not None
+    assert "looks like" not in said
+    assert "set unit" not in said
