@@ -85,6 +85,8 @@ class Effect:
     `sizes` gives for each parameter the least departure from neutral that is worth modelling and the largest that is
     plausible (magnitudes, the parameter's unit; of its inverse where neutral is infinite). `scan` lists values of a
     parameter at which the effect is tried where its slope at neutral is zero or means nothing (a lag, a break point).
+    `together` says that the channels enter as one product or sum only, so that the effect can be seen wherever that
+    moves, one or the other channel at rest or not: thrust over dynamic pressure, the mean of two spoilers.
     `candidate` says whether diagnosis may propose it; terms that stand in for others at one trim are for cards only.
     """
 
@@ -100,4 +102,5 @@ class Effect:
     uses: tuple[str, ...] = ()
     sizes: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     scan: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    together: bool = False
     candidate: bool = True

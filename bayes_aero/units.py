@@ -1,7 +1,7 @@
 """Conversions at the border: everything inside the package is in SI and radians.
 
 This is the only module that knows pint. The registry takes a third of a second to build and is made on first
-use.
+use. How units are spelled is `unit_words`' alone: cards, files and headings share its table.
 """
 
 from __future__ import annotations
@@ -14,12 +14,9 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.errors import InputError
+from bayes_aero.unit_words import spellings, unclear
 
-__all__ = ["from_si", "quantity_to_si", "same_kind", "same_unit", "si_unit", "to_si"]
-
-# Aviation writes "g" for standard gravity; to pint it is the gram. Blank spellings of "no unit" are common
-# in files.
-_ALIASES = {"": "1", "-": "1", "none": "1", "g": "standard_gravity", "gn": "standard_gravity"}
+__all__ = ["canonical", "from_si", "quantity_to_si", "same_kind", "same_unit", "si_unit", "to_si"]
 
 # Only products of named units with one-digit powers reach pint, whose parser would evaluate "9**9**9**9" for
 # ever.
@@ -30,6 +27,8 @@ _LONGEST = 60
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)\s*(.*)", re.DOTALL)
 
 _EXAMPLES = 'e.g. "deg", "deg/s", "m/s^2", "kt", "ft", "hPa", "g" (standard gravity), "%" or "1"'
+
+_SAYS_NOTHING = frozenset(("-", "--", "none", "nd", "n/d"))  # in a file, of a quantity that has a unit
 
 # Units that count turns. pint holds them for plain numbers, so "%" would pass for an angle and Hz for rad/s.
 _ANGLES = {"radian", "degree", "arcminute", "arcsecond", "turn", "revolution", "grade", "gon", "milliradian"}
@@ -42,22 +41,66 @@ def _registry() -> Any:
     return pint.UnitRegistry()
 
 
-@lru_cache(maxsize=1024)
-def _parse(unit: str, where: str) -> Any:
-    """The pint unit that `unit` names."""
-    text = _ALIASES.get(unit.strip().lower(), unit.strip()).replace("^", "**")
-    candidates = (
-        text,
-        _POWER.sub(r"**\1", text),
-    )  # "m/s2" and "m s-1" are not pint's spelling, but everybody's
-    for candidate in candidates:
+@lru_cache(maxsize=2048)
+def _meanings(unit: str) -> tuple[tuple[str, Any], ...]:
+    """What a unit may mean, each as cards spell it and as pint's unit; the likeliest first."""
+    if not unit.strip():
+        return (("1", _registry().Unit("dimensionless")),)
+    known = spellings(unit)
+    if known:
+        return tuple((text, _pint(text)) for text in known)
+    if unclear(unit):
+        return ()
+    try:
+        return ((unit.strip(), _pint(unit)),)
+    except InputError:
+        return ()
+
+
+def _pint(unit: str) -> Any:
+    """The pint unit of a text; "g" alone is standard gravity, which to pint is the gram."""
+    text = "standard_gravity" if unit == "g" else unit.strip().replace("^", "**")
+    # "m/s2" and "m s-1" are not pint's spelling, but everybody's
+    for candidate in (text, _POWER.sub(r"**\1", text)):
         if len(candidate) > _LONGEST or _SAFE.fullmatch(candidate) is None or re.search(r"\*\*-?\d\s*\*\*", candidate):
             continue
         try:
             return _registry().parse_units(candidate)
         except Exception:  # pint leaks AssertionError, TypeError, tokenizer errors ... for text that is no unit
             continue
-    raise InputError(f"{where}: the unit {unit[:40]!r} is not known; write it as in pint, {_EXAMPLES}")
+    raise InputError(unit)
+
+
+def _known(unit: str, where: str) -> tuple[Any, ...]:
+    """The pint units that `unit` may name."""
+    found = _meanings(unit)
+    if not found:
+        raise InputError(f"{where}: the unit {unit[:40]!r} is not known; write it as in pint, {_EXAMPLES}")
+    return tuple(meant for _, meant in found)
+
+
+def _pair(one: str, other: str, where: str) -> tuple[Any, Any]:
+    """Two units as they are meant beside each other: "lb" is a mass beside "kg" and a force beside "N"."""
+    first, second = _known(one, where), _known(other, where)
+    fitting = ((a, b) for a in first for b in second if a.dimensionality == b.dimensionality)
+    return next(fitting, (first[0], second[0]))
+
+
+def canonical(text: str, si: str | None = None) -> str | None:
+    """A unit as cards spell it, whatever a file calls it: "FT/SEC" is "ft/s", "slugs/ft3" is "slug/ft^3".
+
+    Args:
+        text: the unit in a file's unit row, heading or attribute.
+        si: SI unit of the quantity, which decides where a word has two meanings ("lbs" of a thrust is "lbf").
+
+    Returns:
+        The spelling; None where the text is no unit.
+    """
+    found = _meanings(text) if text.strip() else ()
+    if si is not None and len(found) > 1:
+        wanted = _known(si, "unit")[0].dimensionality
+        found = [pair for pair in found if pair[1].dimensionality == wanted] or found
+    return found[0][0] if found else None
 
 
 def _turns(unit: Any) -> float:
@@ -68,7 +111,7 @@ def _turns(unit: Any) -> float:
 
 
 def _convert(values: Any, source: str, target: str, where: str) -> Any:
-    have, want = _parse(source, where), _parse(target, where)
+    have, want = _pair(source, target, where)
     if have == want:
         return values
     try:
@@ -83,7 +126,8 @@ def _convert(values: Any, source: str, target: str, where: str) -> Any:
 
 
 def _same_turns(source: str, target: str, where: str) -> None:
-    if _turns(_parse(source, where)) != _turns(_parse(target, where)):
+    have, want = _pair(source, target, where)
+    if _turns(have) != _turns(want):
         raise InputError(
             f"{where}: the unit {source!r} does not fit {target!r}; an angle needs an angular unit, and "
             f"only an angle "
@@ -93,7 +137,7 @@ def _same_turns(source: str, target: str, where: str) -> None:
 
 def si_unit(unit: str, where: str = "unit") -> str:
     """The SI unit (angles: radian) that a quantity in `unit` is held in, e.g. "rad/s" for "deg/s"."""
-    base = _registry().get_base_units(_parse(unit, where))[1]
+    base = _registry().get_base_units(_known(unit, where)[0])[1]
     return f"{base:~}".replace(" ", "") or "1"
 
 
@@ -122,13 +166,16 @@ def from_si(values: Any, unit: str, channel_name: str, source: str | None = None
 
 
 def same_unit(one: str, other: str) -> bool | None:
-    """Whether two spellings mean one unit; None where either is no unit at all (files say many things)."""
+    """Whether two spellings mean one unit; None where either is no unit at all (files say many things).
+
+    A dash says nothing of a quantity that has a unit.
+    """
     try:
-        first, second = _parse(one, "unit"), _parse(other, "unit")
+        first, second = _pair(one, other, "unit")
     except InputError:
         return None
     if first.dimensionality != second.dimensionality or _turns(first) != _turns(second):
-        return False
+        return None if {one.strip().lower(), other.strip().lower()} & _SAYS_NOTHING else False
     quantity = _registry().Quantity
     # Two points, for scales with an offset such as degC.
     return all(math.isclose(quantity(x, first).to(second).magnitude, x, rel_tol=1e-9) for x in (1.0, 300.0))
@@ -137,7 +184,7 @@ def same_unit(one: str, other: str) -> bool | None:
 def same_kind(one: str, other: str) -> bool:
     """Whether a quantity can be given in either unit; False where one is no unit at all."""
     try:
-        first, second = _parse(one, "unit"), _parse(other, "unit")
+        first, second = _pair(one, other, "unit")
     except InputError:
         return False
     return first.dimensionality == second.dimensionality and _turns(first) == _turns(second)

@@ -84,6 +84,18 @@ def channels() -> str:
     return _table(("channel", "unit inside", "what it is", "refused outside"), rows)
 
 
+def units() -> str:
+    """Spellings of units."""
+    from bayes_aero.unit_words import words
+
+    spelled: dict[str, list[str]] = {}
+    for word, meant in sorted(words()):
+        for unit in meant:
+            spelled.setdefault(unit, []).extend([] if word in (unit, *spelled.get(unit, ())) else [word])
+    rows = [(f"`{unit}`", ", ".join(f"`{word}`" for word in others)) for unit, others in sorted(spelled.items())]
+    return _table(("unit", "also"), rows)
+
+
 def aircraft() -> str:
     """Keys of [aircraft]."""
     from bayes_aero.flight.aircraft import AIRCRAFT_UNITS, OPTIONAL
@@ -176,7 +188,7 @@ def cli() -> str:
 
 
 SCHEMAS = (results_schema, diagnosis_schema, trajectories_schema)
-GENERATED = {f.__name__: f for f in (effects, channels, aircraft, tolerances, *SCHEMAS, cli)}
+GENERATED = {f.__name__: f for f in (effects, channels, units, aircraft, tolerances, *SCHEMAS, cli)}
 
 
 def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:

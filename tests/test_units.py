@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayes_aero.errors import InputError
-from bayes_aero.units import from_si, quantity_to_si, same_unit, si_unit, to_si
+from bayes_aero.unit_words import spellings, words
+from bayes_aero.units import canonical, from_si, quantity_to_si, same_unit, si_unit, to_si
 
 
 @pytest.mark.parametrize(
@@ -38,11 +39,74 @@ from bayes_aero.units import from_si, quantity_to_si, same_unit, si_unit, to_si
         ("slug/ft3", "kg/m^3", 515.3788),
         ("lbf", "N", 4.448222),
         ("ms", "s", 1e-3),
+        # NIST SP 811 (2008), appendix B.8
+        ("SLUG/FT^3", "kg/m^3", 515.3788),
+        ("slugs per cubic foot", "kg/m^3", 515.3788),
+        ("psf", "Pa", 47.88026),
+        ("lb/ft2", "Pa", 47.88026),
+        ("PSI", "Pa", 6894.757),
+        ("in. Hg", "Pa", 3386.389),
+        ("slug-ft2", "kg m^2", 1.355818),
+        ("LBS", "N", 4.448222),
+        ("lbs", "kg", 0.4535924),
+        ("slug", "kg", 14.59390),
+        ("FT/SEC", "m/s", 0.3048),
+        ("fpm", "m/s", 5.08e-3),
+        ("ft/sec**2", "m/s^2", 0.3048),
+        ("KNOTS", "m/s", 0.5144444),
+        ("KN", "m/s", 0.5144444),
+        ("KN", "N", 1000.0),
+        ("Deg_C", "K", 274.15),
+        ("deg F", "K", 255.9278),
+        ("DEG/SEC^2", "rad/s^2", 0.01745329),
+        ("°/s/s", "rad/s^2", 0.01745329),
+        ("G", "m/s^2", 9.80665),
+        ("m/s/s", "m/s^2", 1.0),
+        ("M/S", "m/s", 1.0),
+        ("HPA", "Pa", 100.0),
+        ("mb", "Pa", 100.0),
+        ("mPa", "Pa", 1e-3),
+        ("MPa", "Pa", 1e6),
+        ("pct", "1", 0.01),
+        ("µs", "s", 1e-6),
     ],
 )
 def test_known_factors(unit, target, one):
     np.testing.assert_allclose(to_si([1.0], unit, "x", target), [one], rtol=1e-6)
     np.testing.assert_allclose(from_si(to_si([0.3, 7.0], unit, "x", target), unit, "x", target), [0.3, 7.0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("word", sorted({word for word, _ in words()}))
+def test_every_spelling_of_the_table_is_a_unit_that_stays_itself(word):
+    for unit in spellings(word):
+        assert canonical(unit, si_unit(unit)) == unit
+        assert same_unit(word, unit)
+        assert np.isfinite(to_si(1.0, unit, "x"))
+
+
+@pytest.mark.parametrize("word", ["MS", "MPA", "mpa", "MM"])
+def test_where_capitals_tell_two_units_apart_they_must_be_right(word):
+    assert canonical(word) is None
+    assert same_unit(word, "ms") is None
+
+
+@pytest.mark.parametrize(
+    ("text", "si", "unit"),
+    [
+        ("lbs", "N", "lbf"),
+        ("lbs", "kg", "lb"),
+        ("lb/ft2", "Pa", "lbf/ft^2"),
+        ("lb/ft3", "kg/m^3", "lb/ft^3"),
+        ("KN", "N", "kN"),
+        ("KN", "m/s", "kt"),
+        ("g", "kg", "g"),  # never the gram, which fits
+        ("hectopascal", "Pa", "hPa"),
+        ("", None, None),
+        ("left", None, None),
+    ],
+)
+def test_the_quantity_decides_between_two_meanings(text, si, unit):
+    assert canonical(text, si) == unit
 
 
 def test_base_units_where_no_target_is_known():
@@ -90,6 +154,11 @@ def test_same_unit():
     assert same_unit("degC", "K") is False
     assert same_unit("rad", "1") is False
     assert same_unit("degrees_north", "deg") is None
+    assert same_unit("lbs", "lbf")
+    assert same_unit("lbs", "lb")
+    assert same_unit("lbs", "N") is False
+    assert same_unit("-", "deg") is None  # it says nothing
+    assert same_unit("-", "%") is False
 
 
 @pytest.mark.parametrize(
@@ -104,6 +173,11 @@ def test_same_unit():
         ("1e3 lb", "kg", 453.59237),
         (7.22, "1", 7.22),
         ("50 %", "1", 0.5),
+        ("230 slug", "kg", 230 * 14.593902937206365),
+        ("25000 slug-ft^2", "kg m^2", 25000 * 14.593902937206365 * 0.3048**2),
+        ("700 sq ft", "m^2", 700 * 0.3048**2),
+        ("1000 lbs", "kg", 453.59237),
+        ("1000 lbs", "N", 453.59237 * 9.80665),
     ],
 )
 def test_card_constants(value, unit, number):

@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayes_aero.effect import Effect, Kind, Stage
+from bayes_aero.effect import NEUTRAL_FLOW, Effect, Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.model.flights import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Prior
 
+MOVES = 1e-6  # of what an effect makes, a change that is no rounding
 FAR = 1e9  # stands for a neutral value at infinity
 LAG = "tau1"  # the parameter of a lag that can be flown
 DERIVED = ("alpha_dot", "p_dot", "q_dot", "r_dot")
@@ -73,6 +75,8 @@ def field_of(model: Model, flights: Flights, extra: Sequence[Effect] = ()) -> Fi
     for effect in (*absent, *(e for e in (*CATALOGUE.values(), *extra) if e not in model.effects)):
         missing = [c for c in effect.channels if c not in have]
         still = [c for c in effect.channels if c in flights.channels and _at_rest(np.asarray(flights.channels[c]))]
+        if still and not missing and effect.together and _moves(effect, flights):
+            still = []
         lacking = [name for name in effect.uses if name not in owned]
         if effect.kind is Kind.NOISE or not (effect.candidate or effect in absent):
             continue
@@ -97,6 +101,14 @@ def field_of(model: Model, flights: Flights, extra: Sequence[Effect] = ()) -> Fi
     held = {p.name for e in (*candidates, *idle) for p in e.parameters}
     whole = Model(everything, parameters, tuple((k, v) for k, v in fixed.items() if k not in held))
     return Field(whole, tuple(e.name for e in active), tuple(candidates), not_testable)
+
+
+def _moves(effect: Effect, flights: Flights) -> bool:
+    """Whether what an effect makes of its channels together moves: T/(qbar S) does where only the airspeed changes."""
+    values = {p.name: p.start + effect.sizes[p.name][0] for p in effect.parameters}
+    signals: dict[str, Any] = {name: np.asarray(flights.channels[name]) for name in effect.channels}
+    made = effect.increments(values, signals, flights.aircraft, NEUTRAL_FLOW)
+    return any(float(np.ptp(x)) > MOVES * float(np.max(np.abs(x))) for x in map(np.asarray, made.values()))
 
 
 def _at_rest(x: np.ndarray) -> bool:

@@ -29,4 +29,5 @@ EFFECT = Effect(
     ),
     source="a linear aerodynamic derivative; textbook form",
     sizes={"CLdlc": (0.1, 3.0)},
+    together=True,
 )

@@ -31,4 +31,5 @@ EFFECT = Effect(
     ),
     source="a linear aerodynamic derivative; textbook form",
     sizes={"Cmdlc": (0.02, 1.0)},
+    together=True,
 )

@@ -24,4 +24,5 @@ EFFECT = Effect(
     ),
     source="a linear aerodynamic derivative; textbook form",
     sizes={"CDds": (0.01, 0.5)},
+    together=True,
 )

@@ -24,4 +24,5 @@ EFFECT = Effect(
     ),
     source="a linear aerodynamic derivative; textbook form",
     sizes={"CLds": (0.05, 2.0)},
+    together=True,
 )

@@ -26,4 +26,5 @@ EFFECT = Effect(
     ),
     source="a linear aerodynamic derivative; textbook form",
     sizes={"Cmds": (0.02, 1.0)},
+    together=True,
 )

@@ -30,4 +30,5 @@ EFFECT = Effect(
     ),
     source="an inclined thrust has a lift component, by mechanics; interference lumped with it is our choice",
     sizes={"thrust_lift": (0.1, 1.0)},
+    together=True,
 )

@@ -37,4 +37,5 @@ EFFECT = Effect(
     ),
     source="a force at an arm makes a moment, by mechanics",
     sizes={"thrust_arm": (0.05, 2.0)},
+    together=True,
 )

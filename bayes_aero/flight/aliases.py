@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 
 from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.unit_words import spellings
+from bayes_aero.units import canonical
 
-__all__ = ["ALIASES", "UNITS", "plain_heading", "split_heading", "symbol_of"]
+__all__ = ["ALIASES", "plain_heading", "split_heading", "symbol_of"]
 
 _NAMES: dict[str, str] = {
-    "time": "t time utc sec seconds elapsed elapsedtime timestamp tsec gpstime reltime",
+    "time": "t time utc utctime sec seconds elapsed elapsedtime timestamp tsec gpstime reltime realtime missiontime simtime",
     "alpha": "alpha aoa angleofattack alfa alphacg alcg alphavane aoatrue alphatrue incidence al",
     "beta": "beta aos sideslip angleofsideslip sideslipangle betacg becg",
     "airspeed": "tas airspeedtrue tasairspeed v vtas trueairspeed vtrue airspeed vt vtascg ktas speed va",
@@ -19,22 +21,27 @@ _NAMES: dict[str, str] = {
     "r": "r rrate yawrate rb rrgz omegaz wz gyroz yawvel",
     "phi": "phi roll bank rollangle bankangle rollattitude rollatt bankatt",
     "theta": "theta the pitch pitchangle pitchattitude pitchatt tht",
-    "psi": "psi heading hdg yaw yawangle trueheading headingtrue",
-    "ax": "ax nx nxb axcg accx accelx axb axbody longacc longitudinalacceleration acclong nxcg "
+    "psi": "magneticheading magheading hdgmag psi heading hdg yaw yawangle trueheading headingtrue",
+    "ax": "gloadaxial ax nx nxb axcg accx accelx axb axbody longacc longitudinalacceleration acclong nxcg "
     "longloadfactor longitudinalloadfactor longaccel longitudinalaccel axialaccel",
-    "ay": "ay ny nyb aycg accy accely ayb aybody latacc lateralacceleration acclat nycg "
+    "ay": "gloadside ay ny nyb aycg accy accely ayb aybody latacc lateralacceleration acclat nycg "
     "latloadfactor lateralloadfactor lataccel lateralaccel",
-    "az": "az nz nzb azcg accz accelz azb azbody normalacceleration loadfactor vertacc nzcg normacc accnorm "
+    "az": "gloadnorml gloadnormal az nz nzb azcg accz accelz azb azbody normalacceleration loadfactor vertacc nzcg normacc accnorm "
     "normalaccel normaccel normalloadfactor normloadfactor vertloadfactor verticalloadfactor",
     "altitude": "alt altitude h hp pressurealtitude palt hbaro baroalt hqnh pressalt baroaltitude altmsl",
     "radio_altitude": "radalt ralt hradio radioaltitude radaralt",
     "elevator": "de deteu deted elevteu elevted elevator elev delv deltae elevatordeflection elevatorposition elevpos "
     "elevatorpos dele elevdefl",
+    "elevator_left": "elevatorleft leftelevator elevleft elevl elvl elevatorl",
+    "elevator_right": "elevatorright rightelevator elevright elevr elvr elevatorr",
+    "elevon_left": "elevonleft leftelevon elevonl",
+    "elevon_right": "elevonright rightelevon elevonr",
+    "canard": "canard deltac canardposition canardpos canarddeflection",
     "stabilizer": "stab stabilizer stabiliser ih ihtrm pitchtrim stabtrim htrim stabpos",
     "rudder": "dr rudder rud drud rudderposition rudpos deltar rudderdeflection",
     "aileron_left": "daill aileronleft leftaileron ailleft aill dal",
     "aileron_right": "dailr aileronright rightaileron ailright ailr dar",
-    "flap": "flap flaps flapposition flappos df flapangle",
+    "flap": "flap flaps flapposition flappos df flapangle flapdeflection",
     "spoiler_left": "dspll spoilerleft leftspoiler spll",
     "spoiler_right": "dsplr spoilerright rightspoiler splr",
     "n1_left": "n1l n1left n1eng1 n11 n1t1l",
@@ -42,6 +49,16 @@ _NAMES: dict[str, str] = {
     "thrust": "thrust fn netthrust totalthrust thrusttotal fntotal thr",
     "thrust_left": "thrustleft thrustl fnl leftthrust fnleft thrust1 fn1 thrl",
     "thrust_right": "thrustright thrustr fnr rightthrust fnright thrust2 fn2 thrr",
+    "throttle": "throttle throttleposition throttlepos",
+    "throttle_left": "throttleleft leftthrottle throttlel throttle1",
+    "throttle_right": "throttleright rightthrottle throttler throttle2",
+    "engine_speed": "rpm enginerpm enginespeed proprpm propellerspeed",
+    "dynamic_pressure": "qbar dynamicpressure dynpress dynpres dynpressure pdyn qdyn qinf dynp",
+    "p_dot": "pdot rollaccel rollacceleration angularaccx",
+    "q_dot": "qdot pitchaccel pitchacceleration angularaccy",
+    "r_dot": "rdot yawaccel yawacceleration angularaccz",
+    "alpha_dot": "alphadot aldot aoadot aoarate",
+    "beta_dot": "betadot bedot aosdot sideslipdot",
     "mach": "mach m machnumber ma machno",
     "density": "rho density airdensity",
     "static_temperature": "sat oat temperature statictemperature tstat outsideairtemperature ts",
@@ -57,39 +74,13 @@ ALIASES: dict[str, str] = {alias: name for name, text in _NAMES.items() for alia
 }
 """Channel by what a heading is called in lower case, without blanks, underscores and units."""
 
-_UNIT_WORDS: dict[str, str] = {
-    "deg": "deg degs degree degrees °",
-    "rad": "rad rads radian radians",
-    "deg/s": "deg/s dps degps degpersec deg/sec °/s degs-1 degsec",
-    "rad/s": "rad/s radps radpersec rad/sec rads-1 radsec",
-    "kt": "kt kts knot knots kn",
-    "m/s": "m/s mps ms-1 m/sec",
-    "km/h": "km/h kmh kph",
-    "ft/s": "ft/s fps ft/sec",
-    "m": "m meter meters metre metres",
-    "ft": "ft feet foot",
-    "g": "g gs gee",
-    "m/s^2": "m/s^2 m/s2 m/s² mps2 ms2 ms-2 m/sec2 m/ss",
-    "ft/s^2": "ft/s^2 ft/s2 fps2",
-    "s": "s sec secs second seconds",
-    "ms": "ms msec millisec milliseconds",
-    "N": "n newton newtons",
-    "kN": "kilonewton",
-    "lbf": "lbf lb lbs pounds",
-    "Pa": "pa",
-    "hPa": "hpa mbar mb",
-    "K": "k kelvin",
-    "degC": "c degc °c celsius",
-    "kg": "kg",
-    "kg/m^3": "kg/m^3 kg/m3 kgm3 kg/m³",
-    "%": "% pct percent",
-    "1": "1 - none nd",
-}
-UNITS: dict[str, str] = {word: unit for unit, text in _UNIT_WORDS.items() for word in text.split()}
-"""The unit, as cards spell it, by how headings spell it in lower case."""
+_NO_UNIT_OF_A_NAME = frozenset("1 - -- none nd ratio fraction frac mach min mins minute h hr hour rpm bar".split())  # noqa: SIM905
+"""Words that end names for other reasons: "thrust_1", "alpha_min"."""
 
 _IN_NAME = {"ktas": "kt", "kcas": "kt", "kias": "kt", "nx": "g", "ny": "g", "nz": "g", "nzcg": "g", "loadfactor": "g"}
+_IN_NAME |= dict.fromkeys(("rpm", "enginerpm", "proprpm"), "rpm")
 _BRACKETS = re.compile(r"^(.*?)\s*[\[({<]([^\])}>]*)[\])}>]\s*$")
+_BEHIND_COMMA = re.compile(r"([^,]*),_*([^,]+?)_*")  # "alpha,__deg"
 _PARTS = re.compile(r"[\s_.:/#-]+")
 
 
@@ -104,24 +95,45 @@ def plain_heading(heading: str) -> str:
     bracketed = _BRACKETS.match(heading.strip())
     name, unit = (bracketed[1], heading.strip()[len(bracketed[1]) :]) if bracketed else (heading.strip(), "")
     kept = [word for word in _PARTS.split(name) if word and word.lower() not in _BESIDE]
-    return (
-        "_".join(kept) + unit if kept and any(k.lower() not in UNITS or k.lower() in ALIASES for k in kept) else heading
-    )
+    named = kept and any(not spellings(k) or k.lower() in ALIASES for k in kept)
+    return "_".join(kept) + unit if named else heading
 
 
-def split_heading(heading: str) -> tuple[str, str | None]:
-    """Name in lower case without blanks, and the unit where the heading tells it: "AoA [deg]", "alt_ft", "KTAS"."""
-    bracketed = _BRACKETS.match(heading.strip())
-    name, unit = (bracketed[1], UNITS.get(bracketed[2].strip().lower())) if bracketed else (heading.strip(), None)
+def split_heading(heading: str, si: str | None = None) -> tuple[str, str | None]:
+    """Name in lower case without blanks, and the unit where the heading tells it: "AoA [deg]", "alt_ft", "KTAS".
+
+    Args:
+        heading: as in the file.
+        si: SI unit of the channel, if it is known: it decides between the two meanings of "TAS [KN]".
+    """
+    bracketed = _BRACKETS.match(heading.strip()) or _BEHIND_COMMA.fullmatch(heading.strip())
+    if bracketed and "," in bracketed[0][len(bracketed[1]) :] and _spelled(bracketed[2], si) is None:
+        bracketed = None  # "Gload,norml" is a name of two words
+    name, unit = (bracketed[1], _spelled(bracketed[2], si)) if bracketed else (heading.strip(), None)
     parts = [part for part in _PARTS.split(name.lower()) if part]
     if unit is None and not bracketed:
         for count in (2, 1):  # "rate_deg_s" before "accel_g"
-            spelled = "/".join(parts[-count:])
-            if len(parts) > count and spelled in UNITS:
-                parts, unit = parts[:-count], UNITS[spelled]
+            found = _ending(parts[-count:], si) if len(parts) > count else None
+            if found is not None:
+                parts, unit = parts[:-count], found
                 break
     key = re.sub(r"[^a-z0-9]", "", "".join(parts))
     return key, unit or _IN_NAME.get(key)
+
+
+def _spelled(text: str, si: str | None) -> str | None:
+    """Only what the table of spellings knows: to pint, "(cal)" would be a calorie."""
+    return canonical(text, si) if spellings(text) else None
+
+
+def _ending(words: list[str], si: str | None) -> str | None:
+    """The unit that the last words of a name are: "deg", "s2" is deg/s^2, "in", "hg" is inHg."""
+    if words[-1] in _NO_UNIT_OF_A_NAME:
+        return None
+    if len(words) == 1:
+        return _spelled(words[0], si)
+    found = _spelled("/".join(words), si)
+    return found or (_spelled(" ".join(words), si) if words[-1] in ("hg", "c", "f", "k") else None)
 
 
 _SYMBOLS = frozenset(
@@ -134,6 +146,6 @@ def symbol_of(heading: str) -> str | None:
     """The symbol that a heading ends with, "nx" of "Long. Load Factor nx [g]"; none of a value that was only wanted."""
     bracketed = _BRACKETS.match(heading.strip())
     words = [word for word in _PARTS.split((bracketed[1] if bracketed else heading).lower()) if word]
-    while len(words) > 1 and words[-1] in UNITS and words[-1] not in _SYMBOLS:
+    while len(words) > 1 and spellings(words[-1]) and words[-1] not in _SYMBOLS:
         words.pop()
     return words[-1] if words and words[-1] in _SYMBOLS and not _WANTED & set(words) else None

@@ -20,6 +20,7 @@ from bayes_aero.flight.card_channels import (
 from bayes_aero.flight.card_checks import known_keys, number, numbers, refuse_unfilled, section
 from bayes_aero.flight.card_linear import LinearCard, parse_linear
 from bayes_aero.flight.channel import Channel
+from bayes_aero.flight.lookup import Lookup, parse_tables
 from bayes_aero.flight.segments import segment_of
 from bayes_aero.flight.tables import is_file, read_table
 from bayes_aero.flight.tolerances import TOLERANCES, Tolerance
@@ -27,7 +28,7 @@ from bayes_aero.parameter import Prior
 from bayes_aero.units import quantity_to_si
 
 SECTIONS = (
-    "title", "source", "aircraft", "channels", "sums", "constants", "derived", "sensors", "model", "linear",
+    "title", "source", "aircraft", "channels", "sums", "constants", "derived", "tables", "sensors", "model", "linear",
     "parameters", "gp", "tolerances", "output_biases", "segments",
 )  # fmt: skip
 PARAMETER_KEYS = ("start", "bounds", "prior")
@@ -59,7 +60,7 @@ class Card:
     sha256: str
     aircraft: Aircraft
     channels: tuple[Channel, ...]
-    sums: Mapping[str, tuple[str, ...]]
+    sums: Mapping[str, Mapping[str, float]]  # parts and their factors
     sensors: Mapping[str, float]
     effects: tuple[str, ...]
     effect_files: tuple[Path, ...]  # Python files with effects of the user's own
@@ -67,7 +68,8 @@ class Card:
     changes: Mapping[str, ParameterChange] = field(default_factory=dict)
     gp_inputs: tuple[str, ...] = ("alpha", "elevator", "q", "airspeed")
     constants: Mapping[str, float] = field(default_factory=dict)  # channels that a file may lack, SI
-    derived: tuple[str, ...] = ()  # channels that a file may lack, formed from others
+    derived: Mapping[str, str] = field(default_factory=dict)  # channels that a file may lack, and the rule of each
+    tables: Mapping[str, Lookup] = field(default_factory=dict)  # channels that a file may lack, read off tables
     linear: LinearCard | None = None
     tolerances: Mapping[str, Tolerance] = field(default_factory=lambda: dict(TOLERANCES))
     output_biases: Mapping[str, Prior] = field(default_factory=dict)  # of each manoeuvre's own, in fits of trajectories
@@ -112,11 +114,15 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
         raise InputError(f"card {where}: it has both [model] and [linear]; keep one of them")
     channels = tuple(parse_channel(key, value, where) for key, value in table["channels"].items())
     constants = parse_constants(section(table, "constants", where), channels, where)
-    sums = parse_sums(section(table, "sums", where), channels, constants, where)
-    derived = parse_derived(section(table, "derived", where), channels, {**constants, **sums}, where)
+    derived = parse_derived(section(table, "derived", where), channels, constants, where)
+    tables = parse_tables(section(table, "tables", where), channels, {**constants, **derived}, where)
+    sums = parse_sums(section(table, "sums", where), channels, constants, (*derived, *tables), where)
+    for name in (*derived, *tables):
+        if name in sums:
+            raise InputError(f"card {where}: {name} is in [sums], and in [derived] or [tables], too; keep one of them")
     linear = None
     if "linear" in table:
-        names = {channel.name for channel in channels} | set(constants) | set(sums) | set(derived)
+        names = {channel.name for channel in channels} | {*constants, *sums, *derived, *tables}
         linear = parse_linear(table["linear"], names, where)
     model = {} if linear else table["model"]
     effects = () if linear else _effects(model, where)
@@ -142,6 +148,7 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
         gp_inputs=_gp_inputs(section(table, "gp", where), where),
         constants=constants,
         derived=derived,
+        tables=tables,
         linear=linear,
     )
 

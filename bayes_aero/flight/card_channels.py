@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card_checks import known_keys, like
+from bayes_aero.flight.card_checks import known_keys, like, numbers
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.units import quantity_to_si
 
 MOST_COLUMNS = 2000
 ATMOSPHERE = "standard atmosphere"
-DERIVABLE = {"density": ("altitude",), "mach": ("altitude", "airspeed")}  # and what each is formed from
+RULES: dict[str, dict[str, tuple[str, ...]]] = {
+    "density": {
+        "gas law": ("static_pressure", "static_temperature"),
+        "dynamic pressure": ("dynamic_pressure", "airspeed"),
+        ATMOSPHERE: ("altitude",),
+    },
+    "mach": {"static temperature": ("static_temperature", "airspeed"), ATMOSPHERE: ("altitude", "airspeed")},
+}
+"""Ways to form a channel, the nearest to the air of the day first, and the channels that each needs."""
 
 
 def parse_channel(key: str, given: Any, where: str) -> Channel:
@@ -44,20 +52,30 @@ def parse_channel(key: str, given: Any, where: str) -> Channel:
 
 
 def parse_sums(
-    table: Mapping[str, Any], channels: tuple[Channel, ...], constants: Mapping[str, float], where: str
-) -> dict[str, tuple[str, ...]]:
-    """[sums]: channels that are sums of others."""
-    names = {channel.name for channel in channels} | set(constants)
-    for key, parts in table.items():
+    table: Mapping[str, Any],
+    channels: tuple[Channel, ...],
+    constants: Mapping[str, float],
+    formed: Iterable[str],
+    where: str,
+) -> dict[str, dict[str, float]]:
+    """[sums]: channels that are sums of others, each part with its factor; `formed` are [derived] and [tables]."""
+    names = {channel.name for channel in channels} | set(constants) | set(formed)
+    found = {}
+    for key, given in table.items():
         if key in constants:
             raise InputError(f"card {where}: {key} is both in [sums] and in [constants]; keep one of them")
-        if not (isinstance(parts, list) and parts):
-            raise InputError(f"card {where}: [sums] {key} must be a list of channel names")
+        if not (isinstance(given, list | dict) and given):
+            raise InputError(f"card {where}: [sums] {key} must be a list of channel names, or a table with factors")
+        if not all(isinstance(part, str) for part in given):
+            raise InputError(f"card {where}: [sums] {key} must hold names of channels")
+        counted = {part: float(given.count(part)) for part in given} if isinstance(given, list) else None
+        parts = numbers(given, f"{where}: [sums] {key}") if counted is None else counted
         missing = [part for part in parts if part not in names]
         if missing:
             hint = like(missing[0], names)
             raise InputError(f"card {where}: [sums] {key} uses {missing[0]}, which [channels] does not map{hint}")
-    return {key: tuple(parts) for key, parts in table.items()}
+        found[key] = parts
+    return found
 
 
 def parse_quantity(key: str, value: Any, label: str, where: str) -> float:
@@ -87,18 +105,19 @@ def parse_constants(table: Mapping[str, Any], channels: tuple[Channel, ...], whe
 
 
 def parse_derived(
-    table: Mapping[str, Any], channels: tuple[Channel, ...], stated: Mapping[str, Any], where: str
-) -> tuple[str, ...]:
-    """Channels that follow from pressure altitude (and airspeed) in a standard atmosphere, where a file lacks them."""
-    known_keys(table, tuple(DERIVABLE), where, "key of [derived]")
+    table: Mapping[str, Any], channels: tuple[Channel, ...], constants: Mapping[str, Any], where: str
+) -> dict[str, str]:
+    """Channels that a file may lack, each by the rule that forms it from others."""
+    known_keys(table, tuple(RULES), where, "key of [derived]")
     mapped = {channel.name for channel in channels}
     for key, value in table.items():
-        if value != ATMOSPHERE:
-            raise InputError(f"card {where}: [derived] {key} is {value!r}; the only rule is {ATMOSPHERE!r}")
-        if key in stated:
-            raise InputError(f"card {where}: {key} is both in [derived] and in [constants] or [sums]; keep one of them")
-        missing = [name for name in DERIVABLE[key] if name not in mapped]
+        if value not in RULES[key]:
+            rules = " or ".join(repr(rule) for rule in RULES[key])
+            raise InputError(f"card {where}: [derived] {key} is {str(value)[:60]!r}; write {rules}")
+        if key in constants:
+            raise InputError(f"card {where}: {key} is both in [derived] and in [constants]; keep one of them")
+        missing = [name for name in RULES[key][value] if name not in mapped]
         if missing:
             hint = like(missing[0], mapped)
             raise InputError(f"card {where}: [derived] {key} needs {missing[0]}, which [channels] does not map{hint}")
-    return tuple(table)
+    return dict(table)

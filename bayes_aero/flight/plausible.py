@@ -24,11 +24,11 @@ UNITS: Mapping[str, tuple[str, ...]] = {
     "m": ("ft", "m"),
     "m/s^2": ("g", "ft/s^2", "m/s^2"),
     "K": ("degC", "K", "degF"),
-    "Pa": ("hPa", "Pa", "kPa", "inHg"),
+    "Pa": ("hPa", "Pa", "kPa", "inHg", "psi", "lbf/ft^2"),
     "1": ("%", "1"),
     "kg/m^3": ("g/m^3", "slug/ft^3", "kg/m^3"),
     "N": ("lbf", "N", "kN"),
-    "kg": ("lb", "kg"),
+    "kg": ("lb", "kg", "slug"),
 }
 WORDS = {
     "deg": "degrees", "rad": "radians", "deg/s": "degrees per second", "rad/s": "radians per second",

@@ -27,7 +27,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.flight.resample import resample_record
 from bayes_aero.flight.segments import cut, expanded, segment_of
 from bayes_aero.flight.writers import write_record
-from bayes_aero.units import same_kind, same_unit, to_si
+from bayes_aero.units import canonical, same_kind, same_unit, to_si
 
 __all__ = [
     "bytes_of",
@@ -203,12 +203,12 @@ def in_si(channel: Channel, column: Column, heading: Heading) -> np.ndarray:
         InputError: the file states another unit than the card.
     """
     unit = unit_in_file(channel, column, heading)
+    standard = STANDARD_CHANNELS.get(channel.name)
     if unit is not None and same_unit(unit, channel.unit) is False:
         raise InputError(
             f"channel {channel.name} is in {unit!r} according to the file but in {channel.unit!r} according to the "
-            f'card; correct the card: unit = "{unit}"'
+            f'card; correct the card: unit = "{canonical(unit, standard.unit if standard else None) or unit}"'
         )
-    standard = STANDARD_CHANNELS.get(channel.name)
     return channel.sign * to_si(column.values, channel.unit, channel.name, standard.unit if standard else None)
 
 
@@ -220,7 +220,7 @@ def unit_in_file(channel: Channel, column: Column, heading: Heading) -> str | No
     if column.unit is not None:
         return column.unit
     for name in heading.names:
-        unit = split_heading(name)[1]
+        unit = split_heading(name, channel.unit)[1]
         if unit is not None and same_kind(unit, channel.unit):
             return unit
     return None

@@ -18,8 +18,9 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.formed import with_sums
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import MARKS, named_apart, plain_marks, with_sums
+from bayes_aero.model.observations import MARKS, named_apart, plain_marks
 from bayes_aero.physics.coefficients import REQUIRED, unsmoothed_joined
 from bayes_aero.physics.filters import smooth_joined
 

@@ -142,4 +142,5 @@ def channel_units(card: Card) -> dict[str, str]:
     for channel in card.channels:
         standard = STANDARD_CHANNELS.get(channel.name)
         known[channel.name] = standard.unit if standard else si_unit(channel.unit, f"channel {channel.name}")
-    return {ONE: "1", "thrust": "N"} | {name: known[parts[0]] for name, parts in card.sums.items()} | known
+    known = {name: table.si for name, table in card.tables.items()} | known
+    return {ONE: "1", "thrust": "N"} | {name: known[next(iter(parts))] for name, parts in card.sums.items()} | known

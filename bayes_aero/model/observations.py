@@ -18,8 +18,8 @@ from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.common_rate import at_common_rate
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.formed import with_sums
 from bayes_aero.model.model import Model
-from bayes_aero.physics.atmosphere import air
 from bayes_aero.physics.coefficients import (
     REQUIRED,
     SMOOTHED,
@@ -108,32 +108,6 @@ class Observations(eqx.Module):
     def with_measured(self, measured: Float[Array, "n 3"]) -> Observations:
         """The same signals with other measured coefficients, for simulation studies."""
         return eqx.tree_at(lambda o: o.measured, self, jnp.asarray(measured))
-
-
-def with_sums(record: FlightRecord, card: Card) -> dict[str, Float[np.ndarray, " n"]]:
-    """The record's channels with what the card states, where nothing was recorded, and its sums (total thrust).
-
-    As NumPy arrays: for JAX every new length of a record is another program to compile.
-    """
-    channels = {name: np.full(record.n, value) for name, value in card.constants.items()}
-    channels |= _from_altitude(record, card.derived)
-    channels |= record.channels
-    for name, parts in card.sums.items():
-        found = (channels[part] if part in channels else record[part] for part in parts)
-        channels[name] = sum(found, start=np.zeros(record.n))
-    return channels
-
-
-def _from_altitude(record: FlightRecord, wanted: Sequence[str]) -> dict[str, Float[np.ndarray, " n"]]:
-    """Density and Mach number in a standard atmosphere at the recorded altitude."""
-    if not (wanted and record.has("altitude")):
-        return {}
-    longer = np.resize(record["altitude"], 1 << (record.n - 1).bit_length())  # few lengths, few programs
-    density, sound = (np.asarray(values)[: record.n] for values in air(jnp.asarray(longer)))
-    found = {"density": density}
-    if record.has("airspeed"):
-        found["mach"] = record["airspeed"] / sound
-    return {name: found[name] for name in wanted if name in found}
 
 
 def named_apart(records: Sequence[FlightRecord]) -> list[str]:

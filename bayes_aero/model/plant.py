@@ -14,6 +14,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from bayes_aero.effect import Effect, Stage
+from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air
@@ -23,6 +25,46 @@ from bayes_aero.physics.kinematics import Rotation, lever_arm
 RATE_LIMIT = 2.0  # rad/s, half-width of the bracket for alpha-dot
 BISECTIONS = 45  # 4 rad/s / 2^45 is rounding
 SIDE_FORCE = -0.7  # 1/rad, CY per sideslip of a transport; our choice, it only sets how much yaw goes with sideslip
+
+SIGNALS = frozenset(
+    [
+        "time",
+        "alpha",
+        "alpha_dot",
+        "airspeed",
+        "altitude",
+        "p",
+        "q",
+        "r",
+        "phi",
+        "theta",
+        "beta",
+        "elevator",
+        "stabilizer",
+        "rudder",
+        "spoiler_left",
+        "spoiler_right",
+        "dlc_left",
+        "dlc_right",
+        "flap",
+        "mach",
+        "density",
+        "thrust",
+    ]
+)
+"""What the effects of the simulated aircraft may read while it flies; it has no canard."""
+
+
+def flies(effect: Effect) -> bool:
+    """Whether the simulated aircraft has what an effect acts through."""
+    return effect.stage < Stage.INCIDENCE or set(effect.channels) <= SIGNALS
+
+
+def refuse_unflown(effect: Effect) -> None:
+    """`InputError` for an effect that the simulated aircraft cannot fly."""
+    if not flies(effect):
+        lacks = ", ".join(channel for channel in effect.channels if channel not in SIGNALS)
+        raise InputError(f"the simulated aircraft cannot fly effect {effect.name}: it has no {lacks}; ask for another")
 
 
 class State(NamedTuple):
@@ -117,7 +159,7 @@ class Plant(eqx.Module):
     def signals(
         self, state: State, inputs: Inputs, prescribed: Prescribed, alpha_dot: Float[Array, ""]
     ) -> dict[str, Float[Array, ""]]:
-        """What effects may depend on, by the names of the recorded channels."""
+        """What effects may depend on, by the names of the recorded channels (`SIGNALS`)."""
         density, sound = air(state.h)
         turn = self.turn(state, prescribed)
         return {

@@ -6,17 +6,18 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 GRAVITY = 9.80665  # m/s2
-_T0, _LAPSE, _P0, _GAS, _GAMMA = 288.15, 0.0065, 101325.0, 287.05287, 1.4
+GAS, GAMMA = 287.05287, 1.4  # J/(kg K) and ratio of the specific heats, of dry air
+_T0, _LAPSE, _P0 = 288.15, 0.0065, 101325.0
 
 
 def air(altitude: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
     """Density (kg/m3) and speed of sound (m/s) at geopotential altitude (m)."""
     temperature = _T0 - _LAPSE * altitude
-    pressure = _P0 * (temperature / _T0) ** (GRAVITY / (_LAPSE * _GAS))
-    return pressure / (_GAS * temperature), jnp.sqrt(_GAMMA * _GAS * temperature)
+    pressure = _P0 * (temperature / _T0) ** (GRAVITY / (_LAPSE * GAS))
+    return pressure / (GAS * temperature), jnp.sqrt(GAMMA * GAS * temperature)
 
 
 def altitude_of_density(density: float) -> float:
     """Geopotential altitude (m) at which the standard atmosphere has this density (kg/m3): the inverse of `air`."""
-    share = density / (_P0 / (_GAS * _T0))
-    return _T0 / _LAPSE * (1.0 - share ** (1.0 / (GRAVITY / (_LAPSE * _GAS) - 1.0)))
+    share = density / (_P0 / (GAS * _T0))
+    return _T0 / _LAPSE * (1.0 - share ** (1.0 / (GRAVITY / (_LAPSE * GAS) - 1.0)))

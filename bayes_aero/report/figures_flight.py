@@ -38,8 +38,10 @@ def _channel(identification: Identification, record: FlightRecord, name: str) ->
     """A recorded channel or a sum of recorded ones; None where the record has neither."""
     if record.has(name):
         return record[name]
-    parts = identification.card.sums.get(name, ())
-    return sum(record[part] for part in parts) if parts and all(record.has(part) for part in parts) else None  # type: ignore[return-value]
+    parts = identification.card.sums.get(name, {})
+    if not parts or not all(record.has(part) for part in parts):
+        return None
+    return np.sum([factor * record[part] for part, factor in parts.items()], axis=0)
 
 
 @housed

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from bayes_aero.criticism.checked import CheckReport
 from bayes_aero.flight.agreement import Agreement
 from bayes_aero.flight.channel import STANDARD_CHANNELS
@@ -37,9 +39,17 @@ def card_sentences(report: CheckReport) -> list[str]:
     """What the card itself adds to the files."""
     card = report.card
     said = [f"constant from the card: {name} = {value:g}{_behind(name)}" for name, value in card.constants.items()]
-    if card.derived:
-        said.append(f"formed from the altitude, in a standard atmosphere: {', '.join(card.derived)}")
-    return said + [f"sum from the card: {name} = {' + '.join(parts)}" for name, parts in card.sums.items()]
+    for rule in dict.fromkeys(card.derived.values()):
+        formed = ", ".join(name for name, of in card.derived.items() if of == rule)
+        said.append(f"formed by the card's rule, where not recorded ({rule}): {formed}")
+    said += [f"table from the card: {name} over {table.said}" for name, table in card.tables.items()]
+    return said + [f"sum from the card: {name} = {_sum(parts)}" for name, parts in card.sums.items()]
+
+
+def _sum(parts: Mapping[str, float]) -> str:
+    """The parts of a sum, with the factors that are not 1."""
+    said = [f"{'-' if k < 0 else '+'} {'' if abs(k) == 1.0 else f'{abs(k):g} '}{name}" for name, k in parts.items()]
+    return " ".join(said).removeprefix("+ ")
 
 
 def _behind(channel: str) -> str:

@@ -17,13 +17,13 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.agreement import Agreement, Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import channel_health
-from bayes_aero.flight.inspection import inspect_record
+from bayes_aero.flight.inspection import RecordReport, inspect_record
 from bayes_aero.flight.reading import manoeuvres
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.flights import join
+from bayes_aero.model.formed import with_sums
 from bayes_aero.model.longitudinal import FLIGHT
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import with_sums
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.physics.coefficients import REQUIRED
 from bayes_aero.report.page import put_page
@@ -54,7 +54,7 @@ def check_records(
     for number, path in enumerate(paths):
         if progress:
             progress(f"reading {path.name}", number / len(paths))
-        looked.append(inspect_record(path, card, resample=resample))
+        looked.append(_within_tables(inspect_record(path, card, resample=resample), card))
     sound = [r.record for r in looked if r.record is not None]
     uses, not_testable = _purpose(sound, card) if len(sound) == len(looked) else ({}, {})
     why = "not asked for" if not sensors else "a record is not usable" if len(sound) < len(looked) else ""
@@ -62,6 +62,17 @@ def check_records(
         progress("do the sensors agree?", 0.5)
     agreement, checked = (Consistency(why), SensorCheck(why, {}, {})) if why else _sensors(sound, card, seed)
     return CheckReport(card, tuple(looked), uses, not_testable, checked, agreement, channel_health(sound, card))
+
+
+def _within_tables(report: RecordReport, card: Card) -> RecordReport:
+    """The report, with a problem more if the record leaves a table of the card."""
+    if report.record is None or not card.tables:
+        return report
+    try:
+        with_sums(report.record, card)
+    except InputError as reason:
+        return replace(report, problems=(*report.problems, str(reason)), record=None)
+    return report
 
 
 def _purpose(records: Sequence[FlightRecord], card: Card) -> tuple[dict[str, str], dict[str, str]]:
@@ -122,6 +133,7 @@ def check_results(report: CheckReport) -> dict[str, Any]:
         "card": {"name": report.card.name, "title": report.card.title, "sha256": report.card.sha256},
         "constants": dict(report.card.constants),
         "derived": list(report.card.derived),
+        "tables": {name: [axis.channel for axis in table.axes] for name, table in report.card.tables.items()},
         "sums": {name: list(parts) for name, parts in report.card.sums.items()},
         "consistency": consistency_results(report.consistency),
         "records": records,

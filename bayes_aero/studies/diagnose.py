@@ -21,6 +21,7 @@ from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.cores import blas_threads, cores
 from bayes_aero.model.model import Model
+from bayes_aero.model.plant import flies
 from bayes_aero.report.diagnosed import view_of
 from bayes_aero.report.figures import DIAGNOSIS_FIGURES, FLOWN_FIGURES
 from bayes_aero.studies.beside import beside
@@ -44,6 +45,7 @@ def hide_one(card: Card, seed: int, **options: Any) -> tuple[Hidden, list[Flight
         e.name
         for e in CATALOGUE.values()
         if e.candidate
+        and flies(e)
         and e.kind is not Kind.NOISE
         and draw_hidden(np.random.default_rng(0), e.name)
         and _absent(card, e.name)

@@ -51,7 +51,7 @@ WHY = (
 
 def lacking(records: Sequence[FlightRecord], card: Card) -> tuple[str, ...]:
     """Channels that coefficients need and some record does not have."""
-    given = {*card.sums, *card.constants, *card.derived}
+    given = {*card.sums, *card.constants, *card.derived, *card.tables}
     return tuple(n for n in REQUIRED if n not in given and any(not record.has(n) for record in records))
 
 

@@ -7,49 +7,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from difflib import get_close_matches
 
 import numpy as np
 
 from bayes_aero.flight.aliases import ALIASES, plain_heading, split_heading, symbol_of
-from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.raw import RawColumn
 from bayes_aero.physics.atmosphere import GRAVITY
-from bayes_aero.units import to_si
+from bayes_aero.studies.guess_column import SI, Guess, largest, slope_of, smooth, step_of
+from bayes_aero.units import canonical, to_si
 
 ALIKE = 0.84  # likeness of a heading to a known one
 ANGLE = 1.6  # rad; no angle of attack, attitude or deflection of a sound record is larger
-SI = {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
-
-
-@dataclass(frozen=True)
-class Guess:
-    """One column taken for a channel; `evidence` says why, in words."""
-
-    channel: str
-    column: RawColumn
-    unit: str | None
-    sign: int = 1
-    evidence: str = ""
-
-    @property
-    def values(self) -> np.ndarray:
-        """As in the file; the median where there is no finite number."""
-        x = np.zeros(1) if self.column.values is None else self.column.values
-        sound = np.isfinite(x)
-        return x if sound.all() else np.where(sound, x, np.median(x[sound]) if sound.any() else 0.0)
-
-    @property
-    def si(self) -> np.ndarray:
-        """In SI; in the file's numbers where the unit is not known."""
-        if self.unit is None:
-            return self.sign * self.values
-        return self.sign * to_si(self.values, self.unit, self.channel, SI.get(self.channel))
-
-    def because(self, text: str, **changes: object) -> Guess:
-        """The guess with a change, and the reason added to the evidence."""
-        return replace(self, evidence=f"{self.evidence}; {text}", **changes)  # type: ignore[arg-type]
+THIN = 0.004  # kg/m3; slug/ft3 at sea level are 0.0024, and no aircraft flies where air is as thin in kg/m3
+MIDDLING = 0.9  # kg/m3, within a third of the air's from sea level to 6 km
+FRACTIONS = ("n1_left", "n1_right", "throttle", "throttle_left", "throttle_right")
 
 
 def guessed(columns: Sequence[RawColumn]) -> tuple[dict[str, Guess], list[RawColumn]]:
@@ -68,35 +40,45 @@ def guessed(columns: Sequence[RawColumn]) -> tuple[dict[str, Guess], list[RawCol
     found = _time(found)
     found = _angles(found)
     found = _rates(found)
+    found = _rates_of_rates(found)
     found = _accelerations(found)
     found = _speed_and_height(found)
+    found = _dynamic_pressure(found)
     found = {name: _by_size(guess) for name, guess in found.items()}
     found = _elevator(found)
     return found, unknown
 
 
 def _named(column: RawColumn, loose: bool) -> Guess | None:
+    """By the first of its names that says something; files with two rows of names have two."""
     if column.label is None or column.values is None:
         return None
-    key, unit = split_heading(column.label)
-    channel, evidence = ALIASES.get(key), f"the heading {column.label!r}"
+    names = dict.fromkeys((column.label, *column.heading.names))
+    return next((guess for name in names if (guess := _called(column, name, loose)) is not None), None)
+
+
+def _called(column: RawColumn, name: str, loose: bool) -> Guess | None:
+    heading = name
+    key, evidence = split_heading(heading)[0], f"the heading {name!r}"
+    channel = ALIASES.get(key)
     if channel is None:
-        key, unit = split_heading(plain_heading(column.label))
+        heading = plain_heading(name)
+        key = split_heading(heading)[0]
         channel = ALIASES.get(key)
     if channel is None and loose and len(key) > 3:
         close = get_close_matches(key, ALIASES, n=1, cutoff=ALIKE)
         channel = ALIASES[close[0]] if close else None
         evidence += f" resembles {close[0]!r}" if close else ""
-    symbol = symbol_of(column.label) if channel is None and loose else None
+    symbol = symbol_of(name) if channel is None and loose else None
     if symbol is not None:
-        channel, unit = ALIASES[symbol], unit or split_heading(symbol)[1]
+        channel = ALIASES[symbol]
         evidence += f" ends with {symbol!r}"
     if channel is None:
         return None
-    if column.unit:
-        unit = next((u for u in (column.unit, split_heading(f"x [{column.unit}]")[1]) if u and _fits(u, channel)), unit)
-    if unit is not None and not _fits(unit, channel):
-        unit = None
+    si = SI.get(channel)
+    told = [column.unit, split_heading(heading, si)[1], split_heading(symbol, si)[1] if symbol else None]
+    said = (canonical(unit, si) for unit in told if unit)
+    unit = next((u for u in said if u and _fits(u, channel)), None)
     return Guess(channel, column, unit, evidence=evidence + (f" and its unit {unit}" if unit else ""))
 
 
@@ -118,23 +100,15 @@ def _time(found: dict[str, Guess]) -> dict[str, Guess]:
     return found | {"time": guess.because(f"its median step is {step:.6g}", unit=unit)}
 
 
-def _step(found: Mapping[str, Guess]) -> float | None:
-    """Median sampling interval, s; None where time is of no use."""
-    if "time" not in found:
-        return None
-    step = float(np.median(np.diff(found["time"].si)))
-    return step if step > 0.0 else None
-
-
 def _angles(found: dict[str, Guess]) -> dict[str, Guess]:
     """Beyond 1.6 it can only be degrees; smaller ones go with the rest of the file."""
     angles = {name: g for name, g in found.items() if SI.get(name) == "rad"}
-    large = [n for n, g in angles.items() if g.unit is None and _largest(g) > ANGLE]
+    large = [n for n, g in angles.items() if g.unit is None and largest(g) > ANGLE]
     stated = [g.unit for g in angles.values() if g.unit is not None]
     degrees = bool(large) or (bool(stated) and all(u == "deg" for u in stated))
     for name, guess in angles.items():
         if guess.unit is None:
-            why = f"it reaches {_largest(guess):.3g}"
+            why = f"it reaches {largest(guess):.3g}"
             if name not in large:
                 why += ", and other angles of the file are in degrees" if degrees else ", too little for degrees"
             found[name] = guess.because(why, unit="deg" if degrees else "rad")
@@ -143,23 +117,39 @@ def _angles(found: dict[str, Guess]) -> dict[str, Guess]:
 
 def _rates(found: dict[str, Guess]) -> dict[str, Guess]:
     """Unit and sign of a rate from the attitude that it changes."""
-    step = _step(found)
+    step = step_of(found)
     for name, attitude in (("p", "phi"), ("q", "theta"), ("r", "psi")):
         guess, angle = found.get(name), found.get(attitude)
         if guess is None:
             continue
         slope = None
         if step is not None and angle is not None and np.ptp(angle.si) > 0.0:
-            slope = _slope(guess.values, np.gradient(_smooth(np.unwrap(angle.si))) / step)
+            slope = slope_of(guess.values, np.gradient(smooth(np.unwrap(angle.si))) / step)
         if slope is None or abs(slope) < 1e-3 or name == "r":  # heading alone tells little of the yaw rate
-            unit = guess.unit or ("deg/s" if _largest(guess) > ANGLE or _degrees(found) else "rad/s")
-            found[name] = guess if guess.unit else guess.because(f"it reaches {_largest(guess):.3g}", unit=unit)
+            unit = guess.unit or ("deg/s" if largest(guess) > ANGLE or _degrees(found) else "rad/s")
+            found[name] = guess if guess.unit else guess.because(f"it reaches {largest(guess):.3g}", unit=unit)
             continue
         unit = guess.unit or ("rad/s" if abs(slope) > math.sqrt(math.pi / 180.0) else "deg/s")
         expected = 1.0 if unit == "rad/s" else math.pi / 180.0
         found[name] = guess.because(
             f"{attitude} changes at {slope / expected:.2g} times it", unit=unit, sign=1 if slope > 0.0 else -1
         )
+    return found
+
+
+def _rates_of_rates(found: dict[str, Guess]) -> dict[str, Guess]:
+    """Unit of an angular acceleration from the rate that it changes."""
+    step = step_of(found)
+    for name, of in (("p_dot", "p"), ("q_dot", "q"), ("r_dot", "r"), ("alpha_dot", "alpha"), ("beta_dot", "beta")):
+        guess, rate = found.get(name), found.get(of)
+        if guess is None or guess.unit is not None or rate is None or step is None:
+            continue
+        slope = slope_of(smooth(guess.values), np.gradient(smooth(rate.si)) / step)
+        if slope is not None and slope > 1e-3:
+            radians = slope > math.sqrt(math.pi / 180.0)
+            unit = SI[name] if radians else SI[name].replace("rad", "deg")
+            ratio = slope / (1.0 if radians else math.pi / 180.0)
+            found[name] = guess.because(f"{of} changes at {ratio:.2g} times it", unit=unit)
     return found
 
 
@@ -190,12 +180,12 @@ def _speed_and_height(found: dict[str, Guess]) -> dict[str, Guess]:
     speed, height = found.get("airspeed"), found.get("altitude")
     speeds = {"m/s": 1.0, "kt": 0.514444, "km/h": 1.0 / 3.6, "ft/s": 0.3048}
     heights = {"m": 1.0, "ft": 0.3048}
-    slope, step = None, _step(found)
+    slope, step = None, step_of(found)
     if step is not None and all(name in found for name in ("airspeed", "altitude", "theta", "alpha")):
         path = found["theta"].si - found["alpha"].si
-        climb = np.gradient(_smooth(found["altitude"].values)) / step
+        climb = np.gradient(smooth(found["altitude"].values)) / step
         if np.std(path) > 0.01:
-            slope = _slope(found["airspeed"].values * np.sin(_smooth(path)), climb)
+            slope = slope_of(found["airspeed"].values * np.sin(smooth(path)), climb)
     if slope is not None and slope > 0.0 and speed is not None and height is not None:
         pairs = [(v, h) for v in speeds for h in heights if speed.unit in (None, v) and height.unit in (None, h)]
         if pairs:
@@ -210,16 +200,34 @@ def _speed_and_height(found: dict[str, Guess]) -> dict[str, Guess]:
     return found
 
 
+def _dynamic_pressure(found: dict[str, Guess]) -> dict[str, Guess]:
+    """Unit in which it makes air of the recorded density, or else of some density, at the airspeed."""
+    guess, speed = found.get("dynamic_pressure"), found.get("airspeed")
+    if guess is None or guess.unit is not None or speed is None or speed.unit is None:
+        return found
+    density = found.get("density")
+    rho = float(np.median(density.si)) if density and density.unit else MIDDLING
+    ratio = float(np.median(guess.values)) / (0.5 * rho * float(np.median(speed.si)) ** 2 or 1.0)
+    if not ratio > 0.0:
+        return found
+    sizes = {u: float(to_si(1.0, u, "dynamic_pressure", "Pa")) for u in ("Pa", "hPa", "kPa", "lbf/ft^2", "psi")}
+    unit = min(sizes, key=lambda u: abs(math.log(ratio * sizes[u])))
+    why = f"it is {ratio * sizes[unit]:.2g} times half of density times airspeed squared in {unit}"
+    return found | {"dynamic_pressure": guess.because(why, unit=unit)}
+
+
 def _by_size(guess: Guess) -> Guess:
     """What is left, by the size of its values."""
     if guess.unit is not None:
         return guess
-    size, middle = _largest(guess), float(np.median(guess.values))
+    size, middle = largest(guess), float(np.median(guess.values))
     choices = {
         "static_temperature": ("K" if middle > 150.0 else "degC"),
         "static_pressure": ("Pa" if size > 1200.0 else "hPa"),
-        "n1_left": ("%" if size > 2.0 else "1"),
-        "n1_right": ("%" if size > 2.0 else "1"),
+        **dict.fromkeys(FRACTIONS, "%" if size > 2.0 else "1"),
+        **dict.fromkeys(("alpha_dot", "beta_dot"), "deg/s" if size > ANGLE else "rad/s"),
+        "engine_speed": "rpm",
+        "density": "slug/ft^3" if middle < THIN else "kg/m^3",
         "calibrated_airspeed": "m/s",
         "radio_altitude": "ft" if size > 13_000.0 else "m",
     }
@@ -233,7 +241,7 @@ def _by_size(guess: Guess) -> Guess:
 
 def _elevator(found: dict[str, Guess]) -> dict[str, Guess]:
     """Trailing edge down pitches the nose down: the sign that pitch acceleration shows, alpha and q accounted for."""
-    step = _step(found)
+    step = step_of(found)
     if step is None or not all(name in found for name in ("elevator", "q", "alpha")):
         return found
     elevator = found["elevator"]
@@ -248,23 +256,7 @@ def pitch_response(elevator: np.ndarray, alpha: np.ndarray, q: np.ndarray, step:
     """Pitch acceleration a rad of elevator, 1/s^2, by least squares beside alpha and q; 0 if it stands still."""
     if np.ptp(elevator) == 0.0:
         return 0.0
-    q = _smooth(q)
+    q = smooth(q)
     columns = [elevator, alpha, q, np.ones_like(q)]
-    slope, *_ = np.linalg.lstsq(np.stack([_smooth(x) for x in columns], axis=1), np.gradient(q) / step, rcond=None)
+    slope, *_ = np.linalg.lstsq(np.stack([smooth(x) for x in columns], axis=1), np.gradient(q) / step, rcond=None)
     return float(slope[0])
-
-
-def _largest(guess: Guess) -> float:
-    return float(np.nanmax(np.abs(guess.values)))
-
-
-def _smooth(x: np.ndarray) -> np.ndarray:
-    """Means of nine samples, so that noise does not swamp a derivative."""
-    return np.convolve(np.pad(x, 4, mode="edge"), np.full(9, 1.0 / 9.0), mode="valid")
-
-
-def _slope(x: np.ndarray, y: np.ndarray) -> float | None:
-    """Least-squares slope of y over x, both without their means."""
-    x, y = x - np.mean(x), y - np.mean(y)
-    power = float(x @ x)
-    return float(x @ y) / power if power > 0.0 else None

@@ -20,6 +20,7 @@ from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
+from bayes_aero.model.plant import flies, refuse_unflown
 from bayes_aero.model.simulate import State, fly
 from bayes_aero.physics.atmosphere import GRAVITY, air
 from bayes_aero.studies.demo import DISTURBANCE, TRUTH
@@ -195,7 +196,7 @@ def _models() -> tuple[Model, Model, Model]:
     """Flown, misrecording and thrust: one model each for whatever is hidden, so that each compiles once."""
     channel = [e for e in CATALOGUE.values() if e.stage is Stage.CHANNEL]
     return (
-        Model.of([*CATALOGUE.values(), *STRAYS]),
+        Model.of([*(e for e in CATALOGUE.values() if flies(e)), *STRAYS]),
         Model.of([e for e in channel if e.kind is not Kind.PROPULSION]),
         Model.of([e for e in channel if e.kind is Kind.PROPULSION]),
     )
@@ -209,6 +210,7 @@ def _values(
     values |= {name: x * (1.0 + rng.uniform(-1.0, 1.0) * _SPREAD.get(name, 0.12)) for name, x in TRUTH.items()}
     for name, given in effects.items():
         own = {p.name for p in _known(name).parameters}
+        refuse_unflown(_known(name))
         if not set(given) <= own:
             raise InputError(f"effect {name} has the parameters {', '.join(sorted(own))}, not {', '.join(given)}")
         values |= given

@@ -14,8 +14,9 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.formed import with_sums
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import marks, with_sums
+from bayes_aero.model.observations import marks
 from bayes_aero.physics.coefficients import condition
 from bayes_aero.studies.misrecord import misrecorded
 
@@ -39,7 +40,8 @@ def injected(
 
 
 def _one(record: FlightRecord, effects: Mapping[str, Mapping[str, float]], card: Card, Cmde: float) -> FlightRecord:
-    channels = {name: np.asarray(x) for name, x in with_sums(record, card).items()}
+    given = {name: np.asarray(x) for name, x in with_sums(record, card).items()}
+    channels = dict(given)
     dt = record.dt
     for name, values in effects.items():
         effect = CATALOGUE[name]
@@ -51,13 +53,21 @@ def _one(record: FlightRecord, effects: Mapping[str, Mapping[str, float]], card:
         else:
             moment = _moment(effect, values, channels, dt, card)
             channels["elevator"] = channels["elevator"] - moment / Cmde
-    for name, parts in card.sums.items():  # a sum is shared among its parts as it was
-        before = sum(np.asarray(record[part]) for part in parts)
-        ratio = channels[name] / np.where(before == 0.0, 1.0, before)
-        for part in parts:
-            channels[part] = channels[part] * ratio
-    kept = {name: channels[name] for name in record.channels}
+    for name, parts in card.sums.items():
+        channels |= _shared(parts, channels[name], {part: given[part] for part in parts})
+    changed = {name for name in given if name not in card.sums and not np.array_equal(given[name], channels[name])}
+    kept = {name: x for name, x in channels.items() if record.has(name) or name in changed}
     return FlightRecord.from_arrays(record.name, np.asarray(record.time), kept, f"{record.source}, effects injected")
+
+
+def _shared(parts: Mapping[str, float], total: np.ndarray, given: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """A sum that was changed, shared among its parts: plain sums as it was shared, others by the parts' factors."""
+    before = sum(factor * given[part] for part, factor in parts.items())
+    if all(factor == 1.0 for factor in parts.values()):
+        ratio = total / np.where(before == 0.0, 1.0, before)
+        return {part: x * ratio for part, x in given.items()}
+    square = sum(factor**2 for factor in parts.values())
+    return {part: x + (total - before) * parts[part] / square for part, x in given.items()}
 
 
 def _moment(

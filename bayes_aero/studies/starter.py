@@ -15,15 +15,16 @@ from bayes_aero.criticism.accuracy import recording_noise
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import NO_AIRCRAFT
 from bayes_aero.flight.aliases import split_heading
-from bayes_aero.flight.card_channels import ATMOSPHERE, DERIVABLE
+from bayes_aero.flight.card_channels import ATMOSPHERE, RULES
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.checks import MIN_SAMPLES
 from bayes_aero.flight.raw import RawColumn, read_raw
 from bayes_aero.model.flights import Flights
 from bayes_aero.physics.coefficients import REQUIRED
-from bayes_aero.studies.guess import Guess, guessed
+from bayes_aero.studies.guess import guessed
+from bayes_aero.studies.guess_column import Guess
 from bayes_aero.studies.starter_aircraft import aircraft_block
-from bayes_aero.units import from_si
+from bayes_aero.units import canonical, from_si
 
 ATTACHED = (
     "attached_lift", "elevator_moment", "pitching_moment", "pitch_damping", "profile_drag", "induced_drag",
@@ -37,6 +38,7 @@ REMARKS = {
 }
 STALLED = np.deg2rad(12.0)  # alpha beyond which the record is taken to hold a stall
 NEEDED = ("time", *REQUIRED, "elevator")
+ENGINE = ("n1_left", "n1_right", "engine_speed", "throttle", "throttle_left", "throttle_right")
 ACCELERATIONS = ("ax", "az")
 LATERAL = ("p", "r")
 HELD = (*LATERAL, "density", "thrust")  # may be stated as constants
@@ -124,7 +126,7 @@ def _channels(found: Mapping[str, Guess], unknown: Sequence[RawColumn], columns:
     headless = all(column.label is None for column in columns)
     place = "column" if headless else "label"
     for name in NEEDED:
-        if name not in found and name not in HELD:
+        if name not in found and name not in HELD and name not in _summed(found):
             yield from _absent(name, place)
     for name, guess in found.items():
         place = _place(guess.column)
@@ -148,7 +150,8 @@ def _channels(found: Mapping[str, Guess], unknown: Sequence[RawColumn], columns:
         if column.values is None:
             yield _comment(f"{column.place}: no numbers")
             continue
-        unit = _text(column.unit or (split_heading(column.label)[1] if column.label else None) or "?")
+        said = column.unit or (split_heading(column.label)[1] if column.label else None) or "?"
+        unit = _text(canonical(said) or said)
         yield f"# NAME = {{ {_place(column)}, unit = {unit}, required = false }} # {_range(column.values)}"
     if headless:
         yield "# The file has no header, so nothing can be guessed: say which column is what."
@@ -186,30 +189,54 @@ def _implausible(name: str, guess: Guess) -> str:
 
 
 def _sums(found: Mapping[str, Guess]) -> Iterator[str]:
-    if {"thrust_left", "thrust_right"} <= set(found) and "thrust" not in found:
-        yield from ("[sums]", 'thrust = ["thrust_left", "thrust_right"]', "")
+    lines = []
+    if _both(found, "thrust"):
+        lines.append('thrust = ["thrust_left", "thrust_right"]')
+    if _both(found, "elevator"):
+        lines.append("elevator = { elevator_left = 0.5, elevator_right = 0.5 } # the mean of both")
+    elif _both(found, "elevon"):
+        lines.append("elevator = { elevon_left = 0.5, elevon_right = 0.5 } # guess: the mean of the elevons")
+    if lines:
+        yield from ("[sums]", *lines, "")
 
 
-def _derivable(found: Mapping[str, Guess]) -> list[str]:
+def _both(found: Mapping[str, Guess], name: str) -> bool:
+    """Whether the left and the right one were found and not what they make together."""
+    return name not in found and {f"{name}_left", f"{name}_right"} <= set(found)
+
+
+def _summed(found: Mapping[str, Guess]) -> set[str]:
+    """Needed channels that `_sums` makes."""
+    return {"elevator"} if "elevator" not in found and (_both(found, "elevator") or _both(found, "elevon")) else set()
+
+
+def _derivable(found: Mapping[str, Guess]) -> dict[str, str]:
+    """Channels that are not in the file and can be formed from it, each by the best rule."""
     have = {name for name, guess in found.items() if not _implausible(name, guess)}
-    return [name for name, needs in DERIVABLE.items() if name not in have and set(needs) <= have]
+    best = {
+        name: next((rule for rule, needs in rules.items() if set(needs) <= have), None) for name, rules in RULES.items()
+    }
+    return {name: rule for name, rule in best.items() if rule is not None and name not in have}
 
 
 def _constants(found: Mapping[str, Guess]) -> Iterator[str]:
     """Channels that the file lacks, formed from others, or held for the whole record."""
     derived = _derivable(found)
-    absent = [name for name in DERIVABLE if name not in found and name not in derived]
+    absent = [name for name in RULES if name not in found and name not in derived]
     if not derived and absent:
         yield "# Where the altitude is recorded these can be formed from it (standard atmosphere):"
         yield "# [derived]"
         yield from (f'# {name} = "{ATMOSPHERE}"' for name in absent)
         yield ""
     if derived:
-        yield "# Not recorded; formed from pressure altitude (and airspeed). Unlike the day's air by a few per cent."
+        yield "# Not recorded; formed from other channels. The day's air is unlike a standard one by some per cent."
         yield "[derived]"
-        yield from (f'{name} = "{ATMOSPHERE}" # guess' for name in derived)
+        yield from (f'{name} = "{rule}" # guess' for name, rule in derived.items())
         yield ""
     lines = []
+    engine = next((name for name in ENGINE if name in found), None)
+    if engine and not any(name.startswith("thrust") for name in found):
+        yield f"# Thrust may be read off a table over {engine} instead; see [tables.NAME] in the reference of the card."
     if "density" not in found and "density" not in derived:
         lines.append('density = "TODO" # of the air, e.g. "0.9 kg/m^3"; neither it nor an altitude was found')
     if "thrust" not in found and not {"thrust_left", "thrust_right"} <= set(found):

@@ -20,6 +20,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
+from bayes_aero.model.plant import refuse_unflown
 from bayes_aero.model.simulate import fly
 from bayes_aero.physics.atmosphere import air
 from bayes_aero.studies.demo import DISTURBANCE, TRUTH
@@ -51,6 +52,8 @@ def synthetic(request: Request, card: Card, known: Mapping[str, Effect], name: s
     rng = np.random.default_rng([request.seed, 7])
     base = read_card("attas").effects
     chosen = [known[n] for n in dict.fromkeys((*base, *request.effects))]
+    for effect in chosen:
+        refuse_unflown(effect)
     flown_model = Model.of([e for e in chosen if e.stage is not Stage.CHANNEL])
     faults = [e for e in chosen if e.stage is Stage.CHANNEL]
     values = {p.name: p.neutral for e in chosen for p in e.parameters} | TRUTH

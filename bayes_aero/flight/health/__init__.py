@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from bayes_aero.flight.card import Card
+from bayes_aero.flight.health.across import across
 from bayes_aero.flight.health.air import air_data
+from bayes_aero.flight.health.derivatives import derivatives
 from bayes_aero.flight.health.dropout import dropouts
 from bayes_aero.flight.health.dropped import dropped_channels, read_remarks
 from bayes_aero.flight.health.elevator import elevator_response
@@ -26,8 +28,8 @@ from bayes_aero.flight.record import FlightRecord
 __all__ = ["HealthFinding", "channel_health"]
 
 _CHECKS: tuple[Callable[[FlightRecord, Card], list[HealthFinding]], ...] = (
-    refuted, air_data, elevator_response, dropouts, frozen, held, saturated, quantised, wrapped, short, idle,
-    dropped_channels, read_remarks,
+    refuted, air_data, across, derivatives, elevator_response, dropouts, frozen, held, saturated, quantised, wrapped,
+    short, idle, dropped_channels, read_remarks,
 )  # fmt: skip
 
 
@@ -53,6 +55,20 @@ def channel_health(records: Sequence[FlightRecord], card: Card) -> tuple[HealthF
 
 
 def _once(said: list[HealthFinding]) -> list[HealthFinding]:
-    """Without what a dropout looks like besides: a flat stretch, at an end of the channel's range."""
+    """Each fault of a channel once, without what follows from another one.
+
+    A dropout looks like a flat stretch, too, at an end of the channel's range; a density or airspeed in another unit
+    makes level flight impossible as well.
+    """
     dropped = {finding.channel for finding in said if finding.fault == "dropout"}
-    return [f for f in said if not (f.fault in ("frozen", "saturated", "quantised") and f.channel in dropped)]
+    said = [f for f in said if not (f.fault in ("frozen", "saturated", "quantised") and f.channel in dropped)]
+    units, first = [f for f in said if f.fault == "unit"], {}
+    for finding in units:
+        first.setdefault(finding.channel, finding)
+    blamed = {f.channel for f in said if f.fault in ("unit", "airspeed_kind", "density") and f.grave}
+    return [
+        f
+        for f in said
+        if not (f.fault == "unit" and first[f.channel] is not f)
+        and not (f.fault == "load" and blamed & {"density", "airspeed", "dynamic_pressure", "static_pressure"})
+    ]

@@ -16,9 +16,10 @@ from typing import TypeVar
 import numpy as np
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aliases import ALIASES, UNITS, split_heading
+from bayes_aero.flight.aliases import ALIASES, split_heading
 from bayes_aero.flight.readers.base import Heading, foreign
 from bayes_aero.flight.readers.numbers import is_blank, is_value
+from bayes_aero.unit_words import spellings
 
 __all__ = ["CELL", "Layout", "Lines", "laid_out", "separator_of", "split"]
 
@@ -255,8 +256,8 @@ def _names_and_units(header: Sequence[Sequence[str]], width: int) -> tuple[list[
 
 def _are_units(row: Sequence[str]) -> bool:
     """Whether cells are units rather than a second row of names."""
-    told = [cell.strip("[]() ").casefold() for cell in row if cell.strip("[]() ")]
-    units, names = sum(cell in UNITS for cell in told), sum(split_heading(cell)[0] in ALIASES for cell in told)
+    told = [cell.strip("[]() ") for cell in row if cell.strip("[]() ")]
+    units, names = sum(map(bool, map(spellings, told))), sum(split_heading(cell)[0] in ALIASES for cell in told)
     return bool(told) and units >= max(UNIT_SHARE * len(told), names)
 
 

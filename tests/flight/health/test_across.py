@@ -1,0 +1,209 @@
+"""Quantities that several channels make together: a wrong unit is told, and sound records are silent."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from flights import card, changed, flight
+
+from bayes_aero.flight.channel import Channel
+from bayes_aero.flight.health import channel_health
+from bayes_aero.flight.health.across import across
+from bayes_aero.flight.health.derivatives import derivatives
+from bayes_aero.flight.health.standard import standard_air
+from bayes_aero.flight.reading import read_record
+
+BOOK = Path(__file__).parents[3].parent / "shared" / "book"
+LBF, LB, FOOT, KNOT = 0.45359237 * 9.80665, 0.45359237, 0.3048, 1852.0 / 3600.0
+SLUG = LB * 9.80665 / FOOT / FOOT**3  # kg/m3
+UNITS = {
+    "density": {"unit": "kg/m^3"}, "dynamic_pressure": {"unit": "Pa"}, "mach": {"unit": "1"},
+    "static_pressure": {"unit": "Pa"}, "static_temperature": {"unit": "K"},
+}  # fmt: skip
+
+
+def air(record, altitude=None, warm=0.0):
+    """Air data of the standard day at the altitude, warmer by some kelvin."""
+    h = record["altitude"] if altitude is None else altitude
+    rho, sound = standard_air(h)
+    T = sound**2 / (1.4 * 287.05287)
+    rho, V = rho * T / (T + warm), record["airspeed"]
+    return {"density": rho, "dynamic_pressure": 0.5 * rho * V**2, "mach": V / (sound * np.sqrt((T + warm) / T))}
+
+
+def findings(record, **changes):
+    return channel_health([record], card(**UNITS, **changes))
+
+
+@pytest.fixture(scope="module")
+def sound():
+    record = flight(0)
+    return changed(record, **air(record))
+
+
+def test_the_standard_atmosphere_is_the_published_one():
+    """ISO 2533:1975, table 5: density and speed of sound at 0, 5, 11, 15 and 20 km."""
+    rho, speed = standard_air(np.array([0.0, 5e3, 11e3, 15e3, 20e3]))
+    np.testing.assert_allclose(rho, [1.225, 0.736116, 0.363918, 0.193674, 0.0880348], rtol=2e-5)
+    np.testing.assert_allclose(speed, [340.294, 320.529, 295.069, 295.069, 295.069], rtol=2e-6)
+
+
+@pytest.mark.parametrize("warm", [-40.0, -15.0, 0.0, 15.0, 30.0])
+@pytest.mark.parametrize("altitude", [0.0, 4000.0, 9000.0])
+def test_air_of_any_weather_is_silent(altitude, warm):
+    record = flight(1, altitude=altitude, seconds=30.0)
+    assert across(changed(record, **air(record, warm=warm)), card(**UNITS)) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "unit"),
+    [
+        ("density", SLUG, "slug/ft^3"),
+        ("density", LB / FOOT**3, "lb/ft^3"),
+        ("dynamic_pressure", LBF / FOOT**2, "lbf/ft^2"),
+        ("dynamic_pressure", 100.0, "hPa"),
+    ],
+)
+@pytest.mark.parametrize("with_altitude", [True, False])
+def test_a_unit_of_density_or_dynamic_pressure_is_told(sound, name, size, unit, with_altitude):
+    record = changed(sound, without=() if with_altitude else ("altitude",), **{name: sound[name] / size})
+    told = [f for f in findings(record) if f.fault in ("unit", "load", "density")]
+    assert [(f.channel, f.fault) for f in told] == [(name, "unit")]
+    assert f'set unit = "{unit}" for {name}' in told[0].sentence
+    assert told[0].grave == (name == "density")  # nothing rests on the dynamic pressure
+
+
+def test_a_density_in_slugs_shows_in_level_flight_alone(sound):
+    """CL = m g/(qbar S): 5700 x 9.80665/(0.5 x 0.0016 x 6400 x 28) is some 390."""
+    record = changed(sound, without=("altitude", "dynamic_pressure", "mach"), density=sound["density"] / SLUG)
+    (told,) = [f for f in findings(record) if f.fault == "load"]
+    assert told.grave
+    assert told.channel == "density"
+    assert "density were in slug/ft^3 (the card says kg/m^3)" in told.sentence
+
+
+def test_a_wing_area_in_square_feet_shows_in_level_flight(sound):
+    small = card(**UNITS)
+    small = replace(small, aircraft=replace(small.aircraft, mass=1500.0, wing_area=28.0 / FOOT**2))
+    told = [f for f in across(changed(sound, without=("altitude", "mach")), small) if f.fault == "load"]
+    assert len(told) == 1
+    assert "wing_area were in ft^2" in told[0].sentence
+
+
+def test_altitude_in_feet_shows_in_the_density(sound):
+    told = [f for f in across(changed(sound, altitude=sound["altitude"] / FOOT), card(**UNITS)) if f.fault == "unit"]
+    assert [f.channel for f in told][:1] == ["altitude"]
+    assert 'set unit = "ft" for altitude' in told[0].sentence
+
+
+def test_a_constant_density_is_held_against_the_altitude(sound):
+    record = changed(sound, without=("density", "dynamic_pressure", "mach"))
+    assert across(record, card(constants={"density": "0.82 kg/m^3"})) == []
+    (told,) = across(record, card(constants={"density": "1.225 kg/m^3"}))  # sea level's, at 4 km
+    assert (told.fault, told.channel, told.grave) == ("density", "density", True)
+
+
+def test_density_from_dynamic_pressure_is_as_good_as_its_unit(sound):
+    def derived(record):
+        made = replace(card(**UNITS), derived={"density": "dynamic pressure"})
+        return [(f.channel, f.fault, f.grave) for f in channel_health([record], made) if f.fault in ("unit", "load")]
+
+    record = changed(sound, without=("density",))
+    assert derived(record) == []
+    psf = changed(record, dynamic_pressure=record["dynamic_pressure"] / (LBF / FOOT**2))
+    assert derived(psf) == [("dynamic_pressure", "unit", True)]
+
+
+def test_calibrated_airspeed_shows_in_the_dynamic_pressure(sound):
+    record = changed(sound, airspeed=sound["airspeed"] * np.sqrt(sound["density"] / 1.225))
+    assert ("airspeed_kind", "airspeed") in [(f.fault, f.channel) for f in across(record, card(**UNITS))]
+
+
+def test_impact_pressure_is_no_dynamic_pressure(sound):
+    M = 0.85
+    fast = changed(sound, airspeed=sound["airspeed"] * (M / sound["mach"]), mach=np.full(sound.n, M))
+    q = 0.5 * fast["density"] * fast["airspeed"] ** 2
+    impact = fast["dynamic_pressure"] * 0.0 + 0.7**-1 * q / M**2 * ((1.0 + 0.2 * M**2) ** 3.5 - 1.0)
+    told = across(changed(fast, dynamic_pressure=impact), card(**UNITS))
+    assert [(f.channel, f.grave) for f in told] == [("dynamic_pressure", False)]
+    assert "impact pressure" in told[0].sentence
+    assert across(changed(fast, dynamic_pressure=q), card(**UNITS)) == []
+
+
+def test_mach_number_against_airspeed_and_altitude(sound):
+    (told,) = across(changed(sound, without=("density", "dynamic_pressure"), airspeed=sound["airspeed"] / KNOT),
+                     card(**UNITS))  # fmt: skip
+    assert (told.channel, told.fault, told.grave) == ("airspeed", "unit", True)
+    assert 'unit = "kt"' in told.sentence
+
+
+@pytest.mark.parametrize("name", ["p", "q", "r"])
+@pytest.mark.parametrize("dt", [0.02, 0.1])
+def test_a_derivative_in_degrees_is_told(name, dt):
+    record = flight(2, dt)
+    rng = np.random.default_rng(1)
+    slope = np.gradient(record[name], dt) + 0.02 * rng.standard_normal(record.n)
+    unit = {f"{name}_dot": {"unit": "rad/s^2"}}
+    assert derivatives(changed(record, **{f"{name}_dot": slope}), card(**unit)) == []
+    (told,) = derivatives(changed(record, **{f"{name}_dot": np.rad2deg(slope)}), card(**unit))
+    assert (told.channel, told.fault) == (f"{name}_dot", "unit")
+    assert 'set unit = "deg/s^2"' in told.sentence
+    (told,) = derivatives(changed(record, **{f"{name}_dot": -slope}), card(**unit))
+    assert (told.channel, told.fault) == (f"{name}_dot", "sign")
+
+
+def test_an_axis_that_is_not_excited_says_nothing():
+    rng = np.random.default_rng(3)
+    record = flight(3)
+    still = {"r": 4e-4 * rng.standard_normal(record.n), "r_dot": 0.6 * rng.standard_normal(record.n)}
+    assert derivatives(changed(record, **still), card(r_dot={"unit": "rad/s^2"})) == []
+
+
+needs_book = pytest.mark.skipif(not BOOK.is_dir(), reason="the records of the book are not in ../shared/book")
+ATTAS = {
+    "time": (1, "s"), "ax": (2, "m/s^2"), "ay": (3, "m/s^2"), "az": (4, "m/s^2"), "p": (7, "deg/s"), "q": (8, "deg/s"),
+    "r": (9, "deg/s"), "phi": (10, "deg"), "theta": (11, "deg"), "psi": (12, "deg"), "alpha": (13, "deg"),
+    "beta": (14, "deg"), "airspeed": (15, "m/s"), "altitude": (16, "ft"), "p_dot": (17, "deg/s^2"),
+    "q_dot": (18, "deg/s^2"), "r_dot": (19, "deg/s^2"), "calibrated_airspeed": (21, "kt"), "elevator": (22, "deg"),
+    "mach": (31, "1"), "static_temperature": (32, "K"), "static_pressure": (33, "hPa"), "density": (34, "kg/m^3"),
+}  # fmt: skip
+
+
+def book(name, **changes):
+    """A record of the book with the columns of cases.md, and what is said of it."""
+    places = ATTAS | changes
+    channels = tuple(Channel(key, unit, None, column) for key, (column, unit) in places.items())
+    record = read_record(BOOK / name, channels)
+    ours = replace(card(), channels=channels)
+    return [*across(record, ours), *derivatives(record, ours)]
+
+
+@needs_book
+@pytest.mark.parametrize("name", ["fAttasElv1_pqrDot.asc", "fAttasAil1_pqrDot.asc", "fAttasRud1_pqrDot.asc"])
+def test_the_records_of_the_book_are_silent_in_their_units_and_tell_others(name):
+    own = {"p_dot": (46, "rad/s^2"), "q_dot": (47, "rad/s^2"), "r_dot": (48, "rad/s^2")}
+    assert book(name) == []
+    assert book(name, **own) == []
+    axis = {"E": ("q_dot", 47), "A": ("p_dot", 46), "R": ("r_dot", 48)}[name[6]]
+    told = book(name, **{axis[0]: (axis[1], "deg/s^2")})  # as the book's own program takes them (its case 32)
+    assert [(f.channel, f.fault) for f in told] == [(axis[0], "unit")]
+
+
+@needs_book
+def test_the_dynamic_pressure_of_the_hfb_320_makes_its_density():
+    """cases.md: 2 PDYN/V^2 is 0.7925 +- 0.0032 kg/m3."""
+    from bayes_aero.model.formed import with_sums
+
+    channels = (Channel("time", "s", None, 1), Channel("dynamic_pressure", "Pa", None, 3),
+                Channel("airspeed", "m/s", None, 5), Channel("q", "rad/s", None, 8),
+                Channel("q_dot", "rad/s^2", None, 9))  # fmt: skip
+    record = read_record(BOOK / "hfb320_1_10.asc", channels)
+    ours = replace(card(), channels=channels, derived={"density": "dynamic pressure"})
+    rho = with_sums(record, ours)["density"]
+    assert np.mean(rho) == pytest.approx(0.7925, abs=5e-4)
+    assert np.std(rho) == pytest.approx(0.0032, abs=5e-4)
+    assert [*across(record, ours), *derivatives(record, ours)] == []

@@ -1,0 +1,92 @@
+"""What `card` guesses from a file's own units, the reader accepts: one table serves both."""
+
+import numpy as np
+import pytest
+
+from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
+from bayes_aero.flight.plausible import implausible
+from bayes_aero.flight.raw import read_raw
+from bayes_aero.flight.reading import read_record
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.studies.guess import guessed
+
+N = 60
+TIME = np.arange(N) * 0.04
+WAVE = np.sin(np.linspace(0.0, 6.0, N))
+DEG, FT, LB, GRAVITY = np.pi / 180.0, 0.3048, 0.45359237, 9.80665
+LBF, SLUG = LB * GRAVITY, LB * GRAVITY / FT
+
+CASES = [  # heading, channel, SI values, SI size of one of the unit, spellings
+    ("AoA", "alpha", 0.1 + 0.05 * WAVE, DEG, "deg DEG Degrees ° degs"),
+    ("AoA", "alpha", 0.1 + 0.05 * WAVE, 1.0, "rad RAD radians"),
+    ("Q", "q", 0.05 * WAVE, DEG, "deg/s DEG/SEC dps °/s deg/sec degrees/second deg_s DPS"),
+    ("qdot", "q_dot", 0.2 * WAVE, DEG, "deg/s2 deg/sec^2 DEG/S/S °/s² deg/s**2"),
+    ("qdot", "q_dot", 0.2 * WAVE, 1.0, "rad/s2 RAD/SEC2"),
+    ("TAS", "airspeed", 80.0 + 5.0 * WAVE, FT, "ft/s FT/SEC fps f/s feet/sec"),
+    ("TAS", "airspeed", 80.0 + 5.0 * WAVE, 1852.0 / 3600.0, "kt kts KNOTS kn KTAS Kn"),
+    ("TAS", "airspeed", 80.0 + 5.0 * WAVE, 1.0, "m/s M/S mps m/sec"),
+    ("Nz", "az", -GRAVITY - WAVE, GRAVITY, "g G Gs g's"),
+    ("az", "az", -GRAVITY - WAVE, FT, "ft/s2 ft/sec^2 FT/S/S"),
+    ("az", "az", -GRAVITY - WAVE, 1.0, "m/s2 m/s/s M/S^2 m/s²"),
+    ("Altitude", "altitude", 2000.0 + 20.0 * WAVE, FT, "ft FEET Ft"),
+    ("rho", "density", 1.0 + 0.01 * WAVE, SLUG / FT**3, "slug/ft3 slugs/ft^3 SLUG/FT3 slug/cu\N{NO-BREAK SPACE}ft"),
+    ("rho", "density", 1.0 + 0.01 * WAVE, LB / FT**3, "lb/ft3 lbm/ft^3"),
+    ("rho", "density", 1.0 + 0.01 * WAVE, 1.0, "kg/m3 KG/M3 kg/m³"),
+    ("qbar", "dynamic_pressure", 3000.0 + 99.0 * WAVE, LBF / FT**2, "psf PSF lbf/ft2 lb/ft2 lbs/ft^2"),
+    ("PDYN", "dynamic_pressure", 3000.0 + 99.0 * WAVE, 100.0, "hPa HPA mb mbar"),
+    ("Ps", "static_pressure", 8e4 + 99.0 * WAVE, 3386.388640341, "inHg INHG in\N{NO-BREAK SPACE}Hg in_Hg"),
+    ("Ps", "static_pressure", 8e4 + 99.0 * WAVE, LBF / 0.0254**2, "psi PSIA lb/in2"),
+    ("Thrust", "thrust", 9000.0 + 99.0 * WAVE, LBF, "lbf LBF lbs LBS lb pounds Lbs."),
+    ("Thrust", "thrust", 9000.0 + 99.0 * WAVE, 1000.0, "kN KN"),
+    ("Fuel_Used", "fuel_used", 500.0 + 9.0 * WAVE, LB, "lbs LBS lb lbm"),
+    ("N1L", "n1_left", 0.7 + 0.05 * WAVE, 0.01, "% pct percent PCT"),
+    ("EngineRPM", "engine_speed", 200.0 + 9.0 * WAVE, 2.0 * np.pi / 60.0, "rpm RPM rev/min"),
+]
+SPELLED = [(*case[:4], unit) for case in CASES for unit in case[4].split(" ")]
+
+
+def written(folder, layout, heading, filed, unit):
+    """A file with its unit in the heading, in a unit row, or nowhere but in the heading without brackets."""
+    first = {"brackets": f"Time [s],{heading} ({unit})", "unit row": f"Time,{heading}\ns,{unit}"}[layout]
+    rows = (f"{t:.2f},{x:.9g}" for t, x in zip(TIME, filed, strict=True))
+    path = folder / "run.csv"
+    path.write_text("\n".join([first, *rows]), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("layout", ["brackets", "unit row"])
+@pytest.mark.parametrize(("heading", "channel", "si", "size", "unit"), SPELLED)
+def test_a_guess_from_the_files_own_unit_passes_the_reader(tmp_path, layout, heading, channel, si, size, unit):
+    path = written(tmp_path, layout, heading, si / size, unit)
+    found, _ = guessed(read_raw(path).columns)
+    guess, time = found[channel], found["time"]
+    card = [Channel(g.channel, str(g.unit), label=g.column.label, sign=g.sign) for g in (time, guess)]
+    np.testing.assert_allclose(read_record(path, card)[channel], si, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("rad/s^2", 1.0), ("deg/s^2", DEG)])
+def test_the_unit_of_an_angular_acceleration_shows_in_the_rate(tmp_path, unit, scale):
+    time = np.arange(400) * 0.04
+    rate, slope = 0.1 * np.sin(time), 0.1 * np.cos(time)
+    rows = (f"{t:.2f},{x:.9g},{y:.9g}" for t, x, y in zip(time, rate / DEG, slope / scale, strict=True))
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(["Time [s],Q [deg/s],Qdot", *rows]), encoding="utf-8")
+    assert guessed(read_raw(path).columns)[0]["q_dot"].unit == unit
+
+
+@pytest.mark.parametrize(("unit", "size"), [("Pa", 1.0), ("lbf/ft^2", LBF / FT**2)])
+def test_the_unit_of_a_dynamic_pressure_shows_in_the_airspeed(tmp_path, unit, size):
+    speed = 80.0 + 5.0 * WAVE
+    rows = (f"{t:.2f},{v:.9g},{x:.9g}" for t, v, x in zip(TIME, speed, 0.5 * 1.1 * speed**2 / size, strict=True))
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(["Time [s],TAS [m/s],Qbar", *rows]), encoding="utf-8")
+    assert guessed(read_raw(path).columns)[0]["dynamic_pressure"].unit == unit
+
+
+@pytest.mark.parametrize("unit", ["deg", "DEG", "degrees", "°"])
+def test_the_unit_of_the_card_is_never_advised(unit):
+    record = FlightRecord.from_arrays("run", TIME, {"alpha": (150.0 + 100.0 * WAVE) * DEG})
+    said = implausible(record, STANDARD_CHANNELS["alpha"], Channel("alpha", unit))
+    assert said is not None
+    assert "looks like" not in said
+    assert "set unit" not in said
