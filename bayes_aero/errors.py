@@ -1,4 +1,4 @@
-"""The one exception that a user of the package is meant to read, and the failure that no stage may put up with."""
+"""The exceptions that a user of the package is meant to read, and the failure that no stage may put up with."""
 
 from __future__ import annotations
 
@@ -25,6 +25,13 @@ class InputError(ValueError):
 
     def __init__(self, sentence: object = "") -> None:
         super().__init__(plain_line(str(sentence)))
+
+
+class DefectError(RuntimeError):
+    """A defect of the program that it has noticed itself, told in one sentence: what failed, and what can be done."""
+
+    def __init__(self, failed: str, mend: str) -> None:
+        super().__init__(plain_line(f"{failed}: a defect of the program, please report it. Until then: {mend}"))
 
 
 def plain_line(text: str) -> str:

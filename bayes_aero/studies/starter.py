@@ -23,6 +23,7 @@ from bayes_aero.model.flights import Flights
 from bayes_aero.physics.coefficients import REQUIRED
 from bayes_aero.studies.guess import Guess, guessed
 from bayes_aero.studies.starter_aircraft import aircraft_block
+from bayes_aero.studies.starter_check import read_back
 from bayes_aero.units import from_si
 
 ATTACHED = (
@@ -82,7 +83,12 @@ class Starter:
 
 
 def starter_card(path: Path) -> Starter:
-    """Guess from a record's columns."""
+    """Guess from a record's columns.
+
+    Raises:
+        InputError: the record cannot be read, or is too short to guess from.
+        DefectError: the card would not be one.
+    """
     raw = read_raw(path)
     longest = max((len(c.values) for c in raw.columns if c.values is not None), default=0)
     if longest < MIN_SAMPLES:
@@ -106,7 +112,9 @@ def starter_card(path: Path) -> Starter:
     ]
     open_lines = [line for line in lines if '"TODO' in line and not line.startswith("#")]
     todo = [(line.split(" =")[0].strip(), line.partition(" # ")[2]) for line in open_lines]
-    return Starter("\n".join(lines) + "\n", todo, found, unknown)
+    text = "\n".join(lines) + "\n"
+    read_back(text, path.name)
+    return Starter(text, todo, found, unknown)
 
 
 def _text(words: str) -> str:
@@ -127,10 +135,9 @@ def _channels(found: Mapping[str, Guess], unknown: Sequence[RawColumn], columns:
         if name not in found and name not in HELD:
             yield from _absent(name, place)
     for name, guess in found.items():
-        place = _place(guess.column)
         optional = "" if name in NEEDED or name in KINEMATIC else ", required = false"
         sign = ", sign = -1" if guess.sign < 0 else ""
-        entry = f"{name} = {{ {place}, unit = {_text(guess.unit or 'TODO')}{sign}{optional} }}"
+        entry = f"{name} = {{ {_place(guess.column)}, unit = {_text(guess.unit or 'TODO')}{sign}{optional} }}"
         doubt = _implausible(name, guess)
         if doubt:
             yield _comment(f"NOT TAKEN, {doubt}; {guess.evidence}:")
@@ -185,13 +192,18 @@ def _implausible(name: str, guess: Guess) -> str:
     return f"{x.min():.4g} to {x.max():.4g} {STANDARD_CHANNELS[name].unit} is beyond any flight"
 
 
+def _taken(found: Mapping[str, Guess]) -> set[str]:
+    """Channels whose guess stands on the card."""
+    return {name for name, guess in found.items() if not _implausible(name, guess)}
+
+
 def _sums(found: Mapping[str, Guess]) -> Iterator[str]:
-    if {"thrust_left", "thrust_right"} <= set(found) and "thrust" not in found:
+    if _taken(found) >= {"thrust_left", "thrust_right"} and "thrust" not in found:
         yield from ("[sums]", 'thrust = ["thrust_left", "thrust_right"]', "")
 
 
 def _derivable(found: Mapping[str, Guess]) -> list[str]:
-    have = {name for name, guess in found.items() if not _implausible(name, guess)}
+    have = _taken(found)
     return [name for name, needs in DERIVABLE.items() if name not in have and set(needs) <= have]
 
 
@@ -212,7 +224,7 @@ def _constants(found: Mapping[str, Guess]) -> Iterator[str]:
     lines = []
     if "density" not in found and "density" not in derived:
         lines.append('density = "TODO" # of the air, e.g. "0.9 kg/m^3"; neither it nor an altitude was found')
-    if "thrust" not in found and not {"thrust_left", "thrust_right"} <= set(found):
+    if "thrust" not in found and not _taken(found) >= {"thrust_left", "thrust_right"}:
         lines.append(
             'thrust = "TODO" # total net thrust, e.g. "2500 N"; was not found in the file. Drag is as good as this'
         )
