@@ -141,8 +141,8 @@ def _agree(report: CheckReport) -> bool | None:
     return None if report.consistency.agreement is Agreement.NOT_CHECKED else not report.consistency.disagrees
 
 
-def write_check(report: CheckReport, out: Path, seed: int = 0) -> str | None:
-    """Write check.json and report.html into `out`; why the page could not be made, if so."""
+def write_check(report: CheckReport, out: Path, seed: int = 0) -> tuple[str, ...]:
+    """Write check.json and report.html into `out`; a sentence on what of the page cannot be made."""
     writable(out)
     write_json(check_results(report), out / "check.json")
     source = provenance(report.card, [r.record for r in report.records if r.record is not None], seed, {})

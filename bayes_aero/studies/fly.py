@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.criticism.consistency import consistency
 from bayes_aero.criticism.flown_fit import FITTED, FlownFit, fit_flown
 from bayes_aero.criticism.trajectory import WINDOW
-from bayes_aero.errors import InputError
+from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
@@ -34,6 +33,7 @@ from bayes_aero.report.page_fly import FlyTold, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES, several
 from bayes_aero.report.tables import write_csv
 from bayes_aero.report.words_fly import fly_sentences, parameter_frame, parameter_rows
+from bayes_aero.studies.agree import sensors_agree
 from bayes_aero.studies.consistency_results import consistency_results
 from bayes_aero.studies.diagnosis_results import record_results
 from bayes_aero.studies.folder import writable
@@ -58,6 +58,7 @@ class Flight:
     notes: tuple[str, ...]
     health: tuple[HealthFinding, ...] = ()
     consistency: Consistency | None = None
+    failures: tuple[str, ...] = ()  # parts that failed unexpectedly
 
 
 def fly(
@@ -84,18 +85,26 @@ def fly(
     source = provenance(card, records, seed, {"windows": windows})
     if progress:
         progress("do the sensors agree?", 0.0)
-    agreement = consistency(records, card, seed=seed)
+    agreement, failures = sensors_agree(records, card, seed, out)
+    starts, failed = attempted(
+        "The coefficients gave no first values",
+        lambda: _starts(records, card, dynamics, seed, progress),
+        [],
+        out,
+        own=bool(card.effect_files),
+    )
     flown = fit_flown(
         flights,
         dynamics,
         {name: STANDARD_CHANNELS[name].unit for name in STANDARD_CHANNELS} | channel_units(card),
-        starts=_starts(records, card, dynamics, seed, progress),
+        starts=starts,
         window=windows,
         tolerances={name: tolerance.value for name, tolerance in card.tolerances.items()},
         biases=card.output_biases,
         progress=progress,
     )
-    found = Flight(flown, tuple(fly_sentences(flown)), tuple(notes), channel_health(records, card), agreement)
+    health = channel_health(records, card)
+    found = Flight(flown, tuple(fly_sentences(flown)), tuple(notes), health, agreement, (*failures, *failed))
     if out is None:
         return found
     return _written(found, card, records, source, out, figures=figures, progress=progress)
@@ -113,29 +122,28 @@ def _written(
 ) -> Flight:
     """Numbers first; what cannot be drawn or shown after them is a note, and the numbers are written again with it."""
 
-    def noted(said: Sequence[str]) -> Flight:
-        more = replace(found, notes=(*found.notes, *said))
+    def noted(said: Sequence[str], failures: Sequence[str]) -> Flight:
+        more = replace(found, notes=(*found.notes, *said), failures=(*found.failures, *failures))
         write_json(fly_results(more, card, records, source), out / RESULTS)
         return more
 
     write_csv(parameter_frame(found.flown), out / "parameters.csv")
     together = [replace(path, split=FITTED) for path in found.flown.paths]  # first values and fit side by side
-    found = noted(())
-    failure = put_histories(lambda: flights(together, found.flown.units), out)
-    found = noted([failure]) if failure else found
+    found = noted((), ())
+    failed = put_histories(lambda: flights(together, found.flown.units), out)
+    found = noted((), failed) if failed else found
     drawn: list[Path] = []
     if figures:
         drawn, failed = draw_all(fly_figures(found.flown), found.flown, out / "figures", progress)
-        said = [f"Figure {name} was not drawn: {why}" for name, why in failed.items()]
-        if len(records) > MOST_MANOEUVRES:
-            said.append(f"Figures are drawn for up to {MOST_MANOEUVRES} manoeuvres.")
-        found = noted(said) if said else found
+        many = len(records) > MOST_MANOEUVRES
+        said = [f"Figures are drawn for up to {MOST_MANOEUVRES} manoeuvres."] if many else []
+        found = noted(said, failed) if said or failed else found
     if progress:
         progress("report", 0.95)
     shown = {path.stem: path for path in drawn}
-    told = FlyTold(card, records, source, found.sentences, found.notes, shown, found.consistency)
-    failure = put_page(lambda: fly_page(found.flown, told), out)
-    return noted([failure]) if failure else found
+    told = FlyTold(card, records, source, found.sentences, found.notes, shown, found.consistency, found.failures)
+    failed = put_page(lambda: fly_page(found.flown, told), out)
+    return noted((), failed) if failed else found
 
 
 def _flights(records: Sequence[FlightRecord], card: Card) -> tuple[Flights, Dynamics, list[str]]:
@@ -207,5 +215,6 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
         "paths": [open_loop(path, flown.units) for path in flown.paths],
         "health": health_results(found.health),
         "notes": list(found.notes),
+        "failures": list(found.failures),
         "provenance": source,
     }

@@ -58,6 +58,7 @@ def results(
     found["verdict"] = verdict
     found["health"] = health_results(identification.health)
     found["notes"] = list(identification.notes)
+    found["failures"] = list(identification.failures)
     found["provenance"] = provenance | {"seconds": {k: round(v, 2) for k, v in identification.seconds.items()}}
     return found
 
