@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +13,15 @@ from jaxtyping import Float
 
 from bayes_aero.criticism.flown_fit import FITTED, FlownFit, fit_flown
 from bayes_aero.criticism.trajectory import WINDOW
+from bayes_aero.criticism.two_fits import Disagreement, disagreements
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import HealthFinding, channel_health
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.mle import fit_mle
+from bayes_aero.inference.mle import MleResult, fit_mle
+from bayes_aero.inference.noise_bias import without_noise_bias
 from bayes_aero.model.dynamics import Dynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.model.flights import Flights, despiked, join
 from bayes_aero.model.linear import channel_units, linear_dynamics
@@ -32,7 +34,7 @@ from bayes_aero.report.page import put_page
 from bayes_aero.report.page_fly import FlyTold, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES, several
 from bayes_aero.report.tables import write_csv
-from bayes_aero.report.words_fly import fly_sentences, parameter_frame, parameter_rows
+from bayes_aero.report.words_fly import disagreement_sentences, fly_sentences, parameter_frame, parameter_rows
 from bayes_aero.studies.agree import sensors_agree
 from bayes_aero.studies.consistency_results import consistency_results
 from bayes_aero.studies.diagnosis_results import record_results
@@ -40,7 +42,8 @@ from bayes_aero.studies.folder import writable
 from bayes_aero.studies.health_results import health_results
 from bayes_aero.studies.histories import flights, put_histories
 from bayes_aero.studies.provenance import provenance, write_json
-from bayes_aero.studies.repair import spike_notes
+from bayes_aero.studies.repair import repaired, spike_notes
+from bayes_aero.studies.results import inseparable_results
 from bayes_aero.studies.trajectory_results import open_loop
 
 SCHEMA = "bayes_aero/trajectories/1"
@@ -59,6 +62,7 @@ class Flight:
     health: tuple[HealthFinding, ...] = ()
     consistency: Consistency | None = None
     failures: tuple[str, ...] = ()  # parts that failed unexpectedly
+    apart: tuple[Disagreement, ...] = ()  # parameters of which the coefficients of the same record say otherwise
 
 
 def fly(
@@ -86,10 +90,10 @@ def fly(
     if progress:
         progress("do the sensors agree?", 0.0)
     agreement, failures = sensors_agree(records, card, seed, out)
-    starts, failed = attempted(
+    coefficients, failed = attempted(
         "The coefficients gave no first values",
-        lambda: _starts(records, card, dynamics, seed, progress),
-        [],
+        lambda: _of_coefficients(records, card, seed, progress),
+        None,
         out,
         own=bool(card.effect_files),
     )
@@ -97,14 +101,16 @@ def fly(
         flights,
         dynamics,
         {name: STANDARD_CHANNELS[name].unit for name in STANDARD_CHANNELS} | channel_units(card),
-        starts=starts,
+        starts=_starts(coefficients, dynamics),
         window=windows,
         tolerances={name: tolerance.value for name, tolerance in card.tolerances.items()},
         biases=card.output_biases,
         progress=progress,
     )
+    apart = () if coefficients is None else disagreements(coefficients, flown)
+    said = (*fly_sentences(flown), *disagreement_sentences(apart))
     health = channel_health(records, card)
-    found = Flight(flown, tuple(fly_sentences(flown)), tuple(notes), health, agreement, (*failures, *failed))
+    found = Flight(flown, said, tuple(notes), health, agreement, (*failures, *failed), apart)
     if out is None:
         return found
     return _written(found, card, records, source, out, figures=figures, progress=progress)
@@ -163,18 +169,25 @@ def _flights(records: Sequence[FlightRecord], card: Card) -> tuple[Flights, Dyna
     return flights, dynamics, notes
 
 
-def _starts(
-    records: Sequence[FlightRecord], card: Card, dynamics: Dynamics, seed: int, progress: Progress | None
-) -> list[Float[np.ndarray, " k"]]:
-    """What a fit of the coefficients finds, where they can be formed: a trajectory has optima far from the flight."""
+def _of_coefficients(
+    records: Sequence[FlightRecord], card: Card, seed: int, progress: Progress | None
+) -> MleResult | None:
+    """The fit of the coefficients, as `identify` does it, where they can be formed."""
     if card.linear is not None:
-        return []
+        return None
     if progress:
         progress("coefficients", 0.0)
-    model = Model.from_card(card)
+    model, (without_spikes, _) = Model.from_card(card), repaired(records)
     try:
-        found = fit_mle(model, observe(records, card, model), seed=seed)
+        found = fit_mle(model, observe(without_spikes, card, model), seed=seed)
+        return without_noise_bias(found, without_spikes, card, model, seed=seed)
     except InputError:
+        return None
+
+
+def _starts(found: MleResult | None, dynamics: Dynamics) -> list[Float[np.ndarray, " k"]]:
+    """What the fit of the coefficients has found: a trajectory has optima far from the flight."""
+    if found is None:
         return []
     near = dict(zip(found.names, found.estimate, strict=True))
     lower, upper = (np.array([p.bounds[i] for p in dynamics.free], float) for i in (0, 1))
@@ -202,6 +215,8 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
         "colour_cost": flown.colour_cost,
         "swell": dict(flown.swell),
         "parameters": parameter_rows(flown),
+        "inseparable": inseparable_results(flown.fit.inseparable),
+        "disagreement": [asdict(d) for d in found.apart],
         "initial_states": {
             manoeuvre: {n: {"value": x, "departure": d, "unit": units[n]} for n, (x, d) in states.items()}
             for manoeuvre, states in flown.initial.items()
