@@ -54,8 +54,10 @@ def inseparable(
     Returns:
         The nearest dependency first.
     """
-    white = np.sqrt(np.diag(covariance))
-    free = np.flatnonzero(np.isfinite(white) & (white > 0.0) & np.isfinite(deviation))
+    if not np.isfinite(covariance).all():
+        return ()
+    white = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    free = np.flatnonzero((white > 0.0) & np.isfinite(deviation))
     if len(free) < 2:
         return ()
     correlation = covariance[np.ix_(free, free)] / np.outer(white[free], white[free])
