@@ -1,14 +1,25 @@
-"""The one exception that a user of the package is meant to read, and the failure that no stage may put up with."""
+"""The exceptions that a user of the package is meant to read, and the failure that no stage may put up with."""
 
 from __future__ import annotations
 
 import errno
 import os
 import re
+import traceback
+from collections.abc import Callable
+from concurrent.futures import CancelledError
+from contextlib import suppress
+from pathlib import Path
+from typing import TypeVar
 
 _NO_SPACE = tuple(
     getattr(errno, name) for name in ("ENOSPC", "EDQUOT", "EFBIG") if hasattr(errno, name)
 )  # disk, quota, largest file allowed
+
+ERROR = "error.txt"
+"""In a folder of results: where in the program each unexpected failure happened."""
+
+Found = TypeVar("Found")
 
 LONGEST = 1200
 """Characters of a sentence; what a hostile file makes longer loses its middle."""
@@ -27,10 +38,59 @@ class InputError(ValueError):
         super().__init__(plain_line(str(sentence)))
 
 
+class DefectError(RuntimeError):
+    """A defect of the program that it has noticed itself, told in one sentence: what failed, and what can be done."""
+
+    def __init__(self, failed: str, mend: str) -> None:
+        super().__init__(plain_line(f"{failed}: a defect of the program, please report it. Until then: {mend}"))
+
+
 def plain_line(text: str) -> str:
     """One line without control characters, at most `LONGEST` long."""
     line = _CONTROL.sub(lambda found: ascii(found[0])[1:-1], text)
     return line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
+
+
+def failure(what: str, reason: Exception, folder: Path | None = None, *, own: bool = False) -> str:
+    """The sentence on a part of a job that failed unexpectedly, all else of the job being valid.
+
+    Args:
+        what: the part, and that it is not there ("The predictors were not compared").
+        reason: what was raised.
+        folder: of the results; where in the program it happened is added to its error.txt.
+        own: whether effects of the user's own may be what failed.
+
+    Raises:
+        the reason itself, where no more can be written.
+    """
+    if no_space(reason):
+        raise reason
+    where = ""
+    if folder is not None:
+        with suppress(OSError), (folder / ERROR).open("a", encoding="utf-8") as handle:
+            handle.write("".join(traceback.format_exception(reason)) + "\n")
+            where = f" with {ERROR}"
+    if isinstance(reason, MemoryError) or "RESOURCE_EXHAUSTED" in str(reason):
+        return plain_line(
+            f"{what}: there is not enough memory for it; take fewer or shorter records. All else is valid."
+        )
+    whose = "the program or of the card's effect files" if own else "the program"
+    return plain_line(
+        f"{what}: {type(reason).__name__}: {reason}. This is a defect of {whose}; please report it{where}. All else is "
+        "valid."
+    )
+
+
+def attempted(
+    what: str, do: Callable[[], Found], otherwise: Found, folder: Path | None = None, *, own: bool = False
+) -> tuple[Found, tuple[str, ...]]:
+    """What `do` returns; or `otherwise`, and the sentence of `failure`. Bad input is raised as ever."""
+    try:
+        return do(), ()
+    except (InputError, CancelledError):
+        raise
+    except Exception as reason:  # whatever it is, the other parts of the job stand; it is told, and the job fails
+        return otherwise, (failure(what, reason, folder, own=own),)
 
 
 def no_space(error: BaseException | None) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from typing import Annotated
 
@@ -17,12 +18,16 @@ from bayes_aero.cli.identify import identify
 from bayes_aero.cli.run import run
 from bayes_aero.cli.simulate import simulate
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED, InterruptionError
-from bayes_aero.errors import InputError, plain_line
+from bayes_aero.errors import DefectError, InputError, plain_line
 from bayes_aero.studies.compiled import keep_compiled
+
+TRACEBACK = "BAYES_AERO_TRACEBACK"
+"""Set in the environment, an unexpected failure shows where in the program it happened."""
 
 EPILOG = (
     f"Exit codes: 0 done; {FAILED} a record is not usable (check), a fit did not converge or cannot fly "
-    "(fly), or units of a study failed or differ, or its cluster was lost (run); "
+    "(fly), units of a study failed or differ, or its cluster was lost (run), or a part of the program failed "
+    "unexpectedly (told first; what else was found is written); "
     f"{BAD_INPUT} bad input, told in one sentence; {DOUBT} done, but the records are in doubt: sensors disagree or a "
     f"channel is faulty, reported first; {INTERRUPTED} interrupted, finished stages are kept.\n\n"
     "Each command's --help has an example; a new aircraft starts with: bayes-aero card RECORD."
@@ -75,6 +80,21 @@ def main() -> None:
     except InterruptionError as stopped:
         print(f"interrupted; {stopped}", file=sys.stderr)
         sys.exit(INTERRUPTED)
+    except DefectError as defect:
+        print(f"error: {defect}", file=sys.stderr)
+        sys.exit(FAILED)
+    except ImportError:  # Ctrl-C in the midst of a library's first import ends so; the entry point knows
+        raise
+    except Exception as error:
+        if os.environ.get(TRACEBACK):
+            raise
+        what = plain_line(f"{type(error).__name__}: {error}")
+        print(
+            f"error: the command failed unexpectedly ({what}). This is a defect of the program; please report it with "
+            f"the command, the card and what {TRACEBACK}=1 in the environment then prints",
+            file=sys.stderr,
+        )
+        sys.exit(FAILED)
     except SystemExit as stopped:
         if stopped.code == INTERRUPTED:  # typer's own, before a command had begun its work
             print("interrupted; nothing had been written yet, give the same command again", file=sys.stderr)

@@ -8,7 +8,15 @@ from typing import Annotated
 
 import typer
 
-from bayes_aero.cli.terminal import SUFFIXES, JsonOption, loading, print_json, teller
+from bayes_aero.cli.terminal import (
+    SUFFIXES,
+    JsonOption,
+    exit_if_failed,
+    loading,
+    print_failures,
+    print_json,
+    teller,
+)
 from bayes_aero.errors import InputError
 
 
@@ -47,12 +55,14 @@ def card(
     finally:
         partial.unlink(missing_ok=True)
     report = None
+    failures: tuple[str, ...] = ()
     if page:
-        from bayes_aero.studies.starter_page import write_starter_page
+        from bayes_aero.studies.starter_page import put_starter_page
 
-        report = write_starter_page(starter, record, target)
+        report, failures = put_starter_page(starter, record, target)
     if json:
         print_json(starter.told | {"card": str(target), "report": None if report is None else str(report)})
+        exit_if_failed(failures)
         return
     console = teller()
     console.print(f"The card is in {target}. Read its guesses.", soft_wrap=True)
@@ -63,3 +73,5 @@ def card(
     if report is not None:
         console.print(f"The report is in {report}", soft_wrap=True)
     console.print(f"Then: bayes-aero check {record} --model {target}", soft_wrap=True)
+    print_failures(console, failures)
+    exit_if_failed(failures)

@@ -19,9 +19,11 @@ from bayes_aero.cli.terminal import (
     SeedOption,
     SplitOption,
     bar,
+    exit_if_failed,
     exit_in_doubt,
     interruptible,
     loading,
+    print_failures,
     print_json,
     teller,
 )
@@ -56,19 +58,22 @@ def check(
         from bayes_aero.flight.card import read_card
         from bayes_aero.studies.check import check_records, check_results, write_check
 
-    card, failure = read_card(model), None
+    card = read_card(model)
+    failures: tuple[str, ...] = ()
     with interruptible(lambda: "nothing was written; give the same command again"), bar("reading") as tell:
         report = check_records(records, card, resample=resample, split=split, sensors=sensors, seed=seed, progress=tell)
         if out is not None:
-            failure = write_check(report, out, seed)
+            failures = write_check(report, out, seed)
     if json:
         print_json(check_results(report))
     else:
         _tell(teller(), report)
         if out is not None:
-            teller().print(f"! {failure}" if failure else f"The report is in {out / 'report.html'}", soft_wrap=True)
+            print_failures(teller(), failures)
+            teller().print(f"Results are in {out}", soft_wrap=True)
     if not report.usable:
         raise typer.Exit(FAILED)
+    exit_if_failed(failures)
     exit_in_doubt(report.consistency, report.health, corrects=False)
 
 

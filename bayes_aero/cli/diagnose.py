@@ -17,11 +17,13 @@ from bayes_aero.cli.terminal import (
     SplitOption,
     bar,
     card_and_records,
+    exit_if_failed,
     exit_in_doubt,
     interruptible,
     kept_stages,
     loading,
     print_doubts,
+    print_failures,
     teller,
 )
 
@@ -79,14 +81,17 @@ def diagnose(
     corrects = not isinstance(found, Flown)  # trajectories are fitted to the record as it is
     if json:
         typer.echo((out / "diagnosis.json").read_text(encoding="utf-8"), nl=False)
+        exit_if_failed(found.failures)
         exit_in_doubt(found.consistency, found.health, corrects=corrects)
         return
+    print_failures(console, found.failures)
     print_doubts(console, found.consistency, found.health, corrects=corrects)
     if isinstance(found, Flown):
         _tell_flown(console, found)
     else:
         _tell(console, found)
     console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
+    exit_if_failed(found.failures)
     exit_in_doubt(found.consistency, found.health, corrects=corrects)
 
 

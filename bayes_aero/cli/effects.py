@@ -11,7 +11,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from bayes_aero.cli.terminal import JsonOption, print_json, teller
+from bayes_aero.cli.terminal import JsonOption, exit_if_failed, print_failures, print_json, teller
 
 SCHEMA = "bayes_aero/effects/1"
 
@@ -45,11 +45,11 @@ def effects(
     known = known_effects(card)
     chosen = known.values() if name is None else [effect_named(name, known)]
     found = [described(effect, card) for effect in chosen]
-    failure = None
+    failures: tuple[str, ...] = ()
     if out is not None:
         from bayes_aero.studies.catalogue_page import write_effects
 
-        failure = write_effects(found, SCHEMA, card, out)
+        failures = write_effects(found, SCHEMA, card, out)
     if json:
         print_json({"schema": SCHEMA, "effects": found})
     elif name is None:
@@ -57,7 +57,9 @@ def effects(
     else:
         _explained(found[0])
     if out is not None and not json:
-        teller().print(f"! {failure}" if failure else f"The report is in {out / 'report.html'}", soft_wrap=True)
+        print_failures(teller(), failures)
+        teller().print(f"Results are in {out}", soft_wrap=True)
+    exit_if_failed(failures)
 
 
 def _table(found: Sequence[Mapping[str, Any]]) -> None:

@@ -17,11 +17,13 @@ from bayes_aero.cli.terminal import (
     SplitOption,
     bar,
     card_and_records,
+    exit_if_failed,
     exit_in_doubt,
     interruptible,
     kept_stages,
     loading,
     print_doubts,
+    print_failures,
     teller,
 )
 
@@ -59,6 +61,7 @@ def fly(
         found = run(flights, card, out=out, windows=windows, seed=seed, figures=figures, progress=tell)
     if json:
         typer.echo((out / RESULTS).read_text(encoding="utf-8"), nl=False)
+    print_failures(console, found.failures)
     print_doubts(console, found.consistency, found.health, corrects=False)
     console.print(parameter_table(found.flown))
     console.print(error_table(found.flown))
@@ -69,4 +72,5 @@ def fly(
     console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
     if not found.flown.converged:
         raise typer.Exit(FAILED)
+    exit_if_failed(found.failures)
     exit_in_doubt(found.consistency, found.health, corrects=False)

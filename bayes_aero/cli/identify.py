@@ -17,11 +17,13 @@ from bayes_aero.cli.terminal import (
     SplitOption,
     bar,
     card_and_records,
+    exit_if_failed,
     exit_in_doubt,
     interruptible,
     kept_stages,
     loading,
     print_doubts,
+    print_failures,
     teller,
 )
 
@@ -92,8 +94,10 @@ def identify(
         )
     if json:
         typer.echo((out / "results.json").read_text(encoding="utf-8"), nl=False)
+        exit_if_failed(found.failures)
         exit_in_doubt(found.consistency, found.health, corrects=False)
         return
+    print_failures(console, found.failures)
     print_doubts(console, found.consistency, found.health, corrects=False)
     console.print(terminal_table(found))
     for sentence in verdict(found):
@@ -101,4 +105,5 @@ def identify(
     for note in found.notes:
         console.print(f"! {note}", highlight=False)
     console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
+    exit_if_failed(found.failures)
     exit_in_doubt(found.consistency, found.health, corrects=False)

@@ -15,7 +15,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from bayes_aero.cli.terminal import FAILED, JsonOption, bar, interruptible, loading, print_json, teller
+from bayes_aero.cli.terminal import FAILED, JsonOption, bar, interruptible, loading, print_failures, print_json, teller
 from bayes_aero.errors import InputError
 
 if TYPE_CHECKING:
@@ -112,15 +112,14 @@ def run(
     failed = [row for row in rows if row["state"] != "done"]
     for row in failed:
         console.print(f"✗ {row['name']}: {row['error']}", style="red", soft_wrap=True)
-    if unwritten:
-        console.print(f"! {unwritten}", soft_wrap=True)
+    print_failures(console, unwritten)
     new = len(told) - len(failed)
     console.print(f"{len(planned)} units: {new} done now, {len(planned) - len(told)} were done, {len(failed)} failed.")
     console.print(verdict, soft_wrap=True)
     console.print(f"Results are in {folder}: report.html, units/, units.csv, summary.csv, environment/", soft_wrap=True)
     if json:
         print_json(_content(asked, folder, rows))
-    if failed:
+    if failed or unwritten:
         raise typer.Exit(FAILED)
 
 

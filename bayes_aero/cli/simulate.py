@@ -8,7 +8,18 @@ from typing import Annotated
 import typer
 
 from bayes_aero.cli.choices import Manoeuvre, SimulatedNoise
-from bayes_aero.cli.terminal import JsonOption, ModelOption, SeedOption, bar, interruptible, loading, print_json, teller
+from bayes_aero.cli.terminal import (
+    JsonOption,
+    ModelOption,
+    SeedOption,
+    bar,
+    exit_if_failed,
+    interruptible,
+    loading,
+    print_failures,
+    print_json,
+    teller,
+)
 from bayes_aero.errors import InputError
 
 
@@ -63,9 +74,10 @@ def simulate(
         altitude,
     )
     with interruptible(lambda: "nothing was written; give the same command again"), bar("simulating"):
-        found, truth = simulate_file(request, card, known, out, page=page)
+        found, truth, failures = simulate_file(request, card, known, out, page=page)
     if json:
         print_json(truth)
+        exit_if_failed(failures)
         return
     console = teller()
     record = found.record
@@ -80,3 +92,5 @@ def simulate(
     console.print(f"The truth is in {out}.truth.json", soft_wrap=True)
     if page:
         console.print(f"The report is in {out}.report.html", soft_wrap=True)
+    print_failures(console, failures)
+    exit_if_failed(failures)

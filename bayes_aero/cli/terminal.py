@@ -119,6 +119,18 @@ def print_doubts(
             console.print(f"• {sentence}", highlight=False)
 
 
+def print_failures(console: Console, failures: Sequence[str]) -> None:
+    """Parts of a job that failed unexpectedly."""
+    for sentence in failures:
+        console.print(f"✗ {sentence}", style="red", highlight=False, soft_wrap=True)
+
+
+def exit_if_failed(failures: Sequence[str]) -> None:
+    """Leave with `FAILED` where a part of the job failed unexpectedly; what the others found is written."""
+    if failures:
+        raise typer.Exit(FAILED)
+
+
 def exit_in_doubt(agreement: Consistency | None, health: Sequence[HealthFinding], *, corrects: bool) -> None:
     """Leave with `DOUBT` where a channel is faulty or sensors disagree, but for known errors that were corrected."""
     disagrees = agreement is not None and agreement.disagrees

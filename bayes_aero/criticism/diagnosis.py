@@ -20,8 +20,9 @@ from bayes_aero.criticism.residuals import noise_report
 from bayes_aero.criticism.responses import Responses
 from bayes_aero.criticism.stages import Stages, stages
 from bayes_aero.criticism.state import State, linearised
-from bayes_aero.criticism.unexplained import unexplained
+from bayes_aero.criticism.unexplained import Left, unexplained
 from bayes_aero.effect import Effect
+from bayes_aero.errors import attempted
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.cores import blas_threads
@@ -65,12 +66,17 @@ def diagnose(
         if name in field.model.names:
             theta[field.columns([name])[0]] = value
     both = stages(field, responses, theta, seed=seed, most=most, progress=progress)
-    left = unexplained(both.aerodynamics, seed=seed + 2000)
+    left, failures = attempted(
+        "Structure without a name was not sought",
+        lambda: unexplained(both.aerodynamics, seed=seed + 2000),
+        Left((), ()),
+    )
     sensors, aerodynamics = both.sensors, _withdrawn(both.aerodynamics, left.replaced)
     named = [(FLIGHT_PATH, sensors)] if sensors is not None else []
     named.append(("coefficients", aerodynamics))
-    confirmations = {stage: confirmation(one.state) for stage, one in named} if gains_wanted else {}
-    causes, beyond, unnamed = attributed(causes_of(field, named, confirmations, progress))
+    candidates, kept, failed = _confirmed(field, named, progress) if gains_wanted else _unasked(field, named)
+    failures += failed
+    causes, beyond, unnamed = attributed(candidates)
     unknown = (*left.unknown, *structure_of(field, named, unnamed))
     minor = (*(sensors.minor if sensors else ()), *aerodynamics.minor, *(c.name for c in unnamed))
     return Diagnosis(
@@ -85,11 +91,38 @@ def diagnose(
         theta=aerodynamics.state.theta,
         split=split_name(aerodynamics.state),
         base_moves=moves_of(aerodynamics),
-        kept=confirmations["coefficients"].kept if gains_wanted else aerodynamics.state.active,
+        kept=kept,
+        failures=failures,
         notes=(*_notes(flights), *_denials(both)),
         together=together_of(named, causes),
         beyond=beyond,
     )
+
+
+def _confirmed(
+    field: Field, named: Sequence[tuple[str, Extension]], progress: Progress | None
+) -> tuple[list[Cause], tuple[str, ...], tuple[str, ...]]:
+    """Causes with what unseen data say of them, the additions to the coefficients that these confirm, and failures.
+
+    Should the hold-out test fail, no cause is confirmed.
+    """
+
+    def asked() -> tuple[list[Cause], tuple[str, ...]]:
+        confirmations = {stage: confirmation(one.state) for stage, one in named}
+        return causes_of(field, named, confirmations, progress), confirmations["coefficients"].kept
+
+    found, failures = attempted("No cause was tested on unseen data", asked, None)
+    if found is not None:
+        return (*found, failures)
+    causes, _, _ = _unasked(field, named)
+    return [replace(cause, confirmed=False) for cause in causes], (), failures
+
+
+def _unasked(
+    field: Field, named: Sequence[tuple[str, Extension]]
+) -> tuple[list[Cause], tuple[str, ...], tuple[str, ...]]:
+    """The same where unseen data were not asked."""
+    return causes_of(field, named, {}, None), dict(named)["coefficients"].state.active, ()
 
 
 def _withdrawn(found: Extension, names: Sequence[str]) -> Extension:

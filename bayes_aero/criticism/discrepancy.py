@@ -142,20 +142,26 @@ def trust_of(
 
     That variance is of noise that grows as `swell`. Each stretch is predicted from the others (`guard` blocks on either
     side left out) with the hyperparameters of all; trust is the regression of the output on those predictions, lowered
-    by its standard error.
+    by its standard error. Where there is nothing to predict a stretch from (a manoeuvre of some seconds, its gaps taken
+    out, is one stretch), nothing is trusted.
     """
+    nothing = 0.0, float(np.mean((y / swell) ** 2))
+    if len(stretches) < 2:
+        return nothing
     theta, rms = fit.optima[0].theta, fit.scaling.rms
     mean, latent = np.zeros_like(y), np.zeros_like(y)
     for piece in stretches:
         kept = np.ones(len(y), bool)
         kept[max(0, piece[0] - guard) : piece[-1] + 1 + guard] = False
+        if not kept.any():
+            return nothing
         part = ReducedData(fit.data.x[kept], fit.data.fy[kept])
         mean[piece], latent[piece] = gaussian_parts(theta, part, fit.data.x[piece])
     mean, latent = rms * mean, rms**2 * latent
     cross = np.array([np.sum(mean[p] * y[p]) for p in stretches])
     square = np.array([np.sum(mean[p] ** 2) for p in stretches])
     if square.sum() <= 0.0:
-        return 0.0, float(np.mean((y / swell) ** 2))
+        return nothing
     slope = float(cross.sum() / square.sum())
     error = float(np.sqrt(np.sum((cross - slope * square) ** 2)) / square.sum())  # stretches taken as independent
     trust = float(np.clip(slope - error, 0.0, 1.0))

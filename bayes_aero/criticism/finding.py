@@ -141,5 +141,6 @@ class Diagnosis:
     base_moves: Mapping[str, tuple[float, float, float]]  # base parameter: before, after, deviation after
     kept: tuple[str, ...] = ()  # additions to the coefficients that unseen data confirm
     notes: tuple[str, ...] = ()
+    failures: tuple[str, ...] = ()  # parts that failed unexpectedly; what else is here is valid
     together: tuple[Together, ...] = ()  # pairs of causes of which the record knows one combination alone
     beyond: tuple[Cause, ...] = ()  # errors larger than any sensor has: no causes, but in the model where confirmed

@@ -37,4 +37,6 @@ def colour_cost(fit: OutputErrorResult) -> tuple[float, Float[np.ndarray, " k"]]
     ratio = np.full(k, np.nan)
     places = np.flatnonzero(used[:k])
     ratio[places] = (np.diag(corrected) / np.diag(D))[: len(places)]
+    if not len(places):  # the flights say nothing of any parameter
+        return 1.0, ratio
     return max(1.0, THINNED * float(np.nanmedian(ratio))), ratio * THINNED

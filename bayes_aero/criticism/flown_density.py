@@ -16,7 +16,7 @@ from bayes_aero.criticism.gain import deviation_of_sum
 class UnseenFlight:
     """What is missed of every segment, flown by a fit to the others, divided by its swell; `inside` the envelope."""
 
-    residual: tuple[Float[np.ndarray, "m c"], ...]
+    residual: tuple[Float[np.ndarray, "_ c"], ...]
     inside: bool = True
 
     @classmethod

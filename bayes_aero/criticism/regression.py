@@ -115,11 +115,12 @@ class Products:
 
 
 TINY = 1e-300
+NOTHING = 1e-130  # least information that is inverted: a covariance of it, and its square, are still numbers
 ROUNDING = 1e-14  # of a sum of squares, of what is left of it
 RIDGE = 1e-11  # relative to the information's unit diagonal: keeps collinear columns finite, far below any noise
 
 
 def inverse(matrix: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
     """Inverse of a symmetric positive matrix whose scales differ by many orders."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), TINY))
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), NOTHING))
     return np.linalg.inv(matrix * np.outer(scale, scale) + RIDGE * np.eye(len(matrix))) * np.outer(scale, scale)

@@ -132,17 +132,25 @@ class State:
         return self.S / self.swell[:, :, None]
 
 
+def too_short(seconds: float) -> str:
+    """Why a single manoeuvre of so many seconds (of whole blocks) has no folds; empty where it has."""
+    if int(seconds / (SHORTEST * GUARD)) >= 2:
+        return ""
+    return (
+        f"a single manoeuvre of {seconds:.3g} s is too short to be predicted from its own parts; give one of "
+        f"{2 * SHORTEST * GUARD:.0f} s at least, or a second one"
+    )
+
+
 def folds_of(manoeuvre: Int[np.ndarray, " m"], seconds: float) -> tuple[slice, ...]:
     """Manoeuvres as folds, or contiguous parts of a single one with a gap of `GUARD` s between them."""
     if manoeuvre[-1] > 0:
         edges = [np.flatnonzero(manoeuvre == k) for k in range(manoeuvre[-1] + 1)]
         return tuple(slice(int(e[0]), int(e[-1]) + 1) for e in edges)
+    why = too_short(len(manoeuvre) * seconds)
+    if why:
+        raise InputError(why)
     parts = min(FOLDS, int(len(manoeuvre) * seconds / (SHORTEST * GUARD)))
-    if parts < 2:
-        raise InputError(
-            f"a single manoeuvre of {len(manoeuvre) * seconds:.0f} s is too short to be predicted from its own parts; "
-            f"give one of {2 * SHORTEST * GUARD:.0f} s at least, or a second one"
-        )
     cuts = np.linspace(0, len(manoeuvre), parts + 1).astype(int)
     gap = max(1, round(GUARD / seconds / 2))
     return tuple(

@@ -11,7 +11,8 @@ from bayes_aero.units import canonical
 __all__ = ["ALIASES", "plain_heading", "split_heading", "symbol_of"]
 
 _NAMES: dict[str, str] = {
-    "time": "t time utc utctime sec seconds elapsed elapsedtime timestamp tsec gpstime reltime realtime missiontime simtime",
+    "time": "t time utc utctime sec seconds elapsed elapsedtime timestamp tsec gpstime reltime realtime "
+    "missiontime simtime",
     "alpha": "alpha aoa angleofattack alfa alphacg alcg alphavane aoatrue alphatrue incidence al",
     "beta": "beta aos sideslip angleofsideslip sideslipangle betacg becg",
     "airspeed": "tas airspeedtrue tasairspeed v vtas trueairspeed vtrue airspeed vt vtascg ktas speed va",
@@ -26,7 +27,8 @@ _NAMES: dict[str, str] = {
     "longloadfactor longitudinalloadfactor longaccel longitudinalaccel axialaccel",
     "ay": "gloadside ay ny nyb aycg accy accely ayb aybody latacc lateralacceleration acclat nycg "
     "latloadfactor lateralloadfactor lataccel lateralaccel",
-    "az": "gloadnorml gloadnormal az nz nzb azcg accz accelz azb azbody normalacceleration loadfactor vertacc nzcg normacc accnorm "
+    "az": "gloadnorml gloadnormal "
+    "az nz nzb azcg accz accelz azb azbody normalacceleration loadfactor vertacc nzcg normacc accnorm "
     "normalaccel normaccel normalloadfactor normloadfactor vertloadfactor verticalloadfactor",
     "altitude": "alt altitude h hp pressurealtitude palt hbaro baroalt hqnh pressalt baroaltitude altmsl",
     "radio_altitude": "radalt ralt hradio radioaltitude radaralt",

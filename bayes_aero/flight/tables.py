@@ -9,7 +9,7 @@ from typing import Any
 
 from bayes_aero.errors import InputError
 
-__all__ = ["is_file", "read_table"]
+__all__ = ["is_file", "parse_table", "read_table"]
 
 MOST_BYTES = 1 << 18
 """A card has some 5 kB, a study that lists 3000 records 200."""
@@ -33,6 +33,11 @@ def read_table(path: Path, what: str) -> tuple[bytes, dict[str, Any]]:
             raise
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{where}: cannot be read ({reason}); check the path and its permissions") from None
+    return raw, parse_table(raw, where, what)
+
+
+def parse_table(raw: bytes, where: str, what: str = "card") -> dict[str, Any]:
+    """The table that a file's bytes are; `where` begins the sentence if they are none."""
     if len(raw) > MOST_BYTES:
         raise InputError(f"{where}: it has more than {MOST_BYTES} bytes; is it a {what} at all?")
     try:
@@ -44,7 +49,7 @@ def read_table(path: Path, what: str) -> tuple[bytes, dict[str, Any]]:
     except ValueError as error:  # TOMLDecodeError, UnicodeDecodeError, and Python's bound on the digits of a number
         raise InputError(f"{where}: not valid TOML ({error}); mend that line") from None
     _refuse_monsters(table, where)
-    return raw, table
+    return table
 
 
 def is_file(path: Path) -> bool:

@@ -49,12 +49,14 @@ class GPReport:
 
     `splits` maps a split's name (`random`, `block`, `manoeuvre`) to its folds, each a mapping from CL, CD, Cm to the
     validation; only `manoeuvre` has more than one fold. `fits` are the fits of the chosen split's first fold.
+    `left_out` says which splits the records do not allow, and why.
     """
 
     splits: dict[str, list[dict[str, Validation]]]
     fits: dict[str, GPFit]
     chosen: str
     seconds: float
+    left_out: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,8 @@ class Identification:
     the chosen noise model `noise`, and `white`, by emcee, where that is another one. `stall` is over the draws of the
     first of them. `preparation` tells, in words, what the way the coefficients were formed does to the estimates.
     `forming` is how. `health` is what is wrong with the records' channels, and `consistency` whether the sensors agree.
-    `truth` has the parameters (SI and radians) that simulated records were flown with.
+    `failures` has a sentence on each part that failed unexpectedly. `truth` has the parameters (SI and radians) that
+    simulated records were flown with.
     """
 
     card: Card
@@ -79,6 +82,7 @@ class Identification:
     gp: GPReport | None = None
     stall: Stall | None = None
     notes: tuple[str, ...] = ()
+    failures: tuple[str, ...] = ()
     health: tuple[HealthFinding, ...] = ()
     preparation: tuple[str, ...] = ()
     consistency: Consistency | None = None

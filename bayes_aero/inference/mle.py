@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.inference.inseparable import Inseparable, inseparable
 from bayes_aero.inference.restraints import Bounded, PriorConflict, bounded, prior_conflicts
 from bayes_aero.inference.robust import robust_covariance
 from bayes_aero.inference.scores import Scores, score
@@ -90,6 +91,11 @@ class MleResult:
     def correlation(self) -> Float[np.ndarray, "k k"]:
         """Correlation of the estimates, from the Cramer-Rao covariance."""
         return self.covariance / np.outer(self.crb, self.crb)
+
+    @property
+    def inseparable(self) -> tuple[Inseparable, ...]:
+        """Sets of parameters that the record cannot part."""
+        return inseparable(self.names, self.units, self.estimate, self.covariance, self.crb_corrected)
 
     def strong_correlations(self, limit: float = 0.9) -> list[tuple[str, str, float]]:
         """Pairs of parameters whose estimates are correlated beyond `limit` in size."""

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from bayes_aero.inference.coloured import corrected_covariance
 from bayes_aero.inference.flown_normal import Point, Priors, reduced
+from bayes_aero.inference.inseparable import Inseparable, inseparable
 from bayes_aero.model.segments import Flown
 from bayes_aero.parameter import Parameter
 
@@ -139,6 +140,12 @@ class OutputErrorResult:
     def sd_corrected(self) -> Float[np.ndarray, " k"]:
         """Standard deviations, priors counted, that allow for the residuals' colour."""
         return np.sqrt(np.diag(self.corrected))
+
+    @property
+    def inseparable(self) -> tuple[Inseparable, ...]:
+        """Sets of parameters that the record, with the priors, cannot part."""
+        units = tuple(p.unit for p in self.parameters)
+        return inseparable(self.names, units, self.estimate, self.covariance, self.sd_corrected)
 
     @property
     def thinned(self) -> Float[np.ndarray, "w m c j"]:

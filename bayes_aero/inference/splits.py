@@ -61,6 +61,13 @@ def make_splits(
     raise InputError(f"Unknown split {kind!r}; choose one of {', '.join(get_args(SplitKind))}.")
 
 
+def too_short(manoeuvre_index: Index, dt: float, block_seconds: float = BLOCK_SECONDS) -> int | None:
+    """The first manoeuvre that has no two blocks; None where all have."""
+    names, samples = np.unique(np.asarray(manoeuvre_index), return_counts=True)
+    short = names[samples // max(round(block_seconds / dt), 1) < 2]
+    return int(short[0]) if len(short) else None
+
+
 def _split(name: str, train: np.ndarray) -> Split:
     """Split from a mask over the samples, True where a sample trains."""
     return Split(name, np.flatnonzero(train), np.flatnonzero(~train))

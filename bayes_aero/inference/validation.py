@@ -25,7 +25,7 @@ from bayes_aero.inference.identification import GPReport, Validation
 from bayes_aero.inference.mle import MleResult, fit_mle
 from bayes_aero.inference.orphan import leave_with
 from bayes_aero.inference.scores import score
-from bayes_aero.inference.splits import Split, SplitKind, make_splits
+from bayes_aero.inference.splits import BLOCK_SECONDS, Split, SplitKind, make_splits, too_short
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Observations
 from bayes_aero.physics.coefficients import NAMES
@@ -67,6 +67,18 @@ def validate(
         chosen = "block" if chosen == "manoeuvre" else chosen
     if not kinds:
         raise InputError("a manoeuvre split needs at least two records; add one or choose another split")
+    left_out: tuple[str, ...] = ()
+    if (
+        "block" in kinds
+        and len(kinds) > 1
+        and (short := too_short(observations.manoeuvre, observations.dt)) is not None
+    ):
+        kinds = tuple(kind for kind in kinds if kind != "block")
+        chosen = kinds[0] if chosen == "block" else chosen
+        left_out = (
+            f"The Gaussian process was not tried on blocks held back: {observations.names[short]} is shorter than two "
+            f"blocks of {BLOCK_SECONDS:g} s.",
+        )
     splits: dict[SplitKind, list[Split]] = {
         kind: make_splits(kind, observations.manoeuvre, observations.dt, seed) for kind in kinds
     }
@@ -120,7 +132,7 @@ def validate(
             test=test, measured=measured, mle=by_mle, mle_scores=score(measured, by_mle), **trained[task][1]
         )
     fits = {NAMES[t.column]: fit for t, (fit, _) in trained.items() if fit is not None}
-    return GPReport(found, {n: fits[n] for n in NAMES if n in fits}, chosen, time.perf_counter() - began)
+    return GPReport(found, {n: fits[n] for n in NAMES if n in fits}, chosen, time.perf_counter() - began, left_out)
 
 
 def _processes(tasks: int, n: int) -> int:

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from matplotlib.figure import Figure
 
-from bayes_aero.errors import no_space
+from bayes_aero.errors import failure
 from bayes_aero.inference.identification import Identification
 from bayes_aero.report import (
     figures_comparison,
@@ -77,22 +77,22 @@ Progress = Callable[[str, float], None]
 
 def write_figures(
     identification: Identification, folder: Path, progress: Progress | None = None
-) -> tuple[list[Path], dict[str, str]]:
+) -> tuple[list[Path], tuple[str, ...]]:
     """Draw every figure for which an identification holds something; see `draw_all`."""
     return draw_all(FIGURES, identification, folder, progress)
 
 
 def draw_all(
     figures: Mapping[str, Callable[[Shown], Figure]], shown: Shown, folder: Path, progress: Progress | None = None
-) -> tuple[list[Path], dict[str, str]]:
+) -> tuple[list[Path], tuple[str, ...]]:
     """Draw every figure of a registry for which `shown` holds something into `folder` as PNG.
 
-    Returns the paths written, and for each figure that failed the reason. A figure that fails leaves no file and does
+    Returns the paths written, and for each figure that failed a sentence. A figure that fails leaves no file and does
     not keep the others from being drawn; one for which there is nothing to show is left out.
     """
     folder.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []
-    failed: dict[str, str] = {}
+    failed: list[str] = []
     for number, (stem, draw) in enumerate(figures.items()):
         if progress:
             progress(f"figure {stem}", number / len(figures))
@@ -102,9 +102,7 @@ def draw_all(
         except NotDrawn:
             continue
         except Exception as reason:  # whatever it is, the other figures and the results stand; it is reported by name
-            if no_space(reason):
-                raise
-            failed[stem] = f"{type(reason).__name__}: {reason}"
+            failed.append(failure(f"Figure {stem} was not drawn", reason, folder.parent))
     if progress:
         progress("figures", 1.0)
-    return written, failed
+    return written, tuple(failed)

@@ -18,7 +18,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 from markupsafe import Markup, escape
 
 from bayes_aero import __version__
-from bayes_aero.errors import no_space
+from bayes_aero.errors import failure
 
 ACROSS = 150  # characters in a row of a table from which paper is turned
 HALF = 56  # characters in a row that fit in half a sheet
@@ -33,6 +33,13 @@ class Text:
     text: str
     tone: str = "plain"
     kind: str = field(default="text", init=False)
+
+
+@dataclass(frozen=True)
+class Unmade(Text):
+    """In place of a section that could not be made: `failure` is the sentence of it."""
+
+    failure: str = ""
 
 
 @dataclass(frozen=True)
@@ -171,7 +178,8 @@ def section(key: str, title: str, make: Callable[[], Iterable[Block]]) -> Sectio
     try:
         return Section(key, title, tuple(make()))
     except Exception as reason:  # whatever it is, the other sections stand; it is told in its place
-        return Section(key, title, (Text(f"This part was not made: {type(reason).__name__}: {reason}", "warning"),))
+        told = failure(f"The part {title!r} of the page was not made", reason)
+        return Section(key, title, (Unmade(told, "warning", failure=told),))
 
 
 def filled(*sections: Section) -> tuple[Section, ...]:
@@ -212,15 +220,19 @@ def write_page(page: Page, path: Path) -> Path:
     return path
 
 
-def put_page(make: Callable[[], Page], folder: Path) -> str | None:
-    """Write `report.html` into `folder`; a page that cannot be made costs nothing else, and the reason is returned."""
+def put_page(make: Callable[[], Page], folder: Path, name: str = "report.html") -> tuple[str, ...]:
+    """Write the page `name` into `folder`; what of it cannot be made costs nothing else.
+
+    Returns:
+        A sentence on each failure: of the page, or of sections that say on it why they are not there.
+    """
     try:
-        write_page(make(), folder / "report.html")
+        page = make()
+        write_page(page, folder / name)
     except Exception as reason:  # the numbers are on disk already; whatever it is, they stand
-        if no_space(reason):
-            raise
-        return f"report.html was not written: {type(reason).__name__}: {reason}"
-    return None
+        return (failure(f"{name} was not written", reason, folder),)
+    blocks = (block for section in page.sections for block in section.blocks)
+    return tuple(block.failure for block in blocks if isinstance(block, Unmade))
 
 
 def _breakable(name: str) -> Markup:

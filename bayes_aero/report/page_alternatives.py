@@ -120,11 +120,8 @@ def identification_alternatives(run: Identification) -> dict[str, tuple[str, str
     flown = f"angles of attack from {alpha.min():.1f} to {alpha.max():.1f} deg"
     mle, found = run.mle, methods(run)
     crb = found[0].estimates
-    ratios = "; ".join(
-        f"{m.label} {np.median([e.sd / crb[n].sd for n, e in m.estimates.items() if crb[n].sd > 0.0]):.2f} times"
-        for m in found[1:]
-        if m.estimates
-    )
+    wider = {m.label: [e.sd / crb[n].sd for n, e in m.estimates.items() if crb[n].sd > 0.0] for m in found[1:]}
+    ratios = "; ".join(f"{label} {np.median(times):.2f} times" for label, times in wider.items() if times)
     numbers = "; ".join(
         f"{n} {x:.4g} ± {s:.2g}" for n, x, s in zip(mle.names, mle.estimate, mle.crb_corrected, strict=True)
     )

@@ -25,3 +25,4 @@ class PageContext:
     revealed: Sequence[str] = ()
     notes: Sequence[str] = ()
     consistency: Consistency | None = None
+    failures: Sequence[str] = ()  # parts that failed unexpectedly

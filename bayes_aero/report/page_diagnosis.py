@@ -65,7 +65,7 @@ def diagnosis_page(view: View, told: PageContext) -> Page:
         subtitle="What the model gets wrong, why, and what mending it gains",
         verdict=verdict,
         lead=tuple(lead),
-        doubts=doubts(told.records, told.card, told.consistency, corrects=True),
+        doubts=doubts(told.records, told.card, told.consistency, corrects=True, failures=told.failures),
         sections=filled(
             section("records", "The records at a glance", lambda: records_and_faults(told.records, told.card)),
             section("causes", "What is wrong, and the cause", lambda: _causes(view.diagnosis, view.rankings, gallery)),
@@ -89,7 +89,7 @@ def flown_page(d: Diagnosis, flown: Trajectories | None, said: Sequence[str], to
         title=f"Diagnosis: {told.card.title}",
         subtitle="What the model gets wrong, from trajectories alone: the record has no coefficients",
         verdict=said[0],
-        doubts=doubts(told.records, told.card, told.consistency, corrects=False),
+        doubts=doubts(told.records, told.card, told.consistency, corrects=False, failures=told.failures),
         lead=(Text("The record lacks what lift, drag and moment coefficients are formed from; see the last finding."),),
         sections=filled(
             section("records", "The records at a glance", lambda: records_and_faults(told.records, told.card)),

@@ -50,6 +50,7 @@ class FlyTold:
     notes: Sequence[str] = ()
     figures: Mapping[str, Path] = field(default_factory=dict)  # those drawn, by stem
     consistency: Consistency | None = None
+    failures: Sequence[str] = ()  # parts that failed unexpectedly
 
 
 def fly_page(flown: FlownFit, told: FlyTold) -> Page:
@@ -59,7 +60,7 @@ def fly_page(flown: FlownFit, told: FlyTold) -> Page:
         title=f"Trajectories: {told.card.title}",
         subtitle="A model fitted to trajectories by output error",
         verdict=verdict,
-        doubts=doubts(told.records, told.card, told.consistency, corrects=False),
+        doubts=doubts(told.records, told.card, told.consistency, corrects=False, failures=told.failures),
         lead=(*_lead(flown), *_opening(flown, told.figures)),
         sections=filled(
             section("findings", "What to make of it", lambda: (*bullets([*rest, *told.notes]), words(FLOWN))),

@@ -68,7 +68,7 @@ def identification_page(
         subtitle="Stall model identified from flight data, with uncertainty",
         verdict=headline(run),
         lead=tuple(lead),
-        doubts=doubts(run.records, run.card, run.consistency, corrects=False),
+        doubts=doubts(run.records, run.card, run.consistency, corrects=False, failures=run.failures),
         sections=filled(
             section("findings", "What to make of it", lambda: (*bullets(said), WORDS)),
             section("records", "The records at a glance", lambda: records_and_faults(run.records, run.card)),

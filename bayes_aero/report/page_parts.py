@@ -73,11 +73,18 @@ def records_and_faults(records: Sequence[FlightRecord], card: Card) -> tuple[Blo
 
 
 def doubts(
-    records: Sequence[FlightRecord], card: Card, agreement: Consistency | None, *, corrects: bool
+    records: Sequence[FlightRecord],
+    card: Card,
+    agreement: Consistency | None,
+    *,
+    corrects: bool,
+    failures: Sequence[str] = (),
 ) -> tuple[Text, ...]:
-    """That sensors disagree, and channels that results cannot rest on: it stands before all else of a page."""
+    """Parts of the job that failed, that sensors disagree, and channels that results cannot rest on: it stands before
+    all else of a page."""
     faults = (Text(f"{finding.sentence}.", "warning") for finding in channel_health(records, card) if finding.grave)
-    return (*consistency_lead(agreement, corrects=corrects), *faults)
+    failed = (Text(sentence, "warning") for sentence in failures)
+    return (*failed, *consistency_lead(agreement, corrects=corrects), *faults)
 
 
 def consistency_lead(found: Consistency | None, *, corrects: bool) -> tuple[Text, ...]:

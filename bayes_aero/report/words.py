@@ -24,7 +24,7 @@ from bayes_aero.report.comparison import (
 )
 from bayes_aero.report.splits import split_verdict
 from bayes_aero.report.style import several
-from bayes_aero.report.words_restraints import bound_sentences, conflict_sentences
+from bayes_aero.report.words_restraints import bound_sentences, conflict_sentences, inseparable_sentences
 from bayes_aero.report.words_signs import sign_sentences
 
 # What counts as a disagreement: our choice, wide enough to stay silent on sampling error and on chance.
@@ -46,6 +46,7 @@ def verdict(identification: Identification) -> list[str]:
             *split_verdict(identification),
         ]
     signs += [*bound_sentences(mle.bounded), *conflict_sentences(mle.conflicts)]
+    signs += inseparable_sentences(mle.inseparable)
     truth = _truth(identification)
     colour = _colour(identification)
     against = [*colour, *(_white(identification) if colour else [])]

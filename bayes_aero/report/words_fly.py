@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,11 +11,13 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from bayes_aero.criticism.flown_fit import FITTED, START, FlownFit
+from bayes_aero.criticism.two_fits import Disagreement
 from bayes_aero.inference.output_error_result import OutputErrorStatus
 from bayes_aero.model.biases import unbiased
 from bayes_aero.model.dynamics import AircraftDynamics
 from bayes_aero.report.style import for_people, several
 from bayes_aero.report.tables import concise
+from bayes_aero.report.words_restraints import inseparable_sentences
 from bayes_aero.report.words_signs import sign_sentences
 from bayes_aero.report.words_trajectory import SYMBOLS, short
 
@@ -132,10 +134,29 @@ def fly_sentences(flown: FlownFit) -> list[str]:
     said += sign_sentences({name: (float(value), float(sd)) for name, value, sd in estimates})
     if fit.held and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         said.append(f"The trajectories say next to nothing of {several(fit.held)}; the prior holds.")
+    if flown.converged:
+        said += inseparable_sentences(fit.inseparable)
     lost = [p.manoeuvre for p in flown.paths if p.model == FITTED and not p.inside]
     if lost:
         said.append(f"Outside the flight envelope at the end of the fit: {several(lost)}.")
     return said
+
+
+def disagreement_sentences(found: Sequence[Disagreement]) -> list[str]:
+    """That the coefficients of the same record give other values."""
+    if not found:
+        return []
+    told = several(
+        f"{d.name} {d.coefficients[0]:.3g} ± {d.coefficients[1]:.2g} from the coefficients, {d.trajectories[0]:.3g} ± "
+        f"{d.trajectories[1]:.2g} from trajectories{'' if d.unit == '1' else f' {d.unit}'} ({d.apart:.1f} combined "
+        "standard errors apart)"
+        for d in found
+    )
+    return [
+        f"The coefficients of the same record, as identify fits them, disagree with the trajectories: {told}. Neither "
+        "interval covers that: disturbed air, an error of a sensor or something that the model lacks is behind it; "
+        "check and diagnose look for the last two."
+    ]
 
 
 def outside(flown: FlownFit) -> dict[str, float]:

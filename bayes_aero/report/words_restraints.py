@@ -1,4 +1,4 @@
-"""Priors that the record contradicts, and parameters at their bounds, in words."""
+"""Priors that the record contradicts, parameters at their bounds, and those that it cannot part, in words."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
+from bayes_aero.inference.inseparable import Inseparable
 from bayes_aero.inference.prior_sensitivity import SENSITIVE
 from bayes_aero.inference.restraints import Bounded, PriorConflict
 from bayes_aero.report.style import several
@@ -52,6 +53,23 @@ def bound_sentences(found: Sequence[Bounded]) -> list[str]:
             pushed = several(f"{n} ({-x:+.1f} corrected standard errors)" for n, x in b.pushed.items())
             text += f"; the bound pushes {pushed}"
         said.append(f"{text}. Widen the bound, or fix {b.name}.")
+    return said
+
+
+def inseparable_sentences(found: Sequence[Inseparable]) -> list[str]:
+    """A sentence for each set of parameters that the record cannot part."""
+    said = []
+    for one in found:
+        told = several(
+            f"{name} {x:.3g} ± {sd:.2g}{_unit(unit)}"
+            for name, unit, (x, sd) in zip(one.names, one.units, one.estimates, strict=True)
+        )
+        low, high = min(one.wider), max(one.wider)
+        times = f"{low:.2g}" if f"{low:.2g}" == f"{high:.2g}" else f"{low:.2g} to {high:.2g}"
+        said.append(
+            f"The record cannot part {several(one.names)} ({told}): were the others known, each interval would be "
+            f"{times} times narrower. Fly manoeuvres that move them apart, fix one, or give one a prior."
+        )
     return said
 
 

@@ -16,8 +16,8 @@ from bayes_aero.studies.folder import writable
 from bayes_aero.studies.provenance import provenance, write_json
 
 
-def write_effects(found: Sequence[Mapping[str, Any]], schema: str, card: Card | None, out: Path) -> str | None:
-    """Write effects.json, report.html and its picture into `out`; why the page could not be made, if so."""
+def write_effects(found: Sequence[Mapping[str, Any]], schema: str, card: Card | None, out: Path) -> tuple[str, ...]:
+    """Write effects.json, report.html and its picture into `out`; a sentence on what of the page cannot be made."""
     writable(out)
     write_json({"schema": schema, "effects": list(found)}, out / "effects.json")
     title = None if card is None else card.title

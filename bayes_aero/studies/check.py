@@ -13,6 +13,7 @@ from bayes_aero.criticism.candidates import field_of
 from bayes_aero.criticism.checked import CheckReport, SensorCheck
 from bayes_aero.criticism.consistency import consistency, errors_of_path
 from bayes_aero.criticism.sensors import compatibility
+from bayes_aero.criticism.state import too_short
 from bayes_aero.errors import InputError
 from bayes_aero.flight.agreement import Agreement, Consistency
 from bayes_aero.flight.card import Card
@@ -26,6 +27,7 @@ from bayes_aero.model.longitudinal import FLIGHT
 from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.physics.coefficients import REQUIRED
+from bayes_aero.physics.filters import FILTER_STEP
 from bayes_aero.report.page import put_page
 from bayes_aero.report.page_check import check_page
 from bayes_aero.studies.consistency_results import consistency_results
@@ -88,6 +90,8 @@ def _purpose(records: Sequence[FlightRecord], card: Card) -> tuple[dict[str, str
     if missing and not flown:
         uses["diagnose"] = ""
         uses["diagnose by coefficients"] = _lacks(missing)
+    if len(records) == 1 and not uses["diagnose"]:
+        uses["diagnose"] = too_short(records[0].n // FILTER_STEP * FILTER_STEP * records[0].dt)
     flights = join(records, card, ())
     if "alpha" not in have:
         return uses, {}
@@ -156,8 +160,8 @@ def _agree(report: CheckReport) -> bool | None:
     return None if report.consistency.agreement is Agreement.NOT_CHECKED else not report.consistency.disagrees
 
 
-def write_check(report: CheckReport, out: Path, seed: int = 0) -> str | None:
-    """Write check.json and report.html into `out`; why the page could not be made, if so."""
+def write_check(report: CheckReport, out: Path, seed: int = 0) -> tuple[str, ...]:
+    """Write check.json and report.html into `out`; a sentence on what of the page cannot be made."""
     writable(out)
     write_json(check_results(report), out / "check.json")
     source = provenance(report.card, [r.record for r in report.records if r.record is not None], seed, {})

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bayes_aero.criticism.consistency import consistency, errors_of_diagnosis
+from bayes_aero.criticism.consistency import errors_of_diagnosis
 from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.trajectory import Trajectories
@@ -24,6 +25,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.plant import flies
 from bayes_aero.report.diagnosed import view_of
 from bayes_aero.report.figures import DIAGNOSIS_FIGURES, FLOWN_FIGURES
+from bayes_aero.studies.agree import sensors_agree
 from bayes_aero.studies.beside import beside
 from bayes_aero.studies.environment import rests_on
 from bayes_aero.studies.folder import writable
@@ -94,13 +96,13 @@ def run(
     if progress:
         progress("do the sensors agree?", 0.0)
     found = diagnose(records, card, seed=seed, most=most, progress=progress)
-    agreement = consistency(records, card, seed=seed, known=errors_of_diagnosis(found))
+    agreement, failed = sensors_agree(records, card, seed, out, known=errors_of_diagnosis(found))
     view = view_of(found)
     causes = view.diagnosis.causes
     earlier = unfinished.earlier(card, causes, predictors=predict is not None, trajectories=fly is not None)
     named = {name: _found(view.diagnosis, name) for name in hidden} if hidden else {}
     outcome = Outcome(view, hidden, named, (), channel_health(records, card), agreement)
-    kept = Kept(outcome, out, card, records, source, earlier)
+    kept = Kept(replace(outcome, failures=(*failed, *found.failures)), out, card, records, source, earlier)
     unfinished.begin()
     shown = DIAGNOSIS_FIGURES if figures else {}
     early, late = ({n: draw for n, draw in shown.items() if (n in FLOWN_FIGURES) == x} for x in (False, True))
@@ -109,17 +111,15 @@ def run(
         if cores() == 1:
             following.result()
         if fly is not None and not kept.has("trajectories"):
-            try:
-                kept.trajectories(fly(view.diagnosis, progress))
-            except InputError as error:
-                kept.note(f"Trajectories were not simulated: {error}")
+            kept.attempt("Trajectories were not simulated", lambda: kept.trajectories(fly(view.diagnosis, progress)))
         drawn = following.result()
     if out is not None:
         drawn |= drawings(kept, late, progress)
         if progress:
             progress("report", 0.0)
         kept.put_page(drawn)
-    unfinished.end()
+    if not kept.outcome.failures:  # else the same command does again what failed
+        unfinished.end()
     return kept.outcome
 
 

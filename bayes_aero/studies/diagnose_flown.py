@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bayes_aero.criticism.consistency import consistency
 from bayes_aero.criticism.diagnosis import judged_on_held_out_flights
 from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.flown import diagnose_flown
 from bayes_aero.criticism.trajectory import Trajectories
-from bayes_aero.errors import InputError
+from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import HealthFinding, channel_health
@@ -24,6 +25,7 @@ from bayes_aero.report.page_context import PageContext
 from bayes_aero.report.page_diagnosis import flown_page
 from bayes_aero.report.style import several
 from bayes_aero.report.words_diagnosis import diagnosis_sentences
+from bayes_aero.studies.agree import sensors_agree
 from bayes_aero.studies.consistency_results import consistency_results
 from bayes_aero.studies.diagnosis_results import (
     SCHEMA,
@@ -55,6 +57,18 @@ def lacking(records: Sequence[FlightRecord], card: Card) -> tuple[str, ...]:
     return tuple(n for n in REQUIRED if n not in given and any(not record.has(n) for record in records))
 
 
+@dataclass(frozen=True)
+class Flown:
+    """What trajectories alone have shown, where coefficients cannot be formed."""
+
+    diagnosis: Diagnosis
+    trajectories: Trajectories | None
+    sentences: Sequence[str]
+    health: Sequence[HealthFinding] = ()
+    consistency: Consistency | None = None
+    failures: tuple[str, ...] = ()  # parts that failed unexpectedly
+
+
 def run_flown(
     records: Sequence[FlightRecord],
     card: Card,
@@ -63,13 +77,9 @@ def run_flown(
     seed: int = 0,
     most: int = 8,
     fly: bool = True,
-    agreement: Consistency | None = None,
     progress: Progress | None = None,
-) -> tuple[Diagnosis, Trajectories | None, list[str]]:
-    """Diagnose from trajectories; `out` gets diagnosis.json, report.html. Returns the sentences of the finding too.
-
-    `agreement`: whether the sensors agree, where that has been checked already.
-    """
+) -> Flown:
+    """Diagnose from trajectories; `out` gets diagnosis.json, histories.nc and report.html."""
     if out is not None:
         writable(out)
         (out / MARK).unlink(missing_ok=True)  # what another run left here to be taken up is written over
@@ -84,50 +94,48 @@ def run_flown(
     if found.causes and not fly:
         note += " Without trajectories no cause was tested on hold-out flights."
     health = channel_health(records, card)
-    checked = agreement or consistency(records, card, seed=seed)
+    checked, failures = sensors_agree(records, card, seed, out)
+    failures += found.failures
 
-    def write() -> list[str]:
-        said = [*diagnosis_sentences(found, flown), note]
+    def told() -> Flown:
+        """All so far, on disk too."""
+        one = Flown(found, flown, [*diagnosis_sentences(found, flown), note], health, checked, failures)
         if out is not None:
-            write_json(_results(found, flown, card, records, said, (checked, health), source), out / "diagnosis.json")
-        return said
+            write_json(_results(one, card, records, source), out / "diagnosis.json")
+        return one
 
-    said = write()
+    so_far = told()
     if fly:
+        what = "Trajectories were not compared"
+        compare = partial(simulations, found, card, records, seed, progress)
         try:
-            flown = simulations(found, card, records, seed, progress)
-            found = judged_on_held_out_flights(found, flown.asked)
+            flown, failed = attempted(what, compare, None, out, own=bool(card.effect_files))
+            failures += failed
         except InputError as error:
-            note += f" Trajectories were not compared: {error}"
-        said = write()
-    if flown is not None and out is not None:
+            note += f" {what}: {error}"
+        if flown is not None:
+            found = judged_on_held_out_flights(found, flown.asked)
+        so_far = told()
+    if out is None:
+        return so_far
+    if flown is not None:
         paths = flown.paths
-        failure = put_histories(lambda: flights(paths), out)
-        said += [failure] if failure else []
-    if out is not None:
-        told = PageContext(card, records, source, consistency=checked)
-        failure = put_page(lambda: flown_page(found, flown, said, told), out)
-        said += [failure] if failure else []
-    return found, flown, said
+        failures += put_histories(lambda: flights(paths), out)
+    context = PageContext(card, records, source, consistency=checked, failures=failures)
+    failures += put_page(lambda: flown_page(found, flown, so_far.sentences, context), out)
+    return told() if failures != so_far.failures else so_far
 
 
-def _results(
-    d: Diagnosis,
-    flown: Trajectories | None,
-    card: Card,
-    records: Sequence[FlightRecord],
-    said: Sequence[str],
-    doubts: tuple[Consistency, Sequence[HealthFinding]],
-    source: Any,
-) -> dict[str, Any]:
+def _results(found: Flown, card: Card, records: Sequence[FlightRecord], source: Mapping[str, Any]) -> dict[str, Any]:
+    d, flown = found.diagnosis, found.trajectories
     units = {p.name: p.unit for p in d.aerodynamics.state.field.model.free}
     return {
         "schema": SCHEMA,
         "card": {"name": card.name, "title": card.title},
         "records": record_results(records),
-        "consistency": consistency_results(doubts[0]),
+        "consistency": {} if found.consistency is None else consistency_results(found.consistency),
         "verdict": d.verdict.value,
-        "sentences": list(said),
+        "sentences": list(found.sentences),
         "causes": [cause_results(cause) for cause in d.causes],
         "minor": list(d.minor),
         "unexplained": unknown_results(d.unknown),
@@ -143,7 +151,8 @@ def _results(
         "residuals": {},
         "predictors": {},
         "trajectories": {} if flown is None else trajectory_results(flown, card),
-        "health": health_results(doubts[1]),
+        "health": health_results(found.health),
         "notes": list(d.notes),
+        "failures": list(found.failures),
         "provenance": dict(source),
     }

@@ -31,6 +31,7 @@ def diagnosis_results(
     separating: Sequence[Mapping[str, Any]] = (),
     hidden: Mapping[str, Any] | None = None,
     notes: Sequence[str] = (),
+    failures: Sequence[str] = (),
     agreement: Consistency | None = None,
     health: Sequence[HealthFinding] = (),
 ) -> dict[str, Any]:
@@ -68,6 +69,7 @@ def diagnosis_results(
         "separating": [dict(one) for one in separating],
         "health": health_results(health),
         "notes": [*d.notes, *notes],
+        "failures": list(failures),
         "provenance": dict(provenance),
     }
     if hidden is not None:

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.criticism.consistency import consistency
 from bayes_aero.criticism.flown_fit import FITTED, FlownFit, fit_flown
 from bayes_aero.criticism.trajectory import WINDOW
-from bayes_aero.errors import InputError
+from bayes_aero.criticism.two_fits import Disagreement, disagreements
+from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import HealthFinding, channel_health
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.mle import fit_mle
+from bayes_aero.inference.mle import MleResult, fit_mle
+from bayes_aero.inference.noise_bias import without_noise_bias
 from bayes_aero.model.dynamics import Dynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.model.flights import Flights, despiked, join
 from bayes_aero.model.linear import channel_units, linear_dynamics
@@ -33,14 +34,16 @@ from bayes_aero.report.page import put_page
 from bayes_aero.report.page_fly import FlyTold, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES, several
 from bayes_aero.report.tables import write_csv
-from bayes_aero.report.words_fly import fly_sentences, parameter_frame, parameter_rows
+from bayes_aero.report.words_fly import disagreement_sentences, fly_sentences, parameter_frame, parameter_rows
+from bayes_aero.studies.agree import sensors_agree
 from bayes_aero.studies.consistency_results import consistency_results
 from bayes_aero.studies.diagnosis_results import record_results
 from bayes_aero.studies.folder import writable
 from bayes_aero.studies.health_results import health_results
 from bayes_aero.studies.histories import flights, put_histories
 from bayes_aero.studies.provenance import provenance, write_json
-from bayes_aero.studies.repair import spike_notes
+from bayes_aero.studies.repair import repaired, spike_notes
+from bayes_aero.studies.results import inseparable_results
 from bayes_aero.studies.trajectory_results import open_loop
 
 SCHEMA = "bayes_aero/trajectories/1"
@@ -58,6 +61,8 @@ class Flight:
     notes: tuple[str, ...]
     health: tuple[HealthFinding, ...] = ()
     consistency: Consistency | None = None
+    failures: tuple[str, ...] = ()  # parts that failed unexpectedly
+    apart: tuple[Disagreement, ...] = ()  # parameters of which the coefficients of the same record say otherwise
 
 
 def fly(
@@ -84,18 +89,28 @@ def fly(
     source = provenance(card, records, seed, {"windows": windows})
     if progress:
         progress("do the sensors agree?", 0.0)
-    agreement = consistency(records, card, seed=seed)
+    agreement, failures = sensors_agree(records, card, seed, out)
+    coefficients, failed = attempted(
+        "The coefficients gave no first values",
+        lambda: _of_coefficients(records, card, seed, progress),
+        None,
+        out,
+        own=bool(card.effect_files),
+    )
     flown = fit_flown(
         flights,
         dynamics,
         {name: STANDARD_CHANNELS[name].unit for name in STANDARD_CHANNELS} | channel_units(card),
-        starts=_starts(records, card, dynamics, seed, progress),
+        starts=_starts(coefficients, dynamics),
         window=windows,
         tolerances={name: tolerance.value for name, tolerance in card.tolerances.items()},
         biases=card.output_biases,
         progress=progress,
     )
-    found = Flight(flown, tuple(fly_sentences(flown)), tuple(notes), channel_health(records, card), agreement)
+    apart = () if coefficients is None else disagreements(coefficients, flown)
+    said = (*fly_sentences(flown), *disagreement_sentences(apart))
+    health = channel_health(records, card)
+    found = Flight(flown, said, tuple(notes), health, agreement, (*failures, *failed), apart)
     if out is None:
         return found
     return _written(found, card, records, source, out, figures=figures, progress=progress)
@@ -113,29 +128,28 @@ def _written(
 ) -> Flight:
     """Numbers first; what cannot be drawn or shown after them is a note, and the numbers are written again with it."""
 
-    def noted(said: Sequence[str]) -> Flight:
-        more = replace(found, notes=(*found.notes, *said))
+    def noted(said: Sequence[str], failures: Sequence[str]) -> Flight:
+        more = replace(found, notes=(*found.notes, *said), failures=(*found.failures, *failures))
         write_json(fly_results(more, card, records, source), out / RESULTS)
         return more
 
     write_csv(parameter_frame(found.flown), out / "parameters.csv")
     together = [replace(path, split=FITTED) for path in found.flown.paths]  # first values and fit side by side
-    found = noted(())
-    failure = put_histories(lambda: flights(together, found.flown.units), out)
-    found = noted([failure]) if failure else found
+    found = noted((), ())
+    failed = put_histories(lambda: flights(together, found.flown.units), out)
+    found = noted((), failed) if failed else found
     drawn: list[Path] = []
     if figures:
         drawn, failed = draw_all(fly_figures(found.flown), found.flown, out / "figures", progress)
-        said = [f"Figure {name} was not drawn: {why}" for name, why in failed.items()]
-        if len(records) > MOST_MANOEUVRES:
-            said.append(f"Figures are drawn for up to {MOST_MANOEUVRES} manoeuvres.")
-        found = noted(said) if said else found
+        many = len(records) > MOST_MANOEUVRES
+        said = [f"Figures are drawn for up to {MOST_MANOEUVRES} manoeuvres."] if many else []
+        found = noted(said, failed) if said or failed else found
     if progress:
         progress("report", 0.95)
     shown = {path.stem: path for path in drawn}
-    told = FlyTold(card, records, source, found.sentences, found.notes, shown, found.consistency)
-    failure = put_page(lambda: fly_page(found.flown, told), out)
-    return noted([failure]) if failure else found
+    told = FlyTold(card, records, source, found.sentences, found.notes, shown, found.consistency, found.failures)
+    failed = put_page(lambda: fly_page(found.flown, told), out)
+    return noted((), failed) if failed else found
 
 
 def _flights(records: Sequence[FlightRecord], card: Card) -> tuple[Flights, Dynamics, list[str]]:
@@ -155,18 +169,25 @@ def _flights(records: Sequence[FlightRecord], card: Card) -> tuple[Flights, Dyna
     return flights, dynamics, notes
 
 
-def _starts(
-    records: Sequence[FlightRecord], card: Card, dynamics: Dynamics, seed: int, progress: Progress | None
-) -> list[Float[np.ndarray, " k"]]:
-    """What a fit of the coefficients finds, where they can be formed: a trajectory has optima far from the flight."""
+def _of_coefficients(
+    records: Sequence[FlightRecord], card: Card, seed: int, progress: Progress | None
+) -> MleResult | None:
+    """The fit of the coefficients, as `identify` does it, where they can be formed."""
     if card.linear is not None:
-        return []
+        return None
     if progress:
         progress("coefficients", 0.0)
-    model = Model.from_card(card)
+    model, (without_spikes, _) = Model.from_card(card), repaired(records)
     try:
-        found = fit_mle(model, observe(records, card, model), seed=seed)
+        found = fit_mle(model, observe(without_spikes, card, model), seed=seed)
+        return without_noise_bias(found, without_spikes, card, model, seed=seed)
     except InputError:
+        return None
+
+
+def _starts(found: MleResult | None, dynamics: Dynamics) -> list[Float[np.ndarray, " k"]]:
+    """What the fit of the coefficients has found: a trajectory has optima far from the flight."""
+    if found is None:
         return []
     near = dict(zip(found.names, found.estimate, strict=True))
     lower, upper = (np.array([p.bounds[i] for p in dynamics.free], float) for i in (0, 1))
@@ -194,6 +215,8 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
         "colour_cost": flown.colour_cost,
         "swell": dict(flown.swell),
         "parameters": parameter_rows(flown),
+        "inseparable": inseparable_results(flown.fit.inseparable),
+        "disagreement": [asdict(d) for d in found.apart],
         "initial_states": {
             manoeuvre: {n: {"value": x, "departure": d, "unit": units[n]} for n, (x, d) in states.items()}
             for manoeuvre, states in flown.initial.items()
@@ -207,5 +230,6 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
         "paths": [open_loop(path, flown.units) for path in flown.paths],
         "health": health_results(found.health),
         "notes": list(found.notes),
+        "failures": list(found.failures),
         "provenance": source,
     }

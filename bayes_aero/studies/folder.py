@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bayes_aero.errors import InputError
+from bayes_aero.errors import ERROR, InputError
 
 RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", "lpt") for number in range(10))}
 """Names that Windows keeps for devices, whatever follows their first full stop."""
@@ -15,6 +15,7 @@ def writable(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         refuse_ways_out(folder)
+        (folder / ERROR).unlink(missing_ok=True)  # of an earlier run
     except (OSError, ValueError) as error:
         if isinstance(error, InputError):
             raise

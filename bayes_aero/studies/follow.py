@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from bayes_aero.criticism.finding import Diagnosis
-from bayes_aero.errors import InputError
 from bayes_aero.report.diagnosed import with_stalls
 from bayes_aero.report.figures import ViewFigures, draw_all
 from bayes_aero.studies.kept import Kept
@@ -24,19 +23,14 @@ def follow(kept: Kept, predict: Predict | None, figures: ViewFigures, tell: Prog
     """
     found = kept.outcome.diagnosis
     if predict is not None and not kept.has("predictors"):
-        try:
-            kept.predictors(predict(found, tell))
-        except InputError as error:
-            kept.note(f"Predictors were not compared: {error}")
+        kept.attempt("Predictors were not compared", lambda: kept.predictors(predict(found, tell)))
     if predict is not None and not kept.has("separating"):
-        kept.separating(separations(found, tell))
+        what = "Manoeuvres that would separate rival causes were not designed"
+        kept.attempt(what, lambda: kept.separating(separations(found, tell)))
     if kept.path is None:
         return {}
     tell("stall", 0.0)
-    try:
-        kept.stalls(with_stalls(kept.outcome.view))
-    except Exception as reason:  # an effect of the user's own may not bear a steady flow; the rest stands
-        kept.note(f"Stall left out: {type(reason).__name__}: {reason}")
+    kept.attempt("Stall left out", lambda: kept.stalls(with_stalls(kept.outcome.view)))
     return drawings(kept, figures, tell)
 
 
@@ -45,6 +39,5 @@ def drawings(kept: Kept, figures: ViewFigures, tell: Progress | None) -> dict[st
     if not figures or kept.path is None:
         return {}
     written, failed = draw_all(figures, kept.outcome.view, kept.path / "figures", tell)
-    if failed:
-        kept.note(*(f"Figure {name} was not drawn: {why}" for name, why in failed.items()))
+    kept.fail(failed)
     return {path.stem: path for path in written}

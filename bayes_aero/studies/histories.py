@@ -11,7 +11,7 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from bayes_aero.criticism.trajectory import Path as FlightPath
-from bayes_aero.errors import no_space, plain_line
+from bayes_aero.errors import failure, plain_line
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.identification import Identification
 from bayes_aero.physics.coefficients import NAMES
@@ -97,10 +97,10 @@ def _group(
     return xr.Dataset(data, attrs={"names": [plain_line(name) for name in names]})
 
 
-def put_histories(make: Callable[[], Histories], folder: Path, rests_on: str = "") -> str | None:
+def put_histories(make: Callable[[], Histories], folder: Path, rests_on: str = "") -> tuple[str, ...]:
     """Write `histories.nc` into `folder`, whole or not at all; `rests_on` tells what the numbers were made from.
 
-    Histories that cannot be written cost nothing else: an older file goes, and the reason is returned.
+    Histories that cannot be written cost nothing else: an older file goes, and a sentence on it is returned.
     """
     path = folder.absolute() / HISTORIES  # xarray takes a leading ~ for a home
     partial = path.with_name(path.name + ".part")
@@ -113,12 +113,10 @@ def put_histories(make: Callable[[], Histories], folder: Path, rests_on: str = "
         os.replace(partial, path)
     except Exception as reason:  # whatever it is, the numbers stand
         path.unlink(missing_ok=True)
-        if no_space(reason):
-            raise
-        return f"{HISTORIES} was not written: {type(reason).__name__}: {reason}"
+        return (failure(f"{HISTORIES} was not written", reason, folder),)
     finally:
         partial.unlink(missing_ok=True)
-    return None
+    return ()
 
 
 def read_histories(path: Path, rests_on: str | None = None) -> Histories:

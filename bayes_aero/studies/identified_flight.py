@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path as Folder
 
 from bayes_aero.criticism.flown_given import fly_given
 from bayes_aero.criticism.flown_paths import Path
-from bayes_aero.errors import InputError
+from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.mle import MleResult
@@ -14,17 +15,23 @@ from bayes_aero.model.flights import despiked, join
 from bayes_aero.model.longitudinal import FLIGHT
 from bayes_aero.model.model import Model
 
+WHAT = "The identified model"
+
 
 def fly_identified(
-    records: Sequence[FlightRecord], card: Card, model: Model, mle: MleResult
-) -> tuple[tuple[Path, ...], tuple[str, ...]]:
-    """Every record from its measured initial state, and notes: none of it where a channel that drives it is missing."""
+    records: Sequence[FlightRecord], card: Card, model: Model, mle: MleResult, out: Folder
+) -> tuple[tuple[Path, ...], tuple[str, ...], tuple[str, ...]]:
+    """Every record from its measured initial state, notes and failures; nothing where a channel that drives it is
+    missing, with a note that says so."""
     values = dict(zip(mle.names, map(float, mle.estimate), strict=True))
     bands = {name: tolerance.value for name, tolerance in card.tolerances.items()}
-    try:
+
+    def flown() -> tuple[Path, ...]:
         flights, _ = despiked(join(records, card, FLIGHT))
-        return fly_given(flights, model, values, bands), ()
+        return fly_given(flights, model, values, bands)
+
+    try:
+        paths, failures = attempted(f"{WHAT} was not flown", flown, (), out, own=bool(card.effect_files))
     except InputError as error:
-        return (), (f"The identified model was not flown: {error}",)
-    except Exception as reason:  # an effect of the user's own may not bear it; the rest stands
-        return (), (f"The identified model was not flown: {type(reason).__name__}: {reason}",)
+        return (), (f"{WHAT} was not flown: {error}",), ()
+    return paths, (), failures

@@ -7,15 +7,15 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import xarray as xr
 
-from bayes_aero.criticism.consistency import consistency
 from bayes_aero.criticism.flown_paths import Path as Flown
 from bayes_aero.criticism.preparation import preparation_notes
-from bayes_aero.errors import InputError
+from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.common_rate import rate_notes
 from bayes_aero.flight.health import channel_health
@@ -27,10 +27,10 @@ from bayes_aero.inference.laplace import density_start, other_modes, search_mode
 from bayes_aero.inference.mle import MOST_ALONE, fit_alone, fit_mle
 from bayes_aero.inference.noise_bias import without_noise_bias
 from bayes_aero.inference.nuts import sample_nuts
-from bayes_aero.inference.posterior import PosteriorStatus
+from bayes_aero.inference.posterior import Posterior, PosteriorStatus
 from bayes_aero.inference.prior_sensitivity import prior_sensitivity
 from bayes_aero.inference.splits import SplitKind
-from bayes_aero.inference.stall import stall_of_posterior
+from bayes_aero.inference.stall import Stall, stall_of_posterior
 from bayes_aero.inference.validation import validate
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
@@ -44,6 +44,7 @@ from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.tables import paper_table, parameter_table, validation_table, write_csv
 from bayes_aero.report.words import verdict
 from bayes_aero.report.words_restraints import leaning_sentences
+from bayes_aero.studies.agree import sensors_agree
 from bayes_aero.studies.environment import rests_on
 from bayes_aero.studies.folder import writable
 from bayes_aero.studies.histories import identified, put_histories
@@ -89,13 +90,24 @@ def identify(
     without_spikes, spikes = repaired(records)
     observations = observe(without_spikes, card, model, forming)
     seconds: dict[str, float] = {}
+    settings = {"noise": noise.value, "split": split, "coefficients": forming.value}
+    writer = _Writer(out, provenance(card, records, seed, settings))
+    trying = partial(attempted, folder=out, own=bool(card.effect_files))
     with _timed(seconds, "do the sensors agree?", progress):
-        agreement = consistency(records, card, seed=seed)
+        agreement, failures = sensors_agree(records, card, seed, out)
     with _timed(seconds, "mle", progress):
-        mle = fit_mle(model, observations, seed=seed)
+        mle = raw = fit_mle(model, observations, seed=seed)
         if forming is Forming.MATCHED:
-            mle = without_noise_bias(mle, without_spikes, card, model, seed=seed)
-        alone = fit_alone(model, observations, seed=seed)
+            mle, failed = trying(
+                "Estimates were not freed of the bias that sensors' noise gives",
+                lambda: without_noise_bias(raw, without_spikes, card, model, seed=seed),
+                raw,
+            )
+            failures += failed
+        alone, failed = trying(
+            "Manoeuvres were not fitted by themselves", lambda: fit_alone(model, observations, seed=seed), {}
+        )
+        failures += failed
         told = preparation_notes(without_spikes, card, model, mle) if forming is Forming.PUBLISHED else ()
     run = Identification(
         card,
@@ -107,6 +119,7 @@ def identify(
         alone,
         {},
         notes=(*spikes, *_rates(records, forming), *_many(len(records))),
+        failures=failures,
         health=channel_health(records, card),
         preparation=told,
         consistency=agreement,
@@ -114,66 +127,61 @@ def identify(
         seconds=seconds,
         forming=forming,
     )
-    settings = {"noise": noise.value, "split": split, "coefficients": forming.value}
-    writer = _Writer(out, provenance(card, records, seed, settings))
     writer.stage(run)
     if out is not None:  # they are for the page and the file alone
         with _timed(seconds, "flights", progress):
-            writer.flown, told = fly_identified(records, card, model, mle)
-        run = replace(run, notes=(*run.notes, *told))
+            writer.flown, told, failed = fly_identified(records, card, model, mle, out)
+        run = _with(run, told, (*failed, *put_histories(lambda: identified(run), out)))
         writer.stage(run)
-    failure = None if out is None else put_histories(lambda: identified(run), out)
-    run = replace(run, notes=(*run.notes, failure)) if failure else run
     chains = None if out is None else out / CHAINS
     stores = None if chains is None or not resume else _stores(chains, card, records, seed, forming)
 
     for key, colour, engine in _plan(noise) if sample else ():
         with _timed(seconds, key, progress):
-            density = Density.of(observations, model, Noise(colour), mle.bias)
-            mode = search_modes(density, density_start(density, mle), observations.n, seed=seed)
             kept: dict[str, Any] = {}
             if stores is not None and engine is sample_ensemble:
                 kept["checkpoint"] = stores(f"{key}_{colour.value}")
-            posterior = engine(density, mode, seed=seed, progress=progress, **kept)
-        told = other_modes(mode, f"{key}, {colour.value} noise")
-        if mle.conflicts and key == "emcee":
-            told += leaning_sentences(prior_sensitivity(density, posterior), mle.conflicts)
-        run = replace(run, posteriors=run.posteriors | {key: posterior}, notes=(*run.notes, *told))
-        writer.stage(run, posterior_name=key)
+            sampled, failed = trying(
+                f"The posterior by {key} under {colour.value} noise was not sampled",
+                partial(_sampled, run, key, colour, engine, seed=seed, progress=progress, **kept),
+                None,
+            )
+        run = _with(run, (), failed)
+        if sampled is not None:
+            posterior, told = sampled
+            run = _with(replace(run, posteriors=run.posteriors | {key: posterior}), told)
+            writer.stage(run, posterior_name=key)
 
     if gp:
+        options = {"chosen": split, "seed": seed, "approximate": approximate_gp, "progress": progress}
         try:
             with _timed(seconds, "gp", progress):
-                report = validate(
-                    model,
-                    observations,
-                    mle,
-                    card.gp_inputs,
-                    chosen=split,
-                    seed=seed,
-                    approximate=approximate_gp,
-                    progress=progress,
+                report, failed = trying(
+                    "Gaussian process left out",
+                    lambda: validate(model, observations, mle, card.gp_inputs, **options),
+                    None,
                 )
-            run = replace(run, gp=report)
+            run = _with(replace(run, gp=report), () if report is None else report.left_out, failed)
         except InputError as error:  # too large for the exact process: said, and the rest stands
-            run = replace(run, notes=(*run.notes, f"Gaussian process left out: {error}"))
+            run = _with(run, (f"Gaussian process left out: {error}",))
         writer.stage(run, gp_done=True)
     with _timed(seconds, "stall", progress):
-        run = _with_stall(run)
+        stall, failed = trying("Stall left out", partial(_stall, run), None)
+        run = _with(replace(run, stall=stall), (), failed)
     drawn: list[Path] = []
     if figures and out is not None:
         with _timed(seconds, "figures", progress):
             drawn, failed = write_figures(run, out / "figures", progress=progress)
-        run = replace(run, notes=(*run.notes, *(f"Figure {name} was not drawn: {why}" for name, why in failed.items())))
+        run = _with(run, (), failed)
     writer.stage(run)
     if page and out is not None:
         pictures = {p.stem: p for p in drawn}
         with _timed(seconds, "report", progress):
-            failure = put_page(lambda: identification_page(run, writer.source, pictures, writer.flown), out)
-        if failure:
-            run = replace(run, notes=(*run.notes, failure))
+            failed = put_page(lambda: identification_page(run, writer.source, pictures, writer.flown), out)
+        if failed:
+            run = _with(run, (), failed)
             writer.stage(run)
-    if chains is not None:
+    if chains is not None and not run.failures:
         shutil.rmtree(chains, ignore_errors=True)
     writer.remove_older(run, page=page, figures=figures)
     return run
@@ -202,16 +210,31 @@ def _stores(
     return lambda key: Checkpoint(folder / key, made_from | {"posterior": key})
 
 
-def _with_stall(run: Identification) -> Identification:
-    """With CLmax and its angle from the first posterior that converged; without one they are left out."""
+def _with(run: Identification, notes: Sequence[str] = (), failures: Sequence[str] = ()) -> Identification:
+    """The run with more to be told."""
+    return replace(run, notes=(*run.notes, *notes), failures=(*run.failures, *failures))
+
+
+def _sampled(
+    run: Identification, key: str, colour: Colour, engine: Any, *, seed: int, progress: Progress | None, **kept: Any
+) -> tuple[Posterior, tuple[str, ...]]:
+    """A posterior, with what is said of its other modes and of the priors that it leans on."""
+    density = Density.of(run.observations, run.model, Noise(colour), run.mle.bias)
+    mode = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
+    posterior = engine(density, mode, seed=seed, progress=progress, **kept)
+    told = other_modes(mode, f"{key}, {colour.value} noise")
+    if run.mle.conflicts and key == "emcee":
+        told += leaning_sentences(prior_sensitivity(density, posterior), run.mle.conflicts)
+    return posterior, told
+
+
+def _stall(run: Identification) -> Stall | None:
+    """CLmax and its angle from the first posterior that converged; without one there is none."""
     for key, posterior in run.posteriors.items():
         if key != "white" and posterior.status is PosteriorStatus.CONVERGED:
             o = run.observations
-            try:
-                return replace(run, stall=stall_of_posterior(run.model, posterior, o.signals, o.aircraft))
-            except Exception as reason:  # an effect of the user's own may not bear a steady flow; the rest stands
-                return replace(run, notes=(*run.notes, f"Stall left out: {type(reason).__name__}: {reason}"))
-    return run
+            return stall_of_posterior(run.model, posterior, o.signals, o.aircraft)
+    return None
 
 
 def _plan(noise: Colour) -> list[tuple[str, Colour, Any]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
@@ -10,6 +10,7 @@ from typing import Any
 
 from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.trajectory import Trajectories
+from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import HealthFinding
@@ -39,6 +40,7 @@ class Outcome:
     notes: tuple[str, ...]
     health: tuple[HealthFinding, ...] = ()
     consistency: Consistency | None = None
+    failures: tuple[str, ...] = ()  # parts that failed unexpectedly
 
     @property
     def diagnosis(self) -> Diagnosis:
@@ -98,6 +100,25 @@ class Kept:
         """Keep what was left out, and why."""
         self._grow(notes)
 
+    def attempt(self, what: str, do: Callable[[], None]) -> None:
+        """Do what may fail: for bad input it is left out and noted, and anything else is a failure.
+
+        Args:
+            what: that it was not done, the beginning of the sentence on why.
+            do: what keeps its own results.
+        """
+        try:
+            _, failed = attempted(what, do, None, self.path, own=bool(self._card.effect_files))
+        except InputError as error:
+            self.note(f"{what}: {error}")
+        else:
+            self.fail(failed)
+
+    def fail(self, failures: Sequence[str]) -> None:
+        """Keep what failed unexpectedly; none is nothing."""
+        if failures:
+            self._grow(failures=failures)
+
     def put_page(self, drawn: Mapping[str, Path]) -> None:
         """report.html with the figures `drawn`; a note says why if there is none."""
         outcome = self.outcome
@@ -111,15 +132,15 @@ class Kept:
             revealed(outcome.hidden, outcome.named) if outcome.hidden else (),
             outcome.notes,
             outcome.consistency,
+            outcome.failures,
         )
-        failure = None if self.path is None else put_page(lambda: diagnosis_page(outcome.view, told), self.path)
-        if failure:
-            self.note(failure)
+        self.fail(() if self.path is None else put_page(lambda: diagnosis_page(outcome.view, told), self.path))
 
-    def _grow(self, notes: Sequence[str] = (), **changes: Any) -> None:
+    def _grow(self, notes: Sequence[str] = (), failures: Sequence[str] = (), **changes: Any) -> None:
         with self._lock:
-            view = replace(self.outcome.view, **changes) if changes else self.outcome.view
-            self.outcome = replace(self.outcome, view=view, notes=(*self.outcome.notes, *notes))
+            o = self.outcome
+            view = replace(o.view, **changes) if changes else o.view
+            self.outcome = replace(o, view=view, notes=(*o.notes, *notes), failures=(*o.failures, *failures))
             self._write()
             if "trajectories" in changes:
                 self._put_histories()
@@ -129,11 +150,9 @@ class Kept:
             return
         view = self.outcome.view
         flown = view.trajectories.paths if view.trajectories else ()
-        failure = put_histories(
-            lambda: {**diagnosed(view), **flights(flown)}, self.path, self._source.get(RESTS_ON, "")
-        )
-        if failure:
-            self.outcome = replace(self.outcome, notes=(*self.outcome.notes, failure))
+        failed = put_histories(lambda: {**diagnosed(view), **flights(flown)}, self.path, self._source.get(RESTS_ON, ""))
+        if failed:
+            self.outcome = replace(self.outcome, failures=(*self.outcome.failures, *failed))
             self._write()
 
     def _write(self) -> None:
@@ -150,6 +169,7 @@ class Kept:
             separating=self._separating,
             hidden=None if hidden is None else {"effects": hidden, "named": named},
             notes=self.outcome.notes,
+            failures=self.outcome.failures,
             agreement=self.outcome.consistency,
             health=self.outcome.health,
         )

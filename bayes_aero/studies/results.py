@@ -10,6 +10,7 @@ import numpy as np
 
 from bayes_aero.criticism.flown_paths import Path
 from bayes_aero.inference.identification import GPReport, Identification, Validation
+from bayes_aero.inference.inseparable import Inseparable
 from bayes_aero.inference.mle import MleResult
 from bayes_aero.inference.posterior import Posterior
 from bayes_aero.inference.scores import Scores, score
@@ -58,6 +59,7 @@ def results(
     found["verdict"] = verdict
     found["health"] = health_results(identification.health)
     found["notes"] = list(identification.notes)
+    found["failures"] = list(identification.failures)
     found["provenance"] = provenance | {"seconds": {k: round(v, 2) for k, v in identification.seconds.items()}}
     return found
 
@@ -82,10 +84,16 @@ def _mle(result: MleResult) -> dict[str, Any]:
         "lag1": result.lag1,
         "separation": {"minimum": result.separation[0], "maximum": result.separation[1]},
         "information_eigenvalues": result.eigenvalues,
+        "inseparable": inseparable_results(result.inseparable),
         "strong_correlations": [{"pair": [a, b], "value": value} for a, b, value in result.strong_correlations()],
         "starts": [{"cost": cost, "outcome": outcome} for cost, outcome in result.starts],
         "warnings": result.warnings(),
     }
+
+
+def inseparable_results(found: Sequence[Inseparable]) -> list[dict[str, Any]]:
+    """Sets of parameters that the record cannot part."""
+    return [{"parameters": dict(zip(one.names, one.wider, strict=True))} for one in found]
 
 
 def _status(posterior: Posterior) -> dict[str, str]:

@@ -24,6 +24,7 @@ from bayes_aero.physics.coefficients import REQUIRED
 from bayes_aero.studies.guess import guessed
 from bayes_aero.studies.guess_column import Guess
 from bayes_aero.studies.starter_aircraft import aircraft_block
+from bayes_aero.studies.starter_check import read_back
 from bayes_aero.units import canonical, from_si
 
 ATTACHED = (
@@ -84,7 +85,12 @@ class Starter:
 
 
 def starter_card(path: Path) -> Starter:
-    """Guess from a record's columns."""
+    """Guess from a record's columns.
+
+    Raises:
+        InputError: the record cannot be read, or is too short to guess from.
+        DefectError: the card would not be one.
+    """
     raw = read_raw(path)
     longest = max((len(c.values) for c in raw.columns if c.values is not None), default=0)
     if longest < MIN_SAMPLES:
@@ -108,7 +114,9 @@ def starter_card(path: Path) -> Starter:
     ]
     open_lines = [line for line in lines if '"TODO' in line and not line.startswith("#")]
     todo = [(line.split(" =")[0].strip(), line.partition(" # ")[2]) for line in open_lines]
-    return Starter("\n".join(lines) + "\n", todo, found, unknown)
+    text = "\n".join(lines) + "\n"
+    read_back(text, path.name)
+    return Starter(text, todo, found, unknown)
 
 
 def _text(words: str) -> str:
@@ -129,10 +137,9 @@ def _channels(found: Mapping[str, Guess], unknown: Sequence[RawColumn], columns:
         if name not in found and name not in HELD and name not in _summed(found):
             yield from _absent(name, place)
     for name, guess in found.items():
-        place = _place(guess.column)
         optional = "" if name in NEEDED or name in KINEMATIC else ", required = false"
         sign = ", sign = -1" if guess.sign < 0 else ""
-        entry = f"{name} = {{ {place}, unit = {_text(guess.unit or 'TODO')}{sign}{optional} }}"
+        entry = f"{name} = {{ {_place(guess.column)}, unit = {_text(guess.unit or 'TODO')}{sign}{optional} }}"
         doubt = _implausible(name, guess)
         if doubt:
             yield _comment(f"NOT TAKEN, {doubt}; {guess.evidence}:")
@@ -188,6 +195,11 @@ def _implausible(name: str, guess: Guess) -> str:
     return f"{x.min():.4g} to {x.max():.4g} {STANDARD_CHANNELS[name].unit} is beyond any flight"
 
 
+def _taken(found: Mapping[str, Guess]) -> set[str]:
+    """Channels whose guess stands on the card."""
+    return {name for name, guess in found.items() if not _implausible(name, guess)}
+
+
 def _sums(found: Mapping[str, Guess]) -> Iterator[str]:
     lines = []
     if _both(found, "thrust"):
@@ -202,7 +214,7 @@ def _sums(found: Mapping[str, Guess]) -> Iterator[str]:
 
 def _both(found: Mapping[str, Guess], name: str) -> bool:
     """Whether the left and the right one were found and not what they make together."""
-    return name not in found and {f"{name}_left", f"{name}_right"} <= set(found)
+    return name not in found and {f"{name}_left", f"{name}_right"} <= _taken(found)
 
 
 def _summed(found: Mapping[str, Guess]) -> set[str]:
@@ -212,7 +224,7 @@ def _summed(found: Mapping[str, Guess]) -> set[str]:
 
 def _derivable(found: Mapping[str, Guess]) -> dict[str, str]:
     """Channels that are not in the file and can be formed from it, each by the best rule."""
-    have = {name for name, guess in found.items() if not _implausible(name, guess)}
+    have = _taken(found)
     best = {
         name: next((rule for rule, needs in rules.items() if set(needs) <= have), None) for name, rules in RULES.items()
     }
@@ -239,7 +251,7 @@ def _constants(found: Mapping[str, Guess]) -> Iterator[str]:
         yield f"# Thrust may be read off a table over {engine} instead; see [tables.NAME] in the reference of the card."
     if "density" not in found and "density" not in derived:
         lines.append('density = "TODO" # of the air, e.g. "0.9 kg/m^3"; neither it nor an altitude was found')
-    if "thrust" not in found and not {"thrust_left", "thrust_right"} <= set(found):
+    if "thrust" not in found and not _taken(found) >= {"thrust_left", "thrust_right"}:
         lines.append(
             'thrust = "TODO" # total net thrust, e.g. "2500 N"; was not found in the file. Drag is as good as this'
         )

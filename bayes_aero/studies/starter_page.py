@@ -5,14 +5,14 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
-from bayes_aero.report.page import write_page
+from bayes_aero.report.page import put_page
 from bayes_aero.report.page_card import Rest, StarterView, Taken, card_page
 from bayes_aero.studies.provenance import provenance
 from bayes_aero.studies.starter import Starter
 
 
-def write_starter_page(starter: Starter, record: Path, card: Path) -> Path:
-    """Write CARD.report.html."""
+def put_starter_page(starter: Starter, record: Path, card: Path) -> tuple[Path, tuple[str, ...]]:
+    """Write CARD.report.html; its path, and a sentence on what of it cannot be made."""
     taken = [
         Taken(name, g.column.place, g.unit, g.sign, g.evidence, g.values, starter.doubt(name))
         for name, g in starter.found.items()
@@ -24,4 +24,5 @@ def write_starter_page(starter: Starter, record: Path, card: Path) -> Path:
     source["inputs"] = [
         {"name": record.stem, "source": record.name, "sha256": hashlib.sha256(record.read_bytes()).hexdigest()}
     ]
-    return write_page(card_page(view, source), card.with_name(card.name + ".report.html"))
+    path = card.with_name(card.name + ".report.html")
+    return path, put_page(lambda: card_page(view, source), path.parent, path.name)

@@ -13,8 +13,8 @@ from bayes_aero.studies.study import Study
 from bayes_aero.studies.summary import NUMBERS
 
 
-def put_report(study: Study, out: Path) -> tuple[str, str | None]:
-    """Write the page into the results folder; its verdict, and the reason if the page cannot be made."""
+def put_report(study: Study, out: Path) -> tuple[str, tuple[str, ...]]:
+    """Write the page into the results folder; its verdict, and a sentence on what of it cannot be made."""
     told = _told(study, out)
     return study_headline(told), put_page(lambda: study_page(told), out)
 

@@ -3,34 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
-from bayes_aero.criticism.consistency import consistency
-from bayes_aero.criticism.finding import Diagnosis
-from bayes_aero.criticism.trajectory import Trajectories
-from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health import HealthFinding, channel_health
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.studies.diagnose import run
-from bayes_aero.studies.diagnose_flown import lacking, run_flown
+from bayes_aero.studies.diagnose_flown import Flown, lacking, run_flown
 from bayes_aero.studies.kept import Hidden, Outcome
 from bayes_aero.studies.outlook import predictors as compared
 from bayes_aero.studies.outlook import simulations
 
 Progress = Callable[[str, float], None]
-
-
-@dataclass(frozen=True)
-class Flown:
-    """What trajectories alone have shown, where coefficients cannot be formed."""
-
-    diagnosis: Diagnosis
-    trajectories: Trajectories | None
-    sentences: Sequence[str]
-    health: Sequence[HealthFinding] = ()
-    consistency: Consistency | None = None
 
 
 def diagnose_records(
@@ -48,18 +31,7 @@ def diagnose_records(
 ) -> Outcome | Flown:
     """Diagnose, as `bayes-aero diagnose` does: by coefficients, or by trajectories where these cannot be formed."""
     if lacking(flights, card):
-        agreement = consistency(flights, card, seed=seed)
-        found, flown, said = run_flown(
-            flights,
-            card,
-            out=out,
-            seed=seed,
-            most=max_effects,
-            fly=trajectories,
-            agreement=agreement,
-            progress=progress,
-        )
-        return Flown(found, flown, said, channel_health(flights, card), agreement)
+        return run_flown(flights, card, out=out, seed=seed, most=max_effects, fly=trajectories, progress=progress)
     return run(
         flights,
         card,

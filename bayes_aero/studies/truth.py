@@ -13,7 +13,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.reading import read_record, write_record
 from bayes_aero.flight.writers import WRITERS
-from bayes_aero.report.page import write_page
+from bayes_aero.report.page import put_page
 from bayes_aero.report.page_simulated import simulated_page
 from bayes_aero.studies.provenance import provenance, write_json
 from bayes_aero.studies.request import Request
@@ -24,10 +24,10 @@ SCHEMA = "bayes_aero/truth/1"
 
 def simulate_file(
     request: Request, card: Card, known: Mapping[str, Effect], out: Path, *, page: bool = False
-) -> tuple[Synthetic, dict[str, Any]]:
+) -> tuple[Synthetic, dict[str, Any], tuple[str, ...]]:
     """Simulate into `out`, in the format of its suffix, and `out`.truth.json; what is written can be read again.
 
-    With `page` there is `out`.report.html, too.
+    With `page` there is `out`.report.html, too; what of it cannot be made is told in the last item.
     """
     if out.suffix.lower() not in WRITERS:
         raise InputError(f"{out}: records are written as {', '.join(WRITERS)}; choose one of these suffixes")
@@ -56,7 +56,8 @@ def simulate_file(
         "provenance": source,
     }
     write_json(truth, out.with_name(out.name + ".truth.json"))
+    failures: tuple[str, ...] = ()
     if page:
         flown = [p for e in known.values() for p in e.parameters if p.name in found.parameters]
-        write_page(simulated_page(record, card, truth, flown), out.with_name(out.name + ".report.html"))
-    return found, truth
+        failures = put_page(lambda: simulated_page(record, card, truth, flown), out.parent, out.name + ".report.html")
+    return found, truth, failures

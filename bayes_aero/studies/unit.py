@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import bayes_aero
-from bayes_aero.errors import InputError, no_space
+from bayes_aero.errors import ERROR, InputError, no_space
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.tables import is_file
 from bayes_aero.studies.durable import beside, put_folder
@@ -22,7 +22,7 @@ from bayes_aero.studies.provenance import provenance, write_json, write_text
 from bayes_aero.studies.study import Unit, card_of
 
 SCHEMA = "bayes_aero/unit/1"
-MANIFEST, ERROR = "unit.json", "error.txt"
+MANIFEST = "unit.json"
 LEAST_FREE = 1 << 20  # bytes on the disk below which no unit is begun
 Progress = Callable[[str, float], None]
 Task = Callable[[Unit, Path, Progress | None], None]

@@ -5,18 +5,24 @@ from __future__ import annotations
 import json
 import re
 import tomllib
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from stranger import fly, plane
 from stranger_records import write
 
 from bayes_aero.errors import InputError
+from bayes_aero.flight.aliases import ALIASES
 from bayes_aero.flight.card import read_card, shipped_cards
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.reading import read_record, write_record
 from bayes_aero.model.formed import with_sums
+from bayes_aero.studies.starter import starter_card
 
 CONSTANTS = {"mass": "8000 kg", "aspect_ratio": "8", "wing_area": "30 m^2", "Iy": "60000 kg m^2"}
 
@@ -271,3 +277,45 @@ def test_a_record_without_alpha_is_not_said_to_hold_no_stall(program, foreign, t
     text = (tmp_path / "blind.toml").read_text()
     assert "alpha was not found, so nobody knows whether a stall is in the record" in text
     assert "alpha reaches" not in text
+
+
+def test_a_column_that_is_not_taken_leaves_the_others_their_places(program, tmp_path):
+    """An elevator in thousands of degrees is no elevator: its entry asks for another column by its label."""
+    t = 0.05 * np.arange(100)
+    table = pd.DataFrame({"t": t, "delta_e [deg]": 5000.0 * np.sin(t), "tas [m/s]": 80.0 + t, "thrust_l [N]": 1e9 * t})
+    table.to_csv(tmp_path / "odd.csv", index=False)
+    assert program("card", "odd.csv", "--no-page").code == 0
+    entries = tomllib.loads((tmp_path / "odd.toml").read_text())["channels"]
+    assert entries["elevator"] == {"label": "TODO", "unit": "rad"}
+    assert entries["airspeed"]["label"] == "tas [m/s]"
+
+
+@settings(max_examples=60, deadline=None, derandomize=True, database=None)
+@given(st.data())
+def test_every_starter_card_is_a_card(data):
+    """Any columns of any size: the card is read back before it is written."""
+    names = data.draw(st.lists(st.sampled_from(sorted(ALIASES)), min_size=1, max_size=12))
+    units = data.draw(
+        st.lists(st.sampled_from(["", " [deg]", "_rad", ' ["]', " (N)", "_kt"]), min_size=12, max_size=12)
+    )
+    sizes = data.draw(st.lists(st.sampled_from([1e-4, 0.1, 30.0, 1e4, 1e8]), min_size=12, max_size=12))
+    rng = np.random.default_rng(len(names))
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "any.csv"
+        columns = [name + unit for name, unit in zip(names, units, strict=False)]
+        values = rng.standard_normal((60, len(names))) * sizes[: len(names)]
+        pd.DataFrame(values, columns=columns).to_csv(path, index=False)
+        try:
+            starter = starter_card(path)
+        except InputError:
+            return
+    tomllib.loads(starter.text)
+
+
+def test_a_card_that_cannot_be_read_back_is_never_written(program, tmp_path, monkeypatch):
+    monkeypatch.setattr("bayes_aero.studies.starter._sums", lambda *_: iter(['a = "b" = "c"']))
+    (tmp_path / "one.csv").write_text("t,V\n" + "\n".join(f"{0.1 * i},80" for i in range(60)))
+    done = program("card", "one.csv")
+    assert done.code == 1
+    assert "the starter card of one.csv was not written" in done.err
+    assert not (tmp_path / "one.toml").exists()

@@ -12,7 +12,7 @@ from typing import get_args
 
 import pytest
 
-from bayes_aero.cli import app, choices
+from bayes_aero.cli import app, choices, main
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED, kept_stages
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.entry import _heed
@@ -202,3 +202,19 @@ def test_nothing_of_an_earlier_run_stands_beside_a_later_one(program, flights, t
     assert not any(path.exists() for path in older)
     assert all(path.read_text() == "of another day" for path in mine)
     assert (out / "report.html").exists()
+
+
+def test_an_unexpected_failure_is_one_sentence_and_a_traceback_if_asked_for(program, monkeypatch, tmp_path):
+    def broken(*_):
+        raise ZeroDivisionError("no such luck")
+
+    (tmp_path / "one.csv").write_text("t,V\n" + "\n".join(f"{0.1 * i},80" for i in range(60)))
+    monkeypatch.setattr("bayes_aero.studies.starter.guessed", broken)
+    done = program("card", "one.csv")
+    assert done.code == 1
+    assert done.err.startswith("error: the command failed unexpectedly (ZeroDivisionError: no such luck)")
+    assert done.err.count("\n") == 1
+    monkeypatch.setenv("BAYES_AERO_TRACEBACK", "1")
+    monkeypatch.setattr(sys, "argv", ["bayes-aero", "card", "one.csv"])
+    with pytest.raises(ZeroDivisionError):
+        main()

@@ -15,7 +15,7 @@ from bayes_aero.criticism.responses import Responses
 from bayes_aero.criticism.state import linearised
 from bayes_aero.errors import InputError
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.gp import MapStatus
+from bayes_aero.inference.gp import MapStatus, fit_gp
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.flights import join
 from bayes_aero.model.observations import observe
@@ -115,3 +115,13 @@ def test_an_optimum_that_failed_is_refused(card, model, monkeypatch):
 def test_an_input_that_was_not_recorded_is_named(card, model):
     with pytest.raises(InputError, match="flap"):
         compare_states(_state(card, model, 0.0, manoeuvres=1), ("alpha", "flap"))
+
+
+def test_a_process_of_one_stretch_earns_no_trust():
+    """Of 12 s, the part held out and its gaps taken away, one stretch is left: nothing predicts it."""
+    rng = np.random.default_rng(0)
+    x, y = rng.standard_normal((20, 1)), rng.standard_normal(20)
+    fit = fit_gp(x, y, sample=False, starts=2)
+    assert discrepancy.trust_of(fit, y, np.ones(20), [np.arange(20)], 10) == (0.0, pytest.approx(np.mean(y**2)))
+    halves = [np.arange(10), np.arange(10, 20)]
+    assert discrepancy.trust_of(fit, y, np.ones(20), halves, 10)[0] == 0.0  # the gap leaves nothing of the other

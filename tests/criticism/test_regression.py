@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayes_aero.criticism.colour import Colour, Middle, colour_of, colours_of
-from bayes_aero.criticism.regression import Products
+from bayes_aero.criticism.regression import Products, inverse
 from bayes_aero.inference.autoregression import ORDER, ROOT
 
 
@@ -129,3 +129,11 @@ def test_a_record_without_noise_leaves_no_number_that_is_none(problem):
     np.testing.assert_allclose(fit.step, [*truth, 5000.0], rtol=1e-6, atol=1e-6)
     assert np.all(fit.variance > 0.0)
     assert np.all(fit.variance < 1e-6)
+
+
+def test_the_inverse_of_no_information_is_a_number(recwarn):
+    """A candidate that the model imitates wholly leaves none; its square enters a covariance."""
+    found = inverse(np.diag([4.0, 0.0, 1e-200]))
+    assert np.isfinite(found @ found).all()
+    assert found[0, 0] == pytest.approx(0.25)
+    assert not recwarn.list

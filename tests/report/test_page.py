@@ -177,10 +177,15 @@ def test_a_part_that_fails_does_not_cost_the_page(tmp_path):
 
     page = Page("t", "s", "v", (), (section("a", "Lift", fails), section("b", "Drag", lambda: (Text("fine"),))))
     text = Outline(render(page)).text
-    assert "This part was not made: ValueError: no such luck" in text
+    assert "The part 'Lift' of the page was not made: ValueError: no such luck." in text
     assert "fine" in text
-    assert put_page(lambda: page, tmp_path) is None
-    assert put_page(fails, tmp_path / "other") == "report.html was not written: ValueError: no such luck"
+    (told,) = put_page(lambda: page, tmp_path)
+    assert "'Lift'" in told
+    assert "a defect of the program" in told
+    (tmp_path / "other").mkdir()
+    (told,) = put_page(fails, tmp_path / "other")
+    assert told.startswith("report.html was not written: ValueError: no such luck. This is a defect of the program")
+    assert "in fails" in (tmp_path / "other" / "error.txt").read_text()
 
 
 def test_a_page_is_written_whole_or_not_at_all(tmp_path, monkeypatch):

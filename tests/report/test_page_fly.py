@@ -168,7 +168,7 @@ def found(item, key):
     return [x for v in item for x in found(v, key)] if isinstance(item, list | tuple) else []
 
 
-def test_a_page_that_fails_is_a_note_and_costs_no_number(tmp_path, monkeypatch):
+def test_a_page_that_fails_is_told_and_costs_no_number(tmp_path, monkeypatch):
     def fails(*_):
         raise ValueError("no such luck")
 
@@ -177,12 +177,14 @@ def test_a_page_that_fails_is_a_note_and_costs_no_number(tmp_path, monkeypatch):
     monkeypatch.setattr(job, "fly_page", fails)
     found = job.fly(records(), CARD, out=tmp_path, figures=False)
     said = "report.html was not written: ValueError: no such luck"
-    assert found.notes[-1] == said
-    assert json.loads((tmp_path / job.RESULTS).read_text())["notes"][-1] == said
+    assert found.failures[-1].startswith(said)
+    assert json.loads((tmp_path / job.RESULTS).read_text())["failures"] == list(found.failures)
     assert not (tmp_path / "report.html").exists()
     monkeypatch.undo()
     monkeypatch.setattr(job, "fit_flown", lambda *_, **__: flown)
-    assert job.fly(records(), CARD, out=tmp_path, figures=False).notes == ()
+    found = job.fly(records(), CARD, out=tmp_path, figures=False)
+    assert (found.notes, found.failures) == ((), ())
+    assert not (tmp_path / "error.txt").exists()  # of the run before
     assert "The fit converged;" in (tmp_path / "report.html").read_text()
 
 

@@ -21,7 +21,7 @@ def catalogue(tmp_path_factory):
     card = read_card("attas")
     found = [described(effect, card) for effect in known_effects(card).values()]
     out = tmp_path_factory.mktemp("catalogue")
-    assert write_effects(found, "effects", card, out) is None
+    assert write_effects(found, "effects", card, out) == ()
     return out / "report.html"
 
 

@@ -79,8 +79,9 @@ def test_a_figure_that_fails_loses_nothing(repeated, card, tmp_path, monkeypatch
     monkeypatch.setattr(job, "DIAGNOSIS_FIGURES", {"bad": bad, "colour": figures_diagnosis.residual_colour})
     found = run(repeated.records, card, out=tmp_path)
     content = validated(tmp_path / "diagnosis.json")
-    assert found.notes == ("Figure bad was not drawn: ValueError: no such luck",)
-    assert content["notes"] == list(found.notes)
+    (told,) = found.failures
+    assert told.startswith("Figure bad was not drawn: ValueError: no such luck. This is a defect of the program")
+    assert content["failures"] == [told]
     assert (tmp_path / "figures" / "colour.png").stat().st_size > 10_000
 
 
@@ -90,8 +91,9 @@ def test_a_page_that_fails_loses_nothing(repeated, card, tmp_path, monkeypatch):
 
     monkeypatch.setattr(kept, "diagnosis_page", bad)
     found = run(repeated.records, card, out=tmp_path, figures=False)
-    assert found.notes == ("report.html was not written: ValueError: no such luck",)
-    assert validated(tmp_path / "diagnosis.json")["notes"] == list(found.notes)
+    (told,) = found.failures
+    assert told.startswith("report.html was not written: ValueError: no such luck.")
+    assert validated(tmp_path / "diagnosis.json")["failures"] == [told]
     assert not (tmp_path / "report.html").exists()
 
 
@@ -101,9 +103,10 @@ def test_a_stall_that_cannot_be_computed_loses_nothing(repeated, card, tmp_path,
 
     monkeypatch.setattr(follow, "with_stalls", bad)
     found = run(repeated.records, card, out=tmp_path, figures=False)
-    assert found.notes == ("Stall left out: ValueError: no such luck",)
+    (told,) = found.failures
+    assert told.startswith("Stall left out: ValueError: no such luck.")
     page = (tmp_path / "report.html").read_text()
-    assert found.notes[0] in page
+    assert "Stall left out: ValueError: no such luck." in page
     assert "was not made" not in page
 
 
@@ -113,7 +116,7 @@ def test_predictors_are_written_and_may_fail(repeated, card, tmp_path):
 
     run(repeated.records, card, out=tmp_path, figures=False, predict=lambda *_: {"extended": {"Cm": 0.5}})
     assert validated(tmp_path / "diagnosis.json")["predictors"] == {"extended": {"Cm": 0.5}}
-    found = run(repeated.records, card, out=tmp_path, figures=False, predict=fails)
+    found = run(repeated.records, card, out=tmp_path / "other", figures=False, predict=fails)
     assert "too large" in found.notes[0]
 
 
@@ -228,16 +231,26 @@ def test_what_is_not_wanted_any_more_is_not_taken_up(left, card):
     assert content["predictors"] == {}
 
 
-def test_a_failure_beside_the_flight_is_told(repeated, card, tmp_path):
+def test_late_stages_that_fail_cost_nothing_that_was_found(repeated, card, tmp_path):
     def bad(*_):
         raise ValueError("no such luck")
 
     def refused(*_):
         raise InputError("cannot fly")
 
-    with pytest.raises(ValueError, match="no such luck"):
-        run(repeated.records, card, out=tmp_path, predict=bad, fly=refused)
-    assert validated(tmp_path / "diagnosis.json")["notes"] == ["Trajectories were not simulated: cannot fly"]
+    found = run(repeated.records, card, out=tmp_path, figures=False, predict=bad, fly=refused)
+    content = validated(tmp_path / "diagnosis.json")
+    assert content["notes"] == ["Trajectories were not simulated: cannot fly"]
+    (told,) = content["failures"]
+    assert told.startswith("Predictors were not compared: ValueError: no such luck.")
+    assert [c["name"] for c in content["causes"]] == [c.name for c in found.diagnosis.causes]
+    assert "Predictors were not compared: ValueError" in (tmp_path / "report.html").read_text()
+    assert "no such luck" in (tmp_path / "error.txt").read_text()
+    found = run(repeated.records, card, out=tmp_path, figures=False, fly=bad)
+    assert found.failures[0].startswith("Trajectories were not simulated: ValueError: no such luck.")
+    found = run(repeated.records, card, out=tmp_path, figures=False)
+    assert found.failures == ()
+    assert not (tmp_path / "error.txt").exists()
 
 
 def test_a_state_that_cannot_be_trimmed_has_no_separating_manoeuvre(diagnosed, monkeypatch):

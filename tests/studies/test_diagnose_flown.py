@@ -26,7 +26,8 @@ def test_numbers_histories_and_page_are_of_this_run(card, tmp_path):
         (tmp_path / name).write_text("of another run")
     hidden = {"thrust_moment": {"thrust_arm": 0.6}}
     records = [without(r, "ax", "ay", "az") for r in hidden_records(hidden, seed=413_233, seconds=60.0)]
-    found, flown, _ = run_flown(records, card, out=tmp_path)
+    told = run_flown(records, card, out=tmp_path)
+    found, flown = told.diagnosis, told.trajectories
     assert not (tmp_path / MARK).exists()
     content = json.loads((tmp_path / "diagnosis.json").read_text())
     jsonschema.validate(

@@ -20,7 +20,7 @@ from bayes_aero.studies.trajectory_results import _lag, _lag_of
 @pytest.fixture
 def groups(diagnosed, tmp_path):
     flown = histories.flights(halves(diagnosed.records[0]).paths)
-    assert histories.put_histories(lambda: {**histories.diagnosed(diagnosed.view), **flown}, tmp_path) is None
+    assert histories.put_histories(lambda: {**histories.diagnosed(diagnosed.view), **flown}, tmp_path) == ()
     assert [path.name for path in tmp_path.iterdir()] == ["histories.nc"]
     return histories.read_histories(tmp_path / "histories.nc")
 
@@ -61,7 +61,7 @@ def test_any_name_of_a_record_and_of_a_channel_is_kept(name, diagnosed, tmp_path
     kinds = {"q/hat": "rad/s", "p_rate/norm": "1"}
     renamed = {kind: dict(zip(kinds, getattr(path, kind).values(), strict=False)) for kind in ("measured", "simulated")}
     odd = replace(path, manoeuvre=name, **renamed)
-    assert histories.put_histories(lambda: histories.flights([odd], kinds), tmp_path) is None
+    assert histories.put_histories(lambda: histories.flights([odd], kinds), tmp_path) == ()
     (group,) = histories.read_histories(tmp_path / "histories.nc").values()
     flight = histories.flight_of(group, name)
     for output, unit in kinds.items():
@@ -76,8 +76,8 @@ def test_histories_that_cannot_be_written_are_told_and_leave_no_old_ones(tmp_pat
         raise RuntimeError("no such luck")
 
     (tmp_path / "histories.nc").write_bytes(b"of another run")
-    assert "no such luck" in histories.put_histories(bad, tmp_path)
-    assert not list(tmp_path.iterdir())
+    assert "no such luck" in histories.put_histories(bad, tmp_path)[0]
+    assert [path.name for path in tmp_path.iterdir()] == ["error.txt"]
 
 
 def test_a_folder_whose_name_begins_with_a_tilde_is_no_home(tmp_path, monkeypatch):
@@ -87,13 +87,13 @@ def test_a_folder_whose_name_begins_with_a_tilde_is_no_home(tmp_path, monkeypatc
     folder.mkdir()
     time = np.arange(3.0)
     group = xr.Dataset({"time": ("sample", time)})
-    assert histories.put_histories(lambda: {"coefficients": group}, folder) is None
+    assert histories.put_histories(lambda: {"coefficients": group}, folder) == ()
     assert (tmp_path / "~" / "histories.nc").is_file()
 
 
 def test_what_was_made_from_something_else_is_refused(tmp_path):
     group = xr.Dataset({"time": ("sample", np.arange(3.0))})
-    assert histories.put_histories(lambda: {"coefficients": group}, tmp_path, "this") is None
+    assert histories.put_histories(lambda: {"coefficients": group}, tmp_path, "this") == ()
     assert "coefficients" in histories.read_histories(tmp_path / "histories.nc", "this")
     with pytest.raises(ValueError, match="something else"):
         histories.read_histories(tmp_path / "histories.nc", "that")

@@ -152,6 +152,8 @@ def fit_gp(
         broken = optima[0].status is MapStatus.not_positive_definite
         if sample and broken:
             status = SampleStatus.no_optimum
+        elif sample and data.dependent:
+            status = SampleStatus.dependent
         elif sample:
             sampled = sample_posterior(optima[0], data, priors, budget=budget, seed=seed, tell=tell)
             status = sampled.status

@@ -22,6 +22,7 @@ from scipy.linalg import get_lapack_funcs
 from bayes_aero.inference.cores import blas_threads
 from bayes_aero.inference.gp.kernel import scaled_distance_kernel
 
+DEPENDENT = 1e-6  # of singular values: its square is lost in the rounding of a gram that R^-1 stretches
 dpotrf, dpotrs, dpotri = get_lapack_funcs(("potrf", "potrs", "potri"), dtype=np.float64)
 
 __all__ = [
@@ -50,6 +51,12 @@ class ReducedData(NamedTuple):
     def n(self) -> int:
         """Number of training samples."""
         return self.x.shape[0]
+
+    @property
+    def dependent(self) -> bool:
+        """Whether a column of F_y is a combination of the others: an input given twice, or an output that is linear."""
+        values = np.linalg.svd(self.fy / np.linalg.norm(self.fy, axis=0), compute_uv=False)
+        return bool(values[-1] <= DEPENDENT * values[0])
 
 
 class ReducedStats(NamedTuple):

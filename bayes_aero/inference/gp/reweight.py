@@ -47,6 +47,10 @@ class SampleStatus(enum.Enum):
         "Refused: the exact covariance could not be factorised at some draws. "
         "Use the MAP, or give the noise a prior with a larger median."
     )
+    dependent = (
+        "Refused: an input, or the output, is a linear combination of the inputs, and the stand-in density needs them "
+        "independent. Use the MAP, or leave one of the inputs out."
+    )
     no_optimum = "Refused: the search for the most probable hyperparameters failed; see the MAP's status."
 
 

@@ -150,3 +150,15 @@ def test_flat_priors_are_not_sampled():
 def test_wrong_inputs_to_predict_at_are_refused(at_map):
     with pytest.raises(InputError, match="alpha, V"):
         at_map.predict(np.zeros((3, 3)))
+
+
+@pytest.mark.parametrize("dependent", ["input twice", "sum of inputs", "linear output"])
+def test_dependent_inputs_have_a_mode_and_a_status_in_place_of_draws(dependent):
+    X, y = make(0, n=60)
+    if dependent != "linear output":
+        X = np.column_stack([X, X[:, 0] if dependent == "input twice" else X @ [1.0, 0.01]])
+    y = 2.0 + X @ np.arange(1.0, X.shape[1] + 1.0) if dependent == "linear output" else y
+    fit = fit_gp(X, y, sample=True, starts=3, seed=1)
+    assert fit.status is SampleStatus.dependent
+    assert fit.posterior is None
+    assert np.isfinite(fit.predict(X).mean).all()
