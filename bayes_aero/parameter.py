@@ -21,13 +21,15 @@ class Prior:
 
     `normal`: mean `location`, standard deviation `scale`. `lognormal`: median `location` (> 0), standard deviation
     `scale` of the logarithm. `halfnormal`: scale `scale` above `location`. `uniform`: from `location` to
-    `location + scale`. `source` names where the numbers come from, or says "our choice".
+    `location + scale`. `source` names where the numbers come from, or says "our choice". `by_card`: a card states it,
+    else it is the default.
     """
 
     family: str
     location: float
     scale: float
     source: str = "our choice"
+    by_card: bool = False
 
     def __post_init__(self) -> None:
         if self.family not in FAMILIES:

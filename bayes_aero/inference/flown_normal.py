@@ -37,20 +37,23 @@ def departures(states: tuple[str, ...]) -> Float[np.ndarray, " s"]:
 class Priors:
     """Normal priors of the step: mean and precision of theta (k,) and of the states' departures (s,).
 
-    Precisions have been multiplied by `weight`: what coloured residuals cost the likelihood.
+    Precisions have been multiplied by `weight`: what coloured residuals cost the likelihood; 0: there are no priors.
+    `fixed`: the initial states do not depart from where they begin.
     """
 
     mean: Float[np.ndarray, " k"]
     precision: Float[np.ndarray, " k"]
     states: Float[np.ndarray, " s"]
     weight: float = 1.0
+    fixed: bool = False
 
     @classmethod
     def of(cls, flown: Flown, weight: float) -> Priors:
         """All priors as normals, counted `weight` times."""
         pairs = np.array([p.prior.normal for p in flown.dynamics.free]).reshape(-1, 2)
         deviations = departures(flown.dynamics.states)
-        return cls(pairs[:, 0], weight * pairs[:, 1] ** -2.0, weight * deviations**-2.0, weight)
+        precisions = weight * pairs[:, 1] ** -2.0, weight * deviations**-2.0
+        return cls(pairs[:, 0], *precisions, weight, flown.fixed is not None)
 
 
 class Normal(NamedTuple):
@@ -170,6 +173,11 @@ class Local(NamedTuple):
     gradient: Float[np.ndarray, "w s"]
     gain: float
 
+    @classmethod
+    def none(cls, w: int, s: int, k: int) -> Local:
+        """Of initial states that are fixed."""
+        return cls(np.zeros((w, s, s)), np.zeros((w, s, k)), np.zeros((w, s)), 0.0)
+
     def step(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, "w s"]:
         """Best departure of every segment after a step of theta."""
         return np.einsum("wij,wj->wi", self.inverse, self.gradient - self.cross @ theta)
@@ -177,6 +185,7 @@ class Local(NamedTuple):
 
 def _cholesky(own: Float[np.ndarray, "w s s"]) -> Float[np.ndarray, "w s s"]:
     """Factors; where rounding has eaten the smallest directions of an unstable flight, with a trace of the diagonal."""
+    own = own + np.eye(own.shape[-1]) * (own == 0.0)  # no record and no prior says anything: it stays where it is
     try:
         return np.linalg.cholesky(own)
     except np.linalg.LinAlgError:
@@ -194,6 +203,9 @@ def by_segment(point: Point, prior: Priors) -> tuple[Float[np.ndarray, "w k k"],
     """The same of each segment alone, without the priors of theta."""
     k = len(point.theta)
     N = np.einsum("wcij,c->wij", point.normal.gram, 1.0 / point.R)
+    if prior.fixed:
+        w, s = point.departure.shape
+        return N[:, 1 : k + 1, 1 : k + 1], N[:, 1 : k + 1, 0], Local.none(w, s, k)
     own = N[:, k + 1 :, k + 1 :] + np.diag(prior.states)
     cross, gradient = N[:, k + 1 :, 1 : k + 1], N[:, k + 1 :, 0] - prior.states * point.departure
     # By Cholesky factors: where a trial is unstable, A less cross' own^-1 cross loses all its digits otherwise.

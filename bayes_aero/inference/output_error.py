@@ -49,6 +49,7 @@ def fit_output_error(
 ) -> OutputErrorResult:
     """Fit all segments together from one start (default: the parameters' own); parameters `held` keep their value.
 
+    A `prior_weight` of 0 leaves out all priors, those of the initial states too.
     `biases` names outputs that were recorded with a constant error of each manoeuvre's own, and their priors; these
     errors are then parameters too (`bias_output_1` and so on), after those of `start`. `stopped` is asked before each
     step whether to end there, not converged.

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.criticism.consistency import consistency
-from bayes_aero.criticism.flown_fit import FITTED, FlownFit, fit_flown
+from bayes_aero.criticism.flown_fit import FITTED, FlownFit, Setting, fit_flown
 from bayes_aero.criticism.trajectory import WINDOW
 from bayes_aero.errors import InputError
 from bayes_aero.flight.agreement import Consistency
@@ -46,6 +46,8 @@ from bayes_aero.studies.trajectory_results import open_loop
 SCHEMA = "bayes_aero/trajectories/1"
 SHORTEST = 1.0  # s of a window: two ends of the straight line from which the initial state is read
 RESULTS = "trajectories.json"
+INITIAL_STATES = FREE, FIXED = "free", "fixed"
+INPUTS = LINEAR, HELD = "linear", "held"
 Progress = Callable[[str, float], None]
 
 
@@ -66,6 +68,10 @@ def fly(
     *,
     out: Path | None = None,
     windows: float = WINDOW,
+    initial_state: str = FREE,
+    priors: bool = True,
+    outputs: str | Sequence[str] | None = None,
+    inputs: str = LINEAR,
     seed: int = 0,
     figures: bool = True,
     progress: Progress | None = None,
@@ -75,13 +81,22 @@ def fly(
 
     A model of effects starts from the card's values and, where coefficients can be formed, from their fit, too (`seed`
     is that fit's). Windows of `windows` s are fitted first.
+
+    Args:
+        initial_state: "free", fitted for each manoeuvre, or "fixed": the card's ([fly] initial_state), and where it
+            names none the first sample.
+        priors: False leaves all priors out of the reported fit, those of free initial states too.
+        outputs: names of the outputs that are compared, a list or separated by commas; default: the card's ([fly]
+            outputs), and without these all recorded ones but altitude and q_dot.
+        inputs: "linear" between samples, or "held" until the next one.
     """
     if not (math.isfinite(windows) and windows >= SHORTEST):
         raise InputError(f"windows of {windows:g} s cannot be flown; give at least {SHORTEST:g} s")
-    flights, dynamics, notes = _flights(records, card)
+    setting = _setting(card, initial_state, priors, outputs, inputs)
+    flights, dynamics, notes = _flights(records, card, setting.outputs or ())
     if out is not None:
         writable(out)
-    source = provenance(card, records, seed, {"windows": windows})
+    source = provenance(card, records, seed, {"windows": windows} | _told(setting))
     if progress:
         progress("do the sensors agree?", 0.0)
     agreement = consistency(records, card, seed=seed)
@@ -93,6 +108,7 @@ def fly(
         window=windows,
         tolerances={name: tolerance.value for name, tolerance in card.tolerances.items()},
         biases=card.output_biases,
+        setting=setting,
         progress=progress,
     )
     found = Flight(flown, tuple(fly_sentences(flown)), tuple(notes), channel_health(records, card), agreement)
@@ -138,7 +154,33 @@ def _written(
     return noted([failure]) if failure else found
 
 
-def _flights(records: Sequence[FlightRecord], card: Card) -> tuple[Flights, Dynamics, list[str]]:
+def _setting(
+    card: Card, initial_state: str, priors: bool, outputs: str | Sequence[str] | None, inputs: str
+) -> Setting:
+    """The settings checked; what is not given is the card's."""
+    for name, given, known in (("initial state", initial_state, INITIAL_STATES), ("inputs", inputs, INPUTS)):
+        if given not in known:
+            raise InputError(f"the setting {name} is {given!r}; use {' or '.join(known)}")
+    named = outputs.split(",") if isinstance(outputs, str) else outputs
+    asked = card.fly.outputs if named is None else tuple(dict.fromkeys(name.strip() for name in named))
+    initial = card.fly.initial_state if initial_state == FIXED else None
+    return Setting(asked, initial, priors, inputs == HELD)
+
+
+def _told(setting: Setting) -> dict[str, Any]:
+    """The settings by the names of the options; `outputs` only where they were chosen."""
+    chosen = {} if setting.outputs is None else {"outputs": list(setting.outputs)}
+    return {
+        "initial_state": FREE if setting.initial is None else FIXED,
+        "priors": setting.priors,
+        "inputs": HELD if setting.held else LINEAR,
+        **chosen,
+    }
+
+
+def _flights(
+    records: Sequence[FlightRecord], card: Card, outputs: Sequence[str]
+) -> tuple[Flights, Dynamics, list[str]]:
     """The records end to end without spikes, what flies them, and what to say of it."""
     notes: list[str] = []
     if card.linear is not None:
@@ -146,7 +188,7 @@ def _flights(records: Sequence[FlightRecord], card: Card) -> tuple[Flights, Dyna
         flights, spikes = despiked(join(records, card, dynamics.inputs))
     else:
         flights, spikes = despiked(join(records, card, FLIGHT))
-        dynamics = aircraft_dynamics(Model.from_card(card), flights)
+        dynamics = aircraft_dynamics(Model.from_card(card), flights, outputs)
         still = taken_as_zero(flights)
         notes += [f"Not recorded, and taken as zero: {several(still)}."] if still else []
     unseen = [n for n in dynamics.states if n not in flights.channels and n in STANDARD_CHANNELS]
@@ -189,8 +231,10 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
         "sentences": list(found.sentences),
         "fitted_outputs": list(fit.flown.outputs),
         "windows": flown.window,
+        "setting": {key: x for key, x in _told(flown.setting).items() if key != "outputs"},
         "iterations": fit.iterations,
         "cost": fit.cost,
+        "det_R": fit.det_R,
         "colour_cost": flown.colour_cost,
         "swell": dict(flown.swell),
         "parameters": parameter_rows(flown),
