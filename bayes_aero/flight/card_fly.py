@@ -28,7 +28,9 @@ def parse_fly(table: Mapping[str, Any], channels: Sequence[Channel], where: str)
         raise InputError(f'card {where}: [fly] outputs must be a list of channels, e.g. ["alpha", "q"]')
     given = table.get("initial_state", {})
     if not isinstance(given, dict):
-        raise InputError(f'card {where}: [fly] initial_state must be a table, e.g. {{ alpha = "2 deg", q = "0 deg/s" }}')
+        raise InputError(
+            f'card {where}: [fly] initial_state must be a table, e.g. {{ alpha = "2 deg", q = "0 deg/s" }}'
+        )
     mapped = {channel.name: channel for channel in channels}
     initial = {}
     for name, value in given.items():

@@ -19,6 +19,8 @@ THINNED = 5  # samples, for the colour of the residuals
 INDEFINITE = -1e-14  # least eigenvalue of a scaled information matrix: below, it is more than rounding of a sound one
 SINGULAR, SHARE = 1e-13, 1e-3  # least eigenvalue of a regular scaled matrix; part of a direction that counts
 STRETCH, STRETCHES = 12.0, 10  # s of flight that the jackknife leaves out at a time, and how many it wants at least
+LEVERAGE = 0.9  # largest share of what is known in any direction that a stretch may take with it
+TRACE = 1e-13  # of a scaled information matrix: beyond rounding, within nothing that a record tells
 COLOURED = 2.0  # times the variances, in the median, from which the colour of residuals is beyond doubt
 HELD = 0.9  # posterior over prior deviation from which a parameter is said to be held by its prior
 
@@ -125,6 +127,8 @@ class OutputErrorResult:
     def _left_out(self, S: Float[np.ndarray, "w n c k"]) -> Float[np.ndarray, " k"]:
         """Variances by the jackknife over stretches of flight, to first order and with the segments' states kept.
 
+        A stretch that tells nearly all of some direction (a constant error that shows while a motion begins, the only
+        step of a control) counts there as one that tells `LEVERAGE` of it: the others cannot judge it.
         Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), ch. 11, of blocks in place of samples.
         """
         moving = np.flatnonzero(np.diag(self.covariance) > 0.0)
@@ -142,8 +146,12 @@ class OutputErrorResult:
         if len(moving) and len(A) > 1:
             whole = (self.information + np.diag(self.priors.precision))[np.ix_(moving, moving)]
             scale = 1.0 / np.sqrt(np.diag(whole))
-            left = (whole - np.array(A)) * np.outer(scale, scale)
-            step = scale * np.linalg.solve(left, -(np.array(g) * scale)[..., None])[..., 0]
+            lower = np.linalg.cholesky(whole * np.outer(scale, scale) + TRACE * np.eye(len(scale)))
+            back = np.linalg.inv(lower)
+            share, turned = np.linalg.eigh(back @ (np.array(A) * np.outer(scale, scale)) @ back.T)
+            turned = back.T @ turned
+            along = np.einsum("iab,ia->ib", turned, -np.array(g) * scale) / (1.0 - np.minimum(share, LEVERAGE))
+            step = scale * np.einsum("iab,ib->ia", turned, along)
             variance[moving] = (len(A) - 1.0) / len(A) * np.sum((step - step.mean(axis=0)) ** 2, axis=0)
         return variance
 

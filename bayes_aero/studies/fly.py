@@ -20,6 +20,7 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import HealthFinding, channel_health
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.flown_normal import departures
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.dynamics import Dynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.model.flights import Flights, despiked, join
@@ -154,9 +155,7 @@ def _written(
     return noted([failure]) if failure else found
 
 
-def _setting(
-    card: Card, initial_state: str, priors: bool, outputs: str | Sequence[str] | None, inputs: str
-) -> Setting:
+def _setting(card: Card, initial_state: str, priors: bool, outputs: str | Sequence[str] | None, inputs: str) -> Setting:
     """The settings checked; what is not given is the card's."""
     for name, given, known in (("initial state", initial_state, INITIAL_STATES), ("inputs", inputs, INPUTS)):
         if given not in known:
@@ -220,7 +219,10 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
     """trajectories.json: plain numbers and text, SI and radians (trajectories.schema.json beside this file)."""
     flown = found.flown
     fit = flown.fit
-    units = {name: flown.units.get(name, "1") for name in fit.flown.dynamics.states}
+    states = fit.flown.dynamics.states
+    units = {name: flown.units.get(name, "1") for name in states}
+    believed = flown.setting.priors and flown.setting.initial is None
+    beliefs = dict(zip(states, departures(states), strict=True)) if believed else {}
     return {
         "schema": SCHEMA,
         "card": {"name": card.name, "title": card.title},
@@ -239,7 +241,10 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
         "swell": dict(flown.swell),
         "parameters": parameter_rows(flown),
         "initial_states": {
-            manoeuvre: {n: {"value": x, "departure": d, "unit": units[n]} for n, (x, d) in states.items()}
+            manoeuvre: {
+                n: {"value": x, "departure": d, "unit": units[n], "prior_sd": beliefs.get(n)}
+                for n, (x, d) in states.items()
+            }
             for manoeuvre, states in flown.initial.items()
         },
         "residual_sd": dict(zip(fit.flown.outputs, np.sqrt(fit.R), strict=True)),

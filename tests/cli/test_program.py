@@ -40,7 +40,7 @@ EFFECT = Effect(
 
 
 def test_choices_are_those_of_the_libraries():
-    assert {x.value for x in choices.Coefficients} == {x.value for x in Forming} == set(study.FORMINGS)
+    assert {x.value for x in choices.Coefficients} == {x.value for x in Forming} == set(study.CHOICES["coefficients"])
     assert {x.value for x in choices.NoiseModel} == {x.value for x in Colour} == set(study.NOISES)
     assert {x.value for x in choices.Split} == set(get_args(SplitKind)) == set(study.SPLITS)
     assert [x.value for x in choices.Manoeuvre] == list(request.MANOEUVRES)
