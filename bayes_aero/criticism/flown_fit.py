@@ -16,7 +16,7 @@ from bayes_aero.criticism.trajectory import BEGIN_COST, LEFT, WINDOW
 from bayes_aero.inference.cores import blas_threads
 from bayes_aero.inference.output_error import fit_cascade, fit_output_error, trajectories
 from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
-from bayes_aero.model.biases import biased_dynamics
+from bayes_aero.model.biases import biased_dynamics, unbiased
 from bayes_aero.model.dynamics import AircraftDynamics, Dynamics
 from bayes_aero.model.flights import Flights
 from bayes_aero.model.segments import segments
@@ -92,8 +92,8 @@ def fit_flown(
 
     Colour, and growth as the flow separates, of what is missed are measured on the way; the last fit weighs its priors
     by the one and its samples by the other, as `trajectory.fly_both` does. `biases`: outputs recorded with a constant
-    error of each manoeuvre's own; these are fitted with the rest. Windows begin where they are measured and have
-    priors whatever the `setting`: they only find the start of the fit that is reported.
+    error of each manoeuvre's own; these are fitted with the rest. Windows begin where they are measured, and
+    what finds the start of the reported fit has priors of initial states and biases whatever the `setting`.
     """
     setting = setting or Setting()
 
@@ -112,9 +112,10 @@ def fit_flown(
     whole = segments(flights, dynamics, fixed=setting.initial, **options)
     stages = [whole] if len(short.index) == len(whole.index) else [short, whole]
     tell("windows, then whole manoeuvres", 0.0)
-    fit = fit_cascade(stages, [first, *starts], prior_weight=BEGIN_COST)
+    own = {} if setting.priors else {"without": unbiased(dynamics).names}
+    fit = fit_cascade(stages, [first, *starts], prior_weight=BEGIN_COST, **own)
     if len(stages) == 1 and fit.status is OutputErrorStatus.NOT_CONVERGED:  # a first stage stops early
-        fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, prior_weight=BEGIN_COST)
+        fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, prior_weight=BEGIN_COST, **own)
     cost, swell = math.nan, {}
     if math.isfinite(fit.cost) and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         tell("colour of the residuals", 0.7)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Collection
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -48,11 +49,12 @@ class Priors:
     fixed: bool = False
 
     @classmethod
-    def of(cls, flown: Flown, weight: float) -> Priors:
-        """All priors as normals, counted `weight` times."""
+    def of(cls, flown: Flown, weight: float, without: Collection[str] = ()) -> Priors:
+        """All priors as normals, counted `weight` times; parameters `without` one have none."""
         pairs = np.array([p.prior.normal for p in flown.dynamics.free]).reshape(-1, 2)
         deviations = departures(flown.dynamics.states)
-        precisions = weight * pairs[:, 1] ** -2.0, weight * deviations**-2.0
+        believed = np.array([p.name not in without for p in flown.dynamics.free], float)
+        precisions = weight * believed * pairs[:, 1] ** -2.0, weight * deviations**-2.0
         return cls(pairs[:, 0], *precisions, weight, flown.fixed is not None)
 
 

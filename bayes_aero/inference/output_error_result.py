@@ -170,9 +170,8 @@ class OutputErrorResult:
     @property
     def held(self) -> tuple[str, ...]:
         """Parameters of which the record says next to nothing: their priors hold them."""
-        if self.priors.weight == 0.0:
-            return ()
-        prior = self.priors.precision**-0.5
+        with np.errstate(divide="ignore"):
+            prior = self.priors.precision**-0.5
         return tuple(n for n, sd, own in zip(self.names, self.sd, prior, strict=True) if sd > HELD * own)
 
 
@@ -189,6 +188,8 @@ def _undetermined(A: Float[np.ndarray, "k k"], moving: Bool[np.ndarray, " k"]) -
     size = np.diag(A)
     found = moving & (size <= 0.0)
     told = np.flatnonzero(moving & (size > 0.0))
+    if not len(told):
+        return found
     scale = np.sqrt(size[told])
     values, vectors = np.linalg.eigh(A[np.ix_(told, told)] / np.outer(scale, scale))
     found[told] = np.max(np.abs(vectors[:, values < SINGULAR]), axis=1, initial=0.0) > SHARE
@@ -210,7 +211,8 @@ def result_of(
     A, eliminated = np.diag(prior.precision), np.zeros((w, s, len(point.theta)))
     if math.isfinite(point.cost):
         found, _, local = reduced(point, prior)
-        if _sound(found):
+        told = (np.diag(found) > 0.0) | (prior.precision > 0.0)  # without a prior there may be nothing to know
+        if _sound(found[np.ix_(told, told)]):
             A, eliminated = found, local.inverse @ local.cross
     free = flown.dynamics.free
     at_bound = tuple(p.name for p, a in zip(free, active & ~rest, strict=True) if a)
@@ -222,7 +224,7 @@ def result_of(
         status = OutputErrorStatus.AT_BOUND if at_bound else OutputErrorStatus.CONVERGED
     columns = np.concatenate(point.normal.columns)[:w]
     residual = columns[..., 0] * flown.swell
-    lost = _undetermined(A, ~rest) if prior.weight == 0.0 else np.zeros_like(rest)
+    lost = _undetermined(A, ~rest & (prior.precision == 0.0))
     known = ~rest & ~lost
     moving = np.ix_(known, known)
     scale = np.sqrt(np.diag(A)[known])

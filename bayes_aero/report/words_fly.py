@@ -61,9 +61,9 @@ def prior_words(row: Mapping[str, Any]) -> str:
         return "none"
     location, scale = prior["location"], prior["scale"]
     told = {
-        "normal": f"{location:.4g} ± {scale:.3g}",
-        "lognormal": f"{location:.4g} × e^±{scale:.3g}",
-        "halfnormal": f"{location:.4g} + |{scale:.3g}|",
+        "normal": f"{location:.4g} ± {scale:.4g}",
+        "lognormal": f"{location:.4g} × e^±{scale:.4g}",
+        "halfnormal": f"{location:.4g} + |{scale:.4g}|",
         "uniform": f"{location:.4g} to {location + scale:.4g}",
     }[prior["family"]]
     return f"{told}, {'default' if prior['default'] else 'card'}"

@@ -80,7 +80,7 @@ def test_estimates_deviations_and_det_R_are_those_published(program, published, 
         ours = found["parameters"][OURS.get(name, name)]
         assert abs(ours["estimate"] - theirs["estimate"]) < 0.3 * theirs["std"], name
         assert ours["crb"] == pytest.approx(theirs["std"], rel=0.03), name
-        assert ours["sd_corrected"] >= ours["crb"], name  # residuals are coloured in all cases
+        assert ours["crb"] <= ours["sd_corrected"] < 100.0 * ours["crb"], name  # residuals are coloured in all cases
         assert ours["prior"] is None
     for theirs, ours in zip(
         expected.get("initial_state_per_segment", ()), found["initial_states"].values(), strict=False
