@@ -94,7 +94,7 @@ def test_linear_cards_fly_and_are_verified(program, folder):
         (("options.windows", "options.gp"), "unknown option of the task fly"),
         (("windows = 20", "windows = true"), "write a number"),
         (("windows = 20", 'initial_state = "known"'), "use one of free, fixed"),
-        (("windows = 20", "outputs = 3"), "write names in quotes"),
+        (('outputs = "q,alpha,az"', "outputs = 3"), "write names in quotes"),
         (("windows = 20", "windows = 0"), "must be positive"),
         (("one_by_one = true", 'noise = ["white"]'), "noise is of no use"),
         (("one_by_one = true", 'effects = [[], ["thrust_lag"]]'), "a linear system, which has no effects"),
