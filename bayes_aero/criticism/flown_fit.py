@@ -112,10 +112,11 @@ def fit_flown(
     whole = segments(flights, dynamics, fixed=setting.initial, **options)
     stages = [whole] if len(short.index) == len(whole.index) else [short, whole]
     tell("windows, then whole manoeuvres", 0.0)
-    own = {} if setting.priors else {"without": unbiased(dynamics).names}
-    fit = fit_cascade(stages, [first, *starts], prior_weight=BEGIN_COST, **own)
+    without = () if setting.priors else unbiased(dynamics).names
+    fit = fit_cascade(stages, [first, *starts], prior_weight=BEGIN_COST, without=without)
     if len(stages) == 1 and fit.status is OutputErrorStatus.NOT_CONVERGED:  # a first stage stops early
-        fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, prior_weight=BEGIN_COST, **own)
+        again = {"departure": fit.departure, "prior_weight": BEGIN_COST, "without": without}
+        fit = fit_output_error(whole, start=fit.estimate, **again)
     cost, swell = math.nan, {}
     if math.isfinite(fit.cost) and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         tell("colour of the residuals", 0.7)
