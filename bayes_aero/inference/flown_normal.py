@@ -19,19 +19,22 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_aero.inference.cores import cores
+from bayes_aero.model.dynamics import Dynamics
 from bayes_aero.model.segments import Flown, simulate
 
 DEPARTURE = {"airspeed": 1.0, "alpha": 0.01, "theta": 0.01, "q": 0.01, "altitude": 3.0, "X": 0.1}
 """Standard deviation of the measured initial state, SI: what the sensors of a flight test allow; our choice."""
-OTHER_DEPARTURE = 0.05
+OTHER_DEPARTURE = {"m/s": 1.0, "m": 3.0}  # by the unit of a state of another name
+REST_DEPARTURE = 0.05
 TINY, HUGE = 1e-300, 1e100  # a sensitivity beyond HUGE is that of a motion that is not unique
 TRACE = 1e-12  # of a diagonal: beyond rounding, within nothing that a record tells
 OUTSIDE = 1e6  # cost of a trajectory that is all outside the envelope: worse than any inside
 
 
-def departures(states: tuple[str, ...]) -> Float[np.ndarray, " s"]:
-    """Standard deviations of the measured initial state."""
-    return np.array([DEPARTURE.get(name, OTHER_DEPARTURE) for name in states])
+def departures(dynamics: Dynamics) -> Float[np.ndarray, " s"]:
+    """Standard deviations of the measured initial state, SI."""
+    own = {name: OTHER_DEPARTURE.get(unit, REST_DEPARTURE) for name, unit in dynamics.units.items()}
+    return np.array([DEPARTURE.get(name, own.get(name, REST_DEPARTURE)) for name in dynamics.states])
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,7 @@ class Priors:
     def of(cls, flown: Flown, weight: float, without: Collection[str] = ()) -> Priors:
         """All priors as normals, counted `weight` times; parameters `without` one have none."""
         pairs = np.array([p.prior.normal for p in flown.dynamics.free]).reshape(-1, 2)
-        deviations = departures(flown.dynamics.states)
+        deviations = departures(flown.dynamics)
         believed = np.array([p.name not in without for p in flown.dynamics.free], float)
         precisions = weight * believed * pairs[:, 1] ** -2.0, weight * deviations**-2.0
         return cls(pairs[:, 0], *precisions, weight, flown.fixed is not None)

@@ -44,6 +44,11 @@ class Dynamics(ABC):
         """Names of the states."""
 
     @property
+    def units(self) -> Mapping[str, str]:
+        """SI units of states that are channels of the card's own; the program knows those of the others."""
+        return {}
+
+    @property
     @abstractmethod
     def inputs(self) -> tuple[str, ...]:
         """Channels that it needs beside its states; a record without one of them cannot be flown."""

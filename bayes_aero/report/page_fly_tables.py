@@ -105,8 +105,8 @@ def parameters(flown: FlownFit) -> Table:
 
 def initial(flown: FlownFit) -> Table:
     """The fitted state at each manoeuvre's first sample, how far it is from the measured one, and the prior of that."""
-    states = flown.fit.flown.dynamics.states
-    own = dict(zip(states, departures(states), strict=True)) if flown.setting.priors else {}
+    dynamics = flown.fit.flown.dynamics
+    own = dict(zip(dynamics.states, departures(dynamics), strict=True)) if flown.setting.priors else {}
 
     def rows(name: str) -> list[Row]:
         found = []

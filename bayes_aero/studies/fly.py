@@ -222,7 +222,7 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
     states = fit.flown.dynamics.states
     units = {name: flown.units.get(name, "1") for name in states}
     believed = flown.setting.priors and flown.setting.initial is None
-    beliefs = dict(zip(states, departures(states), strict=True)) if believed else {}
+    beliefs = dict(zip(states, departures(fit.flown.dynamics), strict=True)) if believed else {}
     return {
         "schema": SCHEMA,
         "card": {"name": card.name, "title": card.title},

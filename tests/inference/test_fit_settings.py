@@ -164,6 +164,19 @@ def test_without_priors_a_wrong_prior_has_no_say():
     }  # fmt: skip
 
 
+def test_a_velocity_of_the_card_s_own_may_depart_by_as_much_as_a_velocity():
+    """w = V alpha at 100 m/s with 0.3 m/s of noise: the state at the first sample comes right, as it does for alpha."""
+    text = SHORT_PERIOD.replace('alpha = { label = "alpha", unit = "deg" }', 'w = { label = "w", unit = "m/s" }')
+    card = card_of(text[: text.index("[linear.outputs")].replace('"alpha"', '"w"').replace("rates.alpha", "rates.w"))
+    true = short_period_flight(SHORT_PERIOD_TRUTH, n=200, x0=BEGIN)
+    w = 100.0 * true["alpha"] + np.random.default_rng(8).normal(0.0, 0.3, 200)
+    record = record_of({"w": w, "q": true["q"], "elevator": true["elevator"]}, name="flight")
+    found = fly([record], card)
+    assert found.flown.initial["flight"]["w"][0] == pytest.approx(100.0 * BEGIN[0], abs=0.15)
+    told = fly_results(found, card, [record], {})["initial_states"]["flight"]
+    assert (told["w"]["prior_sd"], told["q"]["prior_sd"]) == (1.0, 0.01)
+
+
 def test_outputs_are_those_asked_for_and_det_R_is_theirs():
     record = noisy(4)
     found = fly([record], card_of(SHORT_PERIOD), outputs="alpha, q", initial_state="fixed").flown
