@@ -169,10 +169,9 @@ def read(
         resample: step in s of an even grid to interpolate onto, for records of uneven or of several rates.
         split: whether gaps in time divide a file into manoeuvres.
     """
-    one, read_as = isinstance(paths, str | os.PathLike), _card(card)
-    return read_records(
-        [paths] if one else paths, read_as.channels, resample=resample, segments=read_as.segments, split=split
-    )
+    read_as = _card(card)
+    files = [paths] if isinstance(paths, str | os.PathLike) else paths
+    return read_records(files, read_as.channels, resample=resample, segments=read_as.segments, split=split)
 
 
 def fit(

@@ -21,13 +21,15 @@ class Prior:
 
     `normal`: mean `location`, standard deviation `scale`. `lognormal`: median `location` (> 0), standard deviation
     `scale` of the logarithm. `halfnormal`: scale `scale` above `location`. `uniform`: from `location` to
-    `location + scale`. `source` names where the numbers come from, or says "our choice".
+    `location + scale`. `source` names where the numbers come from, or says "our choice". `by_card`: a card states it,
+    else it is the default.
     """
 
     family: str
     location: float
     scale: float
     source: str = "our choice"
+    by_card: bool = False
 
     def __post_init__(self) -> None:
         if self.family not in FAMILIES:
@@ -78,7 +80,8 @@ class Parameter:
     """One scalar of a model, in SI units and radians.
 
     `neutral` is the value at which the effect that owns the parameter is absent; `start` is where estimation begins;
-    `bounds` are (lower, upper), infinite where there is none.
+    `bounds` are (lower, upper), infinite where there is none. `per_rate`: it multiplies a rate free of units, q c/V, so
+    its start, bounds and prior depend on the length in it (see `per_length`).
     """
 
     name: str
@@ -88,6 +91,7 @@ class Parameter:
     description: str
     prior: Prior
     bounds: tuple[float, float] = field(default=(-math.inf, math.inf))
+    per_rate: bool = False
 
     def __post_init__(self) -> None:
         lower, upper = self.bounds
@@ -102,6 +106,25 @@ class Parameter:
     def changed(self, **changes: object) -> Parameter:
         """A copy with some fields replaced, as a card does."""
         return replace(self, **changes)  # type: ignore[arg-type]
+
+
+def per_length(parameter: Parameter, times: float) -> Parameter:
+    """A parameter `per_rate` where the rate has another length than the chord, which is `times` as long."""
+    if not parameter.per_rate or times == 1.0:
+        return parameter
+    prior = parameter.prior
+    return replace(
+        parameter,
+        start=times * parameter.start,
+        bounds=(times * parameter.bounds[0], times * parameter.bounds[1]),
+        description=parameter.description.replace("c/V", "l/V, l the card's rate_length"),
+        prior=replace(
+            prior,
+            location=times * prior.location,
+            scale=prior.scale if prior.family == "lognormal" else times * prior.scale,
+            source=f"{prior.source}; for q c/V, here times {times:.4g}",
+        ),
+    )
 
 
 def to_unbounded(parameter: Parameter, x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:

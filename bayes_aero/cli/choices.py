@@ -18,6 +18,20 @@ class Coefficients(StrEnum):
     PUBLISHED = "published"
 
 
+class InitialState(StrEnum):
+    """Where a manoeuvre begins: `studies.fly.INITIAL_STATES`."""
+
+    FREE = "free"
+    FIXED = "fixed"
+
+
+class Inputs(StrEnum):
+    """Inputs between samples: `studies.fly.INPUTS`."""
+
+    LINEAR = "linear"
+    HELD = "held"
+
+
 class Split(StrEnum):
     """How data are held back to test the Gaussian process: `inference.splits.SplitKind`."""
 

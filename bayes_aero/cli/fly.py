@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from bayes_aero.cli.choices import InitialState, Inputs
 from bayes_aero.cli.terminal import (
     FAILED,
     RECORDS,
@@ -38,6 +39,24 @@ def fly(
     windows: Annotated[
         float, typer.Option(help="Length of the windows that are fitted before whole manoeuvres, in s.")
     ] = 12.0,
+    initial_state: Annotated[
+        InitialState,
+        typer.Option(
+            help="free: fitted for each manoeuvre; fixed: initial_state of the card's section fly, or the first sample."
+        ),
+    ] = InitialState.FREE,
+    priors: Annotated[
+        bool, typer.Option(help="--no-priors: the fit has none at all, of parameters and initial states alike.")
+    ] = True,
+    outputs: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME,NAME", help="Outputs to compare, e.g. alpha,q,q_dot; default: the card's, or all but q_dot."
+        ),
+    ] = None,
+    inputs: Annotated[
+        Inputs, typer.Option(help="Inputs between samples: linear, or held until the next one.")
+    ] = Inputs.LINEAR,
     seed: SeedOption = 0,
     resample: ResampleOption = None,
     split: SplitOption = False,
@@ -47,6 +66,8 @@ def fly(
     """Fit a card's model to trajectories (output error): flown through the recorded inputs, initial states fitted too.
 
     For cards with a model of effects and for linear ones. Exit code 0: converged; 1: not, or the model cannot fly.
+
+    Published output-error programs fit with --no-priors, most of them with --initial-state fixed.
 
     Example: bayes-aero fly run1.csv run2.csv --model short_period.toml --out trajectories
     """
@@ -58,7 +79,19 @@ def fly(
 
     console = teller(quiet=json, highlight=True)
     with interruptible(kept_stages(out)), bar("reading") as tell:
-        found = run(flights, card, out=out, windows=windows, seed=seed, figures=figures, progress=tell)
+        found = run(
+            flights,
+            card,
+            out=out,
+            windows=windows,
+            initial_state=initial_state.value,
+            priors=priors,
+            outputs=outputs,
+            inputs=inputs.value,
+            seed=seed,
+            figures=figures,
+            progress=tell,
+        )
     if json:
         typer.echo((out / RESULTS).read_text(encoding="utf-8"), nl=False)
     print_failures(console, found.failures)

@@ -14,7 +14,7 @@ from bayes_aero.effect import NEUTRAL_FLOW, Effect, Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.model.flights import Flights
 from bayes_aero.model.model import Model
-from bayes_aero.parameter import Prior
+from bayes_aero.parameter import Prior, per_length
 
 MOVES = 1e-6  # of what an effect makes, a change that is no rounding
 FAR = 1e9  # stands for a neutral value at infinity
@@ -97,9 +97,9 @@ def field_of(model: Model, flights: Flights, extra: Sequence[Effect] = ()) -> Fi
         e for e in CATALOGUE.values() if not e.parameters and e not in active and all(name in owned for name in e.uses)
     ]
     everything = (*active, *dormant, *candidates, *idle)
-    parameters = tuple(changed.get(p.name, p) for e in everything for p in e.parameters)
+    parameters = tuple(changed.get(p.name, per_length(p, model.chords)) for e in everything for p in e.parameters)
     held = {p.name for e in (*candidates, *idle) for p in e.parameters}
-    whole = Model(everything, parameters, tuple((k, v) for k, v in fixed.items() if k not in held))
+    whole = Model(everything, parameters, tuple((k, v) for k, v in fixed.items() if k not in held), model.chords)
     return Field(whole, tuple(e.name for e in active), tuple(candidates), not_testable)
 
 

@@ -13,10 +13,12 @@ def colour_cost(fit: OutputErrorResult) -> tuple[float, Float[np.ndarray, " k"]]
     """How many times the residuals' colour multiplies the parameters' variances: median, and each.
 
     From Morelli and Klein's corrected covariance on means over `THINNED` samples (of white residuals a fifth of the
-    variance is left there); the segments' states are among the parameters.
+    variance is left there); the segments' states are among the parameters, unless they are fixed.
     """
     flown, k = fit.flown, len(fit.estimate)
     residual, S = fit.thinned[..., 0], fit.thinned[..., 1:]
+    if fit.priors.fixed:
+        S = S[..., :k]
     m = S.shape[1]
     inside = flown.inside[:, : m * THINNED].reshape(len(S), m, THINNED).all(axis=2)
     w, n, c, wide = S.shape

@@ -16,7 +16,7 @@ from bayes_aero.criticism.trajectory import BEGIN_COST, LEFT, WINDOW
 from bayes_aero.inference.cores import blas_threads
 from bayes_aero.inference.output_error import fit_cascade, fit_output_error, trajectories
 from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
-from bayes_aero.model.biases import biased_dynamics
+from bayes_aero.model.biases import biased_dynamics, unbiased
 from bayes_aero.model.dynamics import AircraftDynamics, Dynamics
 from bayes_aero.model.flights import Flights
 from bayes_aero.model.segments import segments
@@ -24,6 +24,22 @@ from bayes_aero.parameter import Prior
 
 START, FITTED = "start", "fitted"
 Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How trajectories are fitted: the settings in which published programs differ.
+
+    `outputs` are those that are compared (default: all that are recorded and simulated, but for `LEFT`). `initial`: the
+    state in which every manoeuvre begins, SI, and where it names none the first sample; None: initial states are
+    fitted. Without `priors` the reported fit has none, of parameters and initial states alike. Inputs are linear
+    between samples, or `held`.
+    """
+
+    outputs: tuple[str, ...] | None = None
+    initial: Mapping[str, float] | None = None
+    priors: bool = True
+    held: bool = False
 
 
 @dataclass(frozen=True)
@@ -42,6 +58,7 @@ class FlownFit:
     units: Mapping[str, str]  # SI, of channels
     window: float  # s, of the first fits
     swell: Mapping[str, float] = field(default_factory=dict)  # by fitted output, times missed where all is separated
+    setting: Setting = field(default_factory=Setting)
 
     @property
     def converged(self) -> bool:
@@ -68,14 +85,17 @@ def fit_flown(
     window: float = WINDOW,
     tolerances: Mapping[str, float] | None = None,
     biases: Mapping[str, Prior] | None = None,
+    setting: Setting | None = None,
     progress: Progress | None = None,
 ) -> FlownFit:
     """Fit windows of `window` s from the parameters' own start and every one of `starts`, then whole manoeuvres.
 
     Colour, and growth as the flow separates, of what is missed are measured on the way; the last fit weighs its priors
     by the one and its samples by the other, as `trajectory.fly_both` does. `biases`: outputs recorded with a constant
-    error of each manoeuvre's own; these are fitted with the rest.
+    error of each manoeuvre's own; these are fitted with the rest. Windows begin where they are measured, and
+    what finds the start of the reported fit has priors of initial states and biases whatever the `setting`.
     """
+    setting = setting or Setting()
 
     def tell(text: str, share: float) -> None:
         if progress:
@@ -86,26 +106,30 @@ def fit_flown(
     first = np.array([p.start for p in dynamics.free])
     starts = [np.append(s, first[len(s) :]) for s in starts]
     shown = tuple(name for name in dynamics.outputs if name in flights.channels)
-    compared = tuple(n for n in shown if n not in left)
-    finer = dynamics.substeps(first, flights)
-    short, whole = (segments(flights, dynamics, outputs=compared, window=w, substeps=finer) for w in (window, None))
+    compared = tuple(n for n in shown if n not in left) if setting.outputs is None else setting.outputs
+    options = {"outputs": compared, "substeps": dynamics.substeps(first, flights), "held": setting.held}
+    short = segments(flights, dynamics, window=window, **options)
+    whole = segments(flights, dynamics, fixed=setting.initial, **options)
     stages = [whole] if len(short.index) == len(whole.index) else [short, whole]
     tell("windows, then whole manoeuvres", 0.0)
-    fit = fit_cascade(stages, [first, *starts], prior_weight=BEGIN_COST)
+    without = () if setting.priors else unbiased(dynamics).names
+    fit = fit_cascade(stages, [first, *starts], prior_weight=BEGIN_COST, without=without)
     if len(stages) == 1 and fit.status is OutputErrorStatus.NOT_CONVERGED:  # a first stage stops early
-        fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, prior_weight=BEGIN_COST)
+        again = {"departure": fit.departure, "prior_weight": BEGIN_COST, "without": without}
+        fit = fit_output_error(whole, start=fit.estimate, **again)
     cost, swell = math.nan, {}
     if math.isfinite(fit.cost) and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         tell("colour of the residuals", 0.7)
         noise = Noise.of(fit)
         cost, whole, swell = noise.cost, noise.on(whole), noise.told(whole.outputs)
-        fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, prior_weight=cost)
+        weight = cost if setting.priors else 0.0
+        fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, prior_weight=weight)
     tell("errors of the trajectories", 0.9)
     bands, still = tolerances or {}, np.zeros_like(fit.departure)
     with np.errstate(over="ignore", invalid="ignore"):  # a first guess may fly anywhere
         paths = paths_of(replace(fit, estimate=first), whole, START, START, still, bands)
         paths += paths_of(fit, whole, FITTED, FITTED, fit.departure, bands)
-    return FlownFit(fit, first, tuple(paths), _initial(fit, shown), cost, shown, dict(units), window, swell)
+    return FlownFit(fit, first, tuple(paths), _initial(fit, shown), cost, shown, dict(units), window, swell, setting)
 
 
 def _initial(fit: OutputErrorResult, shown: tuple[str, ...]) -> dict[str, dict[str, tuple[float, float]]]:

@@ -16,7 +16,15 @@ EFFECT = Effect(
     stage=Stage.ATTACHED,
     claim="A changing angle of attack makes lift: downwash needs time to reach the tail.",
     parameters=(
-        Parameter("CLadot", "1", 0.0, 0.0, "lift due to alpha-dot, per alpha_dot c/V", Prior("normal", 0.0, 10.0)),
+        Parameter(
+            "CLadot",
+            "1",
+            0.0,
+            0.0,
+            "lift due to alpha-dot, per alpha_dot c/V",
+            Prior("normal", 0.0, 10.0),
+            per_rate=True,
+        ),
     ),
     channels=("alpha_dot", "airspeed"),
     increments=increments,

@@ -17,7 +17,13 @@ EFFECT = Effect(
     claim="A changing angle of attack pitches the aircraft: downwash needs time to reach the tail.",
     parameters=(
         Parameter(
-            "Cmadot", "1", 0.0, 0.0, "pitching moment due to alpha-dot, per alpha_dot c/V", Prior("normal", 0.0, 10.0)
+            "Cmadot",
+            "1",
+            0.0,
+            0.0,
+            "pitching moment due to alpha-dot, per alpha_dot c/V",
+            Prior("normal", 0.0, 10.0),
+            per_rate=True,
         ),
     ),
     channels=("alpha_dot", "airspeed"),

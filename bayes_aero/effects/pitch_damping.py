@@ -15,7 +15,9 @@ EFFECT = Effect(
     kind=Kind.AERODYNAMICS,
     stage=Stage.ATTACHED,
     claim="Pitch rate is damped by a pitching moment.",
-    parameters=(Parameter("Cmq", "1", 0.0, -8.0, "pitch damping, per q c/V", Prior("normal", -8.0, 10.0)),),
+    parameters=(
+        Parameter("Cmq", "1", 0.0, -8.0, "pitch damping, per q c/V", Prior("normal", -8.0, 10.0), per_rate=True),
+    ),
     channels=("q", "airspeed"),
     increments=increments,
     example=Example({"Cmq": -6.0}, {"q": 0.1, "airspeed": 60.0}, {"Cm": -0.03}, "by hand, chord 3 m"),

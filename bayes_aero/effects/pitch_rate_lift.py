@@ -15,7 +15,9 @@ EFFECT = Effect(
     kind=Kind.AERODYNAMICS,
     stage=Stage.ATTACHED,
     claim="Pitch rate makes lift, mostly at the tail.",
-    parameters=(Parameter("CLq", "1", 0.0, 0.0, "lift due to pitch rate, per q c/V", Prior("normal", 0.0, 10.0)),),
+    parameters=(
+        Parameter("CLq", "1", 0.0, 0.0, "lift due to pitch rate, per q c/V", Prior("normal", 0.0, 10.0), per_rate=True),
+    ),
     channels=("q", "airspeed"),
     increments=increments,
     example=Example(

@@ -23,6 +23,7 @@ EFFECT = Effect(
             0.0,
             "change of pitch damping in fully separated flow, per q c/V",
             Prior("normal", 0.0, 20.0),
+            per_rate=True,
         ),
     ),
     channels=("q", "airspeed"),

@@ -18,6 +18,7 @@ from bayes_aero.flight.card_channels import (
     parse_sums,
 )
 from bayes_aero.flight.card_checks import known_keys, number, numbers, refuse_unfilled, section
+from bayes_aero.flight.card_fly import FlyCard, parse_fly
 from bayes_aero.flight.card_linear import LinearCard, parse_linear
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.lookup import Lookup, parse_tables
@@ -29,7 +30,7 @@ from bayes_aero.units import quantity_to_si
 
 SECTIONS = (
     "title", "source", "aircraft", "channels", "sums", "constants", "derived", "tables", "sensors", "model", "linear",
-    "parameters", "gp", "tolerances", "output_biases", "segments",
+    "parameters", "gp", "tolerances", "output_biases", "segments", "fly",
 )  # fmt: skip
 PARAMETER_KEYS = ("start", "bounds", "prior")
 POSITIONS = ("reference_point", "accelerometer", "engine")
@@ -73,9 +74,8 @@ class Card:
     linear: LinearCard | None = None
     tolerances: Mapping[str, Tolerance] = field(default_factory=lambda: dict(TOLERANCES))
     output_biases: Mapping[str, Prior] = field(default_factory=dict)  # of each manoeuvre's own, in fits of trajectories
-    segments: Mapping[str, tuple[str, ...]] = field(
-        default_factory=dict
-    )  # manoeuvres in a file, by its name: "12.5:40"
+    segments: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # parts of files by name: "12.5:40"
+    fly: FlyCard = field(default_factory=FlyCard)
 
 
 def shipped_cards() -> dict[str, Path]:
@@ -150,6 +150,7 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
         derived=derived,
         tables=tables,
         linear=linear,
+        fly=parse_fly(section(table, "fly", where), channels, where),
     )
 
 
@@ -234,7 +235,7 @@ def _tolerances(table: Mapping[str, Any], where: str) -> dict[str, Tolerance]:
 def _output_biases(table: Mapping[str, Any], where: str) -> dict[str, Prior]:
     """Normal priors about zero: the card says their standard deviations."""
     deviations, source = _by_output(table, "output_biases", "a standard deviation is positive", where)
-    return {key: Prior("normal", 0.0, value, source) for key, value in deviations.items()}
+    return {key: Prior("normal", 0.0, value, source, by_card=True) for key, value in deviations.items()}
 
 
 def _by_output(table: Mapping[str, Any], name: str, rule: str, where: str) -> tuple[dict[str, float], str]:
@@ -270,7 +271,7 @@ def _prior(given: Any, label: str) -> Prior:
             raise InputError(f"card {label} prior has no {key}")
     location, scale = number(given["location"], label), number(given["scale"], label)
     try:
-        return Prior(str(given["family"]), location, scale, str(given.get("source", "our choice")))
+        return Prior(str(given["family"]), location, scale, str(given.get("source", "our choice")), by_card=True)
     except InputError as error:
         raise InputError(f"card {label}: {error}") from None
 

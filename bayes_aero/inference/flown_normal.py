@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Collection
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -18,39 +19,46 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_aero.inference.cores import cores
+from bayes_aero.model.dynamics import Dynamics
 from bayes_aero.model.segments import Flown, simulate
 
 DEPARTURE = {"airspeed": 1.0, "alpha": 0.01, "theta": 0.01, "q": 0.01, "altitude": 3.0, "X": 0.1}
 """Standard deviation of the measured initial state, SI: what the sensors of a flight test allow; our choice."""
-OTHER_DEPARTURE = 0.05
+OTHER_DEPARTURE = {"m/s": 1.0, "m": 3.0}  # by the unit of a state of another name
+REST_DEPARTURE = 0.05
 TINY, HUGE = 1e-300, 1e100  # a sensitivity beyond HUGE is that of a motion that is not unique
 TRACE = 1e-12  # of a diagonal: beyond rounding, within nothing that a record tells
 OUTSIDE = 1e6  # cost of a trajectory that is all outside the envelope: worse than any inside
 
 
-def departures(states: tuple[str, ...]) -> Float[np.ndarray, " s"]:
-    """Standard deviations of the measured initial state."""
-    return np.array([DEPARTURE.get(name, OTHER_DEPARTURE) for name in states])
+def departures(dynamics: Dynamics) -> Float[np.ndarray, " s"]:
+    """Standard deviations of the measured initial state, SI."""
+    own = {name: OTHER_DEPARTURE.get(unit, REST_DEPARTURE) for name, unit in dynamics.units.items()}
+    return np.array([DEPARTURE.get(name, own.get(name, REST_DEPARTURE)) for name in dynamics.states])
 
 
 @dataclass(frozen=True)
 class Priors:
     """Normal priors of the step: mean and precision of theta (k,) and of the states' departures (s,).
 
-    Precisions have been multiplied by `weight`: what coloured residuals cost the likelihood.
+    Precisions have been multiplied by `weight`: what coloured residuals cost the likelihood; 0: there are no priors.
+    `fixed`: the initial states do not depart from where they begin.
     """
 
     mean: Float[np.ndarray, " k"]
     precision: Float[np.ndarray, " k"]
     states: Float[np.ndarray, " s"]
     weight: float = 1.0
+    fixed: bool = False
 
     @classmethod
-    def of(cls, flown: Flown, weight: float) -> Priors:
-        """All priors as normals, counted `weight` times."""
+    def of(cls, flown: Flown, weight: float, without: Collection[str] = ()) -> Priors:
+        """All priors as normals, counted `weight` times; parameters `without` one have none."""
         pairs = np.array([p.prior.normal for p in flown.dynamics.free]).reshape(-1, 2)
-        deviations = departures(flown.dynamics.states)
-        return cls(pairs[:, 0], weight * pairs[:, 1] ** -2.0, weight * deviations**-2.0, weight)
+        deviations = departures(flown.dynamics)
+        believed = np.array([p.name not in without for p in flown.dynamics.free], float)
+        precisions = weight * believed * pairs[:, 1] ** -2.0, weight * deviations**-2.0
+        return cls(pairs[:, 0], *precisions, weight, flown.fixed is not None)
 
 
 class Normal(NamedTuple):
@@ -170,6 +178,11 @@ class Local(NamedTuple):
     gradient: Float[np.ndarray, "w s"]
     gain: float
 
+    @classmethod
+    def none(cls, w: int, s: int, k: int) -> Local:
+        """Of initial states that are fixed."""
+        return cls(np.zeros((w, s, s)), np.zeros((w, s, k)), np.zeros((w, s)), 0.0)
+
     def step(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, "w s"]:
         """Best departure of every segment after a step of theta."""
         return np.einsum("wij,wj->wi", self.inverse, self.gradient - self.cross @ theta)
@@ -177,6 +190,7 @@ class Local(NamedTuple):
 
 def _cholesky(own: Float[np.ndarray, "w s s"]) -> Float[np.ndarray, "w s s"]:
     """Factors; where rounding has eaten the smallest directions of an unstable flight, with a trace of the diagonal."""
+    own = own + np.eye(own.shape[-1]) * (own == 0.0)  # no record and no prior says anything: it stays where it is
     try:
         return np.linalg.cholesky(own)
     except np.linalg.LinAlgError:
@@ -194,6 +208,9 @@ def by_segment(point: Point, prior: Priors) -> tuple[Float[np.ndarray, "w k k"],
     """The same of each segment alone, without the priors of theta."""
     k = len(point.theta)
     N = np.einsum("wcij,c->wij", point.normal.gram, 1.0 / point.R)
+    if prior.fixed:
+        w, s = point.departure.shape
+        return N[:, 1 : k + 1, 1 : k + 1], N[:, 1 : k + 1, 0], Local.none(w, s, k)
     own = N[:, k + 1 :, k + 1 :] + np.diag(prior.states)
     cross, gradient = N[:, k + 1 :, 1 : k + 1], N[:, k + 1 :, 0] - prior.states * point.departure
     # By Cholesky factors: where a trial is unstable, A less cross' own^-1 cross loses all its digits otherwise.

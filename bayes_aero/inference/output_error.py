@@ -7,7 +7,7 @@ Gauss-Newton with Levenberg and Marquardt's damping on exact forward sensitiviti
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 import equinox as eqx
@@ -43,12 +43,14 @@ def fit_output_error(
     departure: Float[np.ndarray, "w s"] | None = None,
     held: Mapping[str, float] | None = None,
     prior_weight: float = 1.0,
+    without: Collection[str] = (),
     most: int = MAX_ITERATIONS,
     biases: Mapping[str, Prior] | None = None,
     stopped: Callable[[], bool] | None = None,
 ) -> OutputErrorResult:
     """Fit all segments together from one start (default: the parameters' own); parameters `held` keep their value.
 
+    A `prior_weight` of 0 leaves out all priors, those of initial states too; parameters `without` one are named.
     `biases` names outputs that were recorded with a constant error of each manoeuvre's own, and their priors; these
     errors are then parameters too (`bias_output_1` and so on), after those of `start`. `stopped` is asked before each
     step whether to end there, not converged.
@@ -60,7 +62,7 @@ def fit_output_error(
             start = np.append(start, [p.prior.normal[0] for p in flown.dynamics.free[own:]])
     free, held = flown.dynamics.free, held or {}
     lower, upper = (np.array([p.bounds[i] for p in free], float) for i in (0, 1))
-    prior = Priors.of(flown, prior_weight)
+    prior = Priors.of(flown, prior_weight, without)
     theta = np.array([p.start for p in free]) if start is None else np.asarray(start, float)
     theta = np.array([held.get(p.name, x) for p, x in zip(free, theta, strict=True)])
     rest = np.array([p.name in held for p in free], bool)
@@ -112,6 +114,7 @@ def fit_cascade(
     *,
     held: Mapping[str, float] | None = None,
     prior_weight: float = 1.0,
+    without: Collection[str] = (),
     biases: Mapping[str, Prior] | None = None,
 ) -> OutputErrorResult:
     """Fit the first stage's short windows from every start, then each later stage from the best so far.
@@ -119,7 +122,7 @@ def fit_cascade(
     Windows keep an unstable or poorly started simulation on its path, but hide slow errors of the model; so the last
     stage should be whole manoeuvres.
     """
-    options = {"held": held, "prior_weight": prior_weight, "biases": biases}
+    options = {"held": held, "prior_weight": prior_weight, "without": without, "biases": biases}
     first = [fit_output_error(stages[0], start=s, most=EARLY, **options) for s in starts]
     best = min(first, key=lambda found: (found.status is OutputErrorStatus.LEFT_ENVELOPE, found.cost))
     for number, stage in enumerate(stages[1:], start=2):

@@ -8,7 +8,7 @@ from enum import Enum
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from bayes_aero.inference.coloured import corrected_covariance
 from bayes_aero.inference.flown_normal import Point, Priors, reduced
@@ -18,7 +18,10 @@ from bayes_aero.parameter import Parameter
 
 THINNED = 5  # samples, for the colour of the residuals
 INDEFINITE = -1e-14  # least eigenvalue of a scaled information matrix: below, it is more than rounding of a sound one
+SINGULAR, SHARE = 1e-13, 1e-3  # least eigenvalue of a regular scaled matrix; part of a direction that counts
 STRETCH, STRETCHES = 12.0, 10  # s of flight that the jackknife leaves out at a time, and how many it wants at least
+LEVERAGE = 0.9  # largest share of what is known in any direction that a stretch may take with it
+TRACE = 1e-13  # of a scaled information matrix: beyond rounding, within nothing that a record tells
 COLOURED = 2.0  # times the variances, in the median, from which the colour of residuals is beyond doubt
 HELD = 0.9  # posterior over prior deviation from which a parameter is said to be held by its prior
 
@@ -59,6 +62,13 @@ class OutputErrorResult:
     at_bound: tuple[str, ...]
     columns: Float[np.ndarray, "w n c j"]
     eliminated: Float[np.ndarray, "w s k"]  # what a unit of theta moves the best initial states by, but for its sign
+    undetermined: tuple[str, ...] = ()  # without priors: parameters that the record does not determine
+
+    @property
+    def det_R(self) -> float:
+        """Determinant of the diagonal residual covariance over the fitted outputs, SI: the published programs' cost."""
+        count = self.flown.inside.sum(axis=1)
+        return float(np.prod(np.sum(count[:, None] * self.rms**2, axis=0) / count.sum()))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -67,8 +77,12 @@ class OutputErrorResult:
 
     @property
     def sd(self) -> Float[np.ndarray, " k"]:
-        """Standard deviations, priors counted, residuals taken as white."""
-        return np.sqrt(np.diag(self.covariance))
+        """Standard deviations, priors counted, residuals taken as white; infinite where nothing determines it."""
+        return self._known(np.sqrt(np.diag(self.covariance)))
+
+    def _known(self, sd: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+        """Infinite for what is not determined."""
+        return np.where([name in self.undetermined for name in self.names], np.inf, sd)
 
     @property
     def crb(self) -> Float[np.ndarray, " k"]:
@@ -114,6 +128,8 @@ class OutputErrorResult:
     def _left_out(self, S: Float[np.ndarray, "w n c k"]) -> Float[np.ndarray, " k"]:
         """Variances by the jackknife over stretches of flight, to first order and with the segments' states kept.
 
+        A stretch that tells nearly all of some direction (a constant error that shows while a motion begins, the only
+        step of a control) counts there as one that tells `LEVERAGE` of it: the others cannot judge it.
         Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), ch. 11, of blocks in place of samples.
         """
         moving = np.flatnonzero(np.diag(self.covariance) > 0.0)
@@ -131,15 +147,19 @@ class OutputErrorResult:
         if len(moving) and len(A) > 1:
             whole = (self.information + np.diag(self.priors.precision))[np.ix_(moving, moving)]
             scale = 1.0 / np.sqrt(np.diag(whole))
-            left = (whole - np.array(A)) * np.outer(scale, scale)
-            step = scale * np.linalg.solve(left, -(np.array(g) * scale)[..., None])[..., 0]
+            lower = np.linalg.cholesky(whole * np.outer(scale, scale) + TRACE * np.eye(len(scale)))
+            back = np.linalg.inv(lower)
+            share, turned = np.linalg.eigh(back @ (np.array(A) * np.outer(scale, scale)) @ back.T)
+            turned = back.T @ turned
+            along = np.einsum("iab,ia->ib", turned, -np.array(g) * scale) / (1.0 - np.minimum(share, LEVERAGE))
+            step = scale * np.einsum("iab,ib->ia", turned, along)
             variance[moving] = (len(A) - 1.0) / len(A) * np.sum((step - step.mean(axis=0)) ** 2, axis=0)
         return variance
 
     @property
     def sd_corrected(self) -> Float[np.ndarray, " k"]:
         """Standard deviations, priors counted, that allow for the residuals' colour."""
-        return np.sqrt(np.diag(self.corrected))
+        return self._known(np.sqrt(np.diag(self.corrected)))
 
     @property
     def inseparable(self) -> tuple[Inseparable, ...]:
@@ -157,7 +177,8 @@ class OutputErrorResult:
     @property
     def held(self) -> tuple[str, ...]:
         """Parameters of which the record says next to nothing: their priors hold them."""
-        prior = self.priors.precision**-0.5
+        with np.errstate(divide="ignore"):
+            prior = self.priors.precision**-0.5
         return tuple(n for n, sd, own in zip(self.names, self.sd, prior, strict=True) if sd > HELD * own)
 
 
@@ -167,6 +188,19 @@ def _sound(A: Float[np.ndarray, "k k"]) -> bool:
     if not np.all(size > 0.0):
         return False
     return bool(np.linalg.eigvalsh(A / np.sqrt(np.outer(size, size)))[0] > INDEFINITE)
+
+
+def _undetermined(A: Float[np.ndarray, "k k"], moving: Bool[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+    """Of the `moving` parameters those that an information matrix without priors says nothing of, alone or together."""
+    size = np.diag(A)
+    found = moving & (size <= 0.0)
+    told = np.flatnonzero(moving & (size > 0.0))
+    if not len(told):
+        return found
+    scale = np.sqrt(size[told])
+    values, vectors = np.linalg.eigh(A[np.ix_(told, told)] / np.outer(scale, scale))
+    found[told] = np.max(np.abs(vectors[:, values < SINGULAR]), axis=1, initial=0.0) > SHARE
+    return found
 
 
 def result_of(
@@ -184,7 +218,8 @@ def result_of(
     A, eliminated = np.diag(prior.precision), np.zeros((w, s, len(point.theta)))
     if math.isfinite(point.cost):
         found, _, local = reduced(point, prior)
-        if _sound(found):
+        told = (np.diag(found) > 0.0) | (prior.precision > 0.0)  # without a prior there may be nothing to know
+        if _sound(found[np.ix_(told, told)]):
             A, eliminated = found, local.inverse @ local.cross
     free = flown.dynamics.free
     at_bound = tuple(p.name for p, a in zip(free, active & ~rest, strict=True) if a)
@@ -196,8 +231,10 @@ def result_of(
         status = OutputErrorStatus.AT_BOUND if at_bound else OutputErrorStatus.CONVERGED
     columns = np.concatenate(point.normal.columns)[:w]
     residual = columns[..., 0] * flown.swell
-    moving = np.ix_(~rest, ~rest)
-    scale = np.sqrt(np.diag(A)[~rest])
+    lost = _undetermined(A, ~rest & (prior.precision == 0.0))
+    known = ~rest & ~lost
+    moving = np.ix_(known, known)
+    scale = np.sqrt(np.diag(A)[known])
     covariance = np.zeros_like(A)
     covariance[moving] = np.linalg.pinv(A[moving] / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
     return OutputErrorResult(
@@ -216,4 +253,5 @@ def result_of(
         at_bound=at_bound,
         columns=columns,
         eliminated=eliminated,
+        undetermined=tuple(p.name for p, unknown in zip(free, lost, strict=True) if unknown),
     )

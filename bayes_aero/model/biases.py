@@ -48,6 +48,11 @@ class BiasedDynamics(Dynamics):
         return self.plain.states
 
     @property
+    def units(self) -> Mapping[str, str]:
+        """As they are without bias."""
+        return self.plain.units
+
+    @property
     def inputs(self) -> tuple[str, ...]:
         """As they are without bias."""
         return self.plain.inputs

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -24,6 +24,7 @@ from bayes_aero.physics.filters import differentiate, smooth
 
 Values = Mapping[str, Any]
 OUTPUTS = ("airspeed", "alpha", "theta", "q", "altitude", "ax", "az")
+ON_REQUEST = ("q_dot",)  # mostly differentiated pitch rate, which says nothing new
 FINEST = 8  # integration steps a sample
 SIDE = ("p", "r", "beta", "phi")  # of these the lateral force follows where no accelerometer gives it
 DERIVED = ("alpha_dot", "q_dot", "X", "mach", "density")  # the simulation makes them itself
@@ -41,6 +42,11 @@ class Dynamics(ABC):
     @abstractmethod
     def states(self) -> tuple[str, ...]:
         """Names of the states."""
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """SI units of states that are channels of the card's own; the program knows those of the others."""
+        return {}
 
     @property
     @abstractmethod
@@ -94,10 +100,14 @@ class Dynamics(ABC):
 
 @dataclass(frozen=True)
 class AircraftDynamics(Dynamics):
-    """Longitudinal motion under a model of effects; `altitude` says whether the altitude is a state."""
+    """Longitudinal motion under a model of effects; `altitude` says whether the altitude is a state.
+
+    `further` are outputs beside the usual ones, of `ON_REQUEST`.
+    """
 
     model: Model
     altitude: bool = True
+    further: tuple[str, ...] = ()
 
     @property
     def free(self) -> tuple[Parameter, ...]:
@@ -122,8 +132,8 @@ class AircraftDynamics(Dynamics):
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Flight states and accelerations at the sensor."""
-        return tuple(name for name in OUTPUTS if name != "altitude" or self.altitude)
+        """Flight states and accelerations at the sensor, and what was asked for beside them."""
+        return (*(name for name in OUTPUTS if name != "altitude" or self.altitude), *self.further)
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
@@ -171,9 +181,13 @@ class AircraftDynamics(Dynamics):
         return 0.5 * lag * float(flights.aircraft.chord) / float(flights.channels["airspeed"].max())
 
 
-def aircraft_dynamics(model: Model, flights: Flights) -> AircraftDynamics:
-    """The dynamics of a model for what these flights have recorded; raises `InputError` where they cannot be flown."""
-    dynamics = AircraftDynamics(model, altitude="altitude" in flights.channels)
+def aircraft_dynamics(model: Model, flights: Flights, outputs: Sequence[str] = ()) -> AircraftDynamics:
+    """The dynamics of a model for what these flights have recorded; raises `InputError` where they cannot be flown.
+
+    `outputs` of `ON_REQUEST` are simulated beside the usual ones.
+    """
+    further = tuple(name for name in ON_REQUEST if name in outputs)
+    dynamics = AircraftDynamics(model, altitude="altitude" in flights.channels, further=further)
     have = set(flights.channels) | {
         "alpha_dot",
         "X",

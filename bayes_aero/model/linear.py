@@ -56,6 +56,12 @@ class LinearDynamics(Dynamics):
 
     rows: LinearCard
     parameters: tuple[Parameter, ...]
+    named: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Of all its states."""
+        return dict(self.named)
 
     @property
     def fixed(self) -> dict[str, float]:
@@ -115,7 +121,7 @@ def linear_dynamics(card: Card) -> LinearDynamics:
             parameters.append(parameter.changed(**given))
         except InputError as error:
             raise InputError(f"card {card.name}: {error}") from None
-    return LinearDynamics(card.linear, tuple(parameters))
+    return LinearDynamics(card.linear, tuple(parameters), tuple((name, units[name]) for name in card.linear.states))
 
 
 def _meaning(name: str, rows: LinearCard, units: Mapping[str, str]) -> tuple[str, str]:

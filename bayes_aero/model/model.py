@@ -17,7 +17,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card import Card
 from bayes_aero.model.own_effects import own_effects
-from bayes_aero.parameter import Parameter
+from bayes_aero.parameter import Parameter, per_length
 
 Signals = Mapping[str, Float[Array, "*n"]]
 
@@ -26,12 +26,14 @@ Signals = Mapping[str, Float[Array, "*n"]]
 class Model:
     """A list of effects with their parameters; `fixed` parameters keep their value, the rest are free.
 
-    Hashable and without arrays, so that it is static under `jax.jit`.
+    `chords` is the chord over the length in rates free of units: defaults of derivatives per q c/V are as many times
+    larger. Hashable and without arrays, so that it is static under `jax.jit`.
     """
 
     effects: tuple[Effect, ...]
     parameters: tuple[Parameter, ...]
     fixed: tuple[tuple[str, float], ...] = ()
+    chords: float = 1.0
 
     def __hash__(self) -> int:
         return self._hash
@@ -73,13 +75,17 @@ class Model:
         for name in card.changes:
             if name not in {p.name for p in model.parameters}:
                 raise InputError(f"card {card.name}: [parameters.{name}] belongs to no effect of the model")
-        return replace(model, parameters=tuple(_changed(p, card) for p in model.parameters))
+        length = card.aircraft.rate_length
+        chords = 1.0 if length is None else float(card.aircraft.chord) / float(length)
+        parameters = tuple(_changed(per_length(p, chords), card) for p in model.parameters)
+        return replace(model, parameters=parameters, chords=chords)
 
     def extended(self, *effects: str | Effect, fixed: Mapping[str, float] | None = None) -> Model:
         """This model with effects added, by name or themselves; what it has keeps its starts, bounds and priors."""
         known = {p.name: p for p in self.parameters}
         wider = Model.of((*self.effects, *effects), dict(self.fixed) | dict(fixed or {}))
-        return replace(wider, parameters=tuple(known.get(p.name, p) for p in wider.parameters))
+        parameters = tuple(known.get(p.name, per_length(p, self.chords)) for p in wider.parameters)
+        return replace(wider, parameters=parameters, chords=self.chords)
 
     @property
     def free(self) -> tuple[Parameter, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -25,6 +25,8 @@ class Flown(eqx.Module):
     """Segments of flights, a row each, filled up to one length with their last sample; `inside` marks the real ones.
 
     `swell` is how many times an output's noise is that of attached flow, sample by sample; one where it is steady.
+    `fixed`: each segment begins at its first sample, but for states that are given here (SI); None: its initial state
+    is the measured one (see `simulate`) and a departure that is fitted. Inputs are linear between samples, or `held`.
     """
 
     flights: Flights
@@ -36,6 +38,8 @@ class Flown(eqx.Module):
     outputs: tuple[str, ...] = eqx.field(static=True)
     begin: int = eqx.field(static=True, default=2)  # samples from which the measured initial state is read
     substeps: int = eqx.field(static=True, default=1)
+    fixed: tuple[tuple[str, float], ...] | None = eqx.field(static=True, default=None)
+    held: bool = eqx.field(static=True, default=False)
 
     @property
     def nameless(self) -> Flown:
@@ -77,10 +81,13 @@ def segments(
     window: float | None = None,
     manoeuvres: Sequence[int] | None = None,
     substeps: int = 1,
+    fixed: Mapping[str, float] | None = None,
+    held: bool = False,
 ) -> Flown:
     """Cut `manoeuvres` (default: all) into windows of about `window` s (default: whole manoeuvres).
 
-    `outputs` are compared with the simulation; default: all recorded ones that the dynamics make.
+    `outputs` are compared with the simulation; default: all recorded ones that the dynamics make. `fixed`, `held`: see
+    `Flown`.
     """
     recorded = tuple(name for name in dynamics.outputs if name in flights.channels)
     chosen = recorded if outputs is None else tuple(outputs)
@@ -90,6 +97,10 @@ def segments(
             f"the output {unknown[0] if unknown else '(none)'} was not recorded or is not simulated; "
             f"there are {', '.join(recorded) or 'none'}"
         )
+    for name in fixed or {}:
+        if name not in dynamics.states or name == "X":
+            there = ", ".join(n for n in dynamics.states if n != "X")
+            raise InputError(f"the initial state has {name}, which is no state of the model; there are {there}")
     rows, dts = [], []
     for number in range(len(flights.lengths)) if manoeuvres is None else manoeuvres:
         own = np.flatnonzero(flights.manoeuvre == number)
@@ -105,11 +116,12 @@ def segments(
     inside = np.stack([np.arange(longest) < len(row) for row in rows])
     begin = max(2, min(round(BEGIN / float(np.median(dts))) + 1, int(inside.sum(axis=1).min())))
     steady = np.ones((*index.shape, len(chosen)))
-    return Flown(flights, index, inside, np.array(dts), steady, dynamics, chosen, begin, substeps)
+    given = None if fixed is None else tuple(sorted(fixed.items()))
+    return Flown(flights, index, inside, np.array(dts), steady, dynamics, chosen, begin, substeps, given, held)
 
 
 def simulate(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w s"]) -> Simulated:
-    """Fly every segment from its measured initial state plus `departure`."""
+    """Fly every segment from its initial state, the measured or the fixed one, plus `departure`."""
     dynamics, flights = flown.dynamics, flown.flights
     values = dynamics.values(theta)
     channels = dynamics.corrected(values, flights.channels, flights.aircraft)
@@ -120,7 +132,8 @@ def simulate(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w
     def fly(start, away, inputs, dt):
         first = {name: x[0] for name, x in inputs.items()}
         wanted = (*flown.outputs, *dynamics.unmeasured)
-        return integrate(system, system.settled(start, first) + away, inputs, dt, flown.substeps, wanted)
+        begin = system.settled(start, first) + away
+        return integrate(system, begin, inputs, dt, flown.substeps, wanted, held=flown.held)
 
     trajectory = jax.vmap(fly)(begin, departure, drives, jnp.asarray(flown.dt))
     true = jnp.stack([channels[name][flown.index] for name in flown.outputs], axis=2)
@@ -134,7 +147,16 @@ def simulate(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w
 
 
 def _measured_start(flown: Flown, channels) -> Float[Array, "w s"]:
-    """Value at the first sample of a straight line through the first half second; zero where nothing was recorded."""
+    """Value at the first sample of a straight line through the first half second; zero where nothing was recorded.
+
+    A fixed initial state is the given one, and the first sample itself where none is given.
+    """
+    if flown.fixed is not None:
+        given, here = dict(flown.fixed), flown.index[:, 0]
+        nothing = jnp.zeros(len(here))
+        own = [channels[n][here] if n in channels else nothing for n in flown.dynamics.states]
+        named = zip(flown.dynamics.states, own, strict=True)
+        return jnp.stack([nothing + given[n] if n in given else x for n, x in named], axis=1)
     count = flown.begin
     t = np.arange(count) - (count - 1) / 2.0
     weight = jnp.asarray(1.0 / count + (t[0] * t) / np.sum(t**2))

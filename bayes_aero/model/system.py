@@ -59,9 +59,12 @@ def integrate(
     dt: Any,
     substeps: int = 1,
     outputs: Sequence[str] | None = None,
+    *,
+    held: bool = False,
 ) -> Trajectory:
     """Fourth-order Runge-Kutta at the sample time `dt` (s), or `substeps` times finer; inputs linear between samples.
 
+    Inputs that are `held` keep each sample's value until the next one (zero-order hold).
     Fixed steps suffice for flight: the largest eigenvalue is some 7 /s. A fast state (the lag of the separation point)
     needs `substeps`. `outputs` are those that are wanted (default: all). Derivatives are forward ones only, with
     respect to system, start and inputs.
@@ -69,7 +72,7 @@ def integrate(
     now = {name: jnp.asarray(x) for name, x in inputs.items()}
     every = jax.eval_shape(lambda x, u: motion(system, x, u), start, {name: x[0] for name, x in now.items()})[1]
     wanted = tuple(every if outputs is None else outputs)
-    return Trajectory(*_flight(system, start, now, dt=jnp.asarray(dt), substeps=substeps, outputs=wanted))
+    return Trajectory(*_flight(system, start, now, dt=jnp.asarray(dt), substeps=substeps, outputs=wanted, held=held))
 
 
 def _advance(system: System, x: Any, now: Row, then: Row, dt: Any, substeps: int) -> Array:
@@ -88,7 +91,7 @@ def _advance(system: System, x: Any, now: Row, then: Row, dt: Any, substeps: int
 
 
 @eqx.filter_custom_jvp
-def _flight(system, start, inputs, *, dt, substeps, outputs):
+def _flight(system, start, inputs, *, dt, substeps, outputs, held):
     """Only the state is found one sample after the other; envelope and outputs follow for all samples at once."""
     bounds = [system.envelope.get(name, (-FAR, FAR)) for name in system.states]
     lower, upper = (jnp.array([b[i] for b in bounds]) for i in (0, 1))
@@ -97,7 +100,7 @@ def _flight(system, start, inputs, *, dt, substeps, outputs):
         now, then = rows
         return _advance(system, x, now, then, dt, substeps), x
 
-    _, x = jax.lax.scan(further, start, (inputs, later(inputs)))
+    _, x = jax.lax.scan(further, start, (inputs, later(inputs, held)))
     sound = jnp.all(jnp.isfinite(x), axis=1)
     sound &= jnp.all((x >= lower) & (x <= upper), axis=1) | (jnp.arange(len(x)) == 0)
     inside = jnp.cumsum(~sound) == 0
@@ -109,14 +112,14 @@ def _flight(system, start, inputs, *, dt, substeps, outputs):
 
 
 @_flight.def_jvp
-def _flight_jvp(primals, tangents, *, dt, substeps, outputs):
+def _flight_jvp(primals, tangents, *, dt, substeps, outputs, held):
     system, start, inputs = primals
     t_system, t_start, t_inputs = tangents
-    flown = _flight(system, start, inputs, dt=dt, substeps=substeps, outputs=outputs)
+    flown = _flight(system, start, inputs, dt=dt, substeps=substeps, outputs=outputs, held=held)
     t_inputs = {name: t for name, t in t_inputs.items() if t is not None}
     t_start = jnp.zeros_like(start) if t_start is None else t_start
     row = jax.tree.map(lambda y: y[None], (flown[0], flown[2], inputs, dt))
     moved = jax.tree.map(lambda y: y[None], (t_start, t_inputs))
-    along = tangent_flight(substeps, outputs)
+    along = tangent_flight(substeps, outputs, held)
     dx, found = jax.tree.map(lambda y: y[0], along(system, *row, t_system, *moved))
     return flown, (dx, found, None)

@@ -21,8 +21,10 @@ NODES, AHEAD, WEIGHTS = (0.0, 0.5, 0.5, 1.0), (0.5, 0.5, 1.0, 0.0), (1.0, 2.0, 2
 Channels = Mapping[str, Any]
 
 
-def later(inputs: Channels) -> dict[str, Array]:
-    """Inputs a sample later; the last stay. Samples are the last axis."""
+def later(inputs: Channels, held: bool = False) -> dict[str, Array]:
+    """Inputs a sample later, the last stay; or the same ones where they are `held`. Samples are the last axis."""
+    if held:
+        return dict(inputs)
     return {name: jnp.concatenate([x[..., 1:], x[..., -1:]], axis=-1) for name, x in inputs.items()}
 
 
@@ -46,7 +48,7 @@ def stage_table(substeps: int) -> tuple[Array, Array, Array, Array]:
 
 
 @lru_cache
-def tangent_flight(substeps: int, outputs: tuple[str, ...]):
+def tangent_flight(substeps: int, outputs: tuple[str, ...], held: bool = False):
     """Derivative of states (w, n, s) and `outputs` (w, n) of w segments in one direction.
 
     Under `jax.vmap` segments are laid beside segments, and directions beside directions.
@@ -55,7 +57,7 @@ def tangent_flight(substeps: int, outputs: tuple[str, ...]):
     @jax.custom_batching.custom_vmap
     def tangent(system, x, inside, inputs, dt, t_system, t_start, t_inputs):
         towards = jax.tree.map(lambda t: t[..., None], (t_system, t_start, t_inputs))
-        found = _along(system, x, inside, inputs, dt, towards, substeps, outputs)
+        found = _along(system, x, inside, inputs, dt, towards, substeps, outputs, held)
         return jax.tree.map(lambda t: t[..., 0], found)
 
     @tangent.def_vmap
@@ -65,7 +67,7 @@ def tangent_flight(substeps: int, outputs: tuple[str, ...]):
         if alike and not any(jax.tree.leaves(marks[:5])):  # directions
             x, inside, inputs, dt = flight
             towards = tuple(_last(t, m, size) for t, m in zip(arguments[5:], marks[5:], strict=True))
-            found = _along(system, x, inside, inputs, dt, towards, substeps, outputs)
+            found = _along(system, x, inside, inputs, dt, towards, substeps, outputs, held)
             found = jax.tree.map(lambda t: jnp.moveaxis(t, -1, 0), found)
         elif alike and not any(jax.tree.leaves(marks[5])):  # segments
             trees, known = (*flight, t_start, t_inputs), (*marks[1:5], *marks[6:])
@@ -105,6 +107,7 @@ def _along(
     towards: tuple[Any, Any, Any],
     substeps: int,
     outputs: tuple[str, ...],
+    held: bool,
 ) -> tuple[Float[Array, "w n s d"], dict[str, Float[Array, "w n d"]]]:
     """In d directions `towards`, of the system's numbers (..., d), the start (w, s, d) and inputs (w, n, d)."""
     t_system, t_start, t_inputs = towards
@@ -112,9 +115,9 @@ def _along(
     h = (dt / substeps)[:, None, None]
     shares, *table = stage_table(substeps)
     at = lambda now, then: jax.vmap(lambda r: between(now, then, r))(shares)  # noqa: E731
-    u = at(inputs, later(inputs))  # m w n
+    u = at(inputs, later(inputs, held))  # m w n
     t_first = {name: jnp.moveaxis(t, -1, 0) for name, t in t_inputs.items()}
-    t_u = {name: jnp.moveaxis(t, 1, -1) for name, t in at(t_first, later(t_first)).items()}  # m w n d
+    t_u = {name: jnp.moveaxis(t, 1, -1) for name, t in at(t_first, later(t_first, held)).items()}  # m w n d
     points = _stage_points(system, x, u, h, table)
     read = tuple(name for name in outputs if name not in system.states)
     moving, still = eqx.partition(system, jax.tree.map(lambda t: t is not None, t_system, is_leaf=lambda t: t is None))

@@ -108,10 +108,12 @@ def _flights(flown: FlownFit) -> tuple[Block, ...]:
         curves = [Curve(flown.path(name, model), *how) for model, *how in MODELS]
         what = "Measured outputs, those simulated from the first values and by the fit, and the inputs"
         plots.append(over_measured(name, f"time-flown-{order}", curves, units, what, _inputs(flown, order)))
+    free = flown.setting.initial is None
+    began = "from the measured initial state" if free else "from the fixed initial state"
+    what_fits = "parameters and initial state" if free else "parameters"
     said = (
         "The model flown through the recorded inputs, without any correction on the way: with the first values of its "
-        "parameters from the measured initial state (dashed), and with parameters and initial state fitted. The fit's "
-        "error is shaded."
+        f"parameters {began} (dashed), and with {what_fits} fitted. The fit's error is shaded."
     )
     if any(error.tolerance is not None for path in flown.paths for error in path.errors.values()):
         said += " The grey band is the tolerance about the measurement."

@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable
 
 from bayes_aero.criticism.flown_fit import FITTED, START, FlownFit
+from bayes_aero.inference.flown_normal import departures
 from bayes_aero.report.comparison import decimals
 from bayes_aero.report.page import Table
 from bayes_aero.report.page_parts import number, plain_unit
 from bayes_aero.report.page_trajectories import axis_label
 from bayes_aero.report.style import bracket, for_people
-from bayes_aero.report.words_fly import parameter_rows, remarks
+from bayes_aero.report.words_fly import parameter_rows, prior_words, remarks
 from bayes_aero.report.words_trajectory import short
 
 UNKNOWN = 100.0  # times the value from which its deviation says only that it is not known
@@ -85,6 +86,7 @@ def parameters(flown: FlownFit) -> Table:
             _estimate(row["estimate"], row["sd_corrected"]),
             number(row["crb"], 2),
             number(row["sd_corrected"], 2),
+            prior_words(row).replace("-", "−"),
             _bounds(*bounds[name]),
             remarks(row) or "–",
         )
@@ -92,28 +94,39 @@ def parameters(flown: FlownFit) -> Table:
     ]
     return Table(
         "Parameters fitted to the trajectories",
-        ("parameter", "first value", "fit", "Cramér–Rao", "corrected", "bounds", "remark"),
+        ("parameter", "first value", "fit", "Cramér–Rao", "corrected", "prior", "bounds", "remark"),
         tuple(rows),
-        (("", 3), ("standard deviation", 2), ("", 2)),
+        (("", 3), ("standard deviation", 2), ("", 3)),
         note="SI units and radians. Cramér–Rao: the data alone, residuals taken as white; a dash where they do not "
-        "determine the parameter. Corrected: with the residuals' colour, and the prior counted.",
+        "determine the parameter. Corrected: with the residuals' colour, and the prior counted. Prior: mean ± standard "
+        "deviation, the program's default or the card's.",
     )
 
 
 def initial(flown: FlownFit) -> Table:
-    """The fitted state at each manoeuvre's first sample, and how far it is from the measured one."""
+    """The fitted state at each manoeuvre's first sample, how far it is from the measured one, and the prior of that."""
+    dynamics = flown.fit.flown.dynamics
+    own = dict(zip(dynamics.states, departures(dynamics), strict=True)) if flown.setting.priors else {}
 
     def rows(name: str) -> list[Row]:
         found = []
         for state, (value, departure) in flown.initial[name].items():
             factor = for_people(flown.units.get(state, "1"))[1]
             shown = f"{'+' if departure > 0.0 else ''}{number(factor * departure, 2)}"
-            found.append((_label(flown, state), number(factor * value, 4), shown))
+            prior = f"0 ± {number(factor * own[state], 2)}, default" if own else "none"
+            found.append((_label(flown, state), number(factor * value, 4), shown, prior))
         return found
 
+    if flown.setting.initial is not None:
+        return Table(
+            "State at the first sample: fixed",
+            ("state", "value"),
+            _by_manoeuvre(flown, lambda name: [row[:2] for row in rows(name)]),
+            note="Fixed to the card's values, and to the first sample where the card gives none.",
+        )
     return Table(
         "State at the first sample: fitted, and its departure from the measured one",
-        ("state", "fitted", "departure"),
+        ("state", "fitted", "departure", "prior of the departure"),
         _by_manoeuvre(flown, rows),
     )
 

@@ -22,8 +22,8 @@ GLOSSARY = {
     "Unseen data": "Data that the model was not fitted to: another manoeuvre, or another stretch of a single one.",
 }
 FLOWN = {
-    "Output error": "Parameters and initial states are those with which the model, flown through the recorded inputs, "
-    "comes nearest to what was measured. Nothing is corrected on the way.",
+    "Output error": "Parameters, and initial states unless they are fixed, are those with which the model, flown "
+    "through the recorded inputs, comes nearest to what was measured. Nothing is corrected on the way.",
     "Cramér–Rao bound": GLOSSARY["Cramér–Rao bound"],
     "Corrected deviation": "The same, widened for residuals whose neighbouring samples are correlated (coloured), and "
     "with the prior counted.",

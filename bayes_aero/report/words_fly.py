@@ -15,20 +15,25 @@ from bayes_aero.criticism.two_fits import Disagreement
 from bayes_aero.inference.output_error_result import OutputErrorStatus
 from bayes_aero.model.biases import unbiased
 from bayes_aero.model.dynamics import AircraftDynamics
+from bayes_aero.parameter import Prior
 from bayes_aero.report.style import for_people, several
 from bayes_aero.report.tables import concise
 from bayes_aero.report.words_restraints import inseparable_sentences
 from bayes_aero.report.words_signs import sign_sentences
 from bayes_aero.report.words_trajectory import SYMBOLS, short
 
-MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound"}
+MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound", "undetermined": "not determined"}
+_WEIGHED = " Priors are mean ± standard deviation; they count as often as the colour multiplies variances."
 COLOURED = 1.5  # times by which the colour must multiply variances to be worth a sentence; our choice
 OFTEN = 0.5  # share of the time outside a tolerance from which it is worth a sentence; our choice
 SWOLLEN = 2.0  # times more, in wholly separated flow, from which it is worth a sentence; our choice
 
 
 def parameter_rows(flown: FlownFit) -> dict[str, dict[str, Any]]:
-    """By parameter, SI and radians; `crb` is infinite where the data alone do not determine it."""
+    """By parameter, SI and radians; `crb` is infinite where the data alone do not determine it.
+
+    `prior` is None where the fit had none.
+    """
     fit = flown.fit
     return {
         name: {
@@ -37,11 +42,33 @@ def parameter_rows(flown: FlownFit) -> dict[str, dict[str, Any]]:
             "estimate": float(fit.estimate[i]),
             "crb": float(crb),
             "sd_corrected": float(sd),
+            "prior": _prior(fit.parameters[i].prior) if flown.setting.priors else None,
             "held_by_prior": name in fit.held,
             "at_bound": name in fit.at_bound,
+            "undetermined": name in fit.undetermined,
         }
         for i, (name, crb, sd) in enumerate(zip(fit.names, fit.crb, fit.sd_corrected, strict=True))
     }
+
+
+def _prior(prior: Prior) -> dict[str, Any]:
+    told = {key: getattr(prior, key) for key in ("family", "location", "scale", "source")}
+    return told | {"default": not prior.by_card}
+
+
+def prior_words(row: Mapping[str, Any]) -> str:
+    """The prior of one of `parameter_rows`, and whether it is the default or the card's."""
+    prior = row["prior"]
+    if prior is None:
+        return "none"
+    location, scale = prior["location"], prior["scale"]
+    told = {
+        "normal": f"{location:.4g} ± {scale:.4g}",
+        "lognormal": f"{location:.4g} × e^±{scale:.4g}",
+        "halfnormal": f"{location:.4g} + |{scale:.4g}|",
+        "uniform": f"{location:.4g} to {location + scale:.4g}",
+    }[prior["family"]]
+    return f"{told}, {'default' if prior['default'] else 'card'}"
 
 
 def remarks(row: Mapping[str, Any]) -> str:
@@ -51,34 +78,45 @@ def remarks(row: Mapping[str, Any]) -> str:
 
 def parameter_frame(flown: FlownFit) -> pd.DataFrame:
     """The same as a table."""
-    return pd.DataFrame.from_dict(parameter_rows(flown), orient="index").rename_axis("parameter")
+    rows = {name: row | {"prior": prior_words(row)} for name, row in parameter_rows(flown).items()}
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("parameter")
 
 
 def parameter_table(flown: FlownFit) -> Table:
-    """Estimate, both deviations and marks."""
+    """Estimate, both deviations, prior and marks."""
     table = _table(
         f"Parameters fitted to trajectories: {flown.fit.status.name.lower().replace('_', ' ')}",
         "SI and radians. CRB: Cramér-Rao, the data alone, residuals taken as white. sd corr.: with their colour and "
-        "the priors; in brackets behind the estimate in units of its last digit.",
+        "the priors; in brackets behind the estimate in units of its last digit."
+        + (_WEIGHED if flown.setting.priors else " There are no priors."),
     )
     for head in ("", "unit"):
         table.add_column(head, no_wrap=True)
     for head in ("estimate", "CRB", "sd corr."):
         table.add_column(head, justify="right", no_wrap=True)
+    table.add_column("prior", no_wrap=True)
     table.add_column("")
     for name, row in parameter_rows(flown).items():
         crb = f"{row['crb']:.2g}" if np.isfinite(row["crb"]) else "-"
         sd = row["sd_corrected"]
-        table.add_row(name, row["unit"], concise(row["estimate"], sd), crb, f"{sd:.2g}", remarks(row))
+        table.add_row(name, row["unit"], _estimate(row), crb, _sd(sd), prior_words(row), remarks(row))
     return table
+
+
+def _estimate(row: Mapping[str, Any]) -> str:
+    return "-" if row["undetermined"] else concise(row["estimate"], row["sd_corrected"])
+
+
+def _sd(sd: float) -> str:
+    return f"{sd:.2g}" if np.isfinite(sd) else "-"
 
 
 def error_table(flown: FlownFit) -> Table:
     """Every manoeuvre and output: error at the first values and of the fit, Theil's coefficient and its parts."""
     table = _table(
         "Error of the simulated trajectory",
-        "Start: first values of the parameters, measured initial state. Theil's U, and the shares of bias, variance "
-        "and covariance in the mean square error.",
+        f"Start: first values of the parameters, {'measured' if flown.setting.initial is None else 'fixed'} initial "
+        "state. Theil's U, and the shares of bias, variance and covariance in the mean square error.",
     )
     for head in ("manoeuvre", "output"):
         table.add_column(head)
@@ -120,6 +158,7 @@ def fly_sentences(flown: FlownFit) -> list[str]:
     said = [f"The fit {fit.status.value}{bound}{_off(flown)}."]
     if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
         said = [f"The fit failed: {fit.status.value}."]
+    said += _settings(flown)
     said += _wanting(flown)
     if flown.colour_cost >= COLOURED and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         said.append(
@@ -134,6 +173,11 @@ def fly_sentences(flown: FlownFit) -> list[str]:
     said += sign_sentences({name: (float(value), float(sd)) for name, value, sd in estimates})
     if fit.held and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         said.append(f"The trajectories say next to nothing of {several(fit.held)}; the prior holds.")
+    if fit.undetermined and flown.converged:
+        said.append(
+            f"The trajectories do not determine {several(fit.undetermined)}, and there are no priors: these values "
+            "mean nothing; fix them on the card, or fit with priors."
+        )
     if flown.converged:
         said += inseparable_sentences(fit.inseparable)
     lost = [p.manoeuvre for p in flown.paths if p.model == FITTED and not p.inside]
@@ -157,6 +201,18 @@ def disagreement_sentences(found: Sequence[Disagreement]) -> list[str]:
         "interval covers that: disturbed air, an error of a sensor or something that the model lacks is behind it; "
         "check and diagnose look for the last two."
     ]
+
+
+def _settings(flown: FlownFit) -> list[str]:
+    """The published programs' cost, and in what the fit differs from the usual one."""
+    if flown.fit.status is OutputErrorStatus.LEFT_ENVELOPE:
+        return []
+    outputs = several(SYMBOLS.get(name, name) for name in flown.fit.flown.outputs)
+    said = [f"det R is {flown.fit.det_R:.5g} (residual covariance of {outputs}, SI and radians)."]
+    how = [] if flown.setting.priors else ["without priors"]
+    how += [] if flown.setting.initial is None else ["with initial states fixed"]
+    how += ["with inputs held between samples"] if flown.setting.held else []
+    return [*said, f"It was fitted {several(how)}."] if how else said
 
 
 def outside(flown: FlownFit) -> dict[str, float]:

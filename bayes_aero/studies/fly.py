@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.criticism.flown_fit import FITTED, FlownFit, fit_flown
+from bayes_aero.criticism.flown_fit import FITTED, FlownFit, Setting, fit_flown
 from bayes_aero.criticism.trajectory import WINDOW
 from bayes_aero.criticism.two_fits import Disagreement, disagreements
 from bayes_aero.errors import InputError, attempted
@@ -20,6 +20,7 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import HealthFinding, channel_health
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.flown_normal import departures
 from bayes_aero.inference.mle import MleResult, fit_mle
 from bayes_aero.inference.noise_bias import without_noise_bias
 from bayes_aero.model.dynamics import Dynamics, aircraft_dynamics, taken_as_zero
@@ -49,6 +50,8 @@ from bayes_aero.studies.trajectory_results import open_loop
 SCHEMA = "bayes_aero/trajectories/1"
 SHORTEST = 1.0  # s of a window: two ends of the straight line from which the initial state is read
 RESULTS = "trajectories.json"
+INITIAL_STATES = FREE, FIXED = "free", "fixed"
+INPUTS = LINEAR, HELD = "linear", "held"
 Progress = Callable[[str, float], None]
 
 
@@ -71,6 +74,10 @@ def fly(
     *,
     out: Path | None = None,
     windows: float = WINDOW,
+    initial_state: str = FREE,
+    priors: bool = True,
+    outputs: str | Sequence[str] | None = None,
+    inputs: str = LINEAR,
     seed: int = 0,
     figures: bool = True,
     progress: Progress | None = None,
@@ -80,13 +87,22 @@ def fly(
 
     A model of effects starts from the card's values and, where coefficients can be formed, from their fit, too (`seed`
     is that fit's). Windows of `windows` s are fitted first.
+
+    Args:
+        initial_state: "free", fitted for each manoeuvre, or "fixed": the card's ([fly] initial_state), and where it
+            names none the first sample.
+        priors: False leaves all priors out of the reported fit, those of free initial states too.
+        outputs: names of the outputs that are compared, a list or separated by commas; default: the card's ([fly]
+            outputs), and without these all recorded ones but altitude and q_dot.
+        inputs: "linear" between samples, or "held" until the next one.
     """
     if not (math.isfinite(windows) and windows >= SHORTEST):
         raise InputError(f"windows of {windows:g} s cannot be flown; give at least {SHORTEST:g} s")
-    flights, dynamics, notes = _flights(records, card)
+    setting = _setting(card, initial_state, priors, outputs, inputs)
+    flights, dynamics, notes = _flights(records, card, setting.outputs or ())
     if out is not None:
         writable(out)
-    source = provenance(card, records, seed, {"windows": windows})
+    source = provenance(card, records, seed, {"windows": windows} | _told(setting))
     if progress:
         progress("do the sensors agree?", 0.0)
     agreement, failures = sensors_agree(records, card, seed, out)
@@ -105,6 +121,7 @@ def fly(
         window=windows,
         tolerances={name: tolerance.value for name, tolerance in card.tolerances.items()},
         biases=card.output_biases,
+        setting=setting,
         progress=progress,
     )
     apart = () if coefficients is None else disagreements(coefficients, flown)
@@ -152,7 +169,31 @@ def _written(
     return noted((), failed) if failed else found
 
 
-def _flights(records: Sequence[FlightRecord], card: Card) -> tuple[Flights, Dynamics, list[str]]:
+def _setting(card: Card, initial_state: str, priors: bool, outputs: str | Sequence[str] | None, inputs: str) -> Setting:
+    """The settings checked; what is not given is the card's."""
+    for name, given, known in (("initial state", initial_state, INITIAL_STATES), ("inputs", inputs, INPUTS)):
+        if given not in known:
+            raise InputError(f"the setting {name} is {given!r}; use {' or '.join(known)}")
+    named = outputs.split(",") if isinstance(outputs, str) else outputs
+    asked = card.fly.outputs if named is None else tuple(dict.fromkeys(name.strip() for name in named))
+    initial = card.fly.initial_state if initial_state == FIXED else None
+    return Setting(asked, initial, priors, inputs == HELD)
+
+
+def _told(setting: Setting) -> dict[str, Any]:
+    """The settings by the names of the options; `outputs` only where they were chosen."""
+    chosen = {} if setting.outputs is None else {"outputs": list(setting.outputs)}
+    return {
+        "initial_state": FREE if setting.initial is None else FIXED,
+        "priors": setting.priors,
+        "inputs": HELD if setting.held else LINEAR,
+        **chosen,
+    }
+
+
+def _flights(
+    records: Sequence[FlightRecord], card: Card, outputs: Sequence[str]
+) -> tuple[Flights, Dynamics, list[str]]:
     """The records end to end without spikes, what flies them, and what to say of it."""
     notes: list[str] = []
     if card.linear is not None:
@@ -160,7 +201,7 @@ def _flights(records: Sequence[FlightRecord], card: Card) -> tuple[Flights, Dyna
         flights, spikes = despiked(join(records, card, dynamics.inputs))
     else:
         flights, spikes = despiked(join(records, card, FLIGHT))
-        dynamics = aircraft_dynamics(Model.from_card(card), flights)
+        dynamics = aircraft_dynamics(Model.from_card(card), flights, outputs)
         still = taken_as_zero(flights)
         notes += [f"Not recorded, and taken as zero: {several(still)}."] if still else []
     unseen = [n for n in dynamics.states if n not in flights.channels and n in STANDARD_CHANNELS]
@@ -199,7 +240,10 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
     """trajectories.json: plain numbers and text, SI and radians (trajectories.schema.json beside this file)."""
     flown = found.flown
     fit = flown.fit
-    units = {name: flown.units.get(name, "1") for name in fit.flown.dynamics.states}
+    states = fit.flown.dynamics.states
+    units = {name: flown.units.get(name, "1") for name in states}
+    believed = flown.setting.priors and flown.setting.initial is None
+    beliefs = dict(zip(states, departures(fit.flown.dynamics), strict=True)) if believed else {}
     return {
         "schema": SCHEMA,
         "card": {"name": card.name, "title": card.title},
@@ -210,15 +254,20 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
         "sentences": list(found.sentences),
         "fitted_outputs": list(fit.flown.outputs),
         "windows": flown.window,
+        "setting": {key: x for key, x in _told(flown.setting).items() if key != "outputs"},
         "iterations": fit.iterations,
         "cost": fit.cost,
+        "det_R": fit.det_R,
         "colour_cost": flown.colour_cost,
         "swell": dict(flown.swell),
         "parameters": parameter_rows(flown),
         "inseparable": inseparable_results(flown.fit.inseparable),
         "disagreement": [asdict(d) for d in found.apart],
         "initial_states": {
-            manoeuvre: {n: {"value": x, "departure": d, "unit": units[n]} for n, (x, d) in states.items()}
+            manoeuvre: {
+                n: {"value": x, "departure": d, "unit": units[n], "prior_sd": beliefs.get(n)}
+                for n, (x, d) in states.items()
+            }
             for manoeuvre, states in flown.initial.items()
         },
         "residual_sd": dict(zip(fit.flown.outputs, np.sqrt(fit.R), strict=True)),

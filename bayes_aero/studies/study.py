@@ -44,9 +44,16 @@ OPTIONS: dict[str, dict[str, type]] = {
         "max_effects": int, "predictors": bool, "trajectories": bool, "figures": bool, "resample": float,
         "split_at_gaps": bool,
     },
-    "fly": {"windows": float, "figures": bool, "resample": float, "split_at_gaps": bool},
+    "fly": {
+        "windows": float, "initial_state": str, "priors": bool, "outputs": str, "inputs": str, "figures": bool,
+        "resample": float, "split_at_gaps": bool,
+    },
 }  # fmt: skip
-FORMINGS = ("matched", "published")
+CHOICES = {
+    "coefficients": ("matched", "published"),
+    "initial_state": ("free", "fixed"),
+    "inputs": ("linear", "held"),
+}
 MOST_UNITS = 100_000
 LARGEST_SEED = 2**32 - 1  # that every generator takes
 LONGEST = 90  # characters of a unit's name before its hash
@@ -272,8 +279,11 @@ def _options(given: Any, task: str, where: str) -> dict[str, Any]:
     for key, value in given.items():
         kind = OPTIONS[task][key]
         if kind is str:
-            if value not in FORMINGS:
-                raise InputError(f"{where}: option {key} is {value!r}; use one of {', '.join(FORMINGS)}")
+            known = CHOICES.get(key)
+            if known is not None and value not in known:
+                raise InputError(f"{where}: option {key} is {value!r}; use one of {', '.join(known)}")
+            if not isinstance(value, str):
+                raise InputError(f'{where}: option {key} is {value!r}; write names in quotes, e.g. "alpha,q"')
             continue
         number = isinstance(value, int | float) and not isinstance(value, bool)
         if not (isinstance(value, bool) if kind is bool else number and (kind is float or isinstance(value, int))):

@@ -23,6 +23,7 @@ from bayes_aero.model.noise import Colour
 from bayes_aero.model.observations import Forming
 from bayes_aero.studies import identify as job
 from bayes_aero.studies import request, study
+from bayes_aero.studies.fly import INITIAL_STATES, INPUTS
 from bayes_aero.studies.unfinished import Unfinished
 
 COMMANDS = sorted(command.callback.__name__ for command in app.registered_commands)
@@ -40,8 +41,10 @@ EFFECT = Effect(
 
 
 def test_choices_are_those_of_the_libraries():
-    assert {x.value for x in choices.Coefficients} == {x.value for x in Forming} == set(study.FORMINGS)
+    assert {x.value for x in choices.Coefficients} == {x.value for x in Forming} == set(study.CHOICES["coefficients"])
     assert {x.value for x in choices.NoiseModel} == {x.value for x in Colour} == set(study.NOISES)
+    assert {x.value for x in choices.InitialState} == set(INITIAL_STATES) == set(study.CHOICES["initial_state"])
+    assert {x.value for x in choices.Inputs} == set(INPUTS) == set(study.CHOICES["inputs"])
     assert {x.value for x in choices.Split} == set(get_args(SplitKind)) == set(study.SPLITS)
     assert [x.value for x in choices.Manoeuvre] == list(request.MANOEUVRES)
     assert [x.value for x in choices.SimulatedNoise] == list(request.NOISES)

@@ -22,6 +22,8 @@ records = ["*.csv"]
 one_by_one = true
 cards = ["short_period.toml"]
 options.windows = 20
+options.priors = false
+options.outputs = "q,alpha,az"
 options.figures = false
 """
 
@@ -70,6 +72,8 @@ def test_linear_cards_fly_and_are_verified(program, folder):
         assert row["status"] == "converged"
     first = out / "units" / units["unit"][0]
     assert found["windows"] == 20.0
+    assert found["setting"] == {"initial_state": "free", "priors": False, "inputs": "linear"}
+    assert found["fitted_outputs"] == ["q", "alpha", "az"]
     assert (first / "report.html").is_file()
     assert not (first / "figures").exists()
 
@@ -89,6 +93,8 @@ def test_linear_cards_fly_and_are_verified(program, folder):
         (("options.windows", "options.window"), "did you mean 'windows'"),
         (("options.windows", "options.gp"), "unknown option of the task fly"),
         (("windows = 20", "windows = true"), "write a number"),
+        (("windows = 20", 'initial_state = "known"'), "use one of free, fixed"),
+        (('outputs = "q,alpha,az"', "outputs = 3"), "write names in quotes"),
         (("windows = 20", "windows = 0"), "must be positive"),
         (("one_by_one = true", 'noise = ["white"]'), "noise is of no use"),
         (("one_by_one = true", 'effects = [[], ["thrust_lag"]]'), "a linear system, which has no effects"),

@@ -111,6 +111,31 @@ def test_rates_are_reduced_as_the_card_says(card):
         parse_card(table, "x", "x.toml")
 
 
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"output": ["q"]}, "did you mean 'outputs'"),
+        ({"outputs": "q"}, r"\[fly\] outputs must be a list"),
+        ({"initial_state": ["q"]}, r"\[fly\] initial_state must be a table"),
+        ({"initial_state": {"theta": "0 deg"}}, "initial_state has theta, which .channels. does not map"),
+        ({"initial_state": {"q": "3 m"}}, r"\[fly\] initial_state q"),
+    ],
+)
+def test_a_bad_section_of_a_trajectory_fit_is_refused(given, told):
+    with pytest.raises(InputError, match=told):
+        parse_card(tomllib.loads(SHORT_PERIOD) | {"fly": given}, "x", "x.toml")
+
+
+def test_an_initial_state_is_in_si():
+    """A channel of the card's own in its own unit: 10 ft/s are 3.048 m/s."""
+    table = tomllib.loads(SHORT_PERIOD)
+    table["channels"]["w"] = {"column": 3, "unit": "ft/s"}
+    table["fly"] = {"outputs": ["q", "q"], "initial_state": {"alpha": "2 deg", "w": "10 ft/s"}}
+    found = parse_card(table, "x", "x.toml").fly
+    assert found.outputs == ("q",)
+    assert found.initial_state == pytest.approx({"alpha": np.deg2rad(2.0), "w": 3.048}, rel=1e-12)
+
+
 def test_a_record_of_a_linear_card_needs_no_alpha():
     record = FlightRecord.from_arrays("x", np.arange(60) * 0.04, {"q": np.zeros(60)})
     assert set(with_sums(record, card_of(SHORT_PERIOD))) == {"q"}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -288,6 +290,19 @@ def test_corrected_deviations_are_no_less_than_those_of_leaving_stretches_out():
     refitted = np.sqrt(0.9 * np.sum(away**2, axis=0))
     assert np.all(found.sd_corrected[own] > 0.8 * refitted)
     assert np.median(found.sd_corrected[own] / refitted) < 1.3
+
+
+def test_what_one_stretch_alone_tells_has_a_corrected_deviation_of_its_size():
+    """A constant error of alpha shows, beside Z0 and M0, only while the motion from a known state dies away."""
+    flown = replace(coloured_flown(12, 0.9), fixed=(("alpha", 0.04), ("q", 0.01)))
+    biases = {"alpha": Prior("normal", 0.0, 0.1), "q": Prior("normal", 0.0, 0.1)}
+    found = fit_output_error(flown, held={"az0": 0.0}, prior_weight=0.0, biases=biases)
+    assert found.status is OutputErrorStatus.CONVERGED
+    truth = SHORT_PERIOD_TRUTH | {"bias_alpha_1": 0.0, "bias_q_1": 0.0, "az0": 0.0}
+    for name, at, crb, sd in zip(found.names, found.estimate, found.crb, found.sd_corrected, strict=True):
+        if name != "az0":
+            assert abs(at - truth[name]) < 4.0 * sd, name
+            assert crb < sd < 20.0 * crb, name
 
 
 def test_a_prior_that_holds_a_parameter_is_its_corrected_deviation_too():

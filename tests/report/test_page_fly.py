@@ -52,10 +52,11 @@ def test_parameters_stand_with_both_deviations_and_their_bounds():
     table = parameters(flown)
     assert {row[0].split()[0] for row in table.rows} == set(SHORT_PERIOD_TRUTH)
     for row in table.rows:
-        name, first, fit, crb, corrected, bounds, remark = row
+        name, first, fit, crb, corrected, prior, bounds, remark = row
         truth = SHORT_PERIOD_TRUTH[name.split()[0]]
         assert abs(float(fit) - truth) < 4.0 * max(float(crb), float(corrected)), name
         assert float(first) == 0.0  # the card gives no start
+        assert prior == "0 ± 1000, default"
         assert bounds == ("-40 to 0" if name.startswith("Mde ") else "none")
         assert remark == "–"
     assert [row[0] for row in table.rows if row[0].startswith("M")] == [

@@ -1,0 +1,105 @@
+"""Published output-error results of real and simulated flights, reproduced by the command from the shipped cards.
+
+The numbers are those of the programs of Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, run on the
+data of the book. The programs stop at a relative change of det R of 1e-4.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+
+from bayes_aero.flight.card import shipped_cards
+
+BOOK = Path(__file__).resolve().parents[3] / "shared" / "book"
+FIXED = ("--initial-state", "fixed")
+CASES = {
+    "TC01": ("attas_lateral", ("fAttasAilRud1.asc",), "oem_gauss_newton", FIXED),
+    "TC03": ("attas_roll_yaw", ("fAttasAilRud1.mat", "fAttasAilRud2.mat"), "oem_gauss_newton", FIXED),
+    "TC04": ("hfb320", ("hfb320_1_10.asc",), "oem_gauss_newton", FIXED),
+    "TC04 free": ("hfb320", ("hfb320_1_10.asc",), "oem_initial_state_free", ("--initial-state", "free")),
+    "TC08": ("unstable", ("unStabAC_sim.asc",), "oem_gauss_newton", FIXED),
+    "TC11": ("attas_short_period", ("fAttasElv1.mat", "fAttasElv2.mat"), "oem_gauss_newton", FIXED),
+    "TC11 own": (
+        "attas_short_period",
+        ("fAttasElv1.mat", "fAttasElv2.mat"),
+        "independent_optimum_own_initial_state",
+        FIXED,
+    ),
+}
+OURS = {  # their names, where ours are others
+    "Zal": "Zalpha", "Mal": "Malpha", "CDal": "CDa", "CLal": "CLa", "Cmal": "Cma", "bx_p": "L0", "bx_r": "N0",
+    "by_pdot": "by_p_dot", "by_rdot": "by_r_dot", "by_p": "bias_p_1", "by_r": "bias_r_1",
+}  # fmt: skip
+STATES = {"V": "airspeed"}
+
+
+@pytest.fixture(scope="module")
+def published():
+    """The results of the book's programs, by case."""
+    path = BOOK / "references.json"
+    if not path.is_file():
+        pytest.skip(f"the data of the book and the published results are not in {BOOK}")
+    return json.loads(path.read_text(encoding="utf-8"))["cases"]
+
+
+def record(name: str, folder: Path) -> Path:
+    """The file; of one with a matrix, its table with a time that hides the pause between two manoeuvres."""
+    if not name.endswith(".mat"):
+        return BOOK / name
+    (table,) = (x for key, x in scipy.io.loadmat(BOOK / name).items() if not key.startswith("_"))
+    time = 0.04 * np.arange(len(table))
+    path = folder / f"{Path(name).stem}.asc"
+    np.savetxt(path, np.column_stack([time, table[:, 1:]]), fmt="%.12g")
+    return path
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_estimates_deviations_and_det_R_are_those_published(program, published, tmp_path, case):
+    card, files, method, how = CASES[case]
+    expected = published[case.split()[0]]["methods"][method]
+    if case.endswith("own"):  # each manoeuvre from its own first sample: nothing on the card
+        text = shipped_cards()[card].read_text()
+        card = tmp_path / "own.toml"
+        card.write_text("\n".join(line for line in text.splitlines() if not line.startswith("initial_state")))
+    paths = [record(name, tmp_path) for name in files]
+    done = program("fly", *paths, "--model", card, *how, "--no-priors", "--no-figures", "--json", "--out", "out")
+    assert done.code in (0, 3), done.err  # 3: the sensors of the record disagree, which is told
+    found = json.loads(done.out)
+    assert found["status"] == "converged"
+    assert found["setting"] == {"initial_state": how[1], "priors": False, "inputs": "linear"}
+    assert found["det_R"] == pytest.approx(expected["det_R"], rel=0.03)
+    assert found["det_R"] == pytest.approx(np.prod(np.square(list(found["residual_sd"].values()))), rel=1e-6)
+    estimated = {name: p for name, p in expected["parameters"].items() if p.get("std")}
+    assert {OURS.get(name, name) for name in estimated} == set(found["parameters"])
+    for name, theirs in estimated.items():
+        ours = found["parameters"][OURS.get(name, name)]
+        assert abs(ours["estimate"] - theirs["estimate"]) < 0.3 * theirs["std"], name
+        assert ours["crb"] == pytest.approx(theirs["std"], rel=0.03), name
+        assert ours["crb"] <= ours["sd_corrected"] < 100.0 * ours["crb"], name  # residuals are coloured in all cases
+        assert ours["prior"] is None
+    for theirs, ours in zip(
+        expected.get("initial_state_per_segment", ()), found["initial_states"].values(), strict=False
+    ):
+        for name, state in theirs.items():
+            away = abs(ours[STATES.get(name, name)]["value"] - state["estimate"])
+            assert away <= 0.3 * state.get("std", 0.0) + 1e-8, name
+    replaced = [note for note in found["notes"] if "spikes" in note]  # the only way in which the data differ
+    assert replaced == (
+        ["Isolated spikes were replaced by the median of their neighbours: 1 of beta."] if "AilRud" in files[0] else []
+    )
+
+
+def test_cost_and_settings_are_printed(program, published):
+    done = program("fly", BOOK / "unStabAC_sim.asc", "--model", "unstable", *FIXED, "--no-priors", "--no-figures")
+    assert done.code == 0, done.err
+    said = " ".join(done.out.split())
+    cost = published["TC08"]["methods"]["independent_optimum"]["det_R"]
+    told = float(said.split("det R is ")[1].split()[0])
+    assert told == pytest.approx(cost, rel=1e-4)
+    assert "It was fitted without priors and with initial states fixed." in said
+    assert "no priors" in said

@@ -1,0 +1,227 @@
+"""Settings of a trajectory fit: fixed initial states, no priors, held inputs, outputs on request, priors per rate."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, short_period_flight
+from scipy.linalg import expm
+
+from bayes_aero.criticism.candidates import field_of
+from bayes_aero.criticism.flown_fit import FITTED
+from bayes_aero.errors import InputError
+from bayes_aero.flight.aircraft import NO_AIRCRAFT
+from bayes_aero.flight.card import parse_card, shipped_cards
+from bayes_aero.inference.output_error import fit_output_error, trajectories
+from bayes_aero.model.dynamics import aircraft_dynamics
+from bayes_aero.model.flights import join
+from bayes_aero.model.linear import linear_dynamics
+from bayes_aero.model.model import Model
+from bayes_aero.model.segments import segments
+from bayes_aero.model.system import integrate
+from bayes_aero.physics.filters import differentiate
+from bayes_aero.report.words_fly import fly_sentences, parameter_rows
+from bayes_aero.studies.fly import fly, fly_results
+from bayes_aero.studies.provenance import as_json
+
+NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15}
+BEGIN = (0.04, 0.01)
+SYSTEM = (
+    np.array([[SHORT_PERIOD_TRUTH["Zalpha"], 1.0], [SHORT_PERIOD_TRUTH["Malpha"], SHORT_PERIOD_TRUTH["Mq"]]]),
+    np.array(
+        [[SHORT_PERIOD_TRUTH["Zde"], SHORT_PERIOD_TRUTH["Z0"]], [SHORT_PERIOD_TRUTH["Mde"], SHORT_PERIOD_TRUTH["M0"]]]
+    ),
+)
+
+
+def noisy(seed, name="flight", **changes):
+    channels = short_period_flight(SHORT_PERIOD_TRUTH, n=200, x0=BEGIN) | changes
+    return record_of(channels, noise=NOISE, rng=np.random.default_rng(seed), name=name)
+
+
+def flown_of(record, card=None, **options):
+    card = card or card_of(SHORT_PERIOD)
+    dynamics = linear_dynamics(card)
+    return segments(join([record], card, dynamics.inputs), dynamics, **options)
+
+
+def test_a_fixed_initial_state_is_flown_and_given_no_freedom():
+    """The true one; estimates are those of a fit with its departure held by force, a prior of no width."""
+    flown = flown_of(noisy(4), fixed=dict(zip(("alpha", "q"), BEGIN, strict=True)))
+    found = fit_output_error(flown)
+    assert np.all(found.departure == 0.0)
+    begin = trajectories(flown, jnp.asarray(found.estimate), jnp.asarray(found.departure)).trajectory.states[0, 0]
+    np.testing.assert_allclose(begin, BEGIN, rtol=1e-14)
+    truth = np.array([SHORT_PERIOD_TRUTH[name] for name in found.names])
+    assert np.all(np.abs(found.estimate - truth) < 4.0 * found.sd)
+    theta = found.estimate
+
+    def residual(theta):
+        return trajectories(flown, theta, jnp.zeros((1, 2))).residual[0]
+
+    J = np.asarray(jax.jacfwd(residual)(jnp.asarray(theta)))
+    expected = np.einsum("ncj,c,nck->jk", J, 1.0 / found.R, J)
+    np.testing.assert_allclose(found.information, expected, rtol=1e-4, atol=1e-4 * np.abs(expected).max())
+    free = fit_output_error(flown_of(noisy(4)))
+    assert np.all(found.crb <= free.crb * 1.02)  # a state that is known leaves more to say of the rest
+
+
+def test_without_a_given_value_a_fixed_state_is_the_first_sample():
+    record = noisy(4)
+    flown = flown_of(record, fixed={"q": 0.02})
+    theta = jnp.asarray([p.start for p in flown.dynamics.free])
+    begin = trajectories(flown, theta, jnp.zeros((1, 2))).trajectory.states[0, 0]
+    np.testing.assert_array_equal(begin, [record["alpha"][0], 0.02])
+
+
+def test_an_initial_state_of_no_state_is_refused():
+    with pytest.raises(InputError, match="az, which is no state of the model; there are alpha, q"):
+        flown_of(noisy(4), fixed={"az": 1.0})
+
+
+def test_held_inputs_are_a_zero_order_hold():
+    """Against one matrix exponential a sample; the derivative by the initial state against differences."""
+    n, dt = 120, 0.04
+    u = np.random.default_rng(2).normal(0.0, 0.03, n)
+    A, B = SYSTEM
+    step = expm(np.block([[A, B], [np.zeros((2, 4))]]) * dt)
+    x = [np.array(BEGIN)]
+    for value in u[:-1]:
+        x.append(step[:2] @ [*x[-1], value, 1.0])
+    dynamics = linear_dynamics(card_of(SHORT_PERIOD))
+    system = dynamics.system(SHORT_PERIOD_TRUTH | {"Zq": 1.0}, NO_AIRCRAFT)
+    inputs = {"elevator": jnp.asarray(u), "1": jnp.ones(n)}
+
+    def last(start):
+        return integrate(system, start, inputs, dt, held=True).states
+
+    np.testing.assert_allclose(last(jnp.array(BEGIN)), x, rtol=0.0, atol=1e-7)
+    slope = jax.jvp(last, (jnp.array(BEGIN),), (jnp.array([1.0, 0.0]),))[1]
+    np.testing.assert_allclose(slope, [expm(A * dt * k)[:, 0] for k in range(n)], rtol=0.0, atol=1e-6)
+    linear = integrate(system, jnp.array(BEGIN), inputs, dt).states
+    assert np.abs(linear - np.array(x)).max() > 1e-3
+
+
+def test_held_inputs_find_the_truth_of_a_record_that_holds_them():
+    """Mde from a digital actuator's record without noise; linear between samples it is off by more."""
+    n, dt = 200, 0.04
+    u = np.repeat(np.random.default_rng(7).normal(0.0, 0.03, n // 10), 10)
+    A, B = SYSTEM
+    step = expm(np.block([[A, B], [np.zeros((2, 4))]]) * dt)
+    x = [np.array(BEGIN)]
+    for value in u[:-1]:
+        x.append(step[:2] @ [*x[-1], value, 1.0])
+    states = np.array(x)
+    record = record_of({"alpha": states[:, 0], "q": states[:, 1], "elevator": u})
+    off = {}
+    for held in (True, False):
+        found = fit_output_error(flown_of(record, outputs=("alpha", "q"), held=held))
+        off[held] = abs(found.estimate[found.names.index("Mde")] - SHORT_PERIOD_TRUTH["Mde"])
+    assert off[True] < 1e-3
+    assert off[False] > 10.0 * off[True]
+
+
+def test_without_priors_what_the_record_does_not_tell_is_said_and_has_no_deviation():
+    """An elevator at rest: its two derivatives; all else is known as well as if they were not there."""
+    channels = short_period_flight(SHORT_PERIOD_TRUTH | {"Zde": 0.0, "Mde": 0.0}, n=200, x0=(0.1, -0.1))
+    record = record_of(channels | {"elevator": np.zeros(200)}, noise=NOISE, rng=np.random.default_rng(3))
+    found = fly([record], card_of(SHORT_PERIOD), priors=False)
+    fit = found.flown.fit
+    assert set(fit.undetermined) == {"Zde", "Mde"}
+    assert fit.held == ()
+    rows = parameter_rows(found.flown)
+    for name, row in rows.items():
+        assert row["undetermined"] == (name in fit.undetermined)
+        assert np.isinf(row["sd_corrected"]) == row["undetermined"]
+        assert row["prior"] is None
+        if not row["undetermined"]:
+            assert abs(row["estimate"] - SHORT_PERIOD_TRUTH[name]) < 4.0 * row["sd_corrected"], name
+    assert any("do not determine Zde and Mde" in line for line in fly_sentences(found.flown))
+    told = json.loads(as_json(fly_results(found, card_of(SHORT_PERIOD), [record], {})))
+    assert told["parameters"]["Mde"]["sd_corrected"] is None
+    assert told["setting"] == {"initial_state": "free", "priors": False, "inputs": "linear"}
+
+
+def test_without_priors_a_wrong_prior_has_no_say():
+    table = tomllib.loads(SHORT_PERIOD)
+    table["parameters"] = {"Mq": {"prior": {"family": "normal", "location": 5.0, "scale": 0.001}}}
+    wrong = parse_card(table, "x", "x.toml")
+    record = noisy(4)
+    found = [fly([record], card, priors=False).flown for card in (card_of(SHORT_PERIOD), wrong)]
+    first, second = (one.fit for one in found)
+    assert np.all(np.abs(first.estimate - second.estimate) < 0.05 * first.crb)
+    np.testing.assert_allclose(first.sd, first.crb, rtol=1e-6)
+    rows = parameter_rows(fly([record], wrong).flown)
+    assert rows["Mq"]["prior"]["default"] is False
+    assert rows["Zde"]["prior"] == {
+        "family": "normal", "location": 0.0, "scale": 1000.0, "source": "flat in effect; our choice", "default": True,
+    }  # fmt: skip
+
+
+def test_a_velocity_of_the_card_s_own_may_depart_by_as_much_as_a_velocity():
+    """w = V alpha at 100 m/s with 0.3 m/s of noise: the state at the first sample comes right, as it does for alpha."""
+    text = SHORT_PERIOD.replace('alpha = { label = "alpha", unit = "deg" }', 'w = { label = "w", unit = "m/s" }')
+    card = card_of(text[: text.index("[linear.outputs")].replace('"alpha"', '"w"').replace("rates.alpha", "rates.w"))
+    true = short_period_flight(SHORT_PERIOD_TRUTH, n=200, x0=BEGIN)
+    w = 100.0 * true["alpha"] + np.random.default_rng(8).normal(0.0, 0.3, 200)
+    record = record_of({"w": w, "q": true["q"], "elevator": true["elevator"]}, name="flight")
+    found = fly([record], card)
+    assert found.flown.initial["flight"]["w"][0] == pytest.approx(100.0 * BEGIN[0], abs=0.15)
+    told = fly_results(found, card, [record], {})["initial_states"]["flight"]
+    assert (told["w"]["prior_sd"], told["q"]["prior_sd"]) == (1.0, 0.01)
+
+
+def test_outputs_are_those_asked_for_and_det_R_is_theirs():
+    record = noisy(4)
+    found = fly([record], card_of(SHORT_PERIOD), outputs="alpha, q", initial_state="fixed").flown
+    assert found.fit.flown.outputs == ("alpha", "q")
+    assert set(found.path("flight", FITTED).errors) == {"alpha", "q", "az"}
+    residual = [found.path("flight", FITTED).errors[name].rms for name in ("alpha", "q")]
+    assert found.fit.det_R == pytest.approx(np.prod(np.square(residual)), rel=1e-3)
+    assert found.initial["flight"]["alpha"] == (pytest.approx(record["alpha"][0]), 0.0)
+    with pytest.raises(InputError, match="the output beta was not recorded or is not simulated; there are alpha, q"):
+        fly([record], card_of(SHORT_PERIOD), outputs=["beta"])
+    with pytest.raises(InputError, match="initial state is 'known'; use free or fixed"):
+        fly([record], card_of(SHORT_PERIOD), initial_state="known")
+
+
+def test_pitch_acceleration_is_an_output_on_request_alone(card, clean_records):
+    """The simulated one is the derivative of the simulated pitch rate."""
+    record = clean_records[0]
+    record = replace(record, channels=dict(record.channels) | {"q_dot": np.zeros(record.n)})
+    flights = join([record], card)
+    model = Model.from_card(card)
+    assert "q_dot" not in aircraft_dynamics(model, flights).outputs
+    dynamics = aircraft_dynamics(model, flights, ("q", "q_dot"))
+    flown = segments(flights, dynamics, outputs=("q", "q_dot"), window=20.0)
+    first = flown.part([0])
+    found = trajectories(first, jnp.asarray([p.start for p in dynamics.free]), jnp.zeros((1, len(dynamics.states))))
+    q, q_dot = (np.asarray(found.trajectory.outputs[name][0]) for name in ("q", "q_dot"))
+    slope = np.asarray(differentiate(jnp.asarray(q), record.dt))
+    inner = slice(20, -20)
+    assert np.std(q_dot[inner]) > 0.0
+    assert np.abs(slope - q_dot)[inner].max() < 0.02 * np.abs(q_dot[inner]).max()
+
+
+def test_defaults_of_derivatives_per_rate_follow_the_card_s_length(card, clean_records):
+    """With half the chord they are twice as large, on the card and for candidates; what the card states stays."""
+    table = tomllib.loads(shipped_cards()["attas"].read_text())
+    table["aircraft"]["rate_length"] = "1.5795 m"
+    half = parse_card(table, "half", "half.toml")
+    usual, other = (field_of(Model.from_card(c), join(clean_records, c)).model.parameters for c in (card, half))
+    scaled = {"Cmq", "CLq", "CLadot", "Cmadot", "CmqX"}
+    assert scaled <= {p.name for p in usual}
+    for before, after in zip(usual, other, strict=True):
+        times = 2.0 if before.name in scaled else 1.0
+        assert after.start == pytest.approx(times * before.start), before.name
+        assert after.prior.normal == pytest.approx(tuple(times * x for x in before.prior.normal)), before.name
+        assert (before.prior.source == after.prior.source) == (before.name not in scaled)
+    table["parameters"]["Cmq"] = {"start": -20.0, "prior": {"family": "normal", "location": -20.0, "scale": 5.0}}
+    stated = {p.name: p for p in Model.from_card(parse_card(table, "own", "own.toml")).parameters}["Cmq"]
+    assert (stated.start, stated.prior.normal) == (-20.0, (-20.0, 5.0))
