@@ -21,9 +21,10 @@ from bayes_aero.model.flights import Flights, response_scales
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficients import NAMES, coefficients
 from bayes_aero.physics.filters import FILTER_STEP
-from bayes_aero.physics.flightpath import LATERAL, PATH, integral, path_outputs, path_rates
+from bayes_aero.physics.flightpath import LATERAL, PATH, as_symmetric, integral, path_outputs, path_rates
 
 GROUP = 4  # directions at a time: most calls ask for no more, and the others lose nothing
+LEVEL = np.radians(5.0)  # of bank: wings that move less count as level where bank was not recorded
 RESPONSE = ("q", *PATH, *LATERAL)  # measured channels whose own scale an effect may change
 
 
@@ -44,7 +45,7 @@ class Responses(Linearisable):
     @classmethod
     def of(cls, flights: Flights, model: Model) -> Responses:
         """`flights` under `model`."""
-        return cls(flights, model, _measuring(model, flights), path_outputs(flights.channels))
+        return cls(flights, model, _measuring(model, flights), flight_path(flights))
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -104,6 +105,19 @@ class Responses(Linearisable):
         return S
 
 
+def flight_path(flights: Flights) -> tuple[str, ...]:
+    """Flight-path outputs of these flights: none where they rolled and nobody knows how far."""
+    return () if rolled_unseen(flights) else path_outputs(flights.channels)
+
+
+def rolled_unseen(flights: Flights) -> bool:
+    """Whether the roll rate of some manoeuvre changes a bank angle that was not recorded, a drift apart."""
+    if "phi" in flights.channels or "p" not in flights.channels:
+        return False
+    p, dt = (np.split(np.asarray(flights.channels[n]), np.cumsum(flights.lengths)[:-1]) for n in ("p", "dt"))
+    return any(np.ptp(np.cumsum((x - x.mean()) * step)) > LEVEL for x, step in zip(p, dt, strict=True))
+
+
 def _measuring(model: Model, flights: Flights) -> tuple[int, ...]:
     """Free parameters that some effect on the record or the aircraft reads."""
 
@@ -148,7 +162,7 @@ def _residuals(responses: Responses, theta):
     scales = response_scales(model, values, f.channels, f.aircraft, RESPONSE)
     columns = [(measured - modelled) * _referred(responses, signals, aircraft, scales)]
     if responses.path:
-        rates = path_rates(signals, aircraft)
+        rates = path_rates(as_symmetric(signals), aircraft)
         columns += [
             ((signals[name] - integral(rates[name], signals["dt"], signals["start"], signals["first"])) / scales[name])[
                 :, None

@@ -12,10 +12,11 @@ from jaxtyping import Float
 
 from bayes_aero.criticism.candidates import Field, field_of
 from bayes_aero.criticism.extension import Extension, extend
-from bayes_aero.criticism.responses import Responses
+from bayes_aero.criticism.responses import Responses, rolled_unseen
 from bayes_aero.criticism.state import linearised
 from bayes_aero.criticism.stretches import borne_out
 from bayes_aero.effect import Kind, Stage
+from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.flights import Flights, despiked, join
@@ -23,10 +24,11 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.coefficients import REQUIRED
-from bayes_aero.physics.flightpath import PATH_NEEDS
+from bayes_aero.physics.flightpath import PATH_CORE
 
 SENSOR_KINDS = (Kind.MEASUREMENT, Kind.ENVIRONMENT)
-UNITY = {"density": 1.0, "thrust": 0.0}  # stand in for what the flight path does not use
+UNUSED = {"density": 1.0}  # stands in for what the flight path does not use; zero for the others
+SHORTEST = 4.0  # s of a record that can be checked
 
 
 def agreement(
@@ -52,19 +54,33 @@ def agreement(
 def compatibility(records: list[FlightRecord], card: Card, *, seed: int = 0, most: int = 8) -> Extension:
     """Sensor errors and winds that the flight path asks for, as the first stage of a diagnosis finds them.
 
-    Raises `InputError` where a channel of `PATH_NEEDS` is missing or a single manoeuvre is too short.
+    Raises `InputError` where there is no flight path (see `no_flight_path`) or a single manoeuvre is too short.
     """
-    flights, _ = despiked(as_the_card_states(join(records, card, PATH_NEEDS), card))
-    extra = {name: jnp.full(flights.n, UNITY[name]) for name in REQUIRED if name not in flights.channels}
-    flights = type(flights)(
-        flights.channels | extra, flights.aircraft, flights.manoeuvre, flights.time, flights.lengths, flights.names
-    )
-    whole = field_of(Model((), ()), flights, tuple(own_effects(card.effect_files).values()))
+    if why := no_flight_path(records, card):
+        raise InputError(why)
+    recorded, _ = despiked(as_the_card_states(join(records, card, PATH_CORE), card))
+    whole = field_of(Model((), ()), recorded, tuple(own_effects(card.effect_files).values()))
     sensors = tuple(e for e in whole.candidates if e.kind in SENSOR_KINDS)
     model = Model(sensors, tuple(p for e in sensors for p in e.parameters))
     field = Field(model, (), sensors, {})
     theta = np.array([field.neutral[name] for name in model.names])
+    extra = {n: jnp.full(recorded.n, UNUSED.get(n, 0.0)) for n in REQUIRED if n not in recorded.channels}
+    flights = replace(recorded, channels=recorded.channels | extra)
     return agreement(field, Responses.of(flights, model), theta, seed=seed, most=most)
+
+
+def no_flight_path(records: Sequence[FlightRecord], card: Card) -> str:
+    """Why the flight path cannot be checked at all; empty where it can."""
+    flights = join(records, card, ())
+    missing = [n for n in PATH_CORE if n not in flights.channels]
+    if missing:
+        return f"the flight path needs {', '.join(missing)}"
+    if not np.isfinite(float(card.aircraft.mass)):
+        return "the card states no [aircraft], so the places of the sensors are not known"
+    if rolled_unseen(flights):
+        return "the flight path needs phi, for the aircraft rolled; map it, or state what stood still under [constants]"
+    short = [r.name for r in records if r.time[-1] - r.time[0] < SHORTEST]
+    return f"record {short[0]} is shorter than {SHORTEST:g} s" if short else ""
 
 
 def as_the_card_states(flights: Flights, card: Card) -> Flights:

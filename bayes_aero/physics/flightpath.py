@@ -18,6 +18,8 @@ from bayes_aero.physics.kinematics import Rotation, lever_arm
 
 PATH = ("airspeed", "alpha", "theta", "altitude")
 LATERAL = ("beta", "phi")  # flight-path outputs of records whose lateral motion was flown and recorded
+PATH_CORE = ("ax", "az", "q", "theta", "alpha", "airspeed")  # without these there is no flight path
+STRAIGHT = ("ay", "p", "r", "phi", "beta")  # zero in symmetric flight, and taken as zero where not recorded
 PATH_NEEDS = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "alpha", "beta", "airspeed", "altitude")
 
 Samples = Float[Array, "*n"]
@@ -64,15 +66,23 @@ def lateral_motion(s: Mapping[str, Samples], force: tuple[Samples, Samples, Samp
 
 
 def path_outputs(channels: Mapping[str, Samples | Float[np.ndarray, "*n"]]) -> tuple[str, ...]:
-    """Flight-path outputs that (n,) channels allow: `PATH`, and of `LATERAL` what moves; none without `PATH_NEEDS`.
+    """Flight-path outputs that (n,) channels allow: what was recorded of `PATH`, and of `LATERAL` what moves.
 
-    Sideslip that a card states as constant, or bank of wings that stayed level, is no measurement.
+    None without `PATH_CORE`. Sideslip that a card states as constant, or bank of wings that stayed level, is no
+    measurement; nor is bank without both of the rates that move it.
     """
-    if not set(PATH_NEEDS) <= set(channels):
+    if not set(PATH_CORE) <= set(channels):
         return ()
-    moves = {name for name in PATH_NEEDS if float(np.ptp(np.asarray(channels[name]))) > 0.0}
+    recorded = tuple(name for name in PATH if name in channels)
+    moves = {n for n in PATH_NEEDS if n in channels and float(np.ptp(np.asarray(channels[n]))) > 0.0}
     sideslip = ("beta",) if {"beta", "ay"} <= moves else ()
-    return (*PATH, *sideslip, *(("phi",) if {"phi", "p"} <= moves else ()))
+    return (*recorded, *sideslip, *(("phi",) if {"phi", "p"} <= moves and "r" in channels else ()))
+
+
+def as_symmetric(channels: Mapping[str, Array]) -> dict[str, Array]:
+    """(n,) channels with zeros for what symmetric flight lacks (`STRAIGHT`) and was not recorded."""
+    nothing = jnp.zeros_like(channels["q"])
+    return {name: nothing for name in STRAIGHT if name not in channels} | dict(channels)
 
 
 def side_force(s: Mapping[str, Samples], ax: Samples, az: Samples) -> Samples:
