@@ -24,8 +24,9 @@ from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.readers import read_records
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.mle import fit_mle
+from bayes_aero.model.joined import with_sums
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import Observations, observe, with_sums
+from bayes_aero.model.observations import Observations, observe
 from bayes_aero.physics.coefficients import NAMES, RATES, SMOOTHED, coefficients
 from bayes_aero.physics.filters import differentiate, smooth
 from bayes_aero.studies.demo import simulate_stall

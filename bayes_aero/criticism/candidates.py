@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.model.flights import Flights
+from bayes_aero.model.joined import Recorded
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Prior
 
@@ -58,7 +58,7 @@ def lag_of(field: Field) -> Effect | None:
     return next((e for e in field.candidates if e.stage is Stage.LAG and LAG in {p.name for p in e.parameters}), None)
 
 
-def field_of(model: Model, flights: Flights, extra: Sequence[Effect] = ()) -> Field:
+def field_of(model: Model, flights: Recorded, extra: Sequence[Effect] = ()) -> Field:
     """`model` extended by the catalogue and by `extra` effects of the user.
 
     An effect of the card that is fixed at neutral (tau1 = 0) is absent, and so a candidate.

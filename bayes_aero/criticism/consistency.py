@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from bayes_aero.criticism.accuracy import Size
@@ -27,7 +26,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.agreement import Agreement, Consistency, OpenError, PathCheck
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.flights import Flights, despiked, join
+from bayes_aero.model.joined import Joined, joined, repaired
 from bayes_aero.model.model import Model
 from bayes_aero.physics.flightpath import PATH_CORE, PATH_NEEDS
 
@@ -56,7 +55,7 @@ def consistency(
     """
     if why := no_flight_path(records, card):
         return Consistency(why)
-    flights, _ = despiked(as_the_card_states(join(records, card, PATH_CORE), card))
+    flights, _ = repaired(as_the_card_states(joined(records, card, PATH_CORE), card))
     unchecked = tuple(n for n in ("altitude", "beta", "phi") if n not in flights.channels)
     found = Consistency("", unchecked, checks(flights, card, seed))
     if known is None:
@@ -70,7 +69,7 @@ def consistency(
     if found.agreement is Agreement.AGREE or not known.effects:
         return found
     model = Model.of(known.effects)
-    values = {p: jnp.asarray(x["mean"]) for e in known.errors.values() for p, x in e["parameters"].items()}
+    values = {p: x["mean"] for e in known.errors.values() for p, x in e["parameters"].items()}
     return replace(found, corrected=checks(with_corrections(flights, model, values), card, seed))
 
 
@@ -108,7 +107,7 @@ def _plain(effect: Effect, sizes: Mapping[str, Size], *, minor: bool) -> dict[st
     return {"claim": effect.claim, "minor": minor, "parameters": parameters}
 
 
-def checks(flights: Flights, card: Card, seed: int) -> tuple[PathCheck, ...]:
+def checks(flights: Joined, card: Card, seed: int) -> tuple[PathCheck, ...]:
     """`path_check` of each manoeuvre."""
     found, begin = [], 0
     for name, length in zip(flights.names, flights.lengths, strict=True):

@@ -41,7 +41,7 @@ from bayes_aero.inference.output_error import fit_cascade
 from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
 from bayes_aero.model.dynamics import AircraftDynamics, aircraft_dynamics
 from bayes_aero.model.flights import Flights, despiked, join
-from bayes_aero.model.longitudinal import FLIGHT
+from bayes_aero.model.flown_channels import FLIGHT
 from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.model.segments import Flown, segments, simulate

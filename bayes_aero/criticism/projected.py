@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy import stats
+from scipy.special import chdtrc, ndtri, stdtr
 
 from bayes_aero.criticism.colour import Colour, Middle
 from bayes_aero.criticism.regression import TINY, Fit, inverse
@@ -120,7 +120,7 @@ def score(estimate: np.ndarray, covariance: np.ndarray, freedom: int) -> float:
 
 def as_normal(score: float, freedom: int) -> float:
     """Student's score as the normal one of the same tail probability."""
-    return float(stats.norm.isf(max(stats.t.sf(score, freedom), 1e-300)))
+    return -float(ndtri(max(stdtr(freedom, -score), 1e-300)))
 
 
 def equivalent(estimate: np.ndarray, covariance: np.ndarray) -> float:
@@ -128,5 +128,5 @@ def equivalent(estimate: np.ndarray, covariance: np.ndarray) -> float:
     if len(estimate) == 1:
         return abs(float(estimate[0])) / math.sqrt(max(float(covariance[0, 0]), 1e-300))
     wald = float(estimate @ inverse(covariance) @ estimate)
-    tail = stats.chi2.logsf(wald, len(estimate))
-    return float(stats.norm.isf(math.exp(max(tail, -700.0)) / 2.0)) if tail < 0.0 else 0.0
+    tail = float(chdtrc(len(estimate), wald))
+    return -float(ndtri(max(tail, 1e-304) / 2.0)) if tail < 1.0 else 0.0

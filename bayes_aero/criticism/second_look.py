@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.criticism.colour import Colour, colour_of, colours_of, unbiased
+from bayes_aero.criticism.colour import Colour, Middle, colour_of, colours_of, unbiased
 from bayes_aero.criticism.election import (
     CORRECTION,
     REPLICATES,
@@ -35,6 +35,7 @@ class SecondLook:
         blocks = [b[1] for b in state.blocks if b[0] not in state.active]
         self.projected = Projected(state, self.fit, blocks)
         self.rng = np.random.default_rng(seed)
+        self._middles: dict[int, Middle] = {}
         found = colour_of(state.left(wider), state.folds)
         drawn = found.simulate(CORRECTION, state.folds, len(state.residual), self.rng)
         noises = without_active(state, self.fit, drawn)
@@ -72,5 +73,9 @@ class SecondLook:
 
     def _judged(self, j: int, residual: Float[np.ndarray, "m c"], colour: Colour) -> tuple[np.ndarray, np.ndarray]:
         bread, place = self.projected.bread[j], self.projected.place[j]
-        meat = colour.meat(self.projected.P[:, :, place], self.fit.variance, self.state.folds)
-        return bread @ self.projected.right(residual)[place], bread @ meat @ bread
+        if j not in self._middles:
+            P = self.projected.P[:, :, place]
+            self._middles[j] = Middle(P, self.fit.variance, self.state.folds, [np.arange(len(place))])
+        meat = self._middles[j].under(colour, [0])[1][0]
+        right = np.tensordot(residual * self.projected.weight, self.projected.P[:, :, place], 2)
+        return bread @ right, bread @ meat @ bread

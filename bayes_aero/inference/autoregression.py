@@ -40,3 +40,33 @@ def stationary(phi: Float[np.ndarray, "r p"]) -> Float[np.ndarray, "r p"]:
         size = np.abs(roots[k])
         found[k] = -np.real(np.poly(np.where(size > ROOT, roots[k] * ROOT / np.maximum(size, 1e-300), roots[k])))[1:]
     return found
+
+
+def impulse(phi: Float[np.ndarray, "*r p"], n: int) -> Float[np.ndarray, "*r n"]:
+    """What autoregressions make of a single innovation of one: the first n samples."""
+    weights = np.moveaxis(phi, -1, 0)
+    order = len(weights)
+    found = np.zeros((n + order, *phi.shape[:-1]))
+    found[order] = 1.0
+    for t in range(order + 1, order + n):
+        found[t] = sum(weight * found[t - back] for back, weight in enumerate(weights, 1))
+    return np.ascontiguousarray(np.moveaxis(found[order:], 0, -1))
+
+
+class Driven:
+    """Rows of innovations, made ready for one filter after another: `after` gives as many samples of each row."""
+
+    def __init__(self, rows: Float[np.ndarray, "*r t"]) -> None:
+        self.length = rows.shape[-1]
+        self._size = _quick(2 * self.length)
+        self._spectrum = np.fft.rfft(rows, self._size)
+
+    def after(self, response: Float[np.ndarray, "*r t"]) -> Float[np.ndarray, "*r t"]:
+        """The rows convolved with an impulse response that is as long as they are."""
+        return np.fft.irfft(self._spectrum * np.fft.rfft(response, self._size), self._size)[..., : self.length]
+
+
+def _quick(n: int) -> int:
+    """The least length from n on, of powers of two times 1, 3 or 5, whose transform is quick."""
+    power = 1 << max(n - 1, 1).bit_length()
+    return min(size for size in (power, power * 3 // 4, power * 5 // 8) if size >= n)

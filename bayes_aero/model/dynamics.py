@@ -16,7 +16,8 @@ from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
 from bayes_aero.model.flights import Flights, response_scales
-from bayes_aero.model.longitudinal import FLIGHT, LATERAL, LEAST_LAG, Longitudinal
+from bayes_aero.model.flown_channels import FLIGHT
+from bayes_aero.model.longitudinal import LATERAL, LEAST_LAG, Longitudinal
 from bayes_aero.model.model import Model
 from bayes_aero.model.system import System
 from bayes_aero.parameter import Parameter

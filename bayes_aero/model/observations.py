@@ -10,7 +10,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Shaped
+from jaxtyping import Array, Bool, Float, Int
 
 from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
@@ -18,8 +18,9 @@ from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.common_rate import at_common_rate
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model import pytrees as pytrees
+from bayes_aero.model.joined import MARKS, named_apart, plain_marks, with_sums
 from bayes_aero.model.model import Model
-from bayes_aero.physics.atmosphere import air
 from bayes_aero.physics.coefficients import (
     REQUIRED,
     SMOOTHED,
@@ -110,58 +111,9 @@ class Observations(eqx.Module):
         return eqx.tree_at(lambda o: o.measured, self, jnp.asarray(measured))
 
 
-def with_sums(record: FlightRecord, card: Card) -> dict[str, Float[np.ndarray, " n"]]:
-    """The record's channels with what the card states, where nothing was recorded, and its sums (total thrust).
-
-    As NumPy arrays: for JAX every new length of a record is another program to compile.
-    """
-    channels = {name: np.full(record.n, value) for name, value in card.constants.items()}
-    channels |= _from_altitude(record, card.derived)
-    channels |= record.channels
-    for name, parts in card.sums.items():
-        found = (channels[part] if part in channels else record[part] for part in parts)
-        channels[name] = sum(found, start=np.zeros(record.n))
-    return channels
-
-
-def _from_altitude(record: FlightRecord, wanted: Sequence[str]) -> dict[str, Float[np.ndarray, " n"]]:
-    """Density and Mach number in a standard atmosphere at the recorded altitude."""
-    if not (wanted and record.has("altitude")):
-        return {}
-    longer = np.resize(record["altitude"], 1 << (record.n - 1).bit_length())  # few lengths, few programs
-    density, sound = (np.asarray(values)[: record.n] for values in air(jnp.asarray(longer)))
-    found = {"density": density}
-    if record.has("airspeed"):
-        found["mach"] = record["airspeed"] / sound
-    return {name: found[name] for name in wanted if name in found}
-
-
-def named_apart(records: Sequence[FlightRecord]) -> list[str]:
-    """The records' names; raises `InputError` where two are the same."""
-    names = [record.name for record in records]
-    if len(set(names)) < len(names):
-        raise InputError(f"two records are called {max(names, key=names.count)}; each manoeuvre needs its own name")
-    return names
-
-
-MARKS = ("dt", "start", "elapsed", "first", "last")
-
-
 def marks(n: int, dt: float, first: int = 0) -> dict[str, Array]:
     """What effects of stage CHANNEL find beside the channels of one manoeuvre of `n` samples, the first at `first`."""
     return {name: jnp.asarray(values) for name, values in plain_marks(n, dt, first).items()}
-
-
-def plain_marks(n: int, dt: float, first: int) -> dict[str, Shaped[np.ndarray, " n"]]:
-    """`marks` as NumPy arrays."""
-    index = np.arange(n)
-    return {
-        "dt": np.full(n, dt),
-        "start": index == 0,
-        "elapsed": index * dt,
-        "first": np.full(n, first),
-        "last": np.full(n, first + n - 1),
-    }
 
 
 def observe(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Float
+
+from bayes_aero.arrays import Array, xp
 
 GRAVITY = 9.80665  # m/s2
 _T0, _LAPSE, _P0, _GAS, _GAMMA = 288.15, 0.0065, 101325.0, 287.05287, 1.4
@@ -13,7 +14,7 @@ def air(altitude: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Float[Array, 
     """Density (kg/m3) and speed of sound (m/s) at geopotential altitude (m)."""
     temperature = _T0 - _LAPSE * altitude
     pressure = _P0 * (temperature / _T0) ** (GRAVITY / (_LAPSE * _GAS))
-    return pressure / (_GAS * temperature), jnp.sqrt(_GAMMA * _GAS * temperature)
+    return pressure / (_GAS * temperature), xp.sqrt(_GAMMA * _GAS * temperature)
 
 
 def altitude_of_density(density: float) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 from bayes_aero.criticism.finding import Cause, Diagnosis
 from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.diagnosed import Ranking, View, rankings_of, unseen_scores
 from bayes_aero.report.figures_flight import SYMBOLS, shown_in
 from bayes_aero.report.page import Block, Fold, Page, Table, Text, filled, section
@@ -37,7 +38,7 @@ from bayes_aero.report.page_pictures import Gallery
 from bayes_aero.report.page_plots import LOW, Line, Panel
 from bayes_aero.report.page_trajectories import trajectories
 from bayes_aero.report.page_words import WORDS
-from bayes_aero.report.style import COLOURS, bracket, several
+from bayes_aero.report.phrases import bracket, several
 from bayes_aero.report.unseen import Unseen
 from bayes_aero.report.words_consistency import open_sentences
 from bayes_aero.report.words_diagnosis import NAMED_IF, diagnosis_sentences

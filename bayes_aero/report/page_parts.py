@@ -17,7 +17,7 @@ from bayes_aero.model.linear import channel_units
 from bayes_aero.parameter import Parameter
 from bayes_aero.report.page import Block, Facts, Fold, Plot, Points, Table, Text
 from bayes_aero.report.page_plots import MOST, TIME, Over, Panel, linked
-from bayes_aero.report.style import bracket, for_people, several
+from bayes_aero.report.phrases import bracket, for_people, several
 from bayes_aero.report.words_consistency import consistency_sentences
 from bayes_aero.report.words_trajectory import SYMBOLS
 

@@ -6,7 +6,7 @@ from bayes_aero.criticism.checked import CheckReport
 from bayes_aero.flight.agreement import Agreement
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.inspection import ChannelReport
-from bayes_aero.report.style import for_people, several
+from bayes_aero.report.phrases import for_people, several
 from bayes_aero.report.words_consistency import consistency_sentences
 
 

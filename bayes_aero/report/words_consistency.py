@@ -7,7 +7,7 @@ from typing import Any
 
 from bayes_aero.flight.agreement import Agreement, Consistency, Departure, OpenError
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.report.style import for_people, several
+from bayes_aero.report.phrases import for_people, several
 
 SHOWN = 4  # departures in the sentence
 FOLLOWS = {

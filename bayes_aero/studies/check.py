@@ -19,14 +19,11 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.inspection import inspect_record
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.flights import join
-from bayes_aero.model.longitudinal import FLIGHT
+from bayes_aero.model.flown_channels import FLIGHT
+from bayes_aero.model.joined import joined, with_sums
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import with_sums
 from bayes_aero.model.own_effects import own_effects
-from bayes_aero.physics.coefficients import REQUIRED
-from bayes_aero.report.page import put_page
-from bayes_aero.report.page_check import check_page
+from bayes_aero.physics.coefficient_names import REQUIRED
 from bayes_aero.studies.consistency_results import consistency_results
 from bayes_aero.studies.folder import writable
 from bayes_aero.studies.health_results import health_results
@@ -74,7 +71,7 @@ def _purpose(records: Sequence[FlightRecord], card: Card) -> tuple[dict[str, str
     if missing and not flown:
         uses["diagnose"] = ""
         uses["diagnose by coefficients"] = _lacks(missing)
-    flights = join(records, card, ())
+    flights = joined(records, card, ())
     if "alpha" not in have:
         return uses, {}
     return uses, dict(field_of(model, flights, tuple(own_effects(card.effect_files).values())).not_testable)
@@ -143,6 +140,9 @@ def _agree(report: CheckReport) -> bool | None:
 
 def write_check(report: CheckReport, out: Path, seed: int = 0) -> str | None:
     """Write check.json and report.html into `out`; why the page could not be made, if so."""
+    from bayes_aero.report.page import put_page  # heavy, and most checks write nothing
+    from bayes_aero.report.page_check import check_page
+
     writable(out)
     write_json(check_results(report), out / "check.json")
     source = provenance(report.card, [r.record for r in report.records if r.record is not None], seed, {})

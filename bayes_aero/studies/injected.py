@@ -14,8 +14,9 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.joined import with_sums
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import marks, with_sums
+from bayes_aero.model.observations import marks
 from bayes_aero.physics.coefficients import condition
 from bayes_aero.studies.misrecord import misrecorded
 

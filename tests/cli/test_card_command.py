@@ -16,7 +16,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card, shipped_cards
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.readers import read_record, write_record
-from bayes_aero.model.observations import with_sums
+from bayes_aero.model.joined import with_sums
 
 CONSTANTS = {"mass": "8000 kg", "aspect_ratio": "8", "wing_area": "30 m^2", "Iy": "60000 kg m^2"}
 

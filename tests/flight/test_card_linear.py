@@ -11,8 +11,8 @@ from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, s
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import parse_card, shipped_cards
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.joined import with_sums
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import with_sums
 
 
 def change(path, value):

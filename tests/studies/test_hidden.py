@@ -11,8 +11,9 @@ from bayes_aero.effect import Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.checks import check_record
+from bayes_aero.model.joined import with_sums
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import marks, observe, with_sums
+from bayes_aero.model.observations import marks, observe
 from bayes_aero.studies.hidden import draw_hidden, flyable, hidden_flights, hidden_records
 
 QUIET = {"noise": "white", "sensor_noise": 0.0}

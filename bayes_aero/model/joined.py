@@ -1,0 +1,133 @@
+"""Recorded channels of several manoeuvres, end to end, as NumPy arrays: what is checked before anything is fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float, Int, Shaped
+
+from bayes_aero.arrays import Array
+from bayes_aero.errors import InputError
+from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.spikes import without_spikes
+from bayes_aero.physics.atmosphere import air
+from bayes_aero.physics.coefficient_names import REQUIRED
+
+
+@runtime_checkable
+class Recorded(Protocol):
+    """Channels (n,) of manoeuvres laid end to end, of either library: `Joined`, or `Flights`."""
+
+    channels: Mapping[str, Array]
+    aircraft: Aircraft
+    time: Float[np.ndarray, " n"]
+    lengths: tuple[int, ...]
+    names: tuple[str, ...]
+
+    @property
+    def n(self) -> int: ...
+
+    @property
+    def recorded(self) -> tuple[str, ...]: ...
+
+
+@dataclass(frozen=True)
+class Joined:
+    """Channels (n,) in SI, with `dt`, `start`, `elapsed`, `first`, `last` beside them (see `effect.Stage`)."""
+
+    channels: dict[str, Shaped[np.ndarray, " n"]]
+    aircraft: Aircraft
+    manoeuvre: Int[np.ndarray, " n"]
+    time: Float[np.ndarray, " n"]
+    lengths: tuple[int, ...]
+    names: tuple[str, ...]
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return sum(self.lengths)
+
+    @property
+    def recorded(self) -> tuple[str, ...]:
+        """Names of the recorded channels and card sums, without what was added."""
+        return tuple(name for name in self.channels if name not in MARKS)
+
+
+def joined(records: Sequence[FlightRecord], card: Card, required: Sequence[str] = REQUIRED) -> Joined:
+    """Lay the records end to end; channels that are not in every record are left out, `required` ones missed."""
+    if not records:
+        raise InputError("there is no flight record to work on; name at least one file")
+    named_apart(records)
+    parts, offset = [], 0
+    for record in records:
+        have = with_sums(record, card)
+        for need in required:
+            if need not in have:
+                raise InputError(f"record {record.name} has no channel {need}; map it on the card")
+        parts.append(have | plain_marks(record.n, record.dt, offset))
+        offset += record.n
+    shared = set.intersection(*(set(part) for part in parts))
+    return Joined(
+        channels={name: np.concatenate([part[name] for part in parts]) for name in sorted(shared)},
+        aircraft=card.aircraft,
+        manoeuvre=np.repeat(np.arange(len(records)), [record.n for record in records]),
+        time=np.concatenate([np.asarray(record.time) for record in records]),
+        lengths=tuple(record.n for record in records),
+        names=tuple(record.name for record in records),
+    )
+
+
+def with_sums(record: FlightRecord, card: Card) -> dict[str, Float[np.ndarray, " n"]]:
+    """The record's channels with what the card states, where nothing was recorded, and its sums (total thrust)."""
+    channels = {name: np.full(record.n, value) for name, value in card.constants.items()}
+    channels |= _from_altitude(record, card.derived)
+    channels |= record.channels
+    for name, parts in card.sums.items():
+        found = (channels[part] if part in channels else record[part] for part in parts)
+        channels[name] = sum(found, start=np.zeros(record.n))
+    return channels
+
+
+def _from_altitude(record: FlightRecord, wanted: Sequence[str]) -> dict[str, Float[np.ndarray, " n"]]:
+    """Density and Mach number in a standard atmosphere at the recorded altitude."""
+    if not (wanted and record.has("altitude")):
+        return {}
+    density, sound = air(record["altitude"])
+    found = {"density": density}
+    if record.has("airspeed"):
+        found["mach"] = record["airspeed"] / sound
+    return {name: found[name] for name in wanted if name in found}
+
+
+def named_apart(records: Sequence[FlightRecord]) -> list[str]:
+    """The records' names; raises `InputError` where two are the same."""
+    names = [record.name for record in records]
+    if len(set(names)) < len(names):
+        raise InputError(f"two records are called {max(names, key=names.count)}; each manoeuvre needs its own name")
+    return names
+
+
+MARKS = ("dt", "start", "elapsed", "first", "last")
+
+
+def plain_marks(n: int, dt: float, first: int) -> dict[str, Shaped[np.ndarray, " n"]]:
+    """What effects of stage CHANNEL find beside the channels of one manoeuvre of `n` samples, the first at `first`."""
+    index = np.arange(n)
+    return {
+        "dt": np.full(n, dt),
+        "start": index == 0,
+        "elapsed": index * dt,
+        "first": np.full(n, first),
+        "last": np.full(n, first + n - 1),
+    }
+
+
+def repaired(flights: Joined) -> tuple[Joined, dict[str, int]]:
+    """The manoeuvres as `without_spikes` mends them, and its count."""
+    channels, count = without_spikes(flights.channels, flights.lengths)
+    return replace(flights, channels=channels), count
