@@ -15,7 +15,6 @@ from jaxtyping import Float
 
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.signals import noise_of
-from bayes_aero.inference.autoregression import Driven
 
 DEGREE = math.pi / 180.0
 DEFAULT_NOISE = {
@@ -64,8 +63,11 @@ def gusts(
     run_in = min(n, 4000)
     T = SCALE_LENGTH / max(airspeed, 1.0)
     keep = math.exp(-dt / T)
-    slow = Driven(rng.standard_normal((count, n + run_in))).after(_response(keep, n + run_in, across=across))
-    return slow[:, run_in:] / _deviation(keep, across=across)
+    total = n + run_in
+    size = 1 << (2 * total - 1).bit_length()
+    spectrum = np.fft.rfft(_response(keep, total, across=across), size)
+    drawn = np.fft.irfft(np.fft.rfft(rng.standard_normal((count, total)), size) * spectrum, size)
+    return drawn[:, run_in:total] / _deviation(keep, across=across)
 
 
 def _response(keep: float, n: int, *, across: bool) -> Float[np.ndarray, " n"]:

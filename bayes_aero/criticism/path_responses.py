@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -98,7 +99,13 @@ class PathResponses(Blockwise):
                 row[:] = (residual - self._residual(theta + step * direction)) / step
         return residual, found
 
-    @property
+    @cached_property
+    def _slopes(self) -> dict[str, Float[np.ndarray, " n"]]:
+        """Angular accelerations as recorded."""
+        ends = [self.flights.channels[name] for name in ("dt", "first", "last")]
+        return {name: differentiate_joined(self.flights.channels[name], *ends) for name in RATES}
+
+    @cached_property
     def _on_record(self) -> tuple[Effect, ...]:
         return tuple(e for e in self.model.acting if e.stage in ON_RECORD)
 
@@ -108,7 +115,9 @@ class PathResponses(Blockwise):
         model = Model(present, tuple(p for e in present for p in e.parameters))
         signals = _plain(model.corrected(values, f.channels, f.aircraft))
         ends = [f.channels[name] for name in ("dt", "first", "last")]
-        signals |= {f"{name}_dot": differentiate_joined(signals[name], *ends) for name in RATES}
+        for name in RATES:
+            same = signals[name] is f.channels[name]
+            signals[f"{name}_dot"] = self._slopes[name] if same else differentiate_joined(signals[name], *ends)
         scales = self._scales(model, values, signals)
         left = differences(self.outputs, signals, model.actual_aircraft(values, f.aircraft), scales)
         return self.block(np.stack([smooth_joined(x, *ends[1:]) for x in left.T], axis=1))

@@ -58,16 +58,16 @@ class Projected:
         """The largest score that any block reaches in each of r records."""
         alone = np.array([place[0] for place in self.place if len(place) == 1], int)
         wide = [j for j, place in enumerate(self.place) if len(place) > 1]
-        found = []
-        for right, colour in zip(self.right(noises), colours, strict=True):
-            diagonal, whole = self.middle.under(colour, wide)
-            # Of a single parameter the information cancels.
-            best = float(np.max(np.abs(right[alone]) / np.sqrt(np.maximum(diagonal[alone], TINY)), initial=0.0))
-            for j, meat in zip(wide, whole, strict=True):
-                bread = self.bread[j]
-                best = max(best, equivalent(bread @ right[self.place[j]], bread @ meat @ bread))
-            found.append(best)
-        return np.array(found)
+        right = self.right(noises)
+        diagonal, whole = self.middle.under_each(colours, wide)
+        # Of a single parameter the information cancels.
+        scores = np.abs(right[:, alone]) / np.sqrt(np.maximum(diagonal[:, alone], TINY))
+        best = np.max(scores, axis=1, initial=0.0)
+        for j, meats in zip(wide, whole, strict=True):
+            bread, own = self.bread[j], right[:, self.place[j]]
+            each = [equivalent(bread @ r, bread @ meat @ bread) for r, meat in zip(own, meats, strict=True)]
+            best = np.maximum(best, each)
+        return best
 
     def between(
         self, residual: Float[np.ndarray, "m c"], estimates: Sequence[np.ndarray], stretch: Int[np.ndarray, " m"]

@@ -42,31 +42,11 @@ def stationary(phi: Float[np.ndarray, "r p"]) -> Float[np.ndarray, "r p"]:
     return found
 
 
-def impulse(phi: Float[np.ndarray, "*r p"], n: int) -> Float[np.ndarray, "*r n"]:
-    """What autoregressions make of a single innovation of one: the first n samples."""
-    weights = np.moveaxis(phi, -1, 0)
-    order = len(weights)
-    found = np.zeros((n + order, *phi.shape[:-1]))
-    found[order] = 1.0
-    for t in range(order + 1, order + n):
-        found[t] = sum(weight * found[t - back] for back, weight in enumerate(weights, 1))
-    return np.ascontiguousarray(np.moveaxis(found[order:], 0, -1))
-
-
-class Driven:
-    """Rows of innovations, made ready for one filter after another: `after` gives as many samples of each row."""
-
-    def __init__(self, rows: Float[np.ndarray, "*r t"]) -> None:
-        self.length = rows.shape[-1]
-        self._size = _quick(2 * self.length)
-        self._spectrum = np.fft.rfft(rows, self._size)
-
-    def after(self, response: Float[np.ndarray, "*r t"]) -> Float[np.ndarray, "*r t"]:
-        """The rows convolved with an impulse response that is as long as they are."""
-        return np.fft.irfft(self._spectrum * np.fft.rfft(response, self._size), self._size)[..., : self.length]
-
-
-def _quick(n: int) -> int:
-    """The least length from n on, of powers of two times 1, 3 or 5, whose transform is quick."""
-    power = 1 << max(n - 1, 1).bit_length()
-    return min(size for size in (power, power * 3 // 4, power * 5 // 8) if size >= n)
+def driven(phi: Float[np.ndarray, "p ..."], innovations: Float[np.ndarray, "t ..."]) -> Float[np.ndarray, "t ..."]:
+    """x[t] = sum phi[i] x[t-1-i] + e[t] from rest, for many series side by side: time comes first, so that it alone is
+    looped over."""
+    order, weights = len(phi), phi[::-1]
+    found = np.concatenate([np.zeros((order, *innovations.shape[1:])), innovations])
+    for t in range(len(innovations)):
+        found[t + order] += np.add.reduce(weights * found[t : t + order])
+    return found[order:]
