@@ -10,7 +10,7 @@ from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.comparison import engine_label, methods
 from bayes_aero.report.diagnosed import View, composition, unseen_scores
 from bayes_aero.report.figures_found import telling
-from bayes_aero.report.page_parts import DEG, interval
+from bayes_aero.report.page_stall import DEG, interval
 from bayes_aero.report.phrases import several
 
 OFF = (

@@ -31,11 +31,11 @@ from bayes_aero.report.page_parts import (
     histories,
     provenance_blocks,
     records_and_faults,
-    stall_table,
     symbols,
 )
 from bayes_aero.report.page_pictures import Gallery
 from bayes_aero.report.page_plots import LOW, Line, Panel
+from bayes_aero.report.page_stall import stall_table
 from bayes_aero.report.page_trajectories import trajectories
 from bayes_aero.report.page_words import WORDS
 from bayes_aero.report.phrases import bracket, several

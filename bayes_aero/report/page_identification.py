@@ -26,14 +26,13 @@ from bayes_aero.report.page_parts import (
     doubts,
     first,
     histories,
-    interval,
     provenance_blocks,
     records_and_faults,
-    stall_table,
     symbols,
 )
 from bayes_aero.report.page_pictures import Gallery
 from bayes_aero.report.page_plots import LOW, Line, Panel
+from bayes_aero.report.page_stall import interval, stall_table
 from bayes_aero.report.page_words import WORDS
 from bayes_aero.report.phrases import bracket, several
 from bayes_aero.report.predictions import fitted_coefficients

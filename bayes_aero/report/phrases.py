@@ -6,6 +6,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
+SYMBOLS = {"airspeed": "V", "alpha": "α", "theta": "θ", "altitude": "h"}
+
 FOR_PEOPLE = {
     "rad": ("deg", 180.0 / np.pi),
     "rad/s": ("deg/s", 180.0 / np.pi),

@@ -14,10 +14,10 @@ from bayes_aero.criticism.flown_fit import FITTED, START, FlownFit
 from bayes_aero.inference.output_error_result import OutputErrorStatus
 from bayes_aero.model.biases import unbiased
 from bayes_aero.model.dynamics import AircraftDynamics
-from bayes_aero.report.phrases import for_people, several
+from bayes_aero.report.phrases import SYMBOLS, for_people, several
 from bayes_aero.report.tables import concise
 from bayes_aero.report.words_signs import sign_sentences
-from bayes_aero.report.words_trajectory import SYMBOLS, short
+from bayes_aero.report.words_trajectory import short
 
 MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound"}
 COLOURED = 1.5  # times by which the colour must multiply variances to be worth a sentence; our choice

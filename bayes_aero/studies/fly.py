@@ -18,13 +18,14 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.channel_units import channel_units
 from bayes_aero.flight.health import HealthFinding, channel_health
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.dynamics import Dynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.model.flights import Flights, despiked, join
 from bayes_aero.model.flown_channels import FLIGHT
-from bayes_aero.model.linear import channel_units, linear_dynamics
+from bayes_aero.model.linear import linear_dynamics
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.report.figures import draw_all
