@@ -82,8 +82,7 @@ def noise_effect(state: State, fit: Fit, seed: int = 0) -> tuple[Float[np.ndarra
 
     def step(extra: dict[str, np.ndarray], sign: float) -> np.ndarray:
         channels = flights.channels | {name: flights.channels[name] + sign * e for name, e in extra.items()}
-        responses = replace(state.responses, flights=replace(flights, channels=channels))
-        there = replace(state, responses=responses)
+        there = replace(state, responses=state.responses.with_channels(channels))
         # Variances held: grown by the noise they would let the prior pull more, which is no bias of the regressors.
         found = local_fit(there, state.theta, at, range(len(state.folds)), fit.variance)[0]
         return found.step[: len(at)]

@@ -51,7 +51,7 @@ WINDOW = 10.0  # s: long enough to integrate what is wrong, short enough to stay
 FIRST = (10.0, 5.0, 2.5)  # s, of first windows, tried until a fit converges: begun far off, long ones may stray
 
 
-class FlownResponses(Linearisable):
+class FlownResponses(Linearisable, eqx.Module):
     """Residuals of simulated windows, averaged over blocks of `FILTER_STEP` samples: m of them."""
 
     flights: Flights

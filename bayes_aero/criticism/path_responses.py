@@ -93,10 +93,10 @@ class PathResponses(Blockwise):
         found = np.zeros((len(directions), *residual.shape))
         felt = np.isin(self.model.names, [p.name for e in self._on_record for p in e.parameters])
         spread = np.array([p.prior.normal[1] for p in self.model.free])
-        for row, direction in zip(found, np.asarray(directions), strict=True):
+        for number, direction in enumerate(np.asarray(directions)):
             if np.any(direction[felt]):
                 step = STEP / float(np.max(np.abs(direction) / spread))
-                row[:] = (residual - self._residual(theta + step * direction)) / step
+                found[number] = (residual - self._residual(theta + step * direction)) / step
         return residual, found
 
     @cached_property

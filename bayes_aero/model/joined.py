@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
-from bayes_aero.arrays import Array
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card import Card
@@ -23,11 +22,23 @@ from bayes_aero.physics.coefficient_names import REQUIRED
 class Recorded(Protocol):
     """Channels (n,) of manoeuvres laid end to end, of either library: `Joined`, or `Flights`."""
 
-    channels: Mapping[str, Array]
-    aircraft: Aircraft
-    time: Float[np.ndarray, " n"]
-    lengths: tuple[int, ...]
-    names: tuple[str, ...]
+    @property
+    def channels(self) -> dict[str, Any]: ...
+
+    @property
+    def aircraft(self) -> Aircraft: ...
+
+    @property
+    def manoeuvre(self) -> np.ndarray: ...
+
+    @property
+    def time(self) -> np.ndarray: ...
+
+    @property
+    def lengths(self) -> tuple[int, ...]: ...
+
+    @property
+    def names(self) -> tuple[str, ...]: ...
 
     @property
     def n(self) -> int: ...

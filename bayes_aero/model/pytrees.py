@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import fields
 from typing import Any
 
@@ -17,7 +17,7 @@ def _parts(aircraft: Aircraft) -> tuple[list[tuple[Any, Any]], None]:
     return [(jax.tree_util.GetAttrKey(name), getattr(aircraft, name)) for name in _NAMES], None
 
 
-def _whole(_: None, parts: Sequence[Any]) -> Aircraft:
+def _whole(_: None, parts: Iterable[Any]) -> Aircraft:
     """Without the checks of a constructor: JAX puts marks of its own in the place of numbers."""
     aircraft = object.__new__(Aircraft)
     for name, part in zip(_NAMES, parts, strict=True):
