@@ -11,8 +11,9 @@ from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from typing import Any
 
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from bayes_aero.arrays import Array
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.parameter import Parameter
 

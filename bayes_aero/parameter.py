@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-import jax.numpy as jnp
-import jax.scipy.stats as stats
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from bayes_aero.arrays import Array
 from bayes_aero.errors import InputError
 
 FAMILIES = ("normal", "lognormal", "halfnormal", "uniform")
@@ -44,6 +43,9 @@ class Prior:
 
     def log_density(self, x: Float[Array, ""]) -> Float[Array, ""]:
         """Natural logarithm of the prior density at `x`, in the parameter's own unit."""
+        import jax.numpy as jnp
+        import jax.scipy.stats as stats
+
         if self.family == "normal":
             return stats.norm.logpdf(x, self.location, self.scale)
         if self.family == "halfnormal":
@@ -129,6 +131,8 @@ def per_length(parameter: Parameter, times: float) -> Parameter:
 
 def to_unbounded(parameter: Parameter, x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """Map the open interval of `parameter.bounds` onto the real line (identity, log or logit)."""
+    import jax.numpy as jnp
+
     lower, upper = parameter.bounds
     if math.isinf(lower) and math.isinf(upper):
         return x
@@ -143,6 +147,8 @@ def from_unbounded(
     parameter: Parameter, u: Float[Array, "*shape"]
 ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
     """The inverse of `to_unbounded`, and log |dx/du|, which the density of `u` carries."""
+    import jax.numpy as jnp
+
     lower, upper = parameter.bounds
     if math.isinf(lower) and math.isinf(upper):
         return u, jnp.zeros_like(u)

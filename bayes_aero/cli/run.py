@@ -61,12 +61,13 @@ def run(
     Example: bayes-aero run study.toml --out results --workers 4
     """
     _check(dry_run, verify, workers, memory, scheduler)
+    from bayes_aero.studies.study import read_study
+
+    asked = read_study(study, trust_effects=trust_effects)  # a mistake is told before the libraries are loaded
     with loading():
         from bayes_aero.studies.batch import UNITS, StoppedError, leftovers, plan, run_study
-        from bayes_aero.studies.study import read_study
         from bayes_aero.studies.study_report import put_report
 
-    asked = read_study(study, trust_effects=trust_effects)
     folder = out or Path(f"{study.stem}_results")
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is a file; give another folder with --out")

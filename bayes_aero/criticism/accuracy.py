@@ -10,8 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -19,11 +17,10 @@ from bayes_aero.criticism.colour import colour_of
 from bayes_aero.criticism.election import uncertainty
 from bayes_aero.criticism.regression import Fit
 from bayes_aero.criticism.state import State, local_fit
-from bayes_aero.model.flights import Flights
+from bayes_aero.flight.health.signals import noise_of
+from bayes_aero.model.joined import Recorded
 
 PAIRS = 10  # of records with the same noise added and subtracted, which cancels what is linear in it
-DIFFERENCE = np.array([1.0, -3.0, 3.0, -1.0])  # third differences pass white noise and stop motion
-NORMAL_QUARTILE = 0.6745
 REGRESSORS = ("alpha", "airspeed", "q", "elevator")
 AT_BOUND = 1e-6  # of a parameter's value, within which it lies on a bound: fits stop 1e-9 short
 FILTERED = -0.5  # lag-1 correlation of third differences above which they are not white noise's
@@ -47,26 +44,19 @@ class Size:
         return self.mean - 1.96 * self.sd, self.mean + 1.96 * self.sd
 
 
-def recording_noise(flights: Flights) -> dict[str, float]:
-    """Standard deviation of the white part of every recorded channel, SI, from its third differences.
-
-    By the median of their size, so that steps, spikes and passages of buffet do not count; a channel that mostly
-    stands still has none.
-    """
-    gain = float(np.sqrt(np.sum(DIFFERENCE**2)))
-    return {
-        name: float(np.median(np.abs(_rough(flights, name)))) / (NORMAL_QUARTILE * gain) for name in flights.recorded
-    }
+def recording_noise(flights: Recorded) -> dict[str, float]:
+    """Standard deviation of the white part of every recorded channel, SI (see `noise_of`)."""
+    return {name: noise_of(*_parts(flights, name)) for name in flights.recorded}
 
 
-def filtered_channels(flights: Flights) -> tuple[str, ...]:
+def filtered_channels(flights: Recorded) -> tuple[str, ...]:
     """Channels behind the regressors whose noise was filtered before it was recorded, so that it cannot be read off.
 
     Third differences of white noise have a lag-1 correlation of -0.75; what a filter has smoothed, or motion, has not.
     """
     found = []
     for name in (name for name in REGRESSORS if name in flights.recorded):
-        rough = _rough(flights, name)
+        rough = np.concatenate([np.diff(part, 3) for part in _parts(flights, name)])
         limit = 5.0 * np.median(np.abs(rough))
         inside = np.clip(rough, -limit, limit)
         if limit > 0.0 and np.corrcoef(inside[1:], inside[:-1])[0, 1] > FILTERED:
@@ -74,10 +64,9 @@ def filtered_channels(flights: Flights) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _rough(flights: Flights, name: str) -> Float[np.ndarray, " n"]:
-    """Third differences of a channel, manoeuvre by manoeuvre."""
-    parts = np.split(np.asarray(flights.channels[name]), np.cumsum(flights.lengths)[:-1])
-    return np.concatenate([np.convolve(part, DIFFERENCE, "valid") for part in parts])
+def _parts(flights: Recorded, name: str) -> list[Float[np.ndarray, " _"]]:
+    """A channel, manoeuvre by manoeuvre."""
+    return np.split(np.asarray(flights.channels[name]), np.cumsum(flights.lengths)[:-1])
 
 
 def noise_effect(state: State, fit: Fit, seed: int = 0) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
@@ -92,12 +81,8 @@ def noise_effect(state: State, fit: Fit, seed: int = 0) -> tuple[Float[np.ndarra
     at = fit.columns[parameters]
 
     def step(extra: dict[str, np.ndarray], sign: float) -> np.ndarray:
-        channels = flights.channels | {
-            name: flights.channels[name] + sign * jnp.asarray(e) for name, e in extra.items()
-        }
-        again = eqx.tree_at(lambda f: f.channels, flights, channels)
-        responses = eqx.tree_at(lambda r: r.flights, state.responses, again)
-        there = replace(state, responses=responses)
+        channels = flights.channels | {name: flights.channels[name] + sign * e for name, e in extra.items()}
+        there = replace(state, responses=state.responses.with_channels(channels))
         # Variances held: grown by the noise they would let the prior pull more, which is no bias of the regressors.
         found = local_fit(there, state.theta, at, range(len(state.folds)), fit.variance)[0]
         return found.step[: len(at)]

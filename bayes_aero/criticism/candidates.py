@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from bayes_aero.effect import NEUTRAL_FLOW, Effect, Kind, Stage
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.model.flights import Flights
+from bayes_aero.model.joined import Recorded
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Prior, per_length
 
@@ -60,7 +60,7 @@ def lag_of(field: Field) -> Effect | None:
     return next((e for e in field.candidates if e.stage is Stage.LAG and LAG in {p.name for p in e.parameters}), None)
 
 
-def field_of(model: Model, flights: Flights, extra: Sequence[Effect] = ()) -> Field:
+def field_of(model: Model, flights: Recorded, extra: Sequence[Effect] = ()) -> Field:
     """`model` extended by the catalogue and by `extra` effects of the user.
 
     An effect of the card that is fixed at neutral (tau1 = 0) is absent, and so a candidate.
@@ -103,7 +103,7 @@ def field_of(model: Model, flights: Flights, extra: Sequence[Effect] = ()) -> Fi
     return Field(whole, tuple(e.name for e in active), tuple(candidates), not_testable)
 
 
-def _moves(effect: Effect, flights: Flights) -> bool:
+def _moves(effect: Effect, flights: Recorded) -> bool:
     """Whether what an effect makes of its channels together moves: T/(qbar S) does where only the airspeed changes."""
     values = {p.name: p.start + effect.sizes[p.name][0] for p in effect.parameters}
     signals: dict[str, Any] = {name: np.asarray(flights.channels[name]) for name in effect.channels}

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy.signal import lfilter
+from jaxtyping import Float
 
-from bayes_aero.inference.autoregression import autoregression, stationary
+from bayes_aero.inference.autoregression import autoregression, driven, stationary
 
+TOGETHER = 50  # colours that columns are filtered for at a time
 RUN_IN = 400  # blocks simulated and thrown away before a noise record begins
 
 
@@ -27,9 +27,8 @@ class Colour:
         for fold in folds:
             length = fold.stop - fold.start
             white = rng.standard_normal((count, length + RUN_IN, len(self.sigma))) * self.sigma
-            for c, phi in enumerate(self.phi):
-                noise = np.asarray(lfilter([1.0], np.append(1.0, -phi), white[:, :, c], axis=1))
-                out[:, fold, c] = noise[:, RUN_IN:]
+            noise = driven(self.phi.T[:, None, :], np.moveaxis(white, 1, 0))
+            out[:, fold] = np.moveaxis(noise[RUN_IN:], 0, 1)
         return out
 
     def meat(
@@ -39,58 +38,66 @@ class Colour:
 
         S filtered backwards by the autoregression gives it as a plain product. Source: as `inference.coloured`.
         """
-        total = np.zeros((S.shape[2], S.shape[2]))
-        for piece in _pieces(S, variance, folds):
-            shaped = self._shaped(piece)
-            total[np.ix_(piece.used, piece.used)] += shaped @ shaped.T
-        return total
-
-    def _shaped(self, piece: _Piece) -> Float[np.ndarray, "u t"]:
-        c = piece.output
-        return self.sigma[c] * np.asarray(lfilter([1.0], np.append(1.0, -self.phi[c]), piece.rows, axis=1))
-
-
-@dataclass(frozen=True)
-class _Piece:
-    """Columns of one fold and output that are not all zero, divided by the output's variance, the last block first."""
-
-    output: int
-    used: Int[np.ndarray, " u"]
-    rows: Float[np.ndarray, "u t"]
-
-
-def _pieces(S: np.ndarray, variance: np.ndarray, folds: Sequence[slice]) -> list[_Piece]:
-    found = []
-    for fold in folds:
-        for c in range(S.shape[1]):
-            part = S[fold, c]
-            used = np.flatnonzero(np.any(part != 0.0, axis=0))
-            found.append(_Piece(c, used, np.ascontiguousarray(part[::-1, used].T) / variance[c]))
-    return found
+        return Middle(S, variance, folds, [np.arange(S.shape[2])]).under(self, [0])[1][0]
 
 
 class Middle:
-    """`Colour.meat` of many sets of columns, each by itself, made ready once for one colour after another."""
+    """`Colour.meat` of many sets of columns, each by itself, made ready once for many colours.
+
+    The columns of each fold and output, divided by the output's variance, the last block first, stand side by side;
+    shorter folds rest before they begin.
+    """
 
     def __init__(
         self, S: Float[np.ndarray, "m c k"], variance: np.ndarray, folds: Sequence[slice], places: Sequence[np.ndarray]
     ) -> None:
         self.width = S.shape[2]
-        self.pieces = _pieces(S, variance, folds)
         self.places = places
+        pieces = [(fold, c) for fold in folds for c in range(S.shape[1])]
+        longest = max(fold.stop - fold.start for fold in folds)
+        self.used, rows = [], []  # columns of a piece that are not all zero
+        for fold, c in pieces:
+            part = S[fold, c]
+            used = np.flatnonzero(np.any(part != 0.0, axis=0))
+            rest = np.zeros((longest - len(part), len(used)))
+            self.used.append(used)
+            rows.append(np.concatenate([rest, part[::-1, used] / variance[c]]))
+        self.rows = np.concatenate(rows, axis=1)
+        self.output = np.repeat([c for _, c in pieces], [len(used) for used in self.used])
+        self.begin = np.cumsum([0, *(len(used) for used in self.used)])
 
     def under(self, colour: Colour, wide: Sequence[int]) -> tuple[Float[np.ndarray, " k"], list[np.ndarray]]:
         """The diagonal over all columns, and the whole of the sets numbered `wide`."""
-        diagonal = np.zeros(self.width)
-        whole = [np.zeros((len(self.places[j]), len(self.places[j]))) for j in wide]
-        for piece in self.pieces:
-            shaped = colour._shaped(piece)
-            diagonal[piece.used] += np.einsum("ut,ut->u", shaped, shaped)
-            for total, j in zip(whole, wide, strict=True):
-                here = np.isin(self.places[j], piece.used)
-                rows = shaped[np.searchsorted(piece.used, self.places[j][here])]
-                total[np.ix_(here, here)] += rows @ rows.T
+        diagonal, whole = self.under_each([colour], wide)
+        return diagonal[0], [total[0] for total in whole]
+
+    def under_each(
+        self, colours: Sequence[Colour], wide: Sequence[int]
+    ) -> tuple[Float[np.ndarray, "r k"], list[np.ndarray]]:
+        """`under` of r colours: (r, k), and (r, w, w) of each set."""
+        diagonal = np.zeros((len(colours), self.width))
+        whole = [np.zeros((len(colours), len(self.places[j]), len(self.places[j]))) for j in wide]
+        for first in range(0, len(colours), TOGETHER):
+            part = slice(first, first + TOGETHER)
+            shaped = self._shaped(colours[part])
+            squares = np.einsum("trn,trn->rn", shaped, shaped)
+            for used, begin in zip(self.used, self.begin, strict=False):
+                diagonal[part, used] += squares[:, begin : begin + len(used)]
+                for total, j in ((total, j) for total, j in zip(whole, wide, strict=True) if len(self.places[j]) > 1):
+                    at = np.searchsorted(used, self.places[j])
+                    here = np.flatnonzero(np.append(used, -1)[at] == self.places[j])
+                    rows = np.moveaxis(shaped[:, :, begin + at[here]], 0, 2)
+                    total[part, here[:, None], here] += rows @ np.moveaxis(rows, 1, 2)
+        for total, j in zip(whole, wide, strict=True):
+            if len(self.places[j]) == 1:
+                total[:, 0] = diagonal[:, self.places[j]]
         return diagonal, whole
+
+    def _shaped(self, colours: Sequence[Colour]) -> Float[np.ndarray, "t r n"]:
+        """The columns as the autoregression of each colour filters them."""
+        phi = np.stack([colour.phi[self.output].T for colour in colours], axis=1)
+        sigma = np.stack([colour.sigma[self.output] for colour in colours])
+        return driven(phi, sigma * self.rows[:, None, :])
 
 
 def colour_of(residual: Float[np.ndarray, "m c"], folds: Sequence[slice]) -> Colour:

@@ -6,35 +6,39 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from bayes_aero.criticism.accuracy import Size
 from bayes_aero.criticism.credibility import implausible
 from bayes_aero.criticism.extension import Extension
 from bayes_aero.criticism.finding import Diagnosis
+from bayes_aero.criticism.open_errors import open_errors
 from bayes_aero.criticism.path_check import path_check
-from bayes_aero.criticism.sensors import SENSOR_KINDS, as_the_card_states, compatibility, with_corrections
+from bayes_aero.criticism.sensors import (
+    SENSOR_KINDS,
+    as_the_card_states,
+    compatibility,
+    no_flight_path,
+    with_corrections,
+)
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
-from bayes_aero.flight.agreement import Agreement, Consistency, PathCheck
+from bayes_aero.flight.agreement import Agreement, Consistency, OpenError, PathCheck
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.flights import Flights, despiked, join
+from bayes_aero.model.joined import Joined, joined, repaired
 from bayes_aero.model.model import Model
-from bayes_aero.physics.flightpath import PATH_NEEDS
-
-CORE = ("ax", "az", "q", "theta", "alpha", "airspeed")  # without these nothing of the flight path can be checked
-LEVEL = np.radians(5.0)  # of bank: wings that move less count as level where bank was not recorded
-SHORTEST = 4.0  # s of a record that can be checked
+from bayes_aero.physics.flightpath import PATH_CORE, PATH_NEEDS
 
 
 @dataclass(frozen=True)
 class KnownErrors:
-    """Errors of the record that were found: effects of stage CHANNEL, and plain data of each (see `Consistency`)."""
+    """Errors of the record that were found: effects of stage CHANNEL, and plain data of each (see `Consistency`);
+    and those that the flight path cannot decide on."""
 
     effects: tuple[Effect, ...]
     errors: Mapping[str, Mapping[str, Any]]
+    open: tuple[OpenError, ...] = ()
 
 
 def consistency(
@@ -49,25 +53,24 @@ def consistency(
         seek: where sensors disagree, look for the known error that explains it (some seconds).
         known: the search's result, where it has been done.
     """
-    if why := _impossible(records, card):
+    if why := no_flight_path(records, card):
         return Consistency(why)
-    flights, _ = despiked(as_the_card_states(join(records, card, CORE), card))
+    flights, _ = repaired(as_the_card_states(joined(records, card, PATH_CORE), card))
     unchecked = tuple(n for n in ("altitude", "beta", "phi") if n not in flights.channels)
     found = Consistency("", unchecked, checks(flights, card, seed))
-    if found.agreement is Agreement.AGREE:
-        return found if known is None else replace(found, errors=known.errors)
     if known is None:
-        if not seek:
+        if found.agreement is Agreement.AGREE or not seek:
             return found
         try:
             known = errors_of_path(compatibility(list(records), card, seed=seed))
         except InputError as reason:
             return replace(found, unsought=str(reason))
-    if not known.effects:
-        return replace(found, errors=known.errors)
+    found = replace(found, errors=known.errors, open=known.open)
+    if found.agreement is Agreement.AGREE or not known.effects:
+        return found
     model = Model.of(known.effects)
-    values = {p: jnp.asarray(x["mean"]) for e in known.errors.values() for p, x in e["parameters"].items()}
-    return replace(found, errors=known.errors, corrected=checks(with_corrections(flights, model, values), card, seed))
+    values = {p: x["mean"] for e in known.errors.values() for p, x in e["parameters"].items()}
+    return replace(found, corrected=checks(with_corrections(flights, model, values), card, seed))
 
 
 def errors_of_path(known: Extension) -> KnownErrors:
@@ -82,7 +85,8 @@ def errors_of_path(known: Extension) -> KnownErrors:
         if not implausible(named[name], known.sizes, neutral)
         and not any(known.sizes[p.name].at_bound for p in named[name].parameters)
     ]
-    return KnownErrors(tuple(found), {e.name: _plain(e, known.sizes, minor=e.name in known.minor) for e in found})
+    plain = {e.name: _plain(e, known.sizes, minor=e.name in known.minor) for e in found}
+    return KnownErrors(tuple(found), plain, open_errors(known))
 
 
 def errors_of_diagnosis(found: Diagnosis) -> KnownErrors:
@@ -92,6 +96,7 @@ def errors_of_diagnosis(found: Diagnosis) -> KnownErrors:
     return KnownErrors(
         tuple(named[name] for name in causes),
         {name: _plain(named[name], cause.parameters, minor=False) for name, cause in causes.items()},
+        () if found.sensors is None else open_errors(found.sensors),
     )
 
 
@@ -102,7 +107,7 @@ def _plain(effect: Effect, sizes: Mapping[str, Size], *, minor: bool) -> dict[st
     return {"claim": effect.claim, "minor": minor, "parameters": parameters}
 
 
-def checks(flights: Flights, card: Card, seed: int) -> tuple[PathCheck, ...]:
+def checks(flights: Joined, card: Card, seed: int) -> tuple[PathCheck, ...]:
     """`path_check` of each manoeuvre."""
     found, begin = [], 0
     for name, length in zip(flights.names, flights.lengths, strict=True):
@@ -111,28 +116,3 @@ def checks(flights: Flights, card: Card, seed: int) -> tuple[PathCheck, ...]:
         found.append(path_check(name, np.asarray(flights.time)[part], channels, card, seed))
         begin += length
     return tuple(found)
-
-
-def _rolls(flights: Flights) -> bool:
-    """Whether the roll rate of some manoeuvre changes the bank angle, a drift apart."""
-    begin = 0
-    for length in flights.lengths:
-        p, dt = (np.asarray(flights.channels[name])[begin : begin + length] for name in ("p", "dt"))
-        if np.ptp(np.cumsum((p - p.mean()) * dt)) > LEVEL:
-            return True
-        begin += length
-    return False
-
-
-def _impossible(records: Sequence[FlightRecord], card: Card) -> str:
-    """Why the flight path cannot be checked at all."""
-    flights = join(records, card, ())
-    missing = [n for n in CORE if n not in flights.channels]
-    if missing:
-        return f"the flight path needs {', '.join(missing)}"
-    if not np.isfinite(float(card.aircraft.mass)):
-        return "the card states no [aircraft], so the places of the sensors are not known"
-    if "phi" not in flights.channels and "p" in flights.channels and _rolls(flights):
-        return "the flight path needs phi, for the aircraft rolled; map it, or state what stood still under [constants]"
-    short = [r.name for r in records if r.time[-1] - r.time[0] < SHORTEST]
-    return f"record {short[0]} is shorter than {SHORTEST:g} s" if short else ""

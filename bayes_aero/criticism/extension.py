@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
+from scipy.special import ndtr
 
 from bayes_aero.criticism.accuracy import Size, sizes
 from bayes_aero.criticism.colour import colour_of
@@ -27,7 +27,7 @@ from bayes_aero.criticism.regression import Fit, Products
 from bayes_aero.criticism.second_look import SecondLook
 from bayes_aero.criticism.state import State, moved, refitted, swelling
 from bayes_aero.effect import Effect, Stage
-from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.physics.coefficient_names import NAMES
 
 LEAST_SCORE = 2.5  # below it no candidate is beyond chance in an election among dozens
 ALPHA = 0.05  # family-wise rate of false alarms of each election
@@ -167,7 +167,7 @@ def between_p_value(wider: State, fit: Fit, effect: str, among: int) -> float:
     at = [int(np.flatnonzero(own == c)[0]) for c in columns]
     freedom = int(np.max(wider.responses.stretch))  # pyright: ignore[reportArgumentType, reportCallIssue]
     score = as_normal(equivalent(away, covariance[np.ix_(at, at)]), freedom)
-    return min(1.0, 2.0 * among * float(stats.norm.sf(score)))
+    return min(1.0, 2.0 * among * float(ndtr(-score)))
 
 
 def mixes_noise(state: State, standing: Standing) -> bool:

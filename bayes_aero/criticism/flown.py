@@ -41,7 +41,7 @@ from bayes_aero.inference.output_error import fit_cascade
 from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
 from bayes_aero.model.dynamics import AircraftDynamics, aircraft_dynamics
 from bayes_aero.model.flights import Flights, despiked, join
-from bayes_aero.model.longitudinal import FLIGHT
+from bayes_aero.model.flown_channels import FLIGHT
 from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.model.segments import Flown, segments, simulate
@@ -51,7 +51,7 @@ WINDOW = 10.0  # s: long enough to integrate what is wrong, short enough to stay
 FIRST = (10.0, 5.0, 2.5)  # s, of first windows, tried until a fit converges: begun far off, long ones may stray
 
 
-class FlownResponses(Linearisable):
+class FlownResponses(Linearisable, eqx.Module):
     """Residuals of simulated windows, averaged over blocks of `FILTER_STEP` samples: m of them."""
 
     flights: Flights

@@ -2,24 +2,34 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Self
 
-import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
-from bayes_aero.model.flights import Flights
+from bayes_aero.arrays import Array, namespace
+from bayes_aero.model.joined import Recorded
 from bayes_aero.model.model import Model
+from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.physics.filters import FILTER_STEP
 
 CHUNK = 16  # directions per call
 
 
-class Linearisable(eqx.Module):
-    """Outputs of flights under one model of many effects, as means over m blocks of samples."""
+class Linearisable(ABC):
+    """Outputs of flights under one model of many effects, as means over m blocks of samples; a dataclass that has both
+    (in JAX an `equinox.Module`)."""
 
-    flights: eqx.AbstractVar[Flights]
-    model: eqx.AbstractVar[Model]
+    flights: Recorded
+    model: Model
+
+    def with_channels(self, channels: Mapping[str, Array]) -> Self:
+        """The same of flights with these channels."""
+        flights = replace(self.flights, channels=dict(channels))  # pyright: ignore[reportArgumentType]
+        return replace(self, flights=flights)  # pyright: ignore[reportArgumentType]
 
     @property
     @abstractmethod
@@ -42,13 +52,11 @@ class Linearisable(eqx.Module):
         return None
 
     @abstractmethod
-    def block(self, x: Float[Array, "n ..."] | Float[np.ndarray, "n ..."]) -> Float[Array, "m ..."]:
+    def block(self, x: Float[Array, "n ..."]) -> Float[Array, "m ..."]:
         """Means over blocks of anything sampled at the recorded rate."""
 
     @abstractmethod
-    def evaluate(
-        self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
-    ) -> tuple[Float[Array, "m c"], Mapping[str, Array]]:
+    def evaluate(self, theta: Float[Array, " k"]) -> tuple[Float[Array, "m c"], Mapping[str, Array]]:
         """Residuals at parameters `theta` (the model's free ones), and what explains them, by name, at full rate."""
 
     @abstractmethod
@@ -85,3 +93,36 @@ class Linearisable(eqx.Module):
         assert residual is not None
         assert S is not None
         return residual, S
+
+
+class Blockwise(Linearisable):
+    """Means over blocks of `FILTER_STEP` samples, the rate that the reconstruction's filters pass."""
+
+    @property
+    def manoeuvre(self) -> Int[np.ndarray, " m"]:
+        """Which manoeuvre each block belongs to."""
+        return np.repeat(np.arange(len(self.flights.lengths)), [k // FILTER_STEP for k in self.flights.lengths])
+
+    @property
+    def seconds(self) -> float:
+        """Length of a block, s."""
+        return FILTER_STEP * float(np.median(np.asarray(self.flights.channels["dt"])))
+
+    def block(self, x: Float[Array, "n ..."]) -> Float[Array, "m ..."]:
+        """Means over blocks, manoeuvre by manoeuvre; the last samples that fill no block are left out."""
+        begin, parts = 0, []
+        for length in self.flights.lengths:
+            m = length // FILTER_STEP
+            part = x[begin : begin + m * FILTER_STEP]
+            parts.append(part.reshape(m, FILTER_STEP, *x.shape[1:]).mean(axis=1))
+            begin += length
+        return namespace(x).concatenate(parts)
+
+    def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:  # noqa: ARG002
+        """A constant for each manoeuvre and flight-path output: where the integral began."""
+        manoeuvre = self.manoeuvre
+        path = [c for c, name in enumerate(outputs) if name not in NAMES]
+        S = np.zeros((len(manoeuvre), len(outputs), (int(manoeuvre[-1]) + 1) * len(path)))
+        for number, (k, c) in enumerate((k, c) for k in range(int(manoeuvre[-1]) + 1) for c in path):
+            S[manoeuvre == k, c, number] = 1.0
+        return S

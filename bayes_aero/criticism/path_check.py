@@ -29,13 +29,12 @@ from bayes_aero.criticism.path_noise import (
 from bayes_aero.criticism.path_residuals import path_residuals
 from bayes_aero.flight.agreement import Departure, PathCheck
 from bayes_aero.flight.card import Card
-from bayes_aero.physics.flightpath import PATH_NEEDS, path_outputs
+from bayes_aero.physics.flightpath import PATH_NEEDS, STRAIGHT, path_outputs
 
 WINDOW = 10.0  # s
 REPLICATES = 200  # records of noise: one in 200 that are as noisy as permitted exceeds them all in a kind of measure
 SPREAD = 0.6  # of the windows: a channel that exceeds in more of them does so over the whole record
 FITTED = 2000  # samples that constant errors are fitted to
-ZERO_IF_MISSING = ("ay", "p", "r", "phi", "beta")
 
 
 class Kind(IntEnum):
@@ -70,10 +69,9 @@ def path_check(name: str, time: Float[np.ndarray, " n"], channels: Channels, car
         card: says the sensors' noise and where the accelerometer is.
         seed: of the records of noise.
     """
-    assumed = tuple(n for n in ZERO_IF_MISSING if n not in channels)
-    full = {n: np.asarray(channels[n]) if n in channels else np.zeros(len(time)) for n in PATH_NEEDS if n != "altitude"}
-    full["altitude"] = np.asarray(channels.get("altitude", np.zeros(len(time))))
-    outputs = tuple(n for n in path_outputs(full) if n in channels and (n != "phi" or {"p", "r"} <= set(channels)))
+    assumed = tuple(n for n in STRAIGHT if n not in channels)
+    full = {n: np.asarray(channels[n]) if n in channels else np.zeros(len(time)) for n in PATH_NEEDS}
+    outputs = path_outputs(channels)
     dt = float(time[-1] - time[0]) / (len(time) - 1)
     noise = sensor_noise({n: full[n] for n in channels if n in full}, card)
     rng = np.random.default_rng([seed, 31])

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.signal import lfilter
 
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.signals import noise_of
@@ -64,21 +63,23 @@ def gusts(
     run_in = min(n, 4000)
     T = SCALE_LENGTH / max(airspeed, 1.0)
     keep = math.exp(-dt / T)
-    slow = np.asarray(lfilter([1.0], [1.0, -keep], rng.standard_normal((count, n + run_in)), axis=1))
-    if across:
-        slow = math.sqrt(3.0) * slow + (1.0 - math.sqrt(3.0)) * np.asarray(
-            lfilter([1.0 - keep], [1.0, -keep], slow, axis=1)
-        )
-    return slow[:, run_in:] / _deviation(keep, across=across)
+    total = n + run_in
+    size = 1 << (2 * total - 1).bit_length()
+    spectrum = np.fft.rfft(_response(keep, total, across=across), size)
+    drawn = np.fft.irfft(np.fft.rfft(rng.standard_normal((count, total)), size) * spectrum, size)
+    return drawn[:, run_in:total] / _deviation(keep, across=across)
+
+
+def _response(keep: float, n: int, *, across: bool) -> Float[np.ndarray, " n"]:
+    """What `gusts` makes of a single sample of one."""
+    k = np.arange(n)
+    response = keep**k
+    return response * (math.sqrt(3.0) + (1.0 - math.sqrt(3.0)) * (1.0 - keep) * (k + 1)) if across else response
 
 
 def _deviation(keep: float, *, across: bool) -> float:
     """Standard deviation of what `gusts` filters from unit white noise: the sum of its squared impulse response."""
-    k = np.arange(int(20.0 / -math.log(keep)) + 1)
-    response = keep**k
-    if across:
-        response = response * (math.sqrt(3.0) + (1.0 - math.sqrt(3.0)) * (1.0 - keep) * (k + 1))
-    return float(np.sqrt(np.sum(response**2)))
+    return float(np.sqrt(np.sum(_response(keep, int(20.0 / -math.log(keep)) + 1, across=across) ** 2)))
 
 
 def disturbances(

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy import stats
+from scipy.special import chdtrc, ndtri, stdtr
 
 from bayes_aero.criticism.colour import Colour, Middle
 from bayes_aero.criticism.regression import TINY, Fit, inverse
@@ -58,16 +58,16 @@ class Projected:
         """The largest score that any block reaches in each of r records."""
         alone = np.array([place[0] for place in self.place if len(place) == 1], int)
         wide = [j for j, place in enumerate(self.place) if len(place) > 1]
-        found = []
-        for right, colour in zip(self.right(noises), colours, strict=True):
-            diagonal, whole = self.middle.under(colour, wide)
-            # Of a single parameter the information cancels.
-            best = float(np.max(np.abs(right[alone]) / np.sqrt(np.maximum(diagonal[alone], TINY)), initial=0.0))
-            for j, meat in zip(wide, whole, strict=True):
-                bread = self.bread[j]
-                best = max(best, equivalent(bread @ right[self.place[j]], bread @ meat @ bread))
-            found.append(best)
-        return np.array(found)
+        right = self.right(noises)
+        diagonal, whole = self.middle.under_each(colours, wide)
+        # Of a single parameter the information cancels.
+        scores = np.abs(right[:, alone]) / np.sqrt(np.maximum(diagonal[:, alone], TINY))
+        best = np.max(scores, axis=1, initial=0.0)
+        for j, meats in zip(wide, whole, strict=True):
+            bread, own = self.bread[j], right[:, self.place[j]]
+            each = [equivalent(bread @ r, bread @ meat @ bread) for r, meat in zip(own, meats, strict=True)]
+            best = np.maximum(best, each)
+        return best
 
     def between(
         self, residual: Float[np.ndarray, "m c"], estimates: Sequence[np.ndarray], stretch: Int[np.ndarray, " m"]
@@ -120,7 +120,7 @@ def score(estimate: np.ndarray, covariance: np.ndarray, freedom: int) -> float:
 
 def as_normal(score: float, freedom: int) -> float:
     """Student's score as the normal one of the same tail probability."""
-    return float(stats.norm.isf(max(stats.t.sf(score, freedom), 1e-300)))
+    return -float(ndtri(max(stdtr(freedom, -score), 1e-300)))
 
 
 def equivalent(estimate: np.ndarray, covariance: np.ndarray) -> float:
@@ -128,5 +128,5 @@ def equivalent(estimate: np.ndarray, covariance: np.ndarray) -> float:
     if len(estimate) == 1:
         return abs(float(estimate[0])) / math.sqrt(max(float(covariance[0, 0]), 1e-300))
     wald = float(estimate @ inverse(covariance) @ estimate)
-    tail = stats.chi2.logsf(wald, len(estimate))
-    return float(stats.norm.isf(math.exp(max(tail, -700.0)) / 2.0)) if tail < 0.0 else 0.0
+    tail = float(chdtrc(len(estimate), wald))
+    return -float(ndtri(max(tail, 1e-304) / 2.0)) if tail < 1.0 else 0.0

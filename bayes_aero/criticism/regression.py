@@ -92,7 +92,8 @@ class Products:
             step = scale * np.linalg.solve(scaled, right[:, :, None])[:, :, 0]
             v = np.concatenate([np.ones((j, 1)), -step], axis=1)
             if held is None:
-                variance = np.maximum(np.einsum("jk,jckl,jl->jc", v, part, v, optimize=True) / n, least)
+                squares = (v[:, None, None, :] @ (part @ v[:, None, :, None]))[:, :, 0, 0]
+                variance = np.maximum(squares / n, least)
         deviance = n * np.log(variance).sum(axis=1) + np.sum(own * (step - centre) ** 2, axis=1)
         return step, normal, variance, deviance
 

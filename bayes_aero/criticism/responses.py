@@ -6,7 +6,7 @@ compiled function gives the residuals and their sensitivity to all parameters of
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -16,24 +16,24 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from bayes_aero.criticism.linearisable import Linearisable
+from bayes_aero.criticism.linearisable import Blockwise
+from bayes_aero.criticism.path_responses import differences, flight_path
 from bayes_aero.model.flights import Flights, response_scales
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficients import NAMES, coefficients
-from bayes_aero.physics.filters import FILTER_STEP
-from bayes_aero.physics.flightpath import LATERAL, PATH, integral, path_outputs, path_rates
+from bayes_aero.physics.flightpath import LATERAL, PATH
 
 GROUP = 4  # directions at a time: most calls ask for no more, and the others lose nothing
 RESPONSE = ("q", *PATH, *LATERAL)  # measured channels whose own scale an effect may change
 
 
-class Responses(Linearisable):
+class Responses(Blockwise, eqx.Module):
     """Residuals of one set of flights under one model of many effects.
 
-    Residuals are averaged over blocks of `FILTER_STEP` samples, the rate that the reconstruction's filters pass: m
-    blocks. They are referred to the response as recorded: a coefficient's residual is multiplied by how much more
-    (or less) of it one unit of measured acceleration makes under the card's values than under the effect's, so that an
-    effect that rescales the measurement cannot win by shrinking its noise. This is the likelihood's Jacobian term.
+    Residuals are averaged over m blocks. They are referred to the response as recorded: a coefficient's residual is
+    multiplied by how much more (or less) of it one unit of measured acceleration makes under the card's values than
+    under the effect's, so that an effect that rescales the measurement cannot win by shrinking its noise. This is
+    the likelihood's Jacobian term.
     """
 
     flights: Flights
@@ -44,32 +44,12 @@ class Responses(Linearisable):
     @classmethod
     def of(cls, flights: Flights, model: Model) -> Responses:
         """`flights` under `model`."""
-        return cls(flights, model, _measuring(model, flights), path_outputs(flights.channels))
+        return cls(flights, model, _measuring(model, flights), flight_path(flights))
 
     @property
     def outputs(self) -> tuple[str, ...]:
         """Names of the outputs: coefficients, then flight-path channels."""
         return (*NAMES, *self.path)
-
-    @property
-    def manoeuvre(self) -> Int[np.ndarray, " m"]:
-        """Which manoeuvre each block belongs to."""
-        return np.repeat(np.arange(len(self.flights.lengths)), [k // FILTER_STEP for k in self.flights.lengths])
-
-    @property
-    def seconds(self) -> float:
-        """Length of a block, s."""
-        return FILTER_STEP * float(np.median(np.asarray(self.flights.channels["dt"])))
-
-    def block(self, x: Float[Array, "n ..."] | Float[np.ndarray, "n ..."]) -> Float[Array, "m ..."]:
-        """Means over blocks, manoeuvre by manoeuvre; the last samples that fill no block are left out."""
-        begin, parts = 0, []
-        for length in self.flights.lengths:
-            m = length // FILTER_STEP
-            part = x[begin : begin + m * FILTER_STEP]
-            parts.append(part.reshape(m, FILTER_STEP, *x.shape[1:]).mean(axis=1))
-            begin += length
-        return jnp.concatenate(parts)
 
     def evaluate(
         self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
@@ -93,15 +73,6 @@ class Responses(Linearisable):
     @property
     def _nameless(self) -> Responses:
         return replace(self, flights=self.flights.nameless)
-
-    def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:  # noqa: ARG002
-        """A constant for each manoeuvre and flight-path output: where the integral began."""
-        manoeuvre = self.manoeuvre
-        path = [c for c, name in enumerate(outputs) if name not in NAMES]
-        S = np.zeros((len(manoeuvre), len(outputs), (int(manoeuvre[-1]) + 1) * len(path)))
-        for number, (k, c) in enumerate((k, c) for k in range(int(manoeuvre[-1]) + 1) for c in path):
-            S[manoeuvre == k, c, number] = 1.0
-        return S
 
 
 def _measuring(model: Model, flights: Flights) -> tuple[int, ...]:
@@ -148,13 +119,7 @@ def _residuals(responses: Responses, theta):
     scales = response_scales(model, values, f.channels, f.aircraft, RESPONSE)
     columns = [(measured - modelled) * _referred(responses, signals, aircraft, scales)]
     if responses.path:
-        rates = path_rates(signals, aircraft)
-        columns += [
-            ((signals[name] - integral(rates[name], signals["dt"], signals["start"], signals["first"])) / scales[name])[
-                :, None
-            ]
-            for name in responses.path
-        ]
+        columns.append(differences(responses.path, signals, aircraft, scales))
     residual = f.smoothed(jnp.concatenate(columns, axis=1))
     both = f.smoothed(jnp.concatenate([measured, modelled], axis=1))
     details = {"X": X, "measured": both[:, :3], "modelled": both[:, 3:], "residual": residual}

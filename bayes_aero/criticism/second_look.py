@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.criticism.colour import Colour, colour_of, colours_of, unbiased
+from bayes_aero.criticism.colour import Colour, Middle, colour_of, colours_of, unbiased
 from bayes_aero.criticism.election import (
     CORRECTION,
     REPLICATES,
@@ -40,7 +40,7 @@ class SecondLook:
         noises = without_active(state, self.fit, drawn)
         self.colour = unbiased(found, self._left(noises, self._leaders(noises)))
         own = next(j for j, columns in enumerate(blocks) if tuple(columns) == standing.columns)
-        estimate, covariance = self._judged(own, state.left(self.fit), self.colour)
+        (estimate,), (covariance,) = self._judged(own, state.left(self.fit)[None], [self.colour])
         self.score = equivalent(estimate, covariance)
         at = np.array(standing.columns, int)
         self.log_bayes = log_bayes(estimate, covariance, state.mean[at], state.precision[at] / state.temper)
@@ -50,8 +50,11 @@ class SecondLook:
         drawn = self.colour.simulate(REPLICATES, self.state.folds, len(self.state.residual), self.rng)
         noises = without_active(self.state, self.fit, drawn)
         leaders = self._leaders(noises)
-        judged = zip(leaders, noises, self._left(noises, leaders), strict=True)
-        scores = np.array([equivalent(*self._judged(j, noise, colour)) for (j, _), noise, colour in judged])
+        colours, scores = self._left(noises, leaders), np.zeros(len(noises))
+        for j in {j for j, _ in leaders}:
+            at = [k for k, (leader, _) in enumerate(leaders) if leader == j]
+            judged = self._judged(j, noises[at], [colours[k] for k in at])
+            scores[at] = [equivalent(*pair) for pair in zip(*judged, strict=True)]
         return float((1 + np.sum(scores >= self.score)) / (1 + len(scores)))
 
     def _leaders(self, noises: Float[np.ndarray, "r m c"]) -> list[tuple[int, Float[np.ndarray, " w"]]]:
@@ -70,7 +73,11 @@ class SecondLook:
         left = [noise - P[:, :, place[j]] @ estimate for noise, (j, estimate) in zip(noises, leaders, strict=True)]
         return colours_of(np.array(left), self.state.folds)
 
-    def _judged(self, j: int, residual: Float[np.ndarray, "m c"], colour: Colour) -> tuple[np.ndarray, np.ndarray]:
-        bread, place = self.projected.bread[j], self.projected.place[j]
-        meat = colour.meat(self.projected.P[:, :, place], self.fit.variance, self.state.folds)
-        return bread @ self.projected.right(residual)[place], bread @ meat @ bread
+    def _judged(
+        self, j: int, residuals: Float[np.ndarray, "r m c"], colours: Sequence[Colour]
+    ) -> tuple[Float[np.ndarray, "r w"], Float[np.ndarray, "r w w"]]:
+        """Estimate and covariance of one block in each of r records."""
+        bread, P = self.projected.bread[j], self.projected.P[:, :, self.projected.place[j]]
+        middle = Middle(P, self.fit.variance, self.state.folds, [np.arange(P.shape[2])])
+        right = np.tensordot(residuals * self.projected.weight, P, 2)
+        return right @ bread, bread @ middle.under_each(colours, [0])[1][0] @ bread

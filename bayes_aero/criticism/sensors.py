@@ -6,32 +6,31 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.criticism.candidates import Field, field_of
 from bayes_aero.criticism.extension import Extension, extend
-from bayes_aero.criticism.responses import Responses
+from bayes_aero.criticism.path_responses import PathResponses, rolled_unseen
 from bayes_aero.criticism.state import linearised
 from bayes_aero.criticism.stretches import borne_out
 from bayes_aero.effect import Kind, Stage
+from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.flights import Flights, despiked, join
+from bayes_aero.model.joined import Joined, joined, repaired
 from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.parameter import Prior
-from bayes_aero.physics.coefficients import REQUIRED
-from bayes_aero.physics.flightpath import PATH_NEEDS
+from bayes_aero.physics.flightpath import PATH_CORE
 
 SENSOR_KINDS = (Kind.MEASUREMENT, Kind.ENVIRONMENT)
-UNITY = {"density": 1.0, "thrust": 0.0}  # stand in for what the flight path does not use
+SHORTEST = 4.0  # s of a record that can be checked
 
 
 def agreement(
     field: Field,
-    responses: Responses,
+    responses: PathResponses,
     theta: Float[np.ndarray, " k"],
     *,
     seed: int,
@@ -45,29 +44,41 @@ def agreement(
     """
     candidates = tuple(e for e in field.candidates if e.kind in SENSOR_KINDS and e.name not in known)
     own = replace(field, base=tuple(known), candidates=candidates, priors=priors or {})
-    state = linearised(own, responses, responses.path, theta)
+    state = linearised(own, responses, responses.outputs, theta)
     return borne_out(extend(state, seed=seed, most=most))
 
 
 def compatibility(records: list[FlightRecord], card: Card, *, seed: int = 0, most: int = 8) -> Extension:
     """Sensor errors and winds that the flight path asks for, as the first stage of a diagnosis finds them.
 
-    Raises `InputError` where a channel of `PATH_NEEDS` is missing or a single manoeuvre is too short.
+    Raises `InputError` where there is no flight path (see `no_flight_path`) or a single manoeuvre is too short.
     """
-    flights, _ = despiked(as_the_card_states(join(records, card, PATH_NEEDS), card))
-    extra = {name: jnp.full(flights.n, UNITY[name]) for name in REQUIRED if name not in flights.channels}
-    flights = type(flights)(
-        flights.channels | extra, flights.aircraft, flights.manoeuvre, flights.time, flights.lengths, flights.names
-    )
+    if why := no_flight_path(records, card):
+        raise InputError(why)
+    flights, _ = repaired(as_the_card_states(joined(records, card, PATH_CORE), card))
     whole = field_of(Model((), ()), flights, tuple(own_effects(card.effect_files).values()))
     sensors = tuple(e for e in whole.candidates if e.kind in SENSOR_KINDS)
     model = Model(sensors, tuple(p for e in sensors for p in e.parameters))
     field = Field(model, (), sensors, {})
     theta = np.array([field.neutral[name] for name in model.names])
-    return agreement(field, Responses.of(flights, model), theta, seed=seed, most=most)
+    return agreement(field, PathResponses.of(flights, model), theta, seed=seed, most=most)
 
 
-def as_the_card_states(flights: Flights, card: Card) -> Flights:
+def no_flight_path(records: Sequence[FlightRecord], card: Card) -> str:
+    """Why the flight path cannot be checked at all; empty where it can."""
+    flights = joined(records, card, ())
+    missing = [n for n in PATH_CORE if n not in flights.channels]
+    if missing:
+        return f"the flight path needs {', '.join(missing)}"
+    if not np.isfinite(float(card.aircraft.mass)):
+        return "the card states no [aircraft], so the places of the sensors are not known"
+    if rolled_unseen(flights):
+        return "the flight path needs phi, for the aircraft rolled; map it, or state what stood still under [constants]"
+    short = [r.name for r in records if r.time[-1] - r.time[0] < SHORTEST]
+    return f"record {short[0]} is shorter than {SHORTEST:g} s" if short else ""
+
+
+def as_the_card_states(flights: Joined, card: Card) -> Joined:
     """Flights without the errors of the record that the card states."""
     if card.linear is not None:
         return flights
@@ -76,11 +87,11 @@ def as_the_card_states(flights: Flights, card: Card) -> Flights:
     if not stated:
         return flights
     fixed = dict(model.fixed)
-    values = {p.name: jnp.asarray(fixed.get(p.name, p.start)) for e in stated for p in e.parameters}
+    values = {p.name: fixed.get(p.name, p.start) for e in stated for p in e.parameters}
     return with_corrections(flights, Model.of(stated), values)
 
 
-def with_corrections(flights: Flights, model: Model, values: Mapping[str, Any]) -> Flights:
+def with_corrections(flights: Joined, model: Model, values: Mapping[str, Any]) -> Joined:
     """Flights as a model of errors of the record makes them true."""
     true = model.corrected(values, flights.channels, flights.aircraft)
-    return replace(flights, channels={name: true[name] for name in flights.channels})
+    return replace(flights, channels={name: np.asarray(true[name]) for name in flights.channels})

@@ -16,12 +16,13 @@ from jaxtyping import Float
 from bayes_aero.criticism.candidates import Field
 from bayes_aero.criticism.election import poll
 from bayes_aero.criticism.extension import DECISIVE, Extension, extend, nats_gained, removed
+from bayes_aero.criticism.path_responses import PathResponses
 from bayes_aero.criticism.responses import Responses
 from bayes_aero.criticism.sensors import agreement
 from bayes_aero.criticism.state import State, linearised, local_fit, optimum, refitted
 from bayes_aero.criticism.stretches import widened
 from bayes_aero.parameter import Prior
-from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.physics.coefficient_names import NAMES
 
 Progress = Callable[[str, float], None]
 
@@ -53,11 +54,12 @@ def stages(
         state = linearised(_after(field, sensors), responses, NAMES, begin)
         return extend(state, seed=seed + 1000, most=most, progress=progress)
 
-    if not responses.path:
+    path = PathResponses.of(responses.flights, responses.model)
+    if not path.outputs:
         return Stages(None, coefficients(None))
     if progress:
         progress("sensors", 0.0)
-    sensors = agreement(field, responses, theta, seed=seed, most=most)
+    sensors = agreement(field, path, theta, seed=seed, most=most)
     aerodynamics, denied = coefficients(sensors), []
     while (name := _denied(sensors, aerodynamics)) is not None:
         state, fit = refitted(removed(sensors.state, name))
@@ -68,7 +70,7 @@ def stages(
         denied, sensors, aerodynamics = [*denied, name], fewer, other
     if sensors.state.active and (known := _shared(sensors, aerodynamics)):
         told = _told(aerodynamics, known)
-        again = agreement(field, responses, _with(theta, field, told), seed=seed, most=most, known=known, priors=told)
+        again = agreement(field, path, _with(theta, field, told), seed=seed, most=most, known=known, priors=told)
         if len(again.state.active) < len(sensors.state.active):  # one of them had stood in for it
             other = coefficients(again)
             if nats_gained(aerodynamics, other) > -DECISIVE:

@@ -16,7 +16,7 @@ from bayes_aero.criticism.linearisable import Linearisable
 from bayes_aero.criticism.regression import Fit, Products
 from bayes_aero.errors import InputError
 from bayes_aero.inference.autoregression import ORDER
-from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.physics.coefficient_names import NAMES
 
 REFITS = 8
 ENOUGH = 0.05  # of the deviance

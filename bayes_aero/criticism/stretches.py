@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy import stats
+from scipy.special import ndtr
 
 from bayes_aero.criticism.accuracy import sizes
 from bayes_aero.criticism.election import poll
@@ -78,7 +78,7 @@ class Stretches:
         names = self.state.field.parameters_of(effect)
         away = self.state.theta[self.state.field.columns(names)] - [self.state.field.neutral[name] for name in names]
         score = as_normal(equivalent(away + judged[0], judged[1]), self.freedom)
-        return min(1.0, 2.0 * len(self.state.blocks) * float(stats.norm.sf(score)))
+        return min(1.0, 2.0 * len(self.state.blocks) * float(ndtr(-score)))
 
 
 def _numbers(state: State) -> Int[np.ndarray, " m"]:

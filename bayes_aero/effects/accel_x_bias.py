@@ -1,14 +1,13 @@
 """A constant error of the recorded longitudinal specific force."""
 
-import jax.numpy as jnp
-
+from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
 
 
 def increments(v, s, a, known):
     """Recorded = true + accel_x_bias."""
-    return {"ax": -v["accel_x_bias"] + jnp.zeros_like(s["ax"])}
+    return {"ax": -v["accel_x_bias"] + xp.zeros_like(s["ax"])}
 
 
 EFFECT = Effect(

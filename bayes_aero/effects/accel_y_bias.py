@@ -1,14 +1,13 @@
 """A constant error of the recorded lateral specific force."""
 
-import jax.numpy as jnp
-
+from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
 
 
 def increments(v, s, a, known):
     """Recorded = true + accel_y_bias."""
-    return {"ay": -v["accel_y_bias"] + jnp.zeros_like(s["ay"])}
+    return {"ay": -v["accel_y_bias"] + xp.zeros_like(s["ay"])}
 
 
 EFFECT = Effect(

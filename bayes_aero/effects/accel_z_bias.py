@@ -1,14 +1,13 @@
 """A constant error of the recorded normal specific force."""
 
-import jax.numpy as jnp
-
+from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
 
 
 def increments(v, s, a, known):
     """Recorded = true + accel_z_bias."""
-    return {"az": -v["accel_z_bias"] + jnp.zeros_like(s["az"])}
+    return {"az": -v["accel_z_bias"] + xp.zeros_like(s["az"])}
 
 
 EFFECT = Effect(

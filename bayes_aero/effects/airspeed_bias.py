@@ -1,7 +1,6 @@
 """A constant error of the recorded airspeed, and of the Mach number derived from it."""
 
-import jax.numpy as jnp
-
+from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
 
@@ -9,7 +8,7 @@ from bayes_aero.parameter import Parameter, Prior
 def increments(v, s, a, known):
     """Recorded = true + airspeed_bias; the Mach number, where recorded, is off in proportion."""
     V = s["airspeed"]
-    off = -v["airspeed_bias"] + jnp.zeros_like(V)
+    off = -v["airspeed_bias"] + xp.zeros_like(V)
     return {"airspeed": off} | ({"mach": s["mach"] * off / V} if "mach" in s else {})
 
 

@@ -1,14 +1,13 @@
 """A constant error of the recorded angle of attack."""
 
-import jax.numpy as jnp
-
+from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
 
 
 def increments(v, s, a, known):
     """Recorded = true + alpha_bias."""
-    return {"alpha": -v["alpha_bias"] + jnp.zeros_like(s["alpha"])}
+    return {"alpha": -v["alpha_bias"] + xp.zeros_like(s["alpha"])}
 
 
 EFFECT = Effect(

@@ -1,7 +1,6 @@
 """A delay of the recorded angle of attack."""
 
-import jax.numpy as jnp
-
+from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.physics.filters import advance
@@ -10,7 +9,7 @@ from bayes_aero.physics.filters import advance
 def increments(v, s, a, known):
     """Recorded(t) = true(t - alpha_delay)."""
     x = s["alpha"]
-    return {"alpha": advance(x, jnp.asarray(v["alpha_delay"]), s["dt"], s["first"], s["last"]) - x}
+    return {"alpha": advance(x, xp.asarray(v["alpha_delay"]), s["dt"], s["first"], s["last"]) - x}
 
 
 EFFECT = Effect(

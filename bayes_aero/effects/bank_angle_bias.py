@@ -1,14 +1,13 @@
 """A constant error of the recorded bank angle."""
 
-import jax.numpy as jnp
-
+from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
 
 
 def increments(v, s, a, known):
     """Recorded = true + bank_angle_bias."""
-    return {"phi": -v["bank_angle_bias"] + jnp.zeros_like(s["phi"])}
+    return {"phi": -v["bank_angle_bias"] + xp.zeros_like(s["phi"])}
 
 
 EFFECT = Effect(

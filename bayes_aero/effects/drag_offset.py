@@ -2,8 +2,7 @@
 
 import math
 
-import jax.numpy as jnp
-
+from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
 
@@ -11,7 +10,7 @@ from bayes_aero.parameter import Parameter, Prior
 def increments(v, s, a, known):
     """CD += (CLmin^2 - 2 CL_attached CLmin)/(e pi AR), so that the polar becomes (CL_attached - CLmin)^2/(e pi AR)."""
     CLmin = v["CLmin"]
-    return {"CD": CLmin * (CLmin - 2.0 * known["CL_attached"]) / (v["e"] * jnp.pi * a.aspect_ratio)}
+    return {"CD": CLmin * (CLmin - 2.0 * known["CL_attached"]) / (v["e"] * xp.pi * a.aspect_ratio)}
 
 
 EFFECT = Effect(

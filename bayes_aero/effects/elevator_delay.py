@@ -1,7 +1,6 @@
 """A delay of the recorded elevator deflection."""
 
-import jax.numpy as jnp
-
+from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.physics.filters import advance
@@ -10,7 +9,7 @@ from bayes_aero.physics.filters import advance
 def increments(v, s, a, known):
     """Recorded(t) = true(t - elevator_delay)."""
     x = s["elevator"]
-    return {"elevator": advance(x, jnp.asarray(v["elevator_delay"]), s["dt"], s["first"], s["last"]) - x}
+    return {"elevator": advance(x, xp.asarray(v["elevator_delay"]), s["dt"], s["first"], s["last"]) - x}
 
 
 EFFECT = Effect(

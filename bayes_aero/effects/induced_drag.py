@@ -2,15 +2,14 @@
 
 import math
 
-import jax.numpy as jnp
-
+from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
 
 
 def increments(v, s, a, known):
     """CD += CL_attached^2/(e pi AR): the published model squares the attached lift, not the Kirchhoff lift."""
-    return {"CD": jnp.square(known["CL_attached"]) / (v["e"] * jnp.pi * a.aspect_ratio)}
+    return {"CD": xp.square(known["CL_attached"]) / (v["e"] * xp.pi * a.aspect_ratio)}
 
 
 EFFECT = Effect(

@@ -1,14 +1,13 @@
 """A constant error of the recorded pitch attitude."""
 
-import jax.numpy as jnp
-
+from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
 
 
 def increments(v, s, a, known):
     """Recorded = true + pitch_attitude_bias."""
-    return {"theta": -v["pitch_attitude_bias"] + jnp.zeros_like(s["theta"])}
+    return {"theta": -v["pitch_attitude_bias"] + xp.zeros_like(s["theta"])}
 
 
 EFFECT = Effect(

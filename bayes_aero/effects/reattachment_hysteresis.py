@@ -1,14 +1,13 @@
 """Stall hysteresis while the angle of attack falls: the flow reattaches late."""
 
-import jax.numpy as jnp
-
+from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
 
 
 def increments(v, s, a, known):
     """incidence += -tau2 c/V alpha_dot where alpha_dot <= 0, nothing where alpha rises (one-sided, as published)."""
-    return {"incidence": -v["tau2"] * a.chord / s["airspeed"] * jnp.minimum(s["alpha_dot"], 0.0)}
+    return {"incidence": -v["tau2"] * a.chord / s["airspeed"] * xp.minimum(s["alpha_dot"], 0.0)}
 
 
 EFFECT = Effect(

@@ -1,14 +1,13 @@
 """A constant error of the recorded roll rate."""
 
-import jax.numpy as jnp
-
+from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
 
 
 def increments(v, s, a, known):
     """Recorded = true + roll_rate_bias."""
-    return {"p": -v["roll_rate_bias"] + jnp.zeros_like(s["p"])}
+    return {"p": -v["roll_rate_bias"] + xp.zeros_like(s["p"])}
 
 
 EFFECT = Effect(

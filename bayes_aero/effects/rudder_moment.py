@@ -1,14 +1,13 @@
 """Pitching moment due to the rudder."""
 
-import jax.numpy as jnp
-
+from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
 
 
 def increments(v, s, a, known):
     """Cm += Cmdr |dr|: even in dr, for the aircraft is symmetric."""
-    return {"Cm": v["Cmdr"] * jnp.abs(s["rudder"])}
+    return {"Cm": v["Cmdr"] * xp.abs(s["rudder"])}
 
 
 EFFECT = Effect(

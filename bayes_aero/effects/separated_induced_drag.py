@@ -2,8 +2,7 @@
 
 import math
 
-import jax.numpy as jnp
-
+from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.physics.separation import kirchhoff_factor
@@ -13,7 +12,7 @@ def increments(v, s, a, known):
     """CD += share (CL^2 - CL_attached^2)/(e pi AR), where CL is the attached lift less what Kirchhoff's flow loses."""
     attached = known["CL_attached"]
     lost = v["CLa"] * s["alpha"] * (1.0 - kirchhoff_factor(known["X"]))
-    return {"CD": v["induced_share"] * lost * (lost - 2.0 * attached) / (v["e"] * jnp.pi * a.aspect_ratio)}
+    return {"CD": v["induced_share"] * lost * (lost - 2.0 * attached) / (v["e"] * xp.pi * a.aspect_ratio)}
 
 
 EFFECT = Effect(

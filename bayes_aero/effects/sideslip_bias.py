@@ -1,14 +1,13 @@
 """A constant error of the recorded sideslip."""
 
-import jax.numpy as jnp
-
+from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
 
 
 def increments(v, s, a, known):
     """Recorded = true + sideslip_bias."""
-    return {"beta": -v["sideslip_bias"] + jnp.zeros_like(s["beta"])}
+    return {"beta": -v["sideslip_bias"] + xp.zeros_like(s["beta"])}
 
 
 EFFECT = Effect(

@@ -2,8 +2,7 @@
 
 import math
 
-import jax.numpy as jnp
-
+from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.physics.separation import lagged
@@ -12,7 +11,7 @@ from bayes_aero.physics.separation import lagged
 def increments(v, s, a, known):
     """thrust_lag dT/dt + T = computed thrust, in equilibrium at the start of each manoeuvre."""
     T = s["thrust"]
-    return {"thrust": lagged(T, v["thrust_lag"] + jnp.zeros_like(T), s["dt"], s["start"]) - T}
+    return {"thrust": lagged(T, v["thrust_lag"] + xp.zeros_like(T), s["dt"], s["start"]) - T}
 
 
 EFFECT = Effect(

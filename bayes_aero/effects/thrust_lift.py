@@ -1,14 +1,13 @@
 """Lift that goes with thrust: inclination of the jet, or its interference with the flow."""
 
-import jax.numpy as jnp
-
+from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
 
 
 def increments(v, s, a, known):
     """CL += thrust_lift T/(qbar S)."""
-    qbar = 0.5 * s["density"] * jnp.square(s["airspeed"])
+    qbar = 0.5 * s["density"] * xp.square(s["airspeed"])
     return {"CL": v["thrust_lift"] * s["thrust"] / (qbar * a.wing_area)}
 
 

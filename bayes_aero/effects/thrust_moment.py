@@ -1,14 +1,13 @@
 """Pitching moment of a thrust line that lies elsewhere than the card says."""
 
-import jax.numpy as jnp
-
+from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
 
 
 def increments(v, s, a, known):
     """Cm += T thrust_arm/(qbar S c): a line further down pitches up."""
-    qbar = 0.5 * s["density"] * jnp.square(s["airspeed"])
+    qbar = 0.5 * s["density"] * xp.square(s["airspeed"])
     return {"Cm": v["thrust_arm"] * s["thrust"] / (qbar * a.wing_area * a.chord)}
 
 

@@ -1,7 +1,6 @@
 """Flow-angle sensors away from the centre of gravity."""
 
-import jax.numpy as jnp
-
+from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
 
@@ -13,12 +12,12 @@ def increments(v, s, a, known):
     anywhere, and x q sin(alpha) is small.
     """
     x, V = v["vane_position"], s["airspeed"]
-    beta = s.get("beta", jnp.zeros_like(V))
-    up = x * s["q"] / (V * jnp.cos(beta))
-    found = {"alpha": jnp.arctan2(up * jnp.cos(s["alpha"]), 1.0 + up * jnp.sin(s["alpha"]))}
+    beta = s.get("beta", xp.zeros_like(V))
+    up = x * s["q"] / (V * xp.cos(beta))
+    found = {"alpha": xp.arctan2(up * xp.cos(s["alpha"]), 1.0 + up * xp.sin(s["alpha"]))}
     if "beta" in s and "r" in s:
         right = -x * s["r"] / V
-        found["beta"] = jnp.arctan2(right * jnp.cos(beta), 1.0 + right * jnp.sin(beta))
+        found["beta"] = xp.arctan2(right * xp.cos(beta), 1.0 + right * xp.sin(beta))
     return found
 
 

@@ -1,14 +1,13 @@
 """A constant error of the recorded yaw rate."""
 
-import jax.numpy as jnp
-
+from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
 
 
 def increments(v, s, a, known):
     """Recorded = true + yaw_rate_bias."""
-    return {"r": -v["yaw_rate_bias"] + jnp.zeros_like(s["r"])}
+    return {"r": -v["yaw_rate_bias"] + xp.zeros_like(s["r"])}
 
 
 EFFECT = Effect(

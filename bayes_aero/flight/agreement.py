@@ -46,6 +46,31 @@ class PathCheck:
 
 
 @dataclass(frozen=True)
+class OpenError:
+    """An error of a sensor that the flight path cannot decide on, SI.
+
+    Attributes:
+        name: of the effect, which has one parameter.
+        unit: of that parameter.
+        mean: what the record says of it, were it the only error.
+        sd: standard error of that.
+        among: standard error with every other error of a sensor possible, as far as such errors usually go.
+        asked: it would explain much of what is left, but parts of the record that were left out do not confirm it.
+        imitators: other errors that together do the same along this flight path; empty where none do.
+        share: of what it does, that they do.
+    """
+
+    name: str
+    unit: str
+    mean: float
+    sd: float
+    among: float
+    asked: bool
+    imitators: tuple[str, ...]
+    share: float
+
+
+@dataclass(frozen=True)
 class Consistency:
     """The flight path of each record as recorded, and with known errors of sensors taken out.
 
@@ -56,6 +81,7 @@ class Consistency:
         corrected: the same with `errors` taken out; empty where none were sought or found.
         errors: errors of sensors and winds found along the flight path: claim, whether minor, parameters.
         unsought: why no known error could be sought though the sensors disagree; empty where it could.
+        open: errors of sensors that the flight path cannot decide on; empty where none were sought.
     """
 
     why_not: str = ""
@@ -64,6 +90,7 @@ class Consistency:
     corrected: tuple[PathCheck, ...] = ()
     errors: Mapping[str, Mapping[str, Any]] | None = None
     unsought: str = ""
+    open: tuple[OpenError, ...] = ()
 
     @property
     def agreement(self) -> Agreement:

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-import equinox as eqx
-from jaxtyping import Array, Float
+from dataclasses import dataclass
+
+from jaxtyping import Float
+
+from bayes_aero.arrays import Array
 
 Scalar = float | Float[Array, ""]
 Position = tuple[Scalar, Scalar, Scalar]
 
 
-class Aircraft(eqx.Module):
+@dataclass(frozen=True)
+class Aircraft:
     """Constants in SI; positions are from the centre of gravity in body axes (x forward, y right, z down).
 
     `reference_point` is where the pitching moment is referred to; `engine` is the point at which the total net
     thrust acts, inclined upward by `engine_inclination`; `tail_arm` is the distance from the CG to the tailplane.
-    `reference_speed` and `rate_length` say how rates and speeds are made free of units (see `physics.rates`).
+    `reference_speed` and `rate_length` say how rates and speeds are made free of units (see `physics.rates`). Compiled
+    programs take it apart: see `model.pytrees`.
     """
 
     mass: Scalar  # kg

@@ -40,3 +40,13 @@ def stationary(phi: Float[np.ndarray, "r p"]) -> Float[np.ndarray, "r p"]:
         size = np.abs(roots[k])
         found[k] = -np.real(np.poly(np.where(size > ROOT, roots[k] * ROOT / np.maximum(size, 1e-300), roots[k])))[1:]
     return found
+
+
+def driven(phi: Float[np.ndarray, "p ..."], innovations: Float[np.ndarray, "t ..."]) -> Float[np.ndarray, "t ..."]:
+    """x[t] = sum phi[i] x[t-1-i] + e[t] from rest, for many series side by side: time comes first, so that it alone is
+    looped over."""
+    order, weights = len(phi), phi[::-1]
+    found = np.concatenate([np.zeros((order, *innovations.shape[1:])), innovations])
+    for t in range(len(innovations)):
+        found[t + order] += np.add.reduce(weights * found[t : t + order])
+    return found[order:]

@@ -3,17 +3,17 @@
 import enum
 from dataclasses import dataclass
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.arrays import Array
 from bayes_aero.errors import InputError
 
 __all__ = ["ScoreStatus", "Scores", "interval_coverage", "score"]
 
-Vector = Float[np.ndarray, " n"] | Float[jax.Array, " n"]
-Draws = Float[np.ndarray, "draws points"] | Float[jax.Array, "draws points"]
-Prediction = Float[np.ndarray, " points"] | Float[jax.Array, " points"]  # its length is checked in words
+Vector = Float[Array, " n"]
+Draws = Float[Array, "draws points"]
+Prediction = Float[Array, " points"]  # its length is checked in words
 
 
 class ScoreStatus(enum.Enum):

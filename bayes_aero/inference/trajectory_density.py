@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_aero.inference.flown_normal import DEPARTURE, OTHER_DEPARTURE
+from bayes_aero.inference.flown_normal import departures
 from bayes_aero.inference.output_error_result import OutputErrorResult
 from bayes_aero.model.log_density import LogDensity
 from bayes_aero.model.segments import Flown, simulate
@@ -38,13 +38,14 @@ class TrajectoryDensity(LogDensity):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Of the dynamics, of the initial states, of the noise."""
+        dynamics = self.flown.dynamics
         states = [
             Parameter(
                 f"{name}_{row + 1}", "SI", 0.0, 0.0, f"departure of {name} at the start of segment {row + 1}",
-                Prior("normal", 0.0, DEPARTURE.get(name, OTHER_DEPARTURE)),
+                Prior("normal", 0.0, float(deviation)),
             )
             for row in range(len(self.flown.index))
-            for name in self.flown.dynamics.states
+            for name, deviation in zip(dynamics.states, departures(dynamics), strict=True)
         ]  # fmt: skip
         noise = [
             Parameter(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -15,10 +14,7 @@ from bayes_aero.physics.atmosphere import GAMMA, GAS, air
 
 
 def with_sums(record: FlightRecord, card: Card) -> dict[str, Float[np.ndarray, " n"]]:
-    """The record's channels with what the card states, where nothing was recorded, and its sums (total thrust).
-
-    As NumPy arrays: for JAX every new length of a record is another program to compile.
-    """
+    """The record's channels with what the card states, where nothing was recorded, and its sums (total thrust)."""
     channels = {name: np.full(record.n, value) for name, value in card.constants.items()}
     channels |= _derived(record, card.derived)
     channels |= record.channels
@@ -52,6 +48,5 @@ def _derived(record: FlightRecord, wanted: Mapping[str, str]) -> dict[str, Float
 
 def _in_atmosphere(name: str, record: FlightRecord) -> Float[np.ndarray, " n"]:
     """Density or Mach number in a standard atmosphere at the recorded altitude."""
-    longer = np.resize(record["altitude"], 1 << (record.n - 1).bit_length())  # few lengths, few programs
-    density, sound = (np.asarray(values)[: record.n] for values in air(jnp.asarray(longer)))
+    density, sound = air(record["altitude"])
     return density if name == "density" else record["airspeed"] / sound

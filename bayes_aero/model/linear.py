@@ -17,7 +17,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.card_linear import ONE, LinearCard
-from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.channel_units import channel_units
 from bayes_aero.model.dynamics import Dynamics, Values
 from bayes_aero.model.flights import Flights
 from bayes_aero.model.system import Row, System
@@ -138,15 +138,3 @@ def _meaning(name: str, rows: LinearCard, units: Mapping[str, str]) -> tuple[str
 
 def _tidy(unit: str) -> str:
     return si_unit(unit.replace("/(1)", "").replace("(1)", "1")).replace("**", "^")
-
-
-def channel_units(card: Card) -> dict[str, str]:
-    """SI unit of every channel of the card, and of its sums, which are in the unit of their first part."""
-    known = {
-        name: STANDARD_CHANNELS[name].unit for name in (*card.constants, *card.derived) if name in STANDARD_CHANNELS
-    }
-    for channel in card.channels:
-        standard = STANDARD_CHANNELS.get(channel.name)
-        known[channel.name] = standard.unit if standard else si_unit(channel.unit, f"channel {channel.name}")
-    known = {name: table.si for name, table in card.tables.items()} | known
-    return {ONE: "1", "thrust": "N"} | {name: known[next(iter(parts))] for name, parts in card.sums.items()} | known

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 
 from bayes_aero.effect import Stage
 from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.model.flown_channels import FLIGHT
 from bayes_aero.model.model import Model
 from bayes_aero.model.system import Row, System
 from bayes_aero.physics.atmosphere import air
@@ -24,7 +25,6 @@ from bayes_aero.physics.flightpath import motion_of_path, side_force
 from bayes_aero.physics.forces import pitch_acceleration, specific_force
 from bayes_aero.physics.kinematics import Rotation, lever_arm
 
-FLIGHT = ("airspeed", "alpha", "theta", "q")
 ENVELOPE = {"airspeed": (5.0, 1500.0), "alpha": (-1.0, 1.2), "theta": (-1.5, 1.5), "q": (-4.0, 4.0), "X": (-0.5, 1.5)}
 LATERAL = ("p", "r", "p_dot", "r_dot", "beta", "phi", "ay")  # at rest where they were not recorded
 LEAST_LAG = 0.2  # chords: some hundredth of a second, and slow enough for the finest step; less is no lag

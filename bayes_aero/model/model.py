@@ -8,9 +8,9 @@ from difflib import get_close_matches
 from functools import cached_property
 from typing import Any
 
-import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from bayes_aero.arrays import Array, namespace, xp
 from bayes_aero.effect import NEUTRAL_FLOW, Effect, Known, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
@@ -146,7 +146,7 @@ class Model:
         return self._run((Stage.TOTAL,), known, values, signals, aircraft)
 
     def _neutral(self, signals: Signals) -> dict[str, Any]:
-        zeros = jnp.zeros_like(signals["alpha"])
+        zeros = xp.zeros_like(signals["alpha"])
         return {key: zeros + value for key, value in NEUTRAL_FLOW.items()} | {"incidence": signals["alpha"]}
 
     def _run(
@@ -169,7 +169,7 @@ class Model:
     def coefficients(self, theta: Float[Array, " k"], signals: Signals, aircraft: Aircraft) -> Float[Array, "*n 3"]:
         """CL, CD, Cm along the last axis."""
         known = self.flow(self.values(theta), signals, aircraft)
-        return jnp.stack([known["CL"], known["CD"], known["Cm"]], axis=-1)
+        return namespace(known["CL"]).stack([known["CL"], known["CD"], known["Cm"]], axis=-1)
 
     def _absent(self, effect: Effect) -> bool:
         """True for an effect all of whose parameters are fixed at neutral: it need not be computed at all."""

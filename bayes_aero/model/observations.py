@@ -10,7 +10,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Shaped
+from jaxtyping import Array, Bool, Float, Int
 
 from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
@@ -18,7 +18,9 @@ from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.common_rate import at_common_rate
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model import pytrees as pytrees
 from bayes_aero.model.formed import with_sums
+from bayes_aero.model.joined import MARKS, named_apart, plain_marks
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficients import (
     REQUIRED,
@@ -110,32 +112,9 @@ class Observations(eqx.Module):
         return eqx.tree_at(lambda o: o.measured, self, jnp.asarray(measured))
 
 
-def named_apart(records: Sequence[FlightRecord]) -> list[str]:
-    """The records' names; raises `InputError` where two are the same."""
-    names = [record.name for record in records]
-    if len(set(names)) < len(names):
-        raise InputError(f"two records are called {max(names, key=names.count)}; each manoeuvre needs its own name")
-    return names
-
-
-MARKS = ("dt", "start", "elapsed", "first", "last")
-
-
 def marks(n: int, dt: float, first: int = 0) -> dict[str, Array]:
     """What effects of stage CHANNEL find beside the channels of one manoeuvre of `n` samples, the first at `first`."""
     return {name: jnp.asarray(values) for name, values in plain_marks(n, dt, first).items()}
-
-
-def plain_marks(n: int, dt: float, first: int) -> dict[str, Shaped[np.ndarray, " n"]]:
-    """`marks` as NumPy arrays."""
-    index = np.arange(n)
-    return {
-        "dt": np.full(n, dt),
-        "start": index == 0,
-        "elapsed": index * dt,
-        "first": np.full(n, first),
-        "last": np.full(n, first + n - 1),
-    }
 
 
 def observe(

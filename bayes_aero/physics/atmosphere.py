@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Float
+
+from bayes_aero.arrays import Array, xp
 
 GRAVITY = 9.80665  # m/s2
 GAS, GAMMA = 287.05287, 1.4  # J/(kg K) and ratio of the specific heats, of dry air
@@ -14,7 +15,7 @@ def air(altitude: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Float[Array, 
     """Density (kg/m3) and speed of sound (m/s) at geopotential altitude (m)."""
     temperature = _T0 - _LAPSE * altitude
     pressure = _P0 * (temperature / _T0) ** (GRAVITY / (_LAPSE * GAS))
-    return pressure / (GAS * temperature), jnp.sqrt(GAMMA * GAS * temperature)
+    return pressure / (GAS * temperature), xp.sqrt(GAMMA * GAS * temperature)
 
 
 def altitude_of_density(density: float) -> float:

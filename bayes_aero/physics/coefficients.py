@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.physics.coefficient_names import NAMES, REQUIRED
 from bayes_aero.physics.filters import (
     SMOOTHED_DERIVATIVE_GAIN,
     SMOOTHING_GAIN,
@@ -29,9 +30,20 @@ from bayes_aero.physics.frames import lift_drag_from_body
 from bayes_aero.physics.incidence_rate import RATES, alpha_rate, lift_regression
 from bayes_aero.physics.kinematics import Rotation, lever_arm
 
-NAMES = ("CL", "CD", "Cm")
+__all__ = [
+    "NAMES",
+    "REQUIRED",
+    "SMOOTHED",
+    "Coefficients",
+    "alike_joined",
+    "coefficient_noise",
+    "coefficients",
+    "condition",
+    "condition_joined",
+    "unsmoothed_joined",
+]
+
 SMOOTHED = ("alpha", "beta", "airspeed")
-REQUIRED = ("ax", "az", "p", "q", "r", "alpha", "airspeed", "density", "thrust")
 
 Signals = dict[str, Float[Array, "*n"]]
 Filter = Callable[[Float[Array, " n"]], Float[Array, " n"]]

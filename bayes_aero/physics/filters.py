@@ -6,10 +6,10 @@ stall). Both operators are linear, keep the length and act on one manoeuvre at a
 
 from __future__ import annotations
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
+
+from bayes_aero.arrays import Array, namespace
 
 SPENCER = np.array([-3, -6, -5, 3, 21, 46, 67, 74, 67, 46, 21, 3, -5, -6, -3]) / 320.0
 SHORT_SMOOTHER = np.array([7, 24, 34, 24, 7]) / 96.0
@@ -45,11 +45,12 @@ def smooth(x: Float[Array, " n"]) -> Float[Array, " n"]:
 
     It passes cubics unchanged. `x` has any unit; n >= 20.
     """
-    x = jnp.asarray(x)
+    xp = namespace(x)
+    x = xp.asarray(x)
     n = x.shape[0]
-    inner = jnp.convolve(x, jnp.asarray(SPENCER), mode="valid")  # samples 7 .. n-8
-    short = jnp.convolve(x, jnp.asarray(SHORT_SMOOTHER), mode="valid")  # sample i at short[i-2]
-    return jnp.concatenate([x[:3], short[1:5], inner, short[n - 9 : n - 5], x[n - 3 :]])
+    inner = xp.convolve(x, xp.asarray(SPENCER), mode="valid")  # samples 7 .. n-8
+    short = xp.convolve(x, xp.asarray(SHORT_SMOOTHER), mode="valid")  # sample i at short[i-2]
+    return xp.concatenate([x[:3], short[1:5], inner, short[n - 9 : n - 5], x[n - 3 :]])
 
 
 def _central(x: Float[Array, " n"], weights: np.ndarray) -> Float[Array, " m"]:
@@ -58,7 +59,7 @@ def _central(x: Float[Array, " n"], weights: np.ndarray) -> Float[Array, " m"]:
     lags = range(1, half + 1)
     return sum(
         (w * (x[half + k : n - half + k] - x[half - k : n - half - k]) for k, w in zip(lags, weights, strict=True)),
-        start=jnp.zeros(n - 2 * half),
+        start=namespace(x).zeros(n - 2 * half),
     )
 
 
@@ -67,12 +68,13 @@ def differentiate(x: Float[Array, " n"], dt: float | Float[Array, ""] | Float[Ar
 
     `x` in any unit, `dt` in seconds; result in that unit per second. Exact for quartics away from the outer two.
     """
-    x = jnp.asarray(x)
+    xp = namespace(x)
+    x = xp.asarray(x)
     inner = _central(x, EIGHTH_ORDER)  # samples 8 .. n-9
     near = _central(x, FOURTH_ORDER)  # samples 2 .. n-3
     n = near.shape[0]
-    body = jnp.concatenate([near[:6], inner, near[n - 6 :]])
-    return jnp.concatenate([body[:1], body[:1], body, body[-1:], body[-1:]]) / dt
+    body = xp.concatenate([near[:6], inner, near[n - 6 :]])
+    return xp.concatenate([body[:1], body[:1], body, body[-1:], body[-1:]]) / dt
 
 
 def smooth_joined(x: Float[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"]) -> Float[Array, " n"]:
@@ -80,9 +82,9 @@ def smooth_joined(x: Float[Array, " n"], first: Int[Array, " n"], last: Int[Arra
 
     One program for any number of manoeuvres of any lengths: cut into pieces, every new length would be compiled.
     """
-    inside = inside_joined(x.shape[0], first, last)
-    wide, short = (jnp.convolve(x, jnp.asarray(kernel), mode="same") for kernel in (SPENCER, SHORT_SMOOTHER))
-    return jnp.where(inside >= 7, wide, jnp.where(inside >= 3, short, x))
+    xp, inside = namespace(x), inside_joined(x.shape[0], first, last)
+    wide, short = (xp.convolve(x, xp.asarray(kernel), mode="same") for kernel in (SPENCER, SHORT_SMOOTHER))
+    return xp.where(inside >= 7, wide, xp.where(inside >= 3, short, x))
 
 
 def smooth_long(x: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -92,23 +94,25 @@ def smooth_long(x: Float[Array, " n"]) -> Float[Array, " n"]:
     """
     kernel = np.zeros(LONG * (len(SPENCER) - 1) + 1)
     kernel[::LONG] = SPENCER
-    return jnp.convolve(x, jnp.asarray(kernel), mode="same")
+    xp = namespace(x)
+    return xp.convolve(x, xp.asarray(kernel), mode="same")
 
 
 def differentiate_joined(
     x: Float[Array, " n"], dt: Float[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"]
 ) -> Float[Array, " n"]:
     """`differentiate` of manoeuvres laid end to end, each at least 20 samples long."""
-    n = x.shape[0]
-    inner, near = (_central(jnp.pad(x, len(weights)), weights) for weights in (EIGHTH_ORDER, FOURTH_ORDER))
-    slope = jnp.where(inside_joined(n, first, last) >= 8, inner, near)
-    return slope[jnp.clip(jnp.arange(n), first + 2, last - 2)] / dt
+    xp, n = namespace(x, dt), x.shape[0]
+    inner, near = (_central(xp.pad(x, len(weights)), weights) for weights in (EIGHTH_ORDER, FOURTH_ORDER))
+    slope = xp.where(inside_joined(n, first, last) >= 8, inner, near)
+    return slope[xp.clip(xp.arange(n), first + 2, last - 2)] / dt
 
 
 def inside_joined(n: int, first: Int[Array, " n"], last: Int[Array, " n"]) -> Int[Array, " n"]:
     """Samples to the nearer end of the manoeuvre."""
-    place = jnp.arange(n)
-    return jnp.minimum(place - first, last - place)
+    xp = namespace(first, last)
+    place = xp.arange(n)
+    return xp.minimum(place - first, last - place)
 
 
 def recurrence(keep: Float[Array, "n ..."], drive: Float[Array, "n ..."]) -> Float[Array, "n ..."]:
@@ -116,6 +120,9 @@ def recurrence(keep: Float[Array, "n ..."], drive: Float[Array, "n ..."]) -> Flo
 
     A plain scan: the associative one runs no faster at some thousand samples and takes many times longer to compile.
     """
+
+    import jax
+    import jax.numpy as jnp
 
     def step(x, row):
         x = row[0] * x + row[1]
@@ -135,11 +142,12 @@ def advance(
 
     Third-order accurate and differentiable in `seconds`; source: Keys, IEEE Trans. ASSP 29 (1981) 1153, a = -1/2.
     """
-    place = jnp.arange(x.shape[0]) + seconds / dt
-    base = jnp.floor(jax.lax.stop_gradient(place)).astype(int)
+    xp = namespace(x, seconds, dt)
+    place = xp.arange(x.shape[0]) + seconds / dt
+    base = xp.floor(place).astype(int)  # a whole number has no derivative
     u = place - base
-    before, here, after, beyond = (x[jnp.clip(base + k, first, last)] for k in (-1, 0, 1, 2))
+    before, here, after, beyond = (x[xp.clip(base + k, first, last)] for k in (-1, 0, 1, 2))
     slope, next_slope = 0.5 * (after - before), 0.5 * (beyond - here)
     rise = after - here
     inside = here + u * (slope + u * (3.0 * rise - 2.0 * slope - next_slope + u * (slope + next_slope - 2.0 * rise)))
-    return jnp.where(place <= first, x[first], jnp.where(place >= last, x[last], inside))
+    return xp.where(place <= first, x[first], xp.where(place >= last, x[last], inside))

@@ -8,16 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
+from bayes_aero.arrays import Array, namespace, xp
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.physics.atmosphere import GRAVITY
 from bayes_aero.physics.kinematics import Rotation, lever_arm
 
 PATH = ("airspeed", "alpha", "theta", "altitude")
 LATERAL = ("beta", "phi")  # flight-path outputs of records whose lateral motion was flown and recorded
+PATH_CORE = ("ax", "az", "q", "theta", "alpha", "airspeed")  # without these there is no flight path
+STRAIGHT = ("ay", "p", "r", "phi", "beta")  # zero in symmetric flight, and taken as zero where not recorded
 PATH_NEEDS = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "alpha", "beta", "airspeed", "altitude")
 
 Samples = Float[Array, "*n"]
@@ -31,17 +33,20 @@ def path_rates(s: Mapping[str, Samples], aircraft: Aircraft) -> dict[str, Sample
     rotation = Rotation(s["p"], s["q"], s["r"], s["p_dot"], s["q_dot"], s["r_dot"])
     x, y, z = lever_arm(rotation, aircraft.accelerometer)
     force = (s["ax"] - x, s["ay"] - y, s["az"] - z)
-    return motion_of_path(s, force) | lateral_motion(s, force)
+    sines = _sines(s)
+    return motion_of_path(s, force, sines) | lateral_motion(s, force, sines)
 
 
 def _sines(s: Mapping[str, Samples]) -> tuple[Samples, ...]:
     """Sine and cosine of alpha, beta, theta and phi, in that order."""
-    return tuple(f(s[name]) for name in ("alpha", "beta", "theta", "phi") for f in (jnp.sin, jnp.cos))
+    return tuple(f(s[name]) for name in ("alpha", "beta", "theta", "phi") for f in (xp.sin, xp.cos))
 
 
-def motion_of_path(s: Mapping[str, Samples], force: tuple[Samples, Samples, Samples]) -> dict[str, Samples]:
+def motion_of_path(
+    s: Mapping[str, Samples], force: tuple[Samples, Samples, Samples], sines: tuple[Samples, ...] | None = None
+) -> dict[str, Samples]:
     """As `path_rates`, from the specific force at the centre of gravity (body axes, m/s2)."""
-    sin_a, cos_a, sin_b, cos_b, sin_t, cos_t, sin_p, cos_p = _sines(s)
+    sin_a, cos_a, sin_b, cos_b, sin_t, cos_t, sin_p, cos_p = _sines(s) if sines is None else sines
     ax, ay, az = force[0] - GRAVITY * sin_t, force[1] + GRAVITY * cos_t * sin_p, force[2] + GRAVITY * cos_t * cos_p
     V = s["airspeed"]
     return {
@@ -52,9 +57,11 @@ def motion_of_path(s: Mapping[str, Samples], force: tuple[Samples, Samples, Samp
     }
 
 
-def lateral_motion(s: Mapping[str, Samples], force: tuple[Samples, Samples, Samples]) -> dict[str, Samples]:
+def lateral_motion(
+    s: Mapping[str, Samples], force: tuple[Samples, Samples, Samples], sines: tuple[Samples, ...] | None = None
+) -> dict[str, Samples]:
     """Time derivatives of sideslip and bank (rad/s) from the specific force at the centre of gravity (m/s2)."""
-    sin_a, cos_a, sin_b, cos_b, sin_t, cos_t, sin_p, cos_p = _sines(s)
+    sin_a, cos_a, sin_b, cos_b, sin_t, cos_t, sin_p, cos_p = _sines(s) if sines is None else sines
     ax, ay, az = force[0] - GRAVITY * sin_t, force[1] + GRAVITY * cos_t * sin_p, force[2] + GRAVITY * cos_t * cos_p
     across = ay * cos_b - (ax * cos_a + az * sin_a) * sin_b
     return {
@@ -63,16 +70,24 @@ def lateral_motion(s: Mapping[str, Samples], force: tuple[Samples, Samples, Samp
     }
 
 
-def path_outputs(channels: Mapping[str, Samples | Float[np.ndarray, "*n"]]) -> tuple[str, ...]:
-    """Flight-path outputs that (n,) channels allow: `PATH`, and of `LATERAL` what moves; none without `PATH_NEEDS`.
+def path_outputs(channels: Mapping[str, Samples]) -> tuple[str, ...]:
+    """Flight-path outputs that (n,) channels allow: what was recorded of `PATH`, and of `LATERAL` what moves.
 
-    Sideslip that a card states as constant, or bank of wings that stayed level, is no measurement.
+    None without `PATH_CORE`. Sideslip that a card states as constant, or bank of wings that stayed level, is no
+    measurement; nor is bank without both of the rates that move it.
     """
-    if not set(PATH_NEEDS) <= set(channels):
+    if not set(PATH_CORE) <= set(channels):
         return ()
-    moves = {name for name in PATH_NEEDS if float(np.ptp(np.asarray(channels[name]))) > 0.0}
+    recorded = tuple(name for name in PATH if name in channels)
+    moves = {n for n in PATH_NEEDS if n in channels and float(np.ptp(np.asarray(channels[n]))) > 0.0}
     sideslip = ("beta",) if {"beta", "ay"} <= moves else ()
-    return (*PATH, *sideslip, *(("phi",) if {"phi", "p"} <= moves else ()))
+    return (*recorded, *sideslip, *(("phi",) if {"phi", "p"} <= moves and "r" in channels else ()))
+
+
+def as_symmetric(channels: Mapping[str, Array]) -> dict[str, Array]:
+    """(n,) channels with zeros for what symmetric flight lacks (`STRAIGHT`) and was not recorded."""
+    nothing = xp.zeros_like(channels["q"])
+    return {name: nothing for name in STRAIGHT if name not in channels} | dict(channels)
 
 
 def side_force(s: Mapping[str, Samples], ax: Samples, az: Samples) -> Samples:
@@ -89,9 +104,10 @@ def side_force(s: Mapping[str, Samples], ax: Samples, az: Samples) -> Samples:
 
 
 def integral(
-    rate: Float[Array, " n"], dt: Float[Array, " n"], start: Bool[Array, " n"], first: Int[Array, " n"]
-) -> Float[Array, " n"]:
+    rate: Float[Array, "*r n"], dt: Float[Array, " n"], start: Bool[Array, " n"], first: Int[Array, " n"]
+) -> Float[Array, "*r n"]:
     """Running trapezoidal integral, anew from zero in each manoeuvre (`start` marks, `first` indexes its beginning)."""
-    before = jnp.concatenate([rate[:1], rate[:-1]])
-    total = jnp.cumsum(jnp.where(start, 0.0, 0.5 * dt * (rate + before)))
-    return total - total[first]
+    own = namespace(rate, dt)
+    before = own.concatenate([rate[..., :1], rate[..., :-1]], axis=-1)
+    total = own.cumsum(own.where(start, 0.0, 0.5 * dt * (rate + before)), axis=-1)
+    return total - total[..., first]

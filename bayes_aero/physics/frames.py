@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Float
+
+from bayes_aero.arrays import Array, xp
 
 Samples = Float[Array, "*n"]
 
@@ -13,11 +14,11 @@ def lift_drag_from_body(CX: Samples, CZ: Samples, alpha: Samples) -> tuple[Sampl
 
     CL = CX sin alpha - CZ cos alpha, CD = -CX cos alpha - CZ sin alpha.
     """
-    sin, cos = jnp.sin(alpha), jnp.cos(alpha)
+    sin, cos = xp.sin(alpha), xp.cos(alpha)
     return CX * sin - CZ * cos, -CX * cos - CZ * sin
 
 
 def body_from_lift_drag(CL: Samples, CD: Samples, alpha: Samples) -> tuple[Samples, Samples]:
     """CX and CZ from lift and drag; the inverse of `lift_drag_from_body`."""
-    sin, cos = jnp.sin(alpha), jnp.cos(alpha)
+    sin, cos = xp.sin(alpha), xp.cos(alpha)
     return CL * sin - CD * cos, -CL * cos - CD * sin

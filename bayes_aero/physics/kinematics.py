@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from bayes_aero.arrays import Array
 from bayes_aero.flight.aircraft import Position
 
 Samples = Float[Array, "*n"]

@@ -6,8 +6,9 @@ says which under [aircraft] as `rate_length` and `reference_speed`. Their defaul
 
 from __future__ import annotations
 
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from bayes_aero.arrays import Array
 from bayes_aero.flight.aircraft import Aircraft
 
 USUAL_SPEED = 100.0  # m/s, where the card names no reference speed; only keeps the ratio near one

@@ -5,10 +5,9 @@ Source: Goman and Khrabrov, J. Aircraft 31 (1994) 1109; Fischenberg and Jategaon
 
 from __future__ import annotations
 
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
+from bayes_aero.arrays import Array, xp
 from bayes_aero.physics.filters import recurrence
 
 Scalar = Float[Array, ""]
@@ -20,17 +19,19 @@ def separation_point(a1: Scalar, alpha: Samples, alpha_star: Scalar) -> Samples:
 
     Written as a logistic so that X and its root keep finite derivatives when the flow is fully separated.
     """
+    import jax
+
     return jax.nn.sigmoid(-2.0 * a1 * (alpha - alpha_star))
 
 
 def root(X: Samples) -> Samples:
     """sqrt X with a finite derivative at X = 0 (Kirchhoff's lift uses the root)."""
-    return jnp.sqrt(jnp.maximum(X, 1e-30))
+    return xp.sqrt(xp.maximum(X, 1e-30))
 
 
 def kirchhoff_factor(X: Samples) -> Samples:
     """((1 + sqrt X)/2)^2: share of the attached lift-curve slope that Kirchhoff's flow keeps."""
-    return jnp.square((1.0 + root(X)) / 2.0)
+    return xp.square((1.0 + root(X)) / 2.0)
 
 
 def lagged(X_static: Float[Array, " n"], tau: Float[Array, " n"], dt: Float[Array, " n"], start: Bool[Array, " n"]):
@@ -39,6 +40,8 @@ def lagged(X_static: Float[Array, " n"], tau: Float[Array, " n"], dt: Float[Arra
     `tau` and `dt` (time since the previous sample) in s. Exact for an input linear between samples and tau constant
     over a step; tau = 0 gives X_static exactly, with the correct derivative there: dX/dtau = -dX_static/dt.
     """
+    import jax.numpy as jnp
+
     ratio = tau / dt
     safe = jnp.where(ratio > 1e-3, ratio, 1.0)
     decay = jnp.where(ratio > 1e-3, jnp.exp(-1.0 / safe), 0.0)

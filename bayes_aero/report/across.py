@@ -10,7 +10,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from bayes_aero.report.style import COLOURS, NotDrawn, bracket, for_people, grid_of, housed
+from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.phrases import bracket, for_people
+from bayes_aero.report.style import NotDrawn, grid_of, housed
 
 METHODS = {
     "mle_corrected": ("maximum likelihood, corrected bound", "crb_corrected"),

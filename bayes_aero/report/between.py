@@ -17,7 +17,7 @@ from bayes_aero.report.comparison import (
     ordered,
     usable,
 )
-from bayes_aero.report.style import several
+from bayes_aero.report.phrases import several
 
 
 def left_out(identification: Identification) -> list[str]:

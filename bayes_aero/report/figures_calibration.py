@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from matplotlib.figure import Figure
 
 from bayes_aero.inference.ranks import Band
-from bayes_aero.report.style import COLOURS, grid_of, housed
+from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.style import grid_of, housed
 
 
 @housed

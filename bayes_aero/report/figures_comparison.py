@@ -10,8 +10,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
 from bayes_aero.inference.identification import Identification
+from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.comparison import NORMAL95, Method, alone, decimals, methods, ordered, scatter, unit_of
-from bayes_aero.report.style import COLOURS, NotDrawn, bracket, grid_of, housed, panels
+from bayes_aero.report.phrases import bracket
+from bayes_aero.report.style import NotDrawn, grid_of, housed, panels
 
 MARKERS = {"crb": "|", "crb_corrected": "s", "white": "D", "emcee": "o", "nuts": "^", "scatter": "*"}
 

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from bayes_aero.report.style import COLOURS, housed, panels
+from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.style import housed, panels
 
 LOOKS = {
     "CRB": ("Cramér–Rao", COLOURS["crb"], "o"),

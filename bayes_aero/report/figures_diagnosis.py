@@ -13,19 +13,11 @@ from scipy.signal import welch
 from bayes_aero.criticism.residuals import profiles
 from bayes_aero.inference.scores import Scores, score
 from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.diagnosed import Fitted, Ranking, View
 from bayes_aero.report.figures_flight import SYMBOLS, shown_in
-from bayes_aero.report.style import (
-    COLOURS,
-    NotDrawn,
-    bracket,
-    column_width,
-    for_people,
-    housed,
-    panels,
-    refuse_many,
-    size_text,
-)
+from bayes_aero.report.phrases import bracket, for_people, size_text
+from bayes_aero.report.style import NotDrawn, column_width, housed, panels, refuse_many
 from bayes_aero.report.words_diagnosis import SPLITS
 
 RESPONSES = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot")  # what the forces make, not what makes them

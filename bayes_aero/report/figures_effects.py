@@ -9,7 +9,8 @@ from typing import Any
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from bayes_aero.report.style import COLOURS, NotDrawn, housed, panels
+from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.style import NotDrawn, housed, panels
 
 KINDS = ("mle", "gpr", "emcee", "nuts", "crb_corrected", "white")  # roles whose colours kinds of effects take, in turn
 

@@ -11,8 +11,10 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.scores import score
 from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.phrases import bracket, for_people
 from bayes_aero.report.predictions import Predicted, broken, clock, predicted, what_is_shown
-from bayes_aero.report.style import COLOURS, NotDrawn, bracket, column_width, for_people, housed, panels, refuse_many
+from bayes_aero.report.style import NotDrawn, column_width, housed, panels, refuse_many
 
 # Channels of figure 1, in the seed paper's order, then what else tells a manoeuvre.
 HISTORY = ("alpha", "theta", "q", "elevator", "ax", "az", "airspeed", "altitude", "mach", "thrust")

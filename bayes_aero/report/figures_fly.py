@@ -9,8 +9,9 @@ from functools import partial
 from matplotlib.figure import Figure
 
 from bayes_aero.criticism.flown_fit import FITTED, START, FlownFit
+from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures_trajectory import over_measured
-from bayes_aero.report.style import COLOURS, housed, refuse_many
+from bayes_aero.report.style import housed, refuse_many
 
 MODELS = ((START, "start", COLOURS["before"]), (FITTED, "fitted", COLOURS["after"]))
 

@@ -14,9 +14,11 @@ from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.scores import score
 from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.diagnosed import Ranking, View
 from bayes_aero.report.figures_diagnosis import NOTE, TIGHT, models_of
-from bayes_aero.report.style import COLOURS, PHONE, for_people, housed, size_text
+from bayes_aero.report.phrases import for_people, size_text
+from bayes_aero.report.style import PHONE, housed
 from bayes_aero.report.words_trajectory import short
 
 SHOWN = 10  # candidates

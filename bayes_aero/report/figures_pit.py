@@ -13,8 +13,10 @@ from bayes_aero.inference.pit import Histogram, histogram, neighbours, pit
 from bayes_aero.model.density import Density
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.comparison import chosen_posteriors, engine_label
-from bayes_aero.report.style import COLOURS, NotDrawn, housed, panels, several
+from bayes_aero.report.phrases import several
+from bayes_aero.report.style import NotDrawn, housed, panels
 
 SLIGHT = 0.1  # correlation of neighbours up to which the band's independence is near enough; our choice
 CHANCE = 3.0  # deviations of the correlation of independent neighbours

@@ -11,8 +11,10 @@ from matplotlib.figure import Figure
 
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.posterior import Posterior
+from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.comparison import chosen_posteriors, engine_label, noise_label, ordered, unit_of
-from bayes_aero.report.style import COLOURS, NotDrawn, arviz_plots, bracket, close, housed, quiet_pyplot
+from bayes_aero.report.phrases import bracket
+from bayes_aero.report.style import NotDrawn, arviz_plots, close, housed, quiet_pyplot
 
 TRACE_DRAWS = 1000  # per chain: more draws than a panel has pixels only cost time
 RANK_DRAWS = 250  # per chain: the band is found by simulation, whose time grows with it

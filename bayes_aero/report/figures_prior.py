@@ -16,8 +16,10 @@ from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.posterior import Posterior
 from bayes_aero.model.noise import Noise
 from bayes_aero.parameter import Parameter
+from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.comparison import chosen_posteriors, engine_label, noise_label, ordered
-from bayes_aero.report.style import COLOURS, NotDrawn, bracket, grid_of, housed, panels
+from bayes_aero.report.phrases import bracket
+from bayes_aero.report.style import NotDrawn, grid_of, housed, panels
 
 WIDE, NARROW = 12.0, 4.0  # posterior deviations either side of its mean that a panel spans at most, at least
 

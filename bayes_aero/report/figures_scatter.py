@@ -9,8 +9,9 @@ from matplotlib.figure import Figure
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.scores import score
 from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.predictions import predicted, what_is_shown
-from bayes_aero.report.style import COLOURS, column_width, housed, panels, refuse_many
+from bayes_aero.report.style import column_width, housed, panels, refuse_many
 
 
 def _correlation(identification: Identification, name: str) -> Figure:

@@ -13,9 +13,10 @@ from matplotlib.figure import Figure
 
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.stall import Stall
+from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.diagnosed import Fitted, View
 from bayes_aero.report.predictions import fitted_coefficients
-from bayes_aero.report.style import COLOURS, PHONE, NotDrawn, housed, panels
+from bayes_aero.report.style import PHONE, NotDrawn, housed, panels
 
 BAND: dict[str, Any] = {"alpha": 0.25, "lw": 0.0}
 RATE_COLOURS = ("falling", "measured", "rising")

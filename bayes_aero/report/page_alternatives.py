@@ -10,8 +10,8 @@ from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.comparison import engine_label, methods
 from bayes_aero.report.diagnosed import View, composition, unseen_scores
 from bayes_aero.report.figures_found import telling
-from bayes_aero.report.page_parts import DEG, interval
-from bayes_aero.report.style import several
+from bayes_aero.report.page_stall import DEG, interval
+from bayes_aero.report.phrases import several
 
 OFF = (
     "The steady curve holds controls, airspeed and Mach number as near the largest lift, so it leaves the data where "

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.page import Block, Page, Plot, Points, Table, Text, filled, section
 from bayes_aero.report.page_parts import histories, number, provenance_blocks
 from bayes_aero.report.page_plots import SAMPLE, TIME, Line, Panel
-from bayes_aero.report.style import COLOURS, bracket
+from bayes_aero.report.phrases import bracket
 
 MOST_PANELS = 16
 TAKEN = "recorded, with the sign and in the unit that were guessed"

@@ -9,11 +9,12 @@ from bayes_aero.criticism.checked import CheckReport
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.inspection import RecordReport
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.page import Block, Fold, Page, Plot, Table, Text, filled, section
 from bayes_aero.report.page_parts import at_a_glance, bullets, consistency_lead, first, histories, provenance_blocks
 from bayes_aero.report.page_plots import Line, Panel
 from bayes_aero.report.page_trajectories import axis_label
-from bayes_aero.report.style import COLOURS, for_people
+from bayes_aero.report.phrases import for_people
 from bayes_aero.report.words_check import (
     card_sentences,
     headline,

@@ -9,6 +9,7 @@ import numpy as np
 from bayes_aero.criticism.finding import Cause, Diagnosis
 from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.diagnosed import Ranking, View, rankings_of, unseen_scores
 from bayes_aero.report.figures_flight import SYMBOLS, shown_in
 from bayes_aero.report.page import Block, Fold, Page, Table, Text, filled, section
@@ -30,15 +31,16 @@ from bayes_aero.report.page_parts import (
     histories,
     provenance_blocks,
     records_and_faults,
-    stall_table,
     symbols,
 )
 from bayes_aero.report.page_pictures import Gallery
 from bayes_aero.report.page_plots import LOW, Line, Panel
+from bayes_aero.report.page_stall import stall_table
 from bayes_aero.report.page_trajectories import trajectories
 from bayes_aero.report.page_words import WORDS
-from bayes_aero.report.style import COLOURS, bracket, several
+from bayes_aero.report.phrases import bracket, several
 from bayes_aero.report.unseen import Unseen
+from bayes_aero.report.words_consistency import open_sentences
 from bayes_aero.report.words_diagnosis import NAMED_IF, diagnosis_sentences
 from bayes_aero.report.words_trajectory import simulation_gain, trajectory_sentences
 
@@ -194,6 +196,7 @@ def _open(d: Diagnosis, told: PageContext, rest: Sequence[str]) -> tuple[Block, 
         blocks.append(Text("No named cause has a rival that explains the record about as well."))
     pairs = [one for one in rest if " cancel each other " in one]
     blocks += [*bullets(pairs), *separating(told.separating)]
+    blocks += bullets([] if told.consistency is None else open_sentences(told.consistency))
     unknown = [one for one in rest if one.startswith(("Unexplained", "The record asks for"))]
     blocks += bullets(unknown) or (Text("No structure is left that a recorded channel would predict."),)
     others = [s for s in rest if s not in (*unknown, *pairs) and not any(s.startswith(f"{c.name}: ") for c in d.causes)]

@@ -14,7 +14,7 @@ from bayes_aero.report.comparison import decimals
 from bayes_aero.report.diagnosed import LEVELS, View, composition
 from bayes_aero.report.page import Block, Table, Text
 from bayes_aero.report.page_parts import number
-from bayes_aero.report.style import bracket, for_people, several, size_text
+from bayes_aero.report.phrases import bracket, for_people, several, size_text
 from bayes_aero.report.unseen import Unseen
 from bayes_aero.report.words_diagnosis import probability
 

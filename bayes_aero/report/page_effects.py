@@ -9,7 +9,7 @@ from typing import Any
 from bayes_aero.report.figures_effects import needed
 from bayes_aero.report.page import Block, Facts, Fold, Page, Picture, Section, Table, filled, section
 from bayes_aero.report.page_parts import plain_unit, provenance_blocks
-from bayes_aero.report.style import bracket, several
+from bayes_aero.report.phrases import bracket, several
 from bayes_aero.report.words_effects import facts, shown, worked
 
 Described = Mapping[str, Any]

@@ -14,6 +14,7 @@ from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.report import page_fly_tables as tables
+from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures_fly import stem_of
 from bayes_aero.report.page import Block, Fold, Page, Text, filled, section
 from bayes_aero.report.page_parts import (
@@ -29,9 +30,9 @@ from bayes_aero.report.page_pictures import Gallery
 from bayes_aero.report.page_plots import LOW, Line, Panel
 from bayes_aero.report.page_trajectories import Curve, axis_label, over_measured, sources
 from bayes_aero.report.page_words import FLOWN, words
-from bayes_aero.report.style import COLOURS, for_people, several
+from bayes_aero.report.phrases import SYMBOLS, for_people, several
 from bayes_aero.report.words_fly import errors_of_all
-from bayes_aero.report.words_trajectory import SYMBOLS, short
+from bayes_aero.report.words_trajectory import short
 
 MODELS = (
     (START, "first values", COLOURS["before"], "dashed"),

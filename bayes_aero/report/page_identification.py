@@ -13,6 +13,7 @@ from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.posterior import PosteriorStatus
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report import page_tables
+from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.comparison import chosen_posteriors, engine_label, methods, noise_label, ordered, usable
 from bayes_aero.report.figures_flight import SYMBOLS, shown_in
 from bayes_aero.report.figures_pit import pit_words
@@ -20,22 +21,20 @@ from bayes_aero.report.page import Block, Fold, Page, Text, filled, section
 from bayes_aero.report.page_alternatives import identification_alternatives
 from bayes_aero.report.page_given import given_flights
 from bayes_aero.report.page_parts import (
-    DEG,
     bullets,
     doubts,
     first,
     histories,
-    interval,
     provenance_blocks,
     records_and_faults,
-    stall_table,
     symbols,
 )
 from bayes_aero.report.page_pictures import Gallery
 from bayes_aero.report.page_plots import LOW, Line, Panel
+from bayes_aero.report.page_stall import DEG, interval, stall_table
 from bayes_aero.report.page_words import WORDS
+from bayes_aero.report.phrases import bracket, several
 from bayes_aero.report.predictions import fitted_coefficients
-from bayes_aero.report.style import COLOURS, bracket, several
 from bayes_aero.report.words import disputed, verdict
 
 CONTEXT = ("alpha", "elevator", "q", "airspeed", "altitude")

@@ -12,7 +12,7 @@ from bayes_aero.parameter import Parameter
 from bayes_aero.report.page import Page, Table, Text, filled, section
 from bayes_aero.report.page_check import recorded
 from bayes_aero.report.page_parts import at_a_glance, number, plain_unit, provenance_blocks, symbols
-from bayes_aero.report.style import bracket, several
+from bayes_aero.report.phrases import bracket, several
 
 
 def simulated_page(

@@ -16,7 +16,8 @@ from bayes_aero.report.across import MOST_BARS, MOST_PANELS, Estimates, across, 
 from bayes_aero.report.page import Block, Facts, Page, Picture, Table, Text, filled, section
 from bayes_aero.report.page_parts import bullets, number, plain_unit
 from bayes_aero.report.page_pictures import embedded
-from bayes_aero.report.style import NotDrawn, save, several
+from bayes_aero.report.phrases import several
+from bayes_aero.report.style import NotDrawn, save
 
 MOST_UNITS, MOST_ROWS = 200, 300  # of a table on the page; the files have all
 APART = 1.5  # times the units' own deviation, from which their scatter is told

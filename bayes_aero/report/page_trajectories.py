@@ -11,11 +11,12 @@ import numpy as np
 from bayes_aero.criticism.trajectory import Path, Trajectories
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.page import Block, Facts, Fold, Plot, Table, Text
 from bayes_aero.report.page_parts import first, histories, number
 from bayes_aero.report.page_plots import Line, Panel
-from bayes_aero.report.style import COLOURS, bracket, for_people
-from bayes_aero.report.words_trajectory import SYMBOLS, short
+from bayes_aero.report.phrases import SYMBOLS, bracket, for_people
+from bayes_aero.report.words_trajectory import short
 
 MODELS = (
     ("card", "card's model", COLOURS["before"], "dashed"),

@@ -7,7 +7,7 @@ import numpy as np
 from bayes_aero.inference.identification import GPReport, Identification
 from bayes_aero.inference.scores import score
 from bayes_aero.physics.coefficients import NAMES
-from bayes_aero.report.style import several
+from bayes_aero.report.phrases import several
 
 LEAK = 0.02  # a correlation that falls by more from the random split to another one was leaked; our choice
 NOTABLE = 0.001  # a difference of correlations not worth a sentence below; our choice

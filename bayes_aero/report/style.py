@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import wraps
 from pathlib import Path
@@ -24,28 +24,6 @@ from bayes_aero.inference.identification import Identification
 
 DPI = 150
 PHONE = 5.0  # inches, of a figure for a phone: shrunk to its width, the text stays legible
-
-# Okabe and Ito's colours, and two of Paul Tol's: told apart with every common colour blindness.
-COLOURS = {
-    "measured": "#1a1a1a",
-    "mle": "#0072B2",
-    "gpr": "#D55E00",
-    "crb": "#56B4E9",
-    "crb_corrected": "#E69F00",
-    "white": "#332288",
-    "emcee": "#009E73",
-    "nuts": "#CC79A7",
-    "alone": "#1a1a1a",
-    "scatter": "#D55E00",
-    "prior": "#b0b0b0",
-    "rising": "#882255",
-    "falling": "#2a9d8f",
-    "before": "#0072B2",
-    "unconfirmed": "#d0d0d0",
-    "after": "#D55E00",
-    "chosen": "#D55E00",
-    "candidate": "#9fb8c9",
-}
 
 RC: dict[str, Any] = {
     "font.size": 9.0,
@@ -139,36 +117,6 @@ def column_width(columns: int) -> float:
     return float(np.clip(15.0 / columns, 2.8, 9.0))
 
 
-FOR_PEOPLE = {
-    "rad": ("deg", 180.0 / np.pi),
-    "rad/s": ("deg/s", 180.0 / np.pi),
-    "m/s^2": ("m/s²", 1.0),
-    "rad/s^2": ("deg/s²", 180.0 / np.pi),
-    "1/rad^2": ("1/rad²", 1.0),
-    "kg/m^3": ("kg/m³", 1.0),
-}
-
-
-def for_people(unit: str) -> tuple[str, float]:
-    """The unit in which people read a quantity, and the factor to it from SI."""
-    return FOR_PEOPLE.get(unit, (unit, 1.0))
-
-
-def size_text(mean: float, sd: float, unit: str) -> str:
-    """0.62 ± 0.11 deg: two digits of the deviation, units as people read them."""
-    shown, factor = for_people(unit)
-    shown = "" if shown == "1" else f" {shown}"
-    if not np.isfinite(sd) or sd <= 0.0:
-        return f"{factor * mean:.3g}{shown}"
-    places = max(0, 1 - int(np.floor(np.log10(factor * sd))))
-    return f"{factor * mean:.{places}f} ± {factor * sd:.{places}f}{shown}"
-
-
-def bracket(unit: str) -> str:
-    """A unit as it stands behind a name on an axis."""
-    return "[-]" if unit in ("1", "", "-") else f"[{unit}]"
-
-
 def save(figure: Figure, path: Path) -> Path:
     """Write a PNG whole or not at all, and close the figure."""
     partial = path.with_name(path.name + ".part")
@@ -212,9 +160,3 @@ def arviz_plots() -> ModuleType:
         import arviz_plots
         import arviz_plots.backend.matplotlib  # which it would import later, out of the reach of this filter
     return arviz_plots
-
-
-def several(items: Iterable[str]) -> str:
-    """Items as they are read out: a, b and c."""
-    given = list(items)
-    return " and ".join([", ".join(given[:-1]), given[-1]]) if len(given) > 1 else "".join(given)

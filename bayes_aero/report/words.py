@@ -22,8 +22,8 @@ from bayes_aero.report.comparison import (
     usable,
     white_posterior,
 )
+from bayes_aero.report.phrases import several
 from bayes_aero.report.splits import split_verdict
-from bayes_aero.report.style import several
 from bayes_aero.report.words_restraints import bound_sentences, conflict_sentences, inseparable_sentences
 from bayes_aero.report.words_signs import sign_sentences
 

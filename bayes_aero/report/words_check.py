@@ -8,7 +8,7 @@ from bayes_aero.criticism.checked import CheckReport
 from bayes_aero.flight.agreement import Agreement
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.inspection import ChannelReport, RecordReport
-from bayes_aero.report.style import for_people, several
+from bayes_aero.report.phrases import for_people, several
 from bayes_aero.report.words_consistency import consistency_sentences
 
 MOST_PARTS = 12  # of a file that are listed in words; the JSON has all

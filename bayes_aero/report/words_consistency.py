@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from bayes_aero.flight.agreement import Agreement, Consistency, Departure
+from bayes_aero.flight.agreement import Agreement, Consistency, Departure, OpenError
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.report.style import for_people, several
+from bayes_aero.report.phrases import for_people, several
 
 SHOWN = 4  # departures in the sentence
 FOLLOWS = {
@@ -25,7 +25,7 @@ def consistency_sentences(found: Consistency, *, corrects: bool) -> list[str]:
     """The answer, the doubt first. `corrects`: whether the command takes known errors of sensors out by itself."""
     if found.agreement is Agreement.NOT_CHECKED:
         return [f"Whether the sensors agree was not checked: {found.why_not}."]
-    return [_answer(found, corrects=corrects), *_limits(found)]
+    return [_answer(found, corrects=corrects), *_limits(found), *open_sentences(found)]
 
 
 def _answer(found: Consistency, *, corrects: bool) -> str:
@@ -76,11 +76,44 @@ def _limits(found: Consistency) -> list[str]:
     return said
 
 
+def open_sentences(found: Consistency) -> list[str]:
+    """Errors of sensors that the flight path cannot decide on: those it asks for first."""
+    said = []
+    if asked := [e for e in found.open if e.asked]:
+        listed = "; ".join(f"{_estimate(e)}{_imitated(e)}" for e in asked)
+        said.append(
+            "Errors that would explain much of what the flight path leaves, but that other parts of the records do not "
+            f"confirm, each as the only error; none is corrected: {listed}."
+        )
+    if alike := [e for e in found.open if not e.asked]:
+        said.append(f"Not testable along this flight path: {'; '.join(f'{e.name}{_imitated(e)}' for e in alike)}.")
+    return said
+
+
+def _estimate(error: OpenError) -> str:
+    unit, factor = for_people(error.unit)
+    return f"{error.name} {factor * error.mean:.3g} ± {factor * error.sd:.2g}{_behind(unit)}"
+
+
+def _imitated(error: OpenError) -> str:
+    """Which errors cannot be told from this one."""
+    if not error.imitators:
+        return ""
+    unit, factor = for_people(error.unit)
+    return (
+        f" (cannot be told from {several(error.imitators)}: ± {factor * error.among:.2g}{_behind(unit)} if "
+        f"{'those are' if len(error.imitators) > 1 else 'that is'} possible)"
+    )
+
+
+def _behind(unit: str) -> str:
+    return "" if unit == "1" else f" {unit}"
+
+
 def sizes(error: Mapping[str, Any]) -> str:
     """A sensor error's parameters with their standard errors."""
     listed = []
     for parameter, size in error["parameters"].items():
         unit, factor = for_people(size["unit"])
-        behind = "" if unit == "1" else f" {unit}"
-        listed.append(f"{parameter} {factor * size['mean']:.3g} ± {factor * size['sd']:.2g}{behind}")
+        listed.append(f"{parameter} {factor * size['mean']:.3g} ± {factor * size['sd']:.2g}{_behind(unit)}")
     return ", ".join(listed)

@@ -14,7 +14,7 @@ from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.diagnosed import View
-from bayes_aero.report.style import several, size_text
+from bayes_aero.report.phrases import several, size_text
 from bayes_aero.report.words_signs import sign_sentences
 from bayes_aero.report.words_trajectory import trajectory_sentences
 from bayes_aero.report.words_verdict import verdict_sentence

@@ -9,7 +9,7 @@ import pandas as pd
 from bayes_aero.inference.inseparable import Inseparable
 from bayes_aero.inference.prior_sensitivity import SENSITIVE
 from bayes_aero.inference.restraints import Bounded, PriorConflict
-from bayes_aero.report.style import several
+from bayes_aero.report.phrases import several
 
 
 def conflict_sentences(conflicts: Sequence[PriorConflict]) -> list[str]:

@@ -12,12 +12,11 @@ from bayes_aero.criticism.trajectory import Estimates, Trajectories
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.output_error import OutputErrorStatus
-from bayes_aero.report.style import for_people, several, size_text
+from bayes_aero.report.phrases import SYMBOLS, for_people, several, size_text
 
 MODELS = ("card", "extended")
 STOPPED = "stopped before the optimum, so that its errors may be larger than they need be"
 TAIL = 6  # characters of a manoeuvre's name
-SYMBOLS = {"airspeed": "V", "alpha": "α", "theta": "θ", "altitude": "h"}
 
 
 def short(x: float) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bayes_aero.criticism.finding import Cause, Diagnosis, Verdict
-from bayes_aero.report.style import several, size_text
+from bayes_aero.report.phrases import several, size_text
 
 FEW = 3  # causes whose sizes stand in the verdict
 

@@ -21,15 +21,13 @@ from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.inspection import RecordReport, inspect_record
 from bayes_aero.flight.reading import manoeuvres
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.flights import join
+from bayes_aero.model.flown_channels import FLIGHT
 from bayes_aero.model.formed import with_sums
-from bayes_aero.model.longitudinal import FLIGHT
+from bayes_aero.model.joined import joined
 from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
-from bayes_aero.physics.coefficients import REQUIRED
+from bayes_aero.physics.coefficient_names import REQUIRED
 from bayes_aero.physics.filters import FILTER_STEP
-from bayes_aero.report.page import put_page
-from bayes_aero.report.page_check import check_page
 from bayes_aero.studies.consistency_results import consistency_results
 from bayes_aero.studies.folder import writable
 from bayes_aero.studies.health_results import health_results
@@ -92,7 +90,7 @@ def _purpose(records: Sequence[FlightRecord], card: Card) -> tuple[dict[str, str
         uses["diagnose by coefficients"] = _lacks(missing)
     if len(records) == 1 and not uses["diagnose"]:
         uses["diagnose"] = too_short(records[0].n // FILTER_STEP * FILTER_STEP * records[0].dt)
-    flights = join(records, card, ())
+    flights = joined(records, card, ())
     if "alpha" not in have:
         return uses, {}
     return uses, dict(field_of(model, flights, tuple(own_effects(card.effect_files).values())).not_testable)
@@ -162,6 +160,9 @@ def _agree(report: CheckReport) -> bool | None:
 
 def write_check(report: CheckReport, out: Path, seed: int = 0) -> tuple[str, ...]:
     """Write check.json and report.html into `out`; a sentence on what of the page cannot be made."""
+    from bayes_aero.report.page import put_page  # heavy, and most checks write nothing
+    from bayes_aero.report.page_check import check_page
+
     writable(out)
     write_json(check_results(report), out / "check.json")
     source = provenance(report.card, [r.record for r in report.records if r.record is not None], seed, {})

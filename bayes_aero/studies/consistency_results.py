@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from bayes_aero.flight.agreement import Consistency, PathCheck
+from bayes_aero.flight.agreement import Consistency, OpenError, PathCheck
 
 
 def consistency_results(found: Consistency) -> dict[str, Any]:
@@ -18,9 +18,16 @@ def consistency_results(found: Consistency) -> dict[str, Any]:
         "departures": [asdict(d) for d in found.departures],
         "errors": {name: dict(error) for name, error in (found.errors or {}).items()},
         "unsought": found.unsought or None,
+        "open": {error.name: _open(error) for error in found.open},
         "recorded": _checks(found.recorded),
         "corrected": _checks(found.corrected),
     }
+
+
+def _open(error: OpenError) -> dict[str, Any]:
+    plain = asdict(error) | {"imitators": list(error.imitators)}
+    del plain["name"]
+    return plain
 
 
 def _checks(checks: Sequence[PathCheck]) -> dict[str, Any]:

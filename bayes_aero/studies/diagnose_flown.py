@@ -23,7 +23,7 @@ from bayes_aero.report.diagnosed import rankings_of
 from bayes_aero.report.page import put_page
 from bayes_aero.report.page_context import PageContext
 from bayes_aero.report.page_diagnosis import flown_page
-from bayes_aero.report.style import several
+from bayes_aero.report.phrases import several
 from bayes_aero.report.words_diagnosis import diagnosis_sentences
 from bayes_aero.studies.agree import sensors_agree
 from bayes_aero.studies.consistency_results import consistency_results

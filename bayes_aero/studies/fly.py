@@ -18,6 +18,7 @@ from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.channel_units import channel_units
 from bayes_aero.flight.health import HealthFinding, channel_health
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.flown_normal import departures
@@ -25,15 +26,16 @@ from bayes_aero.inference.mle import MleResult, fit_mle
 from bayes_aero.inference.noise_bias import without_noise_bias
 from bayes_aero.model.dynamics import Dynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.model.flights import Flights, despiked, join
-from bayes_aero.model.linear import channel_units, linear_dynamics
-from bayes_aero.model.longitudinal import FLIGHT
+from bayes_aero.model.flown_channels import FLIGHT
+from bayes_aero.model.linear import linear_dynamics
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.report.figures import draw_all
 from bayes_aero.report.figures_fly import fly_figures
 from bayes_aero.report.page import put_page
 from bayes_aero.report.page_fly import FlyTold, fly_page
-from bayes_aero.report.style import MOST_MANOEUVRES, several
+from bayes_aero.report.phrases import several
+from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.tables import write_csv
 from bayes_aero.report.words_fly import disagreement_sentences, fly_sentences, parameter_frame, parameter_rows
 from bayes_aero.studies.agree import sensors_agree

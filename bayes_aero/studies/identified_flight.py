@@ -12,7 +12,7 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.mle import MleResult
 from bayes_aero.model.flights import despiked, join
-from bayes_aero.model.longitudinal import FLIGHT
+from bayes_aero.model.flown_channels import FLIGHT
 from bayes_aero.model.model import Model
 
 WHAT = "The identified model"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.flights import despiked_records
-from bayes_aero.report.style import several
+from bayes_aero.model.spikes import despiked_records
+from bayes_aero.report.phrases import several
 
 
 def repaired(records: Sequence[FlightRecord]) -> tuple[list[FlightRecord], tuple[str, ...]]:

@@ -8,19 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
-from bayes_aero.criticism.accuracy import recording_noise
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aircraft import NO_AIRCRAFT
 from bayes_aero.flight.aliases import split_heading
 from bayes_aero.flight.card_channels import ATMOSPHERE, RULES
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.checks import MIN_SAMPLES
+from bayes_aero.flight.health.signals import noise_of
 from bayes_aero.flight.raw import RawColumn, read_raw
-from bayes_aero.model.flights import Flights
-from bayes_aero.physics.coefficients import REQUIRED
+from bayes_aero.physics.coefficient_names import REQUIRED
 from bayes_aero.studies.guess import guessed
 from bayes_aero.studies.guess_column import Guess
 from bayes_aero.studies.starter_aircraft import aircraft_block
@@ -276,13 +273,9 @@ def _sensors(found: Mapping[str, Guess]) -> Iterator[str]:
     yield "# Standard deviations of the sensors' white noise; data sheets know better."
     yield "[sensors]"
     wanted = {n: g for n, g in found.items() if n in (*REQUIRED, "thrust") and not _implausible(n, g)}
-    lengths = {len(g.si) for g in wanted.values()}
-    if "time" in found and len(lengths) == 1:
-        n = lengths.pop()
-        channels = {name: jnp.asarray(g.si) for name, g in wanted.items()}
-        flights = Flights(channels, NO_AIRCRAFT, np.zeros(n, int), found["time"].si, (n,), ("record",))
-        for name, deviation in recording_noise(flights).items():
-            guess = wanted[name]
+    if "time" in found:
+        for name, guess in wanted.items():
+            deviation = noise_of(guess.si)
             if deviation > 0.0 and guess.unit is not None:
                 unit = guess.unit
                 source = STANDARD_CHANNELS[name].unit if name in STANDARD_CHANNELS else "N"

@@ -19,7 +19,6 @@ from bayes_aero.flight.card import Card, read_card, shipped_cards
 from bayes_aero.flight.readers import READERS
 from bayes_aero.flight.segments import segment_of
 from bayes_aero.flight.tables import is_file, read_table
-from bayes_aero.model.linear import linear_dynamics
 from bayes_aero.model.model import Model
 from bayes_aero.studies.catalogue import effect_named, known_effects
 from bayes_aero.studies.folder import safe_name
@@ -249,6 +248,8 @@ def _variants(given: Any, cards: Mapping[Any, Card], task: str, where: str) -> l
                 for name in names:
                     effect_named(name, known_effects(card))
                 if task == "fly" and card.linear is not None and not names:
+                    from bayes_aero.model.linear import linear_dynamics  # loads JAX, which few studies need here
+
                     linear_dynamics(card)
                 else:
                     Model.from_card(replace(card, effects=(*card.effects, *names)))

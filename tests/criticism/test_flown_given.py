@@ -8,7 +8,7 @@ import pytest
 from bayes_aero.criticism.flown_given import fly_given
 from bayes_aero.flight.card import read_card
 from bayes_aero.model.flights import join
-from bayes_aero.model.longitudinal import FLIGHT
+from bayes_aero.model.flown_channels import FLIGHT
 from bayes_aero.model.model import Model
 from bayes_aero.studies.demo import TRUTH, simulate_stall
 

@@ -14,7 +14,7 @@ from bayes_aero.criticism.flown_unseen import Contender, Noise, flown_unseen, le
 from bayes_aero.inference.output_error import fit_cascade, fit_output_error
 from bayes_aero.model.dynamics import aircraft_dynamics
 from bayes_aero.model.flights import despiked, join
-from bayes_aero.model.longitudinal import FLIGHT
+from bayes_aero.model.flown_channels import FLIGHT
 from bayes_aero.model.model import Model
 from bayes_aero.model.segments import segments
 from bayes_aero.studies.demo import TRUTH

@@ -14,7 +14,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.output_error_result import OutputErrorStatus
 from bayes_aero.model.dynamics import aircraft_dynamics
 from bayes_aero.model.flights import despiked, join
-from bayes_aero.model.longitudinal import FLIGHT
+from bayes_aero.model.flown_channels import FLIGHT
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Prior
 from bayes_aero.studies.demo import TRUTH

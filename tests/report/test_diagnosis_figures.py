@@ -16,7 +16,8 @@ from bayes_aero.report.figures import DIAGNOSIS_FIGURES, draw_all
 from bayes_aero.report.figures_diagnosis import autocorrelation
 from bayes_aero.report.figures_found import telling
 from bayes_aero.report.page_alternatives import diagnosis_alternatives
-from bayes_aero.report.style import NotDrawn, close, save, size_text
+from bayes_aero.report.phrases import size_text
+from bayes_aero.report.style import NotDrawn, close, save
 from bayes_aero.report.words_diagnosis import (
     cause_table,
     causes_frame,

@@ -21,9 +21,9 @@ from bayes_aero.report.page import Fold, Page, Picture, Plot, Table, Text, put_p
 from bayes_aero.report.page_context import PageContext
 from bayes_aero.report.page_diagnosis import diagnosis_page, flown_page
 from bayes_aero.report.page_identification import headline, identification_page
-from bayes_aero.report.page_parts import stall_table
 from bayes_aero.report.page_pictures import Gallery, embedded
 from bayes_aero.report.page_plots import Line, Panel, extremes, linked
+from bayes_aero.report.page_stall import stall_table
 from bayes_aero.report.page_tables import coverage, parameters
 from bayes_aero.report.style import NotDrawn
 from bayes_aero.studies.provenance import provenance

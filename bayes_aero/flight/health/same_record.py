@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.signal import correlate
 
 from bayes_aero.flight.health.finding import HealthFinding, found
 from bayes_aero.flight.record import FlightRecord
@@ -66,7 +65,9 @@ def _shared(one: FlightRecord, two: FlightRecord) -> tuple[int, int] | None:
 
 def _lag(x: np.ndarray, y: np.ndarray) -> int | None:
     """By how many samples y lies behind x where the two correlate best, among overlaps that are long enough."""
-    product = correlate(x, y, mode="full", method="fft")
+    size = 1 << (len(x) + len(y) - 1).bit_length()
+    spectra = np.fft.rfft(x, size) * np.fft.rfft(y[::-1], size)
+    product = np.fft.irfft(spectra, size)[: len(x) + len(y) - 1]
     lags = np.arange(-(len(y) - 1), len(x))
     power_x, power_y = (np.concatenate([[0.0], np.cumsum(v**2)]) for v in (x, y))
     begin = np.maximum(0, -lags)

@@ -26,15 +26,16 @@ def channels_of(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
     return {**stated, **record.channels}
 
 
-def noise_of(x: np.ndarray) -> float:
+def noise_of(*parts: np.ndarray) -> float:
     """Standard deviation of the noise of (n,) samples that is new at each, outliers left out; zero below 8 samples.
 
-    Source: third differences of white noise have 20 times its variance; 1.4826 times the median of their size is
-    their standard deviation.
+    Steps, spikes and passages of buffet do not count; a channel that mostly stands still has none. Source: third
+    differences of white noise have 20 times its variance; 1.4826 times the median of their size is their standard
+    deviation. Several `parts` follow each other with gaps.
     """
-    if len(x) < 8:
+    if sum(map(len, parts)) < 8:
         return 0.0
-    third = np.diff(x, 3)
+    third = np.concatenate([np.diff(x, 3) for x in parts])
     return float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0))
 
 

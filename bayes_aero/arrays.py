@@ -1,0 +1,39 @@
+"""Formulas that take NumPy's arrays and JAX's alike, in modules that do not import JAX: it takes seconds to load.
+
+What a quick command needs (`check`, `card`) runs in NumPy; a fit traces the same lines with JAX. `namespace` is the
+array API's `array_namespace`, which JAX's tracers do not have. Source: https://data-apis.org/array-api
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+Array = Any  # of either library; jaxtyping still checks its kind and shape
+
+
+def namespace(*arrays: Any) -> Any:
+    """`jax.numpy` where any of the arrays is JAX's (a tracer is), else `numpy`."""
+    jax = sys.modules.get("jax")
+    if jax is None:
+        return np
+    return jax.numpy if any(isinstance(x, jax.Array) for x in arrays) else np
+
+
+class _Either:
+    """Functions of whichever library their arguments belong to."""
+
+    pi = np.pi
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        def call(*given: Any, **options: Any) -> Any:
+            return getattr(namespace(*given), name)(*given, **options)
+
+        return call
+
+
+xp: Any = _Either()
+"""`xp.sin(x)` is `numpy.sin(x)` or `jax.numpy.sin(x)`: for functions that take arrays, not lists of them."""

@@ -1,0 +1,3 @@
+"""What a trajectory is compared with."""
+
+FLIGHT = ("airspeed", "alpha", "theta", "q")
