@@ -21,7 +21,6 @@ from bayes_aero.report.page import Block, Fold, Page, Text, filled, section
 from bayes_aero.report.page_alternatives import identification_alternatives
 from bayes_aero.report.page_given import given_flights
 from bayes_aero.report.page_parts import (
-    DEG,
     bullets,
     doubts,
     first,
@@ -32,7 +31,7 @@ from bayes_aero.report.page_parts import (
 )
 from bayes_aero.report.page_pictures import Gallery
 from bayes_aero.report.page_plots import LOW, Line, Panel
-from bayes_aero.report.page_stall import interval, stall_table
+from bayes_aero.report.page_stall import DEG, interval, stall_table
 from bayes_aero.report.page_words import WORDS
 from bayes_aero.report.phrases import bracket, several
 from bayes_aero.report.predictions import fitted_coefficients
