@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from functools import cache, lru_cache
 from typing import Any
 
@@ -36,8 +37,14 @@ _ANGLES = {"radian", "degree", "arcminute", "arcsecond", "turn", "revolution", "
 
 @cache
 def _registry() -> Any:
-    import pint
-
+    apart = "dask" not in sys.modules
+    if apart:
+        sys.modules["dask"] = None  # type: ignore[assignment] # pint loads it, for arrays that nobody has here
+    try:
+        import pint
+    finally:
+        if apart:
+            del sys.modules["dask"]
     return pint.UnitRegistry()
 
 

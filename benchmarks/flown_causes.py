@@ -29,7 +29,7 @@ from bayes_aero.flight.card import read_card
 from bayes_aero.inference.output_error import fit_output_error
 from bayes_aero.model.dynamics import aircraft_dynamics
 from bayes_aero.model.flights import despiked, join
-from bayes_aero.model.longitudinal import FLIGHT
+from bayes_aero.model.flown_channels import FLIGHT
 from bayes_aero.model.segments import segments
 from bayes_aero.studies.hidden import flyable
 

@@ -22,7 +22,7 @@ from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card
 from bayes_aero.model.flights import despiked, join
-from bayes_aero.model.longitudinal import FLIGHT
+from bayes_aero.model.flown_channels import FLIGHT
 from bayes_aero.studies.hidden import hidden_records
 
 NOISES = ("ar1", "buffet", "white", "outliers")

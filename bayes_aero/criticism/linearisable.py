@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Self
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -26,7 +25,7 @@ class Linearisable(ABC):
     flights: Recorded
     model: Model
 
-    def with_channels(self, channels: Mapping[str, Array]) -> Self:
+    def with_channels(self, channels: Mapping[str, Array]) -> Linearisable:
         """The same of flights with these channels."""
         flights = replace(self.flights, channels=dict(channels))  # pyright: ignore[reportArgumentType]
         return replace(self, flights=flights)  # pyright: ignore[reportArgumentType]
