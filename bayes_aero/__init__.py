@@ -30,6 +30,7 @@ _HOME = {
     "Stage": "effect",
     "diagnose": "api",
     "fit": "api",
+    "fly": "studies.fly",
     "gpr": "api",
     "plot": "api",
     "read": "api",
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
     from bayes_aero.flight.writers import write_record
     from bayes_aero.model.model import Model
     from bayes_aero.parameter import Parameter, Prior
+    from bayes_aero.studies.fly import fly
 
 __all__ = [
     "CATALOGUE",
@@ -64,6 +66,7 @@ __all__ = [
     "__version__",
     "diagnose",
     "fit",
+    "fly",
     "gpr",
     "plot",
     "read",

@@ -20,7 +20,8 @@ from bayes_aero.studies.identify import identify
 
 PUBLIC = {
     "CATALOGUE", "Card", "Diagnosed", "Effect", "Fit", "FlightRecord", "InputError", "Model", "Parameter", "Prior",
-    "Stage", "__version__", "diagnose", "fit", "gpr", "plot", "read", "read_card", "sample", "write_record",
+    "Stage", "__version__", "diagnose", "fit", "fly", "gpr", "plot", "read", "read_card", "sample",
+    "write_record",
 }  # fmt: skip
 
 

@@ -84,19 +84,30 @@ def fly(
     figures: bool = True,
     progress: Progress | None = None,
 ) -> Flight:
-    """Fit the card's model to the records' trajectories, as `bayes-aero fly` does; with `out` it writes
-    trajectories.json, parameters.csv, histories.nc, figures and report.html.
+    """Fit the card's model to the records' trajectories, as `bayes-aero fly` does.
 
-    A model of effects starts from the card's values and, where coefficients can be formed, from their fit, too (`seed`
-    is that fit's). Windows of `windows` s are fitted first.
+    A model of effects starts from the card's values and, where coefficients can be formed, from their fit, too.
 
     Args:
+        records: flights, all fitted together.
+        card: one with a model of effects or a linear one.
+        out: a folder for trajectories.json, parameters.csv, histories.nc, figures and report.html; None writes nothing.
+        windows: length in s of the windows that are fitted before whole manoeuvres.
         initial_state: "free", fitted for each manoeuvre, or "fixed": the card's ([fly] initial_state), and where it
             names none the first sample.
         priors: False leaves all priors out of the reported fit, those of free initial states too.
         outputs: names of the outputs that are compared, a list or separated by commas; default: the card's ([fly]
             outputs), and without these all recorded ones but altitude and q_dot.
         inputs: "linear" between samples, or "held" until the next one.
+        seed: of the fit of the coefficients.
+        figures: False draws none.
+        progress: told a stage and the share of it that is done.
+
+    Returns:
+        The fit (`flown.fit` has estimates, deviations and `det_R`), with what is said of it. SI and radians.
+
+    Raises:
+        InputError: the records cannot be flown with the card, or a setting is not one.
     """
     if not (math.isfinite(windows) and windows >= SHORTEST):
         raise InputError(f"windows of {windows:g} s cannot be flown; give at least {SHORTEST:g} s")
