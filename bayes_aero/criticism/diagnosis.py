@@ -20,7 +20,7 @@ from bayes_aero.criticism.residuals import noise_report
 from bayes_aero.criticism.responses import Responses
 from bayes_aero.criticism.stages import Stages, stages
 from bayes_aero.criticism.state import State, linearised
-from bayes_aero.criticism.unexplained import Left, unexplained
+from bayes_aero.criticism.unexplained import Left, has_chunks, unexplained
 from bayes_aero.effect import Effect
 from bayes_aero.errors import attempted
 from bayes_aero.flight.card import Card
@@ -93,7 +93,7 @@ def diagnose(
         base_moves=moves_of(aerodynamics),
         kept=kept,
         failures=failures,
-        notes=(*_notes(flights), *_denials(both)),
+        notes=(*_notes(flights), *_too_short(aerodynamics.state), *_denials(both)),
         together=together_of(named, causes),
         beyond=beyond,
     )
@@ -140,6 +140,11 @@ def _notes(flights: Flights) -> tuple[str, ...]:
         f"No white noise of {', '.join(filtered)} can be read off the record (filtered before it was recorded, or "
         "none): sizes are not freed of the bias that such noise gives, and their intervals do not allow for it.",
     )
+
+
+def _too_short(state: State) -> tuple[str, ...]:
+    """That periods were not looked at, where a manoeuvre is too short for them."""
+    return () if has_chunks(state) else ("Periodic structure was not sought: a manoeuvre is too short for its parts.",)
 
 
 def _denials(found: Stages) -> tuple[str, ...]:

@@ -44,7 +44,7 @@ from bayes_aero.model.flights import Flights, despiked, join
 from bayes_aero.model.flown_channels import FLIGHT
 from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
-from bayes_aero.model.segments import Flown, segments, simulate
+from bayes_aero.model.segments import Flown, cuts_of, segments, simulate
 from bayes_aero.physics.filters import FILTER_STEP
 
 WINDOW = 10.0  # s: long enough to integrate what is wrong, short enough to stay near the flight
@@ -172,6 +172,8 @@ def diagnose_flown(
     Accelerations are compared too where they were recorded. A lag of the separation point that the card does not have
     would be a state of its own: it is tried where something is missing. Structure without a name is not sought.
     """
+    if why := too_few_windows(records):
+        raise InputError(why)
     model = model or Model.from_card(card)
     flights, outliers = despiked(join(records, card, FLIGHT))
     base = aircraft_dynamics(model, flights)
@@ -203,6 +205,17 @@ def diagnose_flown(
         notes=() if fit.status is OutputErrorStatus.CONVERGED else (f"The card's model: {fit.status.value}.",),
         together=together_of(named, causes),
         beyond=beyond,
+    )
+
+
+def too_few_windows(records: Sequence[FlightRecord]) -> str:
+    """Why effects cannot be judged by how far windows agree about them; empty where they can."""
+    if sum(len(cuts_of(record.n, record.dt, WINDOW)) for record in records) > 1:
+        return ""
+    seconds = records[0].time[-1] - records[0].time[0]
+    return (
+        f"without accelerometers an effect is judged by how far windows of {WINDOW:g} s agree about it, and "
+        f"{records[0].name} of {seconds:.3g} s is one window; give a second manoeuvre, or one of {2 * WINDOW:g} s"
     )
 
 

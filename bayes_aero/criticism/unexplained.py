@@ -18,6 +18,7 @@ from bayes_aero.criticism.extension import Extension, removed, unseen_gain
 from bayes_aero.criticism.finding import Unknown
 from bayes_aero.criticism.regression import Fit, Products
 from bayes_aero.criticism.state import Component, State
+from bayes_aero.inference.autoregression import ORDER
 from bayes_aero.physics.coefficients import NAMES
 
 KNOTS = 6  # of the smooth function of a channel
@@ -151,11 +152,18 @@ def _proxies(extension: Extension) -> tuple[Component, float, tuple[str, ...]] |
     return None if best is None else (best[1], best[2], extension.causes)
 
 
+def has_chunks(state: State) -> bool:
+    """Whether every manoeuvre is long enough for a sinusoid to be fitted to parts of it and predict the others."""
+    return all(part.stop - part.start > ORDER for part in _chunks(state))
+
+
 def _families(state: State) -> tuple[tuple[Sequence[slice], list[Component], float], ...]:
-    """Both kinds of components: the folds by which they must predict, themselves, and the least share of a verdict."""
+    """The kinds of components that the record can test: the folds by which they must predict, themselves, and the least
+    share of a verdict."""
     alone = len(state.responses.flights.lengths) == 1
     channel, wave = (ALONE_SHARE, ALONE_SHARE) if alone else (LEAST_SHARE, LEAST_WAVE)
-    return (state.folds, smooth_components(state), channel), (_chunks(state), periodic_components(state), wave)
+    smooth = state.folds, smooth_components(state), channel
+    return (smooth, (_chunks(state), periodic_components(state), wave)) if has_chunks(state) else (smooth,)
 
 
 def smooth_components(state: State) -> list[Component]:

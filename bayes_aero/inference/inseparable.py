@@ -10,11 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 INDEX = 10.0  # condition index from which a near dependency counts (there: 5 to 10 weak, beyond 30 strong)
 SHARE = 0.5  # of a variance that one dependency makes, from which a parameter is in it
 WIDER = 3.0  # times that not knowing the others widens an interval, from which it is told; our choice
+CORRELATED = 0.95  # of two estimates, from which they are in a dependency by themselves; our choice
 VAGUE = 0.2  # standard error over estimate from which an estimate is of little use: an interval of 40 %; our choice
 
 
@@ -52,7 +53,7 @@ def inseparable(
         deviation: standard errors that allow for the residuals' autocorrelation.
 
     Returns:
-        The nearest dependency first.
+        By how much those that suffer most do.
     """
     if not np.isfinite(covariance).all():
         return ()
@@ -67,11 +68,12 @@ def inseparable(
     parts = vectors**2 / np.maximum(values, 1e-13)
     shares = parts / parts.sum(axis=1, keepdims=True)
     vague = deviation > VAGUE * np.abs(estimate)
+    near = np.sqrt(values[-1] / np.maximum(values, 1e-13)) > INDEX
+    inside = (shares[:, near].sum(axis=1) > SHARE) & (np.sqrt(inflation) > WIDER)
     found = []
-    for k in np.flatnonzero(np.sqrt(values[-1] / np.maximum(values, 1e-13)) > INDEX):
-        own = [i for i in np.argsort(-inflation) if shares[i, k] > SHARE and np.sqrt(inflation[i]) > WIDER]
+    for own in _dependencies([int(i) for i in np.argsort(-inflation) if inside[i]], np.abs(correlation) > CORRELATED):
         at = [int(free[i]) for i in own]
-        if len(at) > 1 and any(vague[at]):
+        if any(vague[at]):
             found.append(
                 Inseparable(
                     tuple(names[i] for i in at),
@@ -81,3 +83,17 @@ def inseparable(
                 )
             )
     return tuple(found)
+
+
+def _dependencies(members: Sequence[int], linked: Bool[np.ndarray, "k k"]) -> list[list[int]]:
+    """Members that hang together by their correlations; what hangs on none is in one of more than two, with its like.
+
+    Directions of dependencies equally near are any mixture of them: they do not tell them apart.
+    """
+    parts: list[list[int]] = []
+    for i in members:
+        mine = [part for part in parts if any(linked[i, j] for j in part)]
+        parts = [part for part in parts if part not in mine] + [[*(j for part in mine for j in part), i]]
+    single = [part[0] for part in parts if len(part) == 1]
+    parts = [sorted(part, key=members.index) for part in parts if len(part) > 1]
+    return [*parts, single] if len(single) > 1 else parts

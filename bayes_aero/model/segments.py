@@ -73,6 +73,15 @@ class Simulated(NamedTuple):
     residual: Float[Array, "w n c"]
 
 
+def cuts_of(samples: int, dt: float, window: float | None) -> list[int]:
+    """Where windows of about `window` s (None: all) of a manoeuvre of so many samples begin."""
+    length = samples if window is None else max(2, round(window / dt))
+    cuts = list(range(0, samples, length))
+    if len(cuts) > 1 and samples - cuts[-1] < SHORTEST * length:
+        cuts.pop()
+    return cuts
+
+
 def segments(
     flights: Flights,
     dynamics: Dynamics,
@@ -105,10 +114,7 @@ def segments(
     for number in range(len(flights.lengths)) if manoeuvres is None else manoeuvres:
         own = np.flatnonzero(flights.manoeuvre == number)
         dt = float(flights.channels["dt"][own[0]])
-        length = len(own) if window is None else max(2, round(window / dt))
-        cuts = list(range(0, len(own), length))
-        if len(cuts) > 1 and len(own) - cuts[-1] < SHORTEST * length:
-            cuts.pop()
+        cuts = cuts_of(len(own), dt, window)
         rows += [own[a:b] for a, b in zip(cuts, [*cuts[1:], len(own)], strict=True)]
         dts += [dt] * len(cuts)
     longest = max(len(row) for row in rows)

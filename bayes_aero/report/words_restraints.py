@@ -64,8 +64,8 @@ def inseparable_sentences(found: Sequence[Inseparable]) -> list[str]:
             f"{name} {x:.3g} ± {sd:.2g}{_unit(unit)}"
             for name, unit, (x, sd) in zip(one.names, one.units, one.estimates, strict=True)
         )
-        low, high = min(one.wider), max(one.wider)
-        times = f"{low:.2g}" if f"{low:.2g}" == f"{high:.2g}" else f"{low:.2g} to {high:.2g}"
+        low, high = (f"{x:.0f}" if x >= 10.0 else f"{x:.2g}" for x in (min(one.wider), max(one.wider)))
+        times = low if low == high else f"{low} to {high}"
         said.append(
             f"The record cannot part {several(one.names)} ({told}): were the others known, each interval would be "
             f"{times} times narrower. Fly manoeuvres that move them apart, fix one, or give one a prior."

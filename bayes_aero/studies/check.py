@@ -12,6 +12,7 @@ import numpy as np
 from bayes_aero.criticism.candidates import field_of
 from bayes_aero.criticism.checked import CheckReport, SensorCheck
 from bayes_aero.criticism.consistency import consistency, errors_of_path
+from bayes_aero.criticism.flown import too_few_windows
 from bayes_aero.criticism.sensors import compatibility
 from bayes_aero.criticism.state import too_short
 from bayes_aero.errors import InputError
@@ -86,7 +87,7 @@ def _purpose(records: Sequence[FlightRecord], card: Card) -> tuple[dict[str, str
     flown = [n for n in dict.fromkeys((*FLIGHT, "thrust", "density", *asked)) if n not in have]
     uses = {"identify": _lacks(missing), "diagnose": _lacks(missing), "fly": _lacks(flown)}
     if missing and not flown:
-        uses["diagnose"] = ""
+        uses["diagnose"] = too_few_windows(records)
         uses["diagnose by coefficients"] = _lacks(missing)
     if len(records) == 1 and not uses["diagnose"]:
         uses["diagnose"] = too_short(records[0].n // FILTER_STEP * FILTER_STEP * records[0].dt)

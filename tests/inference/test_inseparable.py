@@ -44,6 +44,16 @@ def test_what_moves_or_is_known_well_enough_is_not_told(spread, noise):
     assert asked(columns(spread), [0.25, 4.9, -20.0, -1.2], noise)[0] == ()
 
 
+def test_two_dependencies_equally_near_are_two():
+    """Lift and moment have each a constant and a speed that hardly moves: four parameters, two pairs."""
+    rng = np.random.default_rng(5)
+    V = 1.0 + 0.003 * rng.standard_normal(400)
+    lift, moment = np.column_stack([np.ones(400), V]), np.zeros((400, 2))
+    X = np.concatenate([np.hstack([lift, moment]), np.hstack([moment, lift])])
+    found, _ = asked(X, [0.2, 0.3, 0.1, 0.01], 0.02)
+    assert {frozenset(one.names) for one in found} == {frozenset(NAMES[:2]), frozenset(NAMES[2:])}
+
+
 def test_units_do_not_count():
     """The same dependency with one column in other units."""
     X = columns(0.003)
