@@ -88,6 +88,8 @@ _PLAIN = str.maketrans(
     {"²": "2", "³": "3", "⁻": "-", "¹": "1", "−": "-", "–": "-", "µ": "u", "μ": "u", "º": "°", "˚": "°"}
     | dict.fromkeys("·⋅×∙", "*")
 )
+_ASIDE = frozenset("ted teu ter tel up down left right msl agl tas cas ias true mag abs std total".split())  # noqa: SIM905
+"""Words behind a unit that say what is measured, not in what: "deg TED", "ft MSL"."""
 _TEMPERATURES = frozenset(("K", "degC", "degF", "degR"))  # "deg C" is no product
 _RAISED = re.compile(r"\b(sq|square|cu|cubic)\b\.?\s*([A-Za-z]+)", re.IGNORECASE)
 _UNDER = re.compile(r"_(s|sec|min|hr?)(?=\^?\d?$)", re.IGNORECASE)  # "deg_s" is a quotient
@@ -110,9 +112,12 @@ def spellings(text: str) -> tuple[str, ...]:
     together = re.sub(r"[\s_.^]+", "", plain).lower()
     if together in _RUN_TOGETHER:
         return (_RUN_TOGETHER[together],)
-    one = _word(plain)
+    one = _word(together if together.startswith("%") else plain)  # "% N1" is no product
     if one:
         return one
+    first, _, last = plain.replace("(", " ").rpartition(" ")
+    if first and last.lower() in _ASIDE:
+        return spellings(first)
     several = _product(plain)
     if several and not _TEMPERATURES & set(several[0].split()):
         return several

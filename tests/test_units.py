@@ -101,6 +101,9 @@ def test_where_capitals_tell_two_units_apart_they_must_be_right(word):
         ("KN", "m/s", "kt"),
         ("g", "kg", "g"),  # never the gram, which fits
         ("hectopascal", "Pa", "hPa"),
+        ("deg (TED)", "rad", "deg"),
+        ("FT MSL", "m", "ft"),
+        ("% N1", "1", "%"),
         ("", None, None),
         ("left", None, None),
     ],

@@ -10,6 +10,7 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.scores import score
+from bayes_aero.model.formed import with_sums
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.phrases import bracket, for_people
@@ -37,13 +38,11 @@ def shown_in(channel: str) -> tuple[str, float]:
 
 
 def _channel(identification: Identification, record: FlightRecord, name: str) -> np.ndarray | None:
-    """A recorded channel or a sum of recorded ones; None where the record has neither."""
-    if record.has(name):
-        return record[name]
-    parts = identification.card.sums.get(name, {})
-    if not parts or not all(record.has(part) for part in parts):
-        return None
-    return np.sum([factor * record[part] for part, factor in parts.items()], axis=0)
+    """A recorded channel, or one that the card forms of recorded ones; None where there is neither."""
+    card = identification.card
+    if record.has(name) or name not in {*card.sums, *card.tables, *card.derived}:
+        return record[name] if record.has(name) else None
+    return with_sums(record, card).get(name)
 
 
 @housed
