@@ -70,7 +70,7 @@ def check(
         _tell(teller(), report)
         if out is not None:
             print_failures(teller(), failures)
-            teller().print(f"Results are in {out}", soft_wrap=True)
+            teller().print(f"The report is in {out / 'report.html'}", soft_wrap=True)
     if not report.usable:
         raise typer.Exit(FAILED)
     exit_if_failed(failures)

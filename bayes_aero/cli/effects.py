@@ -58,7 +58,7 @@ def effects(
         _explained(found[0])
     if out is not None and not json:
         print_failures(teller(), failures)
-        teller().print(f"Results are in {out}", soft_wrap=True)
+        teller().print(f"The report is in {out / 'report.html'}", soft_wrap=True)
     exit_if_failed(failures)
 
 

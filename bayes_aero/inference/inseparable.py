@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 INDEX = 10.0  # condition index from which a near dependency counts (there: 5 to 10 weak, beyond 30 strong)
 SHARE = 0.5  # of a variance that one dependency makes, from which a parameter is in it
 WIDER = 3.0  # times that not knowing the others widens an interval, from which it is told; our choice
-CORRELATED = 0.95  # of two estimates, from which they are in a dependency by themselves; our choice
+LINKED = 0.5  # partial correlation of two estimates, all others known, from which one dependency holds both; our choice
 VAGUE = 0.2  # standard error over estimate from which an estimate is of little use: an interval of 40 %; our choice
 
 
@@ -64,14 +64,15 @@ def inseparable(
     correlation = covariance[np.ix_(free, free)] / np.outer(white[free], white[free])
     information = np.linalg.pinv(correlation, rcond=1e-13, hermitian=True)
     inflation = np.maximum(np.diag(information), 1.0)
-    values, vectors = np.linalg.eigh(information / np.sqrt(np.outer(inflation, inflation)))
+    partial = information / np.sqrt(np.outer(inflation, inflation))  # of unit diagonal: but for signs, correlations
+    values, vectors = np.linalg.eigh(partial)
     parts = vectors**2 / np.maximum(values, 1e-13)
     shares = parts / parts.sum(axis=1, keepdims=True)
     vague = deviation > VAGUE * np.abs(estimate)
     near = np.sqrt(values[-1] / np.maximum(values, 1e-13)) > INDEX
     inside = (shares[:, near].sum(axis=1) > SHARE) & (np.sqrt(inflation) > WIDER)
     found = []
-    for own in _dependencies([int(i) for i in np.argsort(-inflation) if inside[i]], np.abs(correlation) > CORRELATED):
+    for own in _dependencies([int(i) for i in np.argsort(-inflation) if inside[i]], np.abs(partial) > LINKED):
         at = [int(free[i]) for i in own]
         if any(vague[at]):
             found.append(
@@ -86,14 +87,12 @@ def inseparable(
 
 
 def _dependencies(members: Sequence[int], linked: Bool[np.ndarray, "k k"]) -> list[list[int]]:
-    """Members that hang together by their correlations; what hangs on none is in one of more than two, with its like.
+    """Members that hang together by their partial correlations.
 
-    Directions of dependencies equally near are any mixture of them: they do not tell them apart.
+    Those are near one within a dependency, of however many; directions of dependencies equally near are any mixture.
     """
     parts: list[list[int]] = []
     for i in members:
         mine = [part for part in parts if any(linked[i, j] for j in part)]
         parts = [part for part in parts if part not in mine] + [[*(j for part in mine for j in part), i]]
-    single = [part[0] for part in parts if len(part) == 1]
-    parts = [sorted(part, key=members.index) for part in parts if len(part) > 1]
-    return [*parts, single] if len(single) > 1 else parts
+    return [sorted(part, key=members.index) for part in parts if len(part) > 1]

@@ -54,6 +54,15 @@ def test_two_dependencies_equally_near_are_two():
     assert {frozenset(one.names) for one in found} == {frozenset(NAMES[:2]), frozenset(NAMES[2:])}
 
 
+def test_three_that_no_pair_of_which_is_correlated_beyond_the_others_are_told_together():
+    """The third input is the sum of the first two but for a thousandth."""
+    rng = np.random.default_rng(7)
+    X = rng.standard_normal((400, 4))
+    X[:, 2] = X[:, 0] + X[:, 1] + 1e-3 * rng.standard_normal(400)
+    (found,), _ = asked(X, [0.2, 0.3, 0.1, 1.0], 0.02)
+    assert set(found.names) == set(NAMES[:3])
+
+
 def test_units_do_not_count():
     """The same dependency with one column in other units."""
     X = columns(0.003)
