@@ -24,6 +24,7 @@ from bayes_aero.criticism.state import State, linearised
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.model.flights import Flights
+from bayes_aero.model.joined import Recorded
 from bayes_aero.model.manoeuvres import MOVED, fly_standard
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks
@@ -204,7 +205,7 @@ def _noise(state: State) -> _Noise:
     return _Noise(state.responses.outputs, np.mean(residual**2, axis=0), colour_of(residual, folds), growth)
 
 
-def _recorded(like: Flights, channels: Mapping[str, np.ndarray], dt: float) -> Flights:
+def _recorded(like: Recorded, channels: Mapping[str, np.ndarray], dt: float) -> Flights:
     """One manoeuvre with the channels of a record; a channel that the simulator does not make keeps its mean."""
     n = len(channels["alpha"])
     own = {

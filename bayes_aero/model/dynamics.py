@@ -17,6 +17,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
 from bayes_aero.model.flights import Flights, response_scales
 from bayes_aero.model.flown_channels import FLIGHT
+from bayes_aero.model.joined import Recorded
 from bayes_aero.model.longitudinal import LATERAL, LEAST_LAG, Longitudinal
 from bayes_aero.model.model import Model
 from bayes_aero.model.system import System
@@ -197,7 +198,7 @@ def aircraft_dynamics(model: Model, flights: Flights) -> AircraftDynamics:
     return dynamics
 
 
-def taken_as_zero(flights: Flights) -> list[str]:
+def taken_as_zero(flights: Recorded) -> list[str]:
     """Lateral channels that were not recorded, so that the aircraft is flown without them."""
     missing = [name for name in SIDE if name not in flights.channels]
     slips = "beta" in flights.channels  # without sideslip no lateral force enters the longitudinal motion
