@@ -41,8 +41,9 @@ def path_residuals(
     found = np.empty((count, n, len(outputs)))
     for begin in range(0, count, TOGETHER):
         part = slice(begin, begin + TOGETHER)
-        s = {name: channels[name] + (added[name][part] if name in added else 0.0) for name in PATH_NEEDS}
-        s |= {f"{name}_dot": _slopes(np.atleast_2d(s[name]), steps) for name in RATES}
+        shape = (min(TOGETHER, count - begin), n)
+        s = {name: channels[name] + (added[name][part] if name in added else np.zeros(shape)) for name in PATH_NEEDS}
+        s |= {f"{name}_dot": _slopes(s[name], steps) for name in RATES}
         rates = path_rates(s, aircraft)
         for c, name in enumerate(outputs):
             found[part, :, c] = s[name] - integral(rates[name], steps, start, first)
