@@ -33,6 +33,7 @@ from bayes_aero.criticism.finding import Diagnosis, NoiseReport
 from bayes_aero.criticism.gain import split_name
 from bayes_aero.criticism.linearisable import Linearisable
 from bayes_aero.criticism.state import State, linearised, refitted
+from bayes_aero.criticism.windows import WINDOW, too_few_windows
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
@@ -44,10 +45,9 @@ from bayes_aero.model.flights import Flights, despiked, join
 from bayes_aero.model.flown_channels import FLIGHT
 from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
-from bayes_aero.model.segments import Flown, cuts_of, segments, simulate
+from bayes_aero.model.segments import Flown, segments, simulate
 from bayes_aero.physics.filters import FILTER_STEP
 
-WINDOW = 10.0  # s: long enough to integrate what is wrong, short enough to stay near the flight
 FIRST = (10.0, 5.0, 2.5)  # s, of first windows, tried until a fit converges: begun far off, long ones may stray
 
 
@@ -205,17 +205,6 @@ def diagnose_flown(
         notes=() if fit.status is OutputErrorStatus.CONVERGED else (f"The card's model: {fit.status.value}.",),
         together=together_of(named, causes),
         beyond=beyond,
-    )
-
-
-def too_few_windows(records: Sequence[FlightRecord]) -> str:
-    """Why effects cannot be judged by how far windows agree about them; empty where they can."""
-    if sum(len(cuts_of(record.n, record.dt, WINDOW)) for record in records) > 1:
-        return ""
-    seconds = records[0].time[-1] - records[0].time[0]
-    return (
-        f"without accelerometers an effect is judged by how far windows of {WINDOW:g} s agree about it, and "
-        f"{records[0].name} of {seconds:.3g} s is one window; give a second manoeuvre, or one of {2 * WINDOW:g} s"
     )
 
 

@@ -19,7 +19,7 @@ from bayes_aero.flight.card import Card
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.parameter import Parameter, per_length
 
-Signals = Mapping[str, Float[Array, "*n"]]
+Signals = Mapping[str, Float[Array, "*#n"]]
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class Model:
         return self._run((Stage.INCIDENCE, Stage.SEPARATION), self._neutral(signals), values, signals, aircraft)["X"]
 
     def flow(
-        self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft, X: Float[Array, "*n"] | None = None
+        self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft, X: Float[Array, "*#n"] | None = None
     ) -> dict[str, Any]:
         """Everything the effects build: X, the attached lift, CL, CD, Cm (see `effect.Known`).
 

@@ -16,9 +16,9 @@ from bayes_aero.errors import InputError
 from bayes_aero.model.dynamics import Dynamics
 from bayes_aero.model.flights import Flights
 from bayes_aero.model.system import Trajectory, integrate
+from bayes_aero.model.windows import cuts_of
 
 BEGIN = 0.5  # s over which the measured initial state is read off a straight line
-SHORTEST = 0.5  # of a window: a shorter rest at the end of a manoeuvre joins the window before it
 
 
 class Flown(eqx.Module):
@@ -71,15 +71,6 @@ class Simulated(NamedTuple):
     trajectory: Trajectory
     measured: Float[Array, "w n c"]
     residual: Float[Array, "w n c"]
-
-
-def cuts_of(samples: int, dt: float, window: float | None) -> list[int]:
-    """Where windows of about `window` s (None: all) of a manoeuvre of so many samples begin."""
-    length = samples if window is None else max(2, round(window / dt))
-    cuts = list(range(0, samples, length))
-    if len(cuts) > 1 and samples - cuts[-1] < SHORTEST * length:
-        cuts.pop()
-    return cuts
 
 
 def segments(

@@ -11,7 +11,7 @@ GAS, GAMMA = 287.05287, 1.4  # J/(kg K) and ratio of the specific heats, of dry 
 _T0, _LAPSE, _P0 = 288.15, 0.0065, 101325.0
 
 
-def air(altitude: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
+def air(altitude: Float[Array, "*#n"]) -> tuple[Float[Array, "*#n"], Float[Array, "*#n"]]:
     """Density (kg/m3) and speed of sound (m/s) at geopotential altitude (m)."""
     temperature = _T0 - _LAPSE * altitude
     pressure = _P0 * (temperature / _T0) ** (GRAVITY / (_LAPSE * GAS))

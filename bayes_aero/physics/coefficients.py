@@ -45,7 +45,7 @@ __all__ = [
 
 SMOOTHED = ("alpha", "beta", "airspeed")
 
-Signals = dict[str, Float[Array, "*n"]]
+Signals = dict[str, Float[Array, "*#n"]]
 Filter = Callable[[Float[Array, " n"]], Float[Array, " n"]]
 
 

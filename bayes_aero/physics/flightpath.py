@@ -22,7 +22,7 @@ PATH_CORE = ("ax", "az", "q", "theta", "alpha", "airspeed")  # without these the
 STRAIGHT = ("ay", "p", "r", "phi", "beta")  # zero in symmetric flight, and taken as zero where not recorded
 PATH_NEEDS = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "alpha", "beta", "airspeed", "altitude")
 
-Samples = Float[Array, "*n"]
+Samples = Float[Array, "*#n"]  # some at one sample, or for many directions at once
 
 
 def path_rates(s: Mapping[str, Samples], aircraft: Aircraft) -> dict[str, Samples]:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.physics.frames import body_from_lift_drag
 
-Samples = Float[Array, "*n"]
+Samples = Float[Array, "*#n"]  # some at one sample, or for many directions at once
 
 
 def thrust_components(thrust: Samples, aircraft: Aircraft) -> tuple[Samples, Samples]:

@@ -6,7 +6,7 @@ from jaxtyping import Float
 
 from bayes_aero.arrays import Array, xp
 
-Samples = Float[Array, "*n"]
+Samples = Float[Array, "*#n"]  # some at one sample, or for many directions at once
 
 
 def lift_drag_from_body(CX: Samples, CZ: Samples, alpha: Samples) -> tuple[Samples, Samples]:

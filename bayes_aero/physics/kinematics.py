@@ -9,7 +9,7 @@ from jaxtyping import Float
 from bayes_aero.arrays import Array
 from bayes_aero.flight.aircraft import Position
 
-Samples = Float[Array, "*n"]
+Samples = Float[Array, "*#n"]  # some at one sample, or for many directions at once
 
 
 class Rotation(NamedTuple):

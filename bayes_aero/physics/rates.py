@@ -13,7 +13,7 @@ from bayes_aero.flight.aircraft import Aircraft
 
 USUAL_SPEED = 100.0  # m/s, where the card names no reference speed; only keeps the ratio near one
 
-Samples = Float[Array, "*n"]
+Samples = Float[Array, "*#n"]  # some at one sample, or for many directions at once
 
 
 def reduced(rate: Samples, airspeed: Samples, aircraft: Aircraft) -> Samples:

@@ -12,9 +12,9 @@ import numpy as np
 from bayes_aero.criticism.candidates import field_of
 from bayes_aero.criticism.checked import CheckReport, SensorCheck
 from bayes_aero.criticism.consistency import consistency, errors_of_path
-from bayes_aero.criticism.flown import too_few_windows
 from bayes_aero.criticism.sensors import compatibility
 from bayes_aero.criticism.state import too_short
+from bayes_aero.criticism.windows import too_few_windows
 from bayes_aero.errors import InputError
 from bayes_aero.flight.agreement import Agreement, Consistency
 from bayes_aero.flight.card import Card

@@ -1,0 +1,21 @@
+"""Windows by which effects are judged where there are no accelerometers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.windows import cuts_of
+
+WINDOW = 10.0  # s: long enough to integrate what is wrong, short enough to stay near the flight
+
+
+def too_few_windows(records: Sequence[FlightRecord]) -> str:
+    """Why effects cannot be judged by how far windows agree about them; empty where they can."""
+    if sum(len(cuts_of(record.n, record.dt, WINDOW)) for record in records) > 1:
+        return ""
+    seconds = records[0].time[-1] - records[0].time[0]
+    return (
+        f"without accelerometers an effect is judged by how far windows of {WINDOW:g} s agree about it, and "
+        f"{records[0].name} of {seconds:.3g} s is one window; give a second manoeuvre, or one of {2 * WINDOW:g} s"
+    )
