@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.interpolate import RegularGridInterpolator
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card_checks import known_keys, like
@@ -74,6 +73,8 @@ class Lookup:
                     "record"
                 )
             entries.append(np.clip(x, low, high))
+        from scipy.interpolate import RegularGridInterpolator  # half a second, which most cards do not need
+
         table = RegularGridInterpolator([axis.points for axis in self.axes], np.array(self.values), method="linear")
         return table(np.stack(entries, axis=-1))
 
