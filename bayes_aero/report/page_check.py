@@ -45,7 +45,7 @@ def check_page(report: CheckReport, source: Mapping[str, Any]) -> Page:
         ),
         lead=tuple(plots[:1]),
         sections=filled(
-            section("uses", "What the records are good for", lambda: bullets(use_sentences(report))),
+            section("uses", "What the records are good for", lambda: bullets(_uses(report))),
             section("sensors", "Do the sensors agree?", lambda: _sensors(report)),
             section("records", "The records at a glance", lambda: at_a_glance(sound, report.card) if sound else ()),
             section("channels", "Taken from where", lambda: _channels(report)),
@@ -53,6 +53,11 @@ def check_page(report: CheckReport, source: Mapping[str, Any]) -> Page:
             section("provenance", "Provenance", lambda: provenance_blocks(source)),
         ),
     )
+
+
+def _uses(report: CheckReport) -> list[str]:
+    """What can be done with the records, and which parts of them are worth a record of their own."""
+    return [*use_sentences(report), *(sentence for r in report.records for sentence in part_sentences(r))]
 
 
 def recorded(records: list[FlightRecord]) -> tuple[Block, ...]:
@@ -97,4 +102,4 @@ def _table(r: RecordReport) -> Fold:
     ).lean()
     absent = [f"On the card, not in the file (not required): {', '.join(r.missing)}."] if r.missing else []
     unused = [f"In the file, not on the card: {', '.join(r.unused)}."] if r.unused else []
-    return Fold(r.path, (table, *bullets([*absent, *unused, *r.remarks, *part_sentences(r)])))
+    return Fold(r.path, (table, *bullets([*absent, *unused, *r.remarks])))
