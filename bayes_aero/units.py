@@ -209,6 +209,8 @@ def quantity_to_si(value: Any, expected: str, where: str) -> float:
     if match is None or not math.isfinite(float(match[1])):
         raise InputError(f'{where} is {str(value)[:60]!r}; write a finite number with its unit, e.g. "1.5 {expected}"')
     number, unit = float(match[1]), match[2].strip()
+    if not unit and number == 0.0 and expected != "K":
+        return 0.0
     if not unit and expected not in ("", "1"):
         raise InputError(f'{where} is {str(value)!r}, without a unit; write e.g. "{value} {expected}"')
     return float(_convert(number, unit or "1", expected, where))

@@ -72,6 +72,9 @@ def card(
         console.print(f"Not found: {', '.join(starter.blind)}. identify needs them; diagnose works without, less well.")
     if report is not None:
         console.print(f"The report is in {report}", soft_wrap=True)
-    console.print(f"Then: bayes-aero check {record} --model {target}", soft_wrap=True)
+    split = " --split" if starter.parts > 1 else ""
+    if split:
+        console.print(f"Gaps in time divide the file into {starter.parts} parts: --split takes each for a manoeuvre.")
+    console.print(f"Then: bayes-aero check {record} --model {target}{split}", soft_wrap=True)
     print_failures(console, failures)
     exit_if_failed(failures)

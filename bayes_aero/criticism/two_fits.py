@@ -10,6 +10,8 @@ from bayes_aero.criticism.flown_fit import FlownFit
 from bayes_aero.inference.mle import MleResult, MleStatus
 from bayes_aero.inference.restraints import AGAINST
 
+WORTH = 0.03  # of an estimate, a difference that matters to a simulation; our choice
+
 
 @dataclass(frozen=True)
 class Disagreement:
@@ -23,7 +25,10 @@ class Disagreement:
 
 
 def disagreements(coefficients: MleResult, flown: FlownFit) -> tuple[Disagreement, ...]:
-    """Parameters about which the fits differ beyond chance, the furthest first; those at a bound are left out."""
+    """Parameters about which the fits differ beyond chance and by more than `WORTH`, the furthest first.
+
+    Those at a bound are left out.
+    """
     if coefficients.status not in (MleStatus.CONVERGED, MleStatus.AT_BOUND) or not flown.converged:
         return ()
     fit, found = flown.fit, []
@@ -36,7 +41,7 @@ def disagreements(coefficients: MleResult, flown: FlownFit) -> tuple[Disagreemen
             continue
         other, its = one[parameter.name]
         both = float(np.hypot(sd, its))
-        if np.isfinite(both) and both > 0.0 and abs(x - other) > AGAINST * both:
+        if np.isfinite(both) and both > 0.0 and abs(x - other) > max(AGAINST * both, WORTH * max(abs(x), abs(other))):
             apart = float(abs(x - other) / both)
             pairs = (float(other), float(its)), (float(x), float(sd))
             found.append(Disagreement(parameter.name, parameter.unit, *pairs, apart))

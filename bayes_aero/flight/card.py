@@ -117,9 +117,9 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
     derived = parse_derived(section(table, "derived", where), channels, constants, where)
     tables = parse_tables(section(table, "tables", where), channels, {**constants, **derived}, where)
     sums = parse_sums(section(table, "sums", where), channels, constants, (*derived, *tables), where)
-    for name in (*derived, *tables):
-        if name in sums:
-            raise InputError(f"card {where}: {name} is in [sums], and in [derived] or [tables], too; keep one of them")
+    for formed in (*derived, *tables):
+        if formed in sums:
+            raise InputError(f"card {where}: {formed} is in [sums] and in [derived] or [tables]; keep one of them")
     linear = None
     if "linear" in table:
         names = {channel.name for channel in channels} | {*constants, *sums, *derived, *tables}

@@ -18,7 +18,7 @@ from bayes_aero.flight.raw import RawColumn, read_raw
 from bayes_aero.flight.readers.base import Column
 from bayes_aero.flight.reading import in_si, read_record
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.segments import GAP, cut, segment_of
+from bayes_aero.flight.segments import GAP, cut, samples_of, segment_of
 from bayes_aero.units import si_unit
 
 __all__ = ["ChannelReport", "RecordReport", "inspect_record"]
@@ -59,62 +59,57 @@ class RecordReport:
 
 def inspect_record(path: str | os.PathLike[str], card: Card, *, resample: float | None = None) -> RecordReport:
     """Read as `read_record` does, but report all that is wrong; only a file that cannot be read at all raises."""
-    channels = card.channels
-    raw = read_raw(path)
+    raw, segment = read_raw(path), segment_of(path)
     problems: list[str] = [f"two columns are called {name!r}; rename all but the right one" for name in raw.repeated]
-    reports, values, missing = [], {}, []
-    taken: set[int] = set()
-    for channel in channels:
-        column = raw.find(channel)
-        if column is None:
-            if not channel.required:
-                missing.append(channel.name)
-            continue
-        taken.add(column.number)
-        try:
-            si = _converted(channel, column)
-        except InputError as reason:
-            problems.append(str(reason))
-            continue
-        values[channel.name] = si
-        reports.append(_report(channel, column))
-    record, parts = None, ()
-    time = values.get("time", np.empty(0))
+    found, values = {channel: raw.find(channel) for channel in card.channels}, {}
+    for channel, column in found.items():
+        if column is not None:
+            try:
+                values[channel.name] = _converted(channel, column)
+            except InputError as reason:
+                problems.append(str(reason))
+    looked, own = None, slice(None)
     if "time" in values:
-        same = {name: x for name, x in values.items() if len(x) == len(time)}
+        same = {name: x for name, x in values.items() if len(x) == len(values["time"])}
+        looked = FlightRecord(Path(path).stem, values["time"], same, os.fspath(path), "")
         try:
-            segment = segment_of(path)
-            looked = cut(FlightRecord(Path(path).stem, time, same, os.fspath(path), ""), segment)
-            if segment.whole and np.isfinite(time).all():
-                parts = proposals(looked, card)
-            looked = without_bad_options(looked, channels, blanks=resample is not None)
-            problems += failures(looked, even=resample is None, channels=channels)
-            time = looked.time
+            own = samples_of(looked.time, segment)
+            looked = cut(looked, segment)
+            kept = without_bad_options(looked, card.channels, blanks=resample is not None)
+            problems += failures(kept, even=resample is None, channels=card.channels)
         except InputError as reason:
             problems.append(str(reason))
-    try:
-        record = read_record(path, channels, resample=resample)
-    except InputError as reason:  # what it says of a column that no channel of the card was found in
-        said = str(reason).removeprefix(f"{os.fspath(path)}: ")
-        if said not in problems:
-            problems.append(said)
+    record, refused = _read(path, card, resample)
+    problems += [refused] if refused and refused not in problems else []
+    time = np.empty(0) if looked is None else looked.time
     step = np.diff(time)
     median = float(np.median(step)) if len(step) else float("nan")
+    gap = step > GAP * median
+    taken = {column.number for column in found.values() if column is not None}
+    there = [(channel, column) for channel, column in found.items() if column is not None and channel.name in values]
     return RecordReport(
         path=os.fspath(path),
         samples=len(time),
         dt=median,
         duration=float(time[-1] - time[0]) if len(time) else 0.0,
-        gaps=int(np.sum(step > GAP * median)),
-        uneven=int(np.sum(np.abs(step - median) > JITTER * median)),
-        channels=tuple(reports),
-        missing=tuple(missing),
+        gaps=int(np.sum(gap)),
+        uneven=int(np.sum((np.abs(step - median) > JITTER * median) & ~gap)),
+        channels=tuple(_report(channel, column, own) for channel, column in there),
+        missing=tuple(channel.name for channel, column in found.items() if column is None and not channel.required),
         unused=tuple(column.place for column in raw.columns if column.number not in taken),
         problems=tuple(problems),
         record=None if problems else record,
-        proposals=parts,
+        proposals=proposals(looked, card) if looked is not None and segment.whole and np.isfinite(time).all() else (),
         remarks=raw.remarks,
     )
+
+
+def _read(path: str | os.PathLike[str], card: Card, resample: float | None) -> tuple[FlightRecord | None, str]:
+    """The record, or why it cannot be had: what is said of a column that no channel of the card was found in, too."""
+    try:
+        return read_record(path, card.channels, resample=resample), ""
+    except InputError as reason:
+        return None, str(reason).removeprefix(f"{os.fspath(path)}: ")
 
 
 def _converted(channel: Channel, column: RawColumn) -> np.ndarray:
@@ -123,8 +118,9 @@ def _converted(channel: Channel, column: RawColumn) -> np.ndarray:
     return in_si(channel, Column(column.values, column.unit), column.heading)
 
 
-def _report(channel: Channel, column: RawColumn) -> ChannelReport:
-    values = np.zeros(1) if column.values is None else column.values
+def _report(channel: Channel, column: RawColumn, own: slice) -> ChannelReport:
+    """`own`: the samples of the part that is looked at."""
+    values = np.zeros(1) if column.values is None else column.values[own]
     sound = values[np.isfinite(values)]
     low, high = (float(sound.min()), float(sound.max())) if len(sound) else (float("nan"), float("nan"))
     standard = STANDARD_CHANNELS.get(channel.name)

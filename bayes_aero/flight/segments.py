@@ -14,7 +14,7 @@ import numpy as np
 from bayes_aero.errors import InputError
 from bayes_aero.flight.record import FlightRecord
 
-__all__ = ["GAP", "Segment", "cut", "expanded", "parts_of", "segment_of"]
+__all__ = ["GAP", "Segment", "cut", "expanded", "parts_of", "samples_of", "segment_of"]
 
 GAP = 1.5
 """A step longer than this many median steps is a gap: at least one sample is lost."""
@@ -78,36 +78,41 @@ def _is_file(path: Path) -> bool:
 
 
 def cut(record: FlightRecord, segment: Segment) -> FlightRecord:
-    """The part of a record, with the file's own time.
+    """The part of a record, with the file's own time; raises as `samples_of`."""
+    if segment.whole:
+        return record
+    own = samples_of(record.time, segment)
+    return replace(record, time=record.time[own], channels={name: x[own] for name, x in record.channels.items()})
+
+
+def samples_of(time: np.ndarray, segment: Segment) -> slice:
+    """Which samples of a file with (n,) time in s a part has.
 
     Raises:
         InputError: the file has no sample there.
     """
     if segment.whole:
-        return record
-    time = record.time
+        return slice(None)
     if segment.part is not None:
         parts = parts_of(time)
         if not 1 <= segment.part <= len(parts):
             raise InputError(f"there is no part {segment.part}: gaps in time divide it into {len(parts)}")
-        chosen = slice(*parts[segment.part - 1])
-    else:
-        if (np.diff(time) <= 0.0).any():
-            raise InputError(
-                "its time starts over or repeats, so that seconds do not tell a part; name parts by number (FILE@#1, "
-                "FILE@#2, or --split)"
-            )
-        begin = -np.inf if segment.begin is None else segment.begin
-        end = np.inf if segment.end is None else segment.end
-        slack = 1e-6 * float(np.median(np.diff(time))) if len(time) > 1 else 0.0  # times that were typed are rounded
-        inside = np.flatnonzero((time >= begin - slack) & (time <= end + slack))
-        if not len(inside):
-            raise InputError(
-                f"no sample lies in the part from {begin:g} to {end:g} s: its time goes from {time[0]:.6g} to "
-                f"{time[-1]:.6g} s; correct the part"
-            )
-        chosen = slice(int(inside[0]), int(inside[-1]) + 1)
-    return replace(record, time=time[chosen], channels={name: x[chosen] for name, x in record.channels.items()})
+        return slice(*parts[segment.part - 1])
+    if (np.diff(time) <= 0.0).any():
+        raise InputError(
+            "its time starts over or repeats, so that seconds do not tell a part; name parts by number (FILE@#1, "
+            "FILE@#2, or --split)"
+        )
+    begin = -np.inf if segment.begin is None else segment.begin
+    end = np.inf if segment.end is None else segment.end
+    slack = 1e-6 * float(np.median(np.diff(time))) if len(time) > 1 else 0.0  # times that were typed are rounded
+    inside = np.flatnonzero((time >= begin - slack) & (time <= end + slack))
+    if not len(inside):
+        raise InputError(
+            f"no sample lies in the part from {begin:g} to {end:g} s: its time goes from {time[0]:.6g} to "
+            f"{time[-1]:.6g} s; correct the part"
+        )
+    return slice(int(inside[0]), int(inside[-1]) + 1)
 
 
 def parts_of(time: np.ndarray) -> list[tuple[int, int]]:

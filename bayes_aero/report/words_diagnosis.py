@@ -11,6 +11,7 @@ from rich.table import Table
 
 from bayes_aero.criticism.finding import Cause, Diagnosis
 from bayes_aero.criticism.trajectory import Trajectories
+from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.diagnosed import View
@@ -43,6 +44,7 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
         verdict_sentence(d),
         *sign_sentences({name: (after, sd) for name, (_, after, sd) in d.base_moves.items()}),
         *(_cause(cause) for cause in d.causes),
+        *_taken_over(d),
         *_together(d),
         *_beyond(d),
         *_minor(d),
@@ -78,6 +80,24 @@ def _cause(cause: Cause) -> str:
         model = "simulation" if cause.stage == "flight path" else "extended model"
         said += f" Unseen data do not confirm it (taken out: log density {-lost:+.1f} ± {sd:.1f})"
         said += f"; the {model} does without it."
+    return said
+
+
+def _taken_over(d: Diagnosis) -> list[str]:
+    """What to write on the card, for causes that the verdict rests on."""
+    sure = [cause.name for cause in d.causes if cause.sure and not cause.ambiguous_with and cause.name in CATALOGUE]
+    fitted = [name for name in sure if CATALOGUE[name].stage > Stage.AIRCRAFT]
+    errors = [name for name in sure if name not in fitted]
+    said = []
+    if fitted:
+        said.append(
+            f"To take {several(fitted)} into the model, add the name to effects under [model] of the card and fit again."
+        )
+    if errors:
+        said.append(
+            f"{several(errors)}: mend the record or the card's constants; or add the name to effects and its size to "
+            "fixed under [model]."
+        )
     return said
 
 

@@ -17,6 +17,7 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.checks import MIN_SAMPLES
 from bayes_aero.flight.health.signals import noise_of
 from bayes_aero.flight.raw import RawColumn, read_raw
+from bayes_aero.flight.segments import parts_of
 from bayes_aero.physics.coefficient_names import REQUIRED
 from bayes_aero.studies.guess import guessed
 from bayes_aero.studies.guess_column import Guess
@@ -34,6 +35,7 @@ STALL = (
 REMARKS = {
     "separated_induced_drag": " # induced_share 0: drag of the attached lift, as published; 1: of the lift that is left"
 }
+MACH_MOVES, SOUND = 0.05, 330.0  # a change of Mach number that tells its effect, and m/s
 STALLED = np.deg2rad(12.0)  # alpha beyond which the record is taken to hold a stall
 NEEDED = ("time", *REQUIRED, "elevator")
 ENGINE = ("n1_left", "n1_right", "engine_speed", "throttle", "throttle_left", "throttle_right")
@@ -53,6 +55,12 @@ class Starter:
     todo: list[tuple[str, str]]
     found: dict[str, Guess]
     unknown: list[RawColumn]
+
+    @property
+    def parts(self) -> int:
+        """Parts of the file between gaps in time."""
+        time = self.found["time"].si if "time" in self.found and not self.doubt("time") else np.zeros(1)
+        return sum(end - begin >= MIN_SAMPLES for begin, end in parts_of(time))
 
     @property
     def blind(self) -> tuple[str, ...]:
@@ -284,6 +292,13 @@ def _sensors(found: Mapping[str, Guess]) -> Iterator[str]:
     yield ""
 
 
+def _mach_moves(found: Mapping[str, Guess]) -> bool:
+    """Whether a lift slope over Mach number can be told from one over nothing."""
+    if "mach" in found:
+        return float(np.ptp(found["mach"].si)) > MACH_MOVES
+    return "airspeed" in found and float(np.ptp(found["airspeed"].si)) / SOUND > MACH_MOVES
+
+
 def _model(found: Mapping[str, Guess]) -> Iterator[str]:
     reached = float(found["alpha"].si.max()) if "alpha" in found else 0.0
     stalled = reached > STALLED
@@ -293,7 +308,9 @@ def _model(found: Mapping[str, Guess]) -> Iterator[str]:
     for name in ATTACHED[:1]:
         yield f'  "{name}",'
     mach = "mach" in found or "mach" in _derivable(found)
-    yield ("" if mach else "# ") + '  "mach_lift", # needs the Mach number'
+    moves = mach and _mach_moves(found)
+    remark = "needs the Mach number" if not mach else "" if moves else "the Mach number hardly moves in this record"
+    yield ("" if moves else "# ") + '  "mach_lift",' + (f" # {remark}" if remark else "")
     yield from (f'  "{name}",' for name in ATTACHED[1:])
     said = "alpha was not found, so nobody knows whether a stall is in the record; if one is:"
     yield _comment(

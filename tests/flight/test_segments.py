@@ -155,3 +155,17 @@ def test_parts_in_flight_are_proposed():
 def test_nothing_is_proposed_of_one_manoeuvre():
     data = flown(11.0, 100.0)
     assert proposals(FlightRecord.from_arrays("day", data.pop("time"), data), CARD) == ()
+
+
+def test_ranges_of_a_part_are_its_own(seamed):
+    looked = inspect_record(f"{seamed}@#2", CARD)
+    time = next(channel for channel in looked.channels if channel.name == "time")
+    assert (time.lowest, time.highest) == (pytest.approx(34.8), pytest.approx(39.56))
+    whole = inspect_record(seamed, CARD)
+    assert (whole.gaps, whole.uneven) == (2, 0)
+
+
+def test_a_card_keeps_its_name_whatever_it_derives():
+    table = TABLE | {"channels": TABLE["channels"] | {"altitude": {"label": "HQNH", "unit": "m"}}}
+    derived = {"mach": "standard atmosphere"}
+    assert parse_card(table | {"derived": derived}, "own", "own.toml").name == "own"

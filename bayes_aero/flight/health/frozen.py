@@ -7,13 +7,14 @@ import numpy as np
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import HealthFinding, found, shown, span
 from bayes_aero.flight.health.kinematics import RELATIONS, view_of
-from bayes_aero.flight.health.signals import CONTROLS, level_step, noise_of, still_runs
+from bayes_aero.flight.health.signals import CONTROLS, level_step, noise_of, quantum, still_runs
 from bayes_aero.flight.record import FlightRecord
 
 SHORTEST = 0.4  # s: shorter ones are reported as a held signal or do no harm
 SURE = 4.0  # times the longest run that chance gives
 CONTINUOUS = 0.3  # share of equal neighbours up to which a run of equal values cannot be calm flight
 NOISELESS = 1e-5  # noise over range that no sensor has, and a simulation without noise has
+ROUNDING = 1.0  # of the last digit: a computed signal scatters by its rounding alone, 0.3 of it
 SELDOM = 0.02  # the same of air data, which change slowly
 MOTION = ("ax", "ay", "az", "p", "q", "r")
 MOVED = {"alpha": 0.009, "beta": 0.015, "theta": 0.009, "phi": 0.015, "psi": 0.02, "airspeed": 1.5, "altitude": 8.0}
@@ -83,7 +84,8 @@ def _frozen(record: FlightRecord, view: dict[str, np.ndarray], name: str, x: np.
     moved = _moved(record, view, name, run)
     if moved is not None:
         return moved > max(4.0 * level_step(x), 5.0 * noise_of(x), MOVED.get(name, 0.0))
-    scatters = noise_of(np.delete(x, np.s_[first : last + 1])) > NOISELESS * np.ptp(x)
+    noise = noise_of(np.delete(x, np.s_[first : last + 1]))
+    scatters = noise > max(NOISELESS * float(np.ptp(x)), ROUNDING * quantum(x))
     often = CONTINUOUS if name in MOTION or name in CONTROLS else SELDOM
     return share < often and scatters and _others_move(record, name, run)
 

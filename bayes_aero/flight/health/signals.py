@@ -65,6 +65,13 @@ def level_step(x: np.ndarray) -> float:
     return float(np.median(gaps[gaps > 1e-6 * np.ptp(levels)]))
 
 
+def quantum(x: np.ndarray) -> float:
+    """The least distance of different values among (n,) samples, which is that of the last digit written; 0 if none."""
+    gaps = np.diff(np.unique(x))
+    gaps = gaps[gaps > 1e-9 * np.max(np.abs(x), initial=0.0)]
+    return float(gaps.min()) if len(gaps) else 0.0
+
+
 def runs_of(equal: np.ndarray) -> Iterator[tuple[int, int]]:
     """First and last index of each run of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], equal.astype(np.int8), [0]])))
