@@ -9,11 +9,11 @@ from bayes_aero.flight.record import FlightRecord
 
 
 def flight() -> dict[str, np.ndarray]:
-    """Three seconds of trim, then a slow climb, at 20 Hz; thrust and density from tables, written with seven digits."""
+    """Three seconds of trim, then slow climbs and descents, at 20 Hz; thrust and density from tables, rounded."""
     t = np.arange(0.0, 12.0, 0.05)
     rng = np.random.default_rng(3)
     late = np.maximum(t - 3.0, 0.0)
-    height = 2500.0 - 0.4 * late**2
+    height = 2500.0 + 30.0 * np.sin(0.5 * late)
     return {
         "time": t,
         "ax": 0.3 + 0.02 * rng.standard_normal(len(t)),
@@ -21,8 +21,8 @@ def flight() -> dict[str, np.ndarray]:
         "q": 0.01 * np.sin(late) + 3e-4 * rng.standard_normal(len(t)),
         "theta": 0.05 + 0.01 * (1.0 - np.cos(late)) + 2e-4 * rng.standard_normal(len(t)),
         "airspeed": 75.0 + 0.1 * late + 0.1 * rng.standard_normal(len(t)),
-        "thrust": np.round(4667.0 - 0.02 * late**2, 3),
-        "density": np.round(0.9568 * np.exp(-(height - 2500.0) / 9000.0), 7),
+        "thrust": np.round(4667.0 - 20.0 * np.sin(0.5 * late), 2),
+        "density": np.round(0.9568 * np.exp(-(height - 2500.0) / 9000.0), 6),
     }
 
 
