@@ -57,7 +57,7 @@ def identify(
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
     json: JsonOption = False,
 ) -> None:
-    """Identify a stall model: maximum likelihood, posterior and Gaussian process side by side.
+    """Identify the parameters of a card's model: maximum likelihood, posterior and Gaussian process side by side.
 
     Example: bayes-aero identify qst01.asc qst02.asc --model attas --out results
     """

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.criticism.flown_paths import Path as Simulated
+from bayes_aero.effect import Stage
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.posterior import PosteriorStatus
 from bayes_aero.physics.coefficients import NAMES
@@ -64,7 +65,7 @@ def identification_page(
         lead.append(Text("Static pictures were not drawn in this run; tables and interactive figures are complete."))
     return Page(
         title=f"Identification: {run.card.title}",
-        subtitle="Stall model identified from flight data, with uncertainty",
+        subtitle="Aerodynamic model identified from flight data, with uncertainty",
         verdict=headline(run),
         lead=tuple(lead),
         doubts=doubts(run.records, run.card, run.consistency, corrects=False, failures=run.failures),
@@ -78,7 +79,7 @@ def identification_page(
                     Text(
                         "Lift, drag and pitching-moment coefficients reconstructed from the accelerometers and rate "
                         "gyros, and "
-                        "the fitted stall model. The shaded area between the curves is the error."
+                        "the fitted model. The shaded area between the curves is the error."
                     ),
                     *_histories(run),
                     page_tables.fit(run),
@@ -158,6 +159,8 @@ def _histories(run: Identification) -> list[Block]:
 
 
 def _stall(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
+    if all(effect.stage is not Stage.SEPARATION for effect in run.model.effects):
+        return (Text("The card's model has no separation of the flow, and so no stall."),)
     if run.stall is None:
         return (
             Text(
