@@ -91,7 +91,7 @@ def _taken_over(d: Diagnosis) -> list[str]:
     said = []
     if fitted:
         said.append(
-            f"To take {several(fitted)} into the model, add the name to effects under [model] of the card and fit again."
+            f"To take {several(fitted)} into the model, add it to effects under [model] of the card and fit again."
         )
     if errors:
         said.append(
