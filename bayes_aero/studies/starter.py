@@ -15,7 +15,7 @@ from bayes_aero.flight.aliases import split_heading
 from bayes_aero.flight.card_channels import ATMOSPHERE, RULES
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.checks import MIN_SAMPLES
-from bayes_aero.flight.health.signals import noise_of
+from bayes_aero.flight.health.signals import noise_of, quantum
 from bayes_aero.flight.raw import RawColumn, read_raw
 from bayes_aero.flight.segments import parts_of
 from bayes_aero.physics.coefficient_names import REQUIRED
@@ -284,7 +284,7 @@ def _sensors(found: Mapping[str, Guess]) -> Iterator[str]:
     if "time" in found:
         for name, guess in wanted.items():
             deviation = noise_of(guess.si)
-            if deviation > 0.0 and guess.unit is not None:
+            if deviation > 0.5 * quantum(guess.si) and guess.unit is not None:  # less is rounding of a computed signal
                 unit = guess.unit
                 source = STANDARD_CHANNELS[name].unit if name in STANDARD_CHANNELS else "N"
                 size = abs(float(from_si(deviation, unit, name, source)))
