@@ -36,16 +36,16 @@ OPTIONS: dict[str, dict[str, type]] = {
         "figures": bool,
         "page": bool,
         "resample": float,
-        "split_at_gaps": bool,
+        "split": bool,
         "coefficients": str,
     },
     "diagnose": {
         "max_effects": int, "predictors": bool, "trajectories": bool, "figures": bool, "resample": float,
-        "split_at_gaps": bool,
+        "split": bool,
     },
     "fly": {
         "windows": float, "initial_state": str, "priors": bool, "outputs": str, "inputs": str, "figures": bool,
-        "resample": float, "split_at_gaps": bool,
+        "resample": float, "split": bool,
     },
 }  # fmt: skip
 CHOICES = {

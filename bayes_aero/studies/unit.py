@@ -146,7 +146,7 @@ def perform(unit: Unit, out: Path, progress: Progress | None = None) -> None:
 
     card = card_of(unit)
     options = dict(unit.options)
-    reading = {"resample": options.pop("resample", None), "split": options.pop("split_at_gaps", False)}
+    reading = {"resample": options.pop("resample", None), "split": options.pop("split", False)}
     records = read_records([Path(p) for p in unit.records], card.channels, segments=card.segments, **reading)
     settings = unit.settings | {"environment": environment_id()}
     write_json(provenance(card, records, unit.seed, settings), out / "provenance.json")

@@ -16,7 +16,7 @@ from bayes_aero.cli import app, choices, main
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED, kept_stages
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.entry import _heed
-from bayes_aero.flight import readers
+from bayes_aero.flight import reading
 from bayes_aero.flight.card import read_card
 from bayes_aero.inference.splits import SplitKind
 from bayes_aero.model.noise import Colour
@@ -156,7 +156,7 @@ def test_an_interruption_while_reading_is_told_too(program, monkeypatch, flights
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(readers, "read_records", interrupted)
+    monkeypatch.setattr(reading, "read_records", interrupted)
     done = program("identify", flights.sound)
     assert done.code == INTERRUPTED
     assert "nothing had been written" in done.err
@@ -166,7 +166,7 @@ def test_json_is_all_that_is_on_stdout(program, monkeypatch):
     def finished(*_, out, **__):
         out.mkdir()
         (out / "results.json").write_text('{"schema": "bayes_aero/results/1"}\n')
-        return SimpleNamespace(consistency=None, health=())
+        return SimpleNamespace(consistency=None, health=(), failures=())
 
     monkeypatch.setattr(job, "identify", finished)
     done = program("identify", "--json")

@@ -156,7 +156,7 @@ def separated(*_):
 
 
 def told(*_):
-    scores = {"r2": 0.5, "rmse": 0.1, "r": float("nan"), "theil": 0.2}
+    scores = {"r2": 0.5, "rmse": 0.1, "r": float("nan"), "theil": 0.2, "coverage95": 0.9}
     return {"extended": {"Cm": scores, "CL": None}}
 
 
@@ -184,6 +184,7 @@ def test_a_run_that_was_interrupted_is_taken_up_and_ends_the_same(left, card, tm
             assert np.array_equal(x, again.simulated[name])
             assert np.array_equal(path.measured[name], again.measured[name])
     assert (out / "report.html").stat().st_size > 10_000
+    assert found.failures == ()
     assert not list(out.glob(".*"))
 
 
