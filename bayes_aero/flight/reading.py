@@ -1,7 +1,7 @@
 """From a file on disk to a checked flight record in SI.
 
 The way of a file: its bytes are read once (and hashed), the format of its suffix finds the columns that the
-card names, their values are converted to SI, and the record is checked. Whatever is wrong is told in one
+card names, their values are converted to SI, and the record is checked. Whatever is wrong is reported in one
 InputError that starts with the file's name.
 """
 

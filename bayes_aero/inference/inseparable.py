@@ -1,4 +1,4 @@
-"""Parameters that a record cannot part: what it knows of them is a combination, each alone is as good as unknown.
+"""Parameters that a record cannot separate: what it knows of them is a combination, each alone is as good as unknown.
 
 Source: Belsley, Kuh and Welsch, Regression Diagnostics (1980), ch. 3 (condition indices and proportions of variance);
 so Klein and Morelli, Aircraft System Identification (2006), sec. 5.2.
@@ -43,7 +43,7 @@ def inseparable(
     covariance: Float[np.ndarray, "k k"],
     deviation: Float[np.ndarray, " k"],
 ) -> tuple[Inseparable, ...]:
-    """Sets of parameters that the record cannot part, one of them at least vague for that alone.
+    """Sets of parameters that the record cannot separate, one of them at least vague for that alone.
 
     Args:
         names: of the parameters.

@@ -94,7 +94,7 @@ class MleResult:
 
     @property
     def inseparable(self) -> tuple[Inseparable, ...]:
-        """Sets of parameters that the record cannot part."""
+        """Sets of parameters that the record cannot separate."""
         return inseparable(self.names, self.units, self.estimate, self.covariance, self.crb_corrected)
 
     def strong_correlations(self, limit: float = 0.9) -> list[tuple[str, str, float]]:

@@ -163,7 +163,7 @@ class OutputErrorResult:
 
     @property
     def inseparable(self) -> tuple[Inseparable, ...]:
-        """Sets of parameters that the record, with the priors, cannot part."""
+        """Sets of parameters that the record, with the priors, cannot separate."""
         units = tuple(p.unit for p in self.parameters)
         return inseparable(self.names, units, self.estimate, self.covariance, self.sd_corrected)
 

@@ -1,4 +1,4 @@
-"""Priors that the record contradicts, parameters at their bounds, and those that it cannot part, in words."""
+"""Priors that the record contradicts, parameters at their bounds, and those that it cannot separate, in words."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def bound_sentences(found: Sequence[Bounded]) -> list[str]:
 
 
 def inseparable_sentences(found: Sequence[Inseparable]) -> list[str]:
-    """A sentence for each set of parameters that the record cannot part."""
+    """A sentence for each set of parameters that the record cannot separate."""
     said = []
     for one in found:
         told = several(
@@ -67,7 +67,7 @@ def inseparable_sentences(found: Sequence[Inseparable]) -> list[str]:
         low, high = (f"{x:.0f}" if x >= 10.0 else f"{x:.2g}" for x in (min(one.wider), max(one.wider)))
         times = low if low == high else f"{low} to {high}"
         said.append(
-            f"The record cannot part {several(one.names)} ({told}): were the others known, each interval would be "
+            f"The record cannot separate {several(one.names)} ({told}): were the others known, each interval would be "
             f"{times} times narrower. Fly manoeuvres that move them apart, fix one, or give one a prior."
         )
     return said

@@ -92,7 +92,7 @@ def _mle(result: MleResult) -> dict[str, Any]:
 
 
 def inseparable_results(found: Sequence[Inseparable]) -> list[dict[str, Any]]:
-    """Sets of parameters that the record cannot part."""
+    """Sets of parameters that the record cannot separate."""
     return [{"parameters": dict(zip(one.names, one.wider, strict=True))} for one in found]
 
 

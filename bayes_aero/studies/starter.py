@@ -272,7 +272,7 @@ def _still(found: Mapping[str, Guess]) -> Iterator[str]:
     if not absent or "theta" not in found or "altitude" not in found:
         return
     if all(np.nanstd(found[name].si) < STILL for name in LATERAL if name in found):
-        yield from (f'{name} = "0 {LEVEL[name]}" # guess: not recorded; rolled and yawed it has not' for name in absent)
+        yield from (f'{name} = "0 {LEVEL[name]}" # guess: not recorded; it did not roll or yaw' for name in absent)
     else:
         yield f"# {', '.join(absent)}: not recorded, and it rolled or yawed. Without them sensors go unchecked."
 

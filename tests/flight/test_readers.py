@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from flight_samples import CHANNELS, sound, told
 
+from bayes_aero.cli.terminal import SUFFIXES
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.readers import READERS
@@ -32,6 +33,10 @@ def test_round_trip(tmp_path, suffix):
     assert back.names == record.names
     for name in record.names:
         np.testing.assert_allclose(back[name], record[name], rtol=4e-16, atol=1e-18)
+
+
+def test_the_command_line_lists_the_formats():
+    assert set(SUFFIXES.split()) == set(READERS) - {".tsv", ".txt", ".dat"}  # variants of .csv and .asc
 
 
 def test_all_formats_are_tested():

@@ -1,4 +1,4 @@
-"""Parameters that a record cannot part: linear regressions whose near dependencies are known beforehand."""
+"""Parameters that a record cannot separate: linear regressions whose near dependencies are known beforehand."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_an_angle_that_hardly_moves_is_not_parted_from_the_constant():
         )
         assert wider == pytest.approx(np.sqrt(covariance[i, i]) / alone, rel=0.02)
     (said,) = inseparable_sentences([found])
-    assert "cannot part" in said
+    assert "cannot separate" in said
     assert "CLa 4.9 ± 1.7 1/rad" in said
 
 
