@@ -13,8 +13,7 @@ from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.page import Block, Fold, Page, Plot, Table, Text, filled, section
 from bayes_aero.report.page_parts import at_a_glance, bullets, consistency_lead, first, histories, provenance_blocks
 from bayes_aero.report.page_plots import Line, Panel
-from bayes_aero.report.page_trajectories import axis_label
-from bayes_aero.report.phrases import for_people
+from bayes_aero.report.phrases import axis_label, for_people
 from bayes_aero.report.words_check import (
     card_sentences,
     headline,

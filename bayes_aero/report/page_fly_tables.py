@@ -10,8 +10,7 @@ from bayes_aero.inference.flown_normal import departures
 from bayes_aero.report.comparison import decimals
 from bayes_aero.report.page import Table
 from bayes_aero.report.page_parts import number, plain_unit
-from bayes_aero.report.page_trajectories import axis_label
-from bayes_aero.report.phrases import bracket, for_people
+from bayes_aero.report.phrases import axis_label, bracket, for_people
 from bayes_aero.report.words_fly import parameter_rows, prior_words, remarks
 from bayes_aero.report.words_trajectory import short
 

@@ -11,8 +11,8 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.page import Block, Table, Text
 from bayes_aero.report.page_parts import MOST_SHOWN, first
-from bayes_aero.report.page_trajectories import Curve, axis_label, over_measured, sources
-from bayes_aero.report.phrases import for_people
+from bayes_aero.report.page_trajectories import Curve, over_measured, sources
+from bayes_aero.report.phrases import axis_label, for_people
 from bayes_aero.report.words_trajectory import short
 
 

@@ -15,7 +15,7 @@ from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.page import Block, Facts, Fold, Plot, Table, Text
 from bayes_aero.report.page_parts import first, histories, number
 from bayes_aero.report.page_plots import Line, Panel
-from bayes_aero.report.phrases import SYMBOLS, bracket, for_people
+from bayes_aero.report.phrases import SYMBOLS, axis_label, for_people
 from bayes_aero.report.words_trajectory import short
 
 MODELS = (
@@ -64,11 +64,6 @@ def sources(card: Card, units: Mapping[str, str]) -> tuple[Block, ...]:
         for unit, factor in (for_people(units[n]),)
     )
     return (Fold("Where the tolerances come from", (Facts(facts),)),) if facts else ()
-
-
-def axis_label(output: str, unit: str) -> str:
-    """An output with the unit in which people read it, from its SI unit."""
-    return f"{SYMBOLS.get(output, output)} {bracket(for_people(unit)[0])}"
 
 
 def _label(output: str) -> str:

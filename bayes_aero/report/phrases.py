@@ -42,3 +42,8 @@ def several(items: Iterable[str]) -> str:
     """Items as they are read out: a, b and c."""
     given = list(items)
     return " and ".join([", ".join(given[:-1]), given[-1]]) if len(given) > 1 else "".join(given)
+
+
+def axis_label(output: str, unit: str) -> str:
+    """An output with the unit in which people read it, from its SI unit."""
+    return f"{SYMBOLS.get(output, output)} {bracket(for_people(unit)[0])}"

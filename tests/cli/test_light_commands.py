@@ -66,6 +66,7 @@ def files(tmp_path_factory):
     ("code", "arguments"),
     [
         (0, ["check", "climb.csv", "--model", "glider.toml"]),
+        (0, ["check", "climb.csv", "--model", "glider.toml", "--out", "checked"]),
         (0, ["card", "climb.csv", "--out", "new.toml"]),
         (2, ["check", "climb.csv", "--model", "nosuch"]),
         (2, ["identify", "climb.csv", "--model", "attas"]),
