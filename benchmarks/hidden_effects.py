@@ -24,7 +24,6 @@ import numpy as np
 from detection_tables import draw, heads, named, power, print_power
 
 from bayes_aero.criticism.diagnosis import diagnose
-from bayes_aero.criticism.flown import diagnose_flown
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card
@@ -66,7 +65,7 @@ def case(kind: str, seed: int, flown: dict, trajectories: bool) -> dict:
         records = [flight.record for flight in flights]
     began = time.perf_counter()
     if trajectories:
-        found = diagnose_flown([without_accelerometers(r) for r in records], read_card("attas"), seed=seed)
+        found = diagnose([without_accelerometers(r) for r in records], read_card("attas"), seed=seed)
     else:
         found = diagnose(records, read_card("attas"), seed=seed, gains_wanted=False)
     return {

@@ -7,8 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayes_aero.criticism.accuracy import filtered_channels
-from bayes_aero.criticism.candidates import Field, field_of
 from bayes_aero.criticism.collinear import Together, cancelling
 from bayes_aero.criticism.confirmation import Confirmation, confirmation
 from bayes_aero.criticism.credibility import as_structure, attributed, implausible, own_share
@@ -16,28 +14,30 @@ from bayes_aero.criticism.election import Standing, poll
 from bayes_aero.criticism.extension import Extension
 from bayes_aero.criticism.finding import FLIGHT_PATH, Cause, Diagnosis, Gain, Unknown, Verdict
 from bayes_aero.criticism.gain import LeftOut, gain, gained, measured_blocks, split_name, truncated
-from bayes_aero.criticism.residuals import noise_report
-from bayes_aero.criticism.responses import Responses
-from bayes_aero.criticism.stages import Stages, stages
+from bayes_aero.criticism.search_coefficients import search_coefficients
+from bayes_aero.criticism.search_trajectories import search_trajectories
+from bayes_aero.criticism.searched import Searched
 from bayes_aero.criticism.state import State, linearised
-from bayes_aero.criticism.unexplained import Left, has_chunks, unexplained
 from bayes_aero.effect import Effect
 from bayes_aero.errors import attempted
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.cores import blas_threads
-from bayes_aero.inference.mle import fit_mle
-from bayes_aero.model.flights import Flights, despiked, join
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import observe
 from bayes_aero.model.own_effects import own_effects
-from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.physics.coefficient_names import NAMES, REQUIRED
 
 AMBIGUOUS = 3.0  # nats, under the colour of their difference, within which another effect explains as well
 EXCITED = 0.1  # least over largest spread of an effect's sensitivities among manoeuvres; our choice
 POSSIBLE = 2.0  # score that an effect needs on its own to be a rival at all
 
 Progress = Callable[[str, float], None]
+
+
+def lacking(records: Sequence[FlightRecord], card: Card) -> tuple[str, ...]:
+    """Channels that coefficients need and some record does not have: trajectories are compared then."""
+    given = {*card.sums, *card.constants, *card.derived, *card.tables}
+    return tuple(n for n in REQUIRED if n not in given and any(not record.has(n) for record in records))
 
 
 @blas_threads(0)
@@ -54,122 +54,73 @@ def diagnose(
 ) -> Diagnosis:
     """Find what the card's model gets wrong on `records`; at most `most` effects are added in each stage.
 
-    `gains_wanted` False leaves out the refits on left-out data (for studies of naming alone).
+    The model is compared with coefficients, or with trajectories where no accelerometer gives those. `gains_wanted`
+    False leaves out the refits on left-out data (for studies of naming alone).
     """
-    model = model or Model.from_card(card)
-    flights, outliers = despiked(join(records, card))
-    field = field_of(model, flights, (*own_effects(card.effect_files).values(), *extra))
-    responses = Responses.of(flights, field.model)
-    mle = fit_mle(model, observe(records, card, model), seed=seed)
-    theta = np.array([field.neutral[name] for name in field.model.names])
-    for name, value in zip(mle.names, mle.estimate, strict=True):
-        if name in field.model.names:
-            theta[field.columns([name])[0]] = value
-    both = stages(field, responses, theta, seed=seed, most=most, progress=progress)
-    left, failures = attempted(
-        "Structure without a name was not sought",
-        lambda: unexplained(both.aerodynamics, seed=seed + 2000),
-        Left((), ()),
-    )
-    sensors, aerodynamics = both.sensors, _withdrawn(both.aerodynamics, left.replaced)
-    named = [(FLIGHT_PATH, sensors)] if sensors is not None else []
-    named.append(("coefficients", aerodynamics))
-    candidates, kept, failed = _confirmed(field, named, progress) if gains_wanted else _unasked(field, named)
-    failures += failed
+    search = search_trajectories if lacking(records, card) else search_coefficients
+    known = (*own_effects(card.effect_files).values(), *extra)
+    found = search(records, card, model or Model.from_card(card), known, seed=seed, most=most, progress=progress)
+    ask = gains_wanted and found.testable_now
+    candidates, kept, failed = _confirmed(found, progress) if ask else _unasked(found)
     causes, beyond, unnamed = attributed(candidates)
-    unknown = (*left.unknown, *structure_of(field, named, unnamed))
-    minor = (*(sensors.minor if sensors else ()), *aerodynamics.minor, *(c.name for c in unnamed))
+    unknown = (*found.unknown, *structure_of(found, unnamed))
+    minor = (*(found.sensors.minor if found.sensors else ()), *found.model.minor, *(c.name for c in unnamed))
+    state = found.model.state
     return Diagnosis(
         verdict=verdict_of(causes, unknown),
         causes=causes,
         minor=minor,
         unknown=unknown,
-        noise=noise_report(aerodynamics, outliers),
-        not_testable=field.not_testable,
-        sensors=sensors,
-        aerodynamics=aerodynamics,
-        theta=aerodynamics.state.theta,
-        split=split_name(aerodynamics.state),
-        base_moves=moves_of(aerodynamics),
+        noise=found.noise,
+        not_testable=found.field.not_testable,
+        sensors=found.sensors,
+        aerodynamics=found.model,
+        theta=state.theta,
+        split=split_name(state),
+        base_moves=moves_of(found.model),
         kept=kept,
-        failures=failures,
-        notes=(*_notes(flights), *_too_short(aerodynamics.state), *_denials(both)),
-        together=together_of(named, causes),
+        failures=(*found.failures, *failed),
+        notes=found.notes,
+        together=together_of(found.stages, causes),
         beyond=beyond,
     )
 
 
-def _confirmed(
-    field: Field, named: Sequence[tuple[str, Extension]], progress: Progress | None
-) -> tuple[list[Cause], tuple[str, ...], tuple[str, ...]]:
+Asked = tuple[list[Cause], tuple[str, ...], tuple[str, ...]]
+
+
+def _confirmed(found: Searched, progress: Progress | None) -> Asked:
     """Causes with what unseen data say of them, the additions to the coefficients that these confirm, and failures.
 
     Should the hold-out test fail, no cause is confirmed.
     """
 
     def asked() -> tuple[list[Cause], tuple[str, ...]]:
-        confirmations = {stage: confirmation(one.state) for stage, one in named}
-        return causes_of(field, named, confirmations, progress), confirmations["coefficients"].kept
+        confirmations = {stage: confirmation(one.state) for stage, one in found.stages}
+        return causes_of(found, confirmations, progress), confirmations[found.stages[-1][0]].kept
 
-    found, failures = attempted("No cause was tested on unseen data", asked, None)
-    if found is not None:
-        return (*found, failures)
-    causes, _, _ = _unasked(field, named)
-    return [replace(cause, confirmed=False) for cause in causes], (), failures
+    causes, failures = attempted("No cause was tested on unseen data", asked, None)
+    if causes is not None:
+        return (*causes, failures)
+    untested, _, _ = _unasked(found)
+    return [replace(cause, confirmed=False) for cause in untested], (), failures
 
 
-def _unasked(
-    field: Field, named: Sequence[tuple[str, Extension]]
-) -> tuple[list[Cause], tuple[str, ...], tuple[str, ...]]:
+def _unasked(found: Searched) -> Asked:
     """The same where unseen data were not asked."""
-    return causes_of(field, named, {}, None), dict(named)["coefficients"].state.active, ()
+    return causes_of(found, {}, None), found.model.state.active, ()
 
 
-def _withdrawn(found: Extension, names: Sequence[str]) -> Extension:
-    """Causes of which little is left beside what is unexplained lose their names: nuisances, in the model as before."""
-    causes = tuple(name for name in found.causes if name not in names)
-    return replace(found, causes=causes, minor=(*found.minor, *(n for n in found.causes if n in names)))
-
-
-def _notes(flights: Flights) -> tuple[str, ...]:
-    """What the user should know of the intervals."""
-    filtered = filtered_channels(flights)
-    if not filtered:
-        return ()
-    return (
-        f"No white noise of {', '.join(filtered)} can be read off the record (filtered before it was recorded, or "
-        "none): sizes are not freed of the bias that such noise gives, and their intervals do not allow for it.",
-    )
-
-
-def _too_short(state: State) -> tuple[str, ...]:
-    """That periods were not looked at, where a manoeuvre is too short for them."""
-    return () if has_chunks(state) else ("Periodic structure was not sought: a manoeuvre is too short for its parts.",)
-
-
-def _denials(found: Stages) -> tuple[str, ...]:
-    """A sentence on each error of a sensor that the flight path named and the coefficients deny."""
-    return tuple(
-        f"The flight path alone would name {name}, as it does in gusts; the coefficients lose more by that correction "
-        "than the flight path gains, so it is not made."
-        for name in found.denied
-    )
-
-
-def causes_of(
-    field: Field,
-    stages: Sequence[tuple[str, Extension]],
-    confirmations: Mapping[str, Confirmation],
-    progress: Progress | None,
-) -> list[Cause]:
+def causes_of(searched: Searched, confirmations: Mapping[str, Confirmation], progress: Progress | None) -> list[Cause]:
     """What every stage named; with gains on unseen data where these were asked to confirm it (the last stage's are the
     coefficients)."""
     found: list[Cause] = []
-    for stage, extension in stages:
+    field = searched.field
+    for stage, extension in searched.stages:
         if not extension.causes:
             continue
         sure = confirmations.get(stage)
-        measured = {} if sure is None else _gains_of(extension, stages[-1][1], sure.kept, progress)
+        measured = {} if sure is None else _gains_of(extension, searched.model, sure.kept, progress)
         for name in extension.causes:
             effect = next(e for e in field.candidates if e.name == name)
             probability, others = _rivals(extension, name)
@@ -194,11 +145,9 @@ def causes_of(
     return found
 
 
-def structure_of(
-    field: Field, stages: Sequence[tuple[str, Extension]], unnamed: Sequence[Cause]
-) -> tuple[Unknown, ...]:
+def structure_of(found: Searched, unnamed: Sequence[Cause]) -> tuple[Unknown, ...]:
     """What the record shows and cannot attribute; without rivals it is likelier nothing."""
-    effects, extensions = {e.name: e for e in field.candidates}, dict(stages)
+    effects, extensions = {e.name: e for e in found.field.candidates}, found.by_stage
     several = [c for c in unnamed if c.ambiguous_with]
     return tuple(as_structure(cause, extensions[cause.stage], effects[cause.name]) for cause in several)
 

@@ -11,7 +11,6 @@ from jaxtyping import Float
 
 from bayes_aero.criticism.candidates import Field, field_of
 from bayes_aero.criticism.extension import Extension, extend
-from bayes_aero.criticism.path_responses import PathResponses, rolled_unseen
 from bayes_aero.criticism.state import linearised
 from bayes_aero.criticism.stretches import borne_out
 from bayes_aero.effect import Kind, Stage
@@ -23,6 +22,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.flightpath import PATH_CORE
+from bayes_aero.residuals.flight_path import FlightPathError, rolled_unseen
 
 SENSOR_KINDS = (Kind.MEASUREMENT, Kind.ENVIRONMENT)
 SHORTEST = 4.0  # s of a record that can be checked
@@ -30,7 +30,7 @@ SHORTEST = 4.0  # s of a record that can be checked
 
 def agreement(
     field: Field,
-    responses: PathResponses,
+    responses: FlightPathError,
     theta: Float[np.ndarray, " k"],
     *,
     seed: int,
@@ -61,7 +61,7 @@ def compatibility(records: list[FlightRecord], card: Card, *, seed: int = 0, mos
     model = Model(sensors, tuple(p for e in sensors for p in e.parameters))
     field = Field(model, (), sensors, {})
     theta = np.array([field.neutral[name] for name in model.names])
-    return agreement(field, PathResponses.of(flights, model), theta, seed=seed, most=most)
+    return agreement(field, FlightPathError.of(flights, model), theta, seed=seed, most=most)
 
 
 def no_flight_path(records: Sequence[FlightRecord], card: Card) -> str:

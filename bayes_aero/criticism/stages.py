@@ -16,13 +16,13 @@ from jaxtyping import Float
 from bayes_aero.criticism.candidates import Field
 from bayes_aero.criticism.election import poll
 from bayes_aero.criticism.extension import DECISIVE, Extension, extend, nats_gained, removed
-from bayes_aero.criticism.path_responses import PathResponses
-from bayes_aero.criticism.responses import Responses
 from bayes_aero.criticism.sensors import agreement
 from bayes_aero.criticism.state import State, linearised, local_fit, optimum, refitted
 from bayes_aero.criticism.stretches import widened
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.residuals.equation_error import EquationError
+from bayes_aero.residuals.flight_path import FlightPathError
 
 Progress = Callable[[str, float], None]
 
@@ -38,7 +38,7 @@ class Stages:
 
 def stages(
     field: Field,
-    responses: Responses,
+    responses: EquationError,
     theta: Float[np.ndarray, " k"],
     *,
     seed: int,
@@ -54,7 +54,7 @@ def stages(
         state = linearised(_after(field, sensors), responses, NAMES, begin)
         return extend(state, seed=seed + 1000, most=most, progress=progress)
 
-    path = PathResponses.of(responses.flights, responses.model)
+    path = FlightPathError.of(responses.flights, responses.model)
     if not path.outputs:
         return Stages(None, coefficients(None))
     if progress:

@@ -12,11 +12,11 @@ from jaxtyping import Bool, Float, Int
 
 from bayes_aero.criticism.candidates import Field
 from bayes_aero.criticism.colour import colour_of
-from bayes_aero.criticism.linearisable import Linearisable
 from bayes_aero.criticism.regression import Fit, Products
 from bayes_aero.errors import InputError
 from bayes_aero.inference.autoregression import ORDER
 from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.residuals.base import ResidualModel
 
 REFITS = 8
 ENOUGH = 0.05  # of the deviance
@@ -53,7 +53,7 @@ class State:
     """
 
     field: Field
-    responses: Linearisable
+    responses: ResidualModel
     outputs: tuple[str, ...]
     theta: Float[np.ndarray, " k"]
     residual: Float[np.ndarray, "m c"]
@@ -160,7 +160,7 @@ def folds_of(manoeuvre: Int[np.ndarray, " m"], seconds: float) -> tuple[slice, .
 
 def linearised(
     field: Field,
-    responses: Linearisable,
+    responses: ResidualModel,
     outputs: tuple[str, ...],
     theta: Float[np.ndarray, " k"],
     active: tuple[str, ...] = (),

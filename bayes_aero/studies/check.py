@@ -14,7 +14,6 @@ from bayes_aero.criticism.checked import CheckReport, SensorCheck
 from bayes_aero.criticism.consistency import consistency, errors_of_path
 from bayes_aero.criticism.sensors import compatibility
 from bayes_aero.criticism.state import too_short
-from bayes_aero.criticism.windows import too_few_windows
 from bayes_aero.errors import InputError
 from bayes_aero.flight.agreement import Agreement, Consistency
 from bayes_aero.flight.card import Card
@@ -29,6 +28,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.physics.coefficient_names import REQUIRED
 from bayes_aero.physics.filters import FILTER_STEP
+from bayes_aero.residuals.windows import too_few_windows
 from bayes_aero.studies.consistency_results import consistency_results
 from bayes_aero.studies.folder import writable
 from bayes_aero.studies.health_results import health_results

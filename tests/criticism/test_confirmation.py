@@ -6,13 +6,13 @@ import pytest
 from bayes_aero.criticism.candidates import field_of
 from bayes_aero.criticism.confirmation import confirmation
 from bayes_aero.criticism.gain import LeftOut, gained, truncated
-from bayes_aero.criticism.responses import Responses
 from bayes_aero.criticism.state import linearised, refitted
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.flights import despiked, join
 from bayes_aero.model.observations import observe
 from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.studies.hidden import hidden_flights
 
 TRUE = ("thrust_moment", "pitch_rate_lift", "drag_offset")
@@ -28,7 +28,7 @@ def with_added(card, model, records, added):
     mle = fit_mle(model, observe(records, card, model), seed=0)
     for name, value in zip(mle.names, mle.estimate, strict=True):
         theta[field.columns([name])[0]] = value
-    return refitted(linearised(field, Responses.of(flights, field.model), NAMES, theta, tuple(added)))[0]
+    return refitted(linearised(field, EquationError.of(flights, field.model), NAMES, theta, tuple(added)))[0]
 
 
 @pytest.mark.recovery

@@ -18,12 +18,12 @@ from bayes_aero.criticism.diagnosis import judged_on_held_out_flights, verdict_o
 from bayes_aero.criticism.election import uncertainty
 from bayes_aero.criticism.extension import Extension
 from bayes_aero.criticism.finding import Cause, Gain, Unknown, Verdict
-from bayes_aero.criticism.responses import Responses
 from bayes_aero.criticism.state import linearised
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.model.flights import join
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.words_diagnosis import diagnosis_sentences
+from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.studies.demo import TRUTH, simulate_stall
 
 PAIR = ("pitch_rate_lift", "alpha_dot_lift")
@@ -124,7 +124,7 @@ def both(card, model):
     whole = replace(model, effects=everything, parameters=parameters, fixed=())
     field = Field(whole, tuple(e.name for e in base), candidates, {})
     theta = np.array([TRUTH.get(p.name, p.neutral) for p in parameters])
-    return linearised(field, Responses.of(join([simulate_stall(0, card=card)], card), whole), NAMES, theta)
+    return linearised(field, EquationError.of(join([simulate_stall(0, card=card)], card), whole), NAMES, theta)
 
 
 def on(both, flights, values) -> Extension:
@@ -132,7 +132,7 @@ def on(both, flights, values) -> Extension:
     model = both.field.model
     theta = both.theta.copy()
     theta[both.field.columns(list(values))] = list(values.values())
-    state = linearised(both.field, Responses.of(flights, model), NAMES, theta, PAIR)
+    state = linearised(both.field, EquationError.of(flights, model), NAMES, theta, PAIR)
     fit = state.fit()
     return Extension(state, fit, state, fit, (), {}, PAIR, ())
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayes_aero.criticism.diagnosis import diagnose
-from bayes_aero.criticism.flown import diagnose_flown, in_windows
+from bayes_aero.criticism.search_trajectories import in_windows
 from bayes_aero.criticism.trajectory import fly_both
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.output_error_result import OutputErrorStatus
@@ -107,7 +107,7 @@ def test_an_effect_is_named_without_accelerometers(card):
     truth = {key: x * rng.uniform(0.8, 1.4) for key, x in HIDDEN[name].items()}
     records = [_without_accelerometers(f.record) for f in hidden_flights({name: truth}, seed=NAMING, seconds=90.0)]
     bare = replace(card, channels=tuple(c for c in card.channels if c.name not in ("ax", "ay", "az")))
-    found = diagnose_flown(records, bare)
+    found = diagnose(records, bare)
     named = {c.name: c for c in found.causes}
     assert name in named or any(name in c.ambiguous_with for c in found.causes), (NAMING, name, truth, list(named))
     if name in named:
@@ -126,7 +126,7 @@ def test_a_lag_of_the_separation_point_is_named_without_accelerometers(card):
     truth, missed = {"tau1": np.random.default_rng(SEED).uniform(4.0, 14.0)}, []
     for seed in (SEED, SEED + 1):
         flights = hidden_flights({"separation_lag": truth}, seed=seed, seconds=90.0)
-        found = diagnose_flown([_without_accelerometers(f.record) for f in flights], card)
+        found = diagnose([_without_accelerometers(f.record) for f in flights], card)
         names = [c.name for c in found.causes]
         if names[:1] == ["separation_lag"]:
             size = found.causes[0].parameters["tau1"]
@@ -159,7 +159,7 @@ def test_nothing_is_named_without_accelerometers_where_nothing_is_hidden(card):
     noise, alarms = str(np.random.default_rng(SEED).choice(["ar1", "outliers"])), []
     for seed in (SEED + 1, SEED + 2):
         records = [_without_accelerometers(r) for r in hidden_records({}, seed=seed, seconds=90.0, noise=noise)]
-        found = diagnose_flown(records, card)
+        found = diagnose(records, card)
         if not found.causes:
             return
         alarms.append((seed, [c.name for c in found.causes]))
