@@ -25,6 +25,7 @@ from matplotlib.figure import Figure
 
 from bayes_aero.criticism.consistency import consistency
 from bayes_aero.criticism.diagnosis import diagnose as run_diagnosis
+from bayes_aero.criticism.settings import DiagnosisSettings
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card, read_card
@@ -267,14 +268,20 @@ def diagnose(
     *,
     model: Model | None = None,
     candidates: Sequence[Effect] = (),
+    settings: DiagnosisSettings | None = None,
     seed: int = 0,
-    max_effects: int = 8,
+    max_effects: int | None = None,
 ) -> Diagnosed:
     """Find what `model`, by default the card's, gets wrong; `candidates` of one's own stand beside the catalogue's.
 
+    `settings` hold every threshold of the diagnosis; `max_effects` is the one of them that is set most.
+
     Predictors are not compared, trajectories not flown and no files written; `bayes-aero diagnose` does that.
     """
-    found = run_diagnosis(records, _card(card), model=model, extra=candidates, seed=seed, most=max_effects)
+    settings = settings or DiagnosisSettings()
+    if max_effects is not None:
+        settings = replace(settings, max_effects=max_effects)
+    found = run_diagnosis(records, _card(card), model=model, extra=candidates, settings=settings, seed=seed)
     return Diagnosed(view_of(found))
 
 

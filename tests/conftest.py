@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from bayes_aero.criticism.diagnosis import diagnose
+from bayes_aero.criticism.settings import DiagnosisSettings
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_record
 from bayes_aero.model.model import Model
@@ -75,7 +76,7 @@ def diagnosed(card):
     """One short simulated manoeuvre that hides a sensor error and a curved pitching moment, and its diagnosis."""
     hidden = {"pitch_rate_bias": {"pitch_rate_bias": 0.01}, "alpha_squared_moment": {"Cma2": -5.0}}
     records = hidden_records(hidden, seed=3, manoeuvres=1, seconds=60.0, noise="white")
-    view = view_of(diagnose(records, card, most=2))
+    view = view_of(diagnose(records, card, settings=DiagnosisSettings(max_effects=2)))
     return SimpleNamespace(hidden=hidden, records=records, view=view)
 
 

@@ -17,6 +17,7 @@ from bayes_aero.criticism.gain import LeftOut, gain, gained, measured_blocks, sp
 from bayes_aero.criticism.search_coefficients import search_coefficients
 from bayes_aero.criticism.search_trajectories import search_trajectories
 from bayes_aero.criticism.searched import Searched
+from bayes_aero.criticism.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.criticism.state import State, linearised
 from bayes_aero.effect import Effect
 from bayes_aero.errors import attempted
@@ -26,10 +27,6 @@ from bayes_aero.inference.cores import blas_threads
 from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.physics.coefficient_names import NAMES, REQUIRED
-
-AMBIGUOUS = 3.0  # nats, under the colour of their difference, within which another effect explains as well
-EXCITED = 0.1  # least over largest spread of an effect's sensitivities among manoeuvres; our choice
-POSSIBLE = 2.0  # score that an effect needs on its own to be a rival at all
 
 Progress = Callable[[str, float], None]
 
@@ -46,23 +43,23 @@ def diagnose(
     card: Card,
     *,
     model: Model | None = None,
+    settings: DiagnosisSettings = DEFAULT,
     seed: int = 0,
-    most: int = 8,
     extra: Sequence[Effect] = (),
     gains_wanted: bool = True,
     progress: Progress | None = None,
 ) -> Diagnosis:
-    """Find what the card's model gets wrong on `records`; at most `most` effects are added in each stage.
+    """Find what the card's model gets wrong on `records`; `settings` hold every threshold.
 
     The model is compared with coefficients, or with trajectories where no accelerometer gives those. `gains_wanted`
     False leaves out the refits on left-out data (for studies of naming alone).
     """
     search = search_trajectories if lacking(records, card) else search_coefficients
     known = (*own_effects(card.effect_files).values(), *extra)
-    found = search(records, card, model or Model.from_card(card), known, seed=seed, most=most, progress=progress)
+    found = search(records, card, model or Model.from_card(card), known, settings, seed=seed, progress=progress)
     ask = gains_wanted and found.testable_now
     candidates, kept, failed = _confirmed(found, progress) if ask else _unasked(found)
-    causes, beyond, unnamed = attributed(candidates)
+    causes, beyond, unnamed = attributed(candidates, settings)
     unknown = (*found.unknown, *structure_of(found, unnamed))
     minor = (*(found.sensors.minor if found.sensors else ()), *found.model.minor, *(c.name for c in unnamed))
     state = found.model.state
@@ -138,7 +135,7 @@ def causes_of(searched: Searched, confirmations: Mapping[str, Confirmation], pro
                     excited=_excited(extension.state, name),
                     confirmed=sure is None or name in sure.kept,
                     missed=NOTHING if sure is None else sure.missed[name],
-                    implausible=implausible(effect, extension.sizes, field.neutral),
+                    implausible=implausible(effect, extension.sizes, field.neutral, field.settings),
                     own_share=own_share(extension.state, extension.fit, name),
                 )
             )
@@ -168,7 +165,7 @@ def _excited(state: State, name: str) -> bool:
     S = state.S[:, :, state.field.columns(state.field.parameters_of(name))]  # without the swell, which moves anything
     noise = np.std(state.residual, axis=0)[:, None]
     spread = np.array([np.sqrt(np.sum((S[fold] / noise).var(axis=0))) for fold in state.folds])
-    return bool(spread.min() >= EXCITED * spread.max())
+    return bool(spread.min() >= state.settings.least_excitation * spread.max())
 
 
 NOTHING = (float("nan"), float("nan"))
@@ -228,14 +225,14 @@ def _rivals(extension: Extension, name: str) -> tuple[float, tuple[str, ...]]:
     ranking = poll(state, fit, seed=0, replicates=0, without=name).standings
     best: dict[str, Standing] = {}
     for standing in ranking:
-        if standing.effect == name or standing.score > POSSIBLE:
+        if standing.effect == name or standing.score > state.settings.least_rival_score:
             best.setdefault(standing.effect, standing)
     own = best.get(name)
     if own is None:
         return 1.0, ()
     weights = {effect: np.exp(min(0.0, -own.nats(s))) for effect, s in best.items()}
     nothing = np.exp(-max(own.gain, 0.0) / (2.0 * max(own.inflation, 1.0)))
-    close = tuple(effect for effect, s in best.items() if effect != name and own.nats(s) < AMBIGUOUS)
+    close = tuple(effect for effect, s in best.items() if effect != name and own.nats(s) < state.settings.ambiguous)
     return float(1.0 / (sum(weights.values()) + nothing)), close
 
 

@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float
 
 from bayes_aero.criticism.discrepancy import Processes
 from bayes_aero.criticism.extension import Extension
-from bayes_aero.criticism.gain import UNSEEN_STEPS, split_name
+from bayes_aero.criticism.gain import split_name
 from bayes_aero.criticism.state import State, moved, optimum
 from bayes_aero.errors import InputError
 from bayes_aero.inference.cores import blas_threads
@@ -189,7 +189,7 @@ def _fitted(
     state: State, others: Sequence[int], train: Bool[np.ndarray, " m"]
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "m c"], Float[np.ndarray, " c"]]:
     """Parameters fitted to the other folds, the residual of everything, and the variance of what they leave there."""
-    theta = optimum(state, others, UNSEEN_STEPS)
+    theta = optimum(state, others, state.settings.hold_out_steps)
     keep = [state.responses.outputs.index(name) for name in state.outputs]
     residual = np.asarray(state.responses.evaluate(jnp.asarray(theta))[0])[:, keep]
     return theta, residual, np.mean((residual / state.swell)[train] ** 2, axis=0)

@@ -13,6 +13,7 @@ from bayes_aero.criticism.extension import Extension
 from bayes_aero.criticism.finding import FLIGHT_PATH
 from bayes_aero.criticism.residuals import noise_report
 from bayes_aero.criticism.searched import COEFFICIENTS, Searched
+from bayes_aero.criticism.settings import DiagnosisSettings
 from bayes_aero.criticism.stages import Stages, stages
 from bayes_aero.criticism.state import State
 from bayes_aero.criticism.unexplained import Left, has_chunks, unexplained
@@ -34,20 +35,20 @@ def search_coefficients(
     card: Card,
     model: Model,
     extra: Sequence[Effect],
+    settings: DiagnosisSettings,
     *,
     seed: int,
-    most: int,
     progress: Progress | None = None,
 ) -> Searched:
     """Search where coefficients can be formed; `extra` effects stand beside the catalogue's."""
     flights, outliers = despiked(join(records, card))
-    field = field_of(model, flights, extra)
+    field = field_of(model, flights, extra, settings)
     mle = fit_mle(model, observe(records, card, model), seed=seed)
     theta = np.array([field.neutral[name] for name in field.model.names])
     for name, value in zip(mle.names, mle.estimate, strict=True):
         if name in field.model.names:
             theta[field.columns([name])[0]] = value
-    both = stages(field, EquationError.of(flights, field.model), theta, seed=seed, most=most, progress=progress)
+    both = stages(field, EquationError.of(flights, field.model), theta, seed=seed, progress=progress)
     left, failures = attempted(
         "Structure without a name was not sought",
         lambda: unexplained(both.aerodynamics, seed=seed + 2000),

@@ -13,8 +13,6 @@ import numpy as np
 
 from bayes_aero.criticism.candidates import Field, field_of, lag_of
 from bayes_aero.criticism.extension import (
-    ALPHA,
-    DECISIVE,
     Extension,
     Progress,
     Step,
@@ -24,6 +22,7 @@ from bayes_aero.criticism.extension import (
 )
 from bayes_aero.criticism.finding import NoiseReport
 from bayes_aero.criticism.searched import TRAJECTORIES, Searched
+from bayes_aero.criticism.settings import DiagnosisSettings
 from bayes_aero.criticism.state import State, linearised, refitted
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
@@ -47,9 +46,9 @@ def search_trajectories(
     card: Card,
     model: Model,
     extra: Sequence[Effect],
+    settings: DiagnosisSettings,
     *,
     seed: int,
-    most: int,
     progress: Progress | None = None,
 ) -> Searched:
     """Search in airspeed, alpha, attitude, pitch rate and altitude alone.
@@ -64,11 +63,11 @@ def search_trajectories(
     fit = in_windows(flights, base)
     if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
         raise InputError(f"card {card.name}: {fit.status.value}")
-    whole = field_of(model, flights, extra)
+    whole = field_of(model, flights, extra, settings)
     state = _state(_without_lags(whole), flights, base.altitude, dict(zip(fit.names, fit.estimate, strict=True)))
-    found = extend(state, seed=seed, most=most, progress=progress)
+    found = extend(state, seed=seed, progress=progress)
     if found.state.active:
-        found = _with_lag(whole, found, seed, most, progress) or found
+        found = _with_lag(whole, found, seed, progress) or found
     notes = () if fit.status is OutputErrorStatus.CONVERGED else (f"The card's model: {fit.status.value}.",)
     stages = ((TRAJECTORIES, found),)
     return Searched(found.state.field, stages, (), _noise(found, outliers), notes, testable_now=False)
@@ -97,16 +96,16 @@ def _state(
     return linearised(field, responses, responses.outputs, theta, active)
 
 
-def _with_lag(whole: Field, found: Extension, seed: int, most: int, progress: Progress | None) -> Extension | None:
+def _with_lag(whole: Field, found: Extension, seed: int, progress: Progress | None) -> Extension | None:
     """What is found with a lag of the separation point in from the beginning, if that is decisively better."""
     try:
         with np.errstate(over="raise", invalid="raise", divide="raise"):
-            return _lagged(whole, found, seed, most, progress)
+            return _lagged(whole, found, seed, progress)
     except (FloatingPointError, np.linalg.LinAlgError):
         return None  # the lag fell to none on the way: the state is its static value, and nothing depends on it
 
 
-def _lagged(whole: Field, found: Extension, seed: int, most: int, progress: Progress | None) -> Extension | None:
+def _lagged(whole: Field, found: Extension, seed: int, progress: Progress | None) -> Extension | None:
     lag = lag_of(whole)
     if lag is None:
         return None
@@ -121,10 +120,11 @@ def _lagged(whole: Field, found: Extension, seed: int, most: int, progress: Prog
     state, fit = refitted(_state(whole, responses.flights, dynamics.altitude, values, (lag.name,)))
     among = found.steps[0].poll
     gain = (found.base_fit.deviance - fit.deviance) / (2.0 * found.base.temper)
-    if not (gain > DECISIVE and between_p_value(state, fit, lag.name, len(among.standings) + 1) <= ALPHA):
+    settings, chance = state.settings, between_p_value(state, fit, lag.name, len(among.standings) + 1)
+    if not (gain > settings.decisive and chance <= settings.false_alarm_rate):
         return None  # a lag that is none leaves nothing to linearise
-    other = extend(state, seed=seed, most=most - 1, progress=progress)
-    if lag.name not in other.state.active or nats_gained(found, other) <= DECISIVE:
+    other = extend(state, seed=seed, most=settings.max_effects - 1, progress=progress)
+    if lag.name not in other.state.active or nats_gained(found, other) <= settings.decisive:
         return None
     p = between_p_value(other.state, other.fit, lag.name, len(among.standings) + 1)
     return replace(other, base=base, base_fit=found.base_fit, steps=(Step(lag.name, p, among, np.nan), *other.steps))

@@ -34,7 +34,6 @@ def agreement(
     theta: Float[np.ndarray, " k"],
     *,
     seed: int,
-    most: int,
     known: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
 ) -> Extension:
@@ -45,10 +44,10 @@ def agreement(
     candidates = tuple(e for e in field.candidates if e.kind in SENSOR_KINDS and e.name not in known)
     own = replace(field, base=tuple(known), candidates=candidates, priors=priors or {})
     state = linearised(own, responses, responses.outputs, theta)
-    return borne_out(extend(state, seed=seed, most=most))
+    return borne_out(extend(state, seed=seed))
 
 
-def compatibility(records: list[FlightRecord], card: Card, *, seed: int = 0, most: int = 8) -> Extension:
+def compatibility(records: list[FlightRecord], card: Card, *, seed: int = 0) -> Extension:
     """Sensor errors and winds that the flight path asks for, as the first stage of a diagnosis finds them.
 
     Raises `InputError` where there is no flight path (see `no_flight_path`) or a single manoeuvre is too short.
@@ -61,7 +60,7 @@ def compatibility(records: list[FlightRecord], card: Card, *, seed: int = 0, mos
     model = Model(sensors, tuple(p for e in sensors for p in e.parameters))
     field = Field(model, (), sensors, {})
     theta = np.array([field.neutral[name] for name in model.names])
-    return agreement(field, FlightPathError.of(flights, model), theta, seed=seed, most=most)
+    return agreement(field, FlightPathError.of(flights, model), theta, seed=seed)
 
 
 def no_flight_path(records: Sequence[FlightRecord], card: Card) -> str:

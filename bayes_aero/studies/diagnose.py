@@ -13,6 +13,7 @@ import numpy as np
 from bayes_aero.criticism.consistency import errors_of_diagnosis
 from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.criticism.finding import Diagnosis
+from bayes_aero.criticism.settings import DiagnosisSettings
 from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.effect import Kind
 from bayes_aero.effects import CATALOGUE
@@ -95,7 +96,7 @@ def run(
     unfinished = Unfinished(out, source[RESTS_ON])
     if progress:
         progress("do the sensors agree?", 0.0)
-    found = diagnose(records, card, seed=seed, most=most, progress=progress)
+    found = diagnose(records, card, settings=DiagnosisSettings(max_effects=most), seed=seed, progress=progress)
     agreement, failed = sensors_agree(records, card, seed, out, known=errors_of_diagnosis(found))
     view = view_of(found)
     causes = view.diagnosis.causes

@@ -10,6 +10,7 @@ from typing import Any
 
 from bayes_aero.criticism.diagnosis import diagnose, judged_on_held_out_flights
 from bayes_aero.criticism.finding import Diagnosis
+from bayes_aero.criticism.settings import DiagnosisSettings
 from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.agreement import Consistency
@@ -84,7 +85,7 @@ def run_flown(
         (out / MARK).unlink(missing_ok=True)  # what another run left here to be taken up is written over
         (out / HISTORIES).unlink(missing_ok=True)
     source = provenance(card, records, seed, {"max_effects": most})
-    found = diagnose(records, card, seed=seed, most=most, progress=progress)
+    found = diagnose(records, card, settings=DiagnosisSettings(max_effects=most), seed=seed, progress=progress)
     note = f"Without {several(lacking(records, card))} {WHY}."
     still = taken_as_zero(found.aerodynamics.state.responses.flights)
     if still:

@@ -12,12 +12,13 @@ from bayes_aero.criticism.candidates import Field
 from bayes_aero.criticism.collinear import cancelling
 from bayes_aero.criticism.colour import colour_of
 from bayes_aero.criticism.confirmation import Confirmation
-from bayes_aero.criticism.credibility import MOST_NAMES, as_structure, attributed, implausible, own_share
+from bayes_aero.criticism.credibility import as_structure, attributed, implausible, own_share
 from bayes_aero.criticism.design import standard
 from bayes_aero.criticism.diagnosis import judged_on_held_out_flights, verdict_of
 from bayes_aero.criticism.election import uncertainty
 from bayes_aero.criticism.extension import Extension
 from bayes_aero.criticism.finding import Cause, Gain, Unknown, Verdict
+from bayes_aero.criticism.settings import DEFAULT
 from bayes_aero.criticism.state import linearised
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.model.flights import join
@@ -77,7 +78,7 @@ def test_an_error_that_no_sensor_has_is_said_with_its_unit(diagnosed):
 
 def test_more_than_five_names_are_no_name():
     names = ("mass_scale", "drag_offset", "accel_x_bias", "density_scale", "mach_drag")
-    few, many = cause(ambiguous_with=names[: MOST_NAMES - 1]), cause(ambiguous_with=names)
+    few, many = cause(ambiguous_with=names[: DEFAULT.most_names - 1]), cause(ambiguous_with=names)
     assert attributed([few, many]) == ((few,), (), (many,))
     unlikely, open_ = cause(probability=0.33), cause(confirmed=False)
     assert attributed([unlikely, open_]) == ((unlikely, open_), (), ())
