@@ -83,11 +83,12 @@ def test_some_seconds(program, tmp_path):
 
 
 @pytest.mark.skipif(FACTOR <= 1.0, reason="FUZZ draws records at random; see tests/fuzzing.py")
-def test_any_short_record(program, tmp_path):
+def test_any_short_record(program, tmp_path, capsys):
     seed = time.time_ns() % (1 << 31)
     for number in range(int(FACTOR)):
         short = drawn(np.random.default_rng([seed, number]))
-        print(f"seed {seed}, {number}: {short}")
+        with capsys.disabled():  # `program` discards what it captures
+            print(f"\nseed {seed}, {number}: {short}")
         folder = tmp_path / str(number)
         folder.mkdir()
         climbed(program, folder, short, quick=False)
