@@ -54,6 +54,8 @@ def climbed(program, folder, short: Short, *, quick: bool):
     if content is not None and content["records"][0]["usable"]:
         for command in ("identify", "fly", "diagnose"):
             assert (found[command][2] is not None) == content["uses"][command]["possible"], (command, found[command])
+        if not content["uses"]["diagnose"]["possible"]:
+            assert not re.search(r"diagnose looks? for", found["fly"][1]), found["fly"][1]
     return found
 
 
