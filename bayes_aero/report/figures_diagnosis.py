@@ -263,7 +263,7 @@ def residual_colour(view: View) -> Figure:
     return figure
 
 
-def autocorrelation(parts: list[Float[np.ndarray, " n"]], longest: int) -> tuple[np.ndarray, np.ndarray]:
+def autocorrelation(parts: list[Float[np.ndarray, " _"]], longest: int) -> tuple[np.ndarray, np.ndarray]:
     """Lags and correlation, sums over manoeuvres, each about its own mean."""
     centred = [p - p.mean() for p in parts]
     lags = np.arange(min(longest, min(len(p) for p in parts) - 1) + 1)
@@ -271,7 +271,7 @@ def autocorrelation(parts: list[Float[np.ndarray, " n"]], longest: int) -> tuple
     return lags, np.array(products) / max(products[0], 1e-300)
 
 
-def spectrum(parts: list[Float[np.ndarray, " n"]], dt: float) -> tuple[np.ndarray, np.ndarray]:
+def spectrum(parts: list[Float[np.ndarray, " _"]], dt: float) -> tuple[np.ndarray, np.ndarray]:
     """Welch's power spectral density, averaged over manoeuvres by their length."""
     segment = min(*(len(p) for p in parts), round(25.0 / dt))
     found = [welch(p, 1.0 / dt, nperseg=segment) for p in parts]

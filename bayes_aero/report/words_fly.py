@@ -151,15 +151,18 @@ def errors_of_all(flown: FlownFit) -> dict[str, tuple[float, float]]:
         return {output: (rms(START, output), rms(FITTED, output)) for output in flown.outputs}
 
 
-def fly_sentences(flown: FlownFit) -> list[str]:
-    """How the fit ended, what it misses, what the colour costs, what the records do not say, what could not fly."""
+def fly_sentences(flown: FlownFit, hindered: str = "") -> list[str]:
+    """How the fit ended, what it misses, what the colour costs, what the records do not say, what could not fly.
+
+    `hindered` is why diagnose cannot use the records; empty if it can.
+    """
     fit = flown.fit
     bound = f" ({several(fit.at_bound)})" if fit.at_bound else ""
     said = [f"The fit {fit.status.value}{bound}{_off(flown)}."]
     if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
         said = [f"The fit failed: {fit.status.value}."]
     said += _settings(flown)
-    said += _wanting(flown)
+    said += _wanting(flown, hindered)
     if flown.colour_cost >= COLOURED and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         said.append(
             f"The residuals are coloured: they multiply variances {short(flown.colour_cost)} times in the median, and "
@@ -186,8 +189,8 @@ def fly_sentences(flown: FlownFit) -> list[str]:
     return said
 
 
-def disagreement_sentences(found: Sequence[Disagreement]) -> list[str]:
-    """That the coefficients of the same record give other values."""
+def disagreement_sentences(found: Sequence[Disagreement], hindered: str = "") -> list[str]:
+    """That the coefficients of the same record give other values; `hindered` is why diagnose cannot look into it."""
     if not found:
         return []
     told = several(
@@ -196,10 +199,11 @@ def disagreement_sentences(found: Sequence[Disagreement]) -> list[str]:
         "standard errors apart)"
         for d in found
     )
+    look = "check looks for an error of a sensor" if hindered else "check and diagnose look for the last two"
     return [
         f"The coefficients of the same record, as identify fits them, disagree with the trajectories: {told}. Neither "
         "interval covers that: disturbed air, an error of a sensor or something that the model lacks is behind it; "
-        "check and diagnose look for the last two."
+        f"{look}."
     ]
 
 
@@ -227,14 +231,15 @@ def outside(flown: FlownFit) -> dict[str, float]:
     return shares
 
 
-def _wanting(flown: FlownFit) -> list[str]:
+def _wanting(flown: FlownFit, hindered: str) -> list[str]:
     """That the model lacks something, where even its best flies mostly outside the tolerances."""
     shares = {name: share for name, share in outside(flown).items() if share > OFTEN}
     if not (shares and flown.converged):  # what has not converged may still come nearer
         return []
     told = several(f"{SYMBOLS.get(name, name)} {share:.0%} of the time" for name, share in shares.items())
     aircraft = isinstance(unbiased(flown.fit.flown.dynamics), AircraftDynamics)
-    where = "; bayes-aero diagnose looks for what" if aircraft else ""
+    looks = f", and diagnose cannot look for what: {hindered}" if hindered else "; bayes-aero diagnose looks for what"
+    where = looks if aircraft else ""
     return [f"Fitted, it still flies outside its tolerances ({told}): the model lacks something{where}."]
 
 
