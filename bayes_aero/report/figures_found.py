@@ -17,9 +17,8 @@ from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.diagnosed import Ranking, View
 from bayes_aero.report.figures_diagnosis import NOTE, TIGHT, models_of
-from bayes_aero.report.phrases import for_people, size_text
+from bayes_aero.report.phrases import for_people, short, size_text
 from bayes_aero.report.style import PHONE, housed
-from bayes_aero.report.words_trajectory import short
 
 SHOWN = 10  # candidates
 WIDTH = 0.021  # of a letter, in widths of the widest bar

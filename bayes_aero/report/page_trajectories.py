@@ -15,8 +15,7 @@ from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.page import Block, Facts, Fold, Plot, Table, Text
 from bayes_aero.report.page_parts import first, histories, number
 from bayes_aero.report.page_plots import Line, Panel
-from bayes_aero.report.phrases import SYMBOLS, axis_label, for_people
-from bayes_aero.report.words_trajectory import short
+from bayes_aero.report.phrases import SYMBOLS, axis_label, for_people, short
 
 MODELS = (
     ("card", "card's model", COLOURS["before"], "dashed"),

@@ -18,7 +18,7 @@ from bayes_aero.report.diagnosed import View
 from bayes_aero.report.phrases import several, size_text
 from bayes_aero.report.words_signs import sign_sentences
 from bayes_aero.report.words_trajectory import trajectory_sentences
-from bayes_aero.report.words_verdict import verdict_sentence
+from bayes_aero.report.words_verdict import tested_sentences, verdict_sentence
 
 LITTLE = 0.02  # own share of an effect below which the record hardly excites it
 SPLITS = {
@@ -42,6 +42,7 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
     """As `sentences`, of a diagnosis alone."""
     return [
         verdict_sentence(d),
+        *tested_sentences(d),
         *sign_sentences({name: (after, sd) for name, (_, after, sd) in d.base_moves.items()}),
         *(_cause(cause) for cause in d.causes),
         *_taken_over(d),

@@ -16,11 +16,10 @@ from bayes_aero.inference.output_error_result import OutputErrorStatus
 from bayes_aero.model.biases import unbiased
 from bayes_aero.model.dynamics import AircraftDynamics
 from bayes_aero.parameter import Prior
-from bayes_aero.report.phrases import SYMBOLS, for_people, several
+from bayes_aero.report.phrases import SYMBOLS, for_people, several, short
 from bayes_aero.report.tables import concise
 from bayes_aero.report.words_restraints import inseparable_sentences
 from bayes_aero.report.words_signs import sign_sentences
-from bayes_aero.report.words_trajectory import short
 
 MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound", "undetermined": "not determined"}
 _WEIGHED = " Priors are mean ± standard deviation; they count as often as the colour multiplies variances."

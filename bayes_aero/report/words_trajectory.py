@@ -12,18 +12,11 @@ from bayes_aero.criticism.trajectory import Estimates, Trajectories
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.output_error import OutputErrorStatus
-from bayes_aero.report.phrases import SYMBOLS, for_people, several, size_text
+from bayes_aero.report.phrases import SYMBOLS, for_people, several, short, size_text
 
 MODELS = ("card", "extended")
 STOPPED = "stopped before the optimum, so that its errors may be larger than they need be"
 TAIL = 6  # characters of a manoeuvre's name
-
-
-def short(x: float) -> str:
-    """Two digits, without an exponent where people read metres and degrees; a dash where there is no number."""
-    if not math.isfinite(x):
-        return "–"
-    return f"{x:.0f}" if 9.95 <= x < 1e6 else f"{x:#.2g}" if x > 0.0 else "0"
 
 
 def trajectory_table(flown: Trajectories) -> Table:
