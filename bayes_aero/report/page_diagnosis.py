@@ -151,7 +151,7 @@ def _leaders(ranking: Ranking, named: Sequence[Cause]) -> Table:
         ("effect", "kind", "score", "p", "named"),
         rows,
         words=(1,),
-        note=f"Score: estimate over its deviation, the residual's colour counted.{beyond} p is family-wise over all "
+        note=f"Score: estimate over its deviation, correlated residuals allowed for.{beyond} p is family-wise over all "
         f"candidates, 0.005 at the least. {NAMED_IF} screen.csv has them all.",
     )
 
@@ -263,7 +263,7 @@ def _stall(view: View, gallery: Gallery) -> tuple[Block, ...]:
     if not view.stalls:
         return (Text("CLmax and the stall angle are not given: no coefficients were formed."),)
     labels = {"card": "card's model", "extended": "extended model"}
-    what = "Intervals come from normal draws with the covariance of the fit, the residuals' colour counted."
+    what = "Intervals come from normal draws with the covariance of the fit, correlated residuals allowed for."
     return (
         *stall_table({labels[key]: s for key, s in view.stalls.items()}, what),
         *gallery("stall_models", "separation_models"),

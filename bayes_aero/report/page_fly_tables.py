@@ -96,7 +96,8 @@ def parameters(flown: FlownFit) -> Table:
         tuple(rows),
         (("", 3), ("standard deviation", 2), ("", 3)),
         note="SI units and radians. Cramér–Rao: the data alone, residuals taken as white; a dash where they do not "
-        "determine the parameter. Corrected: with the residuals' colour, and the prior counted. Prior: mean ± standard "
+        "determine the parameter. Corrected: correlated residuals allowed for, and the prior counted. Prior: mean ± "
+        "standard "
         "deviation, the program's default or the card's.",
     )
 

@@ -154,7 +154,8 @@ def _noise(d: Diagnosis) -> list[str]:
     if "colored" in labels:
         lags = ", ".join(f"{name} {value:.2f}" for name, value in d.noise.lag1.items())
         said.append(
-            f"Noise: residuals that are left are coloured (lag-1 correlation of means over five samples {lags}, where "
+            f"Noise: neighbouring residuals are correlated (coloured noise; lag-1 correlation of means over five "
+            f"samples {lags}, where "
             "white noise leaves a third)."
         )
     if "buffet" in labels:

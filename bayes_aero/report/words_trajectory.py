@@ -158,7 +158,7 @@ def cause_sentences(flown: Trajectories) -> list[str]:
     """Which of the causes that the coefficients confirm unseen flight misses, and by how much."""
     missed, kept, said = flown.asked.missed, flown.asked.kept, []
     if flown.out:
-        gains = [f"{e} ({missed[e][0]:+.0f} ± {missed[e][1]:.0f} nats)" for e in flown.out]
+        gains = [f"{e} ({missed[e][0]:+.0f} ± {missed[e][1]:.0f} in log density)" for e in flown.out]
         them, they_are = ("it", "it is") if len(gains) == 1 else ("them", "they are")
         said.append(
             f"Flown, the extended model is without {several(gains)}: the coefficients confirm {them}, but unseen "
@@ -167,7 +167,7 @@ def cause_sentences(flown: Trajectories) -> list[str]:
     if kept:
         finite = [e for e in kept if math.isfinite(missed[e][0])]  # without the others the flight leaves its envelope
         least = min(finite, key=lambda e: missed[e][0] / missed[e][1], default=None)
-        told = f" (least {least}, by {missed[least][0]:.0f} ± {missed[least][1]:.0f} nats)" if least else ""
+        told = f" (least {least}, by {missed[least][0]:.0f} ± {missed[least][1]:.0f} in log density)" if least else ""
         said.append(f"Unseen flight misses {several(kept)}{told}.")
     return said
 
