@@ -218,8 +218,8 @@ def _settings(flown: FlownFit) -> list[str]:
         late = 0.5 * float(np.median(np.asarray(flown.fit.flown.dt)))
         said.append(
             f"Held inputs act half a sample ({late:.2g} s) later than interpolated ones, which moves the derivatives "
-            "of fast controls. That is right for a command that a digital system holds until the next sample, and wrong "
-            "for a recorded position of a surface: leave --inputs held out for that."
+            "of fast controls. That is right for a command that a digital system holds until the next sample, and "
+            "wrong for a recorded position of a surface: leave --inputs held out for that."
         )
     return said
 

@@ -15,7 +15,7 @@ from bayes_aero.studies.starter import starter_card
 
 DEG, FT, G, LBF, KT = np.pi / 180.0, 0.3048, 9.80665, 4.4482216152605, 1852.0 / 3600.0
 ELSEWHERE = {".ulg", ".bin"}  # logs of autopilots: their names are no aircraft's, see test_formats.py
-FILLED = {"mass": "9000 kg", "wing_area": "28 m^2"}
+FILLED = {"mass": "9000 kg", "wing_area": "28 m^2", "span": "14.2 m"}
 
 
 def flown() -> pd.DataFrame:
