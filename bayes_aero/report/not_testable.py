@@ -1,11 +1,10 @@
-"""Effects that a record cannot test: one sentence with a count for each kind of reason, and the list for a fold."""
+"""Effects that a record cannot test: one sentence with a count for each kind of reason."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
 
-from bayes_aero.report.page import Fold, Table
 from bayes_aero.report.phrases import several
 
 KINDS = {
@@ -35,21 +34,9 @@ def not_testable_sentences(reasons: Mapping[str, str]) -> list[str]:
     return [f"{len(reasons)} {are} not testable on this record: {'; '.join(told)}."]
 
 
-def not_testable_list(reasons: Mapping[str, str]) -> tuple[Fold, ...]:
-    """Every effect that is not testable, by reason, folded."""
-    if not reasons:
-        return ()
-    listed: dict[str, list[str]] = {}
-    for name, reason in reasons.items():
-        listed.setdefault(reason, []).append(name)
-    rows = tuple((reason, ", ".join(names)) for reason, names in listed.items())
-    table = Table("Effects that are not testable on this record", ("reason", "effects"), rows, words=(1,))
-    return (Fold(f"The {len(reasons)} effects that are not testable", (table,)),)
-
-
 def _kind(reason: str) -> tuple[str, list[str]]:
     """Under which words a reason is counted, and the channels or parameters that it names."""
     for pattern, words in KINDS.items():
         if found := pattern.fullmatch(reason):
             return words, found[1].split(", ")
-    return f"for {reason}".replace("{", "{{").replace("}", "}}"), []
+    return f"because {reason}".replace("{", "{{").replace("}", "}}"), []

@@ -10,9 +10,8 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.inspection import RecordReport
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.not_testable import not_testable_list
-from bayes_aero.report.open_list import open_list
 from bayes_aero.report.page import Block, Fold, Page, Plot, Table, Text, filled, section
+from bayes_aero.report.page_lists import not_testable_list, open_list
 from bayes_aero.report.page_parts import at_a_glance, bullets, consistency_lead, first, histories, provenance_blocks
 from bayes_aero.report.page_plots import Line, Panel
 from bayes_aero.report.phrases import axis_label, for_people

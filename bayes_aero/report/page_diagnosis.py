@@ -12,8 +12,6 @@ from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.diagnosed import Ranking, View, rankings_of, unseen_scores
 from bayes_aero.report.figures_flight import SYMBOLS, shown_in
-from bayes_aero.report.not_testable import not_testable_list
-from bayes_aero.report.open_list import open_list
 from bayes_aero.report.page import Block, Fold, Page, Table, Text, filled, section
 from bayes_aero.report.page_alternatives import diagnosis_alternatives, gained
 from bayes_aero.report.page_context import PageContext
@@ -26,6 +24,7 @@ from bayes_aero.report.page_diagnosis_tables import (
     residuals,
     separating,
 )
+from bayes_aero.report.page_lists import not_testable_list, open_list
 from bayes_aero.report.page_parts import (
     bullets,
     doubts,
