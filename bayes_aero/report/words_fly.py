@@ -16,14 +16,13 @@ from bayes_aero.inference.output_error_result import OutputErrorStatus
 from bayes_aero.model.biases import unbiased
 from bayes_aero.model.dynamics import AircraftDynamics
 from bayes_aero.parameter import Prior
-from bayes_aero.report.phrases import SYMBOLS, for_people, several
+from bayes_aero.report.phrases import SYMBOLS, for_people, several, short
 from bayes_aero.report.tables import concise
 from bayes_aero.report.words_restraints import inseparable_sentences
 from bayes_aero.report.words_signs import sign_sentences
-from bayes_aero.report.words_trajectory import short
 
 MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound", "undetermined": "not determined"}
-_WEIGHED = " Priors are mean ± standard deviation; they count as often as the colour multiplies variances."
+_WEIGHED = " Priors are mean ± standard deviation; they count as often as correlated residuals multiply variances."
 COLOURED = 1.5  # times by which the colour must multiply variances to be worth a sentence; our choice
 OFTEN = 0.5  # share of the time outside a tolerance from which it is worth a sentence; our choice
 SWOLLEN = 2.0  # times more, in wholly separated flow, from which it is worth a sentence; our choice
@@ -86,7 +85,8 @@ def parameter_table(flown: FlownFit) -> Table:
     """Estimate, both deviations, prior and marks."""
     table = _table(
         f"Parameters fitted to trajectories: {flown.fit.status.name.lower().replace('_', ' ')}",
-        "SI and radians. CRB: Cramér-Rao, the data alone, residuals taken as white. sd corr.: with their colour and "
+        "SI and radians. CRB: Cramér-Rao, the data alone, residuals taken as white. sd corr.: with the correlation "
+        "of neighbouring residuals and "
         "the priors; in brackets behind the estimate in units of its last digit."
         + (_WEIGHED if flown.setting.priors else " There are no priors."),
     )
@@ -165,7 +165,8 @@ def fly_sentences(flown: FlownFit, hindered: str = "") -> list[str]:
     said += _wanting(flown, hindered)
     if flown.colour_cost >= COLOURED and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         said.append(
-            f"The residuals are coloured: they multiply variances {short(flown.colour_cost)} times in the median, and "
+            f"Neighbouring residuals are correlated (coloured): this multiplies variances {short(flown.colour_cost)} "
+            "times in the median, and "
             "the Cramér-Rao bound is too small; use the corrected deviation."
         )
     swollen = {name: times for name, times in flown.swell.items() if times > SWOLLEN}
@@ -216,7 +217,15 @@ def _settings(flown: FlownFit) -> list[str]:
     how = [] if flown.setting.priors else ["without priors"]
     how += [] if flown.setting.initial is None else ["with initial states fixed"]
     how += ["with inputs held between samples"] if flown.setting.held else []
-    return [*said, f"It was fitted {several(how)}."] if how else said
+    said += [f"It was fitted {several(how)}."] if how else []
+    if flown.setting.held:
+        late = 0.5 * float(np.median(np.asarray(flown.fit.flown.dt)))
+        said.append(
+            f"Held inputs act half a sample ({late:.2g} s) later than interpolated ones, which moves the derivatives "
+            "of fast controls. That is right for a command that a digital system holds until the next sample, and "
+            "wrong for a recorded position of a surface: leave --inputs held out for that."
+        )
+    return said
 
 
 def outside(flown: FlownFit) -> dict[str, float]:
