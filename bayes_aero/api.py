@@ -48,12 +48,13 @@ from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Forming, observe
 from bayes_aero.report.diagnosed import View, view_of
 from bayes_aero.report.figures import DIAGNOSIS_FIGURES, FIGURES
+from bayes_aero.report.frames_diagnosis import causes_frame, screen_frame
 from bayes_aero.report.style import NotDrawn
 from bayes_aero.report.tables import parameter_table, validation_table
 from bayes_aero.report.unseen import scores_frame
 from bayes_aero.report.words import verdict
 from bayes_aero.report.words_consistency import consistency_sentences
-from bayes_aero.report.words_diagnosis import causes_frame, screen_frame, sentences
+from bayes_aero.report.words_diagnosis import sentences
 from bayes_aero.studies.outlook import predictors
 from bayes_aero.studies.repair import repaired
 

@@ -106,7 +106,7 @@ def confirmed(
     without: Sequence[Path],
     lagged: Sequence[Path],
     outputs: Sequence[str],
-    swell: Sequence[Float[np.ndarray, "m c"]],
+    swell: Sequence[Float[np.ndarray, "_ c"]],
     cost: float,
     hold_out: float = DEFAULT.hold_out,
 ) -> Lag:
