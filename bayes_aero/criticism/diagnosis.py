@@ -16,7 +16,7 @@ from bayes_aero.criticism.finding import FLIGHT_PATH, Cause, Diagnosis, Gain, Un
 from bayes_aero.criticism.gain import LeftOut, gain, gained, measured_blocks, split_name, truncated
 from bayes_aero.criticism.search_coefficients import search_coefficients
 from bayes_aero.criticism.search_trajectories import search_trajectories
-from bayes_aero.criticism.searched import Searched
+from bayes_aero.criticism.searched import Searched, lacking
 from bayes_aero.criticism.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.criticism.state import State, linearised
 from bayes_aero.effect import Effect
@@ -26,15 +26,9 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.cores import blas_threads
 from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
-from bayes_aero.physics.coefficient_names import NAMES, REQUIRED
+from bayes_aero.physics.coefficient_names import NAMES
 
 Progress = Callable[[str, float], None]
-
-
-def lacking(records: Sequence[FlightRecord], card: Card) -> tuple[str, ...]:
-    """Channels that coefficients need and some record does not have: trajectories are compared then."""
-    given = {*card.sums, *card.constants, *card.derived, *card.tables}
-    return tuple(n for n in REQUIRED if n not in given and any(not record.has(n) for record in records))
 
 
 @blas_threads(0)

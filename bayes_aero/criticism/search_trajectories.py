@@ -21,7 +21,7 @@ from bayes_aero.criticism.extension import (
     nats_gained,
 )
 from bayes_aero.criticism.finding import NoiseReport
-from bayes_aero.criticism.searched import TRAJECTORIES, Searched
+from bayes_aero.criticism.searched import TRAJECTORIES, Searched, lacking
 from bayes_aero.criticism.settings import DiagnosisSettings
 from bayes_aero.criticism.state import State, linearised, refitted
 from bayes_aero.effect import Effect, Stage
@@ -30,7 +30,7 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.output_error import fit_cascade
 from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
-from bayes_aero.model.dynamics import AircraftDynamics, aircraft_dynamics
+from bayes_aero.model.dynamics import AircraftDynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.model.flights import Flights, despiked, join
 from bayes_aero.model.flown_channels import FLIGHT
 from bayes_aero.model.model import Model
@@ -68,9 +68,16 @@ def search_trajectories(
     found = extend(state, seed=seed, progress=progress)
     if found.state.active:
         found = _with_lag(whole, found, seed, progress) or found
-    notes = () if fit.status is OutputErrorStatus.CONVERGED else (f"The card's model: {fit.status.value}.",)
+    notes = [] if fit.status is OutputErrorStatus.CONVERGED else [f"The card's model: {fit.status.value}."]
+    if absent := lacking(records, card):
+        notes.append(
+            f"Without {', '.join(absent)} no coefficients can be formed: the diagnosis rests on simulated "
+            "trajectories, and structure without a name is not sought."
+        )
+    if still := taken_as_zero(flights):
+        notes.append(f"Not recorded, and taken as zero: {', '.join(still)}.")
     stages = ((TRAJECTORIES, found),)
-    return Searched(found.state.field, stages, (), _noise(found, outliers), notes, testable_now=False)
+    return Searched(found.state.field, stages, (), _noise(found, outliers), tuple(notes), testable_now=False)
 
 
 def in_windows(flights: Flights, dynamics: AircraftDynamics) -> OutputErrorResult:

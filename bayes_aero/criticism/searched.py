@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from bayes_aero.criticism.candidates import Field
 from bayes_aero.criticism.extension import Extension
 from bayes_aero.criticism.finding import NoiseReport, Unknown
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.physics.coefficient_names import REQUIRED
 
 COEFFICIENTS, TRAJECTORIES = "coefficients", "trajectories"
 
@@ -41,3 +44,9 @@ class Searched:
     def by_stage(self) -> Mapping[str, Extension]:
         """The extensions by name of the stage."""
         return dict(self.stages)
+
+
+def lacking(records: Sequence[FlightRecord], card: Card) -> tuple[str, ...]:
+    """Channels that coefficients need and some record does not have: trajectories are compared then."""
+    given = {*card.sums, *card.constants, *card.derived, *card.tables}
+    return tuple(n for n in REQUIRED if n not in given and any(not record.has(n) for record in records))
