@@ -46,7 +46,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.noise import DEFAULT as DEFAULT_NOISE
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Forming, observe
-from bayes_aero.report.diagnosed import View, view_of
+from bayes_aero.report.diagnosed import DiagnosisView, View, view_of
 from bayes_aero.report.figures import DIAGNOSIS_FIGURES, FIGURES
 from bayes_aero.report.frames_diagnosis import causes_frame, screen_frame
 from bayes_aero.report.style import NotDrawn
@@ -115,7 +115,8 @@ class Fit:
 class Diagnosed:
     """What a model gets wrong, the causes found, and what the extended model gains."""
 
-    view: View
+    view: DiagnosisView
+    card: Card
 
     @property
     def verdict(self) -> str:
@@ -136,14 +137,20 @@ class Diagnosed:
         """A row for each parameter of each cause: size, interval, probability, gain on unseen data. SI and radians."""
         return causes_frame(self.view)
 
+    @property
+    def _coefficients(self) -> View:
+        if not isinstance(self.view, View):
+            raise InputError("this diagnosis rests on trajectories alone: the records lack what coefficients need")
+        return self.view
+
     def scores(self) -> pd.DataFrame:
         """Card's and extended model on each manoeuvre and coefficient, fitted to it and to the others alone."""
-        return scores_frame(self.view)
+        return scores_frame(self._coefficients)
 
-    def predictors(self, card: str | Card = "attas") -> pd.DataFrame:
+    def predictors(self) -> pd.DataFrame:
         """Scores on unseen data by predictor and coefficient: card's model, a Gaussian process of the card's `[gp]
         inputs`, the extended model, and that with a Gaussian process of what it leaves. Takes half a minute."""
-        table = predictors(self.view.diagnosis, _card(card))
+        table = predictors(self._coefficients.diagnosis, self.card)
         rows = {(p, c): scores or {} for p, row in table.items() for c, scores in row.items()}
         return pd.DataFrame.from_dict(rows, orient="index").rename_axis(["predictor", "coefficient"])
 
@@ -153,7 +160,7 @@ class Diagnosed:
 
     def plot(self, figure: str = "measured_simulated") -> Figure:
         """One of the figures of `diagnose`; `bayes_aero.report.figures.DIAGNOSIS_FIGURES` names them."""
-        return _drawn(DIAGNOSIS_FIGURES, figure, self.view)
+        return _drawn(DIAGNOSIS_FIGURES, figure, self._coefficients)
 
 
 def read(
@@ -282,8 +289,9 @@ def diagnose(
     settings = settings or DiagnosisSettings()
     if max_effects is not None:
         settings = replace(settings, max_effects=max_effects)
-    found = run_diagnosis(records, _card(card), model=model, extra=candidates, settings=settings, seed=seed)
-    return Diagnosed(view_of(found))
+    own = _card(card)
+    found = run_diagnosis(records, own, model=model, extra=candidates, settings=settings, seed=seed)
+    return Diagnosed(view_of(found), own)
 
 
 def plot(result: Fit | Diagnosed, figure: str | None = None, *, width: float | None = None) -> Figure:

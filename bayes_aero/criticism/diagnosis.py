@@ -12,7 +12,7 @@ from bayes_aero.criticism.confirmation import Confirmation, confirmation
 from bayes_aero.criticism.credibility import as_structure, attributed, implausible, own_share
 from bayes_aero.criticism.election import Standing, poll
 from bayes_aero.criticism.extension import Extension
-from bayes_aero.criticism.finding import FLIGHT_PATH, Cause, Diagnosis, Gain, Unknown, Verdict
+from bayes_aero.criticism.finding import Cause, Diagnosis, Gain, Tested, Unknown, verdict_of
 from bayes_aero.criticism.gain import LeftOut, gain, gained, measured_blocks, split_name, truncated
 from bayes_aero.criticism.search_coefficients import search_coefficients
 from bayes_aero.criticism.search_trajectories import search_trajectories
@@ -56,9 +56,9 @@ def diagnose(
     causes, beyond, unnamed = attributed(candidates, settings)
     unknown = (*found.unknown, *structure_of(found, unnamed))
     minor = (*(found.sensors.minor if found.sensors else ()), *found.model.minor, *(c.name for c in unnamed))
-    state = found.model.state
+    state, tested = found.model.state, None if found.testable_now else Tested({})
     return Diagnosis(
-        verdict=verdict_of(causes, unknown),
+        verdict=verdict_of(causes, unknown, tested),
         causes=causes,
         minor=minor,
         unknown=unknown,
@@ -74,6 +74,7 @@ def diagnose(
         notes=found.notes,
         together=together_of(found.stages, causes),
         beyond=beyond,
+        tested=tested,
     )
 
 
@@ -240,14 +241,6 @@ def moves_of(extension: Extension) -> Mapping[str, tuple[float, float, float]]:
     }
 
 
-def verdict_of(causes: Sequence[Cause], unknown: Sequence[Unknown]) -> Verdict:
-    """What is missing counts as explained by causes that are sure alone (see `Cause.sure`)."""
-    if any(cause.sure for cause in causes):
-        return Verdict.PARTLY_EXPLAINED if unknown else Verdict.EXPLAINED
-    of_the_model = [cause for cause in causes if cause.stage != FLIGHT_PATH]  # the others are the sensors', not its own
-    return Verdict.UNEXPLAINED if unknown or of_the_model else Verdict.NO_EFFECT
-
-
 def judged_on_held_out_flights(found: Diagnosis, confirmation: Confirmation) -> Diagnosis:
     """The diagnosis with each cause confirmed, or not, by held-out flights; untested causes stay as they are."""
     causes = tuple(
@@ -256,4 +249,4 @@ def judged_on_held_out_flights(found: Diagnosis, confirmation: Confirmation) -> 
         else c
         for c in found.causes
     )
-    return replace(found, causes=causes, verdict=verdict_of(causes, found.unknown))
+    return replace(found, causes=causes, verdict=verdict_of(causes, found.unknown, found.tested))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -186,3 +186,22 @@ class Diagnosis:
     together: tuple[Together, ...] = ()  # pairs of causes of which the record knows one combination alone
     beyond: tuple[Cause, ...] = ()  # errors larger than any sensor has: no causes, but in the model where confirmed
     tested: Tested | None = None  # of a diagnosis by trajectories alone
+
+
+def verdict_of(causes: Sequence[Cause], unknown: Sequence[Unknown], tested: Tested | None = None) -> Verdict:
+    """What is missing counts as explained by causes that are sure alone (see `Cause.sure`).
+
+    By trajectories alone (`tested`) what is left beyond the noise, or was never computed, is not explained.
+    """
+    if any(cause.sure for cause in causes):
+        found = Verdict.PARTLY_EXPLAINED if unknown else Verdict.EXPLAINED
+    else:
+        of_the_model = [
+            cause for cause in causes if cause.stage != FLIGHT_PATH
+        ]  # the others are the sensors', not its own
+        found = Verdict.UNEXPLAINED if unknown or of_the_model else Verdict.NO_EFFECT
+    if tested is not None and found is Verdict.EXPLAINED and not tested.within_noise:
+        return Verdict.PARTLY_EXPLAINED
+    if tested is not None and found is Verdict.NO_EFFECT and tested.beyond:
+        return Verdict.UNEXPLAINED
+    return found

@@ -52,7 +52,7 @@ FEW = 4  # manoeuvres that are listed one by one in the open
 def diagnosis_page(view: DiagnosisView, told: PageContext) -> Page:
     """The page of a diagnosis, by coefficients or by trajectories alone."""
     d, by_coefficients = view.diagnosis, isinstance(view, View)
-    gallery = Gallery(told.figures, diagnosis_alternatives(view) if by_coefficients else {})
+    gallery = Gallery(told.figures, diagnosis_alternatives(view) if isinstance(view, View) else {})
     verdict, *rest = diagnosis_sentences(d) if by_coefficients else sentences(view)
     from_what = "" if by_coefficients else ", from trajectories alone: the record has no coefficients"
     return Page(

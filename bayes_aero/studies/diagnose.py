@@ -14,7 +14,6 @@ from bayes_aero.criticism.consistency import errors_of_diagnosis
 from bayes_aero.criticism.diagnosis import diagnose, judged_on_held_out_flights
 from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.flown_tested import with_tested
-from bayes_aero.criticism.searched import lacking
 from bayes_aero.criticism.settings import DiagnosisSettings
 from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.effect import Kind
@@ -100,9 +99,8 @@ def run(
     if progress:
         progress("do the sensors agree?", 0.0)
     found = diagnose(records, card, settings=DiagnosisSettings(max_effects=most), seed=seed, progress=progress)
-    alone = bool(lacking(records, card))
-    if alone:
-        found, predict = with_tested(found, None, records, card), None
+    alone = found.tested is not None  # by trajectories
+    predict = None if alone else predict
     agreement, failed = sensors_agree(records, card, seed, out, known=None if alone else errors_of_diagnosis(found))
     view = view_of(found)
     causes = view.diagnosis.causes
