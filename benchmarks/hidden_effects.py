@@ -21,6 +21,7 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
+from detectability import standard_scores
 from detection_tables import draw, heads, named, power, print_power
 
 from bayes_aero.criticism.diagnosis import diagnose
@@ -30,7 +31,6 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.studies.demo import TRUTH
-from bayes_aero.studies.detectability import standard_scores
 from bayes_aero.studies.hidden import flyable, hidden_records
 from bayes_aero.studies.strays import STRAYS
 
