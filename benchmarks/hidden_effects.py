@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from collections import Counter
 from pathlib import Path
@@ -23,6 +24,10 @@ from pathlib import Path
 import numpy as np
 from detectability import standard_scores
 from detection_tables import draw, heads, hidden, named, power, print_power, size
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from out_of_catalogue import UNKNOWN
+from out_of_catalogue import unknown as of_no_catalogue
 
 from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.criticism.flown import diagnose_flown
@@ -32,7 +37,6 @@ from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.studies.demo import TRUTH
 from bayes_aero.studies.hidden import flyable, hidden_records
-from bayes_aero.studies.strays import STRAYS
 
 NOISES = ("white", "ar1", "ar1", "buffet", "outliers")
 PAIR, SINGLE = {"seconds": 90.0}, {"seconds": 100.0, "manoeuvres": 1}  # one length: one compilation serves all
@@ -58,8 +62,8 @@ def case(kind: str, seed: int, flown: dict, trajectories: bool) -> dict:
     if kind == "silence":
         records = hidden_records({}, seed=seed, noise=noise, **flown)
     elif kind == "unknown":
-        unknown = str(rng.choice(sorted(e.name for e in STRAYS)))
-        records = hidden_records({}, seed=seed, noise=noise, unknown=unknown, **flown)
+        unknown = str(rng.choice(sorted(e.name for e in UNKNOWN)))
+        records = hidden_records({}, seed=seed, noise=noise, beyond=of_no_catalogue(unknown), **flown)
     else:
         names = [str(x) for x in rng.choice(candidates(), 1 if kind == "one" else 2, replace=False)]
         effects, flights = flyable(names, seed=seed, noise=noise, **flown)
