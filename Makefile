@@ -37,15 +37,15 @@ check: $(STAMP)  ## lint, types, layers
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	PYTHONPATH=. $(BIN)/lint-imports
 
-verify: $(STAMP)  ## fresh seeds against exact binomial bounds, ten minutes on two cores; a line of benchmarks/ledger.csv (VERIFY=--full: hours)
-	$(COMPILED) $(QUICK_TO_COMPILE) OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python benchmarks/verify.py $(VERIFY)
-
 fast: $(STAMP)  ## the tests without the statistical recovery studies and those on a cluster
 	$(PYTEST) -m "not recovery and not cluster"
 
 test: check  ## everything; studies on a cluster by themselves, for they start workers of their own and wait for them
 	$(PYTEST) -m "not cluster"
 	$(PYTEST) -n 0 -m cluster
+
+verify: $(STAMP)  ## fresh seeds against exact binomial bounds, ten minutes on two cores; a line of benchmarks/ledger.csv (VERIFY=--full: hours)
+	$(COMPILED) $(QUICK_TO_COMPILE) OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python benchmarks/verify.py $(VERIFY)
 
 docs: $(STAMP)  ## the documentation as a site, into ./site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet

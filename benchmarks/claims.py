@@ -14,7 +14,9 @@ from enum import StrEnum
 from scipy.stats import beta
 
 LEVEL = 0.99
-KINDS = ("silence", "one", "other", "other_silence", "identify", "unknown")  # of flights on which the claims are tried
+# Flights of one round, on which the claims are tried. Another simulator's records differ in length and rate: each
+# compiles anew, and takes as long as the others together.
+ROUND = {"silence": 3, "one": 3, "identify": 4, "unknown": 1, "other": 1, "other_silence": 1}
 
 
 class Side(StrEnum):

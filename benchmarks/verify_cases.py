@@ -9,7 +9,7 @@ import hidden_effects
 import identify_coverage
 import numpy as np
 import other_aircraft
-from claims import KINDS
+from claims import ROUND
 from detection_tables import size
 
 from bayes_aero.errors import InputError
@@ -26,7 +26,7 @@ def case(kind: str, seed: int, posterior: bool) -> dict[str, Any]:
     """
     row: dict[str, Any] = {"kind": kind, "seed": seed, "trials": {}}
     try:
-        found, trials = _of(kind, seed + APART * KINDS.index(kind), posterior)
+        found, trials = _of(kind, seed + APART * list(ROUND).index(kind), posterior)
     except InputError as error:
         return row | {"refused": str(error)}
     except Exception as error:

@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import verify
-from claims import KINDS
+from claims import ROUND
 from verify import begin, count, enter, flights, fly, line_of, mark
 
 
@@ -22,14 +22,21 @@ def pool():
         yield opened
 
 
-def test_a_run_goes_through_every_kind_once_a_round_and_is_entered(tmp_path, pool):
+def test_a_run_flies_every_kind_and_is_entered(tmp_path, pool):
     run, folder = begin(tmp_path, "abc", rounds=3, posterior=False)
     rows = fly(run, folder, silent, pool, workers=2, seconds=60.0)
-    assert Counter(row["kind"] for row in rows) == dict.fromkeys(KINDS, 3)
-    assert {row["seed"] for row in rows} == {run.first, run.first + 1, run.first + 2}
+    assert Counter(row["kind"] for row in rows) == {kind: 3 * each for kind, each in ROUND.items()}
+    for kind, each in ROUND.items():
+        seeds = sorted(row["seed"] for row in rows if row["kind"] == kind)
+        assert seeds == list(range(run.first, run.first + 3 * each))
     line = line_of(run, rows)
-    assert (line["verdict"], line["false_alarms"], line["named"], line["bound_held"]) == ("holds", "0/3", "3/3", "0/0")
-    assert line["seeds"] == f"{run.first} to {run.first + 2}"
+    assert (line["verdict"], line["false_alarms"], line["named"], line["bound_held"]) == (
+        "not refuted",
+        "0/9",
+        "9/9",
+        "0/0",
+    )
+    assert line["seeds"] == f"{run.first} to {run.first + 11}"
     for _ in range(2):
         enter(line, tmp_path / "ledger.csv")
     with (tmp_path / "ledger.csv").open() as file:
@@ -61,7 +68,7 @@ def test_an_interrupted_run_goes_on_with_its_seeds_and_flies_nothing_twice(tmp_p
 
     rows = fly(run, folder, counted, pool, workers=2, seconds=60.0)
     assert not set(again) & set(asked[:3])
-    assert len({(row["kind"], row["seed"]) for row in rows}) == len(rows) == 2 * len(KINDS)
+    assert len({(row["kind"], row["seed"]) for row in rows}) == len(rows) == 2 * sum(ROUND.values())
     assert all(row["sampled"] for row in rows)
     assert flights(folder) == rows
 
