@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from out_of_catalogue import unknown
 
 from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.criticism.finding import Verdict
@@ -37,7 +38,7 @@ def test_a_hidden_effect_is_named_with_its_size(seed, family, card):
 @pytest.mark.recovery
 @pytest.mark.parametrize("seed", [4301, 4302])
 def test_a_hidden_wave_is_called_unexplained_by_its_period(seed, card):
-    flights = hidden_flights({}, seed=seed, noise="ar1", unknown="periodic", seconds=90.0)
+    flights = hidden_flights({}, seed=seed, noise="ar1", beyond=unknown("periodic"), seconds=90.0)
     found = diagnose([flight.record for flight in flights], card, seed=seed, gains_wanted=False)
     assert found.verdict is Verdict.UNEXPLAINED, [c.name for c in found.causes]
     waves = [u for u in found.unknown if u.channel.startswith("time, period")]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from out_of_catalogue import unknown
 
 from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.errors import InputError
@@ -79,7 +80,7 @@ def test_a_file_that_is_not_there_is_said(tmp_path):
 @pytest.mark.recovery
 def test_diagnosis_names_the_users_effect_and_calls_it_unexplained_without(tmp_path, card):
     seed = int(np.random.default_rng(5150).integers(1_000_000))
-    flights = hidden_flights({}, seed=seed, noise="ar1", seconds=90.0, unknown="bank_moment")
+    flights = hidden_flights({}, seed=seed, noise="ar1", seconds=90.0, beyond=unknown("bank_moment"))
     records, size = [f.record for f in flights], flights[0].values["unknown_bank"]
     found = diagnose(records, read_card(own_card(tmp_path)), seed=seed, gains_wanted=False)
     assert [c.name for c in found.causes] == ["bank_pitching"]
