@@ -47,12 +47,13 @@ from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Forming, observe
 from bayes_aero.report.diagnosed import View, view_of
 from bayes_aero.report.figures import DIAGNOSIS_FIGURES, FIGURES
+from bayes_aero.report.frames_diagnosis import causes_frame, screen_frame
 from bayes_aero.report.style import NotDrawn
 from bayes_aero.report.tables import parameter_table, validation_table
 from bayes_aero.report.unseen import scores_frame
 from bayes_aero.report.words import verdict
 from bayes_aero.report.words_consistency import consistency_sentences
-from bayes_aero.report.words_diagnosis import causes_frame, screen_frame, sentences
+from bayes_aero.report.words_diagnosis import sentences
 from bayes_aero.studies.outlook import predictors
 from bayes_aero.studies.repair import repaired
 
@@ -106,7 +107,7 @@ class Fit:
         """Scores of the Gaussian processes (`gpr`) and of maximum likelihood on hold-out data.
 
         Returns:
-            A row per split, fold, coefficient and method.
+            A row per split, fold and coefficient; columns for the scores of both methods on the same test points.
 
         Raises:
             InputError: `gpr` has not been called.
@@ -160,7 +161,7 @@ class Diagnosed:
         """Scores of the card's and the extended model.
 
         Returns:
-            A row per manoeuvre, coefficient and model, fitted to all manoeuvres and with this one held out.
+            A row per model, data (`fitted` or hold-out, `unseen`), manoeuvre and coefficient.
         """
         return scores_frame(self.view)
 
@@ -251,7 +252,7 @@ def fit(
         InputError: the records lack a channel that the model needs, or a setting is unknown.
 
     Source:
-        Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, ch. 4; Morelli, Klein, J. Aircraft 34 (1997) 255.
+        Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, ch. 4; Morelli and Klein, J. Aircraft 34, 1997.
     """
     if coefficients not in get_args(FormingName):
         known = ", ".join(get_args(FormingName))

@@ -29,6 +29,8 @@ _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)\s*(.*)
 
 _EXAMPLES = 'e.g. "deg", "deg/s", "m/s^2", "kt", "ft", "hPa", "g" (standard gravity), "%" or "1"'
 
+STANDARD_GRAVITY = 9.80665  # m/s^2, CGPM 1901: what makes a weight of a mass
+
 _SAYS_NOTHING = frozenset(("-", "--", "none", "nd", "n/d"))  # in a file, of a quantity that has a unit
 
 # Units that count turns. pint holds them for plain numbers, so "%" would pass for an angle and Hz for rad/s.
@@ -213,4 +215,14 @@ def quantity_to_si(value: Any, expected: str, where: str) -> float:
         return 0.0
     if not unit and expected not in ("", "1"):
         raise InputError(f'{where} is {str(value)!r}, without a unit; write e.g. "{value} {expected}"')
+    if expected == "kg" and same_kind(unit, "N"):
+        raise InputError(f"{where} is {str(value)!r}, a weight; {_mass_of(number, unit, where)}")
     return float(_convert(number, unit or "1", expected, where))
+
+
+def _mass_of(weight: float, unit: str, where: str) -> str:
+    """How to write the mass that has a weight, in kg and, for weights in pounds, in slug too."""
+    mass = float(_convert(weight, unit, "N", where)) / STANDARD_GRAVITY
+    pounds = not same_unit(unit, "N") and not same_unit(unit, "kN")
+    slugs = f' or "{_convert(mass, "kg", "slug", where):.6g} slug"' if pounds else ""
+    return f'write the mass, weight over g = 9.80665 m/s^2: "{mass:.6g} kg"{slugs}'

@@ -98,9 +98,12 @@ def units() -> str:
 
 def aircraft() -> str:
     """Keys of [aircraft]."""
-    from bayes_aero.flight.aircraft import AIRCRAFT_UNITS, OPTIONAL
+    from bayes_aero.flight.aircraft import AIRCRAFT_KEYS, OPTIONAL
 
-    rows = [(f"`{key}`", unit, "no" if key in OPTIONAL else "yes") for key, unit in AIRCRAFT_UNITS.items()]
+    instead = {"half_span": "yes, or `span`", "span": "yes, or `half_span`"}
+    rows = [
+        (f"`{key}`", unit, instead.get(key, "no" if key in OPTIONAL else "yes")) for key, unit in AIRCRAFT_KEYS.items()
+    ]
     return _table(("key", "dimension of", "required"), rows)
 
 

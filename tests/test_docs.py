@@ -14,7 +14,7 @@ import pytest
 from browsing import needed
 
 import bayes_aero as ba
-from bayes_aero.flight.aircraft import AIRCRAFT_UNITS
+from bayes_aero.flight.aircraft import AIRCRAFT_KEYS
 from bayes_aero.flight.card import PARAMETER_KEYS, SECTIONS
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.parameter import FAMILIES
@@ -82,7 +82,7 @@ def test_reference_lists_every_public_name_effect_and_option(site):
 
 def test_reference_explains_every_key_of_a_card(site):
     card = text_of(site / "reference" / "card.html")
-    keys = {*AIRCRAFT_UNITS, *STANDARD_CHANNELS, *PARAMETER_KEYS, *FAMILIES}
+    keys = {*AIRCRAFT_KEYS, *STANDARD_CHANNELS, *PARAMETER_KEYS, *FAMILIES}
     keys |= {"column", "label", "unit", "required", "effects", "effect_files", "fixed", "states", "rates", "outputs"}
     for key in keys:
         assert f"<code>{key}</code>" in card or f"<code>{key}." in card, key

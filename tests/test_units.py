@@ -1,6 +1,7 @@
 """Conversions at the border."""
 
 import math
+import re
 from contextlib import suppress
 
 import numpy as np
@@ -205,3 +206,15 @@ def test_bad_card_constants(value, words):
     with pytest.raises(InputError, match=words) as caught:
         quantity_to_si(value, "kg", "card a.toml: [aircraft] mass")
     assert str(caught.value).startswith("card a.toml: [aircraft] mass")
+
+
+@pytest.mark.parametrize(("weight", "kg"), [("12138.7 lbf", 5506.02), ("9806.65 N", 1000.0), ("20 kN", 2039.43)])
+def test_a_weight_for_a_mass_is_refused_with_the_mass_to_write(weight, kg):
+    """A pound of mass weighs a pound of force: 0.45359237 kg; one newton over 9.80665 m/s^2."""
+    with pytest.raises(InputError) as told:
+        quantity_to_si(weight, "kg", "mass")
+    assert float(re.search(r'"([\d.]+) kg"', str(told.value))[1]) == pytest.approx(kg, rel=1e-5)
+    assert ("slug" in str(told.value)) is ("lbf" in weight)
+    if "lbf" in weight:  # the data sheet of that aircraft says 377.281 slug
+        assert '"377.281 slug"' in str(told.value)
+    assert quantity_to_si("1000 lb", "kg", "mass") == pytest.approx(453.59237)

@@ -69,7 +69,10 @@ def card(
     if starter.todo:
         console.print(f"To be filled in ({len(starter.todo)}): {', '.join(name for name, _ in starter.todo)}.")
     if starter.blind:
-        console.print(f"Not found: {', '.join(starter.blind)}. identify needs them; diagnose works without, less well.")
+        which = "it" if len(starter.blind) == 1 else "them"
+        console.print(
+            f"Not found: {', '.join(starter.blind)}. identify needs {which}; diagnose works without {which}, less well."
+        )
     if report is not None:
         console.print(f"The report is in {report}", soft_wrap=True)
     split = " --split" if starter.parts > 1 else ""

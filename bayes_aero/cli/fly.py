@@ -55,7 +55,11 @@ def fly(
         ),
     ] = None,
     inputs: Annotated[
-        Inputs, typer.Option(help="Inputs between samples: linear, or held until the next one.")
+        Inputs,
+        typer.Option(
+            help="Inputs between samples: linear, for recorded positions; held, for commands held until the next "
+            "sample."
+        ),
     ] = Inputs.LINEAR,
     seed: SeedOption = 0,
     resample: ResampleOption = None,

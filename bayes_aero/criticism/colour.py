@@ -24,11 +24,16 @@ class Colour:
     def simulate(self, count: int, folds: Sequence[slice], m: int, rng: np.random.Generator) -> np.ndarray:
         """`count` noise records (count, m, c); each fold begins anew, blocks outside the folds are zero."""
         out = np.zeros((count, m, len(self.sigma)))
-        for fold in folds:
-            length = fold.stop - fold.start
-            white = rng.standard_normal((count, length + RUN_IN, len(self.sigma))) * self.sigma
-            noise = driven(self.phi.T[:, None, :], np.moveaxis(white, 1, 0))
-            out[:, fold] = np.moveaxis(noise[RUN_IN:], 0, 1)
+        if not count:
+            return out
+        longest = RUN_IN + max(fold.stop - fold.start for fold in folds)
+        white = np.zeros((longest, len(folds), count, len(self.sigma)))  # side by side: one loop over time
+        for k, fold in enumerate(folds):
+            drawn = rng.standard_normal((count, fold.stop - fold.start + RUN_IN, len(self.sigma)))
+            np.multiply(np.moveaxis(drawn, 1, 0), self.sigma, out=white[: drawn.shape[1], k])
+        noise = driven(self.phi.T[:, None, None, :], white)
+        for k, fold in enumerate(folds):
+            out[:, fold] = np.moveaxis(noise[RUN_IN : RUN_IN + fold.stop - fold.start, k], 0, 1)
         return out
 
     def meat(

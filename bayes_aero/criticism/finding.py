@@ -124,6 +124,47 @@ class NoiseReport:
         return tuple(found)
 
 
+NOT_NOISE = 0.5  # share of a mean square error that noise does not make, beyond which it is more than noise
+
+
+@dataclass(frozen=True)
+class Missed:
+    """What simulated flights miss of one output, root mean squares in SI, and the `noise` of its sensor.
+
+    `fitted`: initial states and parameters fitted to all flights; `unseen`: from the measured initial state by the fit
+    to the others, so that the noise of that state is in it and it is no measure of the model alone.
+    """
+
+    noise: float
+    fitted: float
+    unseen: float
+
+    @property
+    def beyond(self) -> bool:
+        """Whether most of the fitted mean square error is no noise of the sensor; an error that is no number, too."""
+        return not self.fitted**2 * (1.0 - NOT_NOISE) <= self.noise**2
+
+
+@dataclass(frozen=True)
+class Tested:
+    """What a diagnosis by trajectories alone has tested: `outputs` are empty where nothing was flown.
+
+    Structure without a name is never sought there.
+    """
+
+    outputs: Mapping[str, Missed]
+
+    @property
+    def beyond(self) -> tuple[str, ...]:
+        """Outputs that the simulation misses by more than noise."""
+        return tuple(name for name, one in self.outputs.items() if one.beyond)
+
+    @property
+    def within_noise(self) -> bool:
+        """Whether it was flown and misses nothing by more than noise."""
+        return bool(self.outputs) and not self.beyond
+
+
 @dataclass(frozen=True)
 class Diagnosis:
     """The whole finding. `sensors` and `aerodynamics` hold both elections with all standings."""
@@ -144,3 +185,4 @@ class Diagnosis:
     failures: tuple[str, ...] = ()  # parts that failed unexpectedly; what else is here is valid
     together: tuple[Together, ...] = ()  # pairs of causes of which the record knows one combination alone
     beyond: tuple[Cause, ...] = ()  # errors larger than any sensor has: no causes, but in the model where confirmed
+    tested: Tested | None = None  # of a diagnosis by trajectories alone

@@ -21,7 +21,7 @@ class UnseenFlight:
 
     @classmethod
     def of(
-        cls, paths: Sequence[Path], outputs: Sequence[str], swell: Sequence[Float[np.ndarray, "m c"]]
+        cls, paths: Sequence[Path], outputs: Sequence[str], swell: Sequence[Float[np.ndarray, "_ c"]]
     ) -> UnseenFlight:
         """From simulated segments, in order."""
         left = [np.stack([p.measured[n] - p.simulated[n] for n in outputs], axis=1) for p in paths]

@@ -101,7 +101,7 @@ def confirmed(
     without: Sequence[Path],
     lagged: Sequence[Path],
     outputs: Sequence[str],
-    swell: Sequence[Float[np.ndarray, "m c"]],
+    swell: Sequence[Float[np.ndarray, "_ c"]],
     cost: float,
 ) -> Lag:
     """Kept if unseen flight misses the lag as it must miss any cause: both flew the same manoeuvres, in order."""

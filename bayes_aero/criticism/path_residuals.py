@@ -36,21 +36,15 @@ def path_residuals(
         (r, n, c) in the outputs' units.
     """
     n, count = len(channels["q"]), len(next(iter(added.values())))
-    steps, start, first = np.full(n, dt), np.arange(n) == 0, np.zeros(n, int)
+    steps, start = np.full(n, dt), np.arange(n) == 0
+    first, last = np.zeros(n, int), np.full(n, n - 1)
     aircraft = replace(NO_AIRCRAFT, accelerometer=accelerometer)
     found = np.empty((count, n, len(outputs)))
     for begin in range(0, count, TOGETHER):
         part = slice(begin, begin + TOGETHER)
-        shape = (min(TOGETHER, count - begin), n)
-        s = {name: channels[name] + (added[name][part] if name in added else np.zeros(shape)) for name in PATH_NEEDS}
-        s |= {f"{name}_dot": _slopes(s[name], steps) for name in RATES}
+        s = {name: channels[name] + added[name][part] if name in added else channels[name] for name in PATH_NEEDS}
+        s |= {f"{name}_dot": differentiate_joined(s[name], steps, first, last) for name in RATES}
         rates = path_rates(s, aircraft)
         for c, name in enumerate(outputs):
             found[part, :, c] = s[name] - integral(rates[name], steps, start, first)
     return found
-
-
-def _slopes(rows: Float[np.ndarray, "r n"], dt: Float[np.ndarray, " n"]) -> Float[np.ndarray, "r n"]:
-    """Time derivative of each row."""
-    first, last = np.zeros(len(dt), int), np.full(len(dt), len(dt) - 1)
-    return np.stack([differentiate_joined(x, dt, first, last) for x in rows])

@@ -57,7 +57,7 @@ class SecondLook:
             scores[at] = [equivalent(*pair) for pair in zip(*judged, strict=True)]
         return float((1 + np.sum(scores >= self.score)) / (1 + len(scores)))
 
-    def _leaders(self, noises: Float[np.ndarray, "r m c"]) -> list[tuple[int, Float[np.ndarray, " w"]]]:
+    def _leaders(self, noises: Float[np.ndarray, "r m c"]) -> list[tuple[int, Float[np.ndarray, " _"]]]:
         """The candidate that explains most of each noise record, and its estimate."""
         right = self.projected.right(noises)
         pairs = list(zip(self.projected.place, self.projected.bread, strict=True))
@@ -66,7 +66,7 @@ class SecondLook:
         return [(int(j), pairs[j][1] @ r[pairs[j][0]]) for j, r in zip(best, right, strict=True)]
 
     def _left(
-        self, noises: Float[np.ndarray, "r m c"], leaders: Sequence[tuple[int, Float[np.ndarray, " w"]]]
+        self, noises: Float[np.ndarray, "r m c"], leaders: Sequence[tuple[int, Float[np.ndarray, " _"]]]
     ) -> list[Colour]:
         """The colour of each noise record once its leader is taken out."""
         P, place = self.projected.P, self.projected.place

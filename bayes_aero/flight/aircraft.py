@@ -58,7 +58,17 @@ AIRCRAFT_UNITS: dict[str, str] = {
     "reference_speed": "m/s",
     "rate_length": "m",
 }
-OPTIONAL = ("reference_point", "accelerometer", "engine", "engine_inclination", "reference_speed", "rate_length")
+AIRCRAFT_KEYS: dict[str, str] = {**AIRCRAFT_UNITS, "span": "m"}
+"""Keys of a card's [aircraft]: the constants, and the span in place of half of it."""
+OPTIONAL = (
+    "aspect_ratio",  # span squared over wing area where it is not stated
+    "reference_point",
+    "accelerometer",
+    "engine",
+    "engine_inclination",
+    "reference_speed",
+    "rate_length",
+)
 
 _NAN = float("nan")
 NO_AIRCRAFT = Aircraft(_NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN)

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aircraft import AIRCRAFT_UNITS, NO_AIRCRAFT, OPTIONAL, Aircraft
+from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
+from bayes_aero.flight.card_aircraft import parse_aircraft
 from bayes_aero.flight.card_channels import (
     parse_channel,
     parse_constants,
@@ -26,17 +27,12 @@ from bayes_aero.flight.segments import segment_of
 from bayes_aero.flight.tables import is_file, read_table
 from bayes_aero.flight.tolerances import TOLERANCES, Tolerance
 from bayes_aero.parameter import Prior
-from bayes_aero.units import quantity_to_si
 
 SECTIONS = (
     "title", "source", "aircraft", "channels", "sums", "constants", "derived", "tables", "sensors", "model", "linear",
     "parameters", "gp", "tolerances", "output_biases", "segments", "fly",
 )  # fmt: skip
 PARAMETER_KEYS = ("start", "bounds", "prior")
-POSITIONS = ("reference_point", "accelerometer", "engine")
-POSITIVE = (
-    "mass", "Ix", "Iy", "Iz", "wing_area", "chord", "aspect_ratio", "tail_arm", "reference_speed", "rate_length",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -134,7 +130,7 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
         title=str(table.get("title", name)),
         source=str(table.get("source", "not stated")),
         sha256=sha256,
-        aircraft=_aircraft(section(table, "aircraft", where), where) if "aircraft" in table else NO_AIRCRAFT,
+        aircraft=parse_aircraft(section(table, "aircraft", where), where) if "aircraft" in table else NO_AIRCRAFT,
         channels=channels,
         sums=sums,
         sensors=_sensors(section(table, "sensors", where), where),
@@ -175,29 +171,6 @@ def _files(given: Any, where: str) -> tuple[Path, ...]:
         return tuple((Path(where).parent / name).resolve() for name in given)
     except OSError as error:
         raise InputError(f"card {where}: [model] effect_files cannot be found ({error}); correct the path") from None
-
-
-def _aircraft(table: Mapping[str, Any], where: str) -> Aircraft:
-    known_keys(table, tuple(AIRCRAFT_UNITS), where, "key of [aircraft]")
-    values: dict[str, Any] = {}
-    for key, unit in AIRCRAFT_UNITS.items():
-        if key not in table:
-            if key in OPTIONAL:
-                continue
-            raise InputError(f'card {where}: [aircraft] has no {key}; add it with its unit, e.g. {key} = "... {unit}"')
-        given = table[key]
-        if key in POSITIONS:
-            if not (isinstance(given, list) and len(given) == 3):
-                raise InputError(f"card {where}: [aircraft] {key} must be three lengths, [x, y, z]")
-            values[key] = tuple(quantity_to_si(part, unit, f"card {where}: [aircraft] {key}") for part in given)
-        else:
-            values[key] = quantity_to_si(given, unit, f"card {where}: [aircraft] {key}")
-    for key in POSITIVE:
-        if key in values and not values[key] > 0.0:
-            raise InputError(
-                f"card {where}: [aircraft] {key} is {values[key]} {AIRCRAFT_UNITS[key]}; it must be positive"
-            )
-    return Aircraft(**values)
 
 
 def _segments(table: Mapping[str, Any], where: str) -> dict[str, tuple[str, ...]]:

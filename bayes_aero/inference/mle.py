@@ -122,7 +122,9 @@ class MleResult:
             )
         for name, value, bound in zip(self.names, self.estimate, self.crb, strict=True):
             if bound > 0.5 * abs(value):
-                said.append(f"{name} is not identified: its Cramer-Rao deviation is {bound / abs(value):.0%} of it.")
+                near = bound < 10.0 * abs(value)  # at a bound of zero a share of the estimate is infinite
+                size = f"{bound / abs(value):.0%} of it" if near else f"{bound:.2g}, its estimate {value:.2g}"
+                said.append(f"{name} is not identified: its Cramer-Rao deviation is {size}.")
         bias = np.zeros(len(self.names)) if self.bias is None else self.bias
         for name, moved, sd in zip(self.names, bias, self.crb_corrected, strict=True):
             if abs(moved) > LARGE_BIAS * sd:

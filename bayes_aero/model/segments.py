@@ -52,7 +52,7 @@ class Flown(eqx.Module):
         return self.flights.manoeuvre[self.index[:, 0]]
 
     @property
-    def growth(self) -> list[Float[np.ndarray, "m c"]]:
+    def growth(self) -> list[Float[np.ndarray, "_ c"]]:
         """`swell` of the real samples, by segment."""
         return [self.swell[k][real] for k, real in enumerate(self.inside)]
 

@@ -53,13 +53,16 @@ def smooth(x: Float[Array, " n"]) -> Float[Array, " n"]:
     return xp.concatenate([x[:3], short[1:5], inner, short[n - 9 : n - 5], x[n - 3 :]])
 
 
-def _central(x: Float[Array, " n"], weights: np.ndarray) -> Float[Array, " m"]:
+def _central(x: Float[Array, "*r n"], weights: np.ndarray) -> Float[Array, "*r m"]:
     """Antisymmetric central difference per sample at the n - 2 len(weights) samples that have all neighbours."""
-    half, n = len(weights), x.shape[0]
+    half, n = len(weights), x.shape[-1]
     lags = range(1, half + 1)
     return sum(
-        (w * (x[half + k : n - half + k] - x[half - k : n - half - k]) for k, w in zip(lags, weights, strict=True)),
-        start=namespace(x).zeros(n - 2 * half),
+        (
+            w * (x[..., half + k : n - half + k] - x[..., half - k : n - half - k])
+            for k, w in zip(lags, weights, strict=True)
+        ),
+        start=namespace(x).zeros((*x.shape[:-1], n - 2 * half)),
     )
 
 
@@ -99,13 +102,15 @@ def smooth_long(x: Float[Array, " n"]) -> Float[Array, " n"]:
 
 
 def differentiate_joined(
-    x: Float[Array, " n"], dt: Float[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"]
-) -> Float[Array, " n"]:
-    """`differentiate` of manoeuvres laid end to end, each at least 20 samples long."""
-    xp, n = namespace(x, dt), x.shape[0]
-    inner, near = (_central(xp.pad(x, len(weights)), weights) for weights in (EIGHTH_ORDER, FOURTH_ORDER))
+    x: Float[Array, "*r n"], dt: Float[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"]
+) -> Float[Array, "*r n"]:
+    """`differentiate` of manoeuvres laid end to end, each at least 20 samples long; rows are different records of
+    them."""
+    xp, n = namespace(x, dt), x.shape[-1]
+    rows = [(0, 0)] * (x.ndim - 1)
+    inner, near = (_central(xp.pad(x, [*rows, (len(w), len(w))]), w) for w in (EIGHTH_ORDER, FOURTH_ORDER))
     slope = xp.where(inside_joined(n, first, last) >= 8, inner, near)
-    return slope[xp.clip(xp.arange(n), first + 2, last - 2)] / dt
+    return slope[..., xp.clip(xp.arange(n), first + 2, last - 2)] / dt
 
 
 def inside_joined(n: int, first: Int[Array, " n"], last: Int[Array, " n"]) -> Int[Array, " n"]:

@@ -26,6 +26,8 @@ from bayes_aero.physics.coefficients import NAMES
 LEVELS = (0.5, 0.9, 0.95)
 DRAWS = 400  # of a model's parameters, for the intervals of its stall
 NOT_SIGNALS = ("X", "measured", "modelled", "residual", *NAMES)
+LEADERS = 10  # candidates of a stage that are listed, by their scores
+CONSIDERED = 3  # and by the share of what is left that they explain
 FALSE_ALARMS = 0.05  # share of noise-only replicates whose best score is beyond the threshold
 
 
@@ -61,6 +63,12 @@ class Ranking:
     stage: str
     standings: tuple[Standing, ...]
     threshold: float
+
+    @property
+    def leaders(self) -> tuple[Standing, ...]:
+        """Those that tables and figures show: the `LEADERS` highest scores, and what is considered first."""
+        first = {s.effect for s in sorted(self.standings, key=lambda s: -s.explains)[:CONSIDERED]}
+        return tuple(s for k, s in enumerate(self.standings) if k < LEADERS or s.effect in first)
 
 
 @dataclass(frozen=True)

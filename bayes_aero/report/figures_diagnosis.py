@@ -77,7 +77,7 @@ def ranking(view: View) -> Figure:
     figure, axes = panels(len(rows), 1, (8.5, 0.2 * sum(rows) + 0.9 * len(rows) + 0.6), height_ratios=rows)
     for ax, one in zip(axes[:, 0], view.rankings, strict=True):
         _bars(ax, one, {c.name for c in view.diagnosis.causes if c.stage == one.stage})
-    figure.suptitle("Candidates before anything was added\n(named causes coloured; later elections may reorder them)")
+    figure.suptitle("Candidates before anything was added\n(named causes in colour; later elections may reorder them)")
     return figure
 
 
@@ -97,7 +97,7 @@ def _bars(ax: Axes, one: Ranking, causes: set[str]) -> None:
     ax.set_ylim(len(scores) - 0.4, -0.6)
     ax.set_xlim(0.0, 1.1 * widest)
     ax.grid(False, axis="y")
-    ax.set_xlabel("estimate over its deviation, residual's colour included [-]")
+    ax.set_xlabel("estimate over its deviation, correlated residuals allowed for [-]")
     ax.set_title(f"Stage: {one.stage}")
 
 
@@ -171,7 +171,7 @@ def moves(view: View) -> Figure:
     ax.set_ylim(len(names) - 0.5, -0.5)
     ax.set_xlabel("distance from the card's estimate, in deviations after [-]")
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.55 / (0.32 * len(names) + 1.0)), ncols=2)
-    figure.suptitle("How the card's parameters moved (bars: one deviation, residual's colour included)")
+    figure.suptitle("How the card's parameters moved (bars: one deviation, correlated residuals allowed for)")
     return figure
 
 
@@ -263,7 +263,7 @@ def residual_colour(view: View) -> Figure:
     return figure
 
 
-def autocorrelation(parts: list[Float[np.ndarray, " n"]], longest: int) -> tuple[np.ndarray, np.ndarray]:
+def autocorrelation(parts: list[Float[np.ndarray, " _"]], longest: int) -> tuple[np.ndarray, np.ndarray]:
     """Lags and correlation, sums over manoeuvres, each about its own mean."""
     centred = [p - p.mean() for p in parts]
     lags = np.arange(min(longest, min(len(p) for p in parts) - 1) + 1)
@@ -271,7 +271,7 @@ def autocorrelation(parts: list[Float[np.ndarray, " n"]], longest: int) -> tuple
     return lags, np.array(products) / max(products[0], 1e-300)
 
 
-def spectrum(parts: list[Float[np.ndarray, " n"]], dt: float) -> tuple[np.ndarray, np.ndarray]:
+def spectrum(parts: list[Float[np.ndarray, " _"]], dt: float) -> tuple[np.ndarray, np.ndarray]:
     """Welch's power spectral density, averaged over manoeuvres by their length."""
     segment = min(*(len(p) for p in parts), round(25.0 / dt))
     found = [welch(p, 1.0 / dt, nperseg=segment) for p in parts]

@@ -17,11 +17,9 @@ from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.diagnosed import Ranking, View
 from bayes_aero.report.figures_diagnosis import NOTE, TIGHT, models_of
-from bayes_aero.report.phrases import for_people, size_text
+from bayes_aero.report.phrases import for_people, short, size_text
 from bayes_aero.report.style import PHONE, housed
-from bayes_aero.report.words_trajectory import short
 
-SHOWN = 10  # candidates
 WIDTH = 0.021  # of a letter, in widths of the widest bar
 
 
@@ -143,7 +141,7 @@ def _decisive(view: View) -> Ranking | None:
 def _election(ax: Axes, ranking: Ranking, view: View) -> None:
     """Candidates in the order in which they are considered; named causes in colour, with their size in the end."""
     named = {c.name: c for c in view.diagnosis.causes}
-    leaders = sorted(ranking.standings, key=lambda s: -s.explains)[:SHOWN]
+    leaders = sorted(ranking.leaders, key=lambda s: -s.explains)
     share = 100.0 * np.array([s.explains for s in leaders])
     widest = float(np.max([*share, 1e-9]))
     for y, (s, x) in enumerate(zip(leaders, share, strict=True)):
@@ -159,6 +157,8 @@ def _election(ax: Axes, ranking: Ranking, view: View) -> None:
         ax.text(y=y, s=text, va="center", fontsize=7.5, zorder=5, **look)
     if np.isfinite(ranking.threshold):
         text = f"pale: score below {ranking.threshold:.1f}, which noise\nalone exceeds in 5 % of replicates"
+        if (left := len(ranking.standings) - len(leaders)) > 0:
+            text += f"\n{left} more with lower scores: see screen.csv"
         ax.text(0.99, 0.02, text, transform=ax.transAxes, va="bottom", ha="right", **NOTE)
     ax.set_yticks(range(len(leaders)), [s.effect for s in leaders])
     ax.set_ylim(len(leaders) - 0.4, -0.6)

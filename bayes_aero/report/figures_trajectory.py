@@ -11,9 +11,8 @@ from bayes_aero.criticism.trajectory import Path
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.diagnosed import View
-from bayes_aero.report.phrases import SYMBOLS, bracket, for_people
+from bayes_aero.report.phrases import SYMBOLS, bracket, for_people, short
 from bayes_aero.report.style import NotDrawn, column_width, housed, panels
-from bayes_aero.report.words_trajectory import short
 
 MODELS = (("card", "card's model", COLOURS["before"]), ("extended", "extended model", COLOURS["after"]))
 Curve = tuple[Path, str, str]

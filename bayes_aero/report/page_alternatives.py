@@ -36,11 +36,11 @@ def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
         "found": (
             f"Measured and by each model: {what} of {best.manoeuvre}, where the extension gains most, the error "
             "shaded; and the first election: a bar is the share of what is left that a candidate explains, named "
-            "causes are coloured and carry their size.",
+            "causes are drawn in colour and carry their size.",
             f"Time history of {what} for {best.manoeuvre}: {change}. Scores of the candidates, leading: {leaders}.",
         ),
         "ranking": (
-            "Score of every candidate before anything was added; named causes coloured.",
+            "Score of every candidate before anything was added; named causes drawn in colour.",
             f"Bar chart of candidates' scores. Leading: {leaders}.",
         ),
         "gain": (

@@ -17,7 +17,7 @@ from bayes_aero.report.phrases import bracket
 MOST_PANELS = 16
 TAKEN = "recorded, with the sign and in the unit that were guessed"
 ASIS = "recorded, as it is in the file"
-WITHOUT = "identify needs them to form coefficients, diagnose then works from trajectories alone"
+WITHOUT = "identify needs {} to form coefficients, diagnose then works from trajectories alone"
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,8 @@ def _blind(names: Sequence[str]) -> str:
     """What cannot be done without accelerations."""
     if not names:
         return ""
-    return f" {' and '.join(names)} {'were' if len(names) > 1 else 'was'} not found: {WITHOUT}."
+    many = len(names) > 1
+    return f" {' and '.join(names)} {'were' if many else 'was'} not found: {WITHOUT.format('them' if many else 'it')}."
 
 
 def _panel_of(taken: Taken) -> Panel:

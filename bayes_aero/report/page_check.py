@@ -11,6 +11,7 @@ from bayes_aero.flight.inspection import RecordReport
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.page import Block, Fold, Page, Plot, Table, Text, filled, section
+from bayes_aero.report.page_lists import not_testable_list, open_list
 from bayes_aero.report.page_parts import at_a_glance, bullets, consistency_lead, first, histories, provenance_blocks
 from bayes_aero.report.page_plots import Line, Panel
 from bayes_aero.report.phrases import axis_label, for_people
@@ -44,7 +45,11 @@ def check_page(report: CheckReport, source: Mapping[str, Any]) -> Page:
         ),
         lead=tuple(plots[:1]),
         sections=filled(
-            section("uses", "What the records are good for", lambda: bullets(_uses(report))),
+            section(
+                "uses",
+                "What the records are good for",
+                lambda: (*bullets(_uses(report)), *not_testable_list(report.not_testable)),
+            ),
             section("sensors", "Do the sensors agree?", lambda: _sensors(report)),
             section("records", "The records at a glance", lambda: at_a_glance(sound, report.card) if sound else ()),
             section("channels", "Taken from where", lambda: _channels(report)),
@@ -84,7 +89,8 @@ def _sensors(report: CheckReport) -> tuple[Block, ...]:
     head = ("error", "claim", "size ± sd", "remark")
     table = Table("Errors that the flight path asks for", head, rows, words=(1, 2, 3)).lean()
     said = f"{left_over(report)[:1].upper()}{left_over(report)[1:]}."
-    return (*bullets(sensor_sentences(report)), *((table,) if rows else ()), Text(said))
+    listed = open_list(report.consistency)
+    return (*bullets(sensor_sentences(report)), *listed, *((table,) if rows else ()), Text(said))
 
 
 def _channels(report: CheckReport) -> tuple[Block, ...]:

@@ -24,6 +24,7 @@ from bayes_aero.report.page_diagnosis_tables import (
     residuals,
     separating,
 )
+from bayes_aero.report.page_lists import not_testable_list, open_list
 from bayes_aero.report.page_parts import (
     bullets,
     doubts,
@@ -46,7 +47,6 @@ from bayes_aero.report.words_trajectory import simulation_gain, trajectory_sente
 
 CONTEXT = ("alpha", "elevator", "stabilizer", "thrust", "airspeed")
 FEW = 4  # manoeuvres that are listed one by one in the open
-LEADERS = 10  # candidates of a stage that are listed
 
 
 def diagnosis_page(view: View, told: PageContext) -> Page:
@@ -96,7 +96,7 @@ def flown_page(d: Diagnosis, flown: Trajectories | None, said: Sequence[str], to
         sections=filled(
             section("records", "The records at a glance", lambda: records_and_faults(told.records, told.card)),
             section("causes", "What is wrong, and the cause", lambda: _causes(d, rankings_of(d), gallery)),
-            section("open", "Findings in full", lambda: bullets(said[1:])),
+            section("open", "Findings in full", lambda: _flown_findings(d, told, said[1:])),
             section("trajectories", "Trajectories, before and after", lambda: _flown(flown, told)),
             section(
                 "stall",
@@ -108,6 +108,11 @@ def flown_page(d: Diagnosis, flown: Trajectories | None, said: Sequence[str], to
             section("provenance", "Provenance", lambda: provenance_blocks(told.source, told.notes)),
         ),
     )
+
+
+def _flown_findings(d: Diagnosis, told: PageContext, said: Sequence[str]) -> tuple[Block, ...]:
+    listed = () if told.consistency is None else open_list(told.consistency)
+    return (*bullets(said), *listed, *not_testable_list(d.not_testable))
 
 
 def _causes(d: Diagnosis, rankings: Sequence[Ranking], gallery: Gallery) -> tuple[Block, ...]:
@@ -137,7 +142,7 @@ def _leaders(ranking: Ranking, named: Sequence[Cause]) -> Table:
     names = {c.name for c in named if c.stage == ranking.stage}
     rows = tuple(
         (s.effect, s.kind, f"{s.score:.1f}", f"{s.p_value:.3f}", "yes" if s.effect in names else "")
-        for s in ranking.standings[:LEADERS]
+        for s in ranking.leaders
     )
     beyond = f" Noise alone exceeds {ranking.threshold:.1f} once in twenty." if np.isfinite(ranking.threshold) else ""
     return Table(
@@ -145,7 +150,7 @@ def _leaders(ranking: Ranking, named: Sequence[Cause]) -> Table:
         ("effect", "kind", "score", "p", "named"),
         rows,
         words=(1,),
-        note=f"Score: estimate over its deviation, the residual's colour counted.{beyond} p is family-wise over all "
+        note=f"Score: estimate over its deviation, correlated residuals allowed for.{beyond} p is family-wise over all "
         f"candidates, 0.005 at the least. {NAMED_IF} screen.csv has them all.",
     )
 
@@ -196,13 +201,15 @@ def _open(d: Diagnosis, told: PageContext, rest: Sequence[str]) -> tuple[Block, 
         blocks.append(Text("No named cause has a rival that explains the record about as well."))
     pairs = [one for one in rest if " cancel each other " in one]
     blocks += [*bullets(pairs), *separating(told.separating)]
-    blocks += bullets([] if told.consistency is None else open_sentences(told.consistency))
+    if told.consistency is not None:
+        blocks += [*bullets(open_sentences(told.consistency)), *open_list(told.consistency)]
     unknown = [one for one in rest if one.startswith(("Unexplained", "The record asks for"))]
     blocks += bullets(unknown) or (Text("No structure is left that a recorded channel would predict."),)
     others = [s for s in rest if s not in (*unknown, *pairs) and not any(s.startswith(f"{c.name}: ") for c in d.causes)]
     blocks.append(
         Fold("Noise, and effects that this record cannot test", bullets(others) or (Text("Nothing to say."),))
     )
+    blocks += not_testable_list(d.not_testable)
     return tuple(blocks)
 
 
@@ -255,7 +262,7 @@ def _stall(view: View, gallery: Gallery) -> tuple[Block, ...]:
     if not view.stalls:
         return (Text("CLmax and the stall angle are not given: no coefficients were formed."),)
     labels = {"card": "card's model", "extended": "extended model"}
-    what = "Intervals come from normal draws with the covariance of the fit, the residuals' colour counted."
+    what = "Intervals come from normal draws with the covariance of the fit, correlated residuals allowed for."
     return (
         *stall_table({labels[key]: s for key, s in view.stalls.items()}, what),
         *gallery("stall_models", "separation_models"),

@@ -98,9 +98,11 @@ def by_manoeuvre(unseen: Unseen) -> Table:
     worse = several(f"{name} of {manoeuvre}" for manoeuvre, name in unseen.worse())
     return Table(
         "Unseen, manoeuvre by manoeuvre: the card's model and the extended one",
-        ("manoeuvre", "coefficient", "R²\ncard", "R²\nextended", "change of R²", "log density\ngained [nats]"),
+        ("manoeuvre", "coefficient", "R²\ncard", "R²\nextended", "change of R²", "log density\ngained"),
         tuple(rows),
-        note="± is one deviation, the colour counted. R² weighs every sample alike and so hangs on the few of the "
+        note="± is one deviation, correlated residuals allowed for. Log density: natural logarithm of the "
+        "probability density of the unseen data; 3 more make them 20 times as probable. R² weighs every sample alike "
+        "and so hangs on the few of the "
         "deepest stall; the log density knows that noise grows as the flow separates. "
         + (f"Beyond chance (one-sided, 5 %) the log density falls for {worse}." if worse else NOWHERE_WORSE),
     )
@@ -122,7 +124,7 @@ def moved(view: View) -> Table:
         "The card's parameters, fitted without and with the causes",
         ("parameter", "card's model", "extended model", "change\n[deviations]"),
         tuple(rows),
-        note="± is one deviation, the residuals' colour counted.",
+        note="± is one deviation, correlated residuals allowed for.",
     )
 
 

@@ -30,9 +30,8 @@ from bayes_aero.report.page_pictures import Gallery
 from bayes_aero.report.page_plots import LOW, Line, Panel
 from bayes_aero.report.page_trajectories import Curve, axis_label, over_measured, sources
 from bayes_aero.report.page_words import FLOWN, words
-from bayes_aero.report.phrases import SYMBOLS, for_people, several
+from bayes_aero.report.phrases import SYMBOLS, for_people, several, short
 from bayes_aero.report.words_fly import errors_of_all
-from bayes_aero.report.words_trajectory import short
 
 MODELS = (
     (START, "first values", COLOURS["before"], "dashed"),

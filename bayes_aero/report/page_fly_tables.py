@@ -10,9 +10,8 @@ from bayes_aero.inference.flown_normal import departures
 from bayes_aero.report.comparison import decimals
 from bayes_aero.report.page import Table
 from bayes_aero.report.page_parts import number, plain_unit
-from bayes_aero.report.phrases import axis_label, bracket, for_people
+from bayes_aero.report.phrases import axis_label, bracket, for_people, short
 from bayes_aero.report.words_fly import parameter_rows, prior_words, remarks
-from bayes_aero.report.words_trajectory import short
 
 UNKNOWN = 100.0  # times the value from which its deviation says only that it is not known
 Row = tuple[str, ...]
@@ -97,7 +96,8 @@ def parameters(flown: FlownFit) -> Table:
         tuple(rows),
         (("", 3), ("standard deviation", 2), ("", 3)),
         note="SI units and radians. Cramér–Rao: the data alone, residuals taken as white; a dash where they do not "
-        "determine the parameter. Corrected: with the residuals' colour, and the prior counted. Prior: mean ± standard "
+        "determine the parameter. Corrected: correlated residuals allowed for, and the prior counted. Prior: mean ± "
+        "standard "
         "deviation, the program's default or the card's.",
     )
 

@@ -12,8 +12,7 @@ from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.page import Block, Table, Text
 from bayes_aero.report.page_parts import MOST_SHOWN, first
 from bayes_aero.report.page_trajectories import Curve, over_measured, sources
-from bayes_aero.report.phrases import axis_label, for_people
-from bayes_aero.report.words_trajectory import short
+from bayes_aero.report.phrases import axis_label, for_people, short
 
 
 def given_flights(paths: Sequence[Path], card: Card) -> tuple[Block, ...]:

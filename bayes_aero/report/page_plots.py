@@ -107,7 +107,7 @@ def linked(time: Float[np.ndarray, " n"], panels: Sequence[Panel], name: str, ov
     """Bokeh's JSON of the panels below each other over one shared axis, time (s), called `name` in the document."""
     from bokeh.embed import json_item
     from bokeh.layouts import gridplot
-    from bokeh.models import ColumnDataSource, CustomJS, Range1d, Span
+    from bokeh.models import CustomJS, Range1d, Span
 
     shared = Range1d(start=float(time[0]), end=float(time[-1]), bounds="auto", name=name)
     cross = Span(dimension="height", line_dash="dotted", line_color="#777777", line_width=1)
@@ -120,7 +120,7 @@ def linked(time: Float[np.ndarray, " n"], panels: Sequence[Panel], name: str, ov
         "last": shared.end,
         "ranges": [f.y_range for f in figures],
         "full": [[f.y_range.start, f.y_range.end] for f in figures],
-        "sources": [f.select_one(ColumnDataSource) for f in figures],
+        "sources": [f.renderers[0].data_source for f in figures],
     }
     callback = CustomJS(args=fit, code=FIT_HEIGHT)
     for edge in ("start", "end"):  # a zoom to an end of the record moves one of them only

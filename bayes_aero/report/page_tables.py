@@ -56,7 +56,7 @@ def parameters(identification: Identification) -> Table:
         tuple(head),
         tuple(rows),
         tuple(groups),
-        note="SI units and radians. “Corrected” widens the Cramér–Rao bound for the colour of the residuals "
+        note="SI units and radians. “Corrected” widens the Cramér–Rao bound for correlated residuals "
         "(neighbouring samples are not independent). “Largest difference” compares manoeuvres, in Cramér–Rao "
         "deviations of the difference; beyond 3 the bound does not explain it."
         + ("" if truth is None else " “Flown” are the values that the records were simulated with."),

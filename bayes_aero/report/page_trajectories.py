@@ -15,8 +15,8 @@ from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.page import Block, Facts, Fold, Plot, Table, Text
 from bayes_aero.report.page_parts import first, histories, number
 from bayes_aero.report.page_plots import Line, Panel
-from bayes_aero.report.phrases import SYMBOLS, axis_label, for_people
-from bayes_aero.report.words_trajectory import short
+from bayes_aero.report.phrases import SYMBOLS, axis_label, for_people, short
+from bayes_aero.report.words_trajectory import tolerance_origin
 
 MODELS = (
     ("card", "card's model", COLOURS["before"], "dashed"),
@@ -42,8 +42,8 @@ def trajectories(flown: Trajectories, card: Card) -> tuple[Block, ...]:
     blocks: list[Block] = [
         Text(
             "Both models flown through the recorded inputs, without any correction on the way. “Unseen” flights were "
-            "not used "
-            "in the fit; the grey band is the tolerance about the measurement."
+            "not used in the fit; the grey band is the tolerance about the measurement. "
+            + tolerance_origin({name: t.value for name, t in card.tolerances.items()})
         ),
         _errors(flown),
         _kept(flown),

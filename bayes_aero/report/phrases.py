@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -47,3 +48,10 @@ def several(items: Iterable[str]) -> str:
 def axis_label(output: str, unit: str) -> str:
     """An output with the unit in which people read it, from its SI unit."""
     return f"{SYMBOLS.get(output, output)} {bracket(for_people(unit)[0])}"
+
+
+def short(x: float) -> str:
+    """Two digits, without an exponent where people read metres and degrees; a dash where there is no number."""
+    if not math.isfinite(x):
+        return "–"
+    return f"{x:.0f}" if 9.95 <= x < 1e6 else f"{x:#.2g}" if x > 0.0 else "0"

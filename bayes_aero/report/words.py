@@ -90,12 +90,15 @@ def _colour(identification: Identification) -> list[str]:
         return []
     lags = ", ".join(f"{key} {value:+.2f}" for key, value in mle.lag1.items())
     reach = (
-        f"(chance stays within ±{chance:.2f})" if coloured else "(no more than chance: the colour is at longer lags)"
+        f"(chance stays within ±{chance:.2f})"
+        if coloured
+        else "(no more than chance: the correlation is at longer lags)"
     )
     size = "too small" if median > 1.0 else "not right"
     return [
         f"The residuals are not white: lag-1 correlation {lags} {reach}. The Cramér-Rao bound counts every sample as "
-        f"new information and is {size}: the bound corrected for the residuals' colour is {_plain(median)} times as "
+        f"new information and is {size}: the bound corrected for correlated residuals (colour) is {_plain(median)} "
+        "times as "
         f"large in the median and {_plain(worst)} times for {name}."
     ]
 
@@ -177,8 +180,8 @@ def _why_apart(identification: Identification) -> str:
         else ". Either "
     )
     return (
-        "A coloured-noise likelihood listens mostly to changes from sample to sample, a white one to levels"
-        f"{alike}{smoothing}the model's mean function is wrong, or the residual's colour is not of first order."
+        "A likelihood with correlated noise listens mostly to changes from sample to sample, a white one to levels"
+        f"{alike}{smoothing}the model's mean function is wrong, or the residuals' correlation is not of first order."
     )
 
 

@@ -8,6 +8,7 @@ from bayes_aero.criticism.checked import CheckReport
 from bayes_aero.flight.agreement import Agreement
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.inspection import ChannelReport, RecordReport
+from bayes_aero.report.not_testable import not_testable_sentences
 from bayes_aero.report.phrases import for_people, several
 from bayes_aero.report.words_consistency import consistency_sentences
 
@@ -61,10 +62,7 @@ def _behind(channel: str) -> str:
 def use_sentences(report: CheckReport) -> list[str]:
     """What the records can be used for, and what cannot be tested on them."""
     said = [f"{name}: possible" if not why else f"{name}: not possible, {why}" for name, why in report.uses.items()]
-    reasons: dict[str, list[str]] = {}
-    for name, why in report.not_testable.items():
-        reasons.setdefault(why, []).append(name)
-    return said + [f"not testable, for {why}: {', '.join(names)}" for why, names in reasons.items()]
+    return said + not_testable_sentences(report.not_testable)
 
 
 def sensor_sentences(report: CheckReport) -> list[str]:

@@ -86,7 +86,11 @@ def open_sentences(found: Consistency) -> list[str]:
             f"confirm, each as the only error; none is corrected: {listed}."
         )
     if alike := [e for e in found.open if not e.asked]:
-        said.append(f"Not testable along this flight path: {'; '.join(f'{e.name}{_imitated(e)}' for e in alike)}.")
+        errors = "errors of sensors or winds are" if len(alike) > 1 else "error of a sensor or wind is"
+        said.append(
+            f"{len(alike)} {errors} not testable along this flight path, for others do the same to the record: "
+            f"{several(e.name for e in alike)}."
+        )
     return said
 
 
@@ -99,11 +103,16 @@ def _imitated(error: OpenError) -> str:
     """Which errors cannot be told from this one."""
     if not error.imitators:
         return ""
-    unit, factor = for_people(error.unit)
     return (
-        f" (cannot be told from {several(error.imitators)}: ± {factor * error.among:.2g}{_behind(unit)} if "
+        f" (cannot be told from {several(error.imitators)}: ± {among_text(error)} if "
         f"{'those are' if len(error.imitators) > 1 else 'that is'} possible)"
     )
+
+
+def among_text(error: OpenError) -> str:
+    """The standard error of an error with its imitators possible, as people read it."""
+    unit, factor = for_people(error.unit)
+    return f"{factor * error.among:.2g}{_behind(unit)}"
 
 
 def _behind(unit: str) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-import pandas as pd
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
@@ -15,10 +14,11 @@ from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.diagnosed import View
+from bayes_aero.report.not_testable import not_testable_sentences
 from bayes_aero.report.phrases import several, size_text
 from bayes_aero.report.words_signs import sign_sentences
 from bayes_aero.report.words_trajectory import trajectory_sentences
-from bayes_aero.report.words_verdict import verdict_sentence
+from bayes_aero.report.words_verdict import tested_sentences, verdict_sentence
 
 LITTLE = 0.02  # own share of an effect below which the record hardly excites it
 SPLITS = {
@@ -42,6 +42,7 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
     """As `sentences`, of a diagnosis alone."""
     return [
         verdict_sentence(d),
+        *tested_sentences(d),
         *sign_sentences({name: (after, sd) for name, (_, after, sd) in d.base_moves.items()}),
         *(_cause(cause) for cause in d.causes),
         *_taken_over(d),
@@ -50,7 +51,7 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
         *_minor(d),
         *_unknown(d),
         *_noise(d),
-        *_not_testable(d),
+        *not_testable_sentences(d.not_testable),
         *([] if flown is None else trajectory_sentences(flown)),
         *d.notes,
     ]
@@ -153,7 +154,8 @@ def _noise(d: Diagnosis) -> list[str]:
     if "colored" in labels:
         lags = ", ".join(f"{name} {value:.2f}" for name, value in d.noise.lag1.items())
         said.append(
-            f"Noise: residuals that are left are coloured (lag-1 correlation of means over five samples {lags}, where "
+            f"Noise: neighbouring residuals are correlated (coloured noise; lag-1 correlation of means over five "
+            f"samples {lags}, where "
             "white noise leaves a third)."
         )
     if "buffet" in labels:
@@ -163,13 +165,6 @@ def _noise(d: Diagnosis) -> list[str]:
         count = ", ".join(f"{name} {n}" for name, n in d.noise.outliers.items() if n)
         said.append(f"Noise: outliers were repaired ({count}).")
     return said
-
-
-def _not_testable(d: Diagnosis) -> list[str]:
-    reasons: dict[str, list[str]] = {}
-    for name, reason in d.not_testable.items():
-        reasons.setdefault(reason, []).append(name)
-    return [f"Not testable: {several(names)} ({reason})." for reason, names in reasons.items()]
 
 
 def cause_table(view: View) -> Table | None:
@@ -247,53 +242,6 @@ def ranking_table(view: View, most: int = 5) -> Table | None:
         for s in ranking.standings[:most]:
             table.add_row(ranking.stage, s.effect, f"{s.score:.1f}", f"{s.p_value:.3f}")
     return table
-
-
-def causes_frame(view: View) -> pd.DataFrame:
-    """A row per parameter of every cause, SI and radians, with scores on unseen data."""
-    rows = []
-    for order, cause in enumerate(view.diagnosis.causes, 1):
-        for name, size in cause.parameters.items():
-            row = {
-                "order": order,
-                "cause": cause.name,
-                "kind": cause.kind,
-                "stage": cause.stage,
-                "confirmed": cause.confirmed,
-                "sure": cause.sure,
-                "parameter": name,
-                "mean": size.mean,
-                "sd": size.sd,
-                "ci95_low": size.ci95[0],
-                "ci95_high": size.ci95[1],
-                "unit": size.unit,
-                "probability": cause.probability,
-                "p_value": cause.p_value,
-                "ambiguous_with": " ".join(cause.ambiguous_with),
-                "elpd": cause.gain.elpd,
-                "elpd_se": cause.gain.elpd_se,
-                "taken_out_elpd": -cause.missed[0],
-                "taken_out_elpd_se": cause.missed[1],
-            }
-            for coefficient in cause.gain.before:
-                for when, scores in (("before", cause.gain.before), ("after", cause.gain.after)):
-                    row[f"{coefficient}_r2_{when}"] = scores[coefficient].r2
-                    row[f"{coefficient}_rmse_{when}"] = scores[coefficient].rmse
-            rows.append(row)
-    columns = ["order", "cause", "kind", "stage", "parameter", "mean", "sd", "ci95_low", "ci95_high", "unit"]
-    columns += ["probability", "p_value", "ambiguous_with", "elpd", "elpd_se", "taken_out_elpd", "taken_out_elpd_se"]
-    frame = pd.DataFrame(rows) if rows else pd.DataFrame(columns=columns)
-    return frame.set_index("order")
-
-
-def screen_frame(view: View) -> pd.DataFrame:
-    """Every candidate in the first election of each stage."""
-    rows = [
-        {"stage": r.stage, "name": s.effect, "kind": s.kind, "score": s.score, "p_value": s.p_value}
-        for r in view.rankings
-        for s in r.standings
-    ]
-    return pd.DataFrame(rows, columns=["stage", "name", "kind", "score", "p_value"]).set_index("stage")
 
 
 def revealed(effects: Mapping[str, Mapping[str, float]], named: Mapping[str, str]) -> list[str]:

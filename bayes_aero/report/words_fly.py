@@ -16,14 +16,13 @@ from bayes_aero.inference.output_error_result import OutputErrorStatus
 from bayes_aero.model.biases import unbiased
 from bayes_aero.model.dynamics import AircraftDynamics
 from bayes_aero.parameter import Prior
-from bayes_aero.report.phrases import SYMBOLS, for_people, several
+from bayes_aero.report.phrases import SYMBOLS, for_people, several, short
 from bayes_aero.report.tables import concise
 from bayes_aero.report.words_restraints import inseparable_sentences
 from bayes_aero.report.words_signs import sign_sentences
-from bayes_aero.report.words_trajectory import short
 
 MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound", "undetermined": "not determined"}
-_WEIGHED = " Priors are mean ± standard deviation; they count as often as the colour multiplies variances."
+_WEIGHED = " Priors are mean ± standard deviation; they count as often as correlated residuals multiply variances."
 COLOURED = 1.5  # times by which the colour must multiply variances to be worth a sentence; our choice
 OFTEN = 0.5  # share of the time outside a tolerance from which it is worth a sentence; our choice
 SWOLLEN = 2.0  # times more, in wholly separated flow, from which it is worth a sentence; our choice
@@ -86,7 +85,8 @@ def parameter_table(flown: FlownFit) -> Table:
     """Estimate, both deviations, prior and marks."""
     table = _table(
         f"Parameters fitted to trajectories: {flown.fit.status.name.lower().replace('_', ' ')}",
-        "SI and radians. CRB: Cramér-Rao, the data alone, residuals taken as white. sd corr.: with their colour and "
+        "SI and radians. CRB: Cramér-Rao, the data alone, residuals taken as white. sd corr.: with the correlation "
+        "of neighbouring residuals and "
         "the priors; in brackets behind the estimate in units of its last digit."
         + (_WEIGHED if flown.setting.priors else " There are no priors."),
     )
@@ -151,18 +151,22 @@ def errors_of_all(flown: FlownFit) -> dict[str, tuple[float, float]]:
         return {output: (rms(START, output), rms(FITTED, output)) for output in flown.outputs}
 
 
-def fly_sentences(flown: FlownFit) -> list[str]:
-    """How the fit ended, what it misses, what the colour costs, what the records do not say, what could not fly."""
+def fly_sentences(flown: FlownFit, hindered: str = "") -> list[str]:
+    """How the fit ended, what it misses, what the colour costs, what the records do not say, what could not fly.
+
+    `hindered` is why diagnose cannot use the records; empty if it can.
+    """
     fit = flown.fit
     bound = f" ({several(fit.at_bound)})" if fit.at_bound else ""
     said = [f"The fit {fit.status.value}{bound}{_off(flown)}."]
     if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
         said = [f"The fit failed: {fit.status.value}."]
     said += _settings(flown)
-    said += _wanting(flown)
+    said += _wanting(flown, hindered)
     if flown.colour_cost >= COLOURED and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         said.append(
-            f"The residuals are coloured: they multiply variances {short(flown.colour_cost)} times in the median, and "
+            f"Neighbouring residuals are correlated (coloured): this multiplies variances {short(flown.colour_cost)} "
+            "times in the median, and "
             "the Cramér-Rao bound is too small; use the corrected deviation."
         )
     swollen = {name: times for name, times in flown.swell.items() if times > SWOLLEN}
@@ -186,8 +190,8 @@ def fly_sentences(flown: FlownFit) -> list[str]:
     return said
 
 
-def disagreement_sentences(found: Sequence[Disagreement]) -> list[str]:
-    """That the coefficients of the same record give other values."""
+def disagreement_sentences(found: Sequence[Disagreement], hindered: str = "") -> list[str]:
+    """That the coefficients of the same record give other values; `hindered` is why diagnose cannot look into it."""
     if not found:
         return []
     told = several(
@@ -196,10 +200,11 @@ def disagreement_sentences(found: Sequence[Disagreement]) -> list[str]:
         "standard errors apart)"
         for d in found
     )
+    look = "check looks for an error of a sensor" if hindered else "check and diagnose look for the last two"
     return [
         f"The coefficients of the same record, as identify fits them, disagree with the trajectories: {told}. Neither "
         "interval covers that: disturbed air, an error of a sensor or something that the model lacks is behind it; "
-        "check and diagnose look for the last two."
+        f"{look}."
     ]
 
 
@@ -212,7 +217,15 @@ def _settings(flown: FlownFit) -> list[str]:
     how = [] if flown.setting.priors else ["without priors"]
     how += [] if flown.setting.initial is None else ["with initial states fixed"]
     how += ["with inputs held between samples"] if flown.setting.held else []
-    return [*said, f"It was fitted {several(how)}."] if how else said
+    said += [f"It was fitted {several(how)}."] if how else []
+    if flown.setting.held:
+        late = 0.5 * float(np.median(np.asarray(flown.fit.flown.dt)))
+        said.append(
+            f"Held inputs act half a sample ({late:.2g} s) later than interpolated ones, which moves the derivatives "
+            "of fast controls. That is right for a command that a digital system holds until the next sample, and "
+            "wrong for a recorded position of a surface: leave --inputs held out for that."
+        )
+    return said
 
 
 def outside(flown: FlownFit) -> dict[str, float]:
@@ -227,14 +240,15 @@ def outside(flown: FlownFit) -> dict[str, float]:
     return shares
 
 
-def _wanting(flown: FlownFit) -> list[str]:
+def _wanting(flown: FlownFit, hindered: str) -> list[str]:
     """That the model lacks something, where even its best flies mostly outside the tolerances."""
     shares = {name: share for name, share in outside(flown).items() if share > OFTEN}
     if not (shares and flown.converged):  # what has not converged may still come nearer
         return []
     told = several(f"{SYMBOLS.get(name, name)} {share:.0%} of the time" for name, share in shares.items())
     aircraft = isinstance(unbiased(flown.fit.flown.dynamics), AircraftDynamics)
-    where = "; bayes-aero diagnose looks for what" if aircraft else ""
+    looks = f", and diagnose cannot look for what: {hindered}" if hindered else "; bayes-aero diagnose looks for what"
+    where = looks if aircraft else ""
     return [f"Fitted, it still flies outside its tolerances ({told}): the model lacks something{where}."]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
@@ -11,19 +12,13 @@ from rich.table import Table
 from bayes_aero.criticism.trajectory import Estimates, Trajectories
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.tolerances import TOLERANCES
 from bayes_aero.inference.output_error import OutputErrorStatus
-from bayes_aero.report.phrases import SYMBOLS, for_people, several, size_text
+from bayes_aero.report.phrases import SYMBOLS, for_people, several, short, size_text
 
 MODELS = ("card", "extended")
 STOPPED = "stopped before the optimum, so that its errors may be larger than they need be"
 TAIL = 6  # characters of a manoeuvre's name
-
-
-def short(x: float) -> str:
-    """Two digits, without an exponent where people read metres and degrees; a dash where there is no number."""
-    if not math.isfinite(x):
-        return "–"
-    return f"{x:.0f}" if 9.95 <= x < 1e6 else f"{x:#.2g}" if x > 0.0 else "0"
 
 
 def trajectory_table(flown: Trajectories) -> Table:
@@ -101,24 +96,41 @@ def trajectory_sentences(flown: Trajectories) -> list[str]:
             )
     if flown.extended.held:
         said.append(f"The trajectories say next to nothing of {several(flown.extended.held)}; the prior holds.")
-    for path in flown.paths:
-        if (path.model, path.split) != ("extended", "unseen"):
+    return said + _tolerance_sentences(flown)
+
+
+def _tolerance_sentences(flown: Trajectories) -> list[str]:
+    """How much of the unseen flights is within tolerance: one sentence for all of them, the worst flight named."""
+    unseen = [p for p in flown.paths if (p.model, p.split) == ("extended", "unseen")]
+    outside = [p.manoeuvre for p in unseen if not p.inside]
+    leaves = "leaves" if len(outside) == 1 else "leave"
+    said = [f"Flown unseen, {several(outside)} {leaves} the flight envelope."] if outside else []
+    inside = [p for p in unseen if p.inside]
+    told = []
+    for output in flown.outputs:
+        shares = {p.manoeuvre: p.errors[output].within for p in inside if p.errors[output].within is not None}
+        if not shares:
             continue
-        if not path.inside:
-            said.append(f"Flown unseen, {path.manoeuvre} leaves the flight envelope.")
-            continue
-        kept = [
-            f"{SYMBOLS.get(n, n)} {e.within:.0%}"
-            + ("" if e.probability is None else f" (all of it: {e.probability:.0%})")
-            for n, e in path.errors.items()
-            if e.within is not None
-        ]
-        if kept:
-            said.append(
-                f"Flown unseen, {path.manoeuvre} is within tolerance for this share of its time, with the posterior "
-                f"probability that all of it is: {', '.join(kept)}."
-            )
+        worst = min(shares, key=lambda name: shares[name])
+        where = f" (least, {worst})" if len(shares) > 1 and shares[worst] < max(shares.values()) else ""
+        told.append(f"{SYMBOLS.get(output, output)} {shares[worst]:.0%}{where}")
+    if told:
+        what = "all flights stay" if len(inside) > 1 else f"{inside[0].manoeuvre} stays"
+        said.append(
+            f"Flown unseen, {what} within tolerance for at least this share of the time: {', '.join(told)}. "
+            f"{tolerance_origin({n: e.tolerance for n, e in inside[0].errors.items() if e.tolerance is not None})}"
+        )
     return said
+
+
+def tolerance_origin(bands: Mapping[str, float]) -> str:
+    """Whose tolerances these are; `bands` by output, SI."""
+    if all(name in TOLERANCES and value == TOLERANCES[name].value for name, value in bands.items()):
+        return (
+            "The card states no tolerances; these are those of a flight simulator's qualification (14 CFR Part 60). "
+            "[tolerances] of the card replaces them."
+        )
+    return "The tolerances are the card's."
 
 
 def lag_sentences(flown: Trajectories) -> list[str]:
@@ -146,7 +158,7 @@ def cause_sentences(flown: Trajectories) -> list[str]:
     """Which of the causes that the coefficients confirm unseen flight misses, and by how much."""
     missed, kept, said = flown.asked.missed, flown.asked.kept, []
     if flown.out:
-        gains = [f"{e} ({missed[e][0]:+.0f} ± {missed[e][1]:.0f} nats)" for e in flown.out]
+        gains = [f"{e} ({missed[e][0]:+.0f} ± {missed[e][1]:.0f} in log density)" for e in flown.out]
         them, they_are = ("it", "it is") if len(gains) == 1 else ("them", "they are")
         said.append(
             f"Flown, the extended model is without {several(gains)}: the coefficients confirm {them}, but unseen "
@@ -155,7 +167,7 @@ def cause_sentences(flown: Trajectories) -> list[str]:
     if kept:
         finite = [e for e in kept if math.isfinite(missed[e][0])]  # without the others the flight leaves its envelope
         least = min(finite, key=lambda e: missed[e][0] / missed[e][1], default=None)
-        told = f" (least {least}, by {missed[least][0]:.0f} ± {missed[least][1]:.0f} nats)" if least else ""
+        told = f" (least {least}, by {missed[least][0]:.0f} ± {missed[least][1]:.0f} in log density)" if least else ""
         said.append(f"Unseen flight misses {several(kept)}{told}.")
     return said
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from bayes_aero.criticism.finding import Cause, Diagnosis, Verdict
-from bayes_aero.report.phrases import several, size_text
+import math
+
+from bayes_aero.criticism.finding import Cause, Diagnosis, Tested, Verdict
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.report.phrases import SYMBOLS, for_people, several, short, size_text
 
 FEW = 3  # causes whose sizes stand in the verdict
 
@@ -11,11 +14,13 @@ FEW = 3  # causes whose sizes stand in the verdict
 def verdict_sentence(d: Diagnosis) -> str:
     """The causes that explain what the card's model gets wrong, those that are only named, and what is left."""
     sure = [c for c in d.causes if c.sure]
-    plural = "causes explain" if len(sure) > 1 else "cause explains"
-    subject = f"{len(sure)} {plural}"
     names = f": {several(_named(c, len(sure) <= FEW) for c in sure)}{_doubtful(d)}"
     unknown = several(sorted({f"{u.coefficient} over {u.channel}" for u in d.unknown}))
     left = f" ({unknown})" if unknown else ""
+    if d.tested is not None:
+        return _flown_verdict(d, d.tested, len(sure), names, left)
+    plural = "causes explain" if len(sure) > 1 else "cause explains"
+    subject = f"{len(sure)} {plural}"
     return {
         Verdict.NO_EFFECT: "Nothing worth a name, that this record could show, is missing from the card's model"
         f"{_doubtful(d)}.",
@@ -26,6 +31,64 @@ def verdict_sentence(d: Diagnosis) -> str:
         if d.causes
         else f"The card's model is wrong and no effect of the catalogue explains it{left}.",
     }[d.verdict]
+
+
+def _flown_verdict(d: Diagnosis, tested: Tested, sure: int, names: str, left: str) -> str:
+    """The same from trajectories alone: it claims that causes explain only where noise alone is left."""
+    sought = f"structure without a name remains{left}" if d.unknown else "structure without a name was not sought"
+    if tested.beyond:
+        rest = f"Errors beyond the sensors' noise remain ({_remaining(tested)}); {sought}."
+    elif tested.outputs:
+        rest = f"What the simulation still misses is within the sensors' noise; {sought}."
+    else:
+        rest = f"What the simulation still misses was not computed; {sought}."
+    if sure and d.verdict is Verdict.EXPLAINED:
+        plural = "causes explain" if sure > 1 else "cause explains"
+        return f"{sure} {plural} what the card's model gets wrong in the trajectories{names}. {rest}"
+    if sure:
+        plural = "causes improve" if sure > 1 else "cause improves"
+        return f"{sure} {plural} the fit to the trajectories{names}. {rest}"
+    if d.verdict is Verdict.NO_EFFECT:
+        first = "Nothing worth a name, that these trajectories could show, is missing from the card's model"
+    elif d.causes:
+        first = "No reliable cause improves the fit to the trajectories"
+    else:
+        first = "No effect of the catalogue improves the fit to the trajectories beyond chance"
+    return f"{first}{_doubtful(d)}. {rest}"
+
+
+def _remaining(tested: Tested) -> str:
+    """Outputs that are missed by more than noise, on hold-out flights where there are any."""
+    unseen = all(math.isfinite(tested.outputs[name].unseen) for name in tested.beyond)
+    where = "on hold-out flights, RMS" if unseen else "RMS"
+    told = [
+        f"{SYMBOLS.get(name, name)} {_size(name, one.unseen if unseen else one.fitted)}"
+        for name, one in tested.outputs.items()
+        if one.beyond
+    ]
+    return f"{where}: {several(told)}"
+
+
+def tested_sentences(d: Diagnosis) -> list[str]:
+    """What trajectories alone have tested, output by output, against the noise of each sensor."""
+    if d.tested is None or not d.tested.outputs:
+        return []
+    told = [
+        f"{SYMBOLS.get(name, name)} {_size(name, one.fitted)} (noise {_size(name, one.noise)})"
+        for name, one in d.tested.outputs.items()
+    ]
+    said = f"Fitted to all flights, the extended model misses (RMS) {several(told)}."
+    if d.tested.beyond:
+        said += (
+            f" More than half of the mean square error of {several(SYMBOLS.get(n, n) for n in d.tested.beyond)} is no "
+            "noise: disturbed air, an error of a sensor or something that the model lacks is behind it."
+        )
+    return [said]
+
+
+def _size(output: str, value: float) -> str:
+    unit, factor = for_people(STANDARD_CHANNELS[output].unit)
+    return f"{short(factor * value)} {unit}"
 
 
 def _named(cause: Cause, sized: bool) -> str:

@@ -13,8 +13,6 @@ from bayes_aero.criticism.candidates import field_of
 from bayes_aero.criticism.checked import CheckReport, SensorCheck
 from bayes_aero.criticism.consistency import consistency, errors_of_path
 from bayes_aero.criticism.sensors import compatibility
-from bayes_aero.criticism.state import too_short
-from bayes_aero.criticism.windows import too_few_windows
 from bayes_aero.errors import InputError
 from bayes_aero.flight.agreement import Agreement, Consistency
 from bayes_aero.flight.card import Card
@@ -22,20 +20,17 @@ from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.inspection import RecordReport, inspect_record
 from bayes_aero.flight.reading import manoeuvres
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.flown_channels import FLIGHT
 from bayes_aero.model.formed import with_sums
 from bayes_aero.model.joined import joined
 from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
-from bayes_aero.physics.coefficient_names import REQUIRED
-from bayes_aero.physics.filters import FILTER_STEP
 from bayes_aero.studies.consistency_results import consistency_results
 from bayes_aero.studies.folder import writable
 from bayes_aero.studies.health_results import health_results
 from bayes_aero.studies.provenance import provenance, write_json
+from bayes_aero.studies.uses import available, uses_of
 
 SCHEMA = "bayes_aero/check/1"
-DERIVED = ("alpha_dot",)  # formed from recorded channels
 Progress = Callable[[str, float], None]
 
 
@@ -57,7 +52,8 @@ def check_records(
             progress(f"reading {path.name}", number / len(paths))
         looked.append(_within_tables(inspect_record(path, card, resample=resample), card))
     sound = [r.record for r in looked if r.record is not None]
-    uses, not_testable = _purpose(sound, card) if len(sound) == len(looked) else ({}, {})
+    whole = len(sound) == len(looked)
+    uses, not_testable = (uses_of(sound, card), _not_testable(sound, card)) if whole else ({}, {})
     why = "not asked for" if not sensors else "a record is not usable" if len(sound) < len(looked) else ""
     if not why and progress:
         progress("do the sensors agree?", 0.5)
@@ -76,36 +72,12 @@ def _within_tables(report: RecordReport, card: Card) -> RecordReport:
     return report
 
 
-def _purpose(records: Sequence[FlightRecord], card: Card) -> tuple[dict[str, str], dict[str, str]]:
-    have = _available(records, card)
-    if card.linear is not None:
-        missing = [n for n in (*card.linear.states, *card.linear.inputs) if n not in have]
-        return {"fly": _lacks(missing)}, {}
-    model = Model.from_card(card)
-    asked = [n for n in model.channels if n not in DERIVED]
-    missing = [n for n in dict.fromkeys((*REQUIRED, *asked)) if n not in have]
-    flown = [n for n in dict.fromkeys((*FLIGHT, "thrust", "density", *asked)) if n not in have]
-    uses = {"identify": _lacks(missing), "diagnose": _lacks(missing), "fly": _lacks(flown)}
-    if missing and not flown:
-        uses["diagnose"] = too_few_windows(records)
-        uses["diagnose by coefficients"] = _lacks(missing)
-    if len(records) == 1 and not uses["diagnose"]:
-        uses["diagnose"] = too_short(records[0].n // FILTER_STEP * FILTER_STEP * records[0].dt)
-    flights = joined(records, card, ())
-    if "alpha" not in have:
-        return uses, {}
-    return uses, dict(field_of(model, flights, tuple(own_effects(card.effect_files).values())).not_testable)
-
-
-def _available(records: Sequence[FlightRecord], card: Card) -> set[str]:
-    """Channels that every record has, by itself or by what the card states."""
-    return set.intersection(*(set(with_sums(record, card)) for record in records))
-
-
-def _lacks(missing: Sequence[str]) -> str:
-    if not missing:
-        return ""
-    return f"no channel {', '.join(missing)}: map {'it' if len(missing) == 1 else 'them'}, or state a constant"
+def _not_testable(records: Sequence[FlightRecord], card: Card) -> dict[str, str]:
+    """Why an effect of the catalogue cannot be tested in the records, by effect."""
+    if card.linear is not None or "alpha" not in available(records, card):
+        return {}
+    own = tuple(own_effects(card.effect_files).values())
+    return dict(field_of(Model.from_card(card), joined(records, card, ()), own).not_testable)
 
 
 def _sensors(records: Sequence[FlightRecord], card: Card, seed: int) -> tuple[Consistency, SensorCheck]:

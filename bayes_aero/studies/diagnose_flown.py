@@ -11,6 +11,7 @@ from typing import Any
 from bayes_aero.criticism.diagnosis import judged_on_held_out_flights
 from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.flown import diagnose_flown
+from bayes_aero.criticism.flown_tested import with_tested
 from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.agreement import Consistency
@@ -33,6 +34,7 @@ from bayes_aero.studies.diagnosis_results import (
     noise_results,
     record_results,
     screen,
+    tested_results,
     together_results,
     unknown_results,
 )
@@ -85,7 +87,7 @@ def run_flown(
         (out / MARK).unlink(missing_ok=True)  # what another run left here to be taken up is written over
         (out / HISTORIES).unlink(missing_ok=True)
     source = provenance(card, records, seed, {"max_effects": most})
-    found = diagnose_flown(records, card, seed=seed, most=most, progress=progress)
+    found = with_tested(diagnose_flown(records, card, seed=seed, most=most, progress=progress), None, records, card)
     note = f"Without {several(lacking(records, card))} {WHY}."
     still = taken_as_zero(found.aerodynamics.state.responses.flights)
     if still:
@@ -115,6 +117,7 @@ def run_flown(
             note += f" {what}: {error}"
         if flown is not None:
             found = judged_on_held_out_flights(found, flown.asked)
+        found = with_tested(found, flown, records, card)
         so_far = told()
     if out is None:
         return so_far
@@ -135,6 +138,7 @@ def _results(found: Flown, card: Card, records: Sequence[FlightRecord], source: 
         "records": record_results(records),
         "consistency": {} if found.consistency is None else consistency_results(found.consistency),
         "verdict": d.verdict.value,
+        "tested": tested_results(d.tested),
         "sentences": list(found.sentences),
         "causes": [cause_results(cause) for cause in d.causes],
         "minor": list(d.minor),

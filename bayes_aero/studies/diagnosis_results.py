@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bayes_aero.criticism.finding import Cause, Diagnosis, Gain, NoiseReport, Unknown
+from bayes_aero.criticism.finding import Cause, Diagnosis, Gain, NoiseReport, Tested, Unknown
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
+from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.coefficients import NAMES
@@ -43,6 +44,7 @@ def diagnosis_results(
         "records": record_results(records),
         "consistency": {} if agreement is None else consistency_results(agreement),
         "verdict": d.verdict.value,
+        "tested": tested_results(d.tested),
         "sentences": list(sentences),
         "causes": [cause_results(cause) for cause in d.causes],
         "minor": list(d.minor),
@@ -105,6 +107,27 @@ def together_results(d: Diagnosis) -> list[dict[str, Any]]:
         }
         for pair in d.together
     ]
+
+
+def tested_results(tested: Tested | None) -> dict[str, Any]:
+    """What a diagnosis by trajectories alone has tested; of one by coefficients, that it sought structure, too."""
+    if tested is None:
+        return {"rests_on": "coefficients", "unnamed_structure": True, "within_noise": None, "missed": {}}
+    return {
+        "rests_on": "trajectories",
+        "unnamed_structure": False,
+        "within_noise": tested.within_noise if tested.outputs else None,
+        "missed": {
+            name: {
+                "unit": STANDARD_CHANNELS[name].unit,
+                "noise": one.noise,
+                "fitted": one.fitted,
+                "unseen": one.unseen,
+                "beyond_noise": one.beyond,
+            }
+            for name, one in tested.outputs.items()
+        },
+    }
 
 
 def noise_results(noise: NoiseReport) -> dict[str, Any]:

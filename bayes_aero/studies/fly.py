@@ -48,6 +48,7 @@ from bayes_aero.studies.provenance import provenance, write_json
 from bayes_aero.studies.repair import repaired, spike_notes
 from bayes_aero.studies.results import inseparable_results
 from bayes_aero.studies.trajectory_results import open_loop
+from bayes_aero.studies.uses import uses_of
 
 SCHEMA = "bayes_aero/trajectories/1"
 SHORTEST = 1.0  # s of a window: two ends of the straight line from which the initial state is read
@@ -138,7 +139,8 @@ def fly(
         progress=progress,
     )
     apart = () if coefficients is None else disagreements(coefficients, flown)
-    said = (*fly_sentences(flown), *disagreement_sentences(apart))
+    hindered = uses_of(records, card).get("diagnose", "")
+    said = (*fly_sentences(flown, hindered), *disagreement_sentences(apart, hindered))
     health = channel_health(records, card)
     found = Flight(flown, said, tuple(notes), health, agreement, (*failures, *failed), apart)
     if out is None:

@@ -21,6 +21,9 @@ ALIKE = 0.84  # likeness of a heading to a known one
 ANGLE = 1.6  # rad; no angle of attack, attitude or deflection of a sound record is larger
 THIN = 0.004  # kg/m3; slug/ft3 at sea level are 0.0024, and no aircraft flies where air is as thin in kg/m3
 MIDDLING = 0.9  # kg/m3, within a third of the air's from sea level to 6 km
+USUAL = (("m/s", "m"), ("kt", "ft"), ("ft/s", "ft"), ("km/h", "m"))  # units of airspeed and height in one file
+UNTOLD = 0.2  # logarithm of a ratio, within which short records cannot tell two pairs; our choice
+CLEAR = 0.9  # correlation from which noise lessens a slope by a fifth at most; our choice
 FRACTIONS = ("n1_left", "n1_right", "throttle", "throttle_left", "throttle_right")
 
 
@@ -176,7 +179,12 @@ def _accelerations(found: dict[str, Guess]) -> dict[str, Guess]:
 
 
 def _speed_and_height(found: dict[str, Guess]) -> dict[str, Guess]:
-    """The climb: height changes by airspeed times the sine of the path angle, which tells the two units together."""
+    """The climb: height changes by airspeed times the sine of the path angle, which tells the two units together.
+
+    Pairs as km/h with ft and m/s with m differ there by 9 per cent only, and ft/s with ft from m/s with m by nothing:
+    the airspeed at which the path turns decides, where it can be told; of pairs
+    that fit alike, the more usual is taken.
+    """
     speed, height = found.get("airspeed"), found.get("altitude")
     speeds = {"m/s": 1.0, "kt": 0.514444, "km/h": 1.0 / 3.6, "ft/s": 0.3048}
     heights = {"m": 1.0, "ft": 0.3048}
@@ -187,17 +195,42 @@ def _speed_and_height(found: dict[str, Guess]) -> dict[str, Guess]:
         if np.std(path) > 0.01:
             slope = slope_of(found["airspeed"].values * np.sin(smooth(path)), climb)
     if slope is not None and slope > 0.0 and speed is not None and height is not None:
-        pairs = [(v, h) for v in speeds for h in heights if speed.unit in (None, v) and height.unit in (None, h)]
+        every = dict.fromkeys((*USUAL, *((v, h) for v in speeds for h in heights)))
+        pairs = [(v, h) for v, h in every if speed.unit in (None, v) and height.unit in (None, h)]
         if pairs:
-            v, h = min(pairs, key=lambda pair: abs(math.log(slope * heights[pair[1]] / speeds[pair[0]])))
+            turning, middle = _turning_speed(found), float(np.median(speed.values))
+
+            def misfit(pair: tuple[str, str]) -> float:
+                v, h = speeds[pair[0]], heights[pair[1]]
+                turn = 0.0 if turning is None or middle <= 0.0 else abs(math.log(middle * v / turning))
+                return abs(math.log(slope * h / v)) + turn
+
+            best = min(map(misfit, pairs))
+            v, h = next(pair for pair in pairs if misfit(pair) < best + UNTOLD)
             ratio = slope * heights[h] / speeds[v]
             why = f"height changes at {ratio:.2g} times airspeed x sin(theta - alpha) in {v} and {h}"
+            why += "" if turning is None else f", and az and q say {turning / speeds[v]:.2g} {v}"
             return found | {"airspeed": speed.because(why, unit=v), "altitude": height.because(why, unit=h)}
     for name, unit, other in (("airspeed", "m/s", "kt"), ("calibrated_airspeed", "m/s", "kt"), ("altitude", "m", "ft")):
         guess = found.get(name)
         if guess is not None and guess.unit is None:
             found[name] = guess.because(f"nothing in the file tells {unit} from {other}", unit=unit)
     return found
+
+
+def _turning_speed(found: Mapping[str, Guess]) -> float | None:
+    """Airspeed in m/s at which the path turns: az + g cos(theta) = V (d alpha/dt - q); None where that cannot be seen.
+
+    Small angles and level wings.
+    """
+    step, names = step_of(found), ("az", "theta", "alpha", "q")
+    if step is None or not all(name in found for name in names):
+        return None
+    az, theta, alpha, q = (smooth(found[name].si) for name in names)
+    turn, normal = np.gradient(alpha) / step - q, az + GRAVITY * np.cos(theta)
+    if min(np.ptp(turn), np.ptp(normal)) == 0.0 or np.corrcoef(turn, normal)[0, 1] < CLEAR:
+        return None  # straight flight, or noise that would make the slope too small
+    return slope_of(turn, normal)
 
 
 def _dynamic_pressure(found: dict[str, Guess]) -> dict[str, Guess]:

@@ -16,11 +16,12 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.report.diagnosed import View
+from bayes_aero.report.frames_diagnosis import causes_frame, screen_frame
 from bayes_aero.report.page import put_page
 from bayes_aero.report.page_context import PageContext
 from bayes_aero.report.page_diagnosis import diagnosis_page
 from bayes_aero.report.tables import write_csv
-from bayes_aero.report.words_diagnosis import causes_frame, revealed, screen_frame, sentences
+from bayes_aero.report.words_diagnosis import revealed, sentences
 from bayes_aero.studies.diagnosis_results import diagnosis_results
 from bayes_aero.studies.histories import diagnosed, flights, put_histories
 from bayes_aero.studies.provenance import write_json

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from bayes_aero.flight.aircraft import AIRCRAFT_UNITS, OPTIONAL
+from bayes_aero.flight.aircraft import AIRCRAFT_KEYS
 
 MEANING = {
     "mass": "of the flight, with fuel and crew",
@@ -14,8 +14,7 @@ MEANING = {
     "Ixz": 'product of inertia; "0 kg m^2" if nobody knows it',
     "wing_area": "reference area of CL, CD and Cm",
     "chord": "mean aerodynamic chord",
-    "half_span": "half the wing span",
-    "aspect_ratio": "span squared over wing area",
+    "span": "of the wing, from tip to tip",
     "tail_arm": "from the centre of gravity to the tailplane's quarter chord",
 }
 POSITION = '["0 m", "0 m", "0 m"]'
@@ -29,10 +28,9 @@ PLACES = {
 def aircraft_block() -> Iterator[str]:
     """Lines of `[aircraft]`: what is needed as TODO with its unit, what is optional as a comment."""
     yield "[aircraft]"
-    for key, unit in AIRCRAFT_UNITS.items():
-        if key not in OPTIONAL:
-            said = "a number" if unit == "1" else f'write "... {unit}", or another unit of the kind'
-            yield f'{key} = "TODO" # {MEANING[key]}; {said}'
+    for key, meaning in MEANING.items():
+        yield f'{key} = "TODO" # {meaning}; write "... {AIRCRAFT_KEYS[key]}", or another unit of the kind'
+    yield "# aspect_ratio = 7.0 # left out, it is span squared over wing area"
     yield "# Positions from the centre of gravity, x forward, y right, z down; left out, they are zero."
     for key, meaning in PLACES.items():
         yield f"# {key} = {POSITION} # {meaning}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from bayes_aero.errors import DefectError, InputError
-from bayes_aero.flight.aircraft import AIRCRAFT_UNITS
+from bayes_aero.flight.aircraft import AIRCRAFT_KEYS
 from bayes_aero.flight.card import parse_card
 from bayes_aero.flight.card_checks import UNFILLED
 from bayes_aero.flight.channel import STANDARD_CHANNELS
@@ -34,7 +34,7 @@ def read_back(text: str, record: str) -> None:
 def _filled(table: dict[str, Any]) -> dict[str, Any]:
     """The table with a value of the right unit for every TODO."""
     units = {
-        "aircraft": AIRCRAFT_UNITS,
+        "aircraft": AIRCRAFT_KEYS,
         "constants": {name: channel.unit for name, channel in STANDARD_CHANNELS.items()},
     }
     return {

@@ -24,7 +24,7 @@ from bayes_aero.flight.reading import read_record, write_record
 from bayes_aero.model.formed import with_sums
 from bayes_aero.studies.starter import starter_card
 
-CONSTANTS = {"mass": "8000 kg", "aspect_ratio": "8", "wing_area": "30 m^2", "Iy": "60000 kg m^2"}
+CONSTANTS = {"mass": "8000 kg", "span": "15.492 m", "wing_area": "30 m^2", "Iy": "60000 kg m^2"}
 
 
 @pytest.fixture(scope="module")

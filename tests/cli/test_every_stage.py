@@ -54,6 +54,8 @@ def climbed(program, folder, short: Short, *, quick: bool):
     if content is not None and content["records"][0]["usable"]:
         for command in ("identify", "fly", "diagnose"):
             assert (found[command][2] is not None) == content["uses"][command]["possible"], (command, found[command])
+        if not content["uses"]["diagnose"]["possible"]:
+            assert not re.search(r"diagnose looks? for", found["fly"][1]), found["fly"][1]
     return found
 
 
@@ -83,11 +85,12 @@ def test_some_seconds(program, tmp_path):
 
 
 @pytest.mark.skipif(FACTOR <= 1.0, reason="FUZZ draws records at random; see tests/fuzzing.py")
-def test_any_short_record(program, tmp_path):
+def test_any_short_record(program, tmp_path, capsys):
     seed = time.time_ns() % (1 << 31)
     for number in range(int(FACTOR)):
         short = drawn(np.random.default_rng([seed, number]))
-        print(f"seed {seed}, {number}: {short}")
+        with capsys.disabled():  # `program` discards what it captures
+            print(f"\nseed {seed}, {number}: {short}")
         folder = tmp_path / str(number)
         folder.mkdir()
         climbed(program, folder, short, quick=False)

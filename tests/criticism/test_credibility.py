@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bayes_aero.criticism import finding
 from bayes_aero.criticism.accuracy import Size
 from bayes_aero.criticism.candidates import Field
 from bayes_aero.criticism.collinear import cancelling
@@ -172,3 +173,25 @@ def test_own_share_is_one_over_the_variance_inflation(both):
     spread = np.sum((weighed[:, :, own] - weighed[:, :, own].mean(axis=0)) ** 2)
     assert own_share(state, fit, "pitch_rate_lift") == pytest.approx(left @ left / spread, rel=1e-3)
     assert np.isnan(own_share(state, fit, "sideslip_drag"))  # not in
+
+
+def test_trajectories_alone_claim_no_more_than_was_tested(diagnosed):
+    """One sure cause, and the simulation still off by 1.2 m/s where the sensor is off by 0.3 m/s."""
+    d = replace(diagnosed.view.diagnosis, causes=(cause(),), unknown=())
+    for left, verdict, claim in (
+        (finding.Missed(0.3, 0.6, 1.2), Verdict.PARTLY_EXPLAINED, "cause improves the fit to the trajectories"),
+        (finding.Missed(0.3, 0.3, 1.2), Verdict.EXPLAINED, "what the card's model gets wrong in the trajectories"),
+    ):
+        tested = finding.Tested({"airspeed": left})
+        headline, detail, *_ = diagnosis_sentences(replace(d, tested=tested, verdict=verdict))
+        assert claim in headline
+        assert ("explain" in headline) is (verdict is Verdict.EXPLAINED)
+        assert ("V 1.2 m/s" in headline) is (verdict is not Verdict.EXPLAINED)
+        assert "structure without a name was not sought" in headline
+        assert "(noise 0.30 m/s)" in detail
+    none = replace(
+        d, causes=(), verdict=Verdict.UNEXPLAINED, tested=finding.Tested({"q": finding.Missed(0.0, 1.0, 1.0)})
+    )
+    assert "57 deg/s" in diagnosis_sentences(none)[0]
+    flown_not = diagnosis_sentences(replace(d, verdict=Verdict.PARTLY_EXPLAINED, tested=finding.Tested({})))[0]
+    assert "was not computed" in flown_not

@@ -15,7 +15,7 @@ from bayes_aero.studies.starter import starter_card
 
 DEG, FT, G, LBF, KT = np.pi / 180.0, 0.3048, 9.80665, 4.4482216152605, 1852.0 / 3600.0
 ELSEWHERE = {".ulg", ".bin"}  # logs of autopilots: their names are no aircraft's, see test_formats.py
-FILLED = {"mass": "9000 kg", "wing_area": "28 m^2", "aspect_ratio": "7.2"}
+FILLED = {"mass": "9000 kg", "wing_area": "28 m^2", "span": "14.2 m"}
 
 
 def flown() -> pd.DataFrame:
@@ -91,11 +91,9 @@ def test_a_starter_card_passes_on_its_own_file(tmp_path, suffix, struct):
     starter = starter_card(path)
     text = starter.text
     for key, meaning in starter.todo:
-        assert key in ("mass", "Ix", "Iy", "Iz", "Ixz", "wing_area", "chord", "half_span", "aspect_ratio", "tail_arm")
+        assert key in ("mass", "Ix", "Iy", "Iz", "Ixz", "wing_area", "chord", "span", "tail_arm")
         unit = "kg m^2" if key.startswith("I") else "m"
-        text = text.replace(f'{key} = "TODO"', f'{key} = "{FILLED.get(key, f"3 {unit}")}"').replace(
-            'aspect_ratio = "7.2"', "aspect_ratio = 7.2"
-        )
+        text = text.replace(f'{key} = "TODO"', f'{key} = "{FILLED.get(key, f"3 {unit}")}"')
         assert meaning
     card = parse_card(parse_table(text.encode(), "own"), "own", "own.toml")
     units = {channel.name: channel.unit for channel in card.channels}

@@ -90,3 +90,22 @@ def test_the_unit_of_the_card_is_never_advised(unit):
     assert said is not None
     assert "looks like" not in said
     assert "set unit" not in said
+
+
+@pytest.mark.parametrize(
+    ("units", "speed", "height"), [("m/s m", 1.0, 1.0), ("ft/s ft", FT, FT), ("km/h m", 1 / 3.6, 1)]
+)
+def test_the_turn_of_the_path_tells_units_that_the_climb_cannot(tmp_path, units, speed, height):
+    """The climb is 0.87 times what it should be, as moving air makes it: nearer to km/h and ft than to m/s and m."""
+    time, V = np.arange(0.0, 8.0, 0.05), 70.0
+    alpha, theta = 0.06 + 0.03 * np.sin(2.0 * time), 0.06 + 0.06 * np.sin(1.0 * time)
+    q, slope = 0.06 * np.cos(1.0 * time), 0.06 * np.cos(2.0 * time)  # of theta, of alpha
+    az = -GRAVITY * np.cos(theta) + V * (slope - q)
+    climb = 0.87 * V * np.sin(theta - alpha)
+    altitude = 2500.0 + 0.05 * np.cumsum(climb)
+    columns = (time, np.full(len(time), V / speed), alpha, theta, q, az, altitude / height)
+    path = tmp_path / "run.csv"
+    header = "time,airspeed,alpha,theta,q,az,altitude"
+    np.savetxt(path, np.stack(columns, axis=1), delimiter=",", header=header, comments="", fmt="%.9g")
+    found, _ = guessed(read_raw(path).columns)
+    assert f"{found['airspeed'].unit} {found['altitude'].unit}" == units

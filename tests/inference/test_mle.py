@@ -1,5 +1,7 @@
 """Maximum likelihood against the published ATTAS estimates, simulated truth and closed forms."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -134,6 +136,14 @@ def test_twin_a_record_that_stalls_is_silent_about_it(clean, model):
     r = fit_mle(model, simulated(clean, model, NOISE, 3))
     assert r.status is MleStatus.CONVERGED
     assert not any("not identified" in w or "never came near" in w for w in r.warnings())
+
+
+def test_a_parameter_at_a_bound_of_zero_has_a_deviation_and_no_share_of_it(clean, model):
+    """tau2 of a quasi-steady flow ends at zero, where the deviation is no finite share of the estimate."""
+    r = fit_mle(model, simulated(clean, model, NOISE, 3), extra_starts=0)
+    at = r.names.index("tau2")
+    zero = replace(r, estimate=np.where(np.arange(len(r.names)) == at, 0.0, r.estimate))
+    assert f"tau2 is not identified: its Cramer-Rao deviation is {r.crb[at]:.2g}, its estimate 0." in zero.warnings()
 
 
 def test_an_unused_parameter_makes_the_information_singular(clean):

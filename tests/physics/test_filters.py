@@ -147,3 +147,11 @@ def test_joined_manoeuvres_are_filtered_as_each_alone(rng):
     )
     found = np.asarray(filters.differentiate_joined(x, jnp.asarray(dt), *ends))
     np.testing.assert_allclose(found, alone, rtol=1e-12, atol=1e-11)
+
+
+def test_rows_are_differentiated_as_each_alone(rng):
+    rows = rng.normal(size=(3, 80))
+    first = np.repeat([0, 50], [50, 30])
+    last, dt = np.repeat([49, 79], [50, 30]), np.full(80, 0.02)
+    alone = [filters.differentiate_joined(row, dt, first, last) for row in rows]
+    np.testing.assert_array_equal(filters.differentiate_joined(rows, dt, first, last), alone)

@@ -15,16 +15,15 @@ from bayes_aero.report.diagnosed import composition, with_stalls
 from bayes_aero.report.figures import DIAGNOSIS_FIGURES, draw_all
 from bayes_aero.report.figures_diagnosis import autocorrelation
 from bayes_aero.report.figures_found import telling
+from bayes_aero.report.frames_diagnosis import causes_frame, screen_frame
 from bayes_aero.report.page_alternatives import diagnosis_alternatives
 from bayes_aero.report.phrases import size_text
 from bayes_aero.report.style import NotDrawn, close, save
 from bayes_aero.report.words_diagnosis import (
     cause_table,
-    causes_frame,
     probability,
     ranking_table,
     revealed,
-    screen_frame,
     sentences,
 )
 

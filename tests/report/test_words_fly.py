@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from flown_samples import flight, with_offsets
 
+from bayes_aero.criticism.two_fits import Disagreement
 from bayes_aero.inference.output_error_result import OutputErrorStatus
-from bayes_aero.report.words_fly import fly_sentences, outside
+from bayes_aero.report.words_fly import disagreement_sentences, fly_sentences, outside
 
 DEGREE = np.deg2rad(1.0)
 
@@ -36,3 +37,10 @@ def test_nothing_is_said_of_the_model_where_the_fit_has_not_converged():
     assert any("lacks something" in line for line in fly_sentences(flown))
     early = replace(flown, fit=replace(flown.fit, status=OutputErrorStatus.NOT_CONVERGED))
     assert not any("lacks something" in line for line in fly_sentences(early))
+
+
+def test_nobody_is_sent_to_a_command_that_cannot_use_the_record():
+    """A single manoeuvre of some seconds is too short for diagnose."""
+    (said,) = disagreement_sentences([Disagreement("CLa", "1/rad", (4.3, 0.1), (3.4, 0.1), 6.4)], "too short")
+    assert "diagnose" not in said
+    assert "check looks for" in said

@@ -50,16 +50,18 @@ def test_causes_that_flight_does_not_miss_are_told_and_the_weakest_of_the_others
     asked = replace(simulated, asked=Confirmation(("thrust_moment", "thrust_lift"), missed))
     assert asked.out == ("thrust_scale",)
     without, misses = cause_sentences(asked)
-    assert "without thrust_scale (-4 ± 16 nats)" in without
+    assert "without thrust_scale (-4 ± 16 in log density)" in without
     assert "does not miss it beyond chance when it is taken out" in without
-    assert misses == "Unseen flight misses thrust_moment and thrust_lift (least thrust_lift, by 91 ± 21 nats)."
+    assert (
+        misses == "Unseen flight misses thrust_moment and thrust_lift (least thrust_lift, by 91 ± 21 in log density)."
+    )
     assert "the error (RMS), thrust_scale not in it, goes:" in simulation_gain(asked)
     lagged = replace(asked, lag=Lag("separation_lag", 25.4, True, (62.1, 15.5)))
     both_told = "the error (RMS), separation_lag besides in the model and thrust_scale not in it, goes:"
     assert both_told in simulation_gain(lagged)
     both = replace(simulated, asked=Confirmation((), {"a": (1.0, 1.0), "b": (0.0, 2.0)}))
     (said,) = cause_sentences(both)
-    assert "a (+1 ± 1 nats) and b (+0 ± 2 nats)" in said
+    assert "a (+1 ± 1 in log density) and b (+0 ± 2 in log density)" in said
     assert "confirm them" in said
     assert said.endswith("when they are taken out.")
     assert cause_sentences(simulated) == []

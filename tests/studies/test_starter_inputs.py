@@ -21,7 +21,7 @@ G, FOOT, LB, KNOT, DEG = 9.80665, 0.3048, 0.45359237, 1852.0 / 3600.0, np.pi / 1
 SLUG, PSF = LB * G / FOOT**4, LB * G / FOOT**2
 FILLED = {
     "mass": "390 slug", "Ix": "6600 slug-ft2", "Iy": "10300 slug ft^2", "Iz": "14750 SLUG-FT^2", "Ixz": "0 slug ft^2",
-    "wing_area": "301 sq ft", "chord": "6.5 ft", "half_span": "23 ft", "aspect_ratio": 7.0, "tail_arm": "23 ft",
+    "wing_area": "301 sq ft", "chord": "6.5 ft", "span": "46 ft", "tail_arm": "23 ft",
 }  # fmt: skip
 
 

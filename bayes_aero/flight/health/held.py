@@ -12,6 +12,7 @@ from bayes_aero.flight.record import FlightRecord
 FEWEST = 20  # changes of a channel that a pattern needs
 ALIKE = 0.9  # share of the changes that follow the pattern
 SLOWEST = 100  # samples between changes at most
+ROUNDED = 2.5  # steps of rounding: second differences of a straight line reach two, as each value is off by a half
 FAST = frozenset(
     "ax ay az p q r phi theta alpha beta elevator stabilizer rudder aileron_left aileron_right".split()  # noqa: SIM905
 )
@@ -69,6 +70,8 @@ def interpolated_period(x: np.ndarray) -> float:
     bends = np.abs(np.diff(x, 2))
     if len(bends) < 4 * FEWEST or not bends.any() or len(still_runs(x)) > 0.1 * len(x):
         return 0.0
+    if np.quantile(bends, 0.95) <= ROUNDED * _rounding(x):
+        return 0.0  # a smooth signal, rounded, bends by the last digit alone
     corner = bends > 0.2 * np.quantile(bends, 0.95)
     straight = np.median(bends) < 1e-3 * np.quantile(bends, 0.95) if np.mean(corner) < 0.5 else False
     period = _comb(bends**2)
@@ -82,6 +85,12 @@ def interpolated_period(x: np.ndarray) -> float:
     if len(lengths) < FEWEST or np.mean(np.abs(lengths - np.median(lengths)) <= 1.0) < ALIKE:
         return 0.0
     return float((at[-1] - at[0]) / len(lengths))
+
+
+def _rounding(x: np.ndarray) -> float:
+    """The step to which (n,) values are rounded: the least distance of two levels; tiny where they are not."""
+    levels = np.unique(x)
+    return float(np.min(np.diff(levels))) if len(levels) > 1 else 0.0
 
 
 def _comb(energy: np.ndarray) -> int:
