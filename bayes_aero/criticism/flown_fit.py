@@ -119,7 +119,7 @@ def fit_flown(
         fit = fit_output_error(whole, start=fit.estimate, **again)
     cost, swell = math.nan, {}
     if math.isfinite(fit.cost) and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
-        tell("colour of the residuals", 0.7)
+        tell("autocorrelation of the residuals", 0.7)
         noise = Noise.of(fit)
         cost, whole, swell = noise.cost, noise.on(whole), noise.told(whole.outputs)
         weight = cost if setting.priors else 0.0

@@ -37,7 +37,8 @@ class MleStatus(Enum):
     """How the fit ended; the value is what to tell the user."""
 
     CONVERGED = "converged"
-    AT_BOUND = "converged with a parameter at its bound: its bound and interval mean little; widen it or fix it"
+    AT_BOUND = "converged with a parameter at its bound: its interval is not reliable; widen the bound or fix the "
+    "parameter"
     NOT_CONVERGED = "stopped before the optimum: start nearer, add priors or fix parameters; do not use the numbers"
     SINGULAR = "the information matrix is singular: the record does not identify every parameter; fix or add data"
     STALL_NOT_IDENTIFIED = (
@@ -117,20 +118,21 @@ class MleResult:
         low, high = self.separation
         if "alpha_star" in self.names and low > 0.5:
             said.append(
-                f"The angle of attack never came near alpha_star: X stays between {low:.2f} and {high:.2f}, "
-                "so a1, alpha_star and what multiplies 1 - X rest on the onset of separation alone."
+                f"The angle of attack never approached alpha_star: X stays between {low:.2f} and {high:.2f}, "
+                "so a1, alpha_star and the terms with 1 - X depend on the onset of separation alone."
             )
         for name, value, bound in zip(self.names, self.estimate, self.crb, strict=True):
             if bound > 0.5 * abs(value):
                 near = bound < 10.0 * abs(value)  # at a bound of zero a share of the estimate is infinite
                 size = f"{bound / abs(value):.0%} of it" if near else f"{bound:.2g}, its estimate {value:.2g}"
-                said.append(f"{name} is not identified: its Cramer-Rao deviation is {size}.")
+                said.append(f"{name} is not identified: its Cramer-Rao standard error is {size}.")
         bias = np.zeros(len(self.names)) if self.bias is None else self.bias
         for name, moved, sd in zip(self.names, bias, self.crb_corrected, strict=True):
             if abs(moved) > LARGE_BIAS * sd:
                 said.append(
-                    f"Noise of the recorded signals had moved {name} by {moved:+.2g}, most of its corrected deviation; "
-                    "it is taken off to first order only. Recordings with less noise would tell more."
+                    f"Noise of the recorded signals biases {name} by {moved:+.2g}, most of its corrected standard "
+                    f"error; the "
+                    "bias is subtracted to first order only. Records with less noise are needed."
                 )
         said += [f"{a} and {b} are correlated by {value:+.3f}." for a, b, value in self.strong_correlations()]
         return said

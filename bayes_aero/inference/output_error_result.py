@@ -30,10 +30,11 @@ class OutputErrorStatus(Enum):
     """How the fit ended; the value is what to tell the user."""
 
     CONVERGED = "converged"
-    AT_BOUND = "converged with a parameter at its bound: its deviation means little; widen the bound or fix it"
+    AT_BOUND = "converged with a parameter at its bound: its standard error is not reliable; widen the bound or fix it"
     NOT_CONVERGED = "stopped before the optimum: start nearer, or begin with shorter windows; do not use the numbers"
     LEFT_ENVELOPE = (
-        "the simulation leaves the flight envelope at every parameter value tried: the model cannot fly this record; "
+        "the simulation leaves the flight envelope at every parameter value tried: the model cannot be simulated "
+        "through this record; "
         "check signs and units, or begin with shorter windows"
     )
 

@@ -92,7 +92,12 @@ def flown_page(d: Diagnosis, flown: Trajectories | None, said: Sequence[str], to
         subtitle="The model error from trajectories alone: the record has no coefficients",
         verdict=said[0],
         doubts=doubts(told.records, told.card, told.consistency, corrects=False, failures=told.failures),
-        lead=(Text("The record lacks channels from which lift, drag and moment coefficients are formed; see the last finding."),),
+        lead=(
+            Text(
+                "The record lacks channels from which lift, drag and moment coefficients are formed; see the "
+                "last finding."
+            ),
+        ),
         sections=filled(
             section("records", "The records at a glance", lambda: records_and_faults(told.records, told.card)),
             section("causes", "Causes of the model error", lambda: _causes(d, rankings_of(d), gallery)),
@@ -206,9 +211,7 @@ def _open(d: Diagnosis, told: PageContext, rest: Sequence[str]) -> tuple[Block, 
     unknown = [one for one in rest if one.startswith(("Unexplained", "The estimate of"))]
     blocks += bullets(unknown) or (Text("No structure remains that a recorded channel predicts."),)
     others = [s for s in rest if s not in (*unknown, *pairs) and not any(s.startswith(f"{c.name}: ") for c in d.causes)]
-    blocks.append(
-        Fold("Noise, and effects that this record cannot test", bullets(others) or (Text("None."),))
-    )
+    blocks.append(Fold("Noise, and effects that this record cannot test", bullets(others) or (Text("None."),)))
     blocks += not_testable_list(d.not_testable)
     return tuple(blocks)
 

@@ -44,7 +44,8 @@ def causes(d: Diagnosis) -> Table:
         tuple(head),
         tuple(rows),
         words=(1,),
-        note="Hold-out data if removed: the change of their log density. *: no significant loss (one-sided, 5 %), so not "
+        note="Hold-out data if removed: the change of their log density. *: no significant loss (one-sided, 5 %), "
+        "so not "
         "confirmed: named, but not in the extended model.",
     )
 

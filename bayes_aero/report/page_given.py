@@ -37,7 +37,9 @@ def given_flights(paths: Sequence[Path], card: Card) -> tuple[Block, ...]:
         for order, path in enumerate(islice(paths, MOST_SHOWN))
     ]
     lost = [
-        Text(f"The simulation of {path.manoeuvre} leaves the flight envelope.", "warning") for path in paths if not path.inside
+        Text(f"The simulation of {path.manoeuvre} leaves the flight envelope.", "warning")
+        for path in paths
+        if not path.inside
     ]
     return (Text(said), *lost, *told, *plots, _errors(paths), *sources(card, units))
 

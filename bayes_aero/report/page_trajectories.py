@@ -41,7 +41,8 @@ def trajectories(flown: Trajectories, card: Card) -> tuple[Block, ...]:
     """Tables, then the hold-out flights, then the fitted ones, folded."""
     blocks: list[Block] = [
         Text(
-            "Both models simulated with the recorded inputs, without correction by measurements. “Hold-out” flights were "
+            "Both models simulated with the recorded inputs, without correction by measurements. “Hold-out” "
+            "flights were "
             "not used in the fit. The grey band is the tolerance about the measurement. "
             + tolerance_origin({name: t.value for name, t in card.tolerances.items()})
         ),
@@ -117,7 +118,8 @@ def _kept(flown: Trajectories) -> Table:
         tuple(head),
         tuple(rows),
         (("", 1), *((_label(n), 2) for n in banded), ("probability", 1)),
-        note="The last column is the posterior probability that the whole flight of the extended model stays inside, for "
+        note="The last column is the posterior probability that the whole flight of the extended model stays "
+        "inside, for "
         "the output with the lowest probability.",
     )
 

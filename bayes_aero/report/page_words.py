@@ -5,12 +5,14 @@ from __future__ import annotations
 from bayes_aero.report.page import Facts, Fold
 
 GLOSSARY = {
-    "Cramér–Rao bound": "The usual standard error of a maximum-likelihood estimate. It assumes that the errors of all samples "
+    "Cramér–Rao bound": "The usual standard error of a maximum-likelihood estimate. It assumes that the errors of "
+    "all samples "
     "are independent.",
     "Corrected bound": "The same with the autocorrelation of the residuals (coloured residuals).",
     "White, AR(1) noise": "Noise models: independent samples, and samples that are correlated with their predecessor. "
     "With buffet, the noise grows as the flow separates.",
-    "Posterior, 95 % interval": "The probability distribution of a parameter given the data, from prior and likelihood. The "
+    "Posterior, 95 % interval": "The probability distribution of a parameter given the data, from prior and "
+    "likelihood. The "
     "interval contains the parameter with 95 % probability if the model and the noise model are right.",
     "emcee, NUTS": "Two independent samplers of the same posterior. They should agree.",
     "Lag-1 correlation": "Correlation of a residual with the one a sample earlier: 0 for independent errors, near 1 "

@@ -61,7 +61,8 @@ def _leaks(report: GPReport, dt: float) -> list[str]:
     if not fallen:
         return [said[0] + " The random split does not leak significantly.", *behind]
     said[0] += (
-        f" The random split leaves neighbours {1000.0 * dt:.0f} ms away in the training set; the part lost without them "
+        f" The random split leaves neighbours {1000.0 * dt:.0f} ms away in the training set; the part lost without "
+        f"them "
         f"({several(f'{n} -{drop:.2f}' for n, drop in fallen.items())}) is interpolation, not aerodynamics."
     )
     return [*said, *behind]

@@ -154,7 +154,8 @@ def _noise_model(identification: Identification) -> list[str]:
     middle = float(np.median(list(in_crb.values())))
     thinned = "" if identification.noise is Colour.WHITE else ", and a coloured one uses one sample in five"
     said = [
-        f"The {noise_label(identification.noise)} posterior's standard deviations are {median:.2g} times the corrected bounds "
+        f"The {noise_label(identification.noise)} posterior's standard deviations are {median:.2g} times the "
+        f"corrected bounds "
         f"in the median ({worst:.2g} times for {name}): another noise model weighs the data differently{thinned}. "
         f"Its means are {middle:.1f} Cramér-Rao standard errors from the maximum-likelihood estimates in the median, "
         f"{_plain(in_crb[far])} for {far}."
@@ -172,7 +173,7 @@ def _why_apart(identification: Identification) -> str:
     conflicts = identification.mle.conflicts
     if conflicts:
         names = several(c.name for c in conflicts)
-        return f"Maximum likelihood uses no prior; the posterior uses the card's, which contradicts the record: {names}."
+        return f"Maximum likelihood uses no prior; the posterior uses priors that contradict the record: {names}."
     smoothing = "only one side is smoothed (see above), " if identification.preparation else ""
     alike = (
         "; if the modelled and the measured side were filtered alike, both would give the same values. So "

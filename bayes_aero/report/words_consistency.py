@@ -88,7 +88,8 @@ def open_sentences(found: Consistency) -> list[str]:
     if alike := [e for e in found.open if not e.asked]:
         errors = "errors of sensors or winds are" if len(alike) > 1 else "error of a sensor or wind is"
         said.append(
-            f"{len(alike)} {errors} not testable along this flight path, because others have the same effect on the record: "
+            f"{len(alike)} {errors} not testable along this flight path, because others have the same effect on "
+            f"the record: "
             f"{several(e.name for e in alike)}."
         )
     return said

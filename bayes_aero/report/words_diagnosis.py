@@ -92,11 +92,13 @@ def _taken_over(d: Diagnosis) -> list[str]:
     said = []
     if fitted:
         said.append(
-            f"To include {several(fitted)} in the model, add the name to effects under [model] of the card and fit again."
+            f"To include {several(fitted)} in the model, add the name to effects under [model] of the card and fit "
+            f"again."
         )
     if errors:
         said.append(
-            f"{several(errors)}: correct the record or the card's constants; or add the name to effects and its size to "
+            f"{several(errors)}: correct the record or the card's constants; or add the name to effects and its "
+            f"size to "
             "fixed under [model]."
         )
     return said
@@ -160,7 +162,9 @@ def _noise(d: Diagnosis) -> list[str]:
         )
     if "buffet" in labels:
         growth = ", ".join(f"{name} {value:.1f} times" for name, value in d.noise.swell.items() if value > 1.05)
-        said.append(f"Noise: its standard deviation grows as the flow separates or the dynamic pressure falls ({growth}).")
+        said.append(
+            f"Noise: its standard deviation grows as the flow separates or the dynamic pressure falls ({growth})."
+        )
     if "outliers" in labels:
         count = ", ".join(f"{name} {n}" for name, n in d.noise.outliers.items() if n)
         said.append(f"Noise: outliers were replaced ({count}).")
@@ -174,7 +178,8 @@ def cause_table(view: View) -> Table | None:
         return None
     table = Table(
         title=f"Causes; R² on hold-out data ({SPLITS[d.split]}), before → after",
-        caption="Before: the card's model, with corrected sensors where sensor errors were found. ±: one standard error. "
+        caption="Before: the card's model, with corrected sensors where sensor errors were found. ±: one standard "
+        "error. "
         "*: not confirmed on hold-out data, not in the extended model. †: the verdict does not rest on it, see below.",
         box=SIMPLE_HEAD,
         padding=(0, 1, 0, 0),

@@ -164,7 +164,8 @@ def fly_sentences(flown: FlownFit, hindered: str = "") -> list[str]:
     said += _wanting(flown, hindered)
     if flown.colour_cost >= COLOURED and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         said.append(
-            f"The residuals are autocorrelated. The variance inflation is {short(flown.colour_cost)} in the median, and the "
+            f"The residuals are autocorrelated. The variance inflation is {short(flown.colour_cost)} in the "
+            f"median, and the "
             "Cramér-Rao bound is too small; use the corrected standard error."
         )
     swollen = {name: times for name, times in flown.swell.items() if times > SWOLLEN}

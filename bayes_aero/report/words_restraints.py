@@ -67,7 +67,8 @@ def inseparable_sentences(found: Sequence[Inseparable]) -> list[str]:
         low, high = (f"{x:.0f}" if x >= 10.0 else f"{x:.2g}" for x in (min(one.wider), max(one.wider)))
         times = low if low == high else f"{low} to {high}"
         said.append(
-            f"The record cannot separate {several(one.names)} ({told}): if the others were known, each interval would be "
+            f"The record cannot separate {several(one.names)} ({told}): if the others were known, each interval "
+            f"would be "
             f"{times} times narrower. Fly manoeuvres that excite them differently, fix one, or give one a prior."
         )
     return said

@@ -23,7 +23,8 @@ IMPOSSIBLE = {
 def sign_sentences(estimates: Mapping[str, tuple[float, float]]) -> list[str]:
     """A sentence for every estimate (value, standard error) that is significantly on the wrong side of zero."""
     wrong = [
-        f"{name} = {estimates[name][0]:+.4g} has the wrong sign: {meaning}. If the sign of {channel} is reversed in the file, "
+        f"{name} = {estimates[name][0]:+.4g} has the wrong sign: {meaning}. If the sign of {channel} is reversed "
+        f"in the file, "
         "write sign = -1 at that channel on the card."
         for name, (sign, channel, meaning) in EXPECTED.items()
         if name in estimates and sign * estimates[name][0] < -SURE * estimates[name][1]

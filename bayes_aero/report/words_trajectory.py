@@ -29,7 +29,8 @@ def trajectory_table(flown: Trajectories) -> Table:
         title="Error of the simulated trajectory (RMS), card's model → extended model",
         caption=" ".join(
             [
-                "Fitted: parameters and initial states fitted to all flights. Hold-out: fitted without this flight, simulated "
+                "Fitted: parameters and initial states fitted to all flights. Hold-out: fitted without this "
+                "flight, simulated "
                 "from its measured initial state.",
                 *_status("The card's model", flown.card),
                 *_status("The extended model", flown.extended),
@@ -93,10 +94,16 @@ def trajectory_sentences(flown: Trajectories) -> list[str]:
     said += [*lag_sentences(flown), *cause_sentences(flown)]
     for name, held in flown.held.items():
         if held:
-            are = ("is", "it is held at its joint estimate") if len(held) == 1 else ("are", "they are held at their joint estimates")
+            are = (
+                ("is", "it is held at its joint estimate")
+                if len(held) == 1
+                else ("are", "they are held at their joint estimates")
+            )
             said.append(f"Without {name}, {several(held)} {are[0]} not identifiable from the other flights; {are[1]}.")
     if flown.extended.held:
-        said.append(f"The trajectories contain little information on {several(flown.extended.held)}; the prior decides.")
+        said.append(
+            f"The trajectories contain little information on {several(flown.extended.held)}; the prior decides."
+        )
     return said + _tolerance_sentences(flown)
 
 
@@ -118,7 +125,8 @@ def _tolerance_sentences(flown: Trajectories) -> list[str]:
     if told:
         what = "every flight is" if len(inside) > 1 else f"{inside[0].manoeuvre} is"
         said.append(
-            f"In the hold-out simulation {what} within tolerance for at least this share of the time: {', '.join(told)}. "
+            f"In the hold-out simulation {what} within tolerance for at least this share of the time: "
+            f"{', '.join(told)}. "
             f"{tolerance_origin({n: e.tolerance for n, e in inside[0].errors.items() if e.tolerance is not None})}"
         )
     return said
@@ -150,7 +158,8 @@ def lag_sentences(flown: Trajectories) -> list[str]:
     sizes = [f"{n} {size_text(after.values[n], flown.deviation[n], after.units[n])}" for n in names]
     instead = f" in place of {several(lag.instead)}" if lag.instead else ""
     return [
-        f"The trajectory fit supports {lag.effect}{instead}: {several(sizes)}. The coefficients do not decide on it; it "
+        f"The trajectory fit supports {lag.effect}{instead}: {several(sizes)}. The coefficients do not decide on "
+        f"it; it "
         f"gains {lag.gain:.0f} nats in the trajectory fit and {elpd:.0f} ± {elpd_se:.0f} nats on hold-out flights."
     ]
 

@@ -22,8 +22,7 @@ def verdict_sentence(d: Diagnosis) -> str:
     plural = "causes explain" if len(sure) > 1 else "cause explains"
     subject = f"{len(sure)} {plural}"
     return {
-        Verdict.NO_EFFECT: "No significant model error is detectable in these records"
-        f"{_doubtful(d)}.",
+        Verdict.NO_EFFECT: f"No significant model error is detectable in these records{_doubtful(d)}.",
         Verdict.EXPLAINED: f"{subject} the error of the card's model{names}.",
         Verdict.PARTLY_EXPLAINED: f"{subject} part of the error of the card's model{names}; "
         f"unexplained structure remains{left}.",
@@ -35,7 +34,11 @@ def verdict_sentence(d: Diagnosis) -> str:
 
 def _flown_verdict(d: Diagnosis, tested: Tested, sure: int, names: str, left: str) -> str:
     """The same from trajectories alone: causes explain the error only if the residual is sensor noise."""
-    sought = f"unexplained structure remains{left}" if d.unknown else "unexplained structure was not sought"
+    sought = (
+        f"structure outside the catalogue remains{left}"
+        if d.unknown
+        else "structure outside the catalogue was not tested"
+    )
     if tested.beyond:
         rest = f"Errors larger than the sensor noise remain ({_remaining(tested)}); {sought}."
     elif tested.outputs:

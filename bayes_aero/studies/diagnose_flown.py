@@ -48,8 +48,7 @@ from bayes_aero.studies.unfinished import MARK
 
 Progress = Callable[[str, float], None]
 WHY = (
-    "no coefficients can be formed: the diagnosis rests on simulated trajectories, and structure without a name is not "
-    "sought"
+    "no coefficients can be formed: the diagnosis uses simulated trajectories, and unexplained structure is not sought"
 )
 
 

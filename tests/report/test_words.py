@@ -108,7 +108,7 @@ def test_what_the_random_split_leaks(full, make):
     better = said(full, "maximum likelihood correlates better")
     assert "CD" in better
     honest = make()
-    assert "leaks nothing" in said(honest, "GPR correlation")
+    assert "does not leak significantly" in said(honest, "GPR correlation")
     assert silent(honest, "correlates better")
 
 
