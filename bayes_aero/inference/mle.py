@@ -34,7 +34,7 @@ FROZEN_X = 0.05  # a separation point that moves less than this over a record sa
 
 
 class MleStatus(Enum):
-    """How the fit ended; the value is what to tell the user."""
+    """How the fit ended; the value is the text for the user."""
 
     CONVERGED = "converged"
     AT_BOUND = "converged with a parameter at its bound: its interval is not reliable; widen the bound or fix the "
@@ -49,9 +49,14 @@ class MleStatus(Enum):
 
 @dataclass(frozen=True)
 class MleResult:
-    """Estimate, bounds and what they rest on. Arrays follow `names`; k parameters.
+    """A maximum-likelihood fit of k parameters, in SI and radians; arrays follow `names`.
 
-    `bias` is what recording noise added to the fit and the estimate is without (`noise_bias`); None: not asked.
+    `covariance` (k, k) is that of Cramer and Rao, for white residuals; `corrected` (k, k) counts their autocorrelation
+    over `blocks` blocks of 0.2 s. `R` (3,) are the residual variances of CL, CD, Cm. `eigenvalues` (k,) are those of the
+    information matrix scaled to unit diagonal. `separation` is the range of X. `fit` and `lag1` are scores and lag-1
+    autocorrelation by coefficient, `starts` the cost and status of each start. `bounded` are parameters at their bounds,
+    `conflicts` priors that the record contradicts. `bias` (k,) from recording noise is subtracted from `estimate`; None:
+    not computed.
     """
 
     names: tuple[str, ...]
@@ -70,7 +75,7 @@ class MleResult:
     starts: tuple[tuple[float, str], ...]
     bounded: tuple[Bounded, ...] = ()
     conflicts: tuple[PriorConflict, ...] = ()
-    blocks: int | None = None  # of 0.2 s, on which the corrected bounds rest
+    blocks: int | None = None
     bias: Float[np.ndarray, " k"] | None = None
 
     @property
@@ -80,17 +85,17 @@ class MleResult:
 
     @property
     def crb(self) -> Float[np.ndarray, " k"]:
-        """Cramer-Rao standard deviations; they assume white residuals."""
+        """Cramer-Rao standard errors, shape (k,); they assume white residuals."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def crb_corrected(self) -> Float[np.ndarray, " k"]:
-        """Standard errors that allow for the residuals' autocorrelation and uneven size (`robust_covariance`)."""
+        """Standard errors with the residuals' autocorrelation and varying size (`robust_covariance`), shape (k,)."""
         return np.sqrt(np.diag(self.corrected))
 
     @property
     def correlation(self) -> Float[np.ndarray, "k k"]:
-        """Correlation of the estimates, from the Cramer-Rao covariance."""
+        """Correlation of the estimates from the Cramer-Rao covariance, shape (k, k)."""
         return self.covariance / np.outer(self.crb, self.crb)
 
     @property
@@ -107,7 +112,7 @@ class MleResult:
         return sorted((pair for pair in pairs if abs(pair[2]) > limit), key=lambda pair: -abs(pair[2]))
 
     def warnings(self) -> list[str]:
-        """What the user should know before using the numbers, one sentence each."""
+        """Warnings for the user of the numbers, one sentence each."""
         said = [] if self.status is MleStatus.CONVERGED else [f"Maximum likelihood: {self.status.value}."]
         if self.blocks is not None and self.blocks < FEWEST_BLOCKS * len(self.names):
             said.append(

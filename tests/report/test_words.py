@@ -41,7 +41,7 @@ def test_what_was_flown_stands_beside_what_was_found(make):
     text = said(replace(run, truth=flown), "simulated")
     assert "of the 6 parameters" in text
     assert "5 (ML, Cramér-Rao bound), 6 (ML, corrected bound)" in text
-    assert "Cma, -0.8 corrected deviations" in text
+    assert "Cma, -0.8 corrected standard errors" in text
 
 
 def test_coloured_residuals_and_what_they_make_of_the_bound(full, make):
