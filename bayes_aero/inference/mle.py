@@ -52,11 +52,10 @@ class MleResult:
     """A maximum-likelihood fit of k parameters, in SI and radians; arrays follow `names`.
 
     `covariance` (k, k) is that of Cramer and Rao, for white residuals; `corrected` (k, k) counts their autocorrelation
-    over `blocks` blocks of 0.2 s. `R` (3,) are the residual variances of CL, CD, Cm. `eigenvalues` (k,) are those of the
-    information matrix scaled to unit diagonal. `separation` is the range of X. `fit` and `lag1` are scores and lag-1
-    autocorrelation by coefficient, `starts` the cost and status of each start. `bounded` are parameters at their bounds,
-    `conflicts` priors that the record contradicts. `bias` (k,) from recording noise is subtracted from `estimate`; None:
-    not computed.
+    over `blocks` blocks of 0.2 s. `R` (3,) are the residual variances of CL, CD, Cm, `eigenvalues` (k,) those of the
+    information matrix scaled to unit diagonal, `separation` the range of X. `fit` and `lag1` are by coefficient,
+    `starts` the cost and status of each start. `bounded` are parameters at their bounds, `conflicts` priors that the
+    record contradicts. `bias` (k,) from recording noise is subtracted from `estimate`; None: not computed.
     """
 
     names: tuple[str, ...]
