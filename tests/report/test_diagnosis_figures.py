@@ -141,7 +141,7 @@ def test_without_a_cause_the_closest_candidates_are_told(nothing):
     assert cause_table(nothing) is None
     assert ranking_table(nothing) is not None
     assert causes_frame(nothing).empty
-    assert sentences(nothing)[0].startswith("Nothing")
+    assert sentences(nothing)[0].startswith("No significant model error")
 
 
 def test_words_name_cause_rivals_and_what_is_unexplained(diagnosed):
