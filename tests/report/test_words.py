@@ -39,7 +39,7 @@ def test_what_was_flown_stands_beside_what_was_found(make):
     flown = dict(zip(run.mle.names, run.mle.estimate, strict=True))
     flown |= {"Cma": flown["Cma"] + 0.03, "tau1": 0.0}  # three Cramer-Rao deviations, .75 corrected; one not fitted
     text = said(replace(run, truth=flown), "simulated")
-    assert "of the 6 parameters" in text
+    assert "of the 6 true parameters" in text
     assert "5 (ML, Cramér-Rao bound), 6 (ML, corrected bound)" in text
     assert "Cma, -0.8 corrected standard errors" in text
 
