@@ -1,6 +1,6 @@
 """Bayesian identification of non-linear aircraft aerodynamics from flight data.
 
-The public names are those of `__all__`; each is imported when it is first asked for.
+The public names are those of `__all__`; each is imported at its first use.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""The package from Python: read, compose, fit, sample, diagnose, plot; what the command line does, in a few calls.
+"""The Python interface: read, fit, sample, diagnose, plot.
 
     import bayes_aero as ba
 
@@ -7,10 +7,10 @@
     fit = ba.sample(ba.fit(records, card), engine="emcee")
     fit.table()                                # pandas: estimates, bounds, posterior
     ba.plot(fit, "prior_posterior")            # a matplotlib figure
-    ba.gpr(fit).validation()                   # regression beside it, scored on data held back in three ways
-    ba.diagnose(records, card).table()         # what is missing from the model, and how large it is
+    ba.gpr(fit).validation()                   # Gaussian processes, scored on three kinds of hold-out data
+    ba.diagnose(records, card).table()         # missing effects and their sizes
 
-Results hold everything in SI and radians; tables say the units.
+Results are in SI units and radians; tables state the units.
 """
 
 from __future__ import annotations
@@ -69,51 +69,69 @@ ENGINES = {"emcee": sample_ensemble, "nuts": sample_nuts}
 
 @dataclass(frozen=True)
 class Fit:
-    """A model fitted to records: maximum likelihood, and the posteriors sampled so far."""
+    """A model fitted to records by maximum likelihood, with the posteriors sampled so far."""
 
     run: Identification
 
     @property
     def mle(self) -> MleResult:
-        """Estimates, Cramer-Rao and colour-corrected bounds, residual covariance, status."""
+        """Estimates, Cramer-Rao bounds, bounds corrected for autocorrelation, residual covariance, status."""
         return self.run.mle
 
     @property
     def posteriors(self) -> Mapping[str, Posterior]:
-        """Posteriors by engine (`emcee`, `nuts`; `white` beside a coloured one), each with its ArviZ DataTree."""
+        """Posteriors by engine (`emcee`, `nuts`; `white` for white noise in addition), each with an ArviZ DataTree."""
         return self.run.posteriors
 
     @property
     def sentences(self) -> list[str]:
-        """Doubts of the records first; then what the numbers say, and where methods disagree."""
+        """Doubts about the records, then the findings and the disagreements between methods, one sentence each."""
         return [*self.doubts, *verdict(self.run)]
 
     @property
     def doubts(self) -> list[str]:
-        """Faulty channels, and sensors that disagree along the flight path; empty for sound records."""
+        """Faulty channels and disagreement of the sensors along the flight path; empty for sound records."""
         agreement = self.run.consistency
         disagree = agreement is not None and agreement.disagrees
         answer = consistency_sentences(agreement, corrects=False)[:1] if agreement is not None and disagree else []
         return [*(finding.sentence for finding in self.run.health), *answer]
 
     def table(self) -> pd.DataFrame:
-        """Parameters as rows; estimates, bounds, posteriors, each manoeuvre by itself as columns. SI and radians."""
+        """Parameters in SI and radians.
+
+        Returns:
+            A row per parameter; columns for the unit, the estimate, both bounds, each posterior and each manoeuvre.
+        """
         return parameter_table(self.run)
 
     def validation(self) -> pd.DataFrame:
-        """Scores of regression (`gpr`) and of maximum likelihood on data held back, by split, fold and coefficient."""
+        """Scores of the Gaussian processes (`gpr`) and of maximum likelihood on hold-out data.
+
+        Returns:
+            A row per split, fold and coefficient; columns for the scores of both methods on the same test points.
+
+        Raises:
+            InputError: `gpr` has not been called.
+        """
         if self.run.gp is None:
             raise InputError("this fit has no Gaussian processes yet; add them with bayes_aero.gpr(fit)")
         return validation_table(self.run)
 
     def plot(self, figure: str = "forest") -> Figure:
-        """One of the figures of `identify`; `bayes_aero.report.figures.FIGURES` names them."""
+        """Draw a figure of `identify`.
+
+        Args:
+            figure: a name in `bayes_aero.report.figures.FIGURES`.
+
+        Raises:
+            InputError: there is no such figure, or it has nothing to show.
+        """
         return _drawn(FIGURES, figure, self.run)
 
 
 @dataclass(frozen=True)
 class Diagnosed:
-    """What a model gets wrong, the causes found, and what the extended model gains."""
+    """A diagnosis: verdict, causes with their sizes, and the scores of the extended model."""
 
     view: DiagnosisView
     card: Card
@@ -125,16 +143,20 @@ class Diagnosed:
 
     @property
     def causes(self) -> tuple[str, ...]:
-        """Names of the causes in the order found."""
+        """Names of the causes in the order of selection."""
         return tuple(cause.name for cause in self.view.diagnosis.causes)
 
     @property
     def sentences(self) -> list[str]:
-        """The verdict, a sentence for each cause, and what else the reader should know."""
+        """The verdict, one sentence or two per cause, unexplained structure, what is not testable, notes."""
         return sentences(self.view)
 
     def table(self) -> pd.DataFrame:
-        """A row for each parameter of each cause: size, interval, probability, gain on unseen data. SI and radians."""
+        """Causes in SI and radians.
+
+        Returns:
+            A row per parameter of each cause; columns for size, interval, probability, rivals and hold-out gain.
+        """
         return causes_frame(self.view)
 
     @property
@@ -144,22 +166,43 @@ class Diagnosed:
         return self.view
 
     def scores(self) -> pd.DataFrame:
-        """Card's and extended model on each manoeuvre and coefficient, fitted to it and to the others alone."""
+        """Scores of the card's and the extended model.
+
+        Returns:
+            A row per model, data (`fitted` or hold-out, `unseen`), manoeuvre and coefficient.
+        """
         return scores_frame(self._coefficients)
 
     def predictors(self) -> pd.DataFrame:
-        """Scores on unseen data by predictor and coefficient: card's model, a Gaussian process of the card's `[gp]
-        inputs`, the extended model, and that with a Gaussian process of what it leaves. Takes half a minute."""
+        """Hold-out scores of four predictors; takes half a minute.
+
+        Inputs of the Gaussian processes are the card's `[gp] inputs`.
+
+        Returns:
+            A row per predictor and coefficient. Predictors: the card's model, a Gaussian process, the extended model,
+            the extended model with a Gaussian process of its residuals.
+        """
         table = predictors(self._coefficients.diagnosis, self.card)
         rows = {(p, c): scores or {} for p, row in table.items() for c, scores in row.items()}
         return pd.DataFrame.from_dict(rows, orient="index").rename_axis(["predictor", "coefficient"])
 
     def screen(self) -> pd.DataFrame:
-        """Every candidate of the catalogue with its score and family-wise p-value."""
+        """Every candidate of the catalogue.
+
+        Returns:
+            A row per candidate; columns for deviance, score and family-wise p-value.
+        """
         return screen_frame(self.view)
 
     def plot(self, figure: str = "measured_simulated") -> Figure:
-        """One of the figures of `diagnose`; `bayes_aero.report.figures.DIAGNOSIS_FIGURES` names them."""
+        """Draw a figure of `diagnose`.
+
+        Args:
+            figure: a name in `bayes_aero.report.figures.DIAGNOSIS_FIGURES`.
+
+        Raises:
+            InputError: there is no such figure, or it has nothing to show.
+        """
         return _drawn(DIAGNOSIS_FIGURES, figure, self._coefficients)
 
 
@@ -170,13 +213,19 @@ def read(
     resample: float | None = None,
     split: bool = False,
 ) -> list[FlightRecord]:
-    """Read and check flight records, a manoeuvre each.
+    """Read and check flight records, one per manoeuvre.
 
     Args:
-        paths: files, or parts of them: "flight.csv@12.5:40" in seconds of the file's time.
-        card: what the columns are; its `[segments]` name the manoeuvres of a file.
-        resample: step in s of an even grid to interpolate onto, for records of uneven or of several rates.
+        paths: files, or parts of files: "flight.csv@12.5:40" in s of the file's time.
+        card: a `Card`, the name of a shipped one or a path. It maps columns to channels; `[segments]` lists manoeuvres.
+        resample: step in s of an even grid for interpolation, for records with uneven or several rates.
         split: whether gaps in time divide a file into manoeuvres.
+
+    Returns:
+        Records with channels of shape (n,) in SI and radians.
+
+    Raises:
+        InputError: a file cannot be read or a channel is not sound.
     """
     read_as = _card(card)
     files = [paths] if isinstance(paths, str | os.PathLike) else paths
@@ -191,12 +240,26 @@ def fit(
     coefficients: FormingName = "matched",
     seed: int = 0,
 ) -> Fit:
-    """Maximum likelihood (Gauss-Newton) of `model`, by default the card's, to all records jointly and to each alone
-    (up to 24 of them).
+    """Fit a model to CL, CD and Cm by maximum likelihood (Gauss-Newton), to all records jointly and to each alone.
 
-    `coefficients` are formed from signals all filtered alike (`matched`), or as the published ATTAS ones were, which
-    filters the accelerations and not the controls (`published`). Isolated spikes are repaired, the health of channels
-    and the agreement of sensors are checked: see `Fit.doubts`.
+    Isolated spikes are replaced. The health of channels and the agreement of sensors are checked: see `Fit.doubts`.
+
+    Args:
+        records: one per manoeuvre; up to 24 of them are also fitted alone.
+        card: a `Card`, the name of a shipped one or a path.
+        model: default: the card's model.
+        coefficients: "matched" applies the same filter to all signals; "published" filters the accelerations but not
+            the controls, as the published ATTAS results do.
+        seed: of the random starts.
+
+    Returns:
+        The fit; arrays follow `mle.names`, shape (k,), in SI and radians.
+
+    Raises:
+        InputError: the records lack a channel that the model needs, or a setting is unknown.
+
+    Source:
+        Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, ch. 4; Morelli and Klein, J. Aircraft 34, 1997.
     """
     if coefficients not in get_args(FormingName):
         known = ", ".join(get_args(FormingName))
@@ -227,10 +290,24 @@ def fit(
 
 
 def sample(fit: Fit, *, engine: Engine = "emcee", noise: NoiseName = "buffet-ar1", seed: int = 0) -> Fit:
-    """The same fit with a posterior added, by emcee or by NUTS.
+    """Sample the posterior of a fit.
 
-    Posteriors of one fit that stand beside each other have one noise model; only `white` may be added to another one
-    (by emcee), as what the usual assumption would have given.
+    All posteriors of one fit have the same noise model. Only a `white` one (by emcee) may be added for comparison.
+
+    Args:
+        fit: of `fit`.
+        engine: "emcee" (affine-invariant ensemble) or "nuts" (No-U-Turn sampler).
+        noise: noise model of the residuals: "white", "ar1", or "buffet-ar1", which grows as the flow separates.
+        seed: of the sampler.
+
+    Returns:
+        The same fit with the posterior added.
+
+    Raises:
+        InputError: there is no such engine, or the fit has posteriors under another noise model.
+
+    Source:
+        Foreman-Mackey et al., PASP 125 (2013) 306; Hoffman and Gelman, JMLR 15 (2014) 1593.
     """
     if engine not in ENGINES:
         raise InputError(f"there is no engine {engine!r}; choose one of {', '.join(ENGINES)}")
@@ -247,12 +324,24 @@ def sample(fit: Fit, *, engine: Engine = "emcee", noise: NoiseName = "buffet-ar1
 
 
 def gpr(fit: Fit, *, split: SplitKind = "random", sample: bool = True, approximate: bool = False, seed: int = 0) -> Fit:
-    """The same fit with Gaussian processes of CL, CD and Cm beside it, on the card's `[gp] inputs`; takes minutes.
+    """Train Gaussian processes of CL, CD and Cm on the card's `[gp] inputs` and score them on hold-out data.
 
-    They are trained on what each split keeps and scored on what it holds back: `random` samples, 4 s blocks (`block`),
-    a whole manoeuvre (`manoeuvre`; two records or more). Hyperparameters are taken at their mode, and on the first fold
-    of `split`, the one that figures show, sampled as well, unless `sample` is false. `approximate` allows more samples
-    than the exact process can take; how far that is from it stands in the status of each coefficient.
+    Three splits are computed: `random` samples, 4 s blocks (`block`), a whole manoeuvre (`manoeuvre`; two records or
+    more). This takes minutes.
+
+    Args:
+        fit: of `fit`.
+        split: the split whose first fold figures show.
+        sample: whether hyperparameters are also sampled on that fold; elsewhere they are at their mode.
+        approximate: allow more samples than the exact process accepts (8000); the status of each coefficient reports
+            the difference from the exact process.
+        seed: of the splits and the sampler.
+
+    Returns:
+        The same fit with the Gaussian processes added.
+
+    Raises:
+        InputError: there is no such split.
     """
     if split not in get_args(SplitKind):
         raise InputError(f"there is no split {split!r}; choose one of {', '.join(get_args(SplitKind))}")
@@ -280,11 +369,24 @@ def diagnose(
     seed: int = 0,
     max_effects: int | None = None,
 ) -> Diagnosed:
-    """Find what `model`, by default the card's, gets wrong; `candidates` of one's own stand beside the catalogue's.
+    """Find the effects that a model lacks.
 
-    `settings` hold every threshold of the diagnosis; `max_effects` is the one of them that is set most.
+    This does not compare predictors, simulate trajectories or write files; `bayes-aero diagnose` does.
 
-    Predictors are not compared, trajectories not flown and no files written; `bayes-aero diagnose` does that.
+    Args:
+        records: one per manoeuvre.
+        card: a `Card`, the name of a shipped one or a path.
+        model: default: the card's model.
+        candidates: your own effects, screened in addition to the catalogue.
+        settings: every threshold of the diagnosis; None: the defaults.
+        seed: of the noise replicates.
+        max_effects: most effects that each stage adds; None: as the settings say.
+
+    Returns:
+        The diagnosis; sizes in SI and radians.
+
+    Raises:
+        InputError: the records lack a channel that the model needs.
     """
     settings = settings or DiagnosisSettings()
     if max_effects is not None:
@@ -295,9 +397,18 @@ def diagnose(
 
 
 def plot(result: Fit | Diagnosed, figure: str | None = None, *, width: float | None = None) -> Figure:
-    """`result.plot(figure)`; without a name each kind of result shows its own first figure.
+    """Draw a figure of a result.
 
-    `width` in inches scales the figure, its letters keep their size: 10 suits a notebook's column.
+    Args:
+        result: of `fit` or `diagnose`.
+        figure: its name; default: the first figure of this kind of result.
+        width: in inches; the text keeps its size. 10 fits a notebook's column.
+
+    Returns:
+        A matplotlib figure.
+
+    Raises:
+        InputError: there is no such figure, or it has nothing to show.
     """
     drawn = result.plot() if figure is None else result.plot(figure)
     if width is not None:

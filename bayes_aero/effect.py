@@ -1,4 +1,4 @@
-"""The effect: the one small contract that a model is made of.
+"""The effect: the contract of which a model consists.
 
 A model is a list of effects. Every effect has, for each of its parameters, the neutral value at which it is absent, so
 any list of effects can live in one compiled function with the absent ones held at neutral.
@@ -39,17 +39,17 @@ class Kind(StrEnum):
 
 
 class Stage(IntEnum):
-    """When an effect acts. Effects of one stage see what the earlier stages built, never each other.
+    """When an effect acts. An effect uses results of earlier stages, never of its own stage.
 
     CHANNEL effects get whole recorded channels (all manoeuvres end to end) as `signals` and return what to add to
-    them, so that recorded becomes true; beside the channels they find `dt`, `start`, `elapsed` (s since the start of
+    them to correct the record. `signals` also has `dt`, `start`, `elapsed` (s since the start of
     the manoeuvre) and `first`, `last` (index of its first and last sample). AIRCRAFT effects return what to add to
     fields of the aircraft. All other stages build `Known`, sample by sample.
     """
 
-    CHANNEL = -1  # sensors, winds, thrust: the record is not what it says
-    AIRCRAFT = 0  # mass properties: the aircraft is not what the card says
-    INCIDENCE = 1  # the angle of attack that the separation point feels
+    CHANNEL = -1  # sensors, winds, thrust: errors of the record
+    AIRCRAFT = 0  # mass properties: errors of the card
+    INCIDENCE = 1  # the angle of attack that acts on the separation point
     SEPARATION = 2  # the static separation point
     LAG = 3  # its dynamics
     ATTACHED = 4  # forces and moments of the attached flow
@@ -62,7 +62,7 @@ NEUTRAL_FLOW = {"X": 1.0, "CL_attached": 0.0, "CL": 0.0, "CD": 0.0, "Cm": 0.0}
 
 @dataclass(frozen=True)
 class Example:
-    """A worked example: `parameters` and one sample's `signals` give `increments`; `source` says who worked it out.
+    """A worked example: `parameters` and the `signals` of one sample give `increments`; `source` states its origin.
 
     A tuple stands for several samples of a signal, or for the three coordinates of a position.
     """
@@ -78,17 +78,17 @@ class Example:
 class Effect:
     """One physical cause. Two effects are equal only if they are the same object, so a model is hashable.
 
-    `claim` is the sentence that a report prints when the effect is found. `increments(values, signals, aircraft,
+    `claim` is the sentence that a report prints with the effect. `increments(values, signals, aircraft,
     known)` is pure, works on one sample or on arrays of samples alike, and returns what to add to `known`; with every
     parameter at its neutral value each increment is exactly zero. `uses` names parameters that other effects own.
     `channels` are the signals it needs; a record without them makes the effect not testable.
 
-    `sizes` gives for each parameter the least departure from neutral that is worth modelling and the largest that is
-    plausible (magnitudes, the parameter's unit; of its inverse where neutral is infinite). `scan` lists values of a
-    parameter at which the effect is tried where its slope at neutral is zero or means nothing (a lag, a break point).
-    `together` says that the channels enter as one product or sum only, so that the effect can be seen wherever that
-    moves, one or the other channel at rest or not: thrust over dynamic pressure, the mean of two spoilers.
-    `candidate` says whether diagnosis may propose it; terms that stand in for others at one trim are for cards only.
+    `sizes` gives for each parameter the smallest departure from neutral worth modelling and the largest plausible
+    one (magnitudes, the parameter's unit; of its inverse where neutral is infinite). `scan` lists values of a
+    parameter at which the effect is tried if its slope at neutral is zero or undefined (a lag, a break point).
+    `together` states that the channels enter as one product or sum only, so the effect is testable wherever this
+    product or sum moves: thrust over dynamic pressure, the mean of two spoilers.
+    `candidate` states whether diagnosis may propose it; terms that replace others at one trim are for cards only.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""The exceptions that a user of the package is meant to read, and the failure that no stage may put up with."""
+"""Exceptions with a text for the user, and the report of unexpected failures."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u206
 
 
 class InputError(ValueError):
-    """Bad input, told in one sentence: what is wrong, where (file, channel, sample) and how to mend it.
+    """Bad input, in one sentence: what is wrong, where (file, channel, sample), and how to correct it.
 
-    Names from files stand in the sentence, and it goes to a terminal: line ends, escape sequences and signs that turn
-    the direction of writing are spelled out.
+    The sentence can contain names from files and is printed on a terminal: line ends, escape sequences and signs that
+    change the direction of writing are spelled out.
     """
 
     def __init__(self, sentence: object = "") -> None:
@@ -39,7 +39,7 @@ class InputError(ValueError):
 
 
 class DefectError(RuntimeError):
-    """A defect of the program that it has noticed itself, told in one sentence: what failed, and what can be done."""
+    """A defect that the program detects, in one sentence: what failed, and what can be done."""
 
     def __init__(self, failed: str, mend: str) -> None:
         super().__init__(plain_line(f"{failed}: a defect of the program, please report it. Until then: {mend}"))
@@ -72,12 +72,12 @@ def failure(what: str, reason: Exception, folder: Path | None = None, *, own: bo
             where = f" with {ERROR}"
     if isinstance(reason, MemoryError) or "RESOURCE_EXHAUSTED" in str(reason):
         return plain_line(
-            f"{what}: there is not enough memory for it; take fewer or shorter records. All else is valid."
+            f"{what}: there is not enough memory for it; use fewer or shorter records. All other results are valid."
         )
     whose = "the program or of the card's effect files" if own else "the program"
     return plain_line(
-        f"{what}: {type(reason).__name__}: {reason}. This is a defect of {whose}; please report it{where}. All else is "
-        "valid."
+        f"{what}: {type(reason).__name__}: {reason}. This is a defect of {whose}; please report it{where}. All other "
+        "results are valid."
     )
 
 

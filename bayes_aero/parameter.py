@@ -20,8 +20,8 @@ class Prior:
 
     `normal`: mean `location`, standard deviation `scale`. `lognormal`: median `location` (> 0), standard deviation
     `scale` of the logarithm. `halfnormal`: scale `scale` above `location`. `uniform`: from `location` to
-    `location + scale`. `source` names where the numbers come from, or says "our choice". `by_card`: a card states it,
-    else it is the default.
+    `location + scale`. `source` states the origin of the numbers, or "our choice". `by_card`: a card states it;
+    otherwise it is the default.
     """
 
     family: str
@@ -59,7 +59,7 @@ class Prior:
 
     @property
     def normal(self) -> tuple[float, float]:
-        """Mean and standard deviation of the normal that stands for it in a linear fit."""
+        """Mean and standard deviation of the normal distribution that replaces it in a linear fit."""
         if self.family == "lognormal":
             return self.location, self.location * self.scale
         if self.family == "uniform":
@@ -81,9 +81,9 @@ class Prior:
 class Parameter:
     """One scalar of a model, in SI units and radians.
 
-    `neutral` is the value at which the effect that owns the parameter is absent; `start` is where estimation begins;
-    `bounds` are (lower, upper), infinite where there is none. `per_rate`: it multiplies a rate free of units, q c/V, so
-    its start, bounds and prior depend on the length in it (see `per_length`).
+    `neutral` is the value at which the effect that owns the parameter is absent. Estimation begins at `start`.
+    `bounds` are (lower, upper), infinite where there is none. `per_rate`: it multiplies a nondimensional rate, q c/V,
+    so its start, bounds and prior depend on the length in it (see `per_length`).
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Where intervals stop being true: the share of truths that 95 % intervals hold, against the colour of the noise."""
+"""Coverage: the share of true values inside 95 % intervals, against the autocorrelation of the noise."""
 
 from __future__ import annotations
 

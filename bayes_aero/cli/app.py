@@ -1,4 +1,4 @@
-"""The program: its commands, its exit codes, its one way of telling bad input."""
+"""The program: commands, exit codes, and the report of bad input."""
 
 from __future__ import annotations
 
@@ -25,10 +25,12 @@ TRACEBACK = "BAYES_AERO_TRACEBACK"
 """Set in the environment, an unexpected failure shows where in the program it happened."""
 
 EPILOG = (
-    f"Exit codes: 0 done; {FAILED} a record is not usable (check), a fit did not converge or cannot fly "
-    "(fly), units of a study failed or differ, or its cluster was lost (run), or a part of the program failed "
-    "unexpectedly (told first; what else was found is written); "
-    f"{BAD_INPUT} bad input, told in one sentence; {DOUBT} done, but the records are in doubt: sensors disagree or a "
+    f"Exit codes: 0 done; {FAILED} a record is not usable (check), a fit did not converge or the model "
+    "cannot be simulated (fly), units of a study failed or differ, or its cluster was lost (run), or a part of the "
+    "program failed "
+    "unexpectedly (reported first; the other results are written); "
+    f"{BAD_INPUT} bad input, reported in one sentence; {DOUBT} done, but the records are in doubt: sensors "
+    f"disagree or a "
     f"channel is faulty, reported first; {INTERRUPTED} interrupted, finished stages are kept.\n\n"
     "Each command's --help has an example; a new aircraft starts with: bayes-aero card RECORD."
 )
@@ -53,7 +55,9 @@ def _version(asked: bool) -> bool:
 
 @app.callback()
 def _options(
-    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
 ) -> None:
     """Bayesian identification of non-linear aircraft aerodynamics from flight data."""
 

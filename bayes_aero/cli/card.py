@@ -65,19 +65,20 @@ def card(
         exit_if_failed(failures)
         return
     console = teller()
-    console.print(f"The card is in {target}. Read its guesses.", soft_wrap=True)
+    console.print(f"The card is in {target}. Read its proposals.", soft_wrap=True)
     if starter.todo:
         console.print(f"To be filled in ({len(starter.todo)}): {', '.join(name for name, _ in starter.todo)}.")
     if starter.blind:
         which = "it" if len(starter.blind) == 1 else "them"
         console.print(
-            f"Not found: {', '.join(starter.blind)}. identify needs {which}; diagnose works without {which}, less well."
+            f"Not found: {', '.join(starter.blind)}. identify needs {which}; diagnose works without {which}, with "
+            f"less information."
         )
     if report is not None:
         console.print(f"The report is in {report}", soft_wrap=True)
     split = " --split" if starter.parts > 1 else ""
     if split:
-        console.print(f"Gaps in time divide the file into {starter.parts} parts: --split takes each for a manoeuvre.")
+        console.print(f"Gaps in time divide the file into {starter.parts} parts: --split reads each as a manoeuvre.")
     console.print(f"Then: bayes-aero check {record} --model {target}{split}", soft_wrap=True)
     print_failures(console, failures)
     exit_if_failed(failures)

@@ -48,7 +48,7 @@ def check(
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Check records against a card: channels, units, gaps, what they can test, whether the sensors agree.
+    """Check records against a card: channels, units, gaps, what they can test, agreement of the sensors.
 
     Nothing aerodynamic is fitted. Exit code 0: usable; 1: not, with the reasons; 3: usable, but in doubt.
 
@@ -91,7 +91,7 @@ def _tell(console: Console, report: CheckReport) -> None:
     for sentence in (*card_sentences(report), *use_sentences(report), *told[doubt:]):
         console.print(sentence)
     for name, error in report.sensors.errors.items():
-        faint = " (too small to be worth a name)" if error["minor"] else ""
+        faint = " (too small to be named)" if error["minor"] else ""
         console.print(f"  {name}: {error['claim']} {sizes(error)}{faint}")
     if not report.sensors.note:
         console.print(f"  {left_over(report)}")

@@ -34,7 +34,7 @@ if TYPE_CHECKING:  # the real imports wait until the command needs them
 def diagnose(
     records: Annotated[
         list[Path] | None,
-        typer.Argument(help=f"{RECORDS}; none: an effect is hidden and sought."),
+        typer.Argument(help=f"{RECORDS}; none: an effect is hidden in a simulation and searched."),
     ] = None,
     model: ModelOption = "attas",
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("diagnosis"),
@@ -43,15 +43,15 @@ def diagnose(
     resample: ResampleOption = None,
     split: SplitOption = False,
     predictors: Annotated[
-        bool, typer.Option(help="Compare predictors on unseen data; fly manoeuvres that would separate rival causes.")
+        bool, typer.Option(help="Compare predictors on hold-out data; simulate manoeuvres that would separate rivals.")
     ] = True,
     trajectories: Annotated[
-        bool, typer.Option(help="Fly the model through the recorded inputs, before and after the extension.")
+        bool, typer.Option(help="Simulate the card's and the extended model with the recorded inputs.")
     ] = True,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
     json: JsonOption = False,
 ) -> None:
-    """Find what a model gets wrong: which cause, how large, what else it could be, what it gains on unseen data.
+    """Find the effects that a model lacks: size, uncertainty, rivals, and the gain on hold-out data.
 
     Example: bayes-aero diagnose qst01.asc qst02.asc --model attas --out diagnosis
     """
@@ -63,7 +63,7 @@ def diagnose(
     console = teller(quiet=json, highlight=True)
     with interruptible(kept_stages(out, taken_up=True)), bar("reading" if records else "simulating") as tell:
         if not records:
-            console.print("No record given: an effect is hidden in two simulated manoeuvres, to be found.")
+            console.print("No record given: an effect is hidden in two simulated manoeuvres and searched.")
             hidden, flights = hide_one(card, seed)
         found = diagnose_records(
             flights,

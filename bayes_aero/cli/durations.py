@@ -34,7 +34,7 @@ TYPICAL = {
     "do the sensors agree?": 12.0,
     "coefficients": 6.0,
     "causes": 8.0,
-    "gain on unseen data": 4.0,
+    "gain on hold-out data": 4.0,
     "trajectories": 60.0,
     "windows, then whole manoeuvres": 30.0,
     "report": 6.0,

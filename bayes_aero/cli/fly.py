@@ -46,7 +46,7 @@ def fly(
         ),
     ] = InitialState.FREE,
     priors: Annotated[
-        bool, typer.Option(help="--no-priors: the fit has none at all, of parameters and initial states alike.")
+        bool, typer.Option(help="--no-priors: a fit without priors of parameters and initial states.")
     ] = True,
     outputs: Annotated[
         str | None,
@@ -67,7 +67,7 @@ def fly(
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
     json: JsonOption = False,
 ) -> None:
-    """Fit a card's model to trajectories (output error): flown through the recorded inputs, initial states fitted too.
+    """Fit a card's model and the initial states to trajectories (output error), with the recorded inputs.
 
     For cards with a model of effects and for linear ones. Exit code 0: converged; 1: not, or the model cannot fly.
 

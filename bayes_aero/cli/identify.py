@@ -39,7 +39,7 @@ def identify(
     noise: Annotated[NoiseModel, typer.Option(help="Noise model of the posterior.")] = NoiseModel.BUFFET_AR1,
     coefficients: Annotated[
         Coefficients,
-        typer.Option(help="Form coefficients from signals all filtered alike, or as the published ones were."),
+        typer.Option(help="Same filter for all signals (matched), or as the published results."),
     ] = Coefficients.MATCHED,
     gp_split: Annotated[
         Split, typer.Option(help="Split whose Gaussian-process hyperparameters are sampled.")
@@ -47,17 +47,19 @@ def identify(
     resample: ResampleOption = None,
     split: SplitOption = False,
     sample: Annotated[
-        bool, typer.Option(help="Sample the posterior; without, maximum likelihood and its bounds alone.")
+        bool, typer.Option(help="Sample the posterior; otherwise maximum likelihood with its bounds only.")
     ] = True,
     gp: Annotated[bool, typer.Option(help="Train the Gaussian processes.")] = True,
     approximate_gp: Annotated[
         bool,
-        typer.Option("--approximate-gp", help="Approximate those of more samples than the exact one can take."),
+        typer.Option(
+            "--approximate-gp", help="Approximate a Gaussian process of more samples than the exact one accepts."
+        ),
     ] = False,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
     json: JsonOption = False,
 ) -> None:
-    """Identify the parameters of a card's model: maximum likelihood, posterior and Gaussian process side by side.
+    """Identify the parameters of a card's model: maximum likelihood, posteriors and Gaussian processes.
 
     Example: bayes-aero identify qst01.asc qst02.asc --model attas --out results
     """

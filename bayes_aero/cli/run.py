@@ -32,17 +32,17 @@ def run(
     study: Annotated[Path, typer.Argument(help="A study (.toml).")],
     out: Annotated[Path | None, typer.Option(help="Folder for the results; default: STUDY_results, here.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="List the units and their state; do nothing.")] = False,
-    verify: Annotated[bool, typer.Option("--verify", help="Do finished units again and compare every number.")] = False,
+    verify: Annotated[bool, typer.Option("--verify", help="Repeat finished units and compare every number.")] = False,
     trust_effects: Annotated[
         bool,
         typer.Option("--trust-effects", help="Run the effect files (Python) of its cards; read them first."),
     ] = False,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes of this machine to share the units.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Number of processes on this machine.")] = None,
     memory: Annotated[str | None, typer.Option(help="For each worker, e.g. 4GiB; default: an equal share.")] = None,
     scheduler: Annotated[str | None, typer.Option(help="A Dask cluster, e.g. tcp://node1:8786.")] = None,
     json: JsonOption = False,
 ) -> None:
-    """Do a study: every combination of its records, cards, effects, noise models, splits and seeds.
+    """Run a study: every combination of its records, cards, effects, noise models, splits and seeds.
 
     Each unit gets a folder with its results and provenance.
     Doing it again does what is missing, failed, or whose inputs have changed.

@@ -29,10 +29,10 @@ def simulate(
         list[str] | None,
         typer.Option(help="NAME=VALUE, or NAME.PARAMETER=VALUE; in SI or with a unit."),
     ] = None,
-    manoeuvre: Annotated[Manoeuvre, typer.Option(help="What is flown.")] = Manoeuvre.RANDOM_STALL,
+    manoeuvre: Annotated[Manoeuvre, typer.Option(help="The manoeuvre.")] = Manoeuvre.RANDOM_STALL,
     noise: Annotated[
         SimulatedNoise,
-        typer.Option(help="white: sensors; ar1: and coloured disturbances; buffet: these grow with separation."),
+        typer.Option(help="white: sensors; ar1: also coloured disturbances; buffet: these grow with separation."),
     ] = SimulatedNoise.AR1,
     noise_scale: Annotated[float, typer.Option(min=0.0, help="Factor on all noise.")] = 1.0,
     seed: SeedOption = 0,
@@ -45,7 +45,7 @@ def simulate(
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")] = False,
     json: JsonOption = False,
 ) -> None:
-    """Write a synthetic record and, beside it, its truth (FILE.truth.json).
+    """Write a synthetic record and its true parameters (FILE.truth.json).
 
     Geometry, sensors and channels are the card's, the aerodynamics those of the demo aircraft and --effect.
 
@@ -86,7 +86,7 @@ def simulate(
         soft_wrap=True,
     )
     for name, values in request.effects.items():
-        console.print(f"hidden in it: {name}, {', '.join(f'{p} = {x:g}' for p, x in values.items())} (SI)")
+        console.print(f"hidden effect: {name}, {', '.join(f'{p} = {x:g}' for p, x in values.items())} (SI)")
     for note in found.notes:
         console.print(f"! {note}")
     console.print(f"The truth is in {out}.truth.json", soft_wrap=True)

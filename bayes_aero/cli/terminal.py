@@ -30,14 +30,14 @@ INTERRUPTED = 130
 SUFFIXES = ".csv .asc .mat .xlsx .mf4 .ulg .bin .parquet .nc"
 RECORDS = f"Flight records ({SUFFIXES}), or parts of them, FILE@FROM:TO in seconds"
 
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines, and nothing else, on stdout.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON and nothing else on stdout.")]
 ModelOption = Annotated[str, typer.Option(help="Card: a .toml file, or a shipped one by name.", metavar="CARD")]
 SeedOption = Annotated[
     int, typer.Option(min=0, max=2**32 - 1, help="Same seed, same command, same machine: same numbers.")
 ]
 ResampleOption = Annotated[
     float | None,
-    typer.Option(help="Interpolate records of uneven or of several rates onto this time step in s."),
+    typer.Option(help="Interpolate records with uneven or several rates to this time step in s."),
 ]
 SplitOption = Annotated[bool, typer.Option("--split", help="Gaps in time divide a file into manoeuvres.")]
 
@@ -168,12 +168,12 @@ def kept_stages(out: Path, *, taken_up: bool = False) -> Callable[[], str]:
         if taken_up and (out / ".unfinished.json").is_file():  # of a diagnosis; its module is heavy to import
             return (
                 f"the stages that had finished are in {out} ({', '.join(written)}) and can be used as they are; "
-                "the same command searches again, which gives the same, and takes up the rest where it was left"
+                "the same command repeats the selection, with the same result, and continues with the rest"
             )
-        chains = " but goes on with the chain of emcee that was begun" if (out / ".chains").is_dir() else ""
+        chains = " but continues the chain of emcee" if (out / ".chains").is_dir() else ""
         return (
             f"the stages that had finished are in {out} ({', '.join(written)}) and can be used as they are; "
-            f"the same command does all stages again{chains and f',{chains}'}"
+            f"the same command repeats all stages{chains and f',{chains}'}"
         )
 
     return told

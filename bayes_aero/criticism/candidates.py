@@ -93,7 +93,7 @@ def field_of(
         elif lacking:
             not_testable[effect.name] = f"the model has no {', '.join(lacking)}"
         elif {p.name for p in effect.parameters} & owned:
-            not_testable[effect.name] = "the model owns its parameters already"
+            not_testable[effect.name] = "the model already has its parameters"
         elif effect.parameters:
             candidates.append(effect)
     # Effects without parameters are nothing until an effect that they rest on wakes them (Kirchhoff's lift, X).

@@ -164,7 +164,7 @@ def separating(
 def _words(names: Sequence[str], found: Sequence[Separation]) -> str:
     listed = ", ".join(names)
     if not found:
-        return f"none of the standard manoeuvres could be flown from this state, so nothing can be said of {listed}"
+        return f"none of the standard manoeuvres can be simulated from this state, so there is no answer for {listed}"
     best, called = found[0], found[0].manoeuvre.replace("_", " ")
     if best.weakest >= ENOUGH:
         return f"{called} would separate {listed}: they differ by {best.weakest:.1f} standard deviations"

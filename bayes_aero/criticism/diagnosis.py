@@ -91,7 +91,7 @@ def _confirmed(found: Searched, progress: Progress | None) -> Asked:
         confirmations = {stage: confirmation(one.state) for stage, one in found.stages}
         return causes_of(found, confirmations, progress), confirmations[found.stages[-1][0]].kept
 
-    causes, failures = attempted("No cause was tested on unseen data", asked, None)
+    causes, failures = attempted("No cause was tested on hold-out data", asked, None)
     if causes is not None:
         return (*causes, failures)
     untested, _, _ = _unasked(found)
@@ -177,7 +177,7 @@ def _gains_of(
     base = before = LeftOut.refitted(truncated(state, nuisances))
     for number, name in enumerate(causes):
         if progress:
-            progress("gain on unseen data", number / len(causes))
+            progress("gain on hold-out data", number / len(causes))
         after = LeftOut.refitted(truncated(state, (*nuisances, *_sure(causes, number, kept), name)))
         pairs[name] = before, after
         before = after if name in kept else before

@@ -1,4 +1,4 @@
-"""One model fitted to trajectories by itself: parameters, initial states, the residuals' colour, errors by flight."""
+"""One model fitted to trajectories: parameters, initial states, variance inflation, errors by flight."""
 
 from __future__ import annotations
 
@@ -44,34 +44,44 @@ class Setting:
 
 @dataclass(frozen=True)
 class FlownFit:
-    """A fit to whole manoeuvres. `paths` have the model `start` (first values, measured initial state) or `fitted`.
+    """A fit to whole manoeuvres, in SI and radians.
 
-    `initial` is the state at each manoeuvre's first sample, and by how much it departs from the measured one, SI.
+    Attributes:
+        fit: estimates (k,), standard errors and status.
+        start: first values of the parameters, (k,).
+        paths: simulated manoeuvres of the model `start` (first values, measured initial state) or `fitted`.
+        initial: by manoeuvre and state, the value at the first sample and its departure from the measured one.
+        colour_cost: variance inflation of the residuals; NaN if the model left the envelope.
+        outputs: all recorded outputs; those fitted are in `fit`.
+        units: SI units by channel.
+        window: length of the windows of the first fits, s.
+        swell: noise growth in fully separated flow, by fitted output.
+        setting: settings of the fit.
     """
 
     fit: OutputErrorResult
     start: Float[np.ndarray, " k"]
     paths: tuple[Path, ...]
     initial: Mapping[str, Mapping[str, tuple[float, float]]]
-    colour_cost: float  # how many times the colour multiplies variances; NaN where the model could not fly
-    outputs: tuple[str, ...]  # all that were recorded; those fitted are the fit's own
-    units: Mapping[str, str]  # SI, of channels
-    window: float  # s, of the first fits
-    swell: Mapping[str, float] = field(default_factory=dict)  # by fitted output, times missed where all is separated
+    colour_cost: float
+    outputs: tuple[str, ...]
+    units: Mapping[str, str]
+    window: float
+    swell: Mapping[str, float] = field(default_factory=dict)
     setting: Setting = field(default_factory=Setting)
 
     @property
     def converged(self) -> bool:
-        """Whether the numbers can be used; a parameter may be at its bound."""
+        """Whether the fit converged; a parameter may be at its bound."""
         return self.fit.status in (OutputErrorStatus.CONVERGED, OutputErrorStatus.AT_BOUND)
 
     @property
     def manoeuvres(self) -> tuple[str, ...]:
-        """Their names."""
+        """Names of the manoeuvres."""
         return tuple(dict.fromkeys(p.manoeuvre for p in self.paths))
 
     def path(self, manoeuvre: str, model: str) -> Path:
-        """One of the paths."""
+        """The path of one manoeuvre and model (`start` or `fitted`)."""
         return next(p for p in self.paths if (p.manoeuvre, p.model) == (manoeuvre, model))
 
 
@@ -119,7 +129,7 @@ def fit_flown(
         fit = fit_output_error(whole, start=fit.estimate, **again)
     cost, swell = math.nan, {}
     if math.isfinite(fit.cost) and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
-        tell("colour of the residuals", 0.7)
+        tell("autocorrelation of the residuals", 0.7)
         noise = Noise.of(fit)
         cost, whole, swell = noise.cost, noise.on(whole), noise.told(whole.outputs)
         weight = cost if setting.priors else 0.0

@@ -40,12 +40,13 @@ def preparation_notes(records: Sequence[FlightRecord], card: Card, model: Model,
         return ()
     told = "; ".join(
         f"{mle.names[i]} would be {alike.estimate[i]:.4g} {mle.units[i] if mle.units[i] != '1' else ''}".rstrip()
-        + f" instead of {mle.estimate[i]:.4g} ({away[i]:.1f} corrected deviations)"
+        + f" instead of {mle.estimate[i]:.4g} ({away[i]:.1f} corrected standard errors)"
         for i in far[:SHOWN]
     )
     more = f", and {len(far) - SHOWN} more move" if len(far) > SHOWN else ""
     return (
-        "Coefficients are formed as published: measured accelerations are smoothed, the controls that the model "
-        f"answers to are not, and alpha-dot is the vane's. With all signals filtered alike, {told}{more}. No interval "
-        "here allows for that; without --coefficients published both sides are treated alike.",
+        "Coefficients are formed as published: measured accelerations are smoothed, control inputs of the model are "
+        f"not, and alpha-dot is the derivative of the vane angle. With the same filter on all signals, "
+        f"{told}{more}. No "
+        "interval here includes this difference; without --coefficients published both sides are filtered alike.",
     )

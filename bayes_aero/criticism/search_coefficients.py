@@ -50,7 +50,7 @@ def search_coefficients(
             theta[field.columns([name])[0]] = value
     both = stages(field, EquationError.of(flights, field.model), theta, seed=seed, progress=progress)
     left, failures = attempted(
-        "Structure without a name was not sought",
+        "Unexplained structure was not sought",
         lambda: unexplained(both.aerodynamics, seed=seed + 2000),
         Left((), ()),
     )
@@ -78,20 +78,22 @@ def _filtered(flights: Flights) -> tuple[str, ...]:
     if not filtered:
         return ()
     return (
-        f"No white noise of {', '.join(filtered)} can be read off the record (filtered before it was recorded, or "
-        "none): sizes are not freed of the bias that such noise gives, and their intervals do not allow for it.",
+        f"The record shows no white noise of {', '.join(filtered)} (filtered before recording, or none): sizes are not "
+        "corrected for the bias from such noise, and their intervals do not include it.",
     )
 
 
 def _too_short(state: State) -> tuple[str, ...]:
-    """That periods were not looked at, where a manoeuvre is too short for them."""
-    return () if has_chunks(state) else ("Periodic structure was not sought: a manoeuvre is too short for its parts.",)
+    """That periods were not tested, if a manoeuvre is too short for them."""
+    if has_chunks(state):
+        return ()
+    return ("Periodic structure was not tested: a manoeuvre is too short to be divided into blocks.",)
 
 
 def _denials(found: Stages) -> tuple[str, ...]:
-    """A sentence on each error of a sensor that the flight path named and the coefficients deny."""
+    """A sentence on each sensor error that the flight path selects and the coefficients reject."""
     return tuple(
-        f"The flight path alone would name {name}, as it does in gusts; the coefficients lose more by that correction "
-        "than the flight path gains, so it is not made."
+        f"The flight path alone selects {name}, which can be due to gusts. This correction degrades the fit of the "
+        "coefficients by more than the flight path gains, so it is not made."
         for name in found.denied
     )

@@ -96,7 +96,7 @@ def fly_both(
     """Fit the card's model and the extended one to the trajectories, jointly and with each manoeuvre left out.
 
     The extended one has the causes that unseen coefficients confirm and unseen flight misses (see `flown_needed`), and
-    a lag of the separation point if the coefficients leave one open and unseen flight misses that (see `flown_lag`).
+    a separation lag if the coefficients leave one open and unseen flight misses that (see `flown_lag`).
     `biases`: outputs recorded with a constant error of each manoeuvre's own, fitted with the rest; what is flown unseen
     is compared with the record as it is.
     """
@@ -120,7 +120,7 @@ def fly_both(
     extended = Contender("extended", joint, frozenset(p.name for e in added for p in e.parameters))
     lagged, lag, effect = None, None, open_lag(whole, diagnosis.aerodynamics, model)
     if effect is not None:
-        tell("lag of the separation point", 0.2)
+        tell("separation lag", 0.2)
         lagged, lag = with_lag(
             _extended(whole.model, [*base, *added, effect]), effect, extended, noise, flights, whole.settings
         )
@@ -136,7 +136,7 @@ def fly_both(
             lag, without, within, joint.flown.outputs, joint.flown.growth, noise.cost, whole.settings.hold_out
         )
         best = lagged if lag.kept else extended
-    tell("causes that flight misses", 0.8)
+    tell("causes that hold-out flights need", 0.8)
     flies = needed(best, fits[best.name], added, silent[best.name], noise, whole.settings)
     tell("errors", 0.9)
     paths = _paths({"card": card, "extended": flies.contender}, (fits["card"], flies.fits), noise, tolerances, seed)

@@ -46,7 +46,7 @@ class ParameterChange:
 
 @dataclass(frozen=True)
 class Card:
-    """One aircraft and its model, as read from a card.
+    """One aircraft and its model, as read from a card; SI and radians.
 
     The model is either a list of `effects` or a `linear` system; the latter has no effects and needs no aircraft.
     """
@@ -84,9 +84,17 @@ def shipped_cards() -> dict[str, Path]:
 
 
 def read_card(name_or_path: str | Path) -> Card:
-    """Read a card: a shipped one by its name (`attas`), any other from its file.
+    """Read a card.
 
-    A shipped card's name always means that card, whatever lies in the working directory; `./attas` is a file.
+    Args:
+        name_or_path: the name of a shipped card (`attas`), or the path of a .toml file. The name of a shipped card
+            always means that card; a file of this name is `./attas`.
+
+    Returns:
+        The card, with quantities in SI and radians.
+
+    Raises:
+        InputError: there is no such card, or an entry is wrong.
     """
     cards = shipped_cards()
     path = cards.get(str(name_or_path), Path(name_or_path))

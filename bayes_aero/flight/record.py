@@ -41,8 +41,8 @@ class FlightRecord:
         channels: channel name -> (n,) values in SI and radians; time is not among them.
         source: where the record came from, for provenance.
         sha256: SHA-256 of the file's bytes; of the arrays' bytes for a record made in memory.
-        dropped: channel -> why it was left out when the file was read.
-        remarks: how the file was understood where it could be read in more than one way, one sentence each.
+        dropped: channel -> reason why it was omitted when the file was read.
+        remarks: how the file was read if there are several ways, one sentence each.
     """
 
     name: str
@@ -67,7 +67,18 @@ class FlightRecord:
     def from_arrays(
         cls, name: str, time: Any, channels: Mapping[str, Any], source: str = "arrays in memory"
     ) -> FlightRecord:
-        """A record of (n,) arrays in SI. Not checked for plausibility: `checks.check_record` does that."""
+        """A record of arrays.
+
+        Args:
+            name: short name.
+            time: (n,) in s.
+            channels: channel name -> (n,) values in SI and radians; not checked for plausibility
+                (`checks.check_record` does this).
+            source: origin of the record.
+
+        Raises:
+            InputError: an array is not numeric or has another length.
+        """
         record = cls(name, time, channels, source, "")
         digest = hashlib.sha256(record.time.tobytes())
         for key in sorted(record.channels):
@@ -84,7 +95,7 @@ class FlightRecord:
 
     @cached_property
     def dt(self) -> float:
-        """Sampling interval in s: the mean step, for the checks ensure that all steps agree."""
+        """Sampling interval in s: the mean step (checks ensure that all steps agree)."""
         if self.n < 2:
             raise InputError(f"record {self.name} has {self.n} samples; two are needed for a sampling interval")
         return float((self.time[-1] - self.time[0]) / (self.n - 1))
@@ -95,7 +106,7 @@ class FlightRecord:
         return ("time", *self.channels)
 
     def has(self, name: str) -> bool:
-        """Whether the channel was recorded."""
+        """Whether the channel is in the record."""
         return name == "time" or name in self.channels
 
     def __getitem__(self, channel: str) -> np.ndarray:
@@ -111,7 +122,11 @@ class FlightRecord:
         )
 
     def window(self, t0: float, t1: float) -> FlightRecord:
-        """The samples with t0 <= time <= t1 (s), as a record of its own that remembers its file."""
+        """The samples with t0 <= time <= t1 (s), as a new record with the same source.
+
+        Raises:
+            InputError: there is no sample in this interval.
+        """
         slack = 1e-6 * self.dt  # 0.04 * 25 is not 1 in binary
         keep = (self.time >= t0 - slack) & (self.time <= t1 + slack)
         if not keep.any():

@@ -1,4 +1,4 @@
-"""Flight records to files that `readers.read_record` reads back: simulated records, conversions."""
+"""Write flight records to files that `readers.read_record` reads."""
 
 from __future__ import annotations
 
@@ -22,9 +22,15 @@ Columns = list[tuple[Channel, np.ndarray]]
 
 
 def write_record(record: FlightRecord, path: str | os.PathLike[str], channels: Sequence[Channel]) -> None:
-    """Write the channels that the card maps, in the card's units, in the format that the suffix tells.
+    """Write a record in a format that `read` reads. The file is written whole or not at all.
 
-    The file appears whole or not at all. Required channels that the record lacks are refused.
+    Args:
+        record: channels of shape (n,) in SI and radians.
+        path: the file; its suffix selects the format (`WRITERS`).
+        channels: those of a card; they are written in the card's units and signs.
+
+    Raises:
+        InputError: the suffix is unknown, a required channel is missing, or the file cannot be written.
     """
     target = Path(path)
     writer = WRITERS.get(target.suffix.lower())

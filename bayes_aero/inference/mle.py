@@ -34,10 +34,11 @@ FROZEN_X = 0.05  # a separation point that moves less than this over a record sa
 
 
 class MleStatus(Enum):
-    """How the fit ended; the value is what to tell the user."""
+    """How the fit ended; the value is the text for the user."""
 
     CONVERGED = "converged"
-    AT_BOUND = "converged with a parameter at its bound: its bound and interval mean little; widen it or fix it"
+    AT_BOUND = "converged with a parameter at its bound: its interval is not reliable; widen the bound or fix the "
+    "parameter"
     NOT_CONVERGED = "stopped before the optimum: start nearer, add priors or fix parameters; do not use the numbers"
     SINGULAR = "the information matrix is singular: the record does not identify every parameter; fix or add data"
     STALL_NOT_IDENTIFIED = (
@@ -48,9 +49,13 @@ class MleStatus(Enum):
 
 @dataclass(frozen=True)
 class MleResult:
-    """Estimate, bounds and what they rest on. Arrays follow `names`; k parameters.
+    """A maximum-likelihood fit of k parameters, in SI and radians; arrays follow `names`.
 
-    `bias` is what recording noise added to the fit and the estimate is without (`noise_bias`); None: not asked.
+    `covariance` (k, k) is that of Cramer and Rao, for white residuals; `corrected` (k, k) counts their autocorrelation
+    over `blocks` blocks of 0.2 s. `R` (3,) are the residual variances of CL, CD, Cm, `eigenvalues` (k,) those of the
+    information matrix scaled to unit diagonal, `separation` the range of X. `fit` and `lag1` are by coefficient,
+    `starts` the cost and status of each start. `bounded` are parameters at their bounds, `conflicts` priors that the
+    record contradicts. `bias` (k,) from recording noise is subtracted from `estimate`; None: not computed.
     """
 
     names: tuple[str, ...]
@@ -69,7 +74,7 @@ class MleResult:
     starts: tuple[tuple[float, str], ...]
     bounded: tuple[Bounded, ...] = ()
     conflicts: tuple[PriorConflict, ...] = ()
-    blocks: int | None = None  # of 0.2 s, on which the corrected bounds rest
+    blocks: int | None = None
     bias: Float[np.ndarray, " k"] | None = None
 
     @property
@@ -79,17 +84,17 @@ class MleResult:
 
     @property
     def crb(self) -> Float[np.ndarray, " k"]:
-        """Cramer-Rao standard deviations; they assume white residuals."""
+        """Cramer-Rao standard errors, shape (k,); they assume white residuals."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def crb_corrected(self) -> Float[np.ndarray, " k"]:
-        """Standard errors that allow for the residuals' autocorrelation and uneven size (`robust_covariance`)."""
+        """Standard errors with the residuals' autocorrelation and varying size (`robust_covariance`), shape (k,)."""
         return np.sqrt(np.diag(self.corrected))
 
     @property
     def correlation(self) -> Float[np.ndarray, "k k"]:
-        """Correlation of the estimates, from the Cramer-Rao covariance."""
+        """Correlation of the estimates from the Cramer-Rao covariance, shape (k, k)."""
         return self.covariance / np.outer(self.crb, self.crb)
 
     @property
@@ -106,7 +111,7 @@ class MleResult:
         return sorted((pair for pair in pairs if abs(pair[2]) > limit), key=lambda pair: -abs(pair[2]))
 
     def warnings(self) -> list[str]:
-        """What the user should know before using the numbers, one sentence each."""
+        """Warnings for the user of the numbers, one sentence each."""
         said = [] if self.status is MleStatus.CONVERGED else [f"Maximum likelihood: {self.status.value}."]
         if self.blocks is not None and self.blocks < FEWEST_BLOCKS * len(self.names):
             said.append(
@@ -117,20 +122,21 @@ class MleResult:
         low, high = self.separation
         if "alpha_star" in self.names and low > 0.5:
             said.append(
-                f"The angle of attack never came near alpha_star: X stays between {low:.2f} and {high:.2f}, "
-                "so a1, alpha_star and what multiplies 1 - X rest on the onset of separation alone."
+                f"The angle of attack never approached alpha_star: X stays between {low:.2f} and {high:.2f}, "
+                "so a1, alpha_star and the terms with 1 - X depend on the onset of separation alone."
             )
         for name, value, bound in zip(self.names, self.estimate, self.crb, strict=True):
             if bound > 0.5 * abs(value):
                 near = bound < 10.0 * abs(value)  # at a bound of zero a share of the estimate is infinite
                 size = f"{bound / abs(value):.0%} of it" if near else f"{bound:.2g}, its estimate {value:.2g}"
-                said.append(f"{name} is not identified: its Cramer-Rao deviation is {size}.")
+                said.append(f"{name} is not identified: its Cramer-Rao standard error is {size}.")
         bias = np.zeros(len(self.names)) if self.bias is None else self.bias
         for name, moved, sd in zip(self.names, bias, self.crb_corrected, strict=True):
             if abs(moved) > LARGE_BIAS * sd:
                 said.append(
-                    f"Noise of the recorded signals had moved {name} by {moved:+.2g}, most of its corrected deviation; "
-                    "it is taken off to first order only. Recordings with less noise would tell more."
+                    f"Noise of the recorded signals biases {name} by {moved:+.2g}, most of its corrected standard "
+                    f"error; the "
+                    "bias is subtracted to first order only. Records with less noise are needed."
                 )
         said += [f"{a} and {b} are correlated by {value:+.3f}." for a, b, value in self.strong_correlations()]
         return said

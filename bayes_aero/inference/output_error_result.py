@@ -1,4 +1,4 @@
-"""What an output-error fit found: estimates, their deviations under white and coloured residuals, and a status."""
+"""The result of an output-error fit: estimates, standard errors for white and coloured residuals, a status."""
 
 from __future__ import annotations
 
@@ -30,21 +30,22 @@ class OutputErrorStatus(Enum):
     """How the fit ended; the value is what to tell the user."""
 
     CONVERGED = "converged"
-    AT_BOUND = "converged with a parameter at its bound: its deviation means little; widen the bound or fix it"
+    AT_BOUND = "converged with a parameter at its bound: its standard error is not reliable; widen the bound or fix it"
     NOT_CONVERGED = "stopped before the optimum: start nearer, or begin with shorter windows; do not use the numbers"
     LEFT_ENVELOPE = (
-        "the simulation leaves the flight envelope at every parameter value tried: the model cannot fly this record; "
+        "the simulation leaves the flight envelope at every parameter value tried: the model cannot be simulated "
+        "through this record; "
         "check signs and units, or begin with shorter windows"
     )
 
 
 @dataclass(frozen=True)
 class OutputErrorResult:
-    """Estimates of k parameters and of each segment's initial state, with what they rest on.
+    """An output-error fit: estimates of k parameters and of the initial state of each segment, in SI and radians.
 
-    `covariance` is Cramer and Rao's with the priors' information, `information` the data's alone. `rms` is by segment
-    and output, in the recorded unit. `columns` are residual and sensitivities (parameters, then initial state), both
-    divided by `flown.swell`; `R` is the variance of attached flow.
+    `covariance` (k, k) is that of Cramer and Rao with priors, `information` (k, k) that of the data alone. `rms` is by
+    segment and output, in the recorded unit. `columns` are residual and sensitivities (parameters, then initial state),
+    both divided by the noise growth `flown.swell`; `R` is the residual variance in attached flow.
     """
 
     flown: Flown
@@ -66,7 +67,7 @@ class OutputErrorResult:
 
     @property
     def det_R(self) -> float:
-        """Determinant of the diagonal residual covariance over the fitted outputs, SI: the published programs' cost."""
+        """Determinant of the diagonal residual covariance of the fitted outputs, SI: the cost of published programs."""
         count = self.flown.inside.sum(axis=1)
         return float(np.prod(np.sum(count[:, None] * self.rms**2, axis=0) / count.sum()))
 
@@ -77,7 +78,7 @@ class OutputErrorResult:
 
     @property
     def sd(self) -> Float[np.ndarray, " k"]:
-        """Standard deviations, priors counted, residuals taken as white; infinite where nothing determines it."""
+        """Standard errors with priors, for white residuals, (k,); infinite where undetermined."""
         return self._known(np.sqrt(np.diag(self.covariance)))
 
     def _known(self, sd: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
@@ -86,7 +87,7 @@ class OutputErrorResult:
 
     @property
     def crb(self) -> Float[np.ndarray, " k"]:
-        """Cramer-Rao standard deviations: the data alone, residuals taken as white. Infinite where there is nothing."""
+        """Cramer-Rao standard errors of the data alone, for white residuals, (k,); infinite where undetermined."""
         scale = np.sqrt(np.diag(self.information))
         known = scale > 0.0
         found = np.full(len(scale), np.inf)
@@ -98,12 +99,12 @@ class OutputErrorResult:
 
     @cached_property
     def corrected(self) -> Float[np.ndarray, "k k"]:
-        """Covariance that allows for the residuals' colour, priors counted; segments are taken as independent.
+        """Covariance with the residuals' autocorrelation and the priors, shape (k, k); segments are independent.
 
         With D = `covariance` it is D (M + P) D: M the scores' covariance under the residuals' autocovariance, P that
         of the priors; D itself where residuals are white. Sources: Maine and Iliff, NASA RP-1077 (1981); Morelli and
-        Klein, J. Aircraft 1997. Where residuals are coloured, no variance is below what leaving out stretches of flight
-        says (`_left_out`): what disturbs a flight adds up in it, the fit takes up most, and residuals tell too little.
+        Klein, J. Aircraft 1997. Where residuals are coloured, no variance is below that of the block jackknife
+        (`_left_out`): a trajectory integrates disturbances, and the fit absorbs most of them.
         """
         if not math.isfinite(self.cost):
             return self.covariance
@@ -126,10 +127,10 @@ class OutputErrorResult:
         return found * np.outer(wider, wider)
 
     def _left_out(self, S: Float[np.ndarray, "w n c k"]) -> Float[np.ndarray, " k"]:
-        """Variances by the jackknife over stretches of flight, to first order and with the segments' states kept.
+        """Variances by the block jackknife, to first order and with the segments' states kept, shape (k,).
 
-        A stretch that tells nearly all of some direction (a constant error that shows while a motion begins, the only
-        step of a control) counts there as one that tells `LEVERAGE` of it: the others cannot judge it.
+        A block with nearly all information on a direction (a constant error visible while a motion begins, the only
+        step of a control) counts there as one with `LEVERAGE` of it, because the other blocks cannot test it.
         Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), ch. 11, of blocks in place of samples.
         """
         moving = np.flatnonzero(np.diag(self.covariance) > 0.0)

@@ -1,4 +1,4 @@
-"""What a sampler leaves: draws as an ArviZ DataTree, their diagnostics, and a status."""
+"""A sampled posterior: draws as an ArviZ DataTree, diagnostics, a status."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PREDICTIVE_VALUES = 20_000_000  # of each of these groups; a record of 200,000 s
 
 
 class PosteriorStatus(Enum):
-    """Whether the draws may be used; the value is what to tell the user."""
+    """Whether the draws may be used; the value is the text for the user."""
 
     CONVERGED = "converged"
     NOT_CONVERGED = (
@@ -50,7 +50,17 @@ class Marginal:
 
 @dataclass(frozen=True)
 class Posterior:
-    """Draws of one engine. `tree` has posterior, sample_stats, log_likelihood, prior and both predictive groups."""
+    """Draws of one sampler, in SI and radians.
+
+    Attributes:
+        engine: `emcee` or `nuts`.
+        noise: noise model.
+        names: the k parameters.
+        tree: groups posterior, sample_stats, log_likelihood, prior, posterior_predictive and prior_predictive.
+        marginals: by parameter.
+        status: whether the draws may be used.
+        seconds: run time, s.
+    """
 
     engine: str
     noise: str
@@ -61,17 +71,17 @@ class Posterior:
     seconds: float
 
     def draws(self) -> Float[np.ndarray, "m k"]:
-        """All draws as rows, chains end to end, columns as `names`."""
+        """All draws, shape (m, k): chains one after the other, columns as `names`."""
         posterior = self.tree["posterior"].to_dataset()
         return np.stack([np.asarray(posterior[name]).reshape(-1) for name in self.names], axis=1)
 
     @property
     def covariance(self) -> Float[np.ndarray, "k k"]:
-        """Posterior covariance of the parameters."""
+        """Posterior covariance of the parameters, shape (k, k)."""
         return np.cov(self.draws().T)
 
     def save(self, path: Path) -> None:
-        """Write the tree as NetCDF, whole or not at all."""
+        """Write `tree` to `path` as NetCDF, whole or not at all."""
         partial = path.with_name(path.name + ".part")
         encoding = {
             f"/{group}": {name: {"zlib": True, "complevel": 4} for name in node.data_vars}

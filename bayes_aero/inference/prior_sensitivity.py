@@ -28,9 +28,9 @@ class Leaning(Enum):
     """What the two sensitivities say together; the value is what to tell the user."""
 
     DATA = "the data decide"
-    BOTH = "prior and data pull apart, or the prior is informative beside the data"
-    PRIOR = "the prior decides; the record says next to nothing of this parameter"
-    NEITHER = "neither moves it: look at its chains"
+    BOTH = "prior and data conflict, or the prior is informative compared with the data"
+    PRIOR = "the prior decides; the record contains little information on this parameter"
+    NEITHER = "neither moves it: check its chains"
 
 
 def prior_sensitivity(density: LogDensity, posterior: Posterior) -> pd.DataFrame:

@@ -76,7 +76,7 @@ def validate(
         kinds = tuple(kind for kind in kinds if kind != "block")
         chosen = kinds[0] if chosen == "block" else chosen
         left_out = (
-            f"The Gaussian process was not tried on blocks held back: {observations.names[short]} is shorter than two "
+            f"The Gaussian process was not tested on hold-out blocks: {observations.names[short]} is shorter than two "
             f"blocks of {BLOCK_SECONDS:g} s.",
         )
     splits: dict[SplitKind, list[Split]] = {
@@ -115,7 +115,7 @@ def validate(
                     progress(f"gp: {NAMES[task.column]}, {task.kind} split", len(trained) / len(tasks))
         except TerminatedWorkerError:
             raise InputError(
-                f"a process that trained on up to {len(z)} samples was killed, probably for want of memory; thin the "
+                f"a process that trained on up to {len(z)} samples was killed, probably for lack of memory; thin the "
                 "records or free memory"
             ) from None
     predicted = {

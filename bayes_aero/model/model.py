@@ -24,10 +24,11 @@ Signals = Mapping[str, Float[Array, "*#n"]]
 
 @dataclass(frozen=True)
 class Model:
-    """A list of effects with their parameters; `fixed` parameters keep their value, the rest are free.
+    """A list of effects with their parameters.
 
-    `chords` is the chord over the length in rates free of units: defaults of derivatives per q c/V are as many times
-    larger. Hashable and without arrays, so that it is static under `jax.jit`.
+    `fixed` parameters keep their value, the others are free. `chords` is the chord over the length in nondimensional
+    rates; it multiplies the defaults of derivatives per q c/V. Hashable and without arrays, so it is static under
+    `jax.jit`.
     """
 
     effects: tuple[Effect, ...]
@@ -44,7 +45,15 @@ class Model:
 
     @classmethod
     def of(cls, effects: Iterable[str | Effect], fixed: Mapping[str, float] | None = None) -> Model:
-        """A model from effects, given themselves or by their names in the catalogue."""
+        """Make a model.
+
+        Args:
+            effects: effects, or their names in the catalogue.
+            fixed: values of parameters that are not fitted, in SI and radians.
+
+        Raises:
+            InputError: an effect or a parameter is unknown, or two effects own the same parameter.
+        """
         chosen = tuple(e if isinstance(e, Effect) else _by_name(e) for e in effects)
         parameters = tuple(p for effect in chosen for p in effect.parameters)
         names = [p.name for p in parameters]
@@ -64,7 +73,11 @@ class Model:
 
     @classmethod
     def from_card(cls, card: Card) -> Model:
-        """The model that a card states, its starts, bounds and priors in place."""
+        """Make the model of a card, with its starts, bounds and priors.
+
+        Raises:
+            InputError: the card has a linear system, or an effect or a parameter is unknown.
+        """
         if card.linear is not None:
             raise InputError(f"card {card.name} states a linear system, which has no effects; use one with [model]")
         own = own_effects(card.effect_files)
@@ -81,7 +94,15 @@ class Model:
         return replace(model, parameters=parameters, chords=chords)
 
     def extended(self, *effects: str | Effect, fixed: Mapping[str, float] | None = None) -> Model:
-        """This model with effects added, by name or themselves; what it has keeps its starts, bounds and priors."""
+        """This model with further effects; present parameters keep their starts, bounds and priors.
+
+        Args:
+            effects: effects, or their names in the catalogue.
+            fixed: values of parameters that are not fitted, in SI and radians.
+
+        Raises:
+            InputError: an effect or a parameter is unknown.
+        """
         known = {p.name: p for p in self.parameters}
         wider = Model.of((*self.effects, *effects), dict(self.fixed) | dict(fixed or {}))
         parameters = tuple(known.get(p.name, per_length(p, self.chords)) for p in wider.parameters)
@@ -105,7 +126,7 @@ class Model:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Signals that the effects need."""
+        """Channels that the effects need."""
         return tuple(dict.fromkeys(c for effect in self.effects for c in effect.channels))
 
     def values(self, theta: Float[Array, " k"]) -> dict[str, Any]:
@@ -167,7 +188,16 @@ class Model:
         return total
 
     def coefficients(self, theta: Float[Array, " k"], signals: Signals, aircraft: Aircraft) -> Float[Array, "*n 3"]:
-        """CL, CD, Cm along the last axis."""
+        """The modelled coefficients.
+
+        Args:
+            theta: (k,) free parameters, in the order of `names`.
+            signals: channels of shape (n,) in SI and radians.
+            aircraft: constants of the aircraft.
+
+        Returns:
+            CL, CD, Cm along the last axis, (n, 3).
+        """
         known = self.flow(self.values(theta), signals, aircraft)
         return namespace(known["CL"]).stack([known["CL"], known["CD"], known["Cm"]], axis=-1)
 

@@ -1,4 +1,4 @@
-"""In words: manoeuvres fitted alone that differ by more than their intervals allow."""
+"""Sentences on manoeuvres fitted alone that differ by more than their intervals."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from bayes_aero.report.phrases import several
 
 
 def left_out(identification: Identification) -> list[str]:
-    """Manoeuvres whose own fit cannot be compared, and why."""
+    """Manoeuvres whose own fit cannot be compared, with the reason."""
     return [
         f"{name} alone: {fit.status.value}; it is left out of the comparison between manoeuvres."
         for name, fit in identification.alone.items()
@@ -30,7 +30,7 @@ def left_out(identification: Identification) -> list[str]:
 
 
 def between_manoeuvres(identification: Identification, limit: float) -> list[str]:
-    """Sentences on differences beyond `limit` deviations of the difference; none where the intervals explain them."""
+    """Sentences on differences beyond `limit` standard errors; none if the intervals explain them."""
     names = ordered(identification.mle.names)
     compared = [n for n in names if len(alone(identification, n)) > 1]
     beyond = {
@@ -41,7 +41,7 @@ def between_manoeuvres(identification: Identification, limit: float) -> list[str
         return []
     counts = [f"{label}: {_listed(found, len(compared))}" for label, found in beyond.items()]
     said = [
-        f"Fitted alone, manoeuvres differ by more than {limit:.0f} deviations of the difference, by "
+        f"Fitted alone, manoeuvres differ by more than {limit:.0f} standard errors of the difference, by "
         + "; by ".join(counts)
         + "."
     ]
@@ -51,10 +51,10 @@ def between_manoeuvres(identification: Identification, limit: float) -> list[str
     if unexplained:
         shown = always or unexplained
         said.append(
-            f"No noise model alone explains that: {'; '.join(_numbers(identification, n) for n in shown)}. "
-            "The model lacks an effect, the manoeuvres' conditions differ in a way that it does not know, or filters "
-            "treat the measured and the modelled side unlike; the intervals of the joint fit are for one value that "
-            "serves all, and cover none of these."
+            f"No noise model alone explains this: {'; '.join(_numbers(identification, n) for n in shown)}. "
+            "The model lacks an effect, the conditions of the manoeuvres differ in a way that it does not contain, or "
+            "filters act differently on the measured and the modelled side. The intervals of the joint fit assume one "
+            "value for all manoeuvres and cover none of these."
         )
     return said
 
@@ -95,4 +95,4 @@ def _numbers(identification: Identification, name: str) -> str:
     single = alone(identification, name)
     texts = [f"{single[m][0]:.{decimals(single[m][1])}f} from {m}" for m in (a, b)]
     bound = max(single[a][1], single[b][1])
-    return f"{name} is {texts[0]} and {texts[1]}, with Cramér-Rao deviations up to {bound:.2g}"
+    return f"{name} is {texts[0]} and {texts[1]}, with Cramér-Rao standard errors up to {bound:.2g}"

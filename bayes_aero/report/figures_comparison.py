@@ -1,4 +1,4 @@
-"""Bounds and credible intervals beside each other: forest plot, and every deviation as a multiple of the CRB."""
+"""Bounds and credible intervals: forest plot, and every standard error as a multiple of the Cramer-Rao bound."""
 
 from __future__ import annotations
 

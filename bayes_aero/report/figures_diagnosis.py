@@ -1,4 +1,4 @@
-"""The figures of a diagnosis: where the model is wrong, who explains it, what that gains, what moved, what is left."""
+"""The figures of a diagnosis: residuals, candidates, gains, parameter changes, unexplained structure."""
 
 from __future__ import annotations
 
@@ -70,14 +70,14 @@ def measured_simulated(view: View) -> Figure:
 
 @housed
 def ranking(view: View) -> Figure:
-    """Score of every candidate in the first election of each stage, and what noise alone reaches once in twenty."""
+    """Score of every candidate in the first screening of each stage, and the 5 % level of noise alone."""
     if not view.rankings:
-        raise NotDrawn("no election was held")
+        raise NotDrawn("no screening was done")
     rows = [len(r.standings) + 1.0 for r in view.rankings]
     figure, axes = panels(len(rows), 1, (8.5, 0.2 * sum(rows) + 0.9 * len(rows) + 0.6), height_ratios=rows)
     for ax, one in zip(axes[:, 0], view.rankings, strict=True):
         _bars(ax, one, {c.name for c in view.diagnosis.causes if c.stage == one.stage})
-    figure.suptitle("Candidates before anything was added\n(named causes in colour; later elections may reorder them)")
+    figure.suptitle("Candidates before any addition\n(named causes in colour; later screenings may reorder them)")
     return figure
 
 
@@ -97,7 +97,7 @@ def _bars(ax: Axes, one: Ranking, causes: set[str]) -> None:
     ax.set_ylim(len(scores) - 0.4, -0.6)
     ax.set_xlim(0.0, 1.1 * widest)
     ax.grid(False, axis="y")
-    ax.set_xlabel("estimate over its deviation, correlated residuals allowed for [-]")
+    ax.set_xlabel("estimate over its standard error, autocorrelation included [-]")
     ax.set_title(f"Stage: {one.stage}")
 
 
@@ -137,7 +137,7 @@ def gain(view: View) -> Figure:
             ax.set_xticks([x for x in ticks if left <= x and (key == "rmse" or x <= 1.0)])
             ax.set_xlabel(f"{label} of {name} [-]")
     brackets = "; in brackets: not confirmed, and not in what follows" if any(not c.confirmed for c in causes) else ""
-    figure.suptitle(f"On unseen data ({SPLITS[view.diagnosis.split]}), cause after cause{brackets}")
+    figure.suptitle(f"On hold-out data ({SPLITS[view.diagnosis.split]}), cause after cause{brackets}")
     return figure
 
 
@@ -169,9 +169,9 @@ def moves(view: View) -> Figure:
     ax.axvline(0.0, color="#777777", lw=0.8, zorder=0)
     ax.set_yticks(place, names)
     ax.set_ylim(len(names) - 0.5, -0.5)
-    ax.set_xlabel("distance from the card's estimate, in deviations after [-]")
+    ax.set_xlabel("distance from the card's estimate, in standard errors after [-]")
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.55 / (0.32 * len(names) + 1.0)), ncols=2)
-    figure.suptitle("How the card's parameters moved (bars: one deviation, correlated residuals allowed for)")
+    figure.suptitle("Change of the card's parameters (bars: one standard error, autocorrelation included)")
     return figure
 
 
@@ -212,7 +212,9 @@ def residual_profiles(view: View) -> Figure:
             ax.remove()
         row[0].set_ylabel(f"mean residual of {NAMES[c]} [-]")
     figure.align_ylabels(list(axes[:, 0]))
-    figure.suptitle("Residuals over the channels that show the clearest trace (bins of equal count, ± one deviation)")
+    figure.suptitle(
+        "Residuals over the channels with the clearest dependence (bins of equal count, ± one standard error)"
+    )
     _legend(figure, axes)
     return figure
 
@@ -258,7 +260,7 @@ def residual_colour(view: View) -> Figure:
         ax.set_xlabel("frequency [Hz]")
     axes[0, 0].set_ylabel("autocorrelation of the residual [-]")
     axes[1, 0].set_ylabel("power spectral density [1/Hz]")
-    figure.suptitle("Colour of the residuals")
+    figure.suptitle("Autocorrelation of the residuals")
     _legend(figure, axes)
     return figure
 

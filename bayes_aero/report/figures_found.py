@@ -1,4 +1,4 @@
-"""A diagnosis in one picture: where the card's model fails most, who stood for election, what the extension leaves."""
+"""A diagnosis in one figure: the largest error of the card's model, the screening, the error of the extended model."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Telling:
 
 @housed
 def found(view: View) -> Figure:
-    """What gains most, by each model with its error shaded, and the election that named the cause."""
+    """The quantity with the largest gain, by each model with its error shaded, and the deciding screening."""
     shown, ranking = telling(view), _decisive(view)
     rows = "ab"[: len(shown.simulated)]
     figure = Figure(figsize=(11.0, 1.9 * len(rows) + 1.0), layout="constrained")
@@ -61,7 +61,7 @@ def found_narrow(view: View) -> Figure:
 
 
 def _fill(axes: Mapping[str, Axes], shown: Telling, ranking: Ranking | None, view: View) -> None:
-    """Time histories a and b, the election R."""
+    """Time histories a and b, the screening R."""
     rows = "ab"[: len(shown.simulated)]
     z, t = shown.measured, shown.time
     for row, (label, colour, simulated, note) in zip(rows, shown.simulated, strict=True):
@@ -131,7 +131,7 @@ def _output(flown: Trajectories) -> Telling | None:
 
 
 def _decisive(view: View) -> Ranking | None:
-    """The first election of the stage that named the first cause; without a cause, of the last stage."""
+    """The first screening of the stage that named the first cause; without a cause, of the last stage."""
     stages = {r.stage: r for r in view.rankings}
     if view.diagnosis.causes:
         return stages.get(view.diagnosis.causes[0].stage)
@@ -164,8 +164,8 @@ def _election(ax: Axes, ranking: Ranking, view: View) -> None:
     ax.set_ylim(len(leaders) - 0.4, -0.6)
     ax.set_xlim(0.0, 1.03 * widest)
     ax.grid(False, axis="y")
-    ax.set_xlabel("share of the variance left that it explains [%]")
-    ax.set_title(f"Which cause? First election, {ranking.stage}")
+    ax.set_xlabel("share of the remaining variance explained [%]")
+    ax.set_title(f"First screening, {ranking.stage}")
 
 
 def _sizes(cause: Cause) -> str:

@@ -8,11 +8,11 @@ from collections.abc import Mapping
 from bayes_aero.report.phrases import several
 
 KINDS = {
-    re.compile(r"channel (.+) was not recorded"): "for want of a channel ({})",
-    re.compile(r"channel (.+) does not move in this record"): "for a channel that does not move ({})",
-    re.compile(r"the model has no (.+)"): "for want of a parameter of the model ({})",
+    re.compile(r"channel (.+) was not recorded"): "because a channel was not recorded ({})",
+    re.compile(r"channel (.+) does not move in this record"): "because a channel does not move ({})",
+    re.compile(r"the model has no (.+)"): "because the model lacks a parameter ({})",
 }
-"""Reasons that name something, as the search for candidates words them, and how they are told together."""
+"""Reasons that name something, as the screening states them, and the words under which they are counted."""
 
 
 def not_testable_sentences(reasons: Mapping[str, str]) -> list[str]:

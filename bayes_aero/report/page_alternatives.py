@@ -34,9 +34,9 @@ def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
     change = several(f"{note} with the {label}" for label, _, _, note in best.simulated)
     return {
         "found": (
-            f"Measured and by each model: {what} of {best.manoeuvre}, where the extension gains most, the error "
-            "shaded; and the first election: a bar is the share of what is left that a candidate explains, named "
-            "causes are drawn in colour and carry their size.",
+            f"Measured and by each model: {what} of {best.manoeuvre}, where the extended model gains most, the error "
+            "shaded; and the first screening: a bar is the share of the remaining variance that a candidate explains. "
+            "Named causes are in colour and carry their size.",
             f"Time history of {what} for {best.manoeuvre}: {change}. Scores of the candidates, leading: {leaders}.",
         ),
         "ranking": (
@@ -44,24 +44,26 @@ def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
             f"Bar chart of candidates' scores. Leading: {leaders}.",
         ),
         "gain": (
-            "R² and RMSE on unseen data as the causes are added one after the other, top to bottom.",
-            "Bar chart of scores on unseen data by cause. " + gained(view),
+            "R² and RMSE on hold-out data as the causes are added one after the other, top to bottom.",
+            "Bar chart of scores on hold-out data by cause. " + gained(view),
         ),
         "moves": (
-            "How far each of the card's parameters moved when the causes were added.",
+            "Change of each of the card's parameters when the causes are added.",
             "Dot plot of parameters before and after. Furthest: "
             + several(f"{n} from {m.before:.3g} to {m.after:.3g}" for n, m in far[:3])
             + ".",
         ),
         "residual_profiles": (
-            "Mean residual over the channels that show the clearest trace, before and after. A flat line at zero is "
-            "right.",
+            "Mean residual over the channels with the clearest dependence, before and after. A correct model has a "
+            "flat "
+            "line at zero.",
             "Binned residuals of CL, CD and Cm over three channels each. RMSE before and after: "
             + several(f"{n} {before[n]['rmse']:.4f} and {after[n]['rmse']:.4f}" for n in NAMES)
             + ".",
         ),
         "residual_colour": (
-            "Autocorrelation and spectrum of the residuals, before and after. Independent noise falls to zero at once.",
+            "Autocorrelation and spectrum of the residuals, before and after. The autocorrelation of independent "
+            "noise is zero from the first lag.",
             "Lag-1 correlation before and after: "
             + several(f"{n} {a:.2f} and {b:.2f}" for n, (a, b) in lag.items())
             + ".",
@@ -74,8 +76,8 @@ def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
             "Hysteresis loops of CL over angle of attack, and polars. " + " ".join(_peaks(view)),
         ),
         "separation_models": (
-            "Where the flow separates: X = 1 attached, 0 separated from the leading edge, at three rates of the "
-            "angle of attack, "
+            "Separation point: X = 1 attached, 0 separated from the leading edge, at three rates of the angle of "
+            "attack, "
             "with 95 % bands. Ticks at the bottom: angles flown.",
             "Separation point over angle of attack. " + " ".join(_apart(label, s) for label, s in view.stalls.items()),
         ),
@@ -131,16 +133,15 @@ def identification_alternatives(run: Identification) -> dict[str, tuple[str, str
             "estimate.",
             f"Forest plot of {len(mle.names)} parameters by {len(found)} methods and {len(run.alone)} manoeuvres "
             f"alone. "
-            f"Maximum likelihood with corrected deviations: {numbers}.",
+            f"Maximum likelihood with corrected standard errors: {numbers}.",
         ),
         "crb_vs_credible": (
             "Standard deviation of every parameter by each method, over its Cramér–Rao bound (line at 1). Right of "
-            "the line: "
-            "less certain than the bound says.",
+            "the line: less certain than the bound.",
             f"Dot plot, logarithmic: standard deviation over the Cramér–Rao one, median over parameters: {ratios}.",
         ),
         "prior_posterior": (
-            "Prior (grey) and posterior density of every parameter: what the data added.",
+            "Prior (grey) and posterior density of every parameter.",
             f"Prior and posterior densities of {len(mle.names)} parameters. The numbers are in the table of "
             f"parameters.",
         ),

@@ -64,18 +64,18 @@ def card_page(view: StarterView, source: Mapping[str, Any]) -> Page:
     """The page."""
     used = [t for t in view.taken if not t.doubt]
     columns = len(view.taken) + len(view.unknown)
-    left = f"{len(view.todo)} entries are to be filled in" if view.todo else "nothing is left to be filled in"
+    left = f"{len(view.todo)} entries are to be filled in" if view.todo else "no entry is left to be filled in"
     return Page(
         title=f"Starter card: {view.card}",
-        subtitle=f"Written from the columns of {view.record}; every line is a guess to be read",
-        verdict=f"{len(used)} of {columns} columns were taken for channels; {left}.{_blind(view.blind)}",
+        subtitle=f"Written from the columns of {view.record}; every line is a proposal to be checked",
+        verdict=f"{len(used)} of {columns} columns were assigned to channels; {left}.{_blind(view.blind)}",
         lead=_drawn(
             view, "time-columns", "Recorded columns", TAKEN, [_panel_of(t) for t in used if t.channel != "time"]
         ),
         sections=filled(
-            section("todo", "What only you know", lambda: _todo(view.todo)),
-            section("guesses", "What was guessed, and why", lambda: _guesses(view.taken)),
-            section("unknown", "Columns that nothing was guessed for", lambda: _unknown(view)),
+            section("todo", "To be completed", lambda: _todo(view.todo)),
+            section("guesses", "Proposals and their evidence", lambda: _guesses(view.taken)),
+            section("unknown", "Columns without a proposal", lambda: _unknown(view)),
             section("provenance", "Provenance", lambda: provenance_blocks(source)),
         ),
     )
@@ -121,7 +121,7 @@ def _guesses(taken: Sequence[Taken]) -> tuple[Block, ...]:
         )
         for t in taken
     )
-    said = "Names come from the headings, units and signs from the values' own physics. Read the evidence."
+    said = "Names are from the headings, units and signs from the physics of the values. Read the evidence."
     head = ("channel", "column", "unit", "sign", "range in the file", "evidence")
     return (Text(said), Table("Guesses", head, rows, words=(5,))) if rows else ()
 

@@ -47,12 +47,12 @@ def check_page(report: CheckReport, source: Mapping[str, Any]) -> Page:
         sections=filled(
             section(
                 "uses",
-                "What the records are good for",
+                "Use of the records",
                 lambda: (*bullets(_uses(report)), *not_testable_list(report.not_testable)),
             ),
             section("sensors", "Do the sensors agree?", lambda: _sensors(report)),
             section("records", "The records at a glance", lambda: at_a_glance(sound, report.card) if sound else ()),
-            section("channels", "Taken from where", lambda: _channels(report)),
+            section("channels", "Source of each channel", lambda: _channels(report)),
             section("histories", "More records", lambda: plots[1:]),
             section("provenance", "Provenance", lambda: provenance_blocks(source)),
         ),
@@ -84,10 +84,10 @@ def _sensors(report: CheckReport) -> tuple[Block, ...]:
     s = report.sensors
     if s.note:
         return bullets(sensor_sentences(report))
-    faint = {True: "too small to be worth a name", False: ""}
+    faint = {True: "too small to be named", False: ""}
     rows = tuple((name, e["claim"], sizes(e), faint[e["minor"]]) for name, e in s.errors.items())
     head = ("error", "claim", "size ± sd", "remark")
-    table = Table("Errors that the flight path asks for", head, rows, words=(1, 2, 3)).lean()
+    table = Table("Errors estimated along the flight path", head, rows, words=(1, 2, 3)).lean()
     said = f"{left_over(report)[:1].upper()}{left_over(report)[1:]}."
     listed = open_list(report.consistency)
     return (*bullets(sensor_sentences(report)), *listed, *((table,) if rows else ()), Text(said))

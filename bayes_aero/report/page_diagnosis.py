@@ -1,4 +1,4 @@
-"""The report of a diagnosis: what is wrong, why, how large, what it gains, what stays open."""
+"""The page of a diagnosis: causes, sizes, gains, rivals, unexplained structure."""
 
 from __future__ import annotations
 
@@ -57,13 +57,13 @@ def diagnosis_page(view: DiagnosisView, told: PageContext) -> Page:
     from_what = "" if by_coefficients else ", from trajectories alone: the record has no coefficients"
     return Page(
         title=f"Diagnosis: {told.card.title}",
-        subtitle=f"What the model gets wrong, why, and what mending it gains{from_what}",
+        subtitle=f"The model error, its causes, and the gain of the extended model{from_what}",
         verdict=verdict,
         lead=_lead(view, told, gallery),
         doubts=doubts(told.records, told.card, told.consistency, corrects=by_coefficients, failures=told.failures),
         sections=filled(
             section("records", "The records at a glance", lambda: records_and_faults(told.records, told.card)),
-            section("causes", "What is wrong, and the cause", lambda: _causes(d, view.rankings, gallery)),
+            section("causes", "Causes of the model error", lambda: _causes(d, view.rankings, gallery)),
             *(_of_coefficients(view, told, gallery, rest) if isinstance(view, View) else _findings(view, told, rest)),
             section("provenance", "Provenance", lambda: provenance_blocks(told.source, told.notes)),
         ),
@@ -74,12 +74,12 @@ def _lead(view: DiagnosisView, told: PageContext, gallery: Gallery) -> tuple[Blo
     """What was hidden, if anything was; what the extension gains; the first figure."""
     lead: list[Block] = [Text(one, "lead") for one in told.revealed]
     if isinstance(view, View) and gained(view):
-        lead.append(Text(f"On data that were not fitted, before and after: {gained(view)}", "lead"))
+        lead.append(Text(f"On hold-out data, before and after: {gained(view)}", "lead"))
     if view.trajectories is not None and (gain := simulation_gain(view.trajectories)):
         lead.append(Text(gain, "lead"))
     lead += gallery("found") or gallery("measured_simulated")
     if not isinstance(view, View):
-        lead.append(Text("The record lacks what lift, drag and moment coefficients are formed from."))
+        lead.append(Text("The record lacks channels from which lift, drag and moment coefficients are formed."))
     elif not told.figures:
         lead.append(Text("Static pictures were not drawn in this run; tables and interactive figures are complete."))
     return tuple(lead)
@@ -88,14 +88,12 @@ def _lead(view: DiagnosisView, told: PageContext, gallery: Gallery) -> tuple[Blo
 def _of_coefficients(view: View, told: PageContext, gallery: Gallery, rest: Sequence[str]) -> tuple[Section, ...]:
     """Sections of a diagnosis by coefficients."""
     return (
-        section("gain", "What the extension gains on unseen data", lambda: _gain(view, gallery)),
-        section(
-            "open", "What cannot be told apart, and what stays unexplained", lambda: _open(view.diagnosis, told, rest)
-        ),
+        section("gain", "Gain of the extended model on hold-out data", lambda: _gain(view, gallery)),
+        section("open", "Rivals and unexplained structure", lambda: _open(view.diagnosis, told, rest)),
         section("fit", "Measured and simulated coefficients", lambda: _coefficients(view)),
         section("trajectories", "Trajectories, before and after", lambda: _flown(view.trajectories, told)),
         section("stall", "The stall", lambda: _stall(view, gallery)),
-        section("parameters", "How the card's parameters moved", lambda: _parameters(view, gallery)),
+        section("parameters", "Change of the card's parameters", lambda: _parameters(view, gallery)),
         section("predictors", "Which predictor to use", lambda: _predictors(told)),
         section("diagnostics", "Diagnostics", lambda: _diagnostics(view, gallery)),
     )
@@ -123,17 +121,17 @@ def _causes(d: Diagnosis, rankings: Sequence[Ranking], gallery: Gallery) -> tupl
         blocks += [
             Text(
                 "Each cause is one effect of the catalogue that the card's model lacks. Sizes are estimates with one "
-                "standard deviation; the probability is that the effect is in the model at all"
-                + (", and where another explains as much (last column) the two share it." if shared else ".")
+                "standard error. The probability is that of the effect being present"
+                + ("; rivals (last column) share it." if shared else ".")
             ),
             causes(d),
         ]
     else:
-        blocks.append(Text("No cause was named. The candidates that came closest:"))
+        blocks.append(Text("No cause is named. The leading candidates:"))
     if d.minor:
         verb = "were" if len(d.minor) > 1 else "was"
-        said = f"{several(d.minor)} {verb} carried along while causes were sought"
-        blocks.append(Text(f"Too small to be worth a name: {said}."))
+        said = f"{several(d.minor)} {verb} in the model during the selection"
+        blocks.append(Text(f"Too small to be named: {said}."))
     listed = [_leaders(ranking, d.causes) for ranking in rankings]
     blocks += [WORDS, Fold("Every candidate's score before anything was added", (*listed, *gallery.folded("ranking")))]
     return tuple(blocks)
@@ -151,8 +149,8 @@ def _leaders(ranking: Ranking, named: Sequence[Cause]) -> Table:
         ("effect", "kind", "score", "p", "named"),
         rows,
         words=(1,),
-        note=f"Score: estimate over its deviation, correlated residuals allowed for.{beyond} p is family-wise over all "
-        f"candidates, 0.005 at the least. {NAMED_IF} screen.csv has them all.",
+        note=f"Score: estimate over its standard error, autocorrelation included.{beyond} p is family-wise over all "
+        f"candidates, 0.005 at the least. {NAMED_IF} screen.csv lists all candidates.",
     )
 
 
@@ -171,11 +169,11 @@ def _gain(view: View, gallery: Gallery) -> tuple[Block, ...]:
     what = (
         "each manoeuvre predicted from the others"
         if view.diagnosis.split == "manoeuvre"
-        else "each stretch from the others"
+        else "each block from the others"
     )
     return (
         Table(
-            f"Unseen data ({what}): the card's model before, with all confirmed causes after",
+            f"Hold-out data ({what}): the card's model before, with all confirmed causes after",
             tuple(head),
             tuple(rows),
             note="5 Hz means. R² below zero: worse than a constant.",
@@ -197,19 +195,17 @@ def _open(d: Diagnosis, told: PageContext, rest: Sequence[str]) -> tuple[Block, 
     blocks: list[Block] = []
     sets = [f"{c.name} or {several(c.ambiguous_with)}" for c in d.causes if c.ambiguous_with]
     if sets:
-        blocks.append(Text(f"Equally good explanations on this record: {'; '.join(sets)}."))
+        blocks.append(Text(f"Rival explanations on this record: {'; '.join(sets)}."))
     else:
-        blocks.append(Text("No named cause has a rival that explains the record about as well."))
+        blocks.append(Text("No named cause has a rival on this record."))
     pairs = [one for one in rest if " cancel each other " in one]
     blocks += [*bullets(pairs), *separating(told.separating)]
     if told.consistency is not None:
         blocks += [*bullets(open_sentences(told.consistency)), *open_list(told.consistency)]
-    unknown = [one for one in rest if one.startswith(("Unexplained", "The record asks for"))]
-    blocks += bullets(unknown) or (Text("No structure is left that a recorded channel would predict."),)
+    unknown = [one for one in rest if one.startswith(("Unexplained", "The estimate of"))]
+    blocks += bullets(unknown) or (Text("No structure remains that a recorded channel predicts."),)
     others = [s for s in rest if s not in (*unknown, *pairs) and not any(s.startswith(f"{c.name}: ") for c in d.causes)]
-    blocks.append(
-        Fold("Noise, and effects that this record cannot test", bullets(others) or (Text("Nothing to say."),))
-    )
+    blocks.append(Fold("Noise, and effects that this record cannot test", bullets(others) or (Text("None."),)))
     blocks += not_testable_list(d.not_testable)
     return tuple(blocks)
 
@@ -263,7 +259,7 @@ def _stall(view: View, gallery: Gallery) -> tuple[Block, ...]:
     if not view.stalls:
         return (Text("CLmax and the stall angle are not given: no coefficients were formed."),)
     labels = {"card": "card's model", "extended": "extended model"}
-    what = "Intervals come from normal draws with the covariance of the fit, correlated residuals allowed for."
+    what = "Intervals are from normal draws with the covariance of the fit, autocorrelation included."
     return (
         *stall_table({labels[key]: s for key, s in view.stalls.items()}, what),
         *gallery("stall_models", "separation_models"),
@@ -285,7 +281,7 @@ def _predictors(told: PageContext) -> tuple[Block, ...]:
 def _diagnostics(view: View, gallery: Gallery) -> tuple[Block, ...]:
     return (
         Fold(
-            "Residuals: size, composition, colour, calibration",
+            "Residuals: size, composition, autocorrelation, calibration",
             (residuals(view), calibration(view), *gallery.folded("residual_profiles", "residual_colour")),
         ),
     )

@@ -22,16 +22,16 @@ PREDICTORS = {
     "card": "card's model",
     "gp": "Gaussian process alone",
     "extended": "extended model",
-    "extended_gp": "extended model + Gaussian process of what it leaves",
+    "extended_gp": "extended model + Gaussian process of its residuals",
 }
 
 
 def causes(d: Diagnosis) -> Table:
-    """Each cause with what it means, size, certainty, rivals, and how unseen data miss it."""
+    """Each cause with its meaning, size, probability, rivals and the loss of hold-out prediction without it."""
     asked = any(np.isfinite(c.missed[0]) for c in d.causes)
     head = ["cause", "what it means", "size", "95 % interval", "probability", "p"]
-    head += ["unseen data\nif taken out"] if asked else []
-    head += ["or, as likely"]
+    head += ["hold-out data\nif removed"] if asked else []
+    head += ["rivals"]
     rows = []
     for c in d.causes:
         row = [c.name, c.claim, _sizes(c), _intervals(c), probability(c.probability), number(c.p_value, 2)]
@@ -40,11 +40,12 @@ def causes(d: Diagnosis) -> Table:
             row.append(said if c.confirmed else f"{said} *")
         rows.append((*row, several(c.ambiguous_with) or "–"))
     return Table(
-        "Causes, in the order in which they were found",
+        "Causes, in the order of selection",
         tuple(head),
         tuple(rows),
         words=(1,),
-        note="Unseen data if taken out: their log density. *: not missed beyond chance (one-sided, 5 %), so not "
+        note="Hold-out data if removed: the change of their log density. *: no significant loss (one-sided, 5 %), "
+        "so not "
         "confirmed: named, but not in the extended model.",
     )
 
@@ -67,7 +68,7 @@ def _intervals(c: Cause) -> str:
 
 
 def separating(found: Sequence[Mapping[str, Any]]) -> list[Block]:
-    """Which standard manoeuvre would tell rivals apart."""
+    """Which standard manoeuvres would separate rivals."""
     blocks: list[Block] = []
     for one in found:
         if not one["manoeuvres"]:
@@ -77,9 +78,9 @@ def separating(found: Sequence[Mapping[str, Any]]) -> list[Block]:
         blocks += [
             Table(
                 f"Manoeuvres that would separate {several(one['effects'])}",
-                ("manoeuvre", "separation [deviations]"),
+                ("manoeuvre", "separation\n[standard errors]"),
                 rows,
-                note=f"{ENOUGH:.0f} deviations or more would settle it. "
+                note=f"{ENOUGH:.0f} standard errors or more would be sufficient. "
                 f"{str(one['status'])[:1].upper()}{str(one['status'])[1:]}.",
             )
         ]
@@ -87,7 +88,7 @@ def separating(found: Sequence[Mapping[str, Any]]) -> list[Block]:
 
 
 def by_manoeuvre(unseen: Unseen) -> Table:
-    """Both models on each manoeuvre that they were not fitted to, and whether the difference is more than chance."""
+    """Both models on each hold-out manoeuvre, and whether the difference is significant."""
     rows = []
     for k, manoeuvre in enumerate(unseen.view.names):
         before, after = (unseen.scores(unseen.left[m].residual, k) for m in ("card", "extended"))
@@ -97,18 +98,17 @@ def by_manoeuvre(unseen: Unseen) -> Table:
             rows.append((manoeuvre, name, f"{before[name].r2:.3f}", f"{after[name].r2:.3f}", *change))
     worse = several(f"{name} of {manoeuvre}" for manoeuvre, name in unseen.worse())
     return Table(
-        "Unseen, manoeuvre by manoeuvre: the card's model and the extended one",
+        "Hold-out manoeuvres: the card's model and the extended model",
         ("manoeuvre", "coefficient", "R²\ncard", "R²\nextended", "change of R²", "log density\ngained"),
         tuple(rows),
-        note="± is one deviation, correlated residuals allowed for. Log density: natural logarithm of the "
-        "probability density of the unseen data; 3 more make them 20 times as probable. R² weighs every sample alike "
-        "and so hangs on the few of the "
-        "deepest stall; the log density knows that noise grows as the flow separates. "
-        + (f"Beyond chance (one-sided, 5 %) the log density falls for {worse}." if worse else NOWHERE_WORSE),
+        note="± is one standard error, autocorrelation included. Log density: natural logarithm of the "
+        "probability density of the hold-out data; 3 more make them 20 times as probable. R² weighs every sample alike "
+        "and depends on the few of the deepest stall; the log density includes the noise growth in separated flow. "
+        + (f"The log density decreases significantly (one-sided, 5 %) for {worse}." if worse else NOWHERE_WORSE),
     )
 
 
-NOWHERE_WORSE = "Nowhere does the log density fall beyond chance (one-sided, 5 %)."
+NOWHERE_WORSE = "The log density decreases significantly (one-sided, 5 %) for no manoeuvre."
 
 
 def moved(view: View) -> Table:
@@ -122,14 +122,14 @@ def moved(view: View) -> Table:
         rows.append((f"{name} {bracket('chords' if unit == 'c/V' else unit)}", before, after, f"{change:+.1f}"))
     return Table(
         "The card's parameters, fitted without and with the causes",
-        ("parameter", "card's model", "extended model", "change\n[deviations]"),
+        ("parameter", "card's model", "extended model", "change\n[standard errors]"),
         tuple(rows),
-        note="± is one deviation, correlated residuals allowed for.",
+        note="± is one standard error, autocorrelation included.",
     )
 
 
 def predictors(found: Mapping[str, Any]) -> Table:
-    """R2, RMSE and coverage of every predictor on data that it was not fitted to."""
+    """R2, RMSE and coverage of every predictor on hold-out data."""
     groups, head = [("", 1)], ["predictor"]
     for name in NAMES:
         groups.append((name, 3))
@@ -142,17 +142,17 @@ def predictors(found: Mapping[str, Any]) -> Table:
             cells += ["–"] * 3 if s is None else [f"{s['r2']:.3f}", f"{s['rmse']:.4f}", f"{s['coverage95']:.0%}"]
         rows.append(tuple(cells))
     return Table(
-        "Predictors on unseen data, 5 Hz means",
+        "Predictors on hold-out data, 5 Hz means",
         tuple(head),
         tuple(rows),
         tuple(groups),
-        note="“Inside 95 %” is the share of samples inside the predictor's 95 % interval; far below 95 % it is too "
-        "sure.",
+        note="“Inside 95 %” is the share of samples inside the predictor's 95 % interval; far below 95 % the interval "
+        "is too narrow.",
     )
 
 
 def residuals(view: View) -> Table:
-    """Each coefficient's residuals before and after: scores, Theil's parts, colour."""
+    """Each coefficient's residuals before and after: scores, Theil's parts, autocorrelation."""
     models = [("card's", view.card)] + ([("extended", view.extended)] if view.changed else [])
     found = {label: composition(view, fitted) for label, fitted in models}
     rows = []

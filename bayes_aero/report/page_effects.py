@@ -24,14 +24,14 @@ def effects_page(
     """The page; `found` are effects as the catalogue describes them, `aircraft` the title of the card, if any."""
     if len(found) == 1:
         title, verdict = f"Effect: {found[0]['name']}", found[0]["claim"]
-        parts: tuple[Section, ...] = (section("effect", "What it does", lambda: _explained(found[0])),)
+        parts: tuple[Section, ...] = (section("effect", "Description", lambda: _explained(found[0])),)
     else:
         title, verdict = "Catalogue of effects", _counted(found, aircraft)
         kinds = dict.fromkeys(sorted(effect["kind"] for effect in found))
         parts = tuple(_kind(kind, [e for e in found if e["kind"] == kind]) for kind in kinds)
     return Page(
         title=title,
-        subtitle="What a model of the aircraft, its sensors and its air can be made of"
+        subtitle="Effects of the aircraft, its sensors and the air for a model"
         + (f"; card: {aircraft}" if aircraft else ""),
         verdict=verdict,
         lead=tuple(pictures),
@@ -43,7 +43,7 @@ def picture_words(found: Sequence[Described]) -> tuple[str, str]:
     """Caption and alternative text of the picture of channels."""
     told = several(f"{channel} by {kinds.total()}" for channel, kinds in needed(found).items())
     return (
-        "What each recorded channel is good for. Time, and what forms CL, CD and Cm from a record, is needed by all.",
+        "Effects that need each recorded channel. All need time and the channels that form CL, CD and Cm.",
         f"Bars: effects that need each channel, by kind of effect. Needed are {told}.",
     )
 
@@ -52,7 +52,7 @@ def _counted(found: Sequence[Described], aircraft: str | None) -> str:
     kinds = Counter(effect["kind"] for effect in found)
     said = f"{len(found)} effects: {several(f'{n} of {kind}' for kind, n in sorted(kinds.items()))}"
     proposed = sum(effect["proposed_by_diagnose"] for effect in found)
-    said += f"; diagnose looks for {proposed} of them"
+    said += f"; diagnose screens {proposed} of them"
     if aircraft:
         said += f"; {sum(bool(effect['model']) for effect in found)} are in the card's model"
     return said + "."

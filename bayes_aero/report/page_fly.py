@@ -1,4 +1,4 @@
-"""The report of a fit to trajectories: what was flown, how near it comes, and what the parameters are."""
+"""The page of a fit to trajectories: records, errors, parameters."""
 
 from __future__ import annotations
 
@@ -63,10 +63,10 @@ def fly_page(flown: FlownFit, told: FlyTold) -> Page:
         doubts=doubts(told.records, told.card, told.consistency, corrects=False, failures=told.failures),
         lead=(*_lead(flown), *_opening(flown, told.figures)),
         sections=filled(
-            section("findings", "What to make of it", lambda: (*bullets([*rest, *told.notes]), words(FLOWN))),
+            section("findings", "Findings", lambda: (*bullets([*rest, *told.notes]), words(FLOWN))),
             section("records", "The records at a glance", lambda: records_and_faults(told.records, told.card)),
             section("fit", "Measured and simulated", lambda: _flights(flown)),
-            section("errors", "How near it comes", lambda: _errors(flown, told.card)),
+            section("errors", "Errors", lambda: _errors(flown, told.card)),
             section("parameters", "Parameters", lambda: _parameters(flown, told.card)),
             section("provenance", "Provenance", lambda: _provenance(told.source)),
         ),
@@ -76,7 +76,7 @@ def fly_page(flown: FlownFit, told: FlyTold) -> Page:
 def _lead(flown: FlownFit) -> tuple[Block, ...]:
     """The gain at once: error at first values and of the fit, all manoeuvres together; a warning if it failed."""
     if not flown.converged:
-        return (Text("Do not use the numbers on this page: they are those at which the fit stopped.", "warning"),)
+        return (Text("Do not use the numbers on this page: the fit stopped there without converging.", "warning"),)
     told = []
     for output, (before, after) in errors_of_all(flown).items():
         unit, factor = for_people(flown.units[output])
@@ -95,7 +95,7 @@ def _opening(flown: FlownFit, figures: Mapping[str, Path]) -> tuple[Block, ...]:
     worst = max(errors, key=lambda n: errors[n][1] / max(moved[n], 1e-300))
     (before, after), (unit, factor) = errors[worst], for_people(flown.units[worst])
     change = f"{short(factor * before)} {unit} with the first values, {short(factor * after)} {unit} as fitted"
-    caption = f"{SYMBOLS.get(worst, worst)}, which the fit follows least: measured, and simulated from first to last."
+    caption = f"{SYMBOLS.get(worst, worst)}, which the fit follows least: measured and simulated."
     alt = f"Time histories of {worst}, measured and simulated. Root-mean-square error: {change}."
     return Gallery(figures, {stem_of(worst): (caption, alt)})(stem_of(worst))
 
@@ -112,8 +112,8 @@ def _flights(flown: FlownFit) -> tuple[Block, ...]:
     began = "from the measured initial state" if free else "from the fixed initial state"
     what_fits = "parameters and initial state" if free else "parameters"
     said = (
-        "The model flown through the recorded inputs, without any correction on the way: with the first values of its "
-        f"parameters {began} (dashed), and with {what_fits} fitted. The fit's error is shaded."
+        "The model simulated with the recorded inputs, without correction by measurements: with the first values of "
+        f"its parameters {began} (dashed), and with {what_fits} fitted. The error of the fit is shaded."
     )
     if any(error.tolerance is not None for path in flown.paths for error in path.errors.values()):
         said += " The grey band is the tolerance about the measurement."
@@ -152,4 +152,4 @@ def _parameters(flown: FlownFit, card: Card) -> tuple[Block, ...]:
 
 
 def _provenance(source: Mapping[str, Any]) -> tuple[Block, ...]:
-    return (Fold("Inputs, versions and the command: all that makes the run again", provenance_blocks(source)),)
+    return (Fold("Inputs, versions and the command that repeat the run", provenance_blocks(source)),)

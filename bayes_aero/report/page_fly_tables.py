@@ -70,7 +70,7 @@ def kept(flown: FlownFit) -> Table | None:
         "Share of the time inside the tolerance",
         ("output", "tolerance", "first values", "fit"),
         found,
-        note="Of data that were fitted: a flight that was not may be farther off.",
+        note="These data were fitted; errors on hold-out flights may be larger.",
     )
 
 
@@ -94,11 +94,10 @@ def parameters(flown: FlownFit) -> Table:
         "Parameters fitted to the trajectories",
         ("parameter", "first value", "fit", "Cramér–Rao", "corrected", "prior", "bounds", "remark"),
         tuple(rows),
-        (("", 3), ("standard deviation", 2), ("", 3)),
-        note="SI units and radians. Cramér–Rao: the data alone, residuals taken as white; a dash where they do not "
-        "determine the parameter. Corrected: correlated residuals allowed for, and the prior counted. Prior: mean ± "
-        "standard "
-        "deviation, the program's default or the card's.",
+        (("", 3), ("standard error", 2), ("", 3)),
+        note="SI units and radians. Cramér–Rao: the data alone, for white residuals; a dash where they do not "
+        "determine the parameter. Corrected: with the autocorrelation of the residuals and the prior. Prior: mean ± "
+        "standard deviation, the program's default or the card's.",
     )
 
 

@@ -1,4 +1,4 @@
-"""The identified model flown through the recorded inputs: errors of its trajectories, and the flights themselves."""
+"""The identified model simulated with the recorded inputs: errors of its trajectories, and time histories."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from bayes_aero.report.phrases import axis_label, for_people, short
 
 
 def given_flights(paths: Sequence[Path], card: Card) -> tuple[Block, ...]:
-    """A table of errors, then each manoeuvre with the error shaded; nothing where nothing was flown."""
+    """A table of errors, then each manoeuvre with the error shaded; nothing if nothing was simulated."""
     if not paths:
         return ()
     units = {name: STANDARD_CHANNELS[name].unit for name in paths[0].errors}
     _, told = first([path.manoeuvre for path in paths])
     said = (
-        "The fitted coefficients flown through the recorded inputs from the measured initial state, without any "
-        "correction on the way. Small errors of a coefficient add up here: what agrees above may drift away below. "
-        "Nothing was fitted to these trajectories; bayes-aero fly does that, and bayes-aero diagnose names what is "
-        "missing."
+        "A simulation with the fitted coefficients and the recorded inputs from the measured initial state, without "
+        "correction by measurements. Small errors of a coefficient accumulate here, so trajectories can drift although "
+        "the coefficients agree. Nothing was fitted to these trajectories: bayes-aero fly fits trajectories, and "
+        "bayes-aero diagnose names missing effects."
     )
     if any(error.tolerance is not None for error in paths[0].errors.values()):
         said += " The grey band is the tolerance about the measurement."
@@ -37,7 +37,9 @@ def given_flights(paths: Sequence[Path], card: Card) -> tuple[Block, ...]:
         for order, path in enumerate(islice(paths, MOST_SHOWN))
     ]
     lost = [
-        Text(f"Simulated, {path.manoeuvre} leaves the flight envelope.", "warning") for path in paths if not path.inside
+        Text(f"The simulation of {path.manoeuvre} leaves the flight envelope.", "warning")
+        for path in paths
+        if not path.inside
     ]
     return (Text(said), *lost, *told, *plots, _errors(paths), *sources(card, units))
 

@@ -70,7 +70,7 @@ def identification_page(
         lead=tuple(lead),
         doubts=doubts(run.records, run.card, run.consistency, corrects=False, failures=run.failures),
         sections=filled(
-            section("findings", "What to make of it", lambda: (*bullets(said), WORDS)),
+            section("findings", "Findings", lambda: (*bullets(said), WORDS)),
             section("records", "The records at a glance", lambda: records_and_faults(run.records, run.card)),
             section(
                 "fit",
@@ -88,8 +88,8 @@ def identification_page(
             section("simulated", "Measured and simulated", lambda: given_flights(flown, run.card)),
             section("stall", "The stall", lambda: _stall(run, gallery)),
             section("parameters", "Parameters", lambda: _parameters(run, gallery)),
-            section("prediction", "Prediction of data that were held back", lambda: _validation(run, gallery)),
-            section("diagnostics", "Can the numbers be trusted? Diagnostics", lambda: _diagnostics(run, gallery)),
+            section("prediction", "Prediction of hold-out data", lambda: _validation(run, gallery)),
+            section("diagnostics", "Diagnostics", lambda: _diagnostics(run, gallery)),
             section("provenance", "Provenance", lambda: provenance_blocks(source, run.notes, run.seconds)),
         ),
     )
@@ -116,12 +116,12 @@ def headline(run: Identification) -> str:
     if ratios and np.median(ratios) > 1.25:
         text += f"; Cramér–Rao bounds are about {np.median(ratios):.1f} times too small"
     if unsure := disputed(run):
-        text += f"; noise models disagree about {several(unsure)} beyond their intervals, so do not rely on these"
+        text += f"; noise models disagree about {several(unsure)} beyond their intervals, so these are not reliable"
     return text + "."
 
 
 def _warnings(run: Identification) -> list[str]:
-    """What must be known before a number is used."""
+    """Warnings that apply to the numbers."""
     return [
         f"{engine_label(p.engine)} under {noise_label(p.noise)} noise: {p.status.value}."
         for p in run.posteriors.values()
@@ -183,7 +183,7 @@ def _parameters(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
     single = page_tables.each_alone(run)
     return (
         page_tables.parameters(run),
-        *(() if single is None else (Fold("Each manoeuvre by itself", (single,)),)),
+        *(() if single is None else (Fold("Each manoeuvre fitted alone", (single,)),)),
         symbols(run.model.parameters, names),
         *pictures,
     )
@@ -192,7 +192,7 @@ def _parameters(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
 def _validation(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
     table = page_tables.validation(run)
     if table is None:
-        return (Text("No data were held back: this run trained no Gaussian process."),)
+        return (Text("There are no hold-out data: this run trained no Gaussian process."),)
     return (
         table,
         *gallery("gpr_fit", "fig2_gpr_fit"),

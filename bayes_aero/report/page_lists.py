@@ -1,4 +1,4 @@
-"""Lists that pages fold: effects that a record cannot test, errors of sensors that others imitate."""
+"""Folded lists: effects that a record cannot test, sensor errors that others imitate."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def open_list(found: Consistency) -> tuple[Fold, ...]:
     rows = tuple((e.name, several(e.imitators), f"± {among_text(e)}") for e in alike)
     table = Table(
         "Errors of sensors and winds that others imitate along this flight path",
-        ("error", "cannot be told from", "standard error\nif those are possible"),
+        ("error", "not distinguishable from", "standard error\nif those are possible"),
         rows,
         words=(1,),
     )

@@ -1,4 +1,4 @@
-"""The report of a simulated record: what was flown and recorded, and what is hidden in it."""
+"""The page of a simulated record: channels, true parameters, hidden effects."""
 
 from __future__ import annotations
 
@@ -25,16 +25,18 @@ def simulated_page(
     units = {p.name: p.unit for p in parameters}
     hidden = [f"{name} ({_values(values, units)})" for name, values in truth["effects"].items()]
     verdict = f"A simulated record of {record.time[-1] - record.time[0]:.0f} s; " + (
-        f"hidden in it: {several(hidden)}." if hidden else "nothing is hidden in it."
+        f"hidden effect: {several(hidden)}." if hidden else "no effect is hidden in it."
     )
     return Page(
         title=f"Simulated record: {record.name}",
-        subtitle="A synthetic flight record and its truth",
+        subtitle="A synthetic flight record and its true parameters",
         verdict=verdict,
         lead=(*(Text(note, "warning") for note in truth["notes"]), *recorded([record])),
         sections=filled(
             section("records", "The record at a glance", lambda: at_a_glance([record], card)),
-            section("truth", "The truth", lambda: (_truth(truth, parameters), _noise(truth), _meaning(parameters))),
+            section(
+                "truth", "True parameters", lambda: (_truth(truth, parameters), _noise(truth), _meaning(parameters))
+            ),
             section("provenance", "Provenance", lambda: provenance_blocks(truth["provenance"])),
         ),
     )
@@ -52,9 +54,7 @@ def _truth(truth: Mapping[str, Any], parameters: Sequence[Parameter]) -> Table:
         (f"{name} {bracket(plain_unit(units.get(name, '1')))}", number(x, 6), "hidden" if name in asked else "")
         for name, x in truth["parameters"].items()
     )
-    return Table(
-        "Parameters that were flown, SI and radians", ("parameter", "value", "remark"), rows, words=(2,)
-    ).lean()
+    return Table("True parameters, SI and radians", ("parameter", "value", "remark"), rows, words=(2,)).lean()
 
 
 def _noise(truth: Mapping[str, Any]) -> Table:
@@ -64,7 +64,9 @@ def _noise(truth: Mapping[str, Any]) -> Table:
         (f"{name} {bracket(plain_unit(units.get(name, '1')))}", number(x)) for name, x in truth["sensor_noise"].items()
     ]
     return Table(
-        "Noise: disturbances of the coefficients, and deviations of the sensors in SI", ("", "value"), tuple(rows)
+        "Noise: disturbances of the coefficients, and standard deviations of the sensors in SI",
+        ("", "value"),
+        tuple(rows),
     )
 
 

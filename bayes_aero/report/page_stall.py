@@ -49,7 +49,8 @@ def stall_table(stalls: Mapping[str, Stall], what: str) -> tuple[Block, ...]:
             ("model", "CLmax [-]", "at α [deg]", "α flown [deg]", "maximum at\nthe edge"),
             tuple(rows),
             words=(1, 2),
-            note=f"Steady means α̇ = 0 and no rotation, all else as near the largest lift ({', '.join(held)}). {what} "
+            note=f"Steady means α̇ = 0 and no rotation, and the other inputs as near the largest lift "
+            f"({', '.join(held)}). {what} "
             f"“Maximum at "
             "the edge” is the share of draws whose largest CL is at the last angle flown: the true maximum then lies "
             "beyond the record.",

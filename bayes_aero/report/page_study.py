@@ -44,7 +44,7 @@ def study_page(told: StudyTold) -> Page:
         verdict=study_headline(told),
         lead=_lead(found, told.folder),
         sections=filled(
-            section("findings", "What the units say together", lambda: bullets(_findings(told, found))),
+            section("findings", "Findings over all units", lambda: bullets(_findings(told, found))),
             section("across", "Scatter and intervals", lambda: _across(found)),
             section("units", "The units", lambda: (_units(told.units, told.folder),)),
             section("provenance", "Provenance", lambda: (Facts(tuple(told.facts.items())),)),
@@ -78,10 +78,10 @@ def _short(told: StudyTold) -> list[str]:
     compared, beyond = _beyond(estimates(told.units, told.results))
     if beyond:
         worst = max(beyond, key=lambda e: e.scatter / e.claimed)
-        ratio = f"{worst.scatter / worst.claimed:.1f} times what its intervals claim"
+        ratio = f"{worst.scatter / worst.claimed:.1f} times its intervals"
         said.append(f"{worst.label} differs between units by {ratio}")
     elif compared:
-        said.append(f"no parameter differs between units by more than {APART:g} times what its intervals claim")
+        said.append(f"no parameter differs between units by more than {APART:g} times its intervals")
     return said
 
 
@@ -115,7 +115,7 @@ def _findings(told: StudyTold, found: list[Estimates]) -> list[str]:
     if beyond:
         listed = several(f"{e.label} ({e.scatter / e.claimed:.1f} times)" for e in beyond)
         said.append(
-            f"Estimates differ between units by more than their own deviations claim: {listed}. Units that differ in "
+            f"Estimates differ between units by more than their own standard errors: {listed}. Units that differ in "
             "records, effects or cards may do so; the same record under other seeds should not."
         )
     return said
@@ -155,11 +155,11 @@ def _across(found: list[Estimates]) -> tuple[Block, ...]:
     )
     table = Table(
         "Estimates of all units by parameter and method",
-        ("parameter", "method", "units", "mean", "unit", "scatter", "own deviation", "ratio"),
+        ("parameter", "method", "units", "mean", "unit", "scatter", "standard error", "ratio"),
         rows,
         words=(1, 4),
-        note="Scatter: standard deviation between units. Own deviation: root mean square of what each unit claims. A "
-        "ratio well above one: the claim does not cover what differs between these units.",
+        note="Scatter: standard deviation between units. Standard error: root mean square of those of the units. A "
+        "ratio well above one: the standard errors do not cover the differences between these units.",
     )
     left = len(found) - len(rows)
     return (table, *((Text(f"{left} more are in summary.csv."),) if left else ()))

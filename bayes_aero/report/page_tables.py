@@ -31,8 +31,8 @@ def parameters(identification: Identification) -> Table:
     """Every parameter by every method."""
     mle, found = identification.mle, methods(identification)
     truth = identification.truth
-    groups = [("", 1 if truth is None else 2), ("maximum likelihood\n± standard deviation", 2)]
-    head = ["parameter", *([] if truth is None else ["flown"]), "Cramér–Rao", "corrected"]
+    groups = [("", 1 if truth is None else 2), ("maximum likelihood\n± standard error", 2)]
+    head = ["parameter", *([] if truth is None else ["true"]), "Cramér–Rao", "corrected"]
     sampled = found[2:]
     if sampled:
         groups.append(("posterior\nmean ± standard deviation, 95 % interval", len(sampled)))
@@ -56,10 +56,10 @@ def parameters(identification: Identification) -> Table:
         tuple(head),
         tuple(rows),
         tuple(groups),
-        note="SI units and radians. “Corrected” widens the Cramér–Rao bound for correlated residuals "
-        "(neighbouring samples are not independent). “Largest difference” compares manoeuvres, in Cramér–Rao "
-        "deviations of the difference; beyond 3 the bound does not explain it."
-        + ("" if truth is None else " “Flown” are the values that the records were simulated with."),
+        note="SI units and radians. “Corrected” is the Cramér–Rao bound with the autocorrelation of the residuals. "
+        "“Largest difference” compares manoeuvres, in Cramér–Rao "
+        "standard errors of the difference; above 3 the bound does not explain it."
+        + ("" if truth is None else " “True” are the values with which the records were simulated."),
     )
 
 
@@ -109,8 +109,7 @@ def fit(identification: Identification) -> Table:
         ("", "correlation r", "R²", "RMSE [-]", "Theil U", "lag-1 correlation\nof residuals"),
         tuple(rows),
         note="R² is the share of the variance that is explained; Theil's U is 0 for a perfect fit and 1 for none. A "
-        "lag-1 "
-        "correlation near 0 would mean independent residuals.",
+        "lag-1 correlation near 0 means independent residuals.",
     )
 
 
@@ -155,8 +154,9 @@ def coverage(identification: Identification) -> Table | None:
         "Calibration: share of measured samples inside the predictive intervals",
         ("", "50 %", "90 %", "95 %"),
         tuple(rows),
-        note="A calibrated model shows the heading's share in each column; more means intervals too wide, less too "
-        "narrow.",
+        note="A calibrated model shows the heading's share in each column. More means that intervals are too wide, "
+        "less "
+        "that they are too narrow.",
     )
 
 
@@ -179,11 +179,11 @@ def validation(identification: Identification) -> Table | None:
         for r in frame.loc[frame["fold"] == "all"].to_dict(orient="records")
     ]
     return Table(
-        "Held-back samples: the stall model (maximum likelihood) beside a Gaussian process (GPR)",
+        "Hold-out samples: the stall model (maximum likelihood) and a Gaussian process (GPR)",
         ("split, coefficient", "points", "r", "RMSE [-]", "r", "RMSE [-]", "inside 95 %", "Pareto k"),
         tuple(rows),
         (("", 2), ("maximum likelihood", 2), ("GPR", 4)),
         note="A random split leaves neighbours of every sample in the training set and flatters the GPR; read the "
         "block and "
-        "manoeuvre splits. Pareto k above 0.7 means the sampled hyperparameters are not to be trusted.",
+        "manoeuvre splits. Pareto k above 0.7 means that the sampled hyperparameters are not reliable.",
     )

@@ -1,4 +1,4 @@
-"""Simulated trajectories on the page: errors before and after, and the flights themselves with tolerance bands."""
+"""Simulated trajectories on the page: errors before and after, and time histories with tolerance bands."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from bayes_aero.report.page import Block, Facts, Fold, Plot, Table, Text
 from bayes_aero.report.page_parts import first, histories, number
 from bayes_aero.report.page_plots import Line, Panel
 from bayes_aero.report.phrases import SYMBOLS, axis_label, for_people, short
-from bayes_aero.report.words_trajectory import tolerance_origin
+from bayes_aero.report.words_trajectory import SPLIT_NAMES, tolerance_origin
 
 MODELS = (
     ("card", "card's model", COLOURS["before"], "dashed"),
     ("extended", "extended model", COLOURS["after"], "solid"),
 )
 SPLITS = {
-    "unseen": "Unseen: flown from the measured initial state by the fit to the other flights",
+    "unseen": "Hold-out: simulated from the measured initial state with the fit to the other flights",
     "fitted": "Fitted: parameters and initial states fitted to all flights",
 }
 
@@ -38,11 +38,12 @@ class Curve(NamedTuple):
 
 
 def trajectories(flown: Trajectories, card: Card) -> tuple[Block, ...]:
-    """Tables, then the unseen flights, then the fitted ones behind a fold."""
+    """Tables, then the hold-out flights, then the fitted ones, folded."""
     blocks: list[Block] = [
         Text(
-            "Both models flown through the recorded inputs, without any correction on the way. “Unseen” flights were "
-            "not used in the fit; the grey band is the tolerance about the measurement. "
+            "Both models simulated with the recorded inputs, without correction by measurements. “Hold-out” "
+            "flights were "
+            "not used in the fit. The grey band is the tolerance about the measurement. "
             + tolerance_origin({name: t.value for name, t in card.tolerances.items()})
         ),
         _errors(flown),
@@ -63,7 +64,7 @@ def sources(card: Card, units: Mapping[str, str]) -> tuple[Block, ...]:
         if n in units
         for unit, factor in (for_people(units[n]),)
     )
-    return (Fold("Where the tolerances come from", (Facts(facts),)),) if facts else ()
+    return (Fold("Origin of the tolerances", (Facts(facts),)),) if facts else ()
 
 
 def _label(output: str) -> str:
@@ -81,7 +82,7 @@ def _errors(flown: Trajectories) -> Table:
         head += ["before", "after"]
     for split in ("fitted", "unseen"):
         for name in _names(flown, split):
-            cells = [f"{name}, {split}"]
+            cells = [f"{name}, {SPLIT_NAMES[split]}"]
             for output in flown.outputs:
                 factor = for_people(STANDARD_CHANNELS[output].unit)[1]
                 for key, *_ in MODELS:
@@ -101,7 +102,7 @@ def _kept(flown: Trajectories) -> Table:
     rows = []
     for split in ("fitted", "unseen"):
         for name in _names(flown, split):
-            cells = [f"{name}, {split}"]
+            cells = [f"{name}, {SPLIT_NAMES[split]}"]
             for output in banded:
                 for key, *_ in MODELS:
                     path = flown.path(name, key, split)
@@ -117,9 +118,9 @@ def _kept(flown: Trajectories) -> Table:
         tuple(head),
         tuple(rows),
         (("", 1), *((_label(n), 2) for n in banded), ("probability", 1)),
-        note="The last column is the posterior probability that the extended model's whole flight stays inside, for "
-        "the output "
-        "that is least likely to.",
+        note="The last column is the posterior probability that the whole flight of the extended model stays "
+        "inside, for "
+        "the output with the lowest probability.",
     )
 
 
@@ -132,7 +133,7 @@ def _flights(flown: Trajectories, split: str) -> tuple[Block, ...]:
         what = f"{SPLITS[split]}: measured and simulated outputs"
         plot = over_measured(name, f"time-{split}-{order}", curves, units, what)
         caption = f"{SPLITS[split]}. {plot.caption}"
-        plots.append(replace(plot, caption=caption, title=f"{name}, {split}"))
+        plots.append(replace(plot, caption=caption, title=f"{name}, {SPLIT_NAMES[split]}"))
     return tuple(plots)
 
 

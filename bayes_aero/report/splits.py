@@ -1,4 +1,4 @@
-"""In words: what the ways to hold data back say of the Gaussian process."""
+"""Sentences on the Gaussian process under each kind of hold-out data."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from bayes_aero.report.phrases import several
 
 LEAK = 0.02  # a correlation that falls by more from the random split to another one was leaked; our choice
 NOTABLE = 0.001  # a difference of correlations not worth a sentence below; our choice
-SAYS = {"random": "the random split", "block": "held-back blocks", "manoeuvre": "an unseen manoeuvre"}
+SAYS = {"random": "the random split", "block": "hold-out blocks", "manoeuvre": "a hold-out manoeuvre"}
 
 
 def pooled_r(report: GPReport, split: str, name: str, engine: str) -> float:
@@ -22,7 +22,7 @@ def pooled_r(report: GPReport, split: str, name: str, engine: str) -> float:
 
 
 def split_verdict(identification: Identification) -> list[str]:
-    """Correlations by split, what the random one leaks, and hyperparameters that could not be sampled."""
+    """Correlations by split, the leak of the random one, and hyperparameters that could not be sampled."""
     report = identification.gp
     if report is None:
         return []
@@ -59,16 +59,17 @@ def _leaks(report: GPReport, dt: float) -> list[str]:
     fallen = {n: drop for n, drop in drops.items() if drop > LEAK}
     behind = [sentence for s in ("random", others[-1]) for sentence in _behind(report, s, r[s])]
     if not fallen:
-        return [said[0] + " The random split leaks nothing that matters.", *behind]
+        return [said[0] + " The random split does not leak significantly.", *behind]
     said[0] += (
-        f" The random split leaves neighbours {1000.0 * dt:.0f} ms away in the training set; what is lost without them "
-        f"({several(f'{n} -{drop:.2f}' for n, drop in fallen.items())}) was interpolation, not aerodynamics."
+        f" The random split leaves neighbours {1000.0 * dt:.0f} ms away in the training set; the part lost without "
+        f"them "
+        f"({several(f'{n} -{drop:.2f}' for n, drop in fallen.items())}) is interpolation, not aerodynamics."
     )
     return [*said, *behind]
 
 
 def _behind(report: GPReport, split: str, r: dict[str, float]) -> list[str]:
-    """Coefficients in which the Gaussian process, for all its freedom, does worse than the stall model."""
+    """Coefficients that the Gaussian process predicts worse than the stall model."""
     mle = {n: pooled_r(report, split, n, "mle") for n in NAMES}
     lost = [f"{n} ({mle[n]:.3f} against {r[n]:.3f})" for n in NAMES if r[n] < mle[n] - NOTABLE]
     return [f"On {SAYS[split]} maximum likelihood correlates better than GPR in {several(lost)}."] if lost else []

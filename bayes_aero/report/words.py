@@ -1,4 +1,4 @@
-"""In words, with numbers: where bounds, corrected bounds and credible intervals disagree, and why."""
+"""Sentences on the disagreement of Cramer-Rao bounds, corrected bounds and credible intervals, with its causes."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from bayes_aero.report.splits import split_verdict
 from bayes_aero.report.words_restraints import bound_sentences, conflict_sentences, inseparable_sentences
 from bayes_aero.report.words_signs import sign_sentences
 
-# What counts as a disagreement: our choice, wide enough to stay silent on sampling error and on chance.
-FACTOR = 1.25  # two deviations whose ratio is within this, either way, agree
-LIMIT = 3.0  # deviations of a difference beyond which two values differ
+# What counts as a disagreement: our choice, wide enough not to report sampling error or chance.
+FACTOR = 1.25  # two standard errors whose ratio is within this, either way, agree
+LIMIT = 3.0  # standard errors of a difference beyond which two values differ
 MEANS, SDS = 0.2, 0.15  # engines agree when means are this close in sd, and sds in relative terms
 
 
 def verdict(identification: Identification) -> list[str]:
-    """What to make of the run, one sentence or two each; parts of the run not there yet are passed over."""
+    """The findings of the run, one sentence or two each; missing parts of the run are omitted."""
     mle = identification.mle
     signs = sign_sentences({n: (v, sd) for n, v, sd in zip(mle.names, mle.estimate, mle.crb_corrected, strict=True)})
     if not (usable(mle) and np.all(np.isfinite([*mle.crb, *mle.crb_corrected]))):
@@ -61,7 +61,7 @@ def _by_key(identification: Identification) -> dict[str, Method]:
 
 
 def _ratios(method: Method, base: Method) -> dict[str, float]:
-    """Deviation of `method` over that of `base`, by parameter both have."""
+    """Standard error of `method` over that of `base`, by parameter that both have."""
     return {n: e.sd / base.estimates[n].sd for n, e in method.estimates.items() if n in base.estimates}
 
 
@@ -80,7 +80,7 @@ def _range(ratios: dict[str, float]) -> str:
 
 
 def _colour(identification: Identification) -> list[str]:
-    """Residuals that are not white, and what that makes of the Cramer-Rao bound."""
+    """Residuals that are not white, and the consequence for the Cramer-Rao bound."""
     mle, found = identification.mle, _by_key(identification)
     ratios = _ratios(found["crb_corrected"], found["crb"])
     chance = LIMIT / np.sqrt(identification.observations.n)
@@ -90,9 +90,9 @@ def _colour(identification: Identification) -> list[str]:
         return []
     lags = ", ".join(f"{key} {value:+.2f}" for key, value in mle.lag1.items())
     reach = (
-        f"(chance stays within ±{chance:.2f})"
+        f"(white noise stays within ±{chance:.2f})"
         if coloured
-        else "(no more than chance: the correlation is at longer lags)"
+        else "(as for white noise: the correlation is at longer lags)"
     )
     size = "too small" if median > 1.0 else "not right"
     return [
@@ -104,7 +104,7 @@ def _colour(identification: Identification) -> list[str]:
 
 
 def _white(identification: Identification) -> list[str]:
-    """The white posterior beside the Cramer-Rao bound: the same assumption, so the same answer."""
+    """The posterior under white noise against the Cramer-Rao bound: the same assumption gives the same answer."""
     posterior = white_posterior(identification)
     if posterior is None:
         return []
@@ -113,18 +113,18 @@ def _white(identification: Identification) -> list[str]:
     median = float(np.median(np.abs(np.array(list(ratios.values())) - 1.0)))
     name, worst = _worst(ratios)
     text = (
-        f"The posterior under white noise has the Cramér-Rao deviations, within {median:.0%} in the median and "
+        f"The posterior under white noise has the Cramér-Rao standard errors, within {median:.0%} in the median and "
         f"{worst - 1.0:+.0%} at worst ({name}): it makes the same assumption, so its agreement does not support the "
         "bound."
     )
     if not 1.0 / FACTOR < worst < FACTOR:
-        text += f" For {name} prior or curvature count as well."
+        text += f" For {name} the prior or the curvature matters, too."
     return [text]
 
 
 def disputed(identification: Identification) -> dict[str, float]:
-    """Parameters about which the chosen noise model's posterior and maximum likelihood differ by more than `LIMIT`
-    deviations of both together, and by how many: neither interval can be relied on."""
+    """Parameters whose posterior and maximum likelihood differ by more than `LIMIT` combined standard errors, and the
+    difference in these: neither interval is reliable."""
     engines = chosen_posteriors(identification)
     if not engines or white_posterior(identification) in engines.values():
         return {}
@@ -152,55 +152,56 @@ def _noise_model(identification: Identification) -> list[str]:
         return []
     far = max(in_crb, key=lambda n: in_crb[n])
     middle = float(np.median(list(in_crb.values())))
-    thinned = "" if identification.noise is Colour.WHITE else ", and a coloured one takes one sample in five"
+    thinned = "" if identification.noise is Colour.WHITE else ", and a coloured one uses one sample in five"
     said = [
-        f"The {noise_label(identification.noise)} posterior's deviations are {median:.2g} times the corrected bounds "
+        f"The {noise_label(identification.noise)} posterior's standard deviations are {median:.2g} times the "
+        f"corrected bounds "
         f"in the median ({worst:.2g} times for {name}): another noise model weighs the data differently{thinned}. "
-        f"Its means lie {middle:.1f} Cramér-Rao deviations from the maximum-likelihood estimates in the median, "
+        f"Its means are {middle:.1f} Cramér-Rao standard errors from the maximum-likelihood estimates in the median, "
         f"{_plain(in_crb[far])} for {far}."
     ]
     if beyond:
         said.append(
-            f"That is more than the intervals allow for {several(f'{n} ({z:.1f})' for n, z in beyond.items())}, in "
-            f"deviations of both together. {_why_apart(identification)} Neither interval covers that."
+            f"The difference exceeds the intervals of {several(f'{n} ({z:.1f})' for n, z in beyond.items())}, in "
+            f"combined standard errors. {_why_apart(identification)} Neither interval covers this."
         )
     return said
 
 
 def _why_apart(identification: Identification) -> str:
-    """What may set posterior and maximum likelihood apart, the certain before the possible."""
+    """Why posterior and maximum likelihood differ, certain causes before possible ones."""
     conflicts = identification.mle.conflicts
     if conflicts:
         names = several(c.name for c in conflicts)
-        return f"Maximum likelihood uses no prior, the posterior the card's, which contradicts the record: {names}."
-    smoothing = "one side alone is smoothed (see above), " if identification.preparation else ""
+        return f"Maximum likelihood uses no prior; the posterior uses priors that contradict the record: {names}."
+    smoothing = "only one side is smoothed (see above), " if identification.preparation else ""
     alike = (
-        "; were the modelled and the measured side treated alike, both would find the same values. So "
+        "; if the modelled and the measured side were filtered alike, both would give the same values. So "
         if identification.forming is Forming.PUBLISHED
         else ". Either "
     )
     return (
-        "A likelihood with correlated noise listens mostly to changes from sample to sample, a white one to levels"
+        "A likelihood with correlated noise weighs mostly changes from sample to sample, a white one weighs levels"
         f"{alike}{smoothing}the model's mean function is wrong, or the residuals' correlation is not of first order."
     )
 
 
 def _agreement(identification: Identification) -> list[str]:
-    """What is said when nothing disagrees: the numbers that show it."""
+    """The sentence when all methods agree, with the numbers that show it."""
     found = methods(identification)
     crb, others = found[0], found[1:]
     parts = [f"{m.label} {_range(_ratios(m, crb))}" for m in others]
-    sentence = f"The intervals agree; of the Cramér-Rao deviation they have: {several(parts)}."
+    sentence = f"The intervals agree. In units of the Cramér-Rao standard error they are: {several(parts)}."
     posteriors = [m for m in others if m.key != "crb_corrected"]
     if posteriors:
         base = crb.estimates
         shift = max(abs(e.centre - base[n].centre) / base[n].sd for m in posteriors for n, e in m.estimates.items())
-        sentence += f" Posterior means lie within {shift:.1f} Cramér-Rao deviations of the estimates."
+        sentence += f" Posterior means are within {shift:.1f} Cramér-Rao standard errors of the estimates."
     return [sentence]
 
 
 def _truth(identification: Identification) -> list[str]:
-    """Of simulated records: how many of the parameters that were flown the intervals of each method hold."""
+    """Of simulated records: how many true parameters the intervals of each method contain."""
     known, names = identification.truth or {}, flown(identification)
     if not names:
         return []
@@ -212,8 +213,8 @@ def _truth(identification: Identification) -> list[str]:
             far = {n: (e.centre - known[n]) / e.sd for n, e in own.items()}
     name = max(far, key=lambda n: abs(far[n]))
     return [
-        f"The records are simulated: of the {len(names)} parameters that they were flown with, 95 % intervals hold "
-        f"{several(held)}. Furthest from its own is {name}, {far[name]:+.1f} corrected deviations."
+        f"The records are simulated: of the {len(names)} true parameters, 95 % intervals contain "
+        f"{several(held)}. Furthest from its true value is {name}, {far[name]:+.1f} corrected standard errors."
     ]
 
 
@@ -227,7 +228,7 @@ def _unfinished(identification: Identification) -> list[str]:
 
 
 def _engines(identification: Identification) -> list[str]:
-    """Whether the engines that sampled the same density found the same posterior."""
+    """Whether engines that sampled the same density give the same posterior."""
     said = []
     for (a, one), (b, two) in combinations(chosen_posteriors(identification).items(), 2):
         shared = [n for n in one.names if n in two.marginals]
@@ -239,6 +240,6 @@ def _engines(identification: Identification) -> list[str]:
         said.append(
             f"{engine_label(a)} and {engine_label(b)} {'agree' if agree else 'disagree'} on the same density: means "
             f"differ by at most {means[far]:.2f} standard deviations ({far}), standard deviations by "
-            f"{abs(ratio - 1.0):.0%} ({wide})" + ("." if agree else "; run longer before using either.")
+            f"{abs(ratio - 1.0):.0%} ({wide})" + ("." if agree else "; run longer before you use either.")
         )
     return said

@@ -1,4 +1,4 @@
-"""What a check of records says, for the terminal and for the page alike."""
+"""The findings of a check of records, for the terminal and for the page."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def taken(channel: ChannelReport) -> tuple[str, str, str, str]:
     """A channel's place, unit, range in the file and remarks."""
     c = channel
     unit = c.unit if c.unit == c.si else f"{c.unit} → {c.si}"
-    remarks = [*(["sign turned"] if c.sign < 0 else []), *([] if c.moves else ["does not move"])]
+    remarks = [*(["sign reversed"] if c.sign < 0 else []), *([] if c.moves else ["does not move"])]
     return c.place, unit, f"{c.lowest:.5g} to {c.highest:.5g}", ", ".join(remarks)
 
 
@@ -32,7 +32,7 @@ def part_sentences(record: RecordReport) -> list[str]:
             more = f" and {len(parts) - MOST_PARTS} more" if len(parts) > MOST_PARTS else ""
             said.append(f"{words}: {', '.join(parts[:MOST_PARTS])}{more}")
     if said:
-        said.append("give such parts in place of the file, or list them on the card under [segments]")
+        said.append("give these parts instead of the file, or list them on the card under [segments]")
     return said
 
 
@@ -42,7 +42,7 @@ def card_sentences(report: CheckReport) -> list[str]:
     said = [f"constant from the card: {name} = {value:g}{_behind(name)}" for name, value in card.constants.items()]
     for rule in dict.fromkeys(card.derived.values()):
         formed = ", ".join(name for name, of in card.derived.items() if of == rule)
-        said.append(f"formed by the card's rule, where not recorded ({rule}): {formed}")
+        said.append(f"computed by the card's rule, where not recorded ({rule}): {formed}")
     said += [f"table from the card: {name} over {table.said}" for name, table in card.tables.items()]
     return said + [f"sum from the card: {name} = {_sum(parts)}" for name, parts in card.sums.items()]
 
@@ -69,18 +69,18 @@ def sensor_sentences(report: CheckReport) -> list[str]:
     """Whether the sensors agree, the answer first; then which errors are found though they are within the noise."""
     said = consistency_sentences(report.consistency, corrects=False)
     if report.sensors.errors and not report.consistency.disagrees:
-        said.append("Errors within that noise, which diagnose takes into account:")
+        said.append("Errors within this noise, which diagnose includes:")
     return said
 
 
 def left_over(report: CheckReport) -> str:
-    """Root mean square of what the flight path leaves of each signal, before and after the errors found."""
+    """Root mean square residual of the flight path by signal, before and after correction."""
     left, agree = [], not report.sensors.errors
     for name, (before, after) in report.sensors.rms.items():
         unit, factor = for_people(STANDARD_CHANNELS[name].unit)
         change = f"{factor * before:.3g}" if agree else f"{factor * before:.3g} → {factor * after:.3g}"
         left.append(f"{name} {change} {unit}")
-    return f"root mean square of what is left: {', '.join(left)}"
+    return f"root mean square residual: {', '.join(left)}"
 
 
 def headline(report: CheckReport) -> str:
@@ -92,7 +92,7 @@ def headline(report: CheckReport) -> str:
             Agreement.UNEXPLAINED: ", but the sensors disagree and no known error explains it",
         }.get(report.consistency.agreement, "")
         if any(finding.grave for finding in report.health):  # an error of a sensor would be what the card gets wrong
-            wrong = ", but first mend the card or the file: its channels are not sound (warnings)"
+            wrong = ", but first correct the card or the file: channels are faulty (see the warnings)"
         return f"Usable for {', '.join(able)}{wrong}."
     problems = [p for r in report.records for p in r.problems] or [f"{n}: {w}" for n, w in report.uses.items() if w]
     more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""

@@ -1,4 +1,4 @@
-"""Whether the sensors agree, in sentences: the first thing that is printed and the first thing on a page."""
+"""Agreement of the sensors, in sentences: printed first, and first on a page."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FOLLOWS = {
 
 
 def consistency_sentences(found: Consistency, *, corrects: bool) -> list[str]:
-    """The answer, the doubt first. `corrects`: whether the command takes known errors of sensors out by itself."""
+    """The answer, then its limits. `corrects`: whether the command corrects known sensor errors by itself."""
     if found.agreement is Agreement.NOT_CHECKED:
         return [f"Whether the sensors agree was not checked: {found.why_not}."]
     return [_answer(found, corrects=corrects), *_limits(found), *open_sentences(found)]
@@ -30,7 +30,7 @@ def consistency_sentences(found: Consistency, *, corrects: bool) -> list[str]:
 
 def _answer(found: Consistency, *, corrects: bool) -> str:
     if found.agreement is Agreement.AGREE:
-        return "The sensors agree along the flight path within what their noise permits."
+        return "The sensors agree along the flight path within their noise."
     where = departures_sentence(found)
     errors = several(f"{name} ({sizes(error)})" for name, error in (found.errors or {}).items())
     if found.agreement is Agreement.EXPLAINED:
@@ -40,15 +40,15 @@ def _answer(found: Consistency, *, corrects: bool) -> str:
             f"As recorded, {where}."
         )
     beside = f", after correction for {errors}" if errors else ""
-    unsought = f" Known errors could not be sought: {found.unsought}." if found.unsought else ""
+    unsought = f" Known errors could not be tested: {found.unsought}." if found.unsought else ""
     return (
-        f"The sensors disagree along the flight path, and no known error of a sensor explains it: {where}{beside}. "
-        f"Repair or recalibrate the channel, or cut the record there; results rest on it.{unsought}"
+        f"The sensors disagree along the flight path, and no known sensor error explains it: {where}{beside}. "
+        f"Repair or recalibrate the channel, or cut the record there; the results depend on it.{unsought}"
     )
 
 
 def departures_sentence(found: Consistency) -> str:
-    """Where and by how much, the worst first."""
+    """The departures with their sizes, the largest first."""
     listed = sorted(found.departures, key=lambda d: -d.rms / d.permitted)
     more = f"; and {len(listed) - SHOWN} more" if len(listed) > SHOWN else ""
     return "; ".join(map(_departure, listed[:SHOWN])) + more
@@ -59,13 +59,13 @@ def _departure(d: Departure) -> str:
     unit, factor = for_people(standard.unit)
     return (
         f"{d.channel} ({standard.description}) of {d.record} does not follow {FOLLOWS[d.channel]} from {d.begin:.4g} "
-        f"to {d.end:.4g} s, by {factor * d.rms:.2g} {unit} in root mean square where noise permits "
-        f"{factor * d.permitted:.2g} {unit}"
+        f"to {d.end:.4g} s, by {factor * d.rms:.2g} {unit} root mean square (noise permits "
+        f"{factor * d.permitted:.2g} {unit})"
     )
 
 
 def _limits(found: Consistency) -> list[str]:
-    """What could not be checked, and what was taken for granted."""
+    """What could not be checked, and what was assumed."""
     said = []
     if found.unchecked:
         verb = "were" if len(found.unchecked) > 1 else "was"
@@ -77,18 +77,19 @@ def _limits(found: Consistency) -> list[str]:
 
 
 def open_sentences(found: Consistency) -> list[str]:
-    """Errors of sensors that the flight path cannot decide on: those it asks for first."""
+    """Sensor errors that the flight path does not determine: fitted but not confirmed, then not testable."""
     said = []
     if asked := [e for e in found.open if e.asked]:
         listed = "; ".join(f"{_estimate(e)}{_imitated(e)}" for e in asked)
         said.append(
-            "Errors that would explain much of what the flight path leaves, but that other parts of the records do not "
+            "Errors that would explain much of the residual of the flight path, but that hold-out data do not "
             f"confirm, each as the only error; none is corrected: {listed}."
         )
     if alike := [e for e in found.open if not e.asked]:
         errors = "errors of sensors or winds are" if len(alike) > 1 else "error of a sensor or wind is"
         said.append(
-            f"{len(alike)} {errors} not testable along this flight path, for others do the same to the record: "
+            f"{len(alike)} {errors} not testable along this flight path, because others have the same effect on "
+            f"the record: "
             f"{several(e.name for e in alike)}."
         )
     return said
@@ -100,11 +101,11 @@ def _estimate(error: OpenError) -> str:
 
 
 def _imitated(error: OpenError) -> str:
-    """Which errors cannot be told from this one."""
+    """The errors that have the same effect."""
     if not error.imitators:
         return ""
     return (
-        f" (cannot be told from {several(error.imitators)}: ± {among_text(error)} if "
+        f" (not distinguishable from {several(error.imitators)}: ± {among_text(error)} if "
         f"{'those are' if len(error.imitators) > 1 else 'that is'} possible)"
     )
 

@@ -1,4 +1,4 @@
-"""A diagnosis in words and tables: the verdict, each cause, what is left, what could not be tested."""
+"""A diagnosis as sentences and tables: verdict, causes, unexplained structure, what is not testable."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from bayes_aero.report.words_verdict import tested_sentences, verdict_sentence
 LITTLE = 0.02  # own share of an effect below which the record hardly excites it
 SPLITS = {
     "manoeuvre": "each manoeuvre predicted from the others",
-    "block": "each stretch of the manoeuvre predicted from the others",
+    "block": "each block of the manoeuvre predicted from the others",
 }
 
 
 NAMED_IF = (
-    "A small p names nothing by itself: a cause must also explain a share of what is left, predict data left out and "
-    "be large enough to be worth modelling; what is beyond chance and too small is carried along unnamed."
+    "A small p-value alone is not sufficient. A cause must also explain a share of the remaining variance, improve the "
+    "prediction of hold-out data and be worth modelling. Significant but small effects are in the model without a name."
 )
 
 
 def sentences(view: DiagnosisView) -> list[str]:
-    """The finding, one sentence or two each: verdict, what every cause means, what is left, what was not tested."""
+    """The findings, one sentence or two each: verdict, causes, unexplained structure, what is not testable."""
     return diagnosis_sentences(view.diagnosis, view.trajectories)
 
 
@@ -60,43 +60,45 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
 def _cause(cause: Cause) -> str:
     said = f"{cause.name}: {cause.claim}"
     if cause.ambiguous_with:
-        said += f" On this record {several(cause.ambiguous_with)} would explain it about as well."
+        said += f" On this record {several(cause.ambiguous_with)} would explain the data about as well."
     if cause.bounded:
-        said += f" {several(cause.bounded)} would go beyond the bounds of what is sensible: suspect another cause."
+        said += f" {several(cause.bounded)} is at a parameter bound: suspect another cause."
     for name, largest in cause.implausible.items():
         most = size_text(largest, 0.0, cause.parameters[name].unit)
-        said += f" {name} is beyond what aircraft have (at most {most}): suspect another cause."
+        said += f" {name} is larger than on any aircraft (at most {most}): suspect another cause."
     if cause.own_share < LITTLE:
         share = f"{100.0 * cause.own_share:.1f} %" if cause.own_share >= 0.001 else "less than 0.1 %"
         said += (
             f" The record hardly excites it: other parameters reproduce all but {share} of its contribution, so small "
-            "errors of the model move its estimate far."
+            "model errors change its estimate strongly."
         )
     if not cause.excited:
         said += " Not every manoeuvre excites it."
     lost, sd = cause.missed
     if np.isfinite(lost) and cause.confirmed:
-        said += f" Taken out, unseen data are predicted worse: log density {-lost:+.1f} ± {sd:.1f}."
+        said += f" Removing it degrades hold-out prediction: log density {-lost:+.1f} ± {sd:.1f}."
     elif np.isfinite(lost):
         model = "simulation" if cause.stage == "flight path" else "extended model"
-        said += f" Unseen data do not confirm it (taken out: log density {-lost:+.1f} ± {sd:.1f})"
-        said += f"; the {model} does without it."
+        said += f" Hold-out data do not confirm it (removed: log density {-lost:+.1f} ± {sd:.1f})"
+        said += f"; the {model} omits it."
     return said
 
 
 def _taken_over(d: Diagnosis) -> list[str]:
-    """What to write on the card, for causes that the verdict rests on."""
+    """How to put the causes that the verdict rests on into the card."""
     sure = [cause.name for cause in d.causes if cause.sure and not cause.ambiguous_with and cause.name in CATALOGUE]
     fitted = [name for name in sure if CATALOGUE[name].stage > Stage.AIRCRAFT]
     errors = [name for name in sure if name not in fitted]
     said = []
     if fitted:
         said.append(
-            f"To take {several(fitted)} into the model, add it to effects under [model] of the card and fit again."
+            f"To include {several(fitted)} in the model, add the name to effects under [model] of the card and fit "
+            f"again."
         )
     if errors:
         said.append(
-            f"{several(errors)}: mend the record or the card's constants; or add the name to effects and its size to "
+            f"{several(errors)}: correct the record or the card's constants; or add the name to effects and its "
+            f"size to "
             "fixed under [model]."
         )
     return said
@@ -112,17 +114,17 @@ def _together(d: Diagnosis) -> list[str]:
         size = size_text(pair.mean, pair.sd, pair.unit)
         said.append(
             f"{several(pair.effects)} cancel each other (correlation {pair.correlation:+.2f}): this record "
-            f"determines only {one} {sign} {factor}{other} = {size}. A manoeuvre that moves them apart would determine "
-            "both."
+            f"determines only {one} {sign} {factor}{other} = {size}. A manoeuvre that excites them differently would "
+            "determine both."
         )
     return said
 
 
 def _beyond(d: Diagnosis) -> list[str]:
     return [
-        f"The record asks for a {name} of {size_text(x.mean, x.sd, x.unit)}, where sensors are off by "
-        f"{size_text(cause.implausible[name], 0.0, x.unit)} at most: another fault of the record is behind it. It is "
-        "carried along and is no cause."
+        f"The estimate of {name} is {size_text(x.mean, x.sd, x.unit)}, but sensor errors are at most "
+        f"{size_text(cause.implausible[name], 0.0, x.unit)}: suspect another fault of the record. The estimate stays "
+        "in the model and is not a cause."
         for cause in d.beyond
         for name, x in cause.parameters.items()
         if name in cause.implausible
@@ -133,17 +135,17 @@ def _minor(d: Diagnosis) -> list[str]:
     if not d.minor:
         return []
     verb = "were" if len(d.minor) > 1 else "was"
-    beside = " beside what is unexplained" if d.unknown else ""
-    return [f"Too small{beside} to be worth a name: {several(d.minor)} {verb} carried along while causes were sought."]
+    beside = " in comparison with the unexplained structure" if d.unknown else ""
+    return [f"Too small{beside} to be named: {several(d.minor)} {verb} in the model during the selection."]
 
 
 def _unknown(d: Diagnosis) -> list[str]:
     return [
-        f"Unexplained: {u.coefficient} shows structure over {u.channel} ({u.share:.0%} of the variance that is left) "
+        f"Unexplained: {u.coefficient} shows structure over {u.channel} ({u.share:.0%} of the remaining variance) "
         f"that this record cannot attribute: {several(u.rivals)} would explain it about equally well."
         if u.rivals
-        else f"Unexplained: {u.coefficient} still follows {u.channel} ({u.share:.0%} of the variance that is left), "
-        "and no known effect says why."
+        else f"Unexplained: {u.coefficient} still depends on {u.channel} ({u.share:.0%} of the remaining variance), "
+        "and no effect of the catalogue explains this."
         for u in d.unknown
     ]
 
@@ -160,24 +162,27 @@ def _noise(d: Diagnosis) -> list[str]:
         )
     if "buffet" in labels:
         growth = ", ".join(f"{name} {value:.1f} times" for name, value in d.noise.swell.items() if value > 1.05)
-        said.append(f"Noise: it grows as the flow separates, or as the dynamic pressure falls ({growth}).")
+        said.append(
+            f"Noise: its standard deviation grows as the flow separates or the dynamic pressure falls ({growth})."
+        )
     if "outliers" in labels:
         count = ", ".join(f"{name} {n}" for name, n in d.noise.outliers.items() if n)
-        said.append(f"Noise: outliers were repaired ({count}).")
+        said.append(f"Noise: outliers were replaced ({count}).")
     return said
 
 
 def cause_table(view: DiagnosisView) -> Table | None:
-    """Causes for a terminal of 80 columns: size with deviation, probability, R2 on unseen data before and after."""
+    """Causes for a terminal of 80 columns: size, standard error, probability, R2 on hold-out data before and after."""
     d = view.diagnosis
     if not d.causes:
         return None
     if d.tested is not None:
         return _trajectory_causes(d)
     table = Table(
-        title=f"Causes; R² on unseen data ({SPLITS[d.split]}), before → after",
-        caption="Before: the card's model; once sensors are corrected, with corrected sensors. ±: one deviation. "
-        "*: not confirmed on unseen data, not in the extended model. †: the verdict does not rest on it, see below.",
+        title=f"Causes; R² on hold-out data ({SPLITS[d.split]}), before → after",
+        caption="Before: the card's model, with corrected sensors where sensor errors were found. ±: one standard "
+        "error. "
+        "*: not confirmed on hold-out data, not in the extended model. †: the verdict does not rest on it, see below.",
         box=SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
         pad_edge=False,
@@ -195,9 +200,9 @@ def cause_table(view: DiagnosisView) -> Table | None:
 
 
 def _trajectory_causes(d: Diagnosis) -> Table:
-    """Causes that trajectories alone have named: size with deviation, probability, rivals."""
+    """Causes named from trajectories alone: size with standard error, probability, rivals."""
     table = Table(title="Causes, from trajectories alone", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    for head in ("cause", "size", "prob.", "or as well"):
+    for head in ("cause", "size", "prob.", "rivals"):
         table.add_column(head)
     for cause in d.causes:
         sizes = "\n".join(size_text(s.mean, s.sd, s.unit) for s in cause.parameters.values())
@@ -225,11 +230,11 @@ def _r2(cause: Cause, name: str) -> str:
 
 
 def ranking_table(view: DiagnosisView, most: int = 5) -> Table | None:
-    """The leading candidates of each stage, where no cause was found: what came closest."""
+    """The leading candidates of each stage, if no cause was found."""
     if view.diagnosis.causes or not view.rankings:
         return None
     table = Table(
-        title="What came closest",
+        title="Leading candidates",
         caption=f"p is family-wise, 0.005 at the least. {NAMED_IF}",
         box=SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
@@ -245,11 +250,11 @@ def ranking_table(view: DiagnosisView, most: int = 5) -> Table | None:
 
 
 def revealed(effects: Mapping[str, Mapping[str, float]], named: Mapping[str, str]) -> list[str]:
-    """What was hidden, and whether it was found."""
+    """The hidden effects, and whether they were found."""
     said = {
         "first": "It was named first.",
         "named": "It was named, though not first.",
-        "minor": "It was found, but is too small to be worth a name.",
+        "minor": "It was found, but is too small to be named.",
         "ambiguous": "It was reported as indistinguishable from a named cause.",
         "missed": "It was not found.",
     }
@@ -257,5 +262,5 @@ def revealed(effects: Mapping[str, Mapping[str, float]], named: Mapping[str, str
     for name, values in effects.items():
         units = {p.name: p.unit for p in CATALOGUE[name].parameters}
         sizes = several(f"{key} = {size_text(x, 0.0, units[key])}" for key, x in values.items())
-        found.append(f"Hidden was {name} ({sizes}). {said[named[name]]}")
+        found.append(f"Hidden effect: {name} ({sizes}). {said[named[name]]}")
     return found

@@ -1,4 +1,4 @@
-"""What is said of an effect of the catalogue, for the terminal and for the page alike."""
+"""The facts of an effect of the catalogue, for the terminal and for the page."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def facts(effect: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("needs", ", ".join(effect["needs"]) or "nothing"),
     ]
     if effect["rests_on"]:
-        said.append(("rests on", ", ".join(effect["rests_on"]) + " of other effects in the model"))
+        said.append(("uses", ", ".join(effect["rests_on"]) + " of other effects in the model"))
     if effect["model"] is not None:
         said.append(("card", "in the card's model" if effect["model"] else "not in the card's model"))
     if not effect["proposed_by_diagnose"]:
@@ -35,7 +35,7 @@ def parameter_facts(p: Mapping[str, Any]) -> list[tuple[str, str]]:
     ]
     if p["least_worth_modelling"] is not None:
         least, most = shown(p["least_worth_modelling"]), shown(p["largest_plausible"])
-        said.append(("sizes", f"{least} from neutral is the least worth modelling, {most} the largest plausible"))
+        said.append(("sizes", f"smallest worth modelling {least} from neutral, largest plausible {most}"))
     return said
 
 

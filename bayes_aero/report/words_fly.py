@@ -1,4 +1,4 @@
-"""What a fit to trajectories says by itself: tables for a terminal and for files, and sentences."""
+"""A fit to trajectories: tables for a terminal and for files, and sentences."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from bayes_aero.report.words_restraints import inseparable_sentences
 from bayes_aero.report.words_signs import sign_sentences
 
 MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound", "undetermined": "not determined"}
-_WEIGHED = " Priors are mean ± standard deviation; they count as often as correlated residuals multiply variances."
-COLOURED = 1.5  # times by which the colour must multiply variances to be worth a sentence; our choice
-OFTEN = 0.5  # share of the time outside a tolerance from which it is worth a sentence; our choice
-SWOLLEN = 2.0  # times more, in wholly separated flow, from which it is worth a sentence; our choice
+_WEIGHED = " Priors are mean ± standard deviation, weighted with the variance inflation of the residuals."
+COLOURED = 1.5  # variance inflation from which a sentence is written; our choice
+OFTEN = 0.5  # share of the time outside a tolerance from which a sentence is written; our choice
+SWOLLEN = 2.0  # noise growth in fully separated flow from which a sentence is written; our choice
 
 
 def parameter_rows(flown: FlownFit) -> dict[str, dict[str, Any]]:
@@ -71,7 +71,7 @@ def prior_words(row: Mapping[str, Any]) -> str:
 
 
 def remarks(row: Mapping[str, Any]) -> str:
-    """What one of `parameter_rows` must be read with; mostly nothing."""
+    """Remarks on one of `parameter_rows`; usually none."""
     return ", ".join(words for key, words in MARKS.items() if row[key])
 
 
@@ -82,12 +82,11 @@ def parameter_frame(flown: FlownFit) -> pd.DataFrame:
 
 
 def parameter_table(flown: FlownFit) -> Table:
-    """Estimate, both deviations, prior and marks."""
+    """Estimate, both standard errors, prior and remarks."""
     table = _table(
         f"Parameters fitted to trajectories: {flown.fit.status.name.lower().replace('_', ' ')}",
-        "SI and radians. CRB: Cramér-Rao, the data alone, residuals taken as white. sd corr.: with the correlation "
-        "of neighbouring residuals and "
-        "the priors; in brackets behind the estimate in units of its last digit."
+        "SI and radians. CRB: Cramér-Rao bound of the data alone, for white residuals. sd corr.: with their "
+        "autocorrelation and the priors; in brackets after the estimate in units of its last digit."
         + (_WEIGHED if flown.setting.priors else " There are no priors."),
     )
     for head in ("", "unit"):
@@ -152,7 +151,7 @@ def errors_of_all(flown: FlownFit) -> dict[str, tuple[float, float]]:
 
 
 def fly_sentences(flown: FlownFit, hindered: str = "") -> list[str]:
-    """How the fit ended, what it misses, what the colour costs, what the records do not say, what could not fly.
+    """How the fit ended, its errors, the variance inflation, what is not identified, what left the envelope.
 
     `hindered` is why diagnose cannot use the records; empty if it can.
     """
@@ -165,22 +164,22 @@ def fly_sentences(flown: FlownFit, hindered: str = "") -> list[str]:
     said += _wanting(flown, hindered)
     if flown.colour_cost >= COLOURED and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         said.append(
-            f"Neighbouring residuals are correlated (coloured): this multiplies variances {short(flown.colour_cost)} "
-            "times in the median, and "
-            "the Cramér-Rao bound is too small; use the corrected deviation."
+            f"The residuals are autocorrelated. The variance inflation is {short(flown.colour_cost)} in the "
+            f"median, and the "
+            "Cramér-Rao bound is too small; use the corrected standard error."
         )
     swollen = {name: times for name, times in flown.swell.items() if times > SWOLLEN}
     if swollen:
         told = several(f"{SYMBOLS.get(name, name)} {short(times)} times" for name, times in swollen.items())
-        said.append(f"More is missed where the flow has separated ({told}): samples there count for less.")
+        said.append(f"Residuals grow where the flow has separated ({told}): these samples have less weight.")
     estimates = zip(fit.names, fit.estimate, fit.sd_corrected, strict=True)
     said += sign_sentences({name: (float(value), float(sd)) for name, value, sd in estimates})
     if fit.held and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
-        said.append(f"The trajectories say next to nothing of {several(fit.held)}; the prior holds.")
+        said.append(f"The trajectories contain little information on {several(fit.held)}; the prior decides.")
     if fit.undetermined and flown.converged:
         said.append(
             f"The trajectories do not determine {several(fit.undetermined)}, and there are no priors: these values "
-            "mean nothing; fix them on the card, or fit with priors."
+            "are not usable. Fix them on the card, or fit with priors."
         )
     if flown.converged:
         said += inseparable_sentences(fit.inseparable)
@@ -191,7 +190,10 @@ def fly_sentences(flown: FlownFit, hindered: str = "") -> list[str]:
 
 
 def disagreement_sentences(found: Sequence[Disagreement], hindered: str = "") -> list[str]:
-    """That the coefficients of the same record give other values; `hindered` is why diagnose cannot look into it."""
+    """Parameters for which the coefficients of the same record give other values.
+
+    `hindered` is why diagnose cannot use the records; empty if it can.
+    """
     if not found:
         return []
     told = several(
@@ -203,13 +205,13 @@ def disagreement_sentences(found: Sequence[Disagreement], hindered: str = "") ->
     look = "check looks for an error of a sensor" if hindered else "check and diagnose look for the last two"
     return [
         f"The coefficients of the same record, as identify fits them, disagree with the trajectories: {told}. Neither "
-        "interval covers that: disturbed air, an error of a sensor or something that the model lacks is behind it; "
-        f"{look}."
+        "interval covers the difference. Possible causes are turbulence, a sensor error or an effect that the model "
+        f"lacks; {look}."
     ]
 
 
 def _settings(flown: FlownFit) -> list[str]:
-    """The published programs' cost, and in what the fit differs from the usual one."""
+    """The cost of the published programs, and the settings that differ from the defaults."""
     if flown.fit.status is OutputErrorStatus.LEFT_ENVELOPE:
         return []
     outputs = several(SYMBOLS.get(name, name) for name in flown.fit.flown.outputs)
@@ -229,7 +231,7 @@ def _settings(flown: FlownFit) -> list[str]:
 
 
 def outside(flown: FlownFit) -> dict[str, float]:
-    """Share of the time, all manoeuvres together, that the fit of each output spends outside its tolerance."""
+    """Share of the time over all manoeuvres for which the fit of each output is outside its tolerance."""
     paths = [p for p in flown.paths if p.model == FITTED and p.inside]
     shares = {}
     for output in flown.outputs:
@@ -241,15 +243,15 @@ def outside(flown: FlownFit) -> dict[str, float]:
 
 
 def _wanting(flown: FlownFit, hindered: str) -> list[str]:
-    """That the model lacks something, where even its best flies mostly outside the tolerances."""
+    """That the model lacks an effect, if its best fit is mostly outside the tolerances."""
     shares = {name: share for name, share in outside(flown).items() if share > OFTEN}
     if not (shares and flown.converged):  # what has not converged may still come nearer
         return []
     told = several(f"{SYMBOLS.get(name, name)} {share:.0%} of the time" for name, share in shares.items())
     aircraft = isinstance(unbiased(flown.fit.flown.dynamics), AircraftDynamics)
-    looks = f", and diagnose cannot look for what: {hindered}" if hindered else "; bayes-aero diagnose looks for what"
+    looks = f", and diagnose cannot look for it: {hindered}" if hindered else "; bayes-aero diagnose looks for it"
     where = looks if aircraft else ""
-    return [f"Fitted, it still flies outside its tolerances ({told}): the model lacks something{where}."]
+    return [f"The fitted model is outside its tolerances ({told}): the model lacks an effect{where}."]
 
 
 def _off(flown: FlownFit) -> str:
@@ -260,7 +262,7 @@ def _off(flown: FlownFit) -> str:
     for output, (_, rms) in errors_of_all(flown).items():
         unit, factor = for_people(flown.units[output])
         told.append(f"{SYMBOLS.get(output, output)} {short(factor * rms)}{'' if unit == '1' else ' ' + unit}")
-    return f"; the trajectories are off by (RMS) {several(told)}"
+    return f"; the RMS error of the trajectories is {several(told)}"
 
 
 def _table(title: str, caption: str) -> Table:

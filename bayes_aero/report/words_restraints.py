@@ -1,4 +1,4 @@
-"""Priors that the record contradicts, parameters at their bounds, and those that it cannot separate, in words."""
+"""Sentences on priors that the record contradicts, parameters at their bounds, and inseparable parameters."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ def conflict_sentences(conflicts: Sequence[PriorConflict]) -> list[str]:
     return [
         f"The card's prior on {c.name}, {c.prior[0]:.4g} ± {c.prior[1]:.2g}{_unit(c.unit)} ({c.source}), contradicts "
         f"the record: the likelihood alone gives {c.likelihood[0]:.4g} ± {c.likelihood[1]:.2g}, {c.apart:.1f} "
-        f"combined standard errors away. The prior pulls the posterior of {c.name} and of parameters correlated with "
-        "it; widen the prior, or find out why the record differs."
+        f"combined standard errors away. The prior shifts the posterior of {c.name} and of correlated parameters. "
+        "Widen the prior, or find the reason why the record differs."
         for c in conflicts
     ]
 
@@ -36,7 +36,7 @@ def leaning_sentences(table: pd.DataFrame, conflicts: Sequence[PriorConflict]) -
     prior, data = (table[part].astype(float).to_dict() for part in ("prior", "likelihood"))
     own = several(f"{n} {prior[n]:.2f} to the prior, {data[n]:.2f} to the data" for n in names)
     others = [str(n) for n in prior if n not in names and prior[n] >= SENSITIVE]
-    more = f" Priors move {several(others)} as well." if others else ""
+    more = f" Priors also move {several(others)}." if others else ""
     return (f"Sensitivity of the posterior by power-scaling ({SENSITIVE:g} and above matters): {own}.{more}",)
 
 
@@ -51,7 +51,7 @@ def bound_sentences(found: Sequence[Bounded]) -> list[str]:
         )
         if b.pushed:
             pushed = several(f"{n} ({-x:+.1f} corrected standard errors)" for n, x in b.pushed.items())
-            text += f"; the bound pushes {pushed}"
+            text += f"; the bound moves {pushed}"
         said.append(f"{text}. Widen the bound, or fix {b.name}.")
     return said
 
@@ -67,8 +67,9 @@ def inseparable_sentences(found: Sequence[Inseparable]) -> list[str]:
         low, high = (f"{x:.0f}" if x >= 10.0 else f"{x:.2g}" for x in (min(one.wider), max(one.wider)))
         times = low if low == high else f"{low} to {high}"
         said.append(
-            f"The record cannot separate {several(one.names)} ({told}): were the others known, each interval would be "
-            f"{times} times narrower. Fly manoeuvres that move them apart, fix one, or give one a prior."
+            f"The record cannot separate {several(one.names)} ({told}): if the others were known, each interval "
+            f"would be "
+            f"{times} times narrower. Fly manoeuvres that excite them differently, fix one, or give one a prior."
         )
     return said
 

@@ -1,4 +1,4 @@
-"""The headline of a diagnosis: it rests on causes that are confirmed, likely and of a size that aircraft have."""
+"""The headline of a diagnosis. It rests on causes that are confirmed, probable and of plausible size."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ FEW = 3  # causes whose sizes stand in the verdict
 
 
 def verdict_sentence(d: Diagnosis) -> str:
-    """The causes that explain what the card's model gets wrong, those that are only named, and what is left."""
+    """The causes that explain the model error, those that are only named, and the unexplained structure."""
     sure = [c for c in d.causes if c.sure]
     names = f": {several(_named(c, len(sure) <= FEW) for c in sure)}{_doubtful(d)}"
     unknown = several(sorted({f"{u.coefficient} over {u.channel}" for u in d.unknown}))
@@ -22,10 +22,9 @@ def verdict_sentence(d: Diagnosis) -> str:
     plural = "causes explain" if len(sure) > 1 else "cause explains"
     subject = f"{len(sure)} {plural}"
     return {
-        Verdict.NO_EFFECT: "Nothing worth a name, that this record could show, is missing from the card's model"
-        f"{_doubtful(d)}.",
-        Verdict.EXPLAINED: f"{subject} what the card's model gets wrong{names}.",
-        Verdict.PARTLY_EXPLAINED: f"{subject} a part of what the card's model gets wrong{names}; "
+        Verdict.NO_EFFECT: f"No significant model error is detectable in these records{_doubtful(d)}.",
+        Verdict.EXPLAINED: f"{subject} the error of the card's model{names}.",
+        Verdict.PARTLY_EXPLAINED: f"{subject} part of the error of the card's model{names}; "
         f"unexplained structure remains{left}.",
         Verdict.UNEXPLAINED: f"The card's model is wrong and no reliable cause explains it{left}{_doubtful(d)}."
         if d.causes
@@ -34,31 +33,35 @@ def verdict_sentence(d: Diagnosis) -> str:
 
 
 def _flown_verdict(d: Diagnosis, tested: Tested, sure: int, names: str, left: str) -> str:
-    """The same from trajectories alone: it claims that causes explain only where noise alone is left."""
-    sought = f"structure without a name remains{left}" if d.unknown else "structure without a name was not sought"
+    """The same from trajectories alone: causes explain the error only if the residual is sensor noise."""
+    sought = (
+        f"structure outside the catalogue remains{left}"
+        if d.unknown
+        else "structure outside the catalogue was not tested"
+    )
     if tested.beyond:
-        rest = f"Errors beyond the sensors' noise remain ({_remaining(tested)}); {sought}."
+        rest = f"Errors larger than the sensor noise remain ({_remaining(tested)}); {sought}."
     elif tested.outputs:
-        rest = f"What the simulation still misses is within the sensors' noise; {sought}."
+        rest = f"The remaining error of the simulation is within the sensor noise; {sought}."
     else:
-        rest = f"What the simulation still misses was not computed; {sought}."
+        rest = f"The remaining error of the simulation was not computed; {sought}."
     if sure and d.verdict is Verdict.EXPLAINED:
         plural = "causes explain" if sure > 1 else "cause explains"
-        return f"{sure} {plural} what the card's model gets wrong in the trajectories{names}. {rest}"
+        return f"{sure} {plural} the error of the card's model in the trajectories{names}. {rest}"
     if sure:
         plural = "causes improve" if sure > 1 else "cause improves"
         return f"{sure} {plural} the fit to the trajectories{names}. {rest}"
     if d.verdict is Verdict.NO_EFFECT:
-        first = "Nothing worth a name, that these trajectories could show, is missing from the card's model"
+        first = "No significant model error is detectable in these trajectories"
     elif d.causes:
         first = "No reliable cause improves the fit to the trajectories"
     else:
-        first = "No effect of the catalogue improves the fit to the trajectories beyond chance"
+        first = "No effect of the catalogue improves the fit to the trajectories significantly"
     return f"{first}{_doubtful(d)}. {rest}"
 
 
 def _remaining(tested: Tested) -> str:
-    """Outputs that are missed by more than noise, on hold-out flights where there are any."""
+    """Outputs whose error exceeds the noise, on hold-out flights where there are any."""
     unseen = all(math.isfinite(tested.outputs[name].unseen) for name in tested.beyond)
     where = "on hold-out flights, RMS" if unseen else "RMS"
     told = [
@@ -70,18 +73,18 @@ def _remaining(tested: Tested) -> str:
 
 
 def tested_sentences(d: Diagnosis) -> list[str]:
-    """What trajectories alone have tested, output by output, against the noise of each sensor."""
+    """The error of each output against the noise of its sensor, from trajectories alone."""
     if d.tested is None or not d.tested.outputs:
         return []
     told = [
         f"{SYMBOLS.get(name, name)} {_size(name, one.fitted)} (noise {_size(name, one.noise)})"
         for name, one in d.tested.outputs.items()
     ]
-    said = f"Fitted to all flights, the extended model misses (RMS) {several(told)}."
+    said = f"The RMS error of the extended model, fitted to all flights, is {several(told)}."
     if d.tested.beyond:
         said += (
-            f" More than half of the mean square error of {several(SYMBOLS.get(n, n) for n in d.tested.beyond)} is no "
-            "noise: disturbed air, an error of a sensor or something that the model lacks is behind it."
+            f" More than half of the mean square error of {several(SYMBOLS.get(n, n) for n in d.tested.beyond)} is not "
+            "noise. Possible causes are turbulence, a sensor error, or an effect that the model lacks."
         )
     return [said]
 
@@ -92,7 +95,7 @@ def _size(output: str, value: float) -> str:
 
 
 def _named(cause: Cause, sized: bool) -> str:
-    """Its name, its size if that is asked for, and its equals."""
+    """Its name, its size if requested, and its rivals."""
     sizes = ", ".join(size_text(x.mean, x.sd, x.unit) for x in cause.parameters.values()) if sized else ""
     rivals = f"or {' or '.join(cause.ambiguous_with)}" if cause.ambiguous_with else ""
     said = ", ".join(part for part in (sizes, rivals) if part)
@@ -111,9 +114,9 @@ def _doubtful(d: Diagnosis) -> str:
 def _why_not(cause: Cause) -> str:
     """Why the verdict does not rest on a cause."""
     if cause.bounded:
-        return "at a parameter bound, so another cause is to be suspected"
+        return "at a parameter bound: suspect another cause"
     if cause.implausible:
-        return "larger than on any aircraft, so another cause is to be suspected"
+        return "larger than on any aircraft: suspect another cause"
     if not cause.confirmed:
         return "named, but not confirmed on hold-out data"
     return "named, but no more probable than its rivals"

@@ -16,6 +16,6 @@ def too_few_windows(records: Sequence[FlightRecord]) -> str:
         return ""
     seconds = records[0].time[-1] - records[0].time[0]
     return (
-        f"without accelerometers an effect is judged by how far windows of {WINDOW:g} s agree about it, and "
+        f"without accelerometers an effect is tested by the scatter between windows of {WINDOW:g} s, and "
         f"{records[0].name} of {seconds:.3g} s is one window; give a second manoeuvre, or one of {2 * WINDOW:g} s"
     )

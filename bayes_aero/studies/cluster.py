@@ -186,7 +186,7 @@ class _Study:
         if isinstance(reason, KilledWorker):
             deaths = reason.allowed_failures + 1
             return fail_unit(
-                given, folder, f"its process died {deaths} times, most likely for want of memory; {self.remedy}"
+                given, folder, f"its process died {deaths} times, most likely for lack of memory; {self.remedy}"
             )
         raise StoppedError(
             f"the cluster at {self.address} cannot do units ({_short(reason)}); see that its scheduler and its "
@@ -198,12 +198,12 @@ class _Study:
         self.counted, self.stumbled = -COUNT, self.stumbled + 1
         time.sleep(PAUSE)  # the client may not have noticed yet
         while self.client.status == "connecting":
-            self.tell(finished, total, f"the connection to {self.address} is lost, looking for it")
+            self.tell(finished, total, f"the connection to {self.address} is lost, reconnecting")
             time.sleep(PAUSE)
         if self.client.status != "running":
             raise StoppedError(f"the scheduler at {self.address} is lost")
         if self.stumbled > STUMBLES:
-            raise StoppedError(f"the scheduler at {self.address} does not do what it is asked ({_short(reason)})")
+            raise StoppedError(f"the scheduler at {self.address} does not respond correctly ({_short(reason)})")
 
 
 def _work(given: str, folder: str, driver: Driver) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Output error as a job: records in, parameters fitted to their trajectories out; the numbers are on disk first."""
+"""The job of `bayes-aero fly`: parameters fitted to trajectories by output error; numbers are on disk first."""
 
 from __future__ import annotations
 
@@ -60,15 +60,20 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Flight:
-    """A fit with what is said of it."""
+    """A fit to trajectories with its findings, in SI and radians.
+
+    `flown.fit` has estimates (k,), standard errors and `det_R`. `sentences` are the findings, `notes` remarks on the
+    input, `failures` parts that failed unexpectedly, `apart` parameters for which the coefficients of the same record
+    give other values.
+    """
 
     flown: FlownFit
     sentences: tuple[str, ...]
     notes: tuple[str, ...]
     health: tuple[HealthFinding, ...] = ()
     consistency: Consistency | None = None
-    failures: tuple[str, ...] = ()  # parts that failed unexpectedly
-    apart: tuple[Disagreement, ...] = ()  # parameters of which the coefficients of the same record say otherwise
+    failures: tuple[str, ...] = ()
+    apart: tuple[Disagreement, ...] = ()
 
 
 def fly(
@@ -85,30 +90,33 @@ def fly(
     figures: bool = True,
     progress: Progress | None = None,
 ) -> Flight:
-    """Fit the card's model to the records' trajectories, as `bayes-aero fly` does.
+    """Fit the card's model to the trajectories of the records (output error), as `bayes-aero fly` does.
 
-    A model of effects starts from the card's values and, where coefficients can be formed, from their fit, too.
+    A model of effects starts from the card's values and, if coefficients can be formed, also from their fit.
 
     Args:
-        records: flights, all fitted together.
+        records: flights, fitted jointly.
         card: one with a model of effects or a linear one.
         out: a folder for trajectories.json, parameters.csv, histories.nc, figures and report.html; None writes nothing.
         windows: length in s of the windows that are fitted before whole manoeuvres.
         initial_state: "free", fitted for each manoeuvre, or "fixed": the card's ([fly] initial_state), and where it
             names none the first sample.
-        priors: False leaves all priors out of the reported fit, those of free initial states too.
+        priors: False omits all priors from the reported fit, including those of free initial states.
         outputs: names of the outputs that are compared, a list or separated by commas; default: the card's ([fly]
             outputs), and without these all recorded ones but altitude and q_dot.
         inputs: "linear" between samples, or "held" until the next one.
         seed: of the fit of the coefficients.
         figures: False draws none.
-        progress: told a stage and the share of it that is done.
+        progress: called with a stage and the share of it that is done.
 
     Returns:
-        The fit (`flown.fit` has estimates, deviations and `det_R`), with what is said of it. SI and radians.
+        The fit (`flown.fit` has estimates, standard errors and `det_R`) with its findings. SI and radians.
 
     Raises:
-        InputError: the records cannot be flown with the card, or a setting is not one.
+        InputError: the records cannot be simulated with the card, or a setting is unknown.
+
+    Source:
+        Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, ch. 4.
     """
     if not (math.isfinite(windows) and windows >= SHORTEST):
         raise InputError(f"windows of {windows:g} s cannot be flown; give at least {SHORTEST:g} s")

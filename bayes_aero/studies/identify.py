@@ -99,13 +99,13 @@ def identify(
         mle = raw = fit_mle(model, observations, seed=seed)
         if forming is Forming.MATCHED:
             mle, failed = trying(
-                "Estimates were not freed of the bias that sensors' noise gives",
+                "The bias from sensor noise was not subtracted from the estimates",
                 lambda: without_noise_bias(raw, without_spikes, card, model, seed=seed),
                 raw,
             )
             failures += failed
         alone, failed = trying(
-            "Manoeuvres were not fitted by themselves", lambda: fit_alone(model, observations, seed=seed), {}
+            "Manoeuvres were not fitted alone", lambda: fit_alone(model, observations, seed=seed), {}
         )
         failures += failed
         told = preparation_notes(without_spikes, card, model, mle) if forming is Forming.PUBLISHED else ()

@@ -83,7 +83,7 @@ def test_a_foreign_record_is_read_through_its_starter_card(program, foreign, tmp
         assert np.allclose(record[name], truth[name], rtol=1e-6, atol=1e-6 * scale), name
     checked = program("check", path, "--model", "mine.toml", "--no-sensors")
     assert checked.code == 0, checked.out + checked.err
-    assert "sign turned" in checked.out
+    assert "sign reversed" in checked.out
 
 
 def test_an_unfilled_card_names_the_first_thing_missing(program, foreign, tmp_path):
@@ -199,7 +199,7 @@ def test_wings_that_stayed_level_let_the_sensors_be_checked(program, tmp_path, r
     done = program("check", "run.csv", "--model", "mine.toml")
     said = " ".join(done.out.split())
     assert done.code == 0, done.err
-    assert ("state what stood still under [constants]" in said) == rolling
+    assert ("state what did not move under [constants]" in said) == rolling
     assert ("Whether the sensors agree was not checked" in said) == rolling
 
 

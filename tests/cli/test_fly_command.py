@@ -123,7 +123,7 @@ def test_lateral_motion_is_recovered_and_told(program, tmp_path):
     card, record = written(tmp_path, LATERAL, lateral_flight(LATERAL_TRUTH), seed=3)
     done = program("fly", record, "--model", card, "--no-figures")
     assert done.code == 0, done.err
-    assert "The fit converged; the trajectories are off by (RMS)" in " ".join(done.out.split())
+    assert "The fit converged; the RMS error of the trajectories is" in " ".join(done.out.split())
     table = pd.read_csv(tmp_path / "trajectories" / "parameters.csv", index_col=0)
     assert set(table.index) == set(LATERAL_TRUTH)
     for name, row in table.iterrows():
@@ -180,8 +180,8 @@ def test_a_model_that_cannot_fly_is_exit_code_one(program, tmp_path):
     assert done.code == 1
     found = told(done)
     assert (found["status"], found["converged"]) == ("left_envelope", False)
-    assert "cannot fly this record" in found["sentences"][0]
-    assert "cannot fly this record" in page_of(tmp_path / "trajectories")
+    assert "cannot be simulated through this record" in found["sentences"][0]
+    assert "cannot be simulated through this record" in page_of(tmp_path / "trajectories")
 
 
 def test_a_model_of_effects_flies_a_stall(program, tmp_path):

@@ -146,10 +146,10 @@ def test_an_interrupted_diagnosis_is_said_to_be_taken_up(tmp_path):
     Unfinished(tmp_path, "").begin()
     (tmp_path / "diagnosis.json").write_text("{}")
     assert "(diagnosis.json)" in told()
-    assert "takes up the rest" in told()
-    assert "all stages again" in kept_stages(tmp_path)()  # another command in the same folder
+    assert "continues with the rest" in told()
+    assert "repeats all stages" in kept_stages(tmp_path)()  # another command in the same folder
     Unfinished(tmp_path, "").end()
-    assert "all stages again" in told()
+    assert "repeats all stages" in told()
 
 
 def test_an_interruption_while_reading_is_told_too(program, monkeypatch, flights):

@@ -99,7 +99,7 @@ def test_a_page_shows_the_record_and_its_truth(program, tmp_path):
     assert not (tmp_path / "a.csv.report.html").exists()
     assert program("simulate", *arguments, "--force").code == 0
     html = (tmp_path / "a.csv.report.html").read_text()
-    assert "hidden in it: thrust_lag" in html
+    assert "hidden effect: thrust_lag" in html
     assert "was not made" not in html
 
 

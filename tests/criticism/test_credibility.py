@@ -181,14 +181,14 @@ def test_trajectories_alone_claim_no_more_than_was_tested(diagnosed):
     d = replace(diagnosed.view.diagnosis, causes=(cause(),), unknown=())
     for left, verdict, claim in (
         (finding.Missed(0.3, 0.6, 1.2), Verdict.PARTLY_EXPLAINED, "cause improves the fit to the trajectories"),
-        (finding.Missed(0.3, 0.3, 1.2), Verdict.EXPLAINED, "what the card's model gets wrong in the trajectories"),
+        (finding.Missed(0.3, 0.3, 1.2), Verdict.EXPLAINED, "the error of the card's model in the trajectories"),
     ):
         tested = finding.Tested({"airspeed": left})
         headline, detail, *_ = diagnosis_sentences(replace(d, tested=tested, verdict=verdict))
         assert claim in headline
         assert ("explain" in headline) is (verdict is Verdict.EXPLAINED)
         assert ("V 1.2 m/s" in headline) is (verdict is not Verdict.EXPLAINED)
-        assert "structure without a name was not sought" in headline
+        assert "structure outside the catalogue was not tested" in headline
         assert "(noise 0.30 m/s)" in detail
     none = replace(
         d, causes=(), verdict=Verdict.UNEXPLAINED, tested=finding.Tested({"q": finding.Missed(0.0, 1.0, 1.0)})

@@ -141,7 +141,7 @@ def test_without_a_cause_the_closest_candidates_are_told(nothing):
     assert cause_table(nothing) is None
     assert ranking_table(nothing) is not None
     assert causes_frame(nothing).empty
-    assert sentences(nothing)[0].startswith("Nothing")
+    assert sentences(nothing)[0].startswith("No significant model error")
 
 
 def test_words_name_cause_rivals_and_what_is_unexplained(diagnosed):
@@ -176,8 +176,8 @@ def test_a_size_on_its_bound_is_no_measurement(diagnosed):
     assert not any(size.at_bound for size in extension.sizes.values())
     held = replace(cause, parameters={name: found[name]})
     said = " ".join(sentences(replace(view, diagnosis=replace(view.diagnosis, causes=(held,)))))
-    assert f"{name} would go beyond the bounds" in said
-    assert "beyond the bounds" not in " ".join(sentences(view))
+    assert f"{name} is at a parameter bound" in said
+    assert "at a parameter bound" not in " ".join(sentences(view))
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ def test_scatter_and_claims_are_those_of_the_values(tmp_path):
     assert f"CLa ({CLa.scatter / 0.1:.1f} times)" in text
     assert alpha_star.scatter < 1.5 * alpha_star.claimed
     assert "alpha_star (" not in text
-    ratio = f"{CLa.scatter / 0.1:.1f} times what its intervals claim"
+    ratio = f"{CLa.scatter / 0.1:.1f} times its intervals"
     assert study_headline(given) == f"All 40 units are done; all converged; CLa differs between units by {ratio}."
 
 

@@ -44,7 +44,7 @@ def test_manoeuvres_are_compared_one_by_one_and_a_loss_beyond_chance_is_said(los
     table = by_manoeuvre(unseen)
     assert [row[:2] for row in table.rows] == [(m, c) for m in ("a", "b") for c in ("CL", "CD", "Cm")]
     assert table.rows[4][2:] == ("0.800", "0.800", "-0.012 ± 0.015", f"{loses:+.1f} ± 1.0")
-    assert ("falls for CD of b." in table.note) == (loses < -1.645)
+    assert ("significantly (one-sided, 5 %) for CD of b." in table.note) == (loses < -1.645)
 
 
 def test_parameter_table(full):

@@ -39,9 +39,9 @@ def test_what_was_flown_stands_beside_what_was_found(make):
     flown = dict(zip(run.mle.names, run.mle.estimate, strict=True))
     flown |= {"Cma": flown["Cma"] + 0.03, "tau1": 0.0}  # three Cramer-Rao deviations, .75 corrected; one not fitted
     text = said(replace(run, truth=flown), "simulated")
-    assert "of the 6 parameters" in text
+    assert "of the 6 true parameters" in text
     assert "5 (ML, Cramér-Rao bound), 6 (ML, corrected bound)" in text
-    assert "Cma, -0.8 corrected deviations" in text
+    assert "Cma, -0.8 corrected standard errors" in text
 
 
 def test_coloured_residuals_and_what_they_make_of_the_bound(full, make):
@@ -108,7 +108,7 @@ def test_what_the_random_split_leaks(full, make):
     better = said(full, "maximum likelihood correlates better")
     assert "CD" in better
     honest = make()
-    assert "leaks nothing" in said(honest, "GPR correlation")
+    assert "does not leak significantly" in said(honest, "GPR correlation")
     assert silent(honest, "correlates better")
 
 

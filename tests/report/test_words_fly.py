@@ -34,9 +34,9 @@ def test_nothing_is_said_where_it_stays_inside_most_of_the_time():
 def test_nothing_is_said_of_the_model_where_the_fit_has_not_converged():
     """It may still come nearer."""
     flown = with_offsets(flight().flown, {"one": 100}, {"one": 3.0 * DEGREE})
-    assert any("lacks something" in line for line in fly_sentences(flown))
+    assert any("lacks an effect" in line for line in fly_sentences(flown))
     early = replace(flown, fit=replace(flown.fit, status=OutputErrorStatus.NOT_CONVERGED))
-    assert not any("lacks something" in line for line in fly_sentences(early))
+    assert not any("lacks an effect" in line for line in fly_sentences(early))
 
 
 def test_nobody_is_sent_to_a_command_that_cannot_use_the_record():

@@ -28,20 +28,20 @@ def test_a_lag_is_told_with_its_size_and_what_it_stands_in_for(simulated):
     after = replace(simulated.extended, values={"tau1": 13.31}, units={"tau1": "c/V"})
     lagged = replace(simulated, extended=after, deviation={"tau1": 1.57}, lag=lag)
     (said,) = lag_sentences(lagged)
-    assert "separation_lag too in place of tau2: tau1 13.3 ± 1.6 c/V" in said
+    assert "supports separation_lag in place of tau2: tau1 13.3 ± 1.6 c/V" in said
     assert "62 ± 16" in said
-    assert "separation_lag besides in the model" in simulation_gain(lagged)
+    assert "the extended model (with separation_lag)" in simulation_gain(lagged)
 
 
 def test_a_lag_that_is_not_wanted_says_why(simulated):
     asked = replace(simulated, lag=Lag("separation_lag", 4.2, False, (-1.0, 2.0)))
-    assert "do not want it (log density +4.2, unseen flight -1 ± 2)" in lag_sentences(asked)[0]
+    assert "do not support it (fit +4.2 nats, hold-out -1 ± 2 nats)" in lag_sentences(asked)[0]
     weak = replace(simulated, lag=Lag("separation_lag", 1.2, False))
-    assert "do not want it (log density +1.2)" in lag_sentences(weak)[0]
+    assert "do not support it (fit +1.2 nats)" in lag_sentences(weak)[0]
     slight = replace(simulated, lag=Lag("separation_lag", 5.4, slight=True))
-    assert "find less of it than is worth a name (log density +5.4)" in lag_sentences(slight)[0]
+    assert "give a size that is too small to be named (fit +5.4 nats)" in lag_sentences(slight)[0]
     lost = replace(simulated, lag=Lag("separation_lag", float("-inf"), False))
-    assert "its fit did not settle" in lag_sentences(lost)[0]
+    assert "its fit did not converge" in lag_sentences(lost)[0]
     assert lag_sentences(simulated) == []
 
 
@@ -50,23 +50,24 @@ def test_causes_that_flight_does_not_miss_are_told_and_the_weakest_of_the_others
     asked = replace(simulated, asked=Confirmation(("thrust_moment", "thrust_lift"), missed))
     assert asked.out == ("thrust_scale",)
     without, misses = cause_sentences(asked)
-    assert "without thrust_scale (-4 ± 16 in log density)" in without
-    assert "does not miss it beyond chance when it is taken out" in without
+    assert "Removing thrust_scale (by -4 ± 16 nats) does not significantly degrade" in without
+    assert "the simulated model omits it" in without
     assert (
-        misses == "Unseen flight misses thrust_moment and thrust_lift (least thrust_lift, by 91 ± 21 in log density)."
+        misses == "Removing thrust_moment and thrust_lift degrades the prediction of hold-out trajectories (least for "
+        "thrust_lift, by 91 ± 21 nats)."
     )
-    assert "the error (RMS), thrust_scale not in it, goes:" in simulation_gain(asked)
+    assert "the extended model (without thrust_scale) changes the RMS error" in simulation_gain(asked)
     lagged = replace(asked, lag=Lag("separation_lag", 25.4, True, (62.1, 15.5)))
-    both_told = "the error (RMS), separation_lag besides in the model and thrust_scale not in it, goes:"
+    both_told = "the extended model (with separation_lag and without thrust_scale) changes the RMS error"
     assert both_told in simulation_gain(lagged)
     both = replace(simulated, asked=Confirmation((), {"a": (1.0, 1.0), "b": (0.0, 2.0)}))
     (said,) = cause_sentences(both)
-    assert "a (+1 ± 1 in log density) and b (+0 ± 2 in log density)" in said
+    assert "a (by +1 ± 1 nats) and b (by +0 ± 2 nats)" in said
     assert "confirm them" in said
-    assert said.endswith("when they are taken out.")
+    assert said.endswith("the simulated model omits them.")
     assert cause_sentences(simulated) == []
 
 
 def test_a_cause_without_which_nothing_flies_needs_no_number(simulated):
     alone = replace(simulated, asked=Confirmation(("a",), {"a": (float("inf"), 0.0)}))
-    assert cause_sentences(alone) == ["Unseen flight misses a."]
+    assert cause_sentences(alone) == ["Removing a degrades the prediction of hold-out trajectories."]
