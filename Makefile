@@ -10,7 +10,7 @@ QUICK_TO_COMPILE := XLA_FLAGS="--xla_cpu_use_fusion_emitters=false --xla_backend
 PYTEST := $(COMPILED) $(QUICK_TO_COMPILE) OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist worksteal --durations=25
 STAMP := $(VENV)/.installed
 
-.PHONY: install demo picture test check fast docs notebooks clean
+.PHONY: install demo picture test verify check fast docs notebooks clean
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.13")'
@@ -37,12 +37,15 @@ check: $(STAMP)  ## lint, types, layers
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	PYTHONPATH=. $(BIN)/lint-imports
 
-fast: $(STAMP)  ## the tests without the statistical recovery studies and those on a cluster
-	$(PYTEST) -m "not recovery and not cluster"
+fast: $(STAMP)  ## the tests without whole diagnoses of simulated flights and those on a cluster
+	$(PYTEST) -m "not verify and not recovery and not cluster"
 
-test: check  ## everything; studies on a cluster by themselves, for they start workers of their own and wait for them
-	$(PYTEST) -m "not cluster"
+test: check  ## every exact test; studies on a cluster by themselves, for they start workers of their own and wait for them
+	$(PYTEST) -m "not verify and not cluster"
 	$(PYTEST) -n 0 -m cluster
+
+verify: $(STAMP)  ## what needs many flights or minutes: rates, coverage, whole diagnoses, every notebook
+	$(PYTEST) -m verify
 
 docs: $(STAMP)  ## the documentation as a site, into ./site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet

@@ -104,8 +104,7 @@ def test_white_posterior_is_as_wide_as_the_bounds(clean, model):
         assert posterior.marginals[name].sd == pytest.approx(crb, rel=0.10), name
 
 
-@pytest.mark.longest
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_coverage_under_coloured_noise(thinned, model):
     """rho = 0.95: the AR(1) posterior covers, Cramer-Rao bounds and the white posterior do not.
 
