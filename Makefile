@@ -7,7 +7,7 @@ COMPILED := JAX_COMPILATION_CACHE_DIR=$(CURDIR)/.cache/compiled JAX_PERSISTENT_C
 # Half of the tests' time is compiling; the former emitters of the pinned jaxlib and less optimisation halve that, and run as fast.
 QUICK_TO_COMPILE := XLA_FLAGS="--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1"
 # Two test workers on two cores: a second BLAS thread in each makes the Gaussian processes several times slower.
-PYTEST := $(COMPILED) $(QUICK_TO_COMPILE) OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist worksteal --durations=25
+PYTEST := $(COMPILED) $(QUICK_TO_COMPILE) OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadgroup --no-loadscope-reorder --durations=25
 STAMP := $(VENV)/.installed
 
 .PHONY: install demo picture test verify check fast docs notebooks clean

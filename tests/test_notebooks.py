@@ -73,7 +73,6 @@ def compiled(tmp_path_factory):
     return os.environ.get("JAX_COMPILATION_CACHE_DIR") or str(tmp_path_factory.mktemp("compiled"))
 
 
-@pytest.mark.longest
 @pytest.mark.recovery
 @each
 def test_runs_on_reduced_settings(path, tmp_path, compiled):
