@@ -1,5 +1,5 @@
-"""Every effect of the catalogue, hidden in two simulated stalls, leads the first screening; where nothing is hidden, none
-explains as much as is worth a name.
+"""Every effect of the catalogue, hidden in two simulated stalls, leads the first screening; where nothing is hidden,
+none explains as much as is worth a name.
 
 Windows of 40 s about the stall, sensor noise, one length: one compiled program serves all. Whole diagnoses, in coloured
 noise, are in test_hidden_effects.py, and how often they are right `make verify` counts.
