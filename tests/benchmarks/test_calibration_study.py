@@ -7,7 +7,7 @@ from calibration_study import Replicate, calibration_table, covariance, process_
 from ranks import DRAWS
 
 
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_both_engines_rank_a_truth_alike(thinned, model):
     """Same truth and data: two ranks among 99 draws differ by a deviation of at most 7; five are allowed."""
     few = thinned.thinned(4)
@@ -34,7 +34,7 @@ def test_a_sample_function_has_the_covariance_that_the_engine_assumes():
     assert log_density(theta, ReducedData.of(x, y), Priors()).value - prior == pytest.approx(ours, abs=1e-8)
 
 
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_a_process_replicate_ranks_every_hyperparameter():
     x = np.random.default_rng(5).standard_normal((40, 1))
     found = process_replicate(x, ("alpha",), 1)

@@ -8,8 +8,7 @@ from bayes_aero.studies.demo import TRUTH
 NOISE = {"sigma_CL": 0.02, "sigma_CD": 0.005, "sigma_Cm": 0.004, "rho_CL": 0.95, "rho_CD": 0.95, "rho_Cm": 0.95}
 
 
-@pytest.mark.longest
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_coverage_under_coloured_noise(thinned, model):
     """rho = 0.95: the AR(1) posterior covers, Cramer-Rao bounds and the white posterior do not.
 

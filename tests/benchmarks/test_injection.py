@@ -56,8 +56,7 @@ def test_alpha_dot_is_made_from_the_record(record, card):
     assert np.std(np.asarray(held["elevator"]) - np.asarray(record["elevator"])) > 1e-4
 
 
-@pytest.mark.longest
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_sensor_errors_are_found_on_top_of_what_the_real_records_contain(attas_paths, card):
     records = [read_record(path, card.channels) for path in attas_paths]
     rng = np.random.default_rng(90)
