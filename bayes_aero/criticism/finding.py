@@ -191,17 +191,20 @@ class Diagnosis:
 def verdict_of(causes: Sequence[Cause], unknown: Sequence[Unknown], tested: Tested | None = None) -> Verdict:
     """What is missing counts as explained by causes that are sure alone (see `Cause.sure`).
 
-    By trajectories alone (`tested`) what is left beyond the noise, or was never computed, is not explained.
+    `tested`: of a diagnosis by trajectories alone (see `as_tested`).
     """
+    of_the_model = [cause for cause in causes if cause.stage != FLIGHT_PATH]  # the others are the sensors'
     if any(cause.sure for cause in causes):
         found = Verdict.PARTLY_EXPLAINED if unknown else Verdict.EXPLAINED
     else:
-        of_the_model = [
-            cause for cause in causes if cause.stage != FLIGHT_PATH
-        ]  # the others are the sensors', not its own
         found = Verdict.UNEXPLAINED if unknown or of_the_model else Verdict.NO_EFFECT
-    if tested is not None and found is Verdict.EXPLAINED and not tested.within_noise:
+    return found if tested is None else as_tested(found, tested)
+
+
+def as_tested(found: Verdict, tested: Tested) -> Verdict:
+    """A verdict by trajectories alone: what is left beyond the noise, or was never computed, is not explained."""
+    if found is Verdict.EXPLAINED and not tested.within_noise:
         return Verdict.PARTLY_EXPLAINED
-    if tested is not None and found is Verdict.NO_EFFECT and tested.beyond:
+    if found is Verdict.NO_EFFECT and tested.beyond:
         return Verdict.UNEXPLAINED
     return found

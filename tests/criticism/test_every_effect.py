@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from bayes_aero.criticism.path_responses import PathResponses
 
 from bayes_aero.criticism.candidates import Field, field_of
 from bayes_aero.criticism.election import poll
@@ -27,6 +26,7 @@ from bayes_aero.model.flights import Flights, despiked, join
 from bayes_aero.model.observations import observe
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.residuals.equation_error import EquationError
+from bayes_aero.residuals.flight_path import FlightPathError
 from bayes_aero.studies.demo import TRUTH
 from bayes_aero.studies.hidden import HiddenFlight, hidden_flights
 
@@ -126,7 +126,7 @@ class Case:
     def path(self) -> State:
         sensors = tuple(e for e in self.field.candidates if e.kind in SENSOR_KINDS)
         field = replace(self.field, base=(), candidates=sensors)
-        responses = PathResponses.of(self.flights, field.model)
+        responses = FlightPathError.of(self.flights, field.model)
         return linearised(field, responses, responses.outputs, self.theta)
 
     def coefficients(self) -> State:
