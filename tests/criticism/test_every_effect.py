@@ -15,8 +15,9 @@ import pytest
 
 from bayes_aero.criticism.candidates import Field, field_of
 from bayes_aero.criticism.election import poll
-from bayes_aero.criticism.extension import WORTH, explained
+from bayes_aero.criticism.extension import explained
 from bayes_aero.criticism.sensors import SENSOR_KINDS
+from bayes_aero.criticism.settings import DEFAULT
 from bayes_aero.criticism.state import State, linearised
 from bayes_aero.effect import Kind
 from bayes_aero.effects import CATALOGUE
@@ -83,7 +84,7 @@ def named(state: State) -> list[str]:
     for one in poll(state, state.fit(), seed=0, replicates=0).standings:
         sizes = CATALOGUE[one.effect].sizes.values()
         large = any(abs(step) >= least for step, (least, _) in zip(one.step, sizes, strict=False))
-        if large and explained(state, one) >= WORTH:
+        if large and explained(state, one) >= DEFAULT.least_share:
             found.append(one.effect)
     return list(dict.fromkeys(found))
 
