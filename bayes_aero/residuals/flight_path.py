@@ -23,6 +23,7 @@ from bayes_aero.physics.filters import differentiate_joined, smooth_joined
 from bayes_aero.physics.flightpath import as_symmetric, integral, path_outputs, path_rates
 from bayes_aero.residuals.base import Blockwise
 
+KEPT = 256  # residuals that are kept; a slope needs one for each direction
 LEVEL = np.radians(5.0)  # of bank: wings that move less count as level where bank was not recorded
 STEP = 1e-6  # of a parameter's prior deviation, and of a channel's largest value: differences are as good as slopes
 ON_RECORD = (Stage.CHANNEL, Stage.AIRCRAFT)  # stages that the flight path feels
@@ -109,7 +110,24 @@ class FlightPathError(Blockwise):
     def _on_record(self) -> tuple[Effect, ...]:
         return tuple(e for e in self.model.acting if e.stage in ON_RECORD)
 
+    @cached_property
+    def _kept(self) -> dict[bytes, Float[np.ndarray, "m c"]]:
+        """Residuals by parameter vector, the latest last."""
+        return {}
+
     def _residual(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, "m c"]:
+        """Residuals at a parameter vector, read only; searches ask for the same ones again and again."""
+        key = theta.tobytes()
+        found = self._kept.pop(key, None)
+        if found is None:
+            found = self._evaluated(theta)
+            found.flags.writeable = False
+        self._kept[key] = found
+        while len(self._kept) > KEPT:
+            del self._kept[next(iter(self._kept))]
+        return found
+
+    def _evaluated(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, "m c"]:
         f, values = self.flights, self.model.values(theta)
         present = tuple(e for e in self._on_record if any(values[p.name] != p.neutral for p in e.parameters))
         model = Model(present, tuple(p for e in present for p in e.parameters))
