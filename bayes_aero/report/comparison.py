@@ -130,7 +130,7 @@ def usable(mle: MleResult) -> bool:
 
 
 def alone(identification: Identification, name: str) -> dict[str, tuple[float, float, float]]:
-    """Estimate, Cramer-Rao and corrected standard error of `name` by manoeuvre, from usable fits inside their bounds."""
+    """Estimate, Cramer-Rao bound and corrected bound of `name` by manoeuvre, from usable fits inside their bounds."""
     found = {}
     for manoeuvre, mle in identification.alone.items():
         if usable(mle) and name in mle.names and name not in mle.at_bound:

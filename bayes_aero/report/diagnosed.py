@@ -73,7 +73,7 @@ class Ranking:
 
 @dataclass(frozen=True)
 class Move:
-    """A parameter of the card before and after the causes were added, with standard errors that count the autocorrelation."""
+    """A parameter of the card before and after the causes are added; standard errors count the autocorrelation."""
 
     before: float
     after: float
@@ -237,7 +237,7 @@ def _moves(before: Fitted, after: Fitted) -> dict[str, Move]:
 
 
 def composition(view: View, fitted: Fitted) -> dict[str, dict[str, Any]]:
-    """Each coefficient's residuals in numbers: scores, Theil's parts, autocorrelation, calibration; manoeuvres fitted jointly.
+    """Each coefficient's residuals, manoeuvres fitted jointly: scores, Theil's parts, autocorrelation, calibration.
 
     Scores, Theil's parts and lag 1 are at the recorded rate. `calibration` is the share of residuals (5 Hz means)
     within the central normal bands of the fitted noise, growth with separation included.
