@@ -7,15 +7,16 @@ COMPILED := JAX_COMPILATION_CACHE_DIR=$(CURDIR)/.cache/compiled JAX_PERSISTENT_C
 # Half of the tests' time is compiling; the former emitters of the pinned jaxlib and less optimisation halve that, and run as fast.
 QUICK_TO_COMPILE := XLA_FLAGS="--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1"
 # Two test workers on two cores: a second BLAS thread in each makes the Gaussian processes several times slower.
-PYTEST := $(COMPILED) $(QUICK_TO_COMPILE) OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist worksteal --durations=25
+PYTEST := $(COMPILED) $(QUICK_TO_COMPILE) OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadgroup --no-loadscope-reorder --durations=25
 STAMP := $(VENV)/.installed
 
-.PHONY: install demo picture test check fast docs notebooks clean
+.PHONY: install demo picture test check verify fast docs notebooks clean
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.13")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e '.[test,docs]'
+	$(BIN)/python -m compileall -q -j 0 $(VENV)/lib bayes_aero >/dev/null 2>&1 || true  # side by side; else the first command does it, in 10 s
 	touch $(STAMP)
 
 install: $(STAMP)  ## the environment alone, into .venv
@@ -37,12 +38,16 @@ check: $(STAMP)  ## lint, types, layers
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	PYTHONPATH=. $(BIN)/lint-imports
 
-fast: $(STAMP)  ## the tests without the statistical recovery studies and those on a cluster
-	$(PYTEST) -m "not recovery and not cluster"
+fast: $(STAMP)  ## the tests without whole diagnoses of simulated flights and those on a cluster
+	$(PYTEST) -m "not verify and not recovery and not cluster"
 
-test: check  ## everything; studies on a cluster by themselves, for they start workers of their own and wait for them
-	$(PYTEST) -m "not cluster"
+test: check  ## every exact test; studies on a cluster by themselves, for they start workers of their own and wait for them
+	$(PYTEST) -m "not verify and not cluster"
 	$(PYTEST) -n 0 -m cluster
+
+verify: $(STAMP)  ## tests of rates, coverage and whole diagnoses; then fresh seeds against exact binomial bounds and a line of benchmarks/ledger.csv (VERIFY=--full: hours)
+	$(PYTEST) -m verify
+	$(COMPILED) $(QUICK_TO_COMPILE) OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python benchmarks/verify.py $(VERIFY)
 
 docs: $(STAMP)  ## the documentation as a site, into ./site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet

@@ -25,6 +25,7 @@ from matplotlib.figure import Figure
 
 from bayes_aero.criticism.consistency import consistency
 from bayes_aero.criticism.diagnosis import diagnose as run_diagnosis
+from bayes_aero.criticism.settings import DiagnosisSettings
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card, read_card
@@ -45,7 +46,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.noise import DEFAULT as DEFAULT_NOISE
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Forming, observe
-from bayes_aero.report.diagnosed import View, view_of
+from bayes_aero.report.diagnosed import DiagnosisView, View, view_of
 from bayes_aero.report.figures import DIAGNOSIS_FIGURES, FIGURES
 from bayes_aero.report.frames_diagnosis import causes_frame, screen_frame
 from bayes_aero.report.style import NotDrawn
@@ -132,7 +133,8 @@ class Fit:
 class Diagnosed:
     """A diagnosis: verdict, causes with their sizes, and the scores of the extended model."""
 
-    view: View
+    view: DiagnosisView
+    card: Card
 
     @property
     def verdict(self) -> str:
@@ -157,25 +159,30 @@ class Diagnosed:
         """
         return causes_frame(self.view)
 
+    @property
+    def _coefficients(self) -> View:
+        if not isinstance(self.view, View):
+            raise InputError("this diagnosis rests on trajectories alone: the records lack what coefficients need")
+        return self.view
+
     def scores(self) -> pd.DataFrame:
         """Scores of the card's and the extended model.
 
         Returns:
             A row per model, data (`fitted` or hold-out, `unseen`), manoeuvre and coefficient.
         """
-        return scores_frame(self.view)
+        return scores_frame(self._coefficients)
 
-    def predictors(self, card: str | Card = "attas") -> pd.DataFrame:
+    def predictors(self) -> pd.DataFrame:
         """Hold-out scores of four predictors; takes half a minute.
 
-        Args:
-            card: the card of the diagnosis; its `[gp] inputs` are the inputs of the Gaussian processes.
+        Inputs of the Gaussian processes are the card's `[gp] inputs`.
 
         Returns:
             A row per predictor and coefficient. Predictors: the card's model, a Gaussian process, the extended model,
             the extended model with a Gaussian process of its residuals.
         """
-        table = predictors(self.view.diagnosis, _card(card))
+        table = predictors(self._coefficients.diagnosis, self.card)
         rows = {(p, c): scores or {} for p, row in table.items() for c, scores in row.items()}
         return pd.DataFrame.from_dict(rows, orient="index").rename_axis(["predictor", "coefficient"])
 
@@ -196,7 +203,7 @@ class Diagnosed:
         Raises:
             InputError: there is no such figure, or it has nothing to show.
         """
-        return _drawn(DIAGNOSIS_FIGURES, figure, self.view)
+        return _drawn(DIAGNOSIS_FIGURES, figure, self._coefficients)
 
 
 def read(
@@ -358,8 +365,9 @@ def diagnose(
     *,
     model: Model | None = None,
     candidates: Sequence[Effect] = (),
+    settings: DiagnosisSettings | None = None,
     seed: int = 0,
-    max_effects: int = 8,
+    max_effects: int | None = None,
 ) -> Diagnosed:
     """Find the effects that a model lacks.
 
@@ -370,8 +378,9 @@ def diagnose(
         card: a `Card`, the name of a shipped one or a path.
         model: default: the card's model.
         candidates: your own effects, screened in addition to the catalogue.
+        settings: every threshold of the diagnosis; None: the defaults.
         seed: of the noise replicates.
-        max_effects: most effects that are added.
+        max_effects: most effects that each stage adds; None: as the settings say.
 
     Returns:
         The diagnosis; sizes in SI and radians.
@@ -379,8 +388,12 @@ def diagnose(
     Raises:
         InputError: the records lack a channel that the model needs.
     """
-    found = run_diagnosis(records, _card(card), model=model, extra=candidates, seed=seed, most=max_effects)
-    return Diagnosed(view_of(found))
+    settings = settings or DiagnosisSettings()
+    if max_effects is not None:
+        settings = replace(settings, max_effects=max_effects)
+    own = _card(card)
+    found = run_diagnosis(records, own, model=model, extra=candidates, settings=settings, seed=seed)
+    return Diagnosed(view_of(found), own)
 
 
 def plot(result: Fit | Diagnosed, figure: str | None = None, *, width: float | None = None) -> Figure:

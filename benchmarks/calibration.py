@@ -17,14 +17,14 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from calibration_figures import rank_bands
+from calibration_study import Replicate, calibration_table, process_replicate, stall_replicate
+from ranks import band_of
 
 from bayes_aero.flight.card import read_card
-from bayes_aero.inference.ranks import band_of
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
-from bayes_aero.report.figures_calibration import rank_bands
 from bayes_aero.report.style import save
-from bayes_aero.studies.calibration import Replicate, calibration_table, process_replicate, stall_replicate
 from bayes_aero.studies.demo import simulate_stall
 
 EVERY = 16  # samples of the demo's two manoeuvres: 282 at 1.6 Hz, so that the prior matters beside the data

@@ -158,7 +158,7 @@ def main_() -> int:
                 print(f"{name}: {len(found)} values, {path.stat().st_size} bytes, {took}", flush=True)
                 continue
             with gzip.open(path, "rt", newline="") as file:
-                old = {key: value for key, value in csv.reader(file)}
+                old = dict(csv.reader(file))
             apart = [k for k in {**old, **found} if moved(old.get(k), found.get(k))]
             differences += len(apart)
             print(f"{name}: {len(apart)} of {len(old)} differ, {took}", flush=True)

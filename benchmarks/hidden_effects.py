@@ -16,23 +16,26 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from detection_tables import draw, heads, named, power, print_power
+from detectability import standard_scores
+from detection_tables import draw, heads, hidden, named, power, print_power, size
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from out_of_catalogue import UNKNOWN
+from out_of_catalogue import unknown as of_no_catalogue
 
 from bayes_aero.criticism.diagnosis import diagnose
-from bayes_aero.criticism.flown import diagnose_flown
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.studies.demo import TRUTH
-from bayes_aero.studies.detectability import standard_scores
 from bayes_aero.studies.hidden import flyable, hidden_records
-from bayes_aero.studies.strays import STRAYS
 
 NOISES = ("white", "ar1", "ar1", "buffet", "outliers")
 PAIR, SINGLE = {"seconds": 90.0}, {"seconds": 100.0, "manoeuvres": 1}  # one length: one compilation serves all
@@ -58,15 +61,15 @@ def case(kind: str, seed: int, flown: dict, trajectories: bool) -> dict:
     if kind == "silence":
         records = hidden_records({}, seed=seed, noise=noise, **flown)
     elif kind == "unknown":
-        unknown = str(rng.choice(sorted(e.name for e in STRAYS)))
-        records = hidden_records({}, seed=seed, noise=noise, unknown=unknown, **flown)
+        unknown = str(rng.choice(sorted(e.name for e in UNKNOWN)))
+        records = hidden_records({}, seed=seed, noise=noise, beyond=of_no_catalogue(unknown), **flown)
     else:
         names = [str(x) for x in rng.choice(candidates(), 1 if kind == "one" else 2, replace=False)]
         effects, flights = flyable(names, seed=seed, noise=noise, **flown)
         records = [flight.record for flight in flights]
     began = time.perf_counter()
     if trajectories:
-        found = diagnose_flown([without_accelerometers(r) for r in records], read_card("attas"), seed=seed)
+        found = diagnose([without_accelerometers(r) for r in records], read_card("attas"), seed=seed)
     else:
         found = diagnose(records, read_card("attas"), seed=seed, gains_wanted=False)
     return {
@@ -117,7 +120,7 @@ def _share(hits: int, of: int) -> str:
     return f"{hits}/{of} = {hits / of:.1%}" if of else "0/0"
 
 
-def _alarmed(row: dict) -> bool:
+def alarmed(row: dict) -> bool:
     """Whether anything is named or left unexplained, even where the verdict does not rest on it."""
     return row["verdict"] != "no_effect" or bool(row["causes"])
 
@@ -131,8 +134,8 @@ def report(out: Path) -> None:
     silence = rows["silence"]
     for noise in ("white", "ar1", "buffet", "outliers"):
         here = [r for r in silence if r["noise"] == noise]
-        print(f"silence, {noise}: false alarms {_share(sum(_alarmed(r) for r in here), len(here))}")
-    print("silence, all: false alarms", _share(sum(_alarmed(r) for r in silence), len(silence)))
+        print(f"silence, {noise}: false alarms {_share(sum(alarmed(r) for r in here), len(here))}")
+    print("silence, all: false alarms", _share(sum(alarmed(r) for r in silence), len(silence)))
     print("  named falsely:", Counter(c["name"] for r in silence for c in r["causes"]).most_common())
     _naming(rows["one"])
     two = [r for r in rows["two"] if len(r["scores"]) == 2 and min(r["scores"].values()) >= CLEAR]
@@ -150,28 +153,38 @@ def report(out: Path) -> None:
     print(f"seconds a diagnosis: median {np.median(every):.1f}, 95 % below {np.quantile(every, 0.95):.1f}")
 
 
+def named_first(row: dict) -> bool:
+    """Whether the hidden effect is the first cause, or in its ambiguity set."""
+    first = row["causes"][0] if row["causes"] else None
+    return first is not None and (first["name"] == hidden(row) or hidden(row) in first["ambiguous_with"])
+
+
+def inside(row: dict) -> bool | None:
+    """Whether the 95 % intervals of the hidden effect hold its sizes; None where it is no cause."""
+    name = hidden(row)
+    for cause in row["causes"]:
+        if cause["name"] == name:
+            found = [(*cause["parameters"][p], value) for p, value in row["hidden"][name].items()]
+            return all(abs(mean - value) <= 1.96 * sd for mean, sd, value in found)
+    return None
+
+
 def _naming(rows: list[dict]) -> None:
-    clear = [r for r in rows if r["scores"] and max(r["scores"].values()) >= CLEAR]
-    first = alone = covered = sized = 0
+    clear = [r for r in rows if size(r) >= CLEAR]
+    first = alone = 0
     missed: Counter[tuple[str, str]] = Counter()
     for r in clear:
-        (name,) = r["hidden"]
+        name, right = hidden(r), named_first(r)
         leader = r["causes"][0] if r["causes"] else None
-        right = leader is not None and (leader["name"] == name or name in leader["ambiguous_with"])
         first += right
         alone += (
             leader is not None and leader["name"] == name and len(r["causes"]) == 1 and not leader["ambiguous_with"]
         )
         if not right:
             missed[(name, leader["name"] if leader else "nothing" + (" (minor)" if name in r["minor"] else ""))] += 1
-        for c in r["causes"]:
-            if c["name"] == name:
-                inside = [
-                    abs(c["parameters"][p][0] - v) <= 1.96 * c["parameters"][p][1] for p, v in r["hidden"][name].items()
-                ]
-                covered, sized = covered + all(inside), sized + 1
+    held = [x for x in map(inside, clear) if x is not None]
     print(f"one effect >= {CLEAR:g} standard errors: first or in the ambiguity set {_share(first, len(clear))}, "
-          f"alone and first {_share(alone, len(clear))}, interval covers {_share(covered, sized)}")  # fmt: skip
+          f"alone and first {_share(alone, len(clear))}, interval covers {_share(sum(held), len(held))}")  # fmt: skip
     print("  confused (true, named):", missed.most_common())
     for head, classes in zip(heads(), zip(*power(rows).values(), strict=True), strict=True):
         hits, of = (sum(counts) for counts in zip(*classes, strict=True))

@@ -58,30 +58,35 @@ def pair(kind: str, dt: float, number: int) -> list[FlightRecord]:
     return found
 
 
+def case(number: int, forming: Forming = Forming.MATCHED, noise: Colour = DEFAULT, sample: bool = True) -> dict:
+    """One pair, fitted: estimates, and the ends of every parameter's interval by method."""
+    began, (kind, dt) = time.perf_counter(), KINDS[number % len(KINDS)]
+    card = read_card("attas")
+    model, records = Model.from_card(card), pair(kind, dt, number)
+    observations = observe(records, card, model, forming)
+    mle = fit_mle(model, observations, seed=0)
+    if forming is Forming.MATCHED:
+        mle = without_noise_bias(mle, records, card, model)
+    sd = mle.crb_corrected
+    ends = {METHODS[0]: np.stack([mle.estimate - Z95 * sd, mle.estimate + Z95 * sd], axis=1).tolist()}
+    status = ""
+    if sample:
+        density = Density.of(observations, model, Noise(noise), mle.bias)
+        mode = find_mode(density, density_start(density, mle))
+        posterior = sample_ensemble(density, mode, seed=number, ensembles=2, max_steps=1000, predictive=False)
+        ends[METHODS[1]] = [list(posterior.marginals[name].ci95) for name in model.names]
+        status = posterior.status.name
+    row = {"kind": kind, "dt": dt, "names": model.names, "estimate": mle.estimate.tolist(), "ends": ends}
+    return row | {"mle": mle.status.name, "posterior": status, "seconds": time.perf_counter() - began}
+
+
 def run(count: int, out: Path, forming: Forming, noise: Colour, sample: bool) -> None:
     """Pairs until there are `count`, a line of pairs.jsonl each: errors and interval ends by method."""
     out.mkdir(parents=True, exist_ok=True)
-    path, card = out / "pairs.jsonl", read_card("attas")
-    model = Model.from_card(card)
+    path = out / "pairs.jsonl"
     done = len(path.read_text().splitlines()) if path.exists() else 0
     for number in range(done, count):
-        began, (kind, dt) = time.perf_counter(), KINDS[number % len(KINDS)]
-        records = pair(kind, dt, number)
-        observations = observe(records, card, model, forming)
-        mle = fit_mle(model, observations, seed=0)
-        if forming is Forming.MATCHED:
-            mle = without_noise_bias(mle, records, card, model)
-        sd = mle.crb_corrected
-        ends = {METHODS[0]: np.stack([mle.estimate - Z95 * sd, mle.estimate + Z95 * sd], axis=1).tolist()}
-        status = ""
-        if sample:
-            density = Density.of(observations, model, Noise(noise), mle.bias)
-            mode = find_mode(density, density_start(density, mle))
-            posterior = sample_ensemble(density, mode, seed=number, ensembles=2, max_steps=1000, predictive=False)
-            ends[METHODS[1]] = [list(posterior.marginals[name].ci95) for name in model.names]
-            status = posterior.status.name
-        row = {"kind": kind, "dt": dt, "names": model.names, "estimate": mle.estimate.tolist(), "ends": ends}
-        row |= {"mle": mle.status.name, "posterior": status, "seconds": time.perf_counter() - began}
+        row = case(number, forming, noise, sample)
         with path.open("a") as file:
             file.write(json.dumps(row) + "\n")
 

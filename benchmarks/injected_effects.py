@@ -14,13 +14,13 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from detectability import standard_scores
+from injection import injected
 
 from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_record
-from bayes_aero.studies.detectability import standard_scores
-from bayes_aero.studies.injected import injected
 
 INJECTED = {  # parameter and range of the size's absolute value, SI
     "alpha_bias": ("alpha_bias", 0.01, 0.04),

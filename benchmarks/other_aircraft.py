@@ -48,17 +48,30 @@ def case(seed: int, gusts: float, poor: bool, manoeuvres: int, silent: bool) -> 
     }
 
 
+def named_first(row: dict) -> bool:
+    """Whether the hidden effect is the first cause."""
+    return next(iter(row["causes"]), None) == row["hidden"]
+
+
+def inside(row: dict) -> bool | None:
+    """Whether the 95 % interval of the hidden effect holds its size; None where it is no cause."""
+    name = row["hidden"]
+    if name not in row["causes"]:
+        return None
+    mean, sd = row["causes"][name][HIDDEN[name][0]]
+    return abs(mean - row["size"]) < 1.96 * sd
+
+
 def report(rows: list[dict]) -> None:
     """Counts, and a line for each record that is not named alone."""
     silent = [r for r in rows if r["hidden"] is None]
     print(f"nothing hidden: silent {sum(r['verdict'] == 'no_effect' for r in silent)} of {len(silent)}")
     some = [r for r in rows if r["hidden"]]
-    first = sum(next(iter(r["causes"]), None) == r["hidden"] for r in some)
+    first = sum(map(named_first, some))
     alone = sum(list(r["causes"]) == [r["hidden"]] and r["verdict"] == "explained" for r in some)
-    sized = [(r, *r["causes"][r["hidden"]][HIDDEN[r["hidden"]][0]]) for r in some if r["hidden"] in r["causes"]]
-    inside = sum(abs(mean - r["size"]) < 1.96 * sd for r, mean, sd in sized)
+    held = [x for x in map(inside, some) if x is not None]
     print(f"one effect: named first {first} of {len(some)}, nothing else named or unexplained {alone}")
-    print(f"its 95 % interval holds the size {inside} of {len(sized)}")
+    print(f"its 95 % interval holds the size {sum(held)} of {len(held)}")
     for r in some:
         if list(r["causes"]) != [r["hidden"]] or r["verdict"] != "explained":
             print(f"  seed {r['seed']}: {r['hidden']} {r['size']:.3g}: {r['causes']}, unexplained {r['unexplained']}")

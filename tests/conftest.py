@@ -7,8 +7,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import typechecker  # noqa: F401  (before the package is imported)
 
 from bayes_aero.criticism.diagnosis import diagnose
+from bayes_aero.criticism.settings import DiagnosisSettings
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_record
 from bayes_aero.model.model import Model
@@ -20,9 +22,30 @@ from bayes_aero.studies.hidden import hidden_records
 ATTAS = Path(__file__).resolve().parents[2] / "shared" / "attas"
 
 
+TESTS = Path(__file__).parent
+FIRST = ("criticism", "diagnosed", "cli", "inference")  # most work; begun last, it would keep one worker busy alone
+
+
 def pytest_collection_modifyitems(items):
-    """The longest tests first: begun last, they keep one worker busy alone. Those that forget programs last."""
-    items.sort(key=lambda item: ("forgets" in item.keywords) - ("longest" in item.keywords))
+    """One worker does what shares fixtures and compiled programs: a folder, or all that needs the fixture `diagnosed`.
+
+    Groups of most work come first, tests that forget compiled programs last.
+    """
+    groups = {item: _group(item) for item in items}
+    others = [name for name in dict.fromkeys(groups.values()) if name not in (*FIRST, "forgets")]
+    order = {name: number for number, name in enumerate((*FIRST, *others, "forgets"))}
+    items.sort(key=lambda item: order[groups[item]])
+    for item, group in groups.items():
+        item.add_marker(pytest.mark.xdist_group(group))
+
+
+def _group(item) -> str:
+    if "forgets" in item.keywords:
+        return "forgets"
+    if "diagnosed" in item.fixturenames:
+        return "diagnosed"
+    place = item.path.relative_to(TESTS).parts
+    return place[0].removesuffix(".py")
 
 
 @pytest.fixture(scope="session")
@@ -75,7 +98,7 @@ def diagnosed(card):
     """One short simulated manoeuvre that hides a sensor error and a curved pitching moment, and its diagnosis."""
     hidden = {"pitch_rate_bias": {"pitch_rate_bias": 0.01}, "alpha_squared_moment": {"Cma2": -5.0}}
     records = hidden_records(hidden, seed=3, manoeuvres=1, seconds=60.0, noise="white")
-    view = view_of(diagnose(records, card, most=2))
+    view = view_of(diagnose(records, card, settings=DiagnosisSettings(max_effects=2)))
     return SimpleNamespace(hidden=hidden, records=records, view=view)
 
 

@@ -4,6 +4,7 @@ import jax
 import pytest
 
 from bayes_aero.criticism.diagnosis import diagnose
+from bayes_aero.criticism.settings import DiagnosisSettings
 from bayes_aero.flight.record import FlightRecord
 
 
@@ -28,7 +29,7 @@ def traced():
 def test_records_of_other_names_run_the_compiled_programs(traced, diagnosed, card):
     """The fixture's diagnosis has compiled everything; the same flight under another name compiles nothing."""
     (record,) = diagnosed.records
-    again = diagnose([renamed(record, "the same flight")], card, most=2)
+    again = diagnose([renamed(record, "the same flight")], card, settings=DiagnosisSettings(max_effects=2))
     assert [c.name for c in again.causes] == [c.name for c in diagnosed.view.diagnosis.causes]
     assert not set(traced) & {"_linearise", "_residuals"}, traced
     jax.jit(lambda x: x + 1.0)(1.0)

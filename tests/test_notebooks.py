@@ -1,4 +1,4 @@
-"""The notebooks as they are committed, and executed anew on reduced settings."""
+"""The notebooks as they are committed, and executed anew on reduced settings: one of them, by `make verify` all."""
 
 from __future__ import annotations
 
@@ -19,6 +19,10 @@ MACHINE = re.compile(r"(?<![\w.])/(?:home|root|tmp|work|usr|opt|var|Users)/|[A-Z
 MEGABYTE = 2**20
 
 each = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+ALWAYS = "05"  # the quickest; `make verify` executes all
+EXECUTED = [
+    path if path.name.startswith(ALWAYS) else pytest.param(path, marks=pytest.mark.verify) for path in NOTEBOOKS
+]
 
 
 def outputs(path: Path):
@@ -73,9 +77,8 @@ def compiled(tmp_path_factory):
     return os.environ.get("JAX_COMPILATION_CACHE_DIR") or str(tmp_path_factory.mktemp("compiled"))
 
 
-@pytest.mark.longest
 @pytest.mark.recovery
-@each
+@pytest.mark.parametrize("path", EXECUTED, ids=lambda path: path.stem)
 def test_runs_on_reduced_settings(path, tmp_path, compiled):
     if path.name.startswith(REAL) and not RECORDS.is_dir():
         pytest.skip("the ATTAS records are not here")

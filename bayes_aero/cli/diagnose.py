@@ -29,7 +29,6 @@ from bayes_aero.cli.terminal import (
 
 if TYPE_CHECKING:  # the real imports wait until the command needs them
     from bayes_aero.studies.kept import Outcome
-    from bayes_aero.studies.tasks import Flown
 
 
 def diagnose(
@@ -59,7 +58,7 @@ def diagnose(
     (card, flights), hidden = card_and_records(model, records or [], resample, split), None
     with loading():
         from bayes_aero.studies.diagnose import hide_one
-        from bayes_aero.studies.tasks import Flown, diagnose_records
+        from bayes_aero.studies.tasks import diagnose_records
 
     console = teller(quiet=json, highlight=True)
     with interruptible(kept_stages(out, taken_up=True)), bar("reading" if records else "simulating") as tell:
@@ -78,7 +77,7 @@ def diagnose(
             hidden=hidden,
             progress=tell,
         )
-    corrects = not isinstance(found, Flown)  # trajectories are fitted to the record as it is
+    corrects = found.diagnosis.tested is None  # trajectories alone are fitted to the record as it is
     if json:
         typer.echo((out / "diagnosis.json").read_text(encoding="utf-8"), nl=False)
         exit_if_failed(found.failures)
@@ -86,10 +85,7 @@ def diagnose(
         return
     print_failures(console, found.failures)
     print_doubts(console, found.consistency, found.health, corrects=corrects)
-    if isinstance(found, Flown):
-        _tell_flown(console, found)
-    else:
-        _tell(console, found)
+    _tell(console, found)
     console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
     exit_if_failed(found.failures)
     exit_in_doubt(found.consistency, found.health, corrects=corrects)
@@ -113,18 +109,3 @@ def _tell(console: Console, found: Outcome) -> None:
     if found.hidden is not None:
         for sentence in revealed(found.hidden, found.named):
             console.print(sentence, highlight=False, style="bold")
-
-
-def _tell_flown(console: Console, found: Flown) -> None:
-    """The results from trajectories alone."""
-    from bayes_aero.report.words_diagnosis import flown_table
-    from bayes_aero.report.words_trajectory import trajectory_table
-
-    verdict, *rest = found.sentences
-    console.print(verdict, highlight=False, style="bold")
-    trajectories = None if found.trajectories is None else trajectory_table(found.trajectories)
-    for table in (flown_table(found.diagnosis), trajectories):
-        if table is not None:
-            console.print(table)
-    for sentence in rest:
-        console.print(f"• {sentence}", highlight=False)

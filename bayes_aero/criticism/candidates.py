@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from bayes_aero.criticism.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.effect import NEUTRAL_FLOW, Effect, Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.model.joined import Recorded
@@ -31,6 +32,7 @@ class Field:
     candidates: tuple[Effect, ...]
     not_testable: Mapping[str, str]
     priors: Mapping[str, Prior] = field(default_factory=dict)  # in place of the parameters' own
+    settings: DiagnosisSettings = DEFAULT
 
     @property
     def neutral(self) -> dict[str, float]:
@@ -60,7 +62,9 @@ def lag_of(field: Field) -> Effect | None:
     return next((e for e in field.candidates if e.stage is Stage.LAG and LAG in {p.name for p in e.parameters}), None)
 
 
-def field_of(model: Model, flights: Recorded, extra: Sequence[Effect] = ()) -> Field:
+def field_of(
+    model: Model, flights: Recorded, extra: Sequence[Effect] = (), settings: DiagnosisSettings = DEFAULT
+) -> Field:
     """`model` extended by the catalogue and by `extra` effects of the user.
 
     An effect of the card that is fixed at neutral (tau1 = 0) is absent, and so a candidate.
@@ -100,7 +104,7 @@ def field_of(model: Model, flights: Recorded, extra: Sequence[Effect] = ()) -> F
     parameters = tuple(changed.get(p.name, per_length(p, model.chords)) for e in everything for p in e.parameters)
     held = {p.name for e in (*candidates, *idle) for p in e.parameters}
     whole = Model(everything, parameters, tuple((k, v) for k, v in fixed.items() if k not in held), model.chords)
-    return Field(whole, tuple(e.name for e in active), tuple(candidates), not_testable)
+    return Field(whole, tuple(e.name for e in active), tuple(candidates), not_testable, settings=settings)
 
 
 def _moves(effect: Effect, flights: Recorded) -> bool:

@@ -17,9 +17,6 @@ from bayes_aero.criticism.election import uncertainty
 from bayes_aero.criticism.extension import Extension
 from bayes_aero.criticism.state import State
 
-CORRELATED = 0.9  # of two estimates, beyond which one follows the other
-NEAR_ONE = 0.15  # of a sum or a difference, within which the factor is said as one
-
 
 @dataclass(frozen=True)
 class Together:
@@ -52,7 +49,7 @@ def cancelling(extension: Extension, causes: Sequence[str]) -> tuple[Together, .
                 if i in at and j in at and _cancel(state, i, j):
                     C = covariance[np.ix_([at[i], at[j]], [at[i], at[j]])]
                     pair = _together(state, (one, other), (a, b), C)
-                    found += [pair] if abs(pair.correlation) > CORRELATED else []
+                    found += [pair] if abs(pair.correlation) > state.settings.correlated else []
     return tuple(found)
 
 
@@ -75,7 +72,7 @@ def _together(state: State, effects: tuple[str, str], names: tuple[str, str], C:
     i, j = (int(state.field.columns([name])[0]) for name in names)
     units = [state.field.model.free[c].unit for c in (i, j)]
     factor = -float(C[0, 1] / C[1, 1])
-    if units[0] == units[1] and abs(abs(factor) - 1.0) < NEAR_ONE:
+    if units[0] == units[1] and abs(abs(factor) - 1.0) < state.settings.near_one:
         factor = float(np.sign(factor))
     variance = float(C[0, 0] + 2.0 * factor * C[0, 1] + factor**2 * C[1, 1])
     mean = _away(state, i) + factor * _away(state, j)

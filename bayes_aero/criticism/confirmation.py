@@ -13,10 +13,8 @@ from dataclasses import dataclass
 from typing import Protocol, TypeVar, runtime_checkable
 
 from bayes_aero.criticism.gain import LeftOut, gained, truncated
+from bayes_aero.criticism.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.criticism.state import State
-
-MISSED = 1.645  # deviations of its own by which the density of unseen data must fall: one-sided, 5 %
-PLAIN = 5.0  # the same to first order, from which nothing is fitted again to see it
 
 
 @dataclass(frozen=True)
@@ -47,26 +45,29 @@ class Predictions(Protocol[T]):
         ...
 
 
-def backward_elimination(additions: Sequence[str], unseen: Predictions[T]) -> Confirmation:
+def backward_elimination(
+    additions: Sequence[str], unseen: Predictions[T], settings: DiagnosisSettings = DEFAULT
+) -> Confirmation:
     """Each addition in turn, least missed to first order first, is taken out and everything fitted again.
 
-    What stays is missed by `MISSED` deviations of its log density (nats); where all that wait are missed by `PLAIN` of
-    them to first order, nothing is fitted again, and that is told.
+    What stays is missed by `settings.hold_out` standard errors of its log density (nats); where all that wait are
+    missed by `settings.hold_out_first_order` of them to first order, nothing is fitted again, and that is reported.
     """
+    plain = settings.hold_out_first_order
     kept, missed, waiting = list(additions), {}, list(additions)
     whole: T | None = None
     while waiting:
         near = unseen.nearly(kept)
         losses = {e: unseen.gained(unseen.nearly(_less(kept, e)), near) for e in waiting}
-        least = min(waiting, key=lambda e: losses[e][0] - PLAIN * losses[e][1])
-        if losses[least][0] > PLAIN * losses[least][1]:
+        least = min(waiting, key=lambda e: losses[e][0] - plain * losses[e][1])
+        if losses[least][0] > plain * losses[least][1]:
             missed |= losses
             break
         if whole is None:
             whole = unseen.refitted(kept)
         without = unseen.refitted(_less(kept, least))
         missed[least] = unseen.gained(without, whole)
-        if not missed[least][0] > MISSED * missed[least][1]:
+        if not missed[least][0] > settings.hold_out * missed[least][1]:
             kept, whole = _less(kept, least), without
         waiting.remove(least)
     return Confirmation(tuple(kept), {e: missed[e] for e in additions})
@@ -90,7 +91,7 @@ class _Coefficients:
 
 def confirmation(state: State) -> Confirmation:
     """What unseen coefficients confirm of all additions of a state."""
-    return backward_elimination(state.active, _Coefficients(state))
+    return backward_elimination(state.active, _Coefficients(state), state.settings)
 
 
 def _less(effects: Sequence[str], one: str) -> list[str]:

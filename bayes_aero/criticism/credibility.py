@@ -12,19 +12,19 @@ from bayes_aero.criticism.extension import Extension
 from bayes_aero.criticism.finding import Cause, Unknown
 from bayes_aero.criticism.regression import Fit, inverse
 from bayes_aero.criticism.sensors import SENSOR_KINDS
+from bayes_aero.criticism.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.criticism.state import State
 from bayes_aero.effect import Effect
 
-MOST_NAMES = 5  # of an ambiguity set: with more the record does not attribute what it shows
-FAR = 2.0  # deviations by which a size must be beyond what aircraft have
 
-
-def implausible(effect: Effect, sizes: Mapping[str, Size], neutral: Mapping[str, float]) -> dict[str, float]:
+def implausible(
+    effect: Effect, sizes: Mapping[str, Size], neutral: Mapping[str, float], settings: DiagnosisSettings = DEFAULT
+) -> dict[str, float]:
     """Parameters that are beyond the largest plausible size, whatever their deviation; with that size."""
     return {
         name: largest
         for name, (_, largest) in effect.sizes.items()
-        if name in sizes and abs(sizes[name].mean - neutral[name]) - FAR * sizes[name].sd > largest
+        if name in sizes and abs(sizes[name].mean - neutral[name]) - settings.implausible * sizes[name].sd > largest
     }
 
 
@@ -44,14 +44,16 @@ def own_share(state: State, fit: Fit, effect: str) -> float:
     return float(np.max(1.0 / np.maximum(own * uncertain, 1.0)))
 
 
-def attributed(causes: Sequence[Cause]) -> tuple[tuple[Cause, ...], tuple[Cause, ...], tuple[Cause, ...]]:
+def attributed(
+    causes: Sequence[Cause], settings: DiagnosisSettings = DEFAULT
+) -> tuple[tuple[Cause, ...], tuple[Cause, ...], tuple[Cause, ...]]:
     """Causes that the record can attribute; errors larger than any sensor has, behind which is another fault; others.
 
     The others have more equals than the record can choose among, or are neither confirmed nor likelier than not.
     """
     beyond = tuple(c for c in causes if c.kind in SENSOR_KINDS and c.implausible)
     rest = [c for c in causes if c not in beyond]
-    named = tuple(c for c in rest if 1 + len(c.ambiguous_with) <= MOST_NAMES and (c.confirmed or c.likely))
+    named = tuple(c for c in rest if 1 + len(c.ambiguous_with) <= settings.most_names and (c.confirmed or c.likely))
     return named, beyond, tuple(c for c in rest if c not in named)
 
 

@@ -19,7 +19,6 @@ from jaxtyping import Float, Int
 
 from bayes_aero.criticism.colour import Colour, colour_of
 from bayes_aero.criticism.regression import inverse
-from bayes_aero.criticism.responses import Responses
 from bayes_aero.criticism.state import State, linearised
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
@@ -30,6 +29,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks
 from bayes_aero.physics.atmosphere import altitude_of_density
 from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.residuals.equation_error import EquationError
 
 BEGINNING = 2.0  # s of the record whose means are the flight condition
 ENOUGH = 3.0  # deviations by which effects must differ for a manoeuvre to separate them
@@ -228,7 +228,7 @@ def _on_record(
     active = tuple(e for e in state.active if e not in {c.name for c in chosen})
     field = replace(state.field, model=model, candidates=tuple(chosen))
     at = np.array([theta[name] for name in model.names])
-    responses = Responses.of(flights, model)
+    responses = EquationError.of(flights, model)
     noise = noise.of(responses.outputs)  # a manoeuvre with wings level says nothing of sideslip and bank
     there = linearised(field, responses, noise.outputs, at, active, temper=state.temper)
     X = np.asarray(there.responses.block(there.responses.evaluate(jnp.asarray(at))[1]["X"]))

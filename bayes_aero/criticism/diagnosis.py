@@ -7,35 +7,26 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayes_aero.criticism.accuracy import filtered_channels
-from bayes_aero.criticism.candidates import Field, field_of
 from bayes_aero.criticism.collinear import Together, cancelling
 from bayes_aero.criticism.confirmation import Confirmation, confirmation
 from bayes_aero.criticism.credibility import as_structure, attributed, implausible, own_share
 from bayes_aero.criticism.election import Standing, poll
 from bayes_aero.criticism.extension import Extension
-from bayes_aero.criticism.finding import FLIGHT_PATH, Cause, Diagnosis, Gain, Unknown, Verdict
+from bayes_aero.criticism.finding import Cause, Diagnosis, Gain, Tested, Unknown, verdict_of
 from bayes_aero.criticism.gain import LeftOut, gain, gained, measured_blocks, split_name, truncated
-from bayes_aero.criticism.residuals import noise_report
-from bayes_aero.criticism.responses import Responses
-from bayes_aero.criticism.stages import Stages, stages
+from bayes_aero.criticism.search_coefficients import search_coefficients
+from bayes_aero.criticism.search_trajectories import search_trajectories
+from bayes_aero.criticism.searched import Searched, lacking
+from bayes_aero.criticism.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.criticism.state import State, linearised
-from bayes_aero.criticism.unexplained import Left, has_chunks, unexplained
 from bayes_aero.effect import Effect
 from bayes_aero.errors import attempted
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.cores import blas_threads
-from bayes_aero.inference.mle import fit_mle
-from bayes_aero.model.flights import Flights, despiked, join
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import observe
 from bayes_aero.model.own_effects import own_effects
-from bayes_aero.physics.coefficients import NAMES
-
-AMBIGUOUS = 3.0  # nats, under the colour of their difference, within which another effect explains as well
-EXCITED = 0.1  # least over largest spread of an effect's sensitivities among manoeuvres; our choice
-POSSIBLE = 2.0  # score that an effect needs on its own to be a rival at all
+from bayes_aero.physics.coefficient_names import NAMES
 
 Progress = Callable[[str, float], None]
 
@@ -46,134 +37,82 @@ def diagnose(
     card: Card,
     *,
     model: Model | None = None,
+    settings: DiagnosisSettings = DEFAULT,
     seed: int = 0,
-    most: int = 8,
     extra: Sequence[Effect] = (),
     gains_wanted: bool = True,
     progress: Progress | None = None,
 ) -> Diagnosis:
-    """Find what the card's model gets wrong on `records`; at most `most` effects are added in each stage.
+    """Find what the card's model gets wrong on `records`; `settings` hold every threshold.
 
-    `gains_wanted` False leaves out the refits on left-out data (for studies of naming alone).
+    The model is compared with coefficients, or with trajectories where no accelerometer gives those. `gains_wanted`
+    False leaves out the refits on left-out data (for studies of naming alone).
     """
-    model = model or Model.from_card(card)
-    flights, outliers = despiked(join(records, card))
-    field = field_of(model, flights, (*own_effects(card.effect_files).values(), *extra))
-    responses = Responses.of(flights, field.model)
-    mle = fit_mle(model, observe(records, card, model), seed=seed)
-    theta = np.array([field.neutral[name] for name in field.model.names])
-    for name, value in zip(mle.names, mle.estimate, strict=True):
-        if name in field.model.names:
-            theta[field.columns([name])[0]] = value
-    both = stages(field, responses, theta, seed=seed, most=most, progress=progress)
-    left, failures = attempted(
-        "Unexplained structure was not sought",
-        lambda: unexplained(both.aerodynamics, seed=seed + 2000),
-        Left((), ()),
-    )
-    sensors, aerodynamics = both.sensors, _withdrawn(both.aerodynamics, left.replaced)
-    named = [(FLIGHT_PATH, sensors)] if sensors is not None else []
-    named.append(("coefficients", aerodynamics))
-    candidates, kept, failed = _confirmed(field, named, progress) if gains_wanted else _unasked(field, named)
-    failures += failed
-    causes, beyond, unnamed = attributed(candidates)
-    unknown = (*left.unknown, *structure_of(field, named, unnamed))
-    minor = (*(sensors.minor if sensors else ()), *aerodynamics.minor, *(c.name for c in unnamed))
+    search = search_trajectories if lacking(records, card) else search_coefficients
+    known = (*own_effects(card.effect_files).values(), *extra)
+    found = search(records, card, model or Model.from_card(card), known, settings, seed=seed, progress=progress)
+    ask = gains_wanted and found.testable_now
+    candidates, kept, failed = _confirmed(found, progress) if ask else _unasked(found)
+    causes, beyond, unnamed = attributed(candidates, settings)
+    unknown = (*found.unknown, *structure_of(found, unnamed))
+    minor = (*(found.sensors.minor if found.sensors else ()), *found.model.minor, *(c.name for c in unnamed))
+    state, tested = found.model.state, None if found.testable_now else Tested({})
     return Diagnosis(
-        verdict=verdict_of(causes, unknown),
+        verdict=verdict_of(causes, unknown, tested),
         causes=causes,
         minor=minor,
         unknown=unknown,
-        noise=noise_report(aerodynamics, outliers),
-        not_testable=field.not_testable,
-        sensors=sensors,
-        aerodynamics=aerodynamics,
-        theta=aerodynamics.state.theta,
-        split=split_name(aerodynamics.state),
-        base_moves=moves_of(aerodynamics),
+        noise=found.noise,
+        not_testable=found.field.not_testable,
+        sensors=found.sensors,
+        aerodynamics=found.model,
+        theta=state.theta,
+        split=split_name(state),
+        base_moves=moves_of(found.model),
         kept=kept,
-        failures=failures,
-        notes=(*_notes(flights), *_too_short(aerodynamics.state), *_denials(both)),
-        together=together_of(named, causes),
+        failures=(*found.failures, *failed),
+        notes=found.notes,
+        together=together_of(found.stages, causes),
         beyond=beyond,
+        tested=tested,
     )
 
 
-def _confirmed(
-    field: Field, named: Sequence[tuple[str, Extension]], progress: Progress | None
-) -> tuple[list[Cause], tuple[str, ...], tuple[str, ...]]:
+Asked = tuple[list[Cause], tuple[str, ...], tuple[str, ...]]
+
+
+def _confirmed(found: Searched, progress: Progress | None) -> Asked:
     """Causes with what unseen data say of them, the additions to the coefficients that these confirm, and failures.
 
     Should the hold-out test fail, no cause is confirmed.
     """
 
     def asked() -> tuple[list[Cause], tuple[str, ...]]:
-        confirmations = {stage: confirmation(one.state) for stage, one in named}
-        return causes_of(field, named, confirmations, progress), confirmations["coefficients"].kept
+        confirmations = {stage: confirmation(one.state) for stage, one in found.stages}
+        return causes_of(found, confirmations, progress), confirmations[found.stages[-1][0]].kept
 
-    found, failures = attempted("No cause was tested on hold-out data", asked, None)
-    if found is not None:
-        return (*found, failures)
-    causes, _, _ = _unasked(field, named)
-    return [replace(cause, confirmed=False) for cause in causes], (), failures
+    causes, failures = attempted("No cause was tested on hold-out data", asked, None)
+    if causes is not None:
+        return (*causes, failures)
+    untested, _, _ = _unasked(found)
+    return [replace(cause, confirmed=False) for cause in untested], (), failures
 
 
-def _unasked(
-    field: Field, named: Sequence[tuple[str, Extension]]
-) -> tuple[list[Cause], tuple[str, ...], tuple[str, ...]]:
+def _unasked(found: Searched) -> Asked:
     """The same where unseen data were not asked."""
-    return causes_of(field, named, {}, None), dict(named)["coefficients"].state.active, ()
+    return causes_of(found, {}, None), found.model.state.active, ()
 
 
-def _withdrawn(found: Extension, names: Sequence[str]) -> Extension:
-    """Causes of which little is left beside what is unexplained lose their names: nuisances, in the model as before."""
-    causes = tuple(name for name in found.causes if name not in names)
-    return replace(found, causes=causes, minor=(*found.minor, *(n for n in found.causes if n in names)))
-
-
-def _notes(flights: Flights) -> tuple[str, ...]:
-    """What the user should know of the intervals."""
-    filtered = filtered_channels(flights)
-    if not filtered:
-        return ()
-    return (
-        f"The record shows no white noise of {', '.join(filtered)} (filtered before recording, or none): sizes are not "
-        "corrected for the bias from such noise, and their intervals do not include it.",
-    )
-
-
-def _too_short(state: State) -> tuple[str, ...]:
-    """That periods were not tested, if a manoeuvre is too short for them."""
-    return (
-        ()
-        if has_chunks(state)
-        else ("Periodic structure was not tested: a manoeuvre is too short to be divided into blocks.",)
-    )
-
-
-def _denials(found: Stages) -> tuple[str, ...]:
-    """A sentence on each sensor error that the flight path selects and the coefficients reject."""
-    return tuple(
-        f"The flight path alone selects {name}, which can be due to gusts. This correction degrades the fit of the "
-        "coefficients by more than the flight path gains, so it is not made."
-        for name in found.denied
-    )
-
-
-def causes_of(
-    field: Field,
-    stages: Sequence[tuple[str, Extension]],
-    confirmations: Mapping[str, Confirmation],
-    progress: Progress | None,
-) -> list[Cause]:
+def causes_of(searched: Searched, confirmations: Mapping[str, Confirmation], progress: Progress | None) -> list[Cause]:
     """What every stage named; with gains on unseen data where these were asked to confirm it (the last stage's are the
     coefficients)."""
     found: list[Cause] = []
-    for stage, extension in stages:
+    field = searched.field
+    for stage, extension in searched.stages:
         if not extension.causes:
             continue
         sure = confirmations.get(stage)
-        measured = {} if sure is None else _gains_of(extension, stages[-1][1], sure.kept, progress)
+        measured = {} if sure is None else _gains_of(extension, searched.model, sure.kept, progress)
         for name in extension.causes:
             effect = next(e for e in field.candidates if e.name == name)
             probability, others = _rivals(extension, name)
@@ -191,18 +130,16 @@ def causes_of(
                     excited=_excited(extension.state, name),
                     confirmed=sure is None or name in sure.kept,
                     missed=NOTHING if sure is None else sure.missed[name],
-                    implausible=implausible(effect, extension.sizes, field.neutral),
+                    implausible=implausible(effect, extension.sizes, field.neutral, field.settings),
                     own_share=own_share(extension.state, extension.fit, name),
                 )
             )
     return found
 
 
-def structure_of(
-    field: Field, stages: Sequence[tuple[str, Extension]], unnamed: Sequence[Cause]
-) -> tuple[Unknown, ...]:
+def structure_of(found: Searched, unnamed: Sequence[Cause]) -> tuple[Unknown, ...]:
     """What the record shows and cannot attribute; without rivals it is likelier nothing."""
-    effects, extensions = {e.name: e for e in field.candidates}, dict(stages)
+    effects, extensions = {e.name: e for e in found.field.candidates}, found.by_stage
     several = [c for c in unnamed if c.ambiguous_with]
     return tuple(as_structure(cause, extensions[cause.stage], effects[cause.name]) for cause in several)
 
@@ -223,7 +160,7 @@ def _excited(state: State, name: str) -> bool:
     S = state.S[:, :, state.field.columns(state.field.parameters_of(name))]  # without the swell, which moves anything
     noise = np.std(state.residual, axis=0)[:, None]
     spread = np.array([np.sqrt(np.sum((S[fold] / noise).var(axis=0))) for fold in state.folds])
-    return bool(spread.min() >= EXCITED * spread.max())
+    return bool(spread.min() >= state.settings.least_excitation * spread.max())
 
 
 NOTHING = (float("nan"), float("nan"))
@@ -283,14 +220,14 @@ def _rivals(extension: Extension, name: str) -> tuple[float, tuple[str, ...]]:
     ranking = poll(state, fit, seed=0, replicates=0, without=name).standings
     best: dict[str, Standing] = {}
     for standing in ranking:
-        if standing.effect == name or standing.score > POSSIBLE:
+        if standing.effect == name or standing.score > state.settings.least_rival_score:
             best.setdefault(standing.effect, standing)
     own = best.get(name)
     if own is None:
         return 1.0, ()
     weights = {effect: np.exp(min(0.0, -own.nats(s))) for effect, s in best.items()}
     nothing = np.exp(-max(own.gain, 0.0) / (2.0 * max(own.inflation, 1.0)))
-    close = tuple(effect for effect, s in best.items() if effect != name and own.nats(s) < AMBIGUOUS)
+    close = tuple(effect for effect, s in best.items() if effect != name and own.nats(s) < state.settings.ambiguous)
     return float(1.0 / (sum(weights.values()) + nothing)), close
 
 
@@ -304,14 +241,6 @@ def moves_of(extension: Extension) -> Mapping[str, tuple[float, float, float]]:
     }
 
 
-def verdict_of(causes: Sequence[Cause], unknown: Sequence[Unknown]) -> Verdict:
-    """What is missing counts as explained by causes that are sure alone (see `Cause.sure`)."""
-    if any(cause.sure for cause in causes):
-        return Verdict.PARTLY_EXPLAINED if unknown else Verdict.EXPLAINED
-    of_the_model = [cause for cause in causes if cause.stage != FLIGHT_PATH]  # the others are the sensors', not its own
-    return Verdict.UNEXPLAINED if unknown or of_the_model else Verdict.NO_EFFECT
-
-
 def judged_on_held_out_flights(found: Diagnosis, confirmation: Confirmation) -> Diagnosis:
     """The diagnosis with each cause confirmed, or not, by held-out flights; untested causes stay as they are."""
     causes = tuple(
@@ -320,4 +249,4 @@ def judged_on_held_out_flights(found: Diagnosis, confirmation: Confirmation) -> 
         else c
         for c in found.causes
     )
-    return replace(found, causes=causes, verdict=verdict_of(causes, found.unknown))
+    return replace(found, causes=causes, verdict=verdict_of(causes, found.unknown, found.tested))

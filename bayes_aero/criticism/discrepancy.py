@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bayes_aero.criticism.state import GUARD, State
+from bayes_aero.criticism.state import State
 from bayes_aero.errors import InputError
 from bayes_aero.inference.gp import GPFit, MapStatus, Priors, fit_gp
 from bayes_aero.inference.gp.kernel import Scaling
@@ -64,7 +64,7 @@ class Processes:
         swell, inputs = self.state.swell[:, self.column], self._inputs(X, train)
         fine = self._fit(X, y, train, Priors())
         if not isinstance(fine, str):
-            guard = round(GUARD / self.state.responses.seconds)
+            guard = round(self.state.settings.gap / self.state.responses.seconds)
             trust, noise = trust_of(fine, y[train], swell[train], _stretches(self.state, train), guard)
             if trust >= EARNED:
                 there = fine.predict(inputs[fold])

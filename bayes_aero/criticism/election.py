@@ -18,9 +18,6 @@ from bayes_aero.criticism.projected import Projected, equivalent, score
 from bayes_aero.criticism.regression import Fit, Products, inverse
 from bayes_aero.criticism.state import State
 
-REPLICATES = 200  # noise-only replicates behind every p-value
-CORRECTION = 40  # replicates that measure the bias of the colour's estimate
-
 
 @dataclass(frozen=True)
 class Standing:
@@ -76,8 +73,9 @@ class Poll:
         return next((s for s in self.standings if s.effect == effect), None)
 
 
-def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, without: str | None = None) -> Poll:
-    """Fit every candidate with all active parameters free; draw noise-only replicates under the present model.
+def poll(state: State, fit: Fit, *, seed: int, replicates: int | None = None, without: str | None = None) -> Poll:
+    """Fit every candidate with all active parameters free; draw noise-only replicates (default: as many as the settings
+    say) under the present model.
 
     `without` takes one addition out first, to first order: it then stands for election like the others, and each of
     them is told `apart` from it.
@@ -95,7 +93,7 @@ def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, wit
     rng = np.random.default_rng(seed)
     m = len(residual)
     # Re-estimation from noise whose active columns were fitted shows how much faster the noise then looks.
-    drawn = colour.simulate(CORRECTION, state.folds, m, rng)
+    drawn = colour.simulate(state.settings.correction_replicates, state.folds, m, rng)
     colour = unbiased(colour, colours_of(without_active(state, fit, drawn), state.folds))
     estimates, covariances = projected.scores(residual, colour)
     stretch = state.responses.stretch
@@ -129,7 +127,8 @@ def poll(state: State, fit: Fit, *, seed: int, replicates: int = REPLICATES, wit
                 apart=math.nan if apart is None else float(apart[j]),
             )
         )
-    noises = without_active(state, fit, colour.simulate(replicates, state.folds, m, rng))
+    count = state.settings.replicates if replicates is None else replicates
+    noises = without_active(state, fit, colour.simulate(count, state.folds, m, rng))
     nulls = projected.largest(noises, colours_of(noises, state.folds))
     return Poll(tuple(sorted(found, key=lambda s: -s.gain)), colour, nulls)
 

@@ -13,7 +13,6 @@ from scipy.special import ndtr
 from bayes_aero.criticism.accuracy import Size, sizes
 from bayes_aero.criticism.colour import colour_of
 from bayes_aero.criticism.election import (
-    REPLICATES,
     Poll,
     Standing,
     columns_of,
@@ -28,16 +27,6 @@ from bayes_aero.criticism.second_look import SecondLook
 from bayes_aero.criticism.state import State, moved, refitted, swelling
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.physics.coefficient_names import NAMES
-
-LEAST_SCORE = 2.5  # below it no candidate is beyond chance in an election among dozens
-ALPHA = 0.05  # family-wise rate of false alarms of each election
-SECOND_ALPHA = 0.02  # of the second look at leaders that passed for slow noise
-TRIED = 8  # leaders considered in one election
-WORTH = 0.04  # share of a coefficient's remaining variance that an effect must explain: imperfect regressors fake less
-MIXED = 0.3  # share of its gain that an effect must keep when the coefficients' noise may correlate
-FITTED = 3  # leaders that are fitted to be judged by the stretches' disagreement
-DECISIVE = 3.0  # nats by which one of two extensions must be the better
-SHARE = 0.02  # of a leader's gain: another that gains more than this beyond it takes its place
 
 Progress = Callable[[str, float], None]
 
@@ -70,11 +59,13 @@ class Extension:
     minor: tuple[str, ...]
 
 
-def extend(state: State, *, seed: int = 0, most: int = 8, progress: Progress | None = None) -> Extension:
-    """Add effects to `state` until none is both beyond chance and useful on data left out; at most `most`.
+def extend(state: State, *, seed: int = 0, most: int | None = None, progress: Progress | None = None) -> Extension:
+    """Add effects to `state` until none is both beyond chance and useful on data left out; at most `most`
+    (default: the settings').
 
     Each election's p-value is family-wise over all candidates.
     """
+    most = state.settings.max_effects if most is None else most
     state, fit = refitted(state)
     swell, cost = swelling(state, fit), _inflation(state, fit)
     state, fit = refitted(moved(replace(state, swell=swell, temper=cost), state.theta))
@@ -116,37 +107,41 @@ def _election(state: State, fit: Fit, seed: int, first: bool) -> Step:
     Noise-only replicates are drawn where somebody stands a chance, and in the first election, whose p-values are
     reported for every candidate.
     """
-    found = poll(state, fit, seed=seed, replicates=REPLICATES if first else 0)
+    settings = state.settings
+    found = poll(state, fit, seed=seed, replicates=None if first else 0)
     able: list[tuple[Standing, float]] = []
     seen: set[str] = set()
     for standing in found.standings:
         if standing.effect in seen:
             continue
         seen.add(standing.effect)
-        if len(seen) > TRIED:
+        if len(seen) > settings.candidates_tried:
             break
-        if explained(state, standing) < WORTH or mixes_noise(state, standing):
+        if explained(state, standing) < settings.least_share or mixes_noise(state, standing):
             continue
         gain = float(unseen_gain(state, columns_of(state, standing)).sum())
         if not gain > 0.0:
             continue
         able.append((standing, gain))
-        if standing.score < LEAST_SCORE or standing.log_bayes <= 0.0:
+        if standing.score < settings.least_score or standing.log_bayes <= 0.0:
             continue
         if not len(found.nulls):
             found = replace(found, nulls=poll(state, fit, seed=seed).nulls)
         p = found.p_value(standing.score)
-        if p <= ALPHA:
+        if p <= settings.false_alarm_rate:
             return Step(standing.effect, p, found, gain)
     if state.responses.stretch is not None:  # no stationary colour holds, with a leader in or out
-        for standing, gain in able[:FITTED]:
+        for standing, gain in able[: settings.candidates_refitted]:
             wider = refitted(added(state, standing))
-            if (p := between_p_value(*wider, standing.effect, len(found.standings))) <= SECOND_ALPHA:
+            p = between_p_value(*wider, standing.effect, len(found.standings))
+            if p <= settings.refit_false_alarm_rate:
                 return Step(standing.effect, p, found, gain)
         able = []
     for standing, gain in able:
         look = SecondLook(state, standing, seed=seed)
-        if look.score >= LEAST_SCORE and look.log_bayes > 0.0 and (p := look.p_value()) <= SECOND_ALPHA:
+        if look.score < settings.least_score or look.log_bayes <= 0.0:
+            continue
+        if (p := look.p_value()) <= settings.refit_false_alarm_rate:
             return Step(standing.effect, p, found, gain)
     highest = max((s.score for s in found.standings), default=0.0)
     return Step(None, found.p_value(highest) if len(found.nulls) else float("nan"), found, float("nan"))
@@ -177,7 +172,7 @@ def mixes_noise(state: State, standing: Standing) -> bool:
     under a diagonal covariance and explains nothing. Only constants of the aircraft mix coefficients as measured; what
     any other effect leaves out of one of them may rightly be in another, too.
     """
-    if set(state.outputs) != set(NAMES) or standing.together >= MIXED * standing.gain:
+    if set(state.outputs) != set(NAMES) or standing.together >= state.settings.least_share_correlated * standing.gain:
         return False
     return any(e.name == standing.effect and e.stage is Stage.AIRCRAFT for e in state.field.candidates)
 
@@ -246,9 +241,9 @@ def _reconsidered(state: State, fit: Fit) -> tuple[State, Fit]:
         own = ranking.of(effect)
         best = next((s for s in ranking.standings if not mixes_noise(state, s)), ranking.standings[0])
         faint = own is not None and own.log_bayes < 0.0 and _bayes_within(state, fit, own) < 0.0
-        if own is None or faint or explained(state, own) < WORTH or mixes_noise(state, own):
+        if own is None or faint or explained(state, own) < state.settings.least_share or mixes_noise(state, own):
             state, fit = refitted(removed(state, effect))
-        elif best.effect != effect and best.gain > (1.0 + SHARE) * own.gain + best.cost_apart:
+        elif best.effect != effect and best.gain > (1.0 + state.settings.exchange_margin) * own.gain + best.cost_apart:
             state, fit = refitted(added(removed(state, effect), best))
     return state, fit
 
@@ -274,15 +269,15 @@ def worth(state: State, found: Mapping[str, Size]) -> tuple[tuple[str, ...], tup
     for name in state.active:
         effect = next(e for e in state.field.candidates if e.name == name)
         away = {p: (found[p].mean - state.field.neutral[p], found[p].sd) for p in effect.sizes if p in found}
-        (causes if large(effect, away) else minor).append(name)
+        (causes if large(effect, away, state.settings.least_score) else minor).append(name)
     return tuple(causes), tuple(minor)
 
 
-def large(effect: Effect, away: Mapping[str, tuple[float, float]]) -> bool:
+def large(effect: Effect, away: Mapping[str, tuple[float, float]], least_score: float) -> bool:
     """Whether any parameter of an effect is as far from neutral as is worth a name, and beyond its deviation: `away`
     has both, for parameters of which the effect says what is worth it (without such, always)."""
     told = [(abs(size), sd, effect.sizes[p][0]) for p, (size, sd) in away.items()]
-    return not told or any(size + sd >= least and size >= LEAST_SCORE * sd for size, sd, least in told)
+    return not told or any(size + sd >= least and size >= least_score * sd for size, sd, least in told)
 
 
 def nats_gained(old: Extension, new: Extension) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -186,3 +186,25 @@ class Diagnosis:
     together: tuple[Together, ...] = ()  # pairs of causes of which the record knows one combination alone
     beyond: tuple[Cause, ...] = ()  # errors larger than any sensor has: no causes, but in the model where confirmed
     tested: Tested | None = None  # of a diagnosis by trajectories alone
+
+
+def verdict_of(causes: Sequence[Cause], unknown: Sequence[Unknown], tested: Tested | None = None) -> Verdict:
+    """What is missing counts as explained by causes that are sure alone (see `Cause.sure`).
+
+    `tested`: of a diagnosis by trajectories alone (see `as_tested`).
+    """
+    of_the_model = [cause for cause in causes if cause.stage != FLIGHT_PATH]  # the others are the sensors'
+    if any(cause.sure for cause in causes):
+        found = Verdict.PARTLY_EXPLAINED if unknown else Verdict.EXPLAINED
+    else:
+        found = Verdict.UNEXPLAINED if unknown or of_the_model else Verdict.NO_EFFECT
+    return found if tested is None else as_tested(found, tested)
+
+
+def as_tested(found: Verdict, tested: Tested) -> Verdict:
+    """A verdict by trajectories alone: what is left beyond the noise, or was never computed, is not explained."""
+    if found is Verdict.EXPLAINED and not tested.within_noise:
+        return Verdict.PARTLY_EXPLAINED
+    if found is Verdict.NO_EFFECT and tested.beyond:
+        return Verdict.UNEXPLAINED
+    return found

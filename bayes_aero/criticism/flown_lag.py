@@ -14,12 +14,11 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.criticism.candidates import Field, lag_of
-from bayes_aero.criticism.confirmation import MISSED
-from bayes_aero.criticism.diagnosis import POSSIBLE
-from bayes_aero.criticism.extension import DECISIVE, Extension, large
+from bayes_aero.criticism.extension import Extension, large
 from bayes_aero.criticism.flown_density import UnseenFlight, gained_in_flight
 from bayes_aero.criticism.flown_paths import Path, posterior_covariance
 from bayes_aero.criticism.flown_unseen import Contender, Noise
+from bayes_aero.criticism.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.inference.output_error import fit_output_error
 from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
@@ -46,11 +45,12 @@ class Lag:
     unseen: tuple[float, float] = (float("nan"), float("nan"))
     instead: tuple[str, ...] = ()
     slight: bool = False
+    decisive: float = DEFAULT.decisive  # nats that the joint fit must gain
 
     @property
     def gains(self) -> bool:
         """Whether the joint fit finds and gains enough by it that unseen flight is worth asking."""
-        return self.gain > DECISIVE and not self.slight
+        return self.gain > self.decisive and not self.slight
 
 
 def open_lag(field: Field, found: Extension, model: Model) -> Effect | None:
@@ -60,11 +60,16 @@ def open_lag(field: Field, found: Extension, model: Model) -> Effect | None:
     if lag is None or Stage.LAG in stages or Stage.SEPARATION not in stages or not found.steps:
         return None
     scores = [s.score for s in found.steps[-1].poll.standings if s.effect == lag.name]
-    return lag if max(scores, default=0.0) >= POSSIBLE else None
+    return lag if max(scores, default=0.0) >= field.settings.least_rival_score else None
 
 
 def with_lag(
-    model: Model, effect: Effect, extended: Contender, noise: Noise, flights: Flights
+    model: Model,
+    effect: Effect,
+    extended: Contender,
+    noise: Noise,
+    flights: Flights,
+    settings: DiagnosisSettings = DEFAULT,
 ) -> tuple[Contender, Lag]:
     """`model`, the extended one with the lag, fitted to all from the extended one's optimum.
 
@@ -84,8 +89,8 @@ def with_lag(
     if fit.status in SETTLED and extended.fit.status in SETTLED:
         gain = (extended.fit.cost - fit.cost) / noise.cost
     own = extended.own | {p.name for p in effect.parameters}
-    slight = np.isfinite(gain) and not large(effect, _away(effect, fit, noise.cost))
-    lag = Lag(effect.name, float(gain), instead=tuple(none), slight=bool(slight))
+    slight = np.isfinite(gain) and not large(effect, _away(effect, fit, noise.cost), settings.least_score)
+    lag = Lag(effect.name, float(gain), instead=tuple(none), slight=bool(slight), decisive=settings.decisive)
     return Contender("lagged", fit, own, none), lag
 
 
@@ -103,11 +108,12 @@ def confirmed(
     outputs: Sequence[str],
     swell: Sequence[Float[np.ndarray, "_ c"]],
     cost: float,
+    hold_out: float = DEFAULT.hold_out,
 ) -> Lag:
     """Kept if unseen flight misses the lag as it must miss any cause: both flew the same manoeuvres, in order."""
     before, after = (UnseenFlight.of(paths, outputs, swell) for paths in (without, lagged))
     told = gained_in_flight(before, after, cost)
-    return replace(lag, unseen=told, kept=bool(after.inside and told[0] > MISSED * told[1]))
+    return replace(lag, unseen=told, kept=bool(after.inside and told[0] > hold_out * told[1]))
 
 
 def _hysteresis(model: Model) -> Mapping[str, float]:

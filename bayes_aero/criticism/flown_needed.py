@@ -16,6 +16,7 @@ from jaxtyping import Float
 from bayes_aero.criticism.confirmation import Confirmation, backward_elimination
 from bayes_aero.criticism.flown_density import UnseenFlight, gained_in_flight
 from bayes_aero.criticism.flown_unseen import Contender, Noise, flown_unseen, left_out
+from bayes_aero.criticism.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.effect import Effect
 from bayes_aero.inference.flown_normal import Looks, Point, by_segment
 from bayes_aero.inference.mle import solve
@@ -42,6 +43,7 @@ def needed(
     causes: Sequence[Effect],
     silent: Mapping[int, Mapping[str, float]],
     noise: Noise,
+    settings: DiagnosisSettings = DEFAULT,
 ) -> Needed:
     """Ask unseen flight of every one of `causes`; `fits` are those to all segments but one each, `silent` parameters
     held at their joint values there.
@@ -54,7 +56,7 @@ def needed(
     flight = _Flight(contender, neutral, silent, noise, {tuple(neutral): fits})
     if not flight.refitted(tuple(neutral)).inside:  # what cannot be flown is no measure of anything
         return Needed(contender, fits, Confirmation((), {}))
-    found = backward_elimination(tuple(neutral), flight)
+    found = backward_elimination(tuple(neutral), flight, settings)
     less = flight.without(found.kept)
     gone = frozenset(less.held) - frozenset(contender.held)
     if not gone:

@@ -11,8 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayes_aero.criticism.diagnosis import verdict_of
-from bayes_aero.criticism.finding import Diagnosis, Missed, Tested, Verdict
+from bayes_aero.criticism.finding import Diagnosis, Missed, Tested, verdict_of
 from bayes_aero.criticism.path_noise import sensor_noise
 from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.flight.card import Card
@@ -30,7 +29,7 @@ def with_tested(found: Diagnosis, flown: Trajectories | None, records: Sequence[
         card: states the sensors' noise; a usual installation's where it does not.
     """
     tested = Tested({} if flown is None else missed(flown, records, card))
-    return replace(found, tested=tested, verdict=_verdict(verdict_of(found.causes, found.unknown), tested))
+    return replace(found, tested=tested, verdict=verdict_of(found.causes, found.unknown, tested))
 
 
 def missed(flown: Trajectories, records: Sequence[FlightRecord], card: Card) -> dict[str, Missed]:
@@ -54,12 +53,3 @@ def _rms(flown: Trajectories, output: str, split: str) -> float:
         return float("nan")
     squares = [p.errors[output].rms ** 2 for p in paths]
     return float(np.sqrt(np.average(squares, weights=[len(p.time) for p in paths])))
-
-
-def _verdict(found: Verdict, tested: Tested) -> Verdict:
-    """What is left beyond the noise, or was never computed, is not explained."""
-    if found is Verdict.EXPLAINED and not tested.within_noise:
-        return Verdict.PARTLY_EXPLAINED
-    if found is Verdict.NO_EFFECT and tested.beyond:
-        return Verdict.UNEXPLAINED
-    return found

@@ -18,8 +18,6 @@ from bayes_aero.inference.output_error_result import OutputErrorResult
 from bayes_aero.inference.swell import Separated
 from bayes_aero.model.segments import Flown
 
-UNKNOWN = 10.0  # times the joint fit's deviation from which a manoeuvre says nothing of a cause
-
 
 @dataclass(frozen=True)
 class Noise:
@@ -56,8 +54,9 @@ class Contender:
     held: Mapping[str, float] = field(default_factory=dict)
     weighed: bool = True
 
-    def silent(self, segment: int) -> dict[str, float]:
-        """Parameters of causes of which the other segments say less than a hundredth of what all say; joint values."""
+    def silent(self, segment: int, unidentified: float) -> dict[str, float]:
+        """Parameters of causes whose standard error without this segment is `unidentified` times the joint one; joint
+        values."""
         if not self.own:
             return {}
         part = fit_output_error(
@@ -65,7 +64,7 @@ class Contender:
         )
         told = zip(self.fit.names, self.fit.estimate, part.crb, self.fit.crb, strict=True)
         with np.errstate(invalid="ignore"):
-            return {n: float(x) for n, x, alone, all_ in told if n in self.own and not alone < UNKNOWN * all_}
+            return {n: float(x) for n, x, alone, all_ in told if n in self.own and not alone < unidentified * all_}
 
 
 def masked(flown: Flown, segment: int, *, keep: bool) -> Flown:

@@ -15,8 +15,6 @@ from bayes_aero.inference.coloured import LAG_SHARE, autocovariance
 from bayes_aero.inference.scores import Scores, score
 from bayes_aero.physics.coefficients import NAMES
 
-UNSEEN_STEPS = 4  # Gauss-Newton steps of each fit to the other folds
-
 
 def split_name(state: State) -> str:
     """How data were left out."""
@@ -37,7 +35,7 @@ class LeftOut:
         keep = [state.responses.outputs.index(name) for name in state.outputs]
         residual = np.zeros_like(state.residual)
         for number, fold in enumerate(state.folds):
-            theta = optimum(state, [f for f in range(len(state.folds)) if f != number], UNSEEN_STEPS)
+            theta = optimum(state, [f for f in range(len(state.folds)) if f != number], state.settings.hold_out_steps)
             residual[fold] = np.asarray(state.responses.evaluate(jnp.asarray(theta))[0])[fold][:, keep]
         return cls._of(state, residual)
 

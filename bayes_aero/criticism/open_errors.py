@@ -12,15 +12,12 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.criticism.election import Standing
-from bayes_aero.criticism.extension import LEAST_SCORE, Extension, explained
+from bayes_aero.criticism.extension import Extension, explained
 from bayes_aero.criticism.regression import TINY, inverse
+from bayes_aero.criticism.settings import DiagnosisSettings
 from bayes_aero.criticism.state import State
 from bayes_aero.effect import Effect
 from bayes_aero.flight.agreement import OpenError
-
-IMITATED = 0.95  # share of what an error does, starts of integrals aside, from which others do it as well; our choice
-MOST = 3  # errors that imitate one together
-WORTHWHILE = 0.5  # share of what an output leaves that an error must explain to be told without being confirmed
 
 
 def open_errors(found: Extension) -> tuple[OpenError, ...]:
@@ -42,8 +39,10 @@ def open_errors(found: Extension) -> tuple[OpenError, ...]:
         asked = standing is not None and _asked(state, effect, standing)
         mean, sd = _size(found, effect, standing)
         wide = max(sd, float(among[place]))
-        imitators, share = _imitators(gram, effects, place)
-        if LEAST_SCORE * wide < effect.sizes[parameter.name][0]:  # nobody hides an error that is worth a name
+        imitators, share = _imitators(gram, effects, place, state.settings)
+        if (
+            state.settings.least_score * wide < effect.sizes[parameter.name][0]
+        ):  # nobody hides an error that is worth a name
             imitators, share = (), 0.0
         if not (asked or imitators):
             continue
@@ -84,8 +83,8 @@ def _information(found: Extension, effects: Sequence[Effect]) -> tuple[Float[np.
 def _asked(state: State, effect: Effect, standing: Standing) -> bool:
     """Whether an error of a size worth a name would explain much of what is left, were it only confirmed."""
     least = effect.sizes[effect.parameters[0].name][0]
-    clear = standing.score >= LEAST_SCORE and standing.log_bayes > 0.0 and abs(standing.step[0]) >= least
-    return clear and explained(state, standing) >= WORTHWHILE
+    clear = standing.score >= state.settings.least_score and standing.log_bayes > 0.0 and abs(standing.step[0]) >= least
+    return clear and explained(state, standing) >= state.settings.open_share
 
 
 def _size(found: Extension, effect: Effect, standing: Standing | None) -> tuple[float, float]:
@@ -96,17 +95,19 @@ def _size(found: Extension, effect: Effect, standing: Standing | None) -> tuple[
     return size.mean, size.sd
 
 
-def _imitators(gram: Float[np.ndarray, "k k"], effects: Sequence[Effect], place: int) -> tuple[tuple[str, ...], float]:
+def _imitators(
+    gram: Float[np.ndarray, "k k"], effects: Sequence[Effect], place: int, settings: DiagnosisSettings
+) -> tuple[tuple[str, ...], float]:
     """The fewest other errors, each of a size that sensors have, that do what one error does; and their share of it."""
     chosen: list[int] = []
-    for _ in range(MOST):
+    for _ in range(settings.imitators):
         others = [k for k in range(len(effects)) if k != place and k not in chosen]
         shares = {k: _share(gram, effects, place, [*chosen, k]) for k in others}
         if not shares:
             break
         best = max(shares, key=lambda k: shares[k])
         chosen.append(best)
-        if shares[best] >= IMITATED:
+        if shares[best] >= settings.imitated:
             return tuple(effects[k].name for k in chosen), shares[best]
     return (), 0.0
 

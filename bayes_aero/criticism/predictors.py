@@ -20,8 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from bayes_aero.criticism.discrepancy import Processes
-from bayes_aero.criticism.extension import Extension
-from bayes_aero.criticism.gain import UNSEEN_STEPS, split_name
+from bayes_aero.criticism.gain import split_name
 from bayes_aero.criticism.state import State, moved, optimum
 from bayes_aero.errors import InputError
 from bayes_aero.inference.cores import blas_threads
@@ -91,17 +90,13 @@ class Comparison:
         return {p.value: {c: x.scores for c, x in row.items()} for p, row in self.predictions.items()}
 
 
-def compare(extension: Extension, inputs: Sequence[str], *, seed: int = 0) -> Comparison:
-    """All four predictors of an extension of the coefficients; `inputs` are the card's for Gaussian processes."""
-    return compare_states(extension.state, inputs, seed=seed)
-
-
 @blas_threads(0)
 def compare_states(
     extended: State, inputs: Sequence[str], *, seed: int = 0, progress: Progress | None = None
 ) -> Comparison:
-    """The same for a state of the coefficients; the card's model is the state with nothing added.
+    """All four predictors of a state of the coefficients; the card's model is the state with nothing added.
 
+    `inputs` are the card's for Gaussian processes.
     Raises `InputError` for a state of the flight path or an input that was not recorded.
     """
     if extended.outputs != NAMES:
@@ -189,7 +184,7 @@ def _fitted(
     state: State, others: Sequence[int], train: Bool[np.ndarray, " m"]
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "m c"], Float[np.ndarray, " c"]]:
     """Parameters fitted to the other folds, the residual of everything, and the variance of what they leave there."""
-    theta = optimum(state, others, UNSEEN_STEPS)
+    theta = optimum(state, others, state.settings.hold_out_steps)
     keep = [state.responses.outputs.index(name) for name in state.outputs]
     residual = np.asarray(state.responses.evaluate(jnp.asarray(theta))[0])[:, keep]
     return theta, residual, np.mean((residual / state.swell)[train] ** 2, axis=0)

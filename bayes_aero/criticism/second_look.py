@@ -14,8 +14,6 @@ from jaxtyping import Float
 
 from bayes_aero.criticism.colour import Colour, Middle, colour_of, colours_of, unbiased
 from bayes_aero.criticism.election import (
-    CORRECTION,
-    REPLICATES,
     Standing,
     columns_of,
     log_bayes,
@@ -36,7 +34,7 @@ class SecondLook:
         self.projected = Projected(state, self.fit, blocks)
         self.rng = np.random.default_rng(seed)
         found = colour_of(state.left(wider), state.folds)
-        drawn = found.simulate(CORRECTION, state.folds, len(state.residual), self.rng)
+        drawn = found.simulate(state.settings.correction_replicates, state.folds, len(state.residual), self.rng)
         noises = without_active(state, self.fit, drawn)
         self.colour = unbiased(found, self._left(noises, self._leaders(noises)))
         own = next(j for j, columns in enumerate(blocks) if tuple(columns) == standing.columns)
@@ -47,7 +45,9 @@ class SecondLook:
 
     def p_value(self) -> float:
         """Share of noise-only replicates whose most explaining candidate scores at least as high."""
-        drawn = self.colour.simulate(REPLICATES, self.state.folds, len(self.state.residual), self.rng)
+        drawn = self.colour.simulate(
+            self.state.settings.replicates, self.state.folds, len(self.state.residual), self.rng
+        )
         noises = without_active(self.state, self.fit, drawn)
         leaders = self._leaders(noises)
         colours, scores = self._left(noises, leaders), np.zeros(len(noises))

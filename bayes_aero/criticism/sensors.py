@@ -11,7 +11,6 @@ from jaxtyping import Float
 
 from bayes_aero.criticism.candidates import Field, field_of
 from bayes_aero.criticism.extension import Extension, extend
-from bayes_aero.criticism.path_responses import PathResponses, rolled_unseen
 from bayes_aero.criticism.state import linearised
 from bayes_aero.criticism.stretches import borne_out
 from bayes_aero.effect import Kind, Stage
@@ -23,6 +22,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.flightpath import PATH_CORE
+from bayes_aero.residuals.flight_path import FlightPathError, rolled_unseen
 
 SENSOR_KINDS = (Kind.MEASUREMENT, Kind.ENVIRONMENT)
 SHORTEST = 4.0  # s of a record that can be checked
@@ -30,11 +30,10 @@ SHORTEST = 4.0  # s of a record that can be checked
 
 def agreement(
     field: Field,
-    responses: PathResponses,
+    responses: FlightPathError,
     theta: Float[np.ndarray, " k"],
     *,
     seed: int,
-    most: int,
     known: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
 ) -> Extension:
@@ -45,10 +44,10 @@ def agreement(
     candidates = tuple(e for e in field.candidates if e.kind in SENSOR_KINDS and e.name not in known)
     own = replace(field, base=tuple(known), candidates=candidates, priors=priors or {})
     state = linearised(own, responses, responses.outputs, theta)
-    return borne_out(extend(state, seed=seed, most=most))
+    return borne_out(extend(state, seed=seed))
 
 
-def compatibility(records: list[FlightRecord], card: Card, *, seed: int = 0, most: int = 8) -> Extension:
+def compatibility(records: list[FlightRecord], card: Card, *, seed: int = 0) -> Extension:
     """Sensor errors and winds that the flight path asks for, as the first stage of a diagnosis finds them.
 
     Raises `InputError` where there is no flight path (see `no_flight_path`) or a single manoeuvre is too short.
@@ -61,7 +60,7 @@ def compatibility(records: list[FlightRecord], card: Card, *, seed: int = 0, mos
     model = Model(sensors, tuple(p for e in sensors for p in e.parameters))
     field = Field(model, (), sensors, {})
     theta = np.array([field.neutral[name] for name in model.names])
-    return agreement(field, PathResponses.of(flights, model), theta, seed=seed, most=most)
+    return agreement(field, FlightPathError.of(flights, model), theta, seed=seed)
 
 
 def no_flight_path(records: Sequence[FlightRecord], card: Card) -> str:

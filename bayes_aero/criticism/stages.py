@@ -15,14 +15,14 @@ from jaxtyping import Float
 
 from bayes_aero.criticism.candidates import Field
 from bayes_aero.criticism.election import poll
-from bayes_aero.criticism.extension import DECISIVE, Extension, extend, nats_gained, removed
-from bayes_aero.criticism.path_responses import PathResponses
-from bayes_aero.criticism.responses import Responses
+from bayes_aero.criticism.extension import Extension, extend, nats_gained, removed
 from bayes_aero.criticism.sensors import agreement
 from bayes_aero.criticism.state import State, linearised, local_fit, optimum, refitted
 from bayes_aero.criticism.stretches import widened
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.residuals.equation_error import EquationError
+from bayes_aero.residuals.flight_path import FlightPathError
 
 Progress = Callable[[str, float], None]
 
@@ -38,11 +38,10 @@ class Stages:
 
 def stages(
     field: Field,
-    responses: Responses,
+    responses: EquationError,
     theta: Float[np.ndarray, " k"],
     *,
     seed: int,
-    most: int,
     progress: Progress | None = None,
 ) -> Stages:
     """The flight path first, where it was recorded; the coefficients with sensors corrected; then what these deny."""
@@ -52,28 +51,28 @@ def stages(
             progress("coefficients", 0.0)
         begin = theta if sensors is None else _neutral(sensors.state, sensors.state.theta, sensors.state.field.base)
         state = linearised(_after(field, sensors), responses, NAMES, begin)
-        return extend(state, seed=seed + 1000, most=most, progress=progress)
+        return extend(state, seed=seed + 1000, progress=progress)
 
-    path = PathResponses.of(responses.flights, responses.model)
+    path = FlightPathError.of(responses.flights, responses.model)
     if not path.outputs:
         return Stages(None, coefficients(None))
     if progress:
         progress("sensors", 0.0)
-    sensors = agreement(field, path, theta, seed=seed, most=most)
+    sensors = agreement(field, path, theta, seed=seed)
     aerodynamics, denied = coefficients(sensors), []
     while (name := _denied(sensors, aerodynamics)) is not None:
         state, fit = refitted(removed(sensors.state, name))
         fewer = widened(sensors, state, fit)
         other = coefficients(fewer)
-        if nats_gained(aerodynamics, other) < _path_gain(sensors, name) + DECISIVE:
+        if nats_gained(aerodynamics, other) < _path_gain(sensors, name) + field.settings.decisive:
             break
         denied, sensors, aerodynamics = [*denied, name], fewer, other
     if sensors.state.active and (known := _shared(sensors, aerodynamics)):
         told = _told(aerodynamics, known)
-        again = agreement(field, path, _with(theta, field, told), seed=seed, most=most, known=known, priors=told)
+        again = agreement(field, path, _with(theta, field, told), seed=seed, known=known, priors=told)
         if len(again.state.active) < len(sensors.state.active):  # one of them had stood in for it
             other = coefficients(again)
-            if nats_gained(aerodynamics, other) > -DECISIVE:
+            if nats_gained(aerodynamics, other) > -field.settings.decisive:
                 sensors, aerodynamics = again, other
     return Stages(sensors, aerodynamics, tuple(denied))
 
@@ -127,7 +126,7 @@ def _denied(sensors: Extension, aerodynamics: Extension) -> str | None:
     whole = _deviance(card, ())
     losses = {name: (whole - _deviance(card, (name,))) / (2.0 * card.temper) for name in sensors.state.active}
     worst = max(losses, key=lambda name: losses[name], default=None)
-    return worst if worst and losses[worst] > _path_gain(sensors, worst) + DECISIVE else None
+    return worst if worst and losses[worst] > _path_gain(sensors, worst) + card.settings.decisive else None
 
 
 def _path_gain(sensors: Extension, name: str) -> float:

@@ -12,17 +12,15 @@ from jaxtyping import Bool, Float, Int
 
 from bayes_aero.criticism.candidates import Field
 from bayes_aero.criticism.colour import colour_of
-from bayes_aero.criticism.linearisable import Linearisable
 from bayes_aero.criticism.regression import Fit, Products
+from bayes_aero.criticism.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.errors import InputError
 from bayes_aero.inference.autoregression import ORDER
 from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.residuals.base import ResidualModel
 
 REFITS = 8
 ENOUGH = 0.05  # of the deviance
-FOLDS = 6  # of a single manoeuvre
-SHORTEST = 3.0  # times the gap: the least length of a fold
-GUARD = 2.0  # s left out between neighbouring folds of one manoeuvre
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,7 @@ class State:
     """
 
     field: Field
-    responses: Linearisable
+    responses: ResidualModel
     outputs: tuple[str, ...]
     theta: Float[np.ndarray, " k"]
     residual: Float[np.ndarray, "m c"]
@@ -69,6 +67,11 @@ class State:
     temper: float = 1.0  # what the colour costs: priors count so many times against the white likelihood
     components: tuple[Component, ...] = ()  # they stand for election in place of effects
     chosen: tuple[Component, ...] = ()  # components that are in
+
+    @property
+    def settings(self) -> DiagnosisSettings:
+        """Thresholds of the diagnosis."""
+        return self.field.settings
 
     @cached_property
     def inside(self) -> Bool[np.ndarray, " m"]:
@@ -132,27 +135,30 @@ class State:
         return self.S / self.swell[:, :, None]
 
 
-def too_short(seconds: float) -> str:
+def too_short(seconds: float, settings: DiagnosisSettings = DEFAULT) -> str:
     """Why a single manoeuvre of so many seconds (of whole blocks) has no folds; empty where it has."""
-    if int(seconds / (SHORTEST * GUARD)) >= 2:
+    shortest = settings.shortest_part * settings.gap
+    if int(seconds / shortest) >= 2:
         return ""
     return (
         f"a single manoeuvre of {seconds:.3g} s is too short to be predicted from its own parts; give one of "
-        f"{2 * SHORTEST * GUARD:.0f} s at least, or a second one"
+        f"{2 * shortest:.0f} s at least, or a second one"
     )
 
 
-def folds_of(manoeuvre: Int[np.ndarray, " m"], seconds: float) -> tuple[slice, ...]:
-    """Manoeuvres as folds, or contiguous parts of a single one with a gap of `GUARD` s between them."""
+def folds_of(
+    manoeuvre: Int[np.ndarray, " m"], seconds: float, settings: DiagnosisSettings = DEFAULT
+) -> tuple[slice, ...]:
+    """Manoeuvres as folds, or contiguous parts of a single one with a gap between them."""
     if manoeuvre[-1] > 0:
         edges = [np.flatnonzero(manoeuvre == k) for k in range(manoeuvre[-1] + 1)]
         return tuple(slice(int(e[0]), int(e[-1]) + 1) for e in edges)
-    why = too_short(len(manoeuvre) * seconds)
+    why = too_short(len(manoeuvre) * seconds, settings)
     if why:
         raise InputError(why)
-    parts = min(FOLDS, int(len(manoeuvre) * seconds / (SHORTEST * GUARD)))
+    parts = min(settings.parts, int(len(manoeuvre) * seconds / (settings.shortest_part * settings.gap)))
     cuts = np.linspace(0, len(manoeuvre), parts + 1).astype(int)
-    gap = max(1, round(GUARD / seconds / 2))
+    gap = max(1, round(settings.gap / seconds / 2))
     return tuple(
         slice(int(a) + (gap if a else 0), int(b) - (gap if b < len(manoeuvre) else 0)) for a, b in pairwise(cuts)
     )
@@ -160,7 +166,7 @@ def folds_of(manoeuvre: Int[np.ndarray, " m"], seconds: float) -> tuple[slice, .
 
 def linearised(
     field: Field,
-    responses: Linearisable,
+    responses: ResidualModel,
     outputs: tuple[str, ...],
     theta: Float[np.ndarray, " k"],
     active: tuple[str, ...] = (),
@@ -189,7 +195,7 @@ def linearised(
     S = np.concatenate([S, *extra, np.zeros((*residual.shape, 1))], axis=2)
     S = np.where(np.isfinite(S), S, 0.0)
     swell = np.ones_like(residual) if swell is None else swell
-    folds = folds_of(responses.manoeuvre, responses.seconds)
+    folds = folds_of(responses.manoeuvre, responses.seconds, field.settings)
     mean, precision = field.prior(range(len(theta)), theta)
     precision = temper * precision
     of_scans = [int(field.columns([s.parameter])[0]) for s in scans]

@@ -15,13 +15,10 @@ from scipy.special import ndtr
 
 from bayes_aero.criticism.accuracy import sizes
 from bayes_aero.criticism.election import poll
-from bayes_aero.criticism.extension import ALPHA, Extension, Step, removed, worth
+from bayes_aero.criticism.extension import Extension, Step, removed, worth
 from bayes_aero.criticism.projected import as_normal, disagreement, equivalent
 from bayes_aero.criticism.regression import Fit, inverse
 from bayes_aero.criticism.state import State, refitted
-
-STRETCH = 15.0  # s; our choice: gusts hang together over some 5 s, and a minute must have several
-FEWEST = 6  # stretches of a short record
 
 
 class Stretches:
@@ -85,7 +82,7 @@ def _numbers(state: State) -> Int[np.ndarray, " m"]:
     """The stretch of each block, -1 between folds."""
     seconds, number = state.responses.seconds, np.full(len(state.residual), -1)
     total = seconds * sum(fold.stop - fold.start for fold in state.folds)
-    wanted, begin = min(STRETCH, total / FEWEST), 0
+    wanted, begin = min(state.settings.block, total / state.settings.fewest_blocks), 0
     for fold in state.folds:
         length = fold.stop - fold.start
         parts = max(1, int(length * seconds / wanted + 0.5))
@@ -102,7 +99,7 @@ def borne_out(found: Extension) -> Extension:
         judged = Stretches(state, fit)
         chances = {effect: judged.p_value(effect) for effect in state.active}
         worst = max(chances, key=lambda effect: chances[effect])
-        if chances[worst] <= ALPHA:
+        if chances[worst] <= state.settings.false_alarm_rate:
             break
         state, fit = refitted(removed(state, worst))
     return widened(found, state, fit)

@@ -121,18 +121,23 @@ def fly_both(
     lagged, lag, effect = None, None, open_lag(whole, diagnosis.aerodynamics, model)
     if effect is not None:
         tell("separation lag", 0.2)
-        lagged, lag = with_lag(_extended(whole.model, [*base, *added, effect]), effect, extended, noise, flights)
+        lagged, lag = with_lag(
+            _extended(whole.model, [*base, *added, effect]), effect, extended, noise, flights, whole.settings
+        )
         lagged = lagged if lag.gains else None
     tell("card's model", 0.3)
     card = _card(diagnosis, _extended(whole.model, base), ours, added, extended, noise, flights, biases)
-    fits, silent = _left_out([c for c in (extended, lagged, card) if c is not None], noise, tell)
+    contenders = [c for c in (extended, lagged, card) if c is not None]
+    fits, silent = _left_out(contenders, noise, whole.settings.unidentified, tell)
     best = extended
     if lag is not None and lagged is not None:
         without, within = (flown_unseen(c, fits[c.name], {}) for c in (extended, lagged))
-        lag = confirmed(lag, without, within, joint.flown.outputs, joint.flown.growth, noise.cost)
+        lag = confirmed(
+            lag, without, within, joint.flown.outputs, joint.flown.growth, noise.cost, whole.settings.hold_out
+        )
         best = lagged if lag.kept else extended
     tell("causes that hold-out flights need", 0.8)
-    flies = needed(best, fits[best.name], added, silent[best.name], noise)
+    flies = needed(best, fits[best.name], added, silent[best.name], noise, whole.settings)
     tell("errors", 0.9)
     paths = _paths({"card": card, "extended": flies.contender}, (fits["card"], flies.fits), noise, tolerances, seed)
     fit, gone = flies.contender.fit, flies.gone
@@ -152,11 +157,13 @@ def fly_both(
     )
 
 
-def _left_out(contenders: Sequence[Contender], noise: Noise, tell: Progress) -> tuple[dict[str, list], dict[str, dict]]:
+def _left_out(
+    contenders: Sequence[Contender], noise: Noise, unidentified: float, tell: Progress
+) -> tuple[dict[str, list], dict[str, dict]]:
     """By contender: its fits to all segments but one each, and by that segment what the others say nothing of."""
     tell("left out", 0.5)
     count = len(contenders[0].fit.flown.index)
-    silent = {c.name: {k: c.silent(k) for k in range(count)} for c in contenders}
+    silent = {c.name: {k: c.silent(k, unidentified) for k in range(count)} for c in contenders}
     fits: dict[str, list[OutputErrorResult]] = {c.name: [] for c in contenders}
     for number, (name, fit) in enumerate(left_out(contenders, silent, noise), start=1):
         fits[name].append(fit)

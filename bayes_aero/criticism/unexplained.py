@@ -21,18 +21,8 @@ from bayes_aero.criticism.state import Component, State
 from bayes_aero.inference.autoregression import ORDER
 from bayes_aero.physics.coefficients import NAMES
 
-KNOTS = 6  # of the smooth function of a channel
 PERIODS = tuple(np.round(np.geomspace(0.6, 30.0, 48), 3))  # s
-CHUNKS = 4  # parts of each manoeuvre, by which a sinusoid must predict what it was not fitted to
-LEAST_SHARE = 0.1  # of the remaining variance: less is not worth a verdict
-LEAST_WAVE = 0.25  # the same of a sinusoid: a flight has few slow swings, and noise alone draws a fifth into one
-ALONE_SHARE = 0.3  # the same on a single manoeuvre: blocks of one flight share their slow noise, so they confirm little
 SKIPPED = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot", "alpha_dot")  # responses themselves, not causes
-DRAWN = 100  # noise-only replicates
-ALPHA = 0.02  # false alarms of each family of components; the elections of named effects have their own 5 % each
-LOOKED_AT = 5  # leaders in sample whose unseen gain is measured
-MOST = 3  # components taken one after another
-BETTER = 1.2  # how many times a named cause's unseen gain a component must reach to take its place
 
 
 @dataclass(frozen=True)
@@ -48,7 +38,7 @@ def unexplained(extension: Extension, *, seed: int) -> Left:
     found: list[Unknown] = []
     state = extension.state
     chosen: list[Component] = []
-    for number in range(MOST):
+    for number in range(state.settings.unnamed_most):
         one = _best(state, chosen, seed + number)
         if one is None:
             break
@@ -73,7 +63,7 @@ def _superfluous(extension: Extension, chosen: Sequence[Component]) -> tuple[str
     dropped = []
     for name in extension.causes:
         rest, _ = _with(removed(state, name), chosen)
-        if 1.0 - np.exp(-max(rest - deviance, 0.0) / count) < LEAST_SHARE:
+        if 1.0 - np.exp(-max(rest - deviance, 0.0) / count) < state.settings.unnamed_share:
             dropped.append(name)
     return tuple(dropped)
 
@@ -89,7 +79,7 @@ def _best(state: State, chosen: Sequence[Component], seed: int) -> tuple[Compone
     for folds, components, least in _families(state):
         trial = with_components(state, components, chosen, folds)
         fit = trial.fit()
-        leaders = poll(trial, fit, seed=seed, replicates=0).standings[:LOOKED_AT]
+        leaders = poll(trial, fit, seed=seed, replicates=0).standings[: state.settings.unnamed_tried]
         for standing in leaders:
             own = np.array(standing.columns, int)
             wide = np.concatenate([trial.columns(), own])
@@ -98,7 +88,7 @@ def _best(state: State, chosen: Sequence[Component], seed: int) -> tuple[Compone
             if gained <= 0.0 or share < least:
                 continue
             p = _p_value(trial, fit, trial.products.fit(wide, trial.mean, trial.precision), share, seed)
-            if p <= ALPHA:
+            if p <= state.settings.unnamed_false_alarm_rate:
                 return next(c for c in components if c.label == standing.effect), share, p
     return None
 
@@ -110,7 +100,7 @@ def _p_value(state: State, fit: Fit, wider: Fit, share: float, seed: int) -> flo
     noise, under which anything goes.
     """
     colour = colour_of(state.left(wider), state.folds)
-    shares = explained_shares(state, fit, colour, seed, DRAWN)
+    shares = explained_shares(state, fit, colour, seed, state.settings.unnamed_replicates)
     return float((1 + np.sum(shares >= share)) / (1 + len(shares)))
 
 
@@ -143,10 +133,13 @@ def _proxies(extension: Extension) -> tuple[Component, float, tuple[str, ...]] |
         dummy = trial.S.shape[2] - 1
         rows = [np.append(np.append(bare, c), np.full(width - len(c), dummy)) for c in trial.component_columns]
         deviance = products.fit_many(np.array(rows, int), trial.mean, trial.precision)[3]
-        for i in np.argsort(deviance)[:LOOKED_AT]:
+        for i in np.argsort(deviance)[: state.settings.unnamed_tried]:
             columns = trial.component_columns[i]
             gained = float(unseen_gain(taken_out, np.concatenate([bare, columns]), bare).sum())
-            margin, share = gained - BETTER * max(known, 0.0) - 6.0 * state.temper, _share(taken_out, columns)
+            margin, share = (
+                gained - state.settings.stand_in * max(known, 0.0) - 6.0 * state.temper,
+                _share(taken_out, columns),
+            )
             if margin > 0.0 and share >= least and (best is None or margin > best[0]):
                 best = (margin, components[i], share)
     return None if best is None else (best[1], best[2], extension.causes)
@@ -160,8 +153,8 @@ def has_chunks(state: State) -> bool:
 def _families(state: State) -> tuple[tuple[Sequence[slice], list[Component], float], ...]:
     """The kinds of components that the record can test: the folds by which they must predict, themselves, and the least
     share of a verdict."""
-    alone = len(state.responses.flights.lengths) == 1
-    channel, wave = (ALONE_SHARE, ALONE_SHARE) if alone else (LEAST_SHARE, LEAST_WAVE)
+    s, alone = state.settings, len(state.responses.flights.lengths) == 1
+    channel, wave = (s.single_share, s.single_share) if alone else (s.unnamed_share, s.periodic_share)
     smooth = state.folds, smooth_components(state), channel
     return (smooth, (_chunks(state), periodic_components(state), wave)) if has_chunks(state) else (smooth,)
 
@@ -175,7 +168,7 @@ def smooth_components(state: State) -> list[Component]:
         x = np.asarray(state.responses.block(signals[name]))
         if np.ptp(x) <= 1e-6 * max(1.0, float(np.abs(x).max())):
             continue
-        basis = _basis(x)
+        basis = _basis(x, state.settings.knots)
         found += [Component(f"{c} over {name}", c, basis) for c in NAMES]
     return found
 
@@ -195,10 +188,10 @@ def periodic_components(state: State) -> list[Component]:
     return found
 
 
-def _basis(x: Float[np.ndarray, " m"]) -> Float[np.ndarray, "m w"]:
+def _basis(x: Float[np.ndarray, " m"], count: int) -> Float[np.ndarray, "m w"]:
     """A line and radial bumps between quantiles, scaled to unit deviation; constants belong to the model."""
-    knots = np.quantile(x, np.linspace(0.02, 0.98, KNOTS))
-    width = max((knots[-1] - knots[0]) / (KNOTS - 1), 1e-12)
+    knots = np.quantile(x, np.linspace(0.02, 0.98, count))
+    width = max((knots[-1] - knots[0]) / (count - 1), 1e-12)
     columns = [x - x.mean(), *(np.exp(-0.5 * ((x - k) / width) ** 2) for k in knots[1:-1])]
     B = np.stack(columns, axis=1)
     B = B - B.mean(axis=0)
@@ -207,7 +200,7 @@ def _basis(x: Float[np.ndarray, " m"]) -> Float[np.ndarray, "m w"]:
 
 def _chunks(state: State) -> tuple[slice, ...]:
     edges = [np.flatnonzero(state.responses.manoeuvre == k) for k in range(len(state.responses.flights.lengths))]
-    parts = [part for e in edges for part in np.array_split(e, CHUNKS)]
+    parts = [part for e in edges for part in np.array_split(e, state.settings.manoeuvre_parts)]
     return tuple(slice(int(p[0]) + 2, int(p[-1]) - 1) for p in parts)
 
 

@@ -26,7 +26,6 @@ EIGHTH_ORDER = np.array(
     ]
 )
 FOURTH_ORDER = np.array([2.0 / 3.0, -1.0 / 12.0])
-MINIMUM_SAMPLES = 20
 FILTER_STEP = (
     5  # samples; Spencer's filter passes half the power at 0.095 cycles a sample, so one sample in 5 keeps all
 )

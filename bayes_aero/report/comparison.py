@@ -51,14 +51,11 @@ class Method:
 class Scatter:
     """One parameter between manoeuvres fitted alone.
 
-    `sd` of the estimates, `difference` the largest of any pair in absolute value, `in_crb` the largest in units of
-    the pair's combined Cramer-Rao deviation, `in_corrected` the same with corrected bounds.
+    `sd` of the estimates; `in_crb` the largest difference of a pair, in units of its combined Cramer-Rao deviation.
     """
 
     sd: float
-    difference: float
     in_crb: float
-    in_corrected: float
 
 
 def ordered(names: Iterable[str]) -> list[str]:
@@ -149,9 +146,7 @@ def scatter(identification: Identification, name: str) -> Scatter | None:
     pairs = list(combinations(single, 2))
     return Scatter(
         sd=float(np.std([x for x, _, _ in single], ddof=1)),
-        difference=max(abs(a[0] - b[0]) for a, b in pairs),
         in_crb=max(apart(a[0], b[0], a[1], b[1]) for a, b in pairs),
-        in_corrected=max(apart(a[0], b[0], a[2], b[2]) for a, b in pairs),
     )
 
 

@@ -82,20 +82,26 @@ class Move:
     unit: str
 
 
-@dataclass(frozen=True)
-class View:
-    """A diagnosis with what is derived from it; `measured` (n, 3) are coefficients as the card reconstructs them."""
+@dataclass(frozen=True, kw_only=True)
+class DiagnosisView:
+    """A diagnosis with what is derived from it, by coefficients (see `View`) or by trajectories alone."""
 
     diagnosis: Diagnosis
+    rankings: tuple[Ranking, ...]
+    moves: Mapping[str, Move]
+    trajectories: Trajectories | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class View(DiagnosisView):
+    """A diagnosis by coefficients; `measured` (n, 3) are those that the card reconstructs."""
+
     card: Fitted
     extended: Fitted
     measured: Float[np.ndarray, "n 3"]
     manoeuvre: Int[np.ndarray, " n"]
     time: Float[np.ndarray, " n"]  # from the start of each manoeuvre, s
     names: tuple[str, ...]
-    rankings: tuple[Ranking, ...]
-    moves: Mapping[str, Move]
-    trajectories: Trajectories | None = None
     stalls: Mapping[str, Stall] = field(default_factory=dict)  # by model: card, and extended where it differs
 
     @property
@@ -110,7 +116,23 @@ class View:
         return float(np.median(np.diff(self.time[self.manoeuvre == 0])))
 
 
-def view_of(diagnosis: Diagnosis) -> View:
+def view_of(diagnosis: Diagnosis) -> DiagnosisView:
+    """What is shown of a diagnosis, whichever way the model met the record."""
+    return coefficient_view(diagnosis) if _by_coefficients(diagnosis) else _trajectory_view(diagnosis)
+
+
+def _by_coefficients(diagnosis: Diagnosis) -> bool:
+    return bool(set(NAMES) & set(diagnosis.aerodynamics.state.outputs))
+
+
+def _trajectory_view(diagnosis: Diagnosis) -> DiagnosisView:
+    """Of the card's parameters before, the standard errors are not known."""
+    units = {p.name: p.unit for p in diagnosis.aerodynamics.state.field.model.free}
+    moves = {name: Move(a, b, float("nan"), sd, units[name]) for name, (a, b, sd) in diagnosis.base_moves.items()}
+    return DiagnosisView(diagnosis=diagnosis, rankings=tuple(rankings_of(diagnosis)), moves=moves)
+
+
+def coefficient_view(diagnosis: Diagnosis) -> View:
     """Refit the card's model without any correction of the sensors, and evaluate both models at the recorded rate."""
     last = diagnosis.aerodynamics
     card, after = _fitted(*_card(diagnosis)), _fitted(*_extended(diagnosis))
@@ -163,7 +185,7 @@ def stages(diagnosis: Diagnosis) -> list[tuple[str, Extension]]:
     """Stages of the diagnosis by the names that its causes carry."""
     found = [("flight path", diagnosis.sensors)] if diagnosis.sensors is not None else []
     last = diagnosis.aerodynamics
-    return [*found, ("coefficients" if set(NAMES) & set(last.state.outputs) else "trajectories", last)]
+    return [*found, ("coefficients" if _by_coefficients(diagnosis) else "trajectories", last)]
 
 
 def rankings_of(diagnosis: Diagnosis) -> list[Ranking]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pandas as pd
 
-from bayes_aero.report.diagnosed import View
+from bayes_aero.report.diagnosed import DiagnosisView
 
 
-def causes_frame(view: View) -> pd.DataFrame:
+def causes_frame(view: DiagnosisView) -> pd.DataFrame:
     """A row per parameter of every cause, SI and radians, with scores on hold-out data."""
     rows = []
     for order, cause in enumerate(view.diagnosis.causes, 1):
@@ -44,7 +44,7 @@ def causes_frame(view: View) -> pd.DataFrame:
     return frame.set_index("order")
 
 
-def screen_frame(view: View) -> pd.DataFrame:
+def screen_frame(view: DiagnosisView) -> pd.DataFrame:
     """Every candidate in the first screening of each stage."""
     rows = [
         {"stage": r.stage, "name": s.effect, "kind": s.kind, "score": s.score, "p_value": s.p_value}

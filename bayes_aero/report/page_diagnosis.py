@@ -10,9 +10,9 @@ from bayes_aero.criticism.finding import Cause, Diagnosis
 from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.diagnosed import Ranking, View, rankings_of, unseen_scores
+from bayes_aero.report.diagnosed import DiagnosisView, Ranking, View, unseen_scores
 from bayes_aero.report.figures_flight import SYMBOLS, shown_in
-from bayes_aero.report.page import Block, Fold, Page, Table, Text, filled, section
+from bayes_aero.report.page import Block, Fold, Page, Section, Table, Text, filled, section
 from bayes_aero.report.page_alternatives import diagnosis_alternatives, gained
 from bayes_aero.report.page_context import PageContext
 from bayes_aero.report.page_diagnosis_tables import (
@@ -42,82 +42,76 @@ from bayes_aero.report.page_words import WORDS
 from bayes_aero.report.phrases import bracket, several
 from bayes_aero.report.unseen import Unseen
 from bayes_aero.report.words_consistency import open_sentences
-from bayes_aero.report.words_diagnosis import NAMED_IF, diagnosis_sentences
+from bayes_aero.report.words_diagnosis import NAMED_IF, diagnosis_sentences, sentences
 from bayes_aero.report.words_trajectory import simulation_gain, trajectory_sentences
 
 CONTEXT = ("alpha", "elevator", "stabilizer", "thrust", "airspeed")
 FEW = 4  # manoeuvres that are listed one by one in the open
 
 
-def diagnosis_page(view: View, told: PageContext) -> Page:
-    """The page of a diagnosis from coefficients."""
-    d = view.diagnosis
-    gallery = Gallery(told.figures, diagnosis_alternatives(view))
-    verdict, *rest = diagnosis_sentences(d)
+def diagnosis_page(view: DiagnosisView, told: PageContext) -> Page:
+    """The page of a diagnosis, by coefficients or by trajectories alone."""
+    d, by_coefficients = view.diagnosis, isinstance(view, View)
+    gallery = Gallery(told.figures, diagnosis_alternatives(view) if isinstance(view, View) else {})
+    verdict, *rest = diagnosis_sentences(d) if by_coefficients else sentences(view)
+    from_what = "" if by_coefficients else ", from trajectories alone: the record has no coefficients"
+    return Page(
+        title=f"Diagnosis: {told.card.title}",
+        subtitle=f"The model error, its causes, and the gain of the extended model{from_what}",
+        verdict=verdict,
+        lead=_lead(view, told, gallery),
+        doubts=doubts(told.records, told.card, told.consistency, corrects=by_coefficients, failures=told.failures),
+        sections=filled(
+            section("records", "The records at a glance", lambda: records_and_faults(told.records, told.card)),
+            section("causes", "Causes of the model error", lambda: _causes(d, view.rankings, gallery)),
+            *(_of_coefficients(view, told, gallery, rest) if isinstance(view, View) else _findings(view, told, rest)),
+            section("provenance", "Provenance", lambda: provenance_blocks(told.source, told.notes)),
+        ),
+    )
+
+
+def _lead(view: DiagnosisView, told: PageContext, gallery: Gallery) -> tuple[Block, ...]:
+    """What was hidden, if anything was; what the extension gains; the first figure."""
     lead: list[Block] = [Text(one, "lead") for one in told.revealed]
-    if gained(view):
+    if isinstance(view, View) and gained(view):
         lead.append(Text(f"On hold-out data, before and after: {gained(view)}", "lead"))
     if view.trajectories is not None and (gain := simulation_gain(view.trajectories)):
         lead.append(Text(gain, "lead"))
     lead += gallery("found") or gallery("measured_simulated")
-    if not told.figures:
+    if not isinstance(view, View):
+        lead.append(Text("The record lacks channels from which lift, drag and moment coefficients are formed."))
+    elif not told.figures:
         lead.append(Text("Static pictures were not drawn in this run; tables and interactive figures are complete."))
-    return Page(
-        title=f"Diagnosis: {told.card.title}",
-        subtitle="The model error, its causes, and the gain of the extended model",
-        verdict=verdict,
-        lead=tuple(lead),
-        doubts=doubts(told.records, told.card, told.consistency, corrects=True, failures=told.failures),
-        sections=filled(
-            section("records", "The records at a glance", lambda: records_and_faults(told.records, told.card)),
-            section("causes", "Causes of the model error", lambda: _causes(view.diagnosis, view.rankings, gallery)),
-            section("gain", "Gain of the extended model on hold-out data", lambda: _gain(view, gallery)),
-            section("open", "Rivals and unexplained structure", lambda: _open(d, told, rest)),
-            section("fit", "Measured and simulated coefficients", lambda: _coefficients(view)),
-            section("trajectories", "Trajectories, before and after", lambda: _flown(view.trajectories, told)),
-            section("stall", "The stall", lambda: _stall(view, gallery)),
-            section("parameters", "Change of the card's parameters", lambda: _parameters(view, gallery)),
-            section("predictors", "Which predictor to use", lambda: _predictors(told)),
-            section("diagnostics", "Diagnostics", lambda: _diagnostics(view, gallery)),
-            section("provenance", "Provenance", lambda: provenance_blocks(told.source, told.notes)),
-        ),
+    return tuple(lead)
+
+
+def _of_coefficients(view: View, told: PageContext, gallery: Gallery, rest: Sequence[str]) -> tuple[Section, ...]:
+    """Sections of a diagnosis by coefficients."""
+    return (
+        section("gain", "Gain of the extended model on hold-out data", lambda: _gain(view, gallery)),
+        section("open", "Rivals and unexplained structure", lambda: _open(view.diagnosis, told, rest)),
+        section("fit", "Measured and simulated coefficients", lambda: _coefficients(view)),
+        section("trajectories", "Trajectories, before and after", lambda: _flown(view.trajectories, told)),
+        section("stall", "The stall", lambda: _stall(view, gallery)),
+        section("parameters", "Change of the card's parameters", lambda: _parameters(view, gallery)),
+        section("predictors", "Which predictor to use", lambda: _predictors(told)),
+        section("diagnostics", "Diagnostics", lambda: _diagnostics(view, gallery)),
     )
 
 
-def flown_page(d: Diagnosis, flown: Trajectories | None, said: Sequence[str], told: PageContext) -> Page:
-    """The page of a diagnosis from trajectories alone; `said` are its sentences, the verdict first."""
-    gallery = Gallery({}, {})
-    return Page(
-        title=f"Diagnosis: {told.card.title}",
-        subtitle="The model error from trajectories alone: the record has no coefficients",
-        verdict=said[0],
-        doubts=doubts(told.records, told.card, told.consistency, corrects=False, failures=told.failures),
-        lead=(
-            Text(
-                "The record lacks channels from which lift, drag and moment coefficients are formed; see the "
-                "last finding."
-            ),
-        ),
-        sections=filled(
-            section("records", "The records at a glance", lambda: records_and_faults(told.records, told.card)),
-            section("causes", "Causes of the model error", lambda: _causes(d, rankings_of(d), gallery)),
-            section("open", "Findings in full", lambda: _flown_findings(d, told, said[1:])),
-            section("trajectories", "Trajectories, before and after", lambda: _flown(flown, told)),
-            section(
-                "stall",
-                "The stall",
-                lambda: (
-                    Text("CLmax and the stall angle are not given: without accelerometers lift is not measured."),
-                ),
-            ),
-            section("provenance", "Provenance", lambda: provenance_blocks(told.source, told.notes)),
-        ),
-    )
-
-
-def _flown_findings(d: Diagnosis, told: PageContext, said: Sequence[str]) -> tuple[Block, ...]:
+def _findings(view: DiagnosisView, told: PageContext, rest: Sequence[str]) -> tuple[Section, ...]:
+    """Sections of a diagnosis by trajectories alone."""
     listed = () if told.consistency is None else open_list(told.consistency)
-    return (*bullets(said), *listed, *not_testable_list(d.not_testable))
+    no_lift = "CLmax and the stall angle are not given: without accelerometers lift is not measured."
+    return (
+        section(
+            "open",
+            "Findings in full",
+            lambda: (*bullets(rest), *listed, *not_testable_list(view.diagnosis.not_testable)),
+        ),
+        section("trajectories", "Trajectories, before and after", lambda: _flown(view.trajectories, told)),
+        section("stall", "The stall", lambda: (Text(no_lift),)),
+    )
 
 
 def _causes(d: Diagnosis, rankings: Sequence[Ranking], gallery: Gallery) -> tuple[Block, ...]:

@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from bayes_aero.criticism.confirmation import MISSED
 from bayes_aero.criticism.gain import Compared, LeftOut, compared, measured_blocks
 from bayes_aero.inference.scores import Scores, score
 from bayes_aero.physics.coefficients import NAMES
@@ -52,7 +51,8 @@ class Unseen:
 
     def worse(self) -> list[tuple[str, str]]:
         """Manoeuvres and coefficients for which the extended model loses log density significantly (one-sided, 5 %)."""
-        return [pair for pair, gain in self.gains.items() if gain.elpd < -MISSED * gain.elpd_sd]
+        hold_out = self.view.extended.state.settings.hold_out
+        return [pair for pair, gain in self.gains.items() if gain.elpd < -hold_out * gain.elpd_sd]
 
 
 def scores_frame(view: View) -> pd.DataFrame:

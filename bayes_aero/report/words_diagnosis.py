@@ -13,7 +13,7 @@ from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.physics.coefficients import NAMES
-from bayes_aero.report.diagnosed import View
+from bayes_aero.report.diagnosed import DiagnosisView
 from bayes_aero.report.not_testable import not_testable_sentences
 from bayes_aero.report.phrases import several, size_text
 from bayes_aero.report.words_signs import sign_sentences
@@ -33,7 +33,7 @@ NAMED_IF = (
 )
 
 
-def sentences(view: View) -> list[str]:
+def sentences(view: DiagnosisView) -> list[str]:
     """The findings, one sentence or two each: verdict, causes, unexplained structure, what is not testable."""
     return diagnosis_sentences(view.diagnosis, view.trajectories)
 
@@ -171,11 +171,13 @@ def _noise(d: Diagnosis) -> list[str]:
     return said
 
 
-def cause_table(view: View) -> Table | None:
+def cause_table(view: DiagnosisView) -> Table | None:
     """Causes for a terminal of 80 columns: size, standard error, probability, R2 on hold-out data before and after."""
     d = view.diagnosis
     if not d.causes:
         return None
+    if d.tested is not None:
+        return _trajectory_causes(d)
     table = Table(
         title=f"Causes; R² on hold-out data ({SPLITS[d.split]}), before → after",
         caption="Before: the card's model, with corrected sensors where sensor errors were found. ±: one standard "
@@ -197,10 +199,8 @@ def cause_table(view: View) -> Table | None:
     return table
 
 
-def flown_table(d: Diagnosis) -> Table | None:
+def _trajectory_causes(d: Diagnosis) -> Table:
     """Causes named from trajectories alone: size with standard error, probability, rivals."""
-    if not d.causes:
-        return None
     table = Table(title="Causes, from trajectories alone", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     for head in ("cause", "size", "prob.", "rivals"):
         table.add_column(head)
@@ -229,7 +229,7 @@ def _r2(cause: Cause, name: str) -> str:
     return f"{cause.gain.before[name].r2:.2f} → {cause.gain.after[name].r2:.2f}"
 
 
-def ranking_table(view: View, most: int = 5) -> Table | None:
+def ranking_table(view: DiagnosisView, most: int = 5) -> Table | None:
     """The leading candidates of each stage, if no cause was found."""
     if view.diagnosis.causes or not view.rankings:
         return None

@@ -116,7 +116,7 @@ def _tolerance_sentences(flown: Trajectories) -> list[str]:
     inside = [p for p in unseen if p.inside]
     told = []
     for output in flown.outputs:
-        shares = {p.manoeuvre: p.errors[output].within for p in inside if p.errors[output].within is not None}
+        shares = {p.manoeuvre: x for p in inside if (x := p.errors[output].within) is not None}
         if not shares:
             continue
         worst = min(shares, key=lambda name: shares[name])

@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.criticism.consistency import errors_of_diagnosis
-from bayes_aero.criticism.diagnosis import diagnose
+from bayes_aero.criticism.diagnosis import diagnose, judged_on_held_out_flights
 from bayes_aero.criticism.finding import Diagnosis
+from bayes_aero.criticism.flown_tested import with_tested
+from bayes_aero.criticism.settings import DiagnosisSettings
 from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.effect import Kind
 from bayes_aero.effects import CATALOGUE
@@ -23,7 +25,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.cores import blas_threads, cores
 from bayes_aero.model.model import Model
 from bayes_aero.model.plant import flies
-from bayes_aero.report.diagnosed import view_of
+from bayes_aero.report.diagnosed import DiagnosisView, view_of
 from bayes_aero.report.figures import DIAGNOSIS_FIGURES, FLOWN_FIGURES
 from bayes_aero.studies.agree import sensors_agree
 from bayes_aero.studies.beside import beside
@@ -81,7 +83,8 @@ def run(
     figures: bool = True,
     progress: Progress | None = None,
 ) -> Outcome:
-    """Diagnose, as `bayes-aero diagnose` does; with `out` it writes diagnosis.json, causes.csv, screen.csv,
+    """Diagnose, as `bayes-aero diagnose` does, by coefficients or, where an accelerometer is missing, by trajectories
+    alone; with `out` it writes diagnosis.json, causes.csv, screen.csv,
     histories.nc, figures and report.html. The same call after an interruption takes up the stages that are there.
 
     `most` is the number of effects that each stage may add. `predict` adds the comparison of predictors, which may
@@ -95,11 +98,15 @@ def run(
     unfinished = Unfinished(out, source[RESTS_ON])
     if progress:
         progress("do the sensors agree?", 0.0)
-    found = diagnose(records, card, seed=seed, most=most, progress=progress)
-    agreement, failed = sensors_agree(records, card, seed, out, known=errors_of_diagnosis(found))
+    found = diagnose(records, card, settings=DiagnosisSettings(max_effects=most), seed=seed, progress=progress)
+    alone = found.tested is not None  # by trajectories
+    predict = None if alone else predict
+    agreement, failed = sensors_agree(records, card, seed, out, known=None if alone else errors_of_diagnosis(found))
     view = view_of(found)
     causes = view.diagnosis.causes
-    earlier = unfinished.earlier(card, causes, predictors=predict is not None, trajectories=fly is not None)
+    earlier = unfinished.earlier(
+        card, causes, predictors=predict is not None, trajectories=fly is not None and not alone
+    )
     named = {name: _found(view.diagnosis, name) for name in hidden} if hidden else {}
     outcome = Outcome(view, hidden, named, (), channel_health(records, card), agreement)
     kept = Kept(replace(outcome, failures=(*failed, *found.failures)), out, card, records, source, earlier)
@@ -112,6 +119,10 @@ def run(
             following.result()
         if fly is not None and not kept.has("trajectories"):
             kept.attempt("Trajectories were not simulated", lambda: kept.trajectories(fly(view.diagnosis, progress)))
+        if alone:
+            kept.judged(_judged(kept.outcome.view, records, card))
+            if fly is None and causes:
+                kept.note("Without trajectories no cause was tested on hold-out flights.")
         drawn = following.result()
     if out is not None:
         drawn |= drawings(kept, late, progress)
@@ -121,6 +132,13 @@ def run(
     if not kept.outcome.failures:  # else the same command does again what failed
         unfinished.end()
     return kept.outcome
+
+
+def _judged(view: DiagnosisView, records: Sequence[FlightRecord], card: Card) -> Diagnosis:
+    """A diagnosis by trajectories alone with what hold-out flights and the sensors' noise say of it."""
+    flown = view.trajectories
+    found = view.diagnosis if flown is None else judged_on_held_out_flights(view.diagnosis, flown.asked)
+    return with_tested(found, flown, records, card)
 
 
 def _found(diagnosis: Diagnosis, name: str) -> str:

@@ -12,7 +12,7 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.coefficients import NAMES
-from bayes_aero.report.diagnosed import Ranking, View, composition
+from bayes_aero.report.diagnosed import DiagnosisView, Ranking, View, composition
 from bayes_aero.studies.consistency_results import consistency_results
 from bayes_aero.studies.health_results import health_results
 from bayes_aero.studies.trajectory_results import trajectory_results
@@ -22,7 +22,7 @@ SCORES = ("r2", "rmse", "r", "theil")
 
 
 def diagnosis_results(
-    view: View,
+    view: DiagnosisView,
     card: Card,
     records: Sequence[FlightRecord],
     provenance: Mapping[str, Any],
@@ -64,10 +64,10 @@ def diagnosis_results(
             }
             for name, m in view.moves.items()
         },
-        "residuals": {"before": composition(view, view.card), "after": composition(view, view.extended)},
+        "residuals": _residuals(view),
         "predictors": dict(predictors or {}),
         "trajectories": {} if view.trajectories is None else trajectory_results(view.trajectories, card),
-        "stall": {name: stall.numbers() for name, stall in view.stalls.items()},
+        "stall": {n: stall.numbers() for n, stall in view.stalls.items()} if isinstance(view, View) else {},
         "separating": [dict(one) for one in separating],
         "health": health_results(health),
         "notes": [*d.notes, *notes],
@@ -77,6 +77,13 @@ def diagnosis_results(
     if hidden is not None:
         found["hidden"] = dict(hidden)
     return found
+
+
+def _residuals(view: DiagnosisView) -> dict[str, Any]:
+    """Of the coefficients by either model; empty where only trajectories were compared."""
+    if not isinstance(view, View):
+        return {}
+    return {"before": composition(view, view.card), "after": composition(view, view.extended)}
 
 
 def unknown_results(unknown: Sequence[Unknown]) -> list[dict[str, Any]]:

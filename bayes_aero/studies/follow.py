@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bayes_aero.criticism.finding import Diagnosis
-from bayes_aero.report.diagnosed import with_stalls
+from bayes_aero.report.diagnosed import View, with_stalls
 from bayes_aero.report.figures import ViewFigures, draw_all
 from bayes_aero.studies.kept import Kept
 from bayes_aero.studies.outlook import separations
@@ -29,15 +29,18 @@ def follow(kept: Kept, predict: Predict | None, figures: ViewFigures, tell: Prog
         kept.attempt(what, lambda: kept.separating(separations(found, tell)))
     if kept.path is None:
         return {}
-    tell("stall", 0.0)
-    kept.attempt("Stall left out", lambda: kept.stalls(with_stalls(kept.outcome.view)))
+    view = kept.outcome.view
+    if isinstance(view, View):
+        tell("stall", 0.0)
+        kept.attempt("Stall left out", lambda: kept.stalls(with_stalls(view)))
     return drawings(kept, figures, tell)
 
 
 def drawings(kept: Kept, figures: ViewFigures, tell: Progress | None) -> dict[str, Path]:
     """Draw `figures` of what was found so far: paths by name; a note for each that failed."""
-    if not figures or kept.path is None:
+    view = kept.outcome.view
+    if not figures or kept.path is None or not isinstance(view, View):
         return {}
-    written, failed = draw_all(figures, kept.outcome.view, kept.path / "figures", tell)
+    written, failed = draw_all(figures, view, kept.path / "figures", tell)
     kept.fail(failed)
     return {path.stem: path for path in written}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -27,7 +27,6 @@ from bayes_aero.studies.demo import DISTURBANCE, TRUTH
 from bayes_aero.studies.manoeuvre import DT, LONGEST, MARGIN, SAMPLES, SURFACES, flight_time, random_pilot
 from bayes_aero.studies.misrecord import corrected, misrecorded
 from bayes_aero.studies.recorder import channels_flown, sensed
-from bayes_aero.studies.strays import STRAYS, draw_unknown
 
 NOISES = ("white", "ar1", "buffet", "outliers")
 ENVELOPE = {"alpha": (0.0, 0.4363), "airspeed": (50.0, 130.0)}  # 0 to 25 deg, m/s
@@ -45,6 +44,14 @@ class HiddenFlight:
 
 
 @dataclass(frozen=True)
+class Beyond:
+    """Effects of no catalogue that are flown besides, and a draw of the true values of those that are not neutral."""
+
+    effects: tuple[Effect, ...]
+    draw: Callable[[np.random.Generator], Mapping[str, float]]
+
+
+@dataclass(frozen=True)
 class _Setting:
     seed: int
     manoeuvres: int
@@ -54,6 +61,7 @@ class _Setting:
     sensor_noise: float
     disturbance: float
     seconds: float | None
+    beyond: tuple[Effect, ...]
 
 
 def hidden_records(effects: Mapping[str, Mapping[str, float]], *, seed: int, **options: Any) -> list[FlightRecord]:
@@ -71,8 +79,7 @@ def hidden_flights(
     card: Card | None = None,
     sensor_noise: float = 1.0,
     disturbance: float = 1.0,
-    unknown: str | None = None,
-    unknown_size: float = 1.0,
+    beyond: Beyond | None = None,
     seconds: float | None = None,
 ) -> list[HiddenFlight]:
     """Random stall manoeuvres of an aircraft near the demo's, in which `effects` (by name, true values) are hidden.
@@ -80,17 +87,17 @@ def hidden_flights(
     `noise`: sensor noise alone (`white`); with autoregressive coefficient disturbances (`ar1`; lag-1 correlation `rho`,
     drawn from 0.5 to 0.98 where not given); the same growing with 1 - X (`buffet`); or sensor noise with spikes of ten
     standard deviations on accelerations and pitch rate (`outliers`). `sensor_noise` and `disturbance` scale them.
-    `unknown` adds an effect of no catalogue, `unknown_size` times its usual size. Manoeuvre k of a seed is flown with
-    the same commands and draws whatever is hidden, unless the flight leaves its envelope: then all are drawn anew, and
-    after the third time `InputError` says that the aircraft cannot be flown so. `seconds` (at most 100) sets the
-    manoeuvres' length; below 90 they break off.
+    `beyond` adds effects of no catalogue. Manoeuvre k of a seed is flown with the same commands and draws whatever is
+    hidden, unless the flight leaves its envelope: then all are drawn anew, and after the third time `InputError` says
+    that the aircraft cannot be flown so. `seconds` (at most 100) sets the manoeuvres' length; below 90 they break off.
     """
     if noise not in NOISES:
         raise InputError(f"there is no noise {noise!r}; use one of {', '.join(NOISES)}")
     if seconds is not None and not 1.0 <= seconds <= LONGEST:
         raise InputError(f"a simulated manoeuvre of {seconds} s was asked for; ask for 1 to {LONGEST:.0f} s")
-    truth = _values(effects, np.random.default_rng([seed, 1]), unknown, unknown_size)
-    setting = _Setting(seed, manoeuvres, noise, rho, card or read_card("attas"), sensor_noise, disturbance, seconds)
+    besides, card = () if beyond is None else beyond.effects, card or read_card("attas")
+    truth = _values(effects, np.random.default_rng([seed, 1]), beyond)
+    setting = _Setting(seed, manoeuvres, noise, rho, card, sensor_noise, disturbance, seconds, besides)
     failure = InputError("")
     for attempt in range(3):
         try:
@@ -104,7 +111,7 @@ def _flights(
     effects: Mapping[str, Mapping[str, float]], values: Mapping[str, Any], seed: list[int], setting: _Setting
 ) -> list[HiddenFlight]:
     card = setting.card
-    model, misrecording, propulsion = _models()
+    model, misrecording, propulsion = _models(setting.beyond)
     aircraft = model.actual_aircraft(values, card.aircraft)
     needed = {channel for name in effects for channel in _known(name).channels}
     moved = [name for name in SURFACES if {name, f"{name}_left"} & needed]
@@ -192,21 +199,21 @@ def _known(name: str) -> Effect:
 
 
 @cache
-def _models() -> tuple[Model, Model, Model]:
+def _models(beyond: tuple[Effect, ...]) -> tuple[Model, Model, Model]:
     """Flown, misrecording and thrust: one model each for whatever is hidden, so that each compiles once."""
     channel = [e for e in CATALOGUE.values() if e.stage is Stage.CHANNEL]
     return (
-        Model.of([*(e for e in CATALOGUE.values() if flies(e)), *STRAYS]),
+        Model.of([*(e for e in CATALOGUE.values() if flies(e)), *beyond]),
         Model.of([e for e in channel if e.kind is not Kind.PROPULSION]),
         Model.of([e for e in channel if e.kind is Kind.PROPULSION]),
     )
 
 
 def _values(
-    effects: Mapping[str, Mapping[str, float]], rng: np.random.Generator, unknown: str | None, size: float
+    effects: Mapping[str, Mapping[str, float]], rng: np.random.Generator, beyond: Beyond | None
 ) -> dict[str, Any]:
     """All parameters: neutral, the base aircraft's drawn around the demo's, then what is hidden."""
-    values = {p.name: p.neutral for p in _models()[0].parameters}
+    values = {p.name: p.neutral for p in _models(() if beyond is None else beyond.effects)[0].parameters}
     values |= {name: x * (1.0 + rng.uniform(-1.0, 1.0) * _SPREAD.get(name, 0.12)) for name, x in TRUTH.items()}
     for name, given in effects.items():
         own = {p.name for p in _known(name).parameters}
@@ -214,8 +221,8 @@ def _values(
         if not set(given) <= own:
             raise InputError(f"effect {name} has the parameters {', '.join(sorted(own))}, not {', '.join(given)}")
         values |= given
-    if unknown is not None:
-        values |= draw_unknown(rng, unknown, size)
+    if beyond is not None:
+        values |= beyond.draw(rng)
     return {name: np.float64(x) for name, x in values.items()}
 
 

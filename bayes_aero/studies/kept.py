@@ -15,7 +15,7 @@ from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.report.diagnosed import View
+from bayes_aero.report.diagnosed import DiagnosisView, View
 from bayes_aero.report.frames_diagnosis import causes_frame, screen_frame
 from bayes_aero.report.page import put_page
 from bayes_aero.report.page_context import PageContext
@@ -35,7 +35,7 @@ Hidden = Mapping[str, Mapping[str, float]]
 class Outcome:
     """A diagnosis with what is shown of it; `named`: each hidden effect is first, named, ambiguous, minor or missed."""
 
-    view: View
+    view: DiagnosisView
     hidden: Hidden | None
     named: Mapping[str, str]
     notes: tuple[str, ...]
@@ -68,9 +68,7 @@ class Kept:
         self.path = path
         self._card, self._records, self._source, self._lock = card, records, source, Lock()
         self._predictors, self._separating = earlier.predictors, earlier.separating
-        if path is not None:
-            write_csv(causes_frame(outcome.view), path / "causes.csv")
-            write_csv(screen_frame(outcome.view), path / "screen.csv")
+        self._put_tables()
         self._write()
         self._put_histories()
 
@@ -82,6 +80,11 @@ class Kept:
     def trajectories(self, found: Trajectories) -> None:
         """Keep simulated trajectories."""
         self._grow(trajectories=found)
+
+    def judged(self, found: Diagnosis) -> None:
+        """Keep the diagnosis with what hold-out flights say of its causes."""
+        self._grow(diagnosis=found)
+        self._put_tables()
 
     def stalls(self, view: View) -> None:
         """Keep the stalls of a view of the same diagnosis."""
@@ -146,12 +149,21 @@ class Kept:
             if "trajectories" in changes:
                 self._put_histories()
 
+    def _put_tables(self) -> None:
+        if self.path is not None:
+            write_csv(causes_frame(self.outcome.view), self.path / "causes.csv")
+            write_csv(screen_frame(self.outcome.view), self.path / "screen.csv")
+
     def _put_histories(self) -> None:
         if self.path is None:
             return
         view = self.outcome.view
         flown = view.trajectories.paths if view.trajectories else ()
-        failed = put_histories(lambda: {**diagnosed(view), **flights(flown)}, self.path, self._source.get(RESTS_ON, ""))
+        failed = put_histories(
+            lambda: {**(diagnosed(view) if isinstance(view, View) else {}), **flights(flown)},
+            self.path,
+            self._source.get(RESTS_ON, ""),
+        )
         if failed:
             self.outcome = replace(self.outcome, failures=(*self.outcome.failures, *failed))
             self._write()

@@ -21,7 +21,6 @@ RESULT_COLUMNS = (
     "unit", "records", "card", "effects", "noise", "split", "seed", "method", "cause", "parameter", "unit_of_value",
     "value", "sd", "low95", "high95", "status",
 )  # fmt: skip
-AXES = ("records", "card", "effects", "noise", "split", "seed")
 NUMBERS = ("seed", "seconds", "value", "sd", "low95", "high95")
 RESULTS = {"identify": "results.json", "diagnose": "diagnosis.json", "fly": "trajectories.json"}
 """Where a task leaves its numbers."""

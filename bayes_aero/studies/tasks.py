@@ -8,7 +8,6 @@ from pathlib import Path
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.studies.diagnose import run
-from bayes_aero.studies.diagnose_flown import Flown, lacking, run_flown
 from bayes_aero.studies.kept import Hidden, Outcome
 from bayes_aero.studies.outlook import predictors as compared
 from bayes_aero.studies.outlook import simulations
@@ -28,10 +27,8 @@ def diagnose_records(
     figures: bool = True,
     hidden: Hidden | None = None,
     progress: Progress | None = None,
-) -> Outcome | Flown:
-    """Diagnose, as `bayes-aero diagnose` does: by coefficients, or by trajectories where these cannot be formed."""
-    if lacking(flights, card):
-        return run_flown(flights, card, out=out, seed=seed, most=max_effects, fly=trajectories, progress=progress)
+) -> Outcome:
+    """Diagnose, as `bayes-aero diagnose` does."""
     return run(
         flights,
         card,

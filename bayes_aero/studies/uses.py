@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bayes_aero.criticism.state import too_short
-from bayes_aero.criticism.windows import too_few_windows
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.flown_channels import FLIGHT
@@ -13,6 +12,7 @@ from bayes_aero.model.formed import with_sums
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficient_names import REQUIRED
 from bayes_aero.physics.filters import FILTER_STEP
+from bayes_aero.residuals.windows import too_few_windows
 
 DERIVED = ("alpha_dot",)  # formed from recorded channels
 

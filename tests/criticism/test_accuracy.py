@@ -3,9 +3,9 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from test_confirmation import with_added
 
-from bayes_aero.criticism.accuracy import filtered_channels, noise_effect, recording_noise
-from bayes_aero.criticism.diagnosis import diagnose
+from bayes_aero.criticism.accuracy import filtered_channels, noise_effect, recording_noise, sizes
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.flights import despiked, join
 from bayes_aero.physics.filters import smooth
@@ -60,27 +60,21 @@ def test_spikes_are_repaired_and_steps_of_a_quantised_channel_are_not(card):
     assert np.max(np.abs(np.asarray(repaired.channels["q"])[at] - np.asarray(record["q"])[at])) < 0.05
 
 
-@pytest.mark.longest
 @pytest.mark.recovery
-def test_size_freed_of_what_noise_adds_is_nearer_to_the_truth(card):
+def test_size_freed_of_what_noise_adds_is_nearer_to_the_truth(card, model):
     """Ten times the usual noise of the sensors biases least squares by a tenth of Cma2, for alpha squared is noisy."""
-    rng = np.random.default_rng(77)
-    plain, freed, seen = [], [], 0
-    for seed in rng.integers(100_000, size=3):
-        hidden = ["alpha_squared_moment"]
-        effects, flights = flyable(hidden, seed=int(seed), noise="white", seconds=90.0, sensor_noise=10.0)
-        found = diagnose([flight.record for flight in flights], card, seed=0, gains_wanted=False)
-        truth = effects["alpha_squared_moment"]["Cma2"]
-        extension = found.aerodynamics
-        assert "alpha_squared_moment" in extension.state.active
-        size = extension.sizes["Cma2"]
-        column = int(extension.state.field.columns(["Cma2"])[0])
-        plain.append(abs(extension.state.theta[column] - truth))
-        freed.append(abs(size.mean - truth))
-        bias, spread = noise_effect(extension.state, extension.fit)
-        at = list(extension.fit.columns).index(column)
+    name, plain, freed, seen = "alpha_squared_moment", [], [], 0
+    for seed in np.random.default_rng(77).integers(100_000, size=3):
+        effects, flights = flyable([name], seed=int(seed), noise="white", seconds=90.0, sensor_noise=10.0)
+        state = with_added(card, model, [flight.record for flight in flights], [name])
+        fit, truth = state.fit(), effects[name]["Cma2"]
+        column = int(state.field.columns(["Cma2"])[0])
+        plain.append(abs(state.theta[column] - truth))
+        freed.append(abs(sizes(state, fit)["Cma2"].mean - truth))
+        bias, spread = noise_effect(state, fit)
+        at = list(fit.columns).index(column)
         if abs(bias[at]) > spread[at]:  # else chance may decide the sign
-            assert np.sign(bias[at]) == np.sign(extension.state.theta[column] - truth)
+            assert np.sign(bias[at]) == np.sign(state.theta[column] - truth)
             seen += 1
     assert seen > 0
     assert np.sum(freed) < 0.7 * np.sum(plain)

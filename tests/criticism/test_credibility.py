@@ -13,18 +13,19 @@ from bayes_aero.criticism.candidates import Field
 from bayes_aero.criticism.collinear import cancelling
 from bayes_aero.criticism.colour import colour_of
 from bayes_aero.criticism.confirmation import Confirmation
-from bayes_aero.criticism.credibility import MOST_NAMES, as_structure, attributed, implausible, own_share
+from bayes_aero.criticism.credibility import as_structure, attributed, implausible, own_share
 from bayes_aero.criticism.design import standard
 from bayes_aero.criticism.diagnosis import judged_on_held_out_flights, verdict_of
 from bayes_aero.criticism.election import uncertainty
 from bayes_aero.criticism.extension import Extension
 from bayes_aero.criticism.finding import Cause, Gain, Unknown, Verdict
-from bayes_aero.criticism.responses import Responses
+from bayes_aero.criticism.settings import DEFAULT
 from bayes_aero.criticism.state import linearised
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.model.flights import join
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.words_diagnosis import diagnosis_sentences
+from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.studies.demo import TRUTH, simulate_stall
 
 PAIR = ("pitch_rate_lift", "alpha_dot_lift")
@@ -78,7 +79,7 @@ def test_an_error_that_no_sensor_has_is_said_with_its_unit(diagnosed):
 
 def test_more_than_five_names_are_no_name():
     names = ("mass_scale", "drag_offset", "accel_x_bias", "density_scale", "mach_drag")
-    few, many = cause(ambiguous_with=names[: MOST_NAMES - 1]), cause(ambiguous_with=names)
+    few, many = cause(ambiguous_with=names[: DEFAULT.most_names - 1]), cause(ambiguous_with=names)
     assert attributed([few, many]) == ((few,), (), (many,))
     unlikely, open_ = cause(probability=0.33), cause(confirmed=False)
     assert attributed([unlikely, open_]) == ((unlikely, open_), (), ())
@@ -125,7 +126,7 @@ def both(card, model):
     whole = replace(model, effects=everything, parameters=parameters, fixed=())
     field = Field(whole, tuple(e.name for e in base), candidates, {})
     theta = np.array([TRUTH.get(p.name, p.neutral) for p in parameters])
-    return linearised(field, Responses.of(join([simulate_stall(0, card=card)], card), whole), NAMES, theta)
+    return linearised(field, EquationError.of(join([simulate_stall(0, card=card)], card), whole), NAMES, theta)
 
 
 def on(both, flights, values) -> Extension:
@@ -133,7 +134,7 @@ def on(both, flights, values) -> Extension:
     model = both.field.model
     theta = both.theta.copy()
     theta[both.field.columns(list(values))] = list(values.values())
-    state = linearised(both.field, Responses.of(flights, model), NAMES, theta, PAIR)
+    state = linearised(both.field, EquationError.of(flights, model), NAMES, theta, PAIR)
     fit = state.fit()
     return Extension(state, fit, state, fit, (), {}, PAIR, ())
 

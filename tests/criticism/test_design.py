@@ -10,7 +10,6 @@ import pytest
 
 from bayes_aero.criticism.candidates import Field
 from bayes_aero.criticism.design import separating, standard
-from bayes_aero.criticism.responses import Responses
 from bayes_aero.criticism.state import linearised
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
@@ -18,6 +17,7 @@ from bayes_aero.model.flights import join
 from bayes_aero.model.manoeuvres import commands, trimmed
 from bayes_aero.physics.atmosphere import GRAVITY, air, altitude_of_density
 from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.studies.demo import TRUTH, simulate_stall
 
 CANDIDATES = ("thrust_scale", "mass_scale", "alpha_dot_lift", "pitch_rate_lift", "sideslip_drag", "mach_drag")
@@ -34,7 +34,7 @@ def state(card, model):
     whole = replace(model, effects=everything, parameters=parameters, fixed=())
     field = Field(whole, tuple(e.name for e in base), candidates, {})
     theta = np.array([TRUTH.get(p.name, p.neutral) for p in parameters])
-    return linearised(field, Responses.of(join([simulate_stall(0, card=card)], card), whole), NAMES, theta)
+    return linearised(field, EquationError.of(join([simulate_stall(0, card=card)], card), whole), NAMES, theta)
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def test_a_record_without_altitude_begins_in_air_of_its_density(state):
     flights = state.responses.flights
     channels = {name: x for name, x in flights.channels.items() if name != "altitude"}
     without = replace(flights, channels=channels)
-    there = replace(state, responses=Responses.of(without, state.responses.model))
+    there = replace(state, responses=EquationError.of(without, state.responses.model))
     flown = standard(there, ("alpha_dot_lift",)).flown["elevator_doublet"]
     begin = float(np.mean(np.asarray(flights.channels["density"])[:50]))
     assert float(flown.channels["density"][0]) == pytest.approx(begin, rel=0.01)

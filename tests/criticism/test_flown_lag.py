@@ -26,7 +26,7 @@ SEED = 4132
 
 def asked(card, hidden, seed):
     """The card's model fitted to two stalls, and what is said of a lag beside it."""
-    flights = despiked(join(hidden_records(hidden, seed=seed, seconds=95.0), card, FLIGHT))[0]
+    flights = despiked(join(hidden_records(hidden, seed=seed, seconds=90.0), card, FLIGHT))[0]
     model = Model.from_card(card)
     field = field_of(model, flights)
     dynamics = aircraft_dynamics(model, flights)
@@ -50,30 +50,19 @@ def asked(card, hidden, seed):
 
 @pytest.mark.recovery
 def test_a_hidden_lag_is_kept_and_measured(card):
-    """Sizes from eight to sixteen chords: half a second and more in the stall.
-
-    One flight in thirty does not confirm it on the other, and two in sixteen, disturbed, bias its size by more than a
-    quarter (33 % at most): one of three must do both, and no size that is kept be far off.
-    """
-    tau1, told = np.random.default_rng(SEED).uniform(8.0, 16.0), []
-    for seed in (SEED, SEED + 10_000, SEED + 20_000):
-        lag, lagged = asked(card, {"separation_lag": {"tau1": tau1}}, seed)
-        assert lag.effect == "separation_lag"
-        found = dict(zip(lagged.fit.names, lagged.fit.estimate, strict=True))
-        assert found["tau2"] >= 0.0
-        told.append((seed, lag.kept, found["tau1"]))
-        if lag.kept:
-            assert found["tau1"] == pytest.approx(tau1, rel=0.45), told
-            if found["tau1"] == pytest.approx(tau1, rel=0.25):
-                return
-    pytest.fail(f"{tau1} was not kept and measured: {told}")
+    """Eight to sixteen chords: half a second and more in the stall. How often it is kept: benchmarks/flown_lag.py."""
+    tau1 = np.random.default_rng(SEED).uniform(8.0, 16.0)
+    lag, lagged = asked(card, {"separation_lag": {"tau1": tau1}}, SEED)
+    assert lag.effect == "separation_lag"
+    assert lag.kept, lag
+    found = dict(zip(lagged.fit.names, lagged.fit.estimate, strict=True))
+    assert found["tau2"] >= 0.0
+    assert found["tau1"] == pytest.approx(tau1, rel=0.2)
 
 
 @pytest.mark.recovery
 def test_a_lag_is_not_wanted_where_the_hysteresis_is_quasi_steady(card):
-    """Twice at most, as every test of five in a hundred: not in two flights in a row."""
-    told = [asked(card, {}, seed)[0] for seed in (SEED + 1, SEED + 2)]
-    assert not all(lag.kept for lag in told), (SEED, told)
+    assert not asked(card, {}, SEED + 1)[0].kept
 
 
 def path(errors, name="a"):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bayes_aero.criticism import finding
-from bayes_aero.criticism.finding import Missed, Verdict
-from bayes_aero.criticism.flown_tested import _verdict, missed
+from bayes_aero.criticism.finding import Missed, Verdict, as_tested
+from bayes_aero.criticism.flown_tested import missed
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.studies import diagnosis_results
 from tests.simulated_halves import halves
@@ -29,17 +29,17 @@ def test_an_error_of_which_more_than_half_is_no_noise_is_beyond_it():
 def test_causes_explain_only_where_noise_alone_is_left():
     noise, more = (finding.Tested({"alpha": Missed(1.0, x, x)}) for x in (1.0, 3.0))
     never = finding.Tested({})
-    assert [_verdict(Verdict.EXPLAINED, t) for t in (noise, more, never)] == [
+    assert [as_tested(Verdict.EXPLAINED, t) for t in (noise, more, never)] == [
         Verdict.EXPLAINED,
         Verdict.PARTLY_EXPLAINED,
         Verdict.PARTLY_EXPLAINED,
     ]
-    assert [_verdict(Verdict.NO_EFFECT, t) for t in (noise, more, never)] == [
+    assert [as_tested(Verdict.NO_EFFECT, t) for t in (noise, more, never)] == [
         Verdict.NO_EFFECT,
         Verdict.UNEXPLAINED,
         Verdict.NO_EFFECT,
     ]
-    assert _verdict(Verdict.UNEXPLAINED, noise) is Verdict.UNEXPLAINED
+    assert as_tested(Verdict.UNEXPLAINED, noise) is Verdict.UNEXPLAINED
     assert [diagnosis_results.tested_results(t)["within_noise"] for t in (noise, more, never)] == [True, False, None]
 
 

@@ -13,7 +13,7 @@ LINEAR = (
 STALL = {"flow_separation", "reattachment_hysteresis", "separated_moment", "separated_drag"}
 
 
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_a_linear_model_is_extended_to_the_stall_that_was_flown(card):
     seed = int(np.random.default_rng(611).integers(1_000_000))
     flights = hidden_flights({}, seed=seed, noise="ar1", seconds=90.0)

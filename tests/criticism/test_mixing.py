@@ -7,9 +7,10 @@ import pytest
 
 from bayes_aero.criticism.accuracy import Size
 from bayes_aero.criticism.candidates import Field
-from bayes_aero.criticism.extension import LEAST_SCORE, worth
+from bayes_aero.criticism.extension import worth
 from bayes_aero.criticism.projected import Projected
 from bayes_aero.criticism.regression import Fit
+from bayes_aero.criticism.settings import DEFAULT
 from bayes_aero.criticism.state import State
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.model.model import Model
@@ -74,4 +75,4 @@ def test_a_size_that_may_as_well_be_none_is_no_cause(scores, named):
     state = part(State, active=("cg_shift",), field=field)
     causes, minor = worth(state, {"cg_shift": Size(size, size / score, "m")})
     assert (causes, minor) == ((("cg_shift",), ()) if named else ((), ("cg_shift",)))
-    assert scores[0] > LEAST_SCORE or not named
+    assert scores[0] > DEFAULT.least_score or not named

@@ -11,7 +11,6 @@ import pytest
 from bayes_aero.criticism import discrepancy
 from bayes_aero.criticism.candidates import Field
 from bayes_aero.criticism.predictors import Predictor, compare_states
-from bayes_aero.criticism.responses import Responses
 from bayes_aero.criticism.state import linearised
 from bayes_aero.errors import InputError
 from bayes_aero.flight.record import FlightRecord
@@ -20,6 +19,7 @@ from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.flights import join
 from bayes_aero.model.observations import observe
 from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.studies.demo import simulate_stall
 
 
@@ -40,7 +40,7 @@ def _state(card, model, size: float, manoeuvres: int = 2):
     model = replace(model, effects=effects, parameters=tuple(p for e in effects for p in e.parameters), fixed=())
     field = Field(model, tuple(e.name for e in model.effects), (), {})
     start = fit_mle(model, observe(records, card, model), seed=0, extra_starts=0).estimate
-    return linearised(field, Responses.of(join(records, card), model), NAMES, np.asarray(start))
+    return linearised(field, EquationError.of(join(records, card), model), NAMES, np.asarray(start))
 
 
 @pytest.fixture(scope="module")

@@ -45,7 +45,7 @@ def test_nothing_is_named_where_nothing_is_hidden(tmp_path):
     assert found.verdict is Verdict.NO_EFFECT
 
 
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_a_poor_recorder_is_no_effect_and_hides_none(tmp_path):
     """Noise correlated from sample to sample, a filter of a few hertz, coarse digits: on all channels alike."""
     rng = np.random.default_rng(20264)
@@ -57,7 +57,7 @@ def test_a_poor_recorder_is_no_effect_and_hides_none(tmp_path):
     assert [cause.name for cause in found.causes] == [name]
 
 
-@pytest.mark.recovery
+@pytest.mark.verify
 @pytest.mark.parametrize("name", ["separated_alpha_moment", "alpha_squared_moment"])
 def test_noise_of_the_vane_in_lift_and_moment_at_once_is_no_shift_of_the_cg(tmp_path, name):
     """A CG moved aft adds lift to the moment, and takes the vane's noise out of it where it was in both."""
@@ -67,7 +67,7 @@ def test_noise_of_the_vane_in_lift_and_moment_at_once_is_no_shift_of_the_cg(tmp_
     assert abs(estimate.mean - size) < 3.0 * estimate.sd
 
 
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_gusts_are_no_error_of_a_sensor(tmp_path):
     """They are in vane and airspeed, and what integrates them wanders off like an offset. Their mean is a wind."""
     rng = np.random.default_rng(20262)
@@ -76,7 +76,7 @@ def test_gusts_are_no_error_of_a_sensor(tmp_path):
     assert not found.unknown
 
 
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_an_offset_of_the_vane_is_named_in_gusts_and_no_wind_beside_it(tmp_path):
     """From the flight path alone the two are nearly one; the coefficients feel the vane and not the wind."""
     _, size, found = diagnosed(tmp_path, 20263, "alpha_bias", gusts=0.4)

@@ -11,8 +11,9 @@ from bayes_aero.criticism.accuracy import Size
 from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.criticism.finding import Verdict
 from bayes_aero.criticism.sensors import agreement, compatibility
+from bayes_aero.criticism.settings import DEFAULT
 from bayes_aero.criticism.state import moved
-from bayes_aero.criticism.stretches import STRETCH, Stretches
+from bayes_aero.criticism.stretches import Stretches
 from bayes_aero.studies.hidden import draw_hidden, hidden_records
 
 SENSORS = ("alpha_bias", "accel_z_bias", "airspeed_scale", "pitch_rate_bias", "altitude_scale")
@@ -31,7 +32,7 @@ def test_stretches_measure_an_error_with_its_uncertainty(card):
     found = compatibility(records, card, seed=seed)
     assert name in found.causes, (seed, name, truth, found.causes)
     judged = Stretches(found.state, found.fit)
-    assert judged.freedom == 2 * round(90.0 / STRETCH) - 1
+    assert judged.freedom == 2 * round(90.0 / DEFAULT.block) - 1
     step, covariance = judged.judge(name)
     estimate = found.state.theta[found.state.field.columns(list(truth))] + step
     for (parameter, true), x, sd in zip(truth.items(), estimate, np.sqrt(np.diag(covariance)), strict=True):

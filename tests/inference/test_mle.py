@@ -79,7 +79,7 @@ def simulated(observations, model, noise, seed):
 NOISE = {"sigma_CL": 0.02, "sigma_CD": 0.005, "sigma_Cm": 0.004, "rho_CL": 0.0, "rho_CD": 0.0, "rho_Cm": 0.0}
 
 
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_bounds_cover_the_truth_under_white_noise(thinned, model):
     """100 replicates x 14 parameters: the spread of z = error/bound is that of a standard normal."""
     truth = np.array([TRUTH[n] for n in model.names])

@@ -251,7 +251,7 @@ def coloured_flown(seed, rho, n=500, biases=(0.0,)):
     return segments(join(records, card, dynamics.inputs), dynamics, outputs=("alpha", "q"))
 
 
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_corrected_intervals_cover_the_truth_under_coloured_noise():
     """AR(1) noise of rho 0.9: 95 % intervals that take it for white hold the truth far less often than they say."""
     truth = {name: x for name, x in SHORT_PERIOD_TRUTH.items() if name != "az0"}
@@ -350,7 +350,7 @@ def test_a_bias_of_what_was_not_recorded_is_refused():
         fit_output_error(coloured_flown(5, 0.0), biases={"altitude": Prior("normal", 0.0, 1.0)})
 
 
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_cramer_rao_intervals_cover_the_truth():
     """A hundred flights with new noise: 95 % intervals hold the truth as often as they say."""
     truth = {name: x for name, x in SHORT_PERIOD_TRUTH.items() if name != "az0"}

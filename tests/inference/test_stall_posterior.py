@@ -1,4 +1,4 @@
-"""The posterior: closed form, agreement of engines, white noise against bounds, coverage under coloured noise."""
+"""The posterior: closed form, agreement of engines, white noise against bounds, coloured noise."""
 
 from dataclasses import replace
 
@@ -17,7 +17,6 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import observe
 from bayes_aero.parameter import Prior
-from bayes_aero.studies.coverage import coverage_study
 from bayes_aero.studies.demo import TRUTH, simulate_stall
 
 SIGMA = np.array([0.02, 0.005, 0.004])
@@ -102,21 +101,6 @@ def test_white_posterior_is_as_wide_as_the_bounds(clean, model):
     assert posterior.status is PosteriorStatus.CONVERGED
     for name, crb in zip(mle.names, mle.crb, strict=True):
         assert posterior.marginals[name].sd == pytest.approx(crb, rel=0.10), name
-
-
-@pytest.mark.longest
-@pytest.mark.recovery
-def test_coverage_under_coloured_noise(thinned, model):
-    """rho = 0.95: the AR(1) posterior covers, Cramer-Rao bounds and the white posterior do not.
-
-    Sixty replicates of each of eight cells of colour and rate: benchmarks/coverage.py.
-    """
-    found = coverage_study(model, thinned, TRUTH, COLOURED, replicates=20, seed=17, white=4, max_steps=600)
-    share = found.table().loc["all"]
-    assert 0.91 <= share["AR(1) posterior"] <= 0.98
-    assert share["CRB"] < 0.6
-    assert share["white posterior"] < 0.6
-    assert share["corrected CRB"] > 0.8
 
 
 def test_coloured_posterior_of_a_flight_finds_the_pitching_moment(model, card):

@@ -2,11 +2,15 @@
 
 import numpy as np
 import pytest
+from out_of_catalogue import unknown
 
+from bayes_aero.criticism.candidates import field_of
 from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card, shipped_cards
+from bayes_aero.model.flights import join
 from bayes_aero.model.model import Model
+from bayes_aero.model.own_effects import own_effects
 from bayes_aero.studies.hidden import hidden_flights
 
 SOURCE = '''
@@ -76,10 +80,18 @@ def test_a_file_that_is_not_there_is_said(tmp_path):
         Model.from_card(card)
 
 
-@pytest.mark.recovery
+def test_it_stands_for_election(tmp_path, clean_records):
+    card = read_card(own_card(tmp_path))
+    own = tuple(own_effects(card.effect_files).values())
+    field = field_of(Model.from_card(card), join(clean_records, card), own)
+    assert "bank_pitching" in {e.name for e in field.candidates}
+    assert "CmB" in field.model.names
+
+
+@pytest.mark.verify
 def test_diagnosis_names_the_users_effect_and_calls_it_unexplained_without(tmp_path, card):
     seed = int(np.random.default_rng(5150).integers(1_000_000))
-    flights = hidden_flights({}, seed=seed, noise="ar1", seconds=90.0, unknown="bank_moment")
+    flights = hidden_flights({}, seed=seed, noise="ar1", seconds=90.0, beyond=unknown("bank_moment"))
     records, size = [f.record for f in flights], flights[0].values["unknown_bank"]
     found = diagnose(records, read_card(own_card(tmp_path)), seed=seed, gains_wanted=False)
     assert [c.name for c in found.causes] == ["bank_pitching"]

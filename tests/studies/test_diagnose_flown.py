@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.studies.diagnose_flown import run_flown
 from bayes_aero.studies.hidden import hidden_records
 from bayes_aero.studies.histories import flight_of, read_histories
+from bayes_aero.studies.tasks import diagnose_records
 from bayes_aero.studies.unfinished import MARK
 
 
@@ -26,8 +26,8 @@ def test_numbers_histories_and_page_are_of_this_run(card, tmp_path):
         (tmp_path / name).write_text("of another run")
     hidden = {"thrust_moment": {"thrust_arm": 0.6}}
     records = [without(r, "ax", "ay", "az") for r in hidden_records(hidden, seed=413_233, seconds=60.0)]
-    told = run_flown(records, card, out=tmp_path)
-    found, flown = told.diagnosis, told.trajectories
+    told = diagnose_records(records, card, out=tmp_path)
+    found, flown = told.diagnosis, told.view.trajectories
     assert not (tmp_path / MARK).exists()
     content = json.loads((tmp_path / "diagnosis.json").read_text())
     jsonschema.validate(

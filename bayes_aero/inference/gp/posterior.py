@@ -46,7 +46,6 @@ class Sampled(NamedTuple):
     emulator: Emulator
     status: SampleStatus
     rounds: int
-    pilot_error: float
 
 
 def stand_in_errors(
@@ -97,10 +96,10 @@ def sample_posterior(
         if not _mixed(chains):
             if not last:  # a rough stand-in holds chains up; the pilots smooth the next one
                 continue
-            return Sampled(chains, None, emulator, SampleStatus.not_mixed, number, error)
+            return Sampled(chains, None, emulator, SampleStatus.not_mixed, number)
         weighted = reweight(*thin(chains, budget.exact), data, priors, tell)
         if last or weighted.status is SampleStatus.accepted:
-            return Sampled(chains, weighted, emulator, weighted.status, number, error)
+            return Sampled(chains, weighted, emulator, weighted.status, number)
         points += _points(weighted)
     raise AssertionError("the last round returns")
 

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
+from ranks import DRAWS, band_of, rank
 
 from bayes_aero.inference.ensemble import sample_ensemble
 from bayes_aero.inference.gp.groups import systematic_resample
@@ -24,7 +25,6 @@ from bayes_aero.inference.laplace import density_start, search_modes
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.nuts import sample_nuts
 from bayes_aero.inference.posterior import Posterior
-from bayes_aero.inference.ranks import DRAWS, band_of, rank
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
@@ -69,7 +69,7 @@ def process_replicate(inputs: Float[np.ndarray, "n d"], names: tuple[str, ...], 
     rng, priors = np.random.default_rng([seed, 6]), Priors()
     d = inputs.shape[1]
     theta = np.asarray(priors.sample(jax.random.PRNGKey(seed), d, 1))[0]
-    y = np.linalg.cholesky(_covariance(theta, inputs)) @ rng.standard_normal(len(inputs))
+    y = np.linalg.cholesky(covariance(theta, inputs)) @ rng.standard_normal(len(inputs))
     data = ReducedData.of(inputs, y)
     best = find_map(data, priors, starts=4, polish=1, seed=seed)[0]
     found = sample_posterior(best, data, priors, budget=Budget(exact=400, nuts=Settings(300, 500, 4)), seed=seed)
@@ -81,7 +81,7 @@ def process_replicate(inputs: Float[np.ndarray, "n d"], names: tuple[str, ...], 
     return Replicate(seed, dict(zip(hyper_names(names), map(int, own), strict=True)), found.status.name)
 
 
-def _covariance(theta: Float[np.ndarray, " p"], x: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n n"]:
+def covariance(theta: Float[np.ndarray, " p"], x: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n n"]:
     """Constant, linear, squared exponential and noise, written out: independent of the engine that it tests."""
     d = x.shape[1]
     constant, linear, signal = np.exp(theta[0]), np.exp(theta[1 : d + 1]), np.exp(theta[d + 1])

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from bayes_aero.effect import Effect, Example, Kind, Stage
-from bayes_aero.errors import InputError
 from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.studies.hidden import Beyond
 
 
-def _stray(name: str, channels: tuple[str, ...], parameters: tuple[tuple[str, float], ...], increments: Any) -> Effect:
+def _effect(name: str, channels: tuple[str, ...], parameters: tuple[tuple[str, float], ...], increments: Any) -> Effect:
     own = tuple(
         Parameter(key, "-", neutral, neutral, "of an effect of no catalogue", Prior("normal", 0.0, 1.0))
         for key, neutral in parameters
@@ -25,20 +26,20 @@ def _periodic(v, s, *_):
     return {"CL": v["unknown_CL_wave"] * wave, "Cm": v["unknown_Cm_wave"] * wave}
 
 
-STRAYS: tuple[Effect, ...] = (
-    _stray(
+UNKNOWN: tuple[Effect, ...] = (
+    _effect(
         "bank_moment",
         ("phi",),
         (("unknown_bank", 0.0),),
         lambda v, s, *_: {"Cm": v["unknown_bank"] * jnp.sin(s["phi"])},
     ),
-    _stray(
+    _effect(
         "periodic",
         ("time",),
         (("unknown_CL_wave", 0.0), ("unknown_Cm_wave", 0.0), ("unknown_period", 5.0), ("unknown_phase", 0.0)),
         _periodic,
     ),
-    _stray(
+    _effect(
         "altitude_bump",
         ("altitude",),
         (("unknown_bump", 0.0), ("unknown_height", 5000.0), ("unknown_width", 100.0)),
@@ -50,19 +51,22 @@ STRAYS: tuple[Effect, ...] = (
 """Effects by name: a moment from bank angle, a wave in time, a bump of lift at one altitude."""
 
 
-def draw_unknown(rng: np.random.Generator, unknown: str, size: float) -> dict[str, float]:
-    """Parameters of one of `STRAYS` at random, `size` times their usual magnitude."""
-    sign = rng.choice([-1.0, 1.0]) * size
-    if unknown == "bank_moment":
+def unknown(name: str) -> Beyond:
+    """All of `UNKNOWN`, one program for whichever is hidden; that of this name has a size drawn at random."""
+    return Beyond(UNKNOWN, partial(_draw, name))
+
+
+def _draw(name: str, rng: np.random.Generator) -> dict[str, float]:
+    sign = rng.choice([-1.0, 1.0])
+    if name == "bank_moment":
         return {"unknown_bank": sign * rng.uniform(0.02, 0.06)}
-    if unknown == "periodic":
+    if name == "periodic":
         target, low, high = [("CL", 0.03, 0.08), ("Cm", 0.008, 0.025)][rng.integers(2)]
         wave = {f"unknown_{target}_wave": sign * rng.uniform(low, high)}
         return wave | {"unknown_period": rng.uniform(3.0, 15.0), "unknown_phase": rng.uniform(0.0, 2.0 * np.pi)}
-    if unknown == "altitude_bump":
-        return {
-            "unknown_bump": sign * rng.uniform(0.06, 0.12),
-            "unknown_height": rng.uniform(4700.0, 5000.0),
-            "unknown_width": rng.uniform(60.0, 120.0),
-        }
-    raise InputError(f"there is no unknown effect {unknown!r}; use one of {', '.join(e.name for e in STRAYS)}")
+    assert name == "altitude_bump"
+    return {
+        "unknown_bump": sign * rng.uniform(0.06, 0.12),
+        "unknown_height": rng.uniform(4700.0, 5000.0),
+        "unknown_width": rng.uniform(60.0, 120.0),
+    }

@@ -15,13 +15,13 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.arrays import Array, namespace
-from bayes_aero.criticism.linearisable import Blockwise
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.joined import Joined, Recorded
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import differentiate_joined, smooth_joined
 from bayes_aero.physics.flightpath import as_symmetric, integral, path_outputs, path_rates
+from bayes_aero.residuals.base import Blockwise
 
 LEVEL = np.radians(5.0)  # of bank: wings that move less count as level where bank was not recorded
 STEP = 1e-6  # of a parameter's prior deviation, and of a channel's largest value: differences are as good as slopes
@@ -61,7 +61,7 @@ def differences(
 
 
 @dataclass(frozen=True)
-class PathResponses(Blockwise):
+class FlightPathError(Blockwise):
     """Residuals of the flight path of `flights` under `model`; effects of later stages do nothing."""
 
     flights: Joined
@@ -74,7 +74,7 @@ class PathResponses(Blockwise):
         return self.path
 
     @classmethod
-    def of(cls, flights: Recorded, model: Model) -> PathResponses:
+    def of(cls, flights: Recorded, model: Model) -> FlightPathError:
         """`flights` under `model`; without outputs where there is no flight path."""
         channels = {name: np.asarray(x) for name, x in as_symmetric(flights.channels).items()}
         plain = Joined(channels, flights.aircraft, flights.manoeuvre, flights.time, flights.lengths, flights.names)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from matplotlib.figure import Figure
+from ranks import Band
 
-from bayes_aero.inference.ranks import Band
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.style import grid_of, housed
 

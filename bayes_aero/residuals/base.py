@@ -18,14 +18,14 @@ from bayes_aero.physics.filters import FILTER_STEP
 CHUNK = 16  # directions per call
 
 
-class Linearisable(ABC):
+class ResidualModel(ABC):
     """Outputs of flights under one model of many effects, as means over m blocks of samples; a dataclass that has both
     (in JAX an `equinox.Module`)."""
 
     flights: Recorded
     model: Model
 
-    def with_channels(self, channels: Mapping[str, Array]) -> Linearisable:
+    def with_channels(self, channels: Mapping[str, Array]) -> ResidualModel:
         """The same of flights with these channels."""
         flights = replace(self.flights, channels=dict(channels))  # pyright: ignore[reportArgumentType]
         return replace(self, flights=flights)  # pyright: ignore[reportArgumentType]
@@ -94,7 +94,7 @@ class Linearisable(ABC):
         return residual, S
 
 
-class Blockwise(Linearisable):
+class Blockwise(ResidualModel):
     """Means over blocks of `FILTER_STEP` samples, the rate that the reconstruction's filters pass."""
 
     @property

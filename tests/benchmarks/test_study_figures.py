@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from calibration_figures import rank_bands
+from coverage_figures import LOOKS, coverage_against_colour
+from coverage_study import METHODS
+from ranks import DRAWS, band_of
 
-from bayes_aero.inference.ranks import DRAWS, band_of
-from bayes_aero.report.figures_calibration import rank_bands
-from bayes_aero.report.figures_coverage import LOOKS, coverage_against_colour
 from bayes_aero.report.style import save
-from bayes_aero.studies.coverage import METHODS
 
 
 def test_ranks_outside_their_band_are_said_to_be(tmp_path):

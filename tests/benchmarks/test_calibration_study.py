@@ -3,12 +3,11 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from calibration_study import Replicate, calibration_table, covariance, process_replicate, stall_replicate
+from ranks import DRAWS
 
-from bayes_aero.inference.ranks import DRAWS
-from bayes_aero.studies.calibration import Replicate, _covariance, calibration_table, process_replicate, stall_replicate
 
-
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_both_engines_rank_a_truth_alike(thinned, model):
     """Same truth and data: two ranks among 99 draws differ by a deviation of at most 7; five are allowed."""
     few = thinned.thinned(4)
@@ -30,12 +29,12 @@ def test_a_sample_function_has_the_covariance_that_the_engine_assumes():
     rng = np.random.default_rng(2)
     x, theta = rng.standard_normal((12, 2)), rng.normal(-0.5, 0.3, 7)
     y = rng.standard_normal(12)
-    ours = multivariate_normal(np.zeros(12), _covariance(theta, x)).logpdf(y)
+    ours = multivariate_normal(np.zeros(12), covariance(theta, x)).logpdf(y)
     prior = float(Priors().log_density(jnp.asarray(theta)))
     assert log_density(theta, ReducedData.of(x, y), Priors()).value - prior == pytest.approx(ours, abs=1e-8)
 
 
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_a_process_replicate_ranks_every_hyperparameter():
     x = np.random.default_rng(5).standard_normal((40, 1))
     found = process_replicate(x, ("alpha",), 1)

@@ -1,45 +1,30 @@
 """The command line end to end on short records, and its words for bad input."""
 
 import json
-import os
 import re
-import subprocess
-import sys
 from importlib import resources
 from pathlib import Path
 
 import jsonschema
 import pytest
+from calling import called
 from markupsafe import escape
 
 from bayes_aero.flight.reading import write_record
 
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    """The program in a process of its own; programs that one has compiled serve the next."""
-    compiled = str(tmp_path_factory.mktemp("compiled"))
-    environment = {"JAX_COMPILATION_CACHE_DIR": compiled} | os.environ | {"JAX_PLATFORMS": "cpu"}
-
-    def program(*arguments, cwd):
-        command = [sys.executable, "-c", "from bayes_aero.cli import main; main()", *map(str, arguments)]
-        return subprocess.run(
-            command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=600, check=False
-        )
-
-    return program
+SETTINGS = ("--noise", "white", "--no-gp", "--no-figures")
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory, clean_records, card, run):
+def flown(tmp_path_factory, clean_records, card):
     """The stalls of both simulated manoeuvres as CSV files, and the results of one run on them."""
     folder = tmp_path_factory.mktemp("flown")
     paths = []
     for record in (whole.window(25.0, 65.0) for whole in clean_records):
         paths.append(folder / f"{record.name}.csv")
         write_record(record, paths[-1], [c for c in card.channels if record.has(c.name) or c.name == "time"])
-    done = run("identify", *paths, "--out", "first", "--noise", "white", "--no-gp", "--no-figures", cwd=folder)
-    assert done.returncode == 0, done.stderr
+    done = called(folder, "identify", *paths, "--out", "first", *SETTINGS)
+    assert done.code == 0, done.err
     return folder, paths, done
 
 
@@ -68,10 +53,10 @@ def test_the_page_and_the_file_tell_the_same_stall(flown):
     assert not list((folder / "first").glob("*.part"))
 
 
-def test_same_seed_same_numbers(flown, run):
+def test_same_seed_same_numbers(flown):
     folder, paths, _ = flown
-    again = run("identify", *paths, "--out", "again", "--noise", "white", "--no-gp", "--no-figures", cwd=folder)
-    assert again.returncode == 0, again.stderr
+    again = called(folder, "identify", *paths, "--out", "again", *SETTINGS)
+    assert again.code == 0, again.err
     first, second = (json.loads((folder / out / "results.json").read_text()) for out in ("first", "again"))
     first.pop("provenance")
     second.pop("provenance")
@@ -79,8 +64,8 @@ def test_same_seed_same_numbers(flown, run):
 
 
 def test_table_and_place_of_results_are_printed(flown):
-    assert "alpha_star" in flown[2].stdout
-    assert "first" in flown[2].stdout
+    assert "alpha_star" in flown[2].out
+    assert "first" in flown[2].out
 
 
 @pytest.mark.parametrize(
@@ -96,28 +81,28 @@ def test_table_and_place_of_results_are_printed(flown):
         (["diagnose", "--max-effects", "0"], "max-effects"),
     ],
 )
-def test_bad_input_is_one_sentence(tmp_path, run, arguments, told):
+def test_bad_input_is_one_sentence(tmp_path, program, arguments, told):
     (tmp_path / "empty.csv").write_text("")
     (tmp_path / "bad.toml").write_text('[aircraft]\n[channels]\n[model]\nefects = ["attached_lift"]\n')
-    done = run(*arguments, cwd=tmp_path)
-    assert done.returncode == 2
-    assert told in done.stderr
-    assert "Traceback" not in done.stderr
+    done = program(*arguments)
+    assert done.code == 2
+    assert told in done.err
+    assert "Traceback" not in done.err
     assert not Path(tmp_path / "results").exists()
     assert not Path(tmp_path / "diagnosis").exists()
 
 
-def test_diagnose_writes_and_tells_what_it_found(tmp_path, diagnosed, card, run):
+def test_diagnose_writes_and_tells_what_it_found(tmp_path, program, diagnosed, card):
     (record,) = diagnosed.records
     write_record(record, tmp_path / "a.csv", [c for c in card.channels if record.has(c.name) or c.name == "time"])
-    done = run("diagnose", "a.csv", "--max-effects", "1", "--no-figures", "--no-trajectories", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = program("diagnose", "a.csv", "--max-effects", "1", "--no-figures", "--no-trajectories")
+    assert done.code == 0, done.err
     found = json.loads((tmp_path / "diagnosis" / "diagnosis.json").read_text())
     schema = json.loads(resources.files("bayes_aero.studies").joinpath("diagnosis.schema.json").read_text())
     jsonschema.validate(found, schema)
     assert found["provenance"]["settings"] == {"max_effects": 1}
     for cause in found["causes"]:
-        assert cause["name"] in done.stdout
+        assert cause["name"] in done.out
     assert (tmp_path / "diagnosis" / "screen.csv").is_file()
     assert not (tmp_path / "diagnosis" / "figures").exists()
     page = (tmp_path / "diagnosis" / "report.html").read_text()

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from bayes_aero.criticism.candidates import field_of
-from bayes_aero.criticism.responses import Responses
 from bayes_aero.effect import Stage
 from bayes_aero.model.flights import join
+from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.studies.demo import TRUTH, simulate_stall
 
 STEP = 1e-5  # of a parameter's usual deviation
@@ -14,7 +14,7 @@ STEP = 1e-5  # of a parameter's usual deviation
 
 @pytest.fixture(scope="module")
 def problem(card, model):
-    """Responses of one flight, its field, and parameters near those flown but off neutral."""
+    """EquationError of one flight, its field, and parameters near those flown but off neutral."""
     flights = join([simulate_stall(0, card=card)], card)
     field = field_of(model, flights)
     rng = np.random.default_rng(12)
@@ -22,7 +22,7 @@ def problem(card, model):
     middle = np.array([TRUTH.get(name, field.neutral[name]) for name in field.model.names])
     theta = middle + 1e-3 * deviation * rng.uniform(0.5, 1.0, len(middle))
     low, high = np.array([p.bounds for p in field.model.free]).T
-    return Responses.of(flights, field.model), field, np.clip(theta, low, high), deviation
+    return EquationError.of(flights, field.model), field, np.clip(theta, low, high), deviation
 
 
 def test_what_moves_the_measured_side_are_the_effects_on_record_and_aircraft(problem):

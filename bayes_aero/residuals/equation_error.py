@@ -16,18 +16,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from bayes_aero.criticism.linearisable import Blockwise
-from bayes_aero.criticism.path_responses import differences, flight_path
 from bayes_aero.model.flights import Flights, response_scales
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficients import NAMES, coefficients
 from bayes_aero.physics.flightpath import LATERAL, PATH
+from bayes_aero.residuals.base import Blockwise
+from bayes_aero.residuals.flight_path import differences, flight_path
 
 GROUP = 4  # directions at a time: most calls ask for no more, and the others lose nothing
 RESPONSE = ("q", *PATH, *LATERAL)  # measured channels whose own scale an effect may change
 
 
-class Responses(Blockwise, eqx.Module):
+class EquationError(Blockwise, eqx.Module):
     """Residuals of one set of flights under one model of many effects.
 
     Residuals are averaged over m blocks. They are referred to the response as recorded: a coefficient's residual is
@@ -42,7 +42,7 @@ class Responses(Blockwise, eqx.Module):
     path: tuple[str, ...] = eqx.field(static=True)  # flight-path outputs
 
     @classmethod
-    def of(cls, flights: Flights, model: Model) -> Responses:
+    def of(cls, flights: Flights, model: Model) -> EquationError:
         """`flights` under `model`."""
         return cls(flights, model, _measuring(model, flights), flight_path(flights))
 
@@ -71,7 +71,7 @@ class Responses(Blockwise, eqx.Module):
         return [np.flatnonzero(measuring), np.flatnonzero(~measuring)]
 
     @property
-    def _nameless(self) -> Responses:
+    def _nameless(self) -> EquationError:
         return replace(self, flights=self.flights.nameless)
 
 
@@ -88,18 +88,18 @@ def _measuring(model: Model, flights: Flights) -> tuple[int, ...]:
     return tuple(i for i, x in enumerate(program.invars) if id(x) in read)
 
 
-def _measured(responses: Responses, values: Mapping[str, Any], channels: Mapping[str, Array]):
+def _measured(responses: EquationError, values: Mapping[str, Any], channels: Mapping[str, Array]):
     """Corrected signals of every flight, and the aircraft as it is."""
     corrected = responses.model.corrected(values, channels, responses.flights.aircraft)
     return responses.flights.with_slopes(corrected), responses.model.actual_aircraft(values, responses.flights.aircraft)
 
 
-def _modelled(responses: Responses, values, signals, aircraft):
+def _modelled(responses: EquationError, values, signals, aircraft):
     known = responses.model.flow(values, signals, aircraft)
     return jnp.stack([known[name] for name in NAMES], axis=-1), known["X"]
 
 
-def _referred(responses: Responses, signals, aircraft, scales):
+def _referred(responses: EquationError, signals, aircraft, scales):
     """Factors (n, 3) that refer residuals of coefficients to the response as recorded."""
     f = responses.flights
     pressure = signals["density"] * jnp.square(signals["airspeed"])
@@ -109,7 +109,7 @@ def _referred(responses: Responses, signals, aircraft, scales):
     return jnp.stack([force, force, moment], axis=-1)
 
 
-def _residuals(responses: Responses, theta):
+def _residuals(responses: EquationError, theta):
     """Residuals of blocks, and everything that explains them."""
     f, model = responses.flights, responses.model
     values = model.values(theta)
@@ -130,13 +130,13 @@ _evaluate = eqx.filter_jit(_residuals)
 
 
 @eqx.filter_jit
-def _linearise(responses: Responses, theta, directions):
+def _linearise(responses: EquationError, theta, directions):
     residual, slope = jax.linearize(lambda t: _residuals(responses, t)[0], theta)
     return residual, _along(lambda d: -slope(d), directions)
 
 
 @eqx.filter_jit
-def _linearise_flow(responses: Responses, theta, directions):
+def _linearise_flow(responses: EquationError, theta, directions):
     """As `_linearise`, in directions that leave everything measured as it is."""
     f, model = responses.flights, responses.model
     values = model.values(theta)

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from injection import injected
 
 from bayes_aero.criticism.diagnosis import diagnose
 from bayes_aero.errors import InputError
 from bayes_aero.flight.reading import read_record
 from bayes_aero.studies.demo import simulate_stall
-from bayes_aero.studies.injected import injected
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +56,7 @@ def test_alpha_dot_is_made_from_the_record(record, card):
     assert np.std(np.asarray(held["elevator"]) - np.asarray(record["elevator"])) > 1e-4
 
 
-@pytest.mark.longest
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_sensor_errors_are_found_on_top_of_what_the_real_records_contain(attas_paths, card):
     records = [read_record(path, card.channels) for path in attas_paths]
     rng = np.random.default_rng(90)

@@ -1,0 +1,73 @@
+"""Every threshold of a diagnosis, each with its reason. What is called our choice has no other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class DiagnosisSettings:
+    """Thresholds of screening, selection, hold-out tests and the search for structure without a name.
+
+    Numerical constants (ridges, steps of iterations) are not among them. Defaults were chosen on simulated flights;
+    rates of false alarms and of detection that follow from them are in `benchmarks/README.md`.
+    """
+
+    max_effects: int = 8  # effects that each stage may add
+
+    # Screening: every candidate's score against noise-only replicates.
+    replicates: int = 200  # noise-only replicates behind every p-value: it is 0.005 at the least
+    correction_replicates: int = 40  # replicates that measure the bias of the estimated autocorrelation
+    least_score: float = 2.5  # a candidate below it is not beyond chance among dozens
+
+    # Forward selection.
+    false_alarm_rate: float = 0.05  # family-wise, of each selection
+    refit_false_alarm_rate: float = 0.02  # of leaders that are fitted first, because they passed for slow noise
+    candidates_tried: int = 8  # leaders considered in one selection
+    candidates_refitted: int = 3  # leaders that are fitted and judged by the block jackknife
+    least_share: float = 0.04  # of a coefficient's remaining variance: imperfect regressors imitate less
+    least_share_correlated: float = 0.3  # of its gain that an effect must keep when noise of coefficients may correlate
+    exchange_margin: float = 0.02  # of a candidate's gain by which another must exceed it to take its place
+    decisive: float = 3.0  # nats by which one of two extensions must be the better
+
+    # Rivals and credibility of a cause.
+    ambiguous: float = 3.0  # nats within which another effect explains the residuals as well
+    least_rival_score: float = 2.0  # score that an effect needs on its own to be a rival
+    most_names: int = 5  # of an ambiguity set: beyond it the record does not attribute what it shows
+    implausible: float = 2.0  # standard errors by which a size must be beyond what aircraft have
+    least_excitation: float = 0.1  # least over largest spread of an effect's sensitivities among manoeuvres; our choice
+    correlated: float = 0.9  # correlation of two estimates beyond which one follows the other
+    near_one: float = 0.15  # within which the factor of a sum or difference of two parameters is reported as one
+
+    # Hold-out tests.
+    hold_out: float = 1.645  # standard errors by which the hold-out log score must fall: one-sided, 5 %
+    hold_out_first_order: float = 5.0  # the same to first order, from which nothing is fitted again to see it
+    hold_out_steps: int = 4  # Gauss-Newton steps of each fit to the other parts
+    parts: int = 6  # of a single manoeuvre, each predicted from the others
+    gap: float = 2.0  # s left out between neighbouring parts of one manoeuvre
+    shortest_part: float = 3.0  # times the gap
+    unidentified: float = 10.0  # times the joint standard error from which a manoeuvre does not identify a cause
+
+    # Block jackknife.
+    block: float = 15.0  # s; our choice: gusts hang together over some 5 s, and a minute must have several blocks
+    fewest_blocks: int = 6  # of a short record
+
+    # Structure without a name.
+    knots: int = 6  # of the smooth function of a channel
+    manoeuvre_parts: int = 4  # of each manoeuvre: a sinusoid must predict the parts that it was not fitted to
+    unnamed_replicates: int = 100  # noise-only replicates
+    unnamed_false_alarm_rate: float = 0.02  # of each family of functions
+    unnamed_tried: int = 5  # leaders whose hold-out gain is measured
+    unnamed_most: int = 3  # functions taken one after another
+    unnamed_share: float = 0.1  # of the remaining variance: less is not worth a verdict
+    periodic_share: float = 0.25  # the same of a sinusoid: noise alone draws a fifth of the variance into one
+    single_share: float = 0.3  # the same on a single manoeuvre: its parts share their slow noise and confirm little
+    stand_in: float = 1.2  # times a named cause's hold-out gain that a function must reach to take its place
+
+    # Sensor errors that the flight path cannot separate.
+    imitated: float = 0.95  # share of what an error does from which others do it as well; our choice
+    imitators: int = 3  # errors that imitate one together
+    open_share: float = 0.5  # of what an output leaves that an unconfirmed error must explain to be reported
+
+
+DEFAULT = DiagnosisSettings()

@@ -1,0 +1,130 @@
+"""Output error: recorded channels less simulated ones, in windows that each begin at a state of their own.
+
+Less is seen than in coefficients: a trajectory integrates what a coefficient shows at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from bayes_aero.model.dynamics import AircraftDynamics
+from bayes_aero.model.flights import Flights
+from bayes_aero.model.model import Model
+from bayes_aero.model.segments import Flown, segments, simulate
+from bayes_aero.physics.filters import FILTER_STEP
+from bayes_aero.residuals.base import ResidualModel
+from bayes_aero.residuals.windows import WINDOW
+
+
+class OutputError(ResidualModel, eqx.Module):
+    """Residuals of simulated windows, averaged over blocks of `FILTER_STEP` samples: m of them."""
+
+    flights: Flights
+    windows: Flown
+    place: Int[np.ndarray, " m"]  # of every block that is whole, among all
+    model: Model = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, flights: Flights, dynamics: AircraftDynamics, substeps: int = 1) -> OutputError:
+        """Every manoeuvre in windows."""
+        names = tuple(n for n in dynamics.outputs if n in flights.channels)
+        cut = segments(flights, dynamics, outputs=names, window=WINDOW, substeps=substeps)
+        whole = cut.index.shape[1] // FILTER_STEP * FILTER_STEP
+        index, inside, swell = (x[:, :whole] for x in (cut.index, cut.inside, cut.swell))
+        cut = replace(cut, index=index, inside=inside, swell=swell)
+        place = np.flatnonzero(cut.inside.reshape(-1, FILTER_STEP).all(axis=1))
+        return cls(flights=flights, windows=cut, place=place, model=dynamics.model)
+
+    @property
+    def flown(self) -> Flown:
+        """The windows of the present flights."""
+        return eqx.tree_at(lambda f: f.flights, self.windows, self.flights)
+
+    @property
+    def _nameless(self) -> OutputError:
+        return replace(self, flights=self.flights.nameless, windows=self.windows.nameless)
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the channels that are compared."""
+        return self.windows.outputs
+
+    @property
+    def manoeuvre(self) -> Int[np.ndarray, " m"]:
+        """Which manoeuvre each block belongs to."""
+        return self.flights.manoeuvre[self.windows.index[:, ::FILTER_STEP].ravel()[self.place]]
+
+    @property
+    def stretch(self) -> Int[np.ndarray, " m"]:
+        """The window of each block: what disturbs the flight gathers from its beginning on."""
+        return np.repeat(np.arange(len(self.windows.index)), self.windows.index.shape[1] // FILTER_STEP)[self.place]
+
+    @property
+    def seconds(self) -> float:
+        """Length of a block, s."""
+        return FILTER_STEP * float(np.median(self.windows.dt))
+
+    def _mean(self, x: Float[Array, "w n ..."]) -> Float[Array, "m ..."]:
+        parts = x.reshape(-1, FILTER_STEP, *x.shape[2:]).mean(axis=1)
+        return parts[self.place]
+
+    def block(self, x: Float[Array, "n ..."] | Float[np.ndarray, "n ..."]) -> Float[Array, "m ..."]:
+        """Means over blocks."""
+        return self._mean(jnp.asarray(x)[self.windows.index])
+
+    def evaluate(
+        self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
+    ) -> tuple[Float[Array, "m c"], Mapping[str, Array]]:
+        """Residuals of the windows, begun at their measured states."""
+        return _evaluate(self._nameless, jnp.asarray(theta)), {}
+
+    def slopes(
+        self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
+    ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
+        """Residuals and minus their derivatives in these directions."""
+        residual, slope = _slopes(self._nameless, jnp.asarray(theta), jnp.asarray(directions))
+        return np.asarray(residual), -np.asarray(slope)
+
+    def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:
+        """Sensitivities to the initial state of each window."""
+        keep = [self.outputs.index(name) for name in outputs]
+        slope = -np.asarray(_state_slopes(self._nameless, jnp.asarray(theta)))[:, :, keep]  # s m c
+        window = self.stretch
+        s, m, c = slope.shape
+        S = np.zeros((m, c, len(self.windows.index) * s))
+        for w in range(len(self.windows.index)):
+            mine = window == w
+            S[mine, :, w * s : (w + 1) * s] = np.moveaxis(slope[:, mine], 0, 2)
+        return S
+
+
+def _residual(responses: OutputError, theta: Any, shared: Any) -> Float[Array, "m c"]:
+    found = simulate(responses.flown, theta, jnp.zeros((len(responses.windows.index), 1)) + shared)
+    return responses._mean(found.residual)
+
+
+@eqx.filter_jit
+def _evaluate(responses: OutputError, theta):
+    return _residual(responses, theta, jnp.zeros(len(responses.windows.dynamics.states)))
+
+
+@eqx.filter_jit
+def _slopes(responses: OutputError, theta, directions):
+    rest = jnp.zeros(len(responses.windows.dynamics.states))
+    one = lambda d: jax.jvp(lambda t: _residual(responses, t, rest), (theta,), (d,))  # noqa: E731
+    return jax.vmap(one, out_axes=(None, 0))(directions)
+
+
+@eqx.filter_jit
+def _state_slopes(responses: OutputError, theta):
+    rest = jnp.zeros(len(responses.windows.dynamics.states))
+    one = lambda d: jax.jvp(lambda x: _residual(responses, theta, x), (rest,), (d,))[1]  # noqa: E731
+    return jax.vmap(one)(jnp.eye(len(rest)))

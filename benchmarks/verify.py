@@ -1,0 +1,204 @@
+"""Fly flights of fresh seeds, and hold the rates that the documentation claims against exact binomial bounds.
+
+    python benchmarks/verify.py                    # rounds for ten minutes on two cores (make verify)
+    python benchmarks/verify.py --full             # 70 rounds with posteriors: hours
+    python benchmarks/verify.py --rounds 3 --minutes 5 --workers 1
+
+A round has flights of six kinds: nothing hidden, one effect, an effect of no catalogue; another simulator's aircraft
+with one effect and without; a pair of stalls for `identify`. Seeds are drawn anew and printed. Every flight is one line
+of OUT/<first seed>/flights.jsonl; the same command takes up a run of the same commit that was interrupted. At the end
+one line is added to the ledger, whatever the verdict. Exit status 1: a claim is refuted, or a flight crashed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import secrets
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, ProcessPoolExecutor, wait
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from claims import CLAIMS, LEVEL, ROUND
+
+import bayes_aero
+
+HERE = Path(__file__).resolve().parent
+LEDGER = HERE / "ledger.csv"
+SEEDS = (1_000_000, 30_000_000)  # among which the first is drawn; the documentation's are below
+FULL = 70  # rounds
+
+Row = Mapping[str, Any]
+Case = Callable[[str, int, bool], Row]
+
+
+@dataclass(frozen=True)
+class Run:
+    """What makes two runs the same: code, rounds, and whether posteriors are sampled; and the first seed."""
+
+    commit: str
+    rounds: int
+    posterior: bool
+    first: int
+
+    def jobs(self) -> Iterator[tuple[str, int, bool]]:
+        """Kind, seed and whether to sample, round by round."""
+        for number in range(self.rounds):
+            for kind, flights_each in ROUND.items():
+                for k in range(number * flights_each, (number + 1) * flights_each):
+                    yield kind, self.first + k, self.posterior
+
+
+def commit_of(folder: Path) -> str:
+    """The commit of the code, with `+changes` where tracked files but the ledger differ from it."""
+
+    def git(*words: str) -> str:
+        return subprocess.run(["git", *words], cwd=folder, capture_output=True, text=True, check=True).stdout.strip()
+
+    try:
+        paths = (":/", ":(top,exclude)benchmarks/ledger.csv")
+        changed = git("status", "--porcelain", "--untracked-files=no", "--", *paths)
+        return git("rev-parse", "--short=10", "HEAD") + ("+changes" if changed else "")
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+
+
+def begin(out: Path, commit: str, rounds: int, posterior: bool) -> tuple[Run, Path]:
+    """The unfinished run of the same code and settings in `out`, or a new one of fresh seeds; and its folder."""
+    for path in sorted(out.glob("*/run.json")):
+        kept = json.loads(path.read_text())
+        if not kept.pop("finished") and kept == asdict(Run(commit, rounds, posterior, kept["first"])):
+            return Run(**kept), path.parent
+    run = Run(commit, rounds, posterior, SEEDS[0] + secrets.randbelow(SEEDS[1] - SEEDS[0]))
+    folder = out / str(run.first)
+    folder.mkdir(parents=True)
+    mark(run, folder, finished=False)
+    return run, folder
+
+
+def mark(run: Run, folder: Path, *, finished: bool) -> None:
+    """Keep a run's settings, and whether its line is in the ledger."""
+    (folder / "run.json").write_text(json.dumps(asdict(run) | {"finished": finished}))
+
+
+def flights(folder: Path) -> list[Row]:
+    """Those that are done; a line that an interruption cut off is flown again."""
+    path = folder / "flights.jsonl"
+    lines = path.read_text().split("\n")[:-1] if path.exists() else []
+    return [json.loads(line) for line in lines]
+
+
+def fly(run: Run, folder: Path, case: Case, pool: Executor, workers: int, seconds: float) -> list[Row]:
+    """Fly what is not done yet; none is begun after `seconds`. All flights of the run."""
+    rows = flights(folder)
+    done = {(row["kind"], row["seed"]) for row in rows}
+    jobs = (job for job in run.jobs() if job[:2] not in done)
+    deadline, pending = time.monotonic() + seconds, set()
+    (folder / "flights.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    with (folder / "flights.jsonl").open("a") as file:
+        while True:
+            while len(pending) < workers and time.monotonic() < deadline and (job := next(jobs, None)):
+                pending.add(pool.submit(case, *job))
+            if not pending:
+                return rows
+            ended, pending = wait(pending, return_when=FIRST_COMPLETED)
+            for row in (future.result() for future in ended):
+                file.write(json.dumps(row) + "\n")
+                file.flush()
+                rows.append(row)
+                print(f"{row['kind']:14s} {row['seed']}: {_said(row)}", flush=True)
+
+
+def _said(row: Row) -> str:
+    for word in ("refused", "crashed"):
+        if word in row:
+            return f"{word}: {row[word]}"
+    return ", ".join(f"{key} {'yes' if hit else 'no'}" for key, hit in row["trials"].items()) or "too small to count"
+
+
+def count(rows: Sequence[Row]) -> dict[str, tuple[int, int]]:
+    """Hits and trials of each claim."""
+    each = {claim.key: [row["trials"][claim.key] for row in rows if claim.key in row["trials"]] for claim in CLAIMS}
+    return {key: (sum(hits), len(hits)) for key, hits in each.items()}
+
+
+def line_of(run: Run, rows: Sequence[Row]) -> dict[str, str]:
+    """The run as a line of the ledger."""
+    counts, crashed = count(rows), sum("crashed" in row for row in rows)
+    refuted = [claim.key for claim in CLAIMS if not claim.holds(*counts[claim.key])]
+    faults = [*refuted, *([f"{crashed} crashed"] if crashed else [])]
+    seeds = [row["seed"] for row in rows]
+    line = {
+        "date": datetime.now(UTC).strftime("%Y-%m-%d"),
+        "version": bayes_aero.__version__,
+        "commit": run.commit,
+        "seeds": f"{min(seeds, default=run.first)} to {max(seeds, default=run.first)}",
+        "flights": str(len(rows)),
+        "refused": str(sum("refused" in row for row in rows)),
+        "verdict": "not refuted" if not faults else f"refuted: {', '.join(faults)}",
+    }
+    for claim in CLAIMS:
+        hits, of = counts[claim.key]
+        line |= {claim.key: f"{hits}/{of}", f"{claim.key}_99": claim.bound(hits, of) if of else ""}
+    return line
+
+
+def enter(line: Mapping[str, str], ledger: Path) -> None:
+    """Add a line; a column that the ledger lacks is added behind the others."""
+    old = [pd.read_csv(ledger, dtype=str, keep_default_na=False)] if ledger.exists() else []
+    pd.concat([*old, pd.DataFrame([line])], ignore_index=True).fillna("").to_csv(ledger, index=False)
+
+
+def report(rows: Sequence[Row]) -> None:
+    """Counts, bounds and verdicts."""
+    counts = count(rows)
+    for claim in CLAIMS:
+        hits, of = counts[claim.key]
+        if of:
+            verdict = "not refuted" if claim.holds(hits, of) else "REFUTED"
+            print(f"{claim.text}: {hits} of {of}; claimed {claim.side} {claim.rate:g}; "
+                  f"{LEVEL:.0%} bound {claim.bound(hits, of)}; {verdict}")  # fmt: skip
+        else:
+            print(f"{claim.text}: not tried")
+
+
+def fresh(kind: str, seed: int, posterior: bool) -> Row:
+    """A flight in a worker, which alone loads the package's numerics."""
+    from verify_cases import case
+
+    return case(kind, seed, posterior)
+
+
+def main() -> int:
+    """Run, report, enter; the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, help=f"(default: as time allows, at most {FULL})")
+    parser.add_argument("--minutes", type=float, help="after which no flight is begun (default: 10; none with --full)")
+    parser.add_argument("--full", action="store_true", help=f"{FULL} rounds, with posteriors, for as long as it takes")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=HERE.parent / "out" / "verify")
+    parser.add_argument("--ledger", type=Path, default=LEDGER)
+    given = parser.parse_args()
+    minutes = given.minutes or (float("inf") if given.full else 10.0)
+    run, folder = begin(given.out, commit_of(HERE), given.rounds or FULL, given.full)
+    print(f"commit {run.commit}, seeds from {run.first}, flights in {folder}", flush=True)
+    with ProcessPoolExecutor(given.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        rows = fly(run, folder, fresh, pool, given.workers, 60.0 * minutes)
+    line = line_of(run, rows)
+    report(rows)
+    enter(line, given.ledger)
+    mark(run, folder, finished=True)
+    print(f"{line['verdict']}; entered in {given.ledger}")
+    return int(line["verdict"] != "not refuted")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
