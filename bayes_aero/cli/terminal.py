@@ -83,7 +83,7 @@ def loading() -> Iterator[None]:
 def card_and_records(
     model: str, records: Sequence[Path], resample: float | None, split: bool
 ) -> tuple[Card, list[FlightRecord]]:
-    """What a command is given, read before anything that takes seconds to load: a mistake is told at once."""
+    """What a command is given, read before anything that takes seconds to load: a mistake is reported at once."""
     from bayes_aero.flight.reading import present, read_records
 
     for path in records:
@@ -141,12 +141,12 @@ def exit_in_doubt(agreement: Consistency | None, health: Sequence[HealthFinding]
 
 
 class InterruptionError(Exception):
-    """Ctrl-C, with what is kept and how to go on."""
+    """Ctrl-C, with what is kept and how to continue."""
 
 
 @contextmanager
 def interruptible(resume: Callable[[], str]) -> Iterator[None]:
-    """Let Ctrl-C say what is kept and how to go on."""
+    """Report at Ctrl-C what is kept and how to continue."""
     try:
         yield
     except KeyboardInterrupt:

@@ -49,7 +49,7 @@ class Estimates:
 
     @property
     def claimed(self) -> float:
-        """Root mean square of the units' own deviations."""
+        """Root mean square of the units' own standard errors."""
         return float(np.sqrt(np.mean(np.square(self.sd))))
 
 

@@ -68,7 +68,7 @@ def _kinds(identification: Identification) -> dict[str, str]:
 
 
 def _largest(identification: Identification, name: str, kind: str) -> tuple[float, str, str]:
-    """Largest difference of two manoeuvres in deviations of the difference, and which two.
+    """Largest difference of two manoeuvres in standard errors of the difference, and which two.
 
     A posterior's deviation for a manoeuvre alone is its Cramer-Rao one times the joint ratio of posterior to bound:
     the manoeuvres were not sampled one by one.

@@ -127,7 +127,7 @@ def usable(mle: MleResult) -> bool:
 
 
 def alone(identification: Identification, name: str) -> dict[str, tuple[float, float, float]]:
-    """Estimate, Cramer-Rao and corrected deviation of `name` by manoeuvre, from usable fits inside their bounds."""
+    """Estimate, Cramer-Rao bound and corrected bound of `name` by manoeuvre, from usable fits inside their bounds."""
     found = {}
     for manoeuvre, mle in identification.alone.items():
         if usable(mle) and name in mle.names and name not in mle.at_bound:
@@ -156,5 +156,5 @@ def apart(a: float, b: float, sd_a: float, sd_b: float) -> float:
 
 
 def decimals(sd: float) -> int:
-    """Decimal places that show two digits of a deviation."""
+    """Decimal places that show two digits of a standard error."""
     return int(np.clip(1 - np.floor(np.log10(sd)), 0, 8))

@@ -43,7 +43,7 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Standing:
-    """One candidate of a stage's first election, at its best: `estimate` and `sd` by parameter.
+    """One candidate of a stage's first screening, at its best value: `estimate` and `sd` by parameter.
 
     `explains` is the share of the remaining variance that it would take away, by which candidates are taken in turn.
     """
@@ -73,7 +73,7 @@ class Ranking:
 
 @dataclass(frozen=True)
 class Move:
-    """A parameter of the card before and after the causes were added, with deviations that know the colour."""
+    """A parameter of the card before and after the causes are added; standard errors count the autocorrelation."""
 
     before: float
     after: float
@@ -169,7 +169,7 @@ def _card(diagnosis: Diagnosis) -> tuple[State, Fit]:
 
 
 def _extended(diagnosis: Diagnosis) -> tuple[State, Fit]:
-    """The extension as far as unseen data confirm it."""
+    """The part of the extension that hold-out data confirm."""
     last = diagnosis.aerodynamics
     if set(diagnosis.kept) == set(last.state.active):
         return last.state, last.fit
@@ -259,7 +259,7 @@ def _moves(before: Fitted, after: Fitted) -> dict[str, Move]:
 
 
 def composition(view: View, fitted: Fitted) -> dict[str, dict[str, Any]]:
-    """Each coefficient's residuals in numbers: scores, Theil's parts, colour, calibration; manoeuvres fitted jointly.
+    """Each coefficient's residuals, manoeuvres fitted jointly: scores, Theil's parts, autocorrelation, calibration.
 
     Scores, Theil's parts and lag 1 are at the recorded rate. `calibration` is the share of residuals (5 Hz means)
     within the central normal bands of the fitted noise, growth with separation included.
@@ -294,7 +294,7 @@ def _lag1(residual: Float[np.ndarray, " n"], manoeuvre: Int[np.ndarray, " n"]) -
 
 
 def unseen_scores(d: Diagnosis) -> tuple[Mapping[str, Scores], Mapping[str, Scores]] | None:
-    """Scores of each coefficient on unseen data: the card's model, and with all causes that are confirmed."""
+    """Scores of each coefficient on hold-out data: the card's model, and with all causes that are confirmed."""
     measured = [c.gain for c in d.causes if c.gain.before]
     if not measured:
         return None

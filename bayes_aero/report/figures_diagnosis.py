@@ -143,7 +143,7 @@ def gain(view: View) -> Figure:
 
 @housed
 def moves(view: View) -> Figure:
-    """How the card's parameters moved, in their deviation after the causes were added."""
+    """Change of the card's parameters, in their standard error after the causes are added."""
     if not view.changed or not view.moves:
         raise NotDrawn("nothing was added, so nothing moved")
     names = list(view.moves)

@@ -56,7 +56,7 @@ def correlation_Cm(identification: Identification) -> Figure:
 
 @housed
 def hysteresis(identification: Identification) -> Figure:
-    """CL against angle of attack, rising and falling told apart: measured, maximum likelihood, GPR."""
+    """CL against angle of attack, rising and falling separate: measured, maximum likelihood, GPR."""
     o = identification.observations
     points = predicted(identification, "CL")
     everything = np.arange(o.n)

@@ -8,7 +8,7 @@ from bayes_aero.report.diagnosed import DiagnosisView
 
 
 def causes_frame(view: DiagnosisView) -> pd.DataFrame:
-    """A row per parameter of every cause, SI and radians, with scores on unseen data."""
+    """A row per parameter of every cause, SI and radians, with scores on hold-out data."""
     rows = []
     for order, cause in enumerate(view.diagnosis.causes, 1):
         for name, size in cause.parameters.items():
@@ -45,7 +45,7 @@ def causes_frame(view: DiagnosisView) -> pd.DataFrame:
 
 
 def screen_frame(view: DiagnosisView) -> pd.DataFrame:
-    """Every candidate in the first election of each stage."""
+    """Every candidate in the first screening of each stage."""
     rows = [
         {"stage": r.stage, "name": s.effect, "kind": s.kind, "score": s.score, "p_value": s.p_value}
         for r in view.rankings

@@ -75,7 +75,7 @@ def kept(flown: FlownFit) -> Table | None:
 
 
 def parameters(flown: FlownFit) -> Table:
-    """First value, estimate, both deviations and bounds of every parameter."""
+    """First value, estimate, both standard errors and bounds of every parameter."""
     bounds = {p.name: p.bounds for p in flown.fit.parameters}
     rows = [
         (
@@ -149,7 +149,7 @@ def _given(value: float, form: str) -> str:
 
 
 def _estimate(value: float, sd: float) -> str:
-    """As many digits as the deviation leaves; one far beyond the value leaves none, and says nothing of digits."""
+    """As many digits as the standard error allows; three if it is far larger than the value."""
     return f"{value:.{decimals(sd)}f}" if 0.0 < sd < UNKNOWN * abs(value) else number(value, 3)
 
 

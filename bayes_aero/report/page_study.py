@@ -1,4 +1,4 @@
-"""The report of a study: which units are done, and what they say together."""
+"""The report of a study: the state of its units and their joint results."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def study_page(told: StudyTold) -> Page:
 
 
 def study_headline(told: StudyTold) -> str:
-    """How far the study is, and what its units say together, in one sentence."""
+    """State of the study and joint results of its units, in one sentence."""
     return f"{'; '.join([_progress(told.units), *_short(told)])}."
 
 

@@ -25,7 +25,7 @@ def for_people(unit: str) -> tuple[str, float]:
 
 
 def size_text(mean: float, sd: float, unit: str) -> str:
-    """0.62 ± 0.11 deg: two digits of the deviation, units as people read them."""
+    """0.62 ± 0.11 deg: two digits of the standard error, units as people read them."""
     shown, factor = for_people(unit)
     shown = "" if shown == "1" else f" {shown}"
     if not np.isfinite(sd) or sd <= 0.0:

@@ -1,4 +1,4 @@
-"""How well both models of a diagnosis describe each manoeuvre, fitted to it and not."""
+"""Scores of both models of a diagnosis on each manoeuvre, in the fit and on hold-out data."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bayes_aero.report.diagnosed import View
 
 @dataclass(frozen=True)
 class Unseen:
-    """Both models of a view on what they were not fitted to."""
+    """Both models of a view on hold-out data."""
 
     view: View
 
@@ -41,7 +41,7 @@ class Unseen:
 
     @cached_property
     def gains(self) -> Mapping[tuple[str, str], Compared]:
-        """What the extended model gains on the card's, by manoeuvre and coefficient."""
+        """Gain of the extended model over the card's, by manoeuvre and coefficient."""
         left, state = self.left, self.view.extended.state
         return {
             (manoeuvre, name): found
@@ -50,7 +50,7 @@ class Unseen:
         }
 
     def worse(self) -> list[tuple[str, str]]:
-        """Manoeuvres and coefficients of which the extended model loses log density beyond chance (one-sided, 5 %)."""
+        """Manoeuvres and coefficients for which the extended model loses log density significantly (one-sided, 5 %)."""
         hold_out = self.view.extended.state.settings.hold_out
         return [pair for pair, gain in self.gains.items() if gain.elpd < -hold_out * gain.elpd_sd]
 
@@ -58,9 +58,9 @@ class Unseen:
 def scores_frame(view: View) -> pd.DataFrame:
     """A row for each model, fit, manoeuvre and coefficient: r, R2, RMSE [-] and Theil's coefficient of 5 Hz means.
 
-    `fitted`: parameters from all manoeuvres. `unseen`: from the others; of a single one, each stretch from the others.
-    Rows of the extended model on unseen data say what it gains on the card's: log density `elpd_gain` [nats] and
-    `r2_gain`, each with its deviation (see `criticism.gain.Compared`).
+    `fitted`: parameters from all manoeuvres. `unseen`: from the others; of a single one, each block from the others.
+    Rows of the extended model on hold-out data have its gain over the card's: log density `elpd_gain` [nats] and
+    `r2_gain`, each with its standard error (see `criticism.gain.Compared`).
     """
     unseen, rows = Unseen(view), []
     for model, left in unseen.left.items():

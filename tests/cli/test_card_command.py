@@ -214,7 +214,7 @@ def test_guesses_are_told_on_a_page(program, foreign, tmp_path):
     todo = [key for key, value in table["aircraft"].items() if value == "TODO"]
     assert f"{len(todo)} entries are to be filled in" in html
     assert all(f'<th scope="row">{key}</th>' in html for key in todo)
-    assert "&#39;Xyzzy&#39;" in html.split("Columns that nothing was guessed for")[-1]
+    assert "&#39;Xyzzy&#39;" in html.split("Columns without a proposal")[-1]
     assert "turned" in html
     assert "was not made" not in html
 

@@ -50,7 +50,7 @@ def test_what_a_lost_channel_costs_is_said(program, flights, tmp_path):
     done = program("check", flights.sound, "--model", card, "--no-sensors")
     assert done.code == 0, done.err  # diagnose can work from trajectories
     assert "identify: not possible, no channel az" in done.out
-    assert "for want of a channel (az" in " ".join(done.out.split())
+    assert "because a channel was not recorded (az" in " ".join(done.out.split())
     assert "'AZCG'" in done.out.split("in the file, not on the card:")[1].splitlines()[0]
 
 

@@ -74,7 +74,7 @@ def test_an_error_that_no_sensor_has_is_said_with_its_unit(diagnosed):
     said = diagnosis_sentences(replace(diagnosed.view.diagnosis, beyond=(off,)))
     (sentence,) = [one for one in said if "alpha_bias" in one]
     assert "9.00 ± 0.50 deg" in sentence
-    assert "3 deg at most" in sentence
+    assert "at most 3 deg" in sentence
 
 
 def test_more_than_five_names_are_no_name():

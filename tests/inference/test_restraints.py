@@ -60,5 +60,5 @@ def test_how_far_a_posterior_leans_on_a_contradicted_prior_is_told():
     rows = {"prior": {"CLa": 0.8, "e": 0.2, "CD0": 0.01}, "likelihood": {"CLa": 0.7, "e": 0.3, "CD0": 0.2}}
     (said,) = leaning_sentences(pd.DataFrame(rows), conflicts)
     assert "CLa 0.80 to the prior" in said
-    assert "move e as well" in said
+    assert "also move e" in said
     assert leaning_sentences(pd.DataFrame(rows), ()) == ()
