@@ -157,7 +157,7 @@ def test_words_name_cause_rivals_and_what_is_unexplained(diagnosed):
         not_testable={"flap_moment": "channel flap does not move in this record"},
     )
     text = " ".join(sentences(replace(view, diagnosis=d)))
-    for part in (cause.name, cause.claim, "mass_scale", "Cm", "phi", "25%", "alpha_delay", "flap_moment"):
+    for part in (cause.name, cause.claim, "mass_scale", "Cm", "phi", "25%", "alpha_delay", "flap"):
         assert part in text
     unexplained = replace(d, verdict=Verdict.UNEXPLAINED, causes=())
     assert "no effect of the catalogue" in sentences(replace(view, diagnosis=unexplained))[0]

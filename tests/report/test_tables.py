@@ -12,6 +12,7 @@ import pytest
 from rich.console import Console
 
 from bayes_aero.criticism.gain import Compared
+from bayes_aero.criticism.settings import DEFAULT
 from bayes_aero.inference.mle import MleStatus
 from bayes_aero.inference.scores import Scores
 from bayes_aero.model.noise import Colour
@@ -40,7 +41,9 @@ def test_manoeuvres_are_compared_one_by_one_and_a_loss_beyond_chance_is_said(los
     scores = {c: Scores(0.9, 0.1, 0.1, 0.8) for c in ("CL", "CD", "Cm")}
     left = {model: SimpleNamespace(residual=None) for model in ("card", "extended")}
     unseen = object.__new__(Unseen)
-    unseen.__dict__.update(view=SimpleNamespace(names=("a", "b")), gains=gains, left=left, scores=lambda *_: scores)
+    extended = SimpleNamespace(state=SimpleNamespace(settings=DEFAULT))
+    view = SimpleNamespace(names=("a", "b"), extended=extended)
+    unseen.__dict__.update(view=view, gains=gains, left=left, scores=lambda *_: scores)
     table = by_manoeuvre(unseen)
     assert [row[:2] for row in table.rows] == [(m, c) for m in ("a", "b") for c in ("CL", "CD", "Cm")]
     assert table.rows[4][2:] == ("0.800", "0.800", "-0.012 ± 0.015", f"{loses:+.1f} ± 1.0")
