@@ -7,6 +7,7 @@ COMPILED := JAX_COMPILATION_CACHE_DIR=$(CURDIR)/.cache/compiled JAX_PERSISTENT_C
 # Half of the tests' time is compiling; the former emitters of the pinned jaxlib and less optimisation halve that, and run as fast.
 QUICK_TO_COMPILE := XLA_FLAGS="--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1"
 # Two test workers on two cores: a second BLAS thread in each makes the Gaussian processes several times slower.
+# One worker does what shares fixtures (tests/conftest.py); groups begin in the order in which they are collected.
 PYTEST := $(COMPILED) $(QUICK_TO_COMPILE) OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadgroup --no-loadscope-reorder --durations=25
 STAMP := $(VENV)/.installed
 
@@ -41,9 +42,8 @@ check: $(STAMP)  ## lint, types, layers
 fast: $(STAMP)  ## the tests without whole diagnoses of simulated flights and those on a cluster
 	$(PYTEST) -m "not verify and not recovery and not cluster"
 
-test: check  ## every exact test; studies on a cluster by themselves, for they start workers of their own and wait for them
-	$(PYTEST) -m "not verify and not cluster"
-	$(PYTEST) -n 0 -m cluster
+test: check  ## every exact test
+	$(PYTEST) -m "not verify"
 
 verify: $(STAMP)  ## tests of rates, coverage and whole diagnoses; then fresh seeds against exact binomial bounds and a line of benchmarks/ledger.csv (VERIFY=--full: hours)
 	$(PYTEST) -m verify

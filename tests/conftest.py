@@ -23,7 +23,7 @@ ATTAS = Path(__file__).resolve().parents[2] / "shared" / "attas"
 
 
 TESTS = Path(__file__).parent
-FIRST = ("criticism", "diagnosed", "cli", "inference")  # most work; begun last, it would keep one worker busy alone
+FIRST = ("criticism", "diagnosed", "cli", "cluster", "inference")  # most work: not to be begun last, by one worker
 
 
 def pytest_collection_modifyitems(items):
@@ -40,8 +40,9 @@ def pytest_collection_modifyitems(items):
 
 
 def _group(item) -> str:
-    if "forgets" in item.keywords:
-        return "forgets"
+    for apart in ("forgets", "cluster"):
+        if apart in item.keywords:
+            return apart
     if "diagnosed" in item.fixturenames:
         return "diagnosed"
     place = item.path.relative_to(TESTS).parts

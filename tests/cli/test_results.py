@@ -11,6 +11,7 @@ from calling import called
 from markupsafe import escape
 
 from bayes_aero.flight.reading import write_record
+from bayes_aero.studies import diagnose as job
 
 SETTINGS = ("--noise", "white", "--no-gp", "--no-figures")
 
@@ -92,15 +93,19 @@ def test_bad_input_is_one_sentence(tmp_path, program, arguments, told):
     assert not Path(tmp_path / "diagnosis").exists()
 
 
-def test_diagnose_writes_and_tells_what_it_found(tmp_path, program, diagnosed, card):
+def test_diagnose_writes_and_tells_what_it_found(tmp_path, program, diagnosed, card, monkeypatch):
+    """With the diagnosis already made: test_every_stage.py has the command make one."""
+    monkeypatch.setattr(job, "diagnose", lambda *_, **__: diagnosed.view.diagnosis)
+    monkeypatch.setattr(job, "view_of", lambda _: diagnosed.view)
     (record,) = diagnosed.records
     write_record(record, tmp_path / "a.csv", [c for c in card.channels if record.has(c.name) or c.name == "time"])
-    done = program("diagnose", "a.csv", "--max-effects", "1", "--no-figures", "--no-trajectories")
+    left_out = ("--no-figures", "--no-trajectories", "--no-predictors")
+    done = program("diagnose", "a.csv", "--max-effects", "2", *left_out)
     assert done.code == 0, done.err
     found = json.loads((tmp_path / "diagnosis" / "diagnosis.json").read_text())
     schema = json.loads(resources.files("bayes_aero.studies").joinpath("diagnosis.schema.json").read_text())
     jsonschema.validate(found, schema)
-    assert found["provenance"]["settings"] == {"max_effects": 1}
+    assert found["provenance"]["settings"] == {"max_effects": 2}
     for cause in found["causes"]:
         assert cause["name"] in done.out
     assert (tmp_path / "diagnosis" / "screen.csv").is_file()

@@ -11,7 +11,7 @@ from bayes_aero.flight.card import read_card, shipped_cards
 from bayes_aero.model.flights import join
 from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
-from bayes_aero.studies.hidden import hidden_flights
+from bayes_aero.studies.hidden import hidden_flights, hidden_records
 
 SOURCE = '''
 """A pitching moment from bank angle."""
@@ -80,10 +80,10 @@ def test_a_file_that_is_not_there_is_said(tmp_path):
         Model.from_card(card)
 
 
-def test_it_stands_for_election(tmp_path, clean_records):
-    card = read_card(own_card(tmp_path))
+def test_it_stands_for_election(tmp_path):
+    card, records = read_card(own_card(tmp_path)), hidden_records({}, seed=0, manoeuvres=1, seconds=90.0)
     own = tuple(own_effects(card.effect_files).values())
-    field = field_of(Model.from_card(card), join(clean_records, card), own)
+    field = field_of(Model.from_card(card), join(records, card), own)
     assert "bank_pitching" in {e.name for e in field.candidates}
     assert "CmB" in field.model.names
 
