@@ -215,7 +215,7 @@ def quantity_to_si(value: Any, expected: str, where: str) -> float:
         return 0.0
     if not unit and expected not in ("", "1"):
         raise InputError(f'{where} is {str(value)!r}, without a unit; write e.g. "{value} {expected}"')
-    if expected == "kg" and same_kind(unit, "N"):
+    if expected == "kg" and same_kind(unit, "N") and not same_kind(unit, "kg"):  # a pound is either
         raise InputError(f"{where} is {str(value)!r}, a weight; {_mass_of(number, unit, where)}")
     return float(_convert(number, unit or "1", expected, where))
 

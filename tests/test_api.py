@@ -88,9 +88,9 @@ def test_one_noise_model_is_the_default_everywhere():
         assert Colour(inspect.signature(function).parameters["noise"].default) is DEFAULT
 
 
-def test_diagnosed_says_what_the_view_holds(diagnosed):
+def test_diagnosed_says_what_the_view_holds(diagnosed, card):
     a_view = diagnosed.view
-    found = ba.Diagnosed(a_view)
+    found = ba.Diagnosed(a_view, card)
     assert found.verdict == a_view.diagnosis.verdict.value
     assert set(found.table()["cause"]) == set(found.causes)
     assert found.sentences[0]

@@ -72,8 +72,10 @@ def no_flight_path(records: Sequence[FlightRecord], card: Card) -> str:
     if not np.isfinite(float(card.aircraft.mass)):
         return "the card states no [aircraft], so the positions of the sensors are unknown"
     if rolled_unseen(flights):
-        return "the flight path needs phi, because the aircraft rolled; map it, or state what did not move under "
-        "[constants]"
+        return (
+            "the flight path needs phi, because the aircraft rolled; map it, or state what did not move under "
+            "[constants]"
+        )
     short = [r.name for r in records if r.time[-1] - r.time[0] < SHORTEST]
     return f"record {short[0]} is shorter than {SHORTEST:g} s" if short else ""
 

@@ -230,7 +230,7 @@ def test_an_aircraft_that_cannot_fly_the_record_is_said(card):
     values = {"CL0": 0.2, "CLa": 4.5, "Cmde": -0.8, "Cm0": 0.05, "Cma": 8.0, "CD0": 0.04}
     found = fit_output_error(flown, held=values)
     assert found.status is OutputErrorStatus.LEFT_ENVELOPE
-    assert "cannot fly" in found.status.value
+    assert "cannot be simulated" in found.status.value
     for array in (found.estimate, found.departure, found.R, found.rms, found.covariance):
         assert np.all(np.isfinite(array))
     assert np.isfinite(found.cost)
