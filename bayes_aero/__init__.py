@@ -19,9 +19,9 @@ __version__ = "0.1.0"
 _HOME = {
     "CATALOGUE": "effects",
     "Card": "flight.card",
-    "Diagnosed": "api",
+    "Diagnosed": "api_results",
     "Effect": "effect",
-    "Fit": "api",
+    "Fit": "api_results",
     "FlightRecord": "flight.record",
     "InputError": "errors",
     "Model": "model.model",
@@ -40,7 +40,8 @@ _HOME = {
 }
 
 if TYPE_CHECKING:
-    from bayes_aero.api import Diagnosed, Fit, diagnose, fit, gpr, plot, read, sample
+    from bayes_aero.api import diagnose, fit, gpr, plot, read, sample
+    from bayes_aero.api_results import Diagnosed, Fit
     from bayes_aero.effect import Effect, Stage
     from bayes_aero.effects import CATALOGUE
     from bayes_aero.errors import InputError

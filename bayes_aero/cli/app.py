@@ -27,11 +27,9 @@ TRACEBACK = "BAYES_AERO_TRACEBACK"
 EPILOG = (
     f"Exit codes: 0 done; {FAILED} a record is not usable (check), a fit did not converge or the model "
     "cannot be simulated (fly), units of a study failed or differ, or its cluster was lost (run), or a part of the "
-    "program failed "
-    "unexpectedly (reported first; the other results are written); "
-    f"{BAD_INPUT} bad input, reported in one sentence; {DOUBT} done, but the records are in doubt: sensors "
-    f"disagree or a "
-    f"channel is faulty, reported first; {INTERRUPTED} interrupted, finished stages are kept.\n\n"
+    "program failed unexpectedly (reported first; the other results are written); "
+    f"{BAD_INPUT} bad input, reported in one sentence; {DOUBT} done, but the records are in doubt: sensors disagree "
+    f"or a channel is faulty, reported first; {INTERRUPTED} interrupted, finished stages are kept.\n\n"
     "Each command's --help has an example; a new aircraft starts with: bayes-aero card RECORD."
 )
 

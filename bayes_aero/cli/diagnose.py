@@ -34,7 +34,7 @@ if TYPE_CHECKING:  # the real imports wait until the command needs them
 def diagnose(
     records: Annotated[
         list[Path] | None,
-        typer.Argument(help=f"{RECORDS}; none: an effect is hidden in a simulation and searched."),
+        typer.Argument(help=f"{RECORDS}; none: an effect is hidden in two simulated manoeuvres, then searched for."),
     ] = None,
     model: ModelOption = "attas",
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("diagnosis"),
@@ -63,7 +63,7 @@ def diagnose(
     console = teller(quiet=json, highlight=True)
     with interruptible(kept_stages(out, taken_up=True)), bar("reading" if records else "simulating") as tell:
         if not records:
-            console.print("No record given: an effect is hidden in two simulated manoeuvres and searched.")
+            console.print("No record given: an effect is hidden in two simulated manoeuvres, then searched for.")
             hidden, flights = hide_one(card, seed)
         found = diagnose_records(
             flights,
@@ -77,7 +77,7 @@ def diagnose(
             hidden=hidden,
             progress=tell,
         )
-    corrects = found.diagnosis.tested is None  # trajectories alone are fitted to the record as it is
+    corrects = found.diagnosis.by_coefficients  # trajectories alone are fitted to the record as it is
     if json:
         typer.echo((out / "diagnosis.json").read_text(encoding="utf-8"), nl=False)
         exit_if_failed(found.failures)

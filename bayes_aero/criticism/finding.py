@@ -15,6 +15,7 @@ from bayes_aero.criticism.extension import Extension
 from bayes_aero.inference.scores import Scores
 
 FLIGHT_PATH = "flight path"  # the stage of sensors and winds
+COEFFICIENTS, TRAJECTORIES = "coefficients", "trajectories"  # stages of the model itself
 LIKELY = 0.5  # probability beyond which a cause is likelier than all else together
 
 
@@ -186,6 +187,11 @@ class Diagnosis:
     together: tuple[Together, ...] = ()  # pairs of causes of which the record knows one combination alone
     beyond: tuple[Cause, ...] = ()  # errors larger than any sensor has: no causes, but in the model where confirmed
     tested: Tested | None = None  # of a diagnosis by trajectories alone
+
+    @property
+    def by_coefficients(self) -> bool:
+        """Whether the model was compared with coefficients; otherwise with trajectories alone."""
+        return self.tested is None
 
 
 def verdict_of(causes: Sequence[Cause], unknown: Sequence[Unknown], tested: Tested | None = None) -> Verdict:

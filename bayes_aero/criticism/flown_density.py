@@ -1,4 +1,4 @@
-"""How probable unseen flight is by a simulation of it."""
+"""Log score of a simulation on hold-out flights."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ class Lag:
 
     @property
     def gains(self) -> bool:
-        """Whether the joint fit finds and gains enough by it that unseen flight is worth asking."""
+        """Whether the joint fit gains enough by it that the hold-out test is worth running."""
         return self.gain > self.decisive and not self.slight
 
 
@@ -110,7 +110,7 @@ def confirmed(
     cost: float,
     hold_out: float = DEFAULT.hold_out,
 ) -> Lag:
-    """Kept if unseen flight misses the lag as it must miss any cause: both flew the same manoeuvres, in order."""
+    """Kept if hold-out prediction degrades without the lag, as for any cause; both predict the same manoeuvres."""
     before, after = (UnseenFlight.of(paths, outputs, swell) for paths in (without, lagged))
     told = gained_in_flight(before, after, cost)
     return replace(lag, unseen=told, kept=bool(after.inside and told[0] > hold_out * told[1]))

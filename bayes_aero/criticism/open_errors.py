@@ -40,9 +40,8 @@ def open_errors(found: Extension) -> tuple[OpenError, ...]:
         mean, sd = _size(found, effect, standing)
         wide = max(sd, float(among[place]))
         imitators, share = _imitators(gram, effects, place, state.settings)
-        if (
-            state.settings.least_score * wide < effect.sizes[parameter.name][0]
-        ):  # nobody hides an error that is worth a name
+        least, _ = effect.sizes[parameter.name]
+        if state.settings.least_score * wide < least:  # nobody hides an error that is worth a name
             imitators, share = (), 0.0
         if not (asked or imitators):
             continue

@@ -10,9 +10,9 @@ import numpy as np
 from bayes_aero.criticism.accuracy import filtered_channels
 from bayes_aero.criticism.candidates import field_of
 from bayes_aero.criticism.extension import Extension
-from bayes_aero.criticism.finding import FLIGHT_PATH
+from bayes_aero.criticism.finding import COEFFICIENTS, FLIGHT_PATH
 from bayes_aero.criticism.residuals import noise_report
-from bayes_aero.criticism.searched import COEFFICIENTS, Searched
+from bayes_aero.criticism.searched import Searched
 from bayes_aero.criticism.settings import DiagnosisSettings
 from bayes_aero.criticism.stages import Stages, stages
 from bayes_aero.criticism.state import State

@@ -20,8 +20,8 @@ from bayes_aero.criticism.extension import (
     extend,
     nats_gained,
 )
-from bayes_aero.criticism.finding import NoiseReport
-from bayes_aero.criticism.searched import TRAJECTORIES, Searched, lacking
+from bayes_aero.criticism.finding import TRAJECTORIES, NoiseReport
+from bayes_aero.criticism.searched import Searched, lacking
 from bayes_aero.criticism.settings import DiagnosisSettings
 from bayes_aero.criticism.state import State, linearised, refitted
 from bayes_aero.effect import Effect, Stage

@@ -12,8 +12,6 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.coefficient_names import REQUIRED
 
-COEFFICIENTS, TRAJECTORIES = "coefficients", "trajectories"
-
 
 @dataclass(frozen=True)
 class Searched:

@@ -95,10 +95,10 @@ def fly_both(
 ) -> Trajectories:
     """Fit the card's model and the extended one to the trajectories, jointly and with each manoeuvre left out.
 
-    The extended one has the causes that unseen coefficients confirm and unseen flight misses (see `flown_needed`), and
-    a separation lag if the coefficients leave one open and unseen flight misses that (see `flown_lag`).
-    `biases`: outputs recorded with a constant error of each manoeuvre's own, fitted with the rest; what is flown unseen
-    is compared with the record as it is.
+    The extended model has the causes that hold-out coefficients confirm and hold-out flights need (see `flown_needed`).
+    It has a separation lag if the coefficients do not decide on one and hold-out flights need it (see `flown_lag`).
+    `biases`: outputs recorded with a constant error in each manoeuvre; they are fitted with the rest. Hold-out flights
+    are compared with the record as it is.
     """
     whole = diagnosis.aerodynamics.state.field
     causes = [c.name for c in diagnosis.causes if c.confirmed]

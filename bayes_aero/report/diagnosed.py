@@ -11,8 +11,7 @@ from jaxtyping import Float, Int
 from scipy import stats
 
 from bayes_aero.criticism.colour import colour_of
-from bayes_aero.criticism.election import Poll, uncertainty
-from bayes_aero.criticism.extension import Extension, explained
+from bayes_aero.criticism.election import uncertainty
 from bayes_aero.criticism.finding import Diagnosis
 from bayes_aero.criticism.gain import truncated
 from bayes_aero.criticism.regression import Fit
@@ -22,13 +21,11 @@ from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.inference.scores import Scores, score
 from bayes_aero.inference.stall import Stall, stall_of
 from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.rankings import Ranking, rankings_of
 
 LEVELS = (0.5, 0.9, 0.95)
 DRAWS = 400  # of a model's parameters, for the intervals of its stall
 NOT_SIGNALS = ("X", "measured", "modelled", "residual", *NAMES)
-LEADERS = 10  # candidates of a stage that are listed, by their scores
-CONSIDERED = 3  # and by the share of what is left that they explain
-FALSE_ALARMS = 0.05  # share of noise-only replicates whose best score is beyond the threshold
 
 
 @dataclass(frozen=True)
@@ -39,36 +36,6 @@ class Fitted:
     fit: Fit
     residual: Float[np.ndarray, "n 3"]
     signals: Mapping[str, np.ndarray]
-
-
-@dataclass(frozen=True)
-class Standing:
-    """One candidate of a stage's first screening, at its best value: `estimate` and `sd` by parameter.
-
-    `explains` is the share of the remaining variance that it would take away, by which candidates are taken in turn.
-    """
-
-    effect: str
-    kind: str
-    score: float
-    p_value: float
-    explains: float
-    estimate: Mapping[str, tuple[float, float]]
-
-
-@dataclass(frozen=True)
-class Ranking:
-    """Candidates of one stage, the highest score first; `threshold` is what noise alone exceeds once in twenty."""
-
-    stage: str
-    standings: tuple[Standing, ...]
-    threshold: float
-
-    @property
-    def leaders(self) -> tuple[Standing, ...]:
-        """Those that tables and figures show: the `LEADERS` highest scores, and what is considered first."""
-        first = {s.effect for s in sorted(self.standings, key=lambda s: -s.explains)[:CONSIDERED]}
-        return tuple(s for k, s in enumerate(self.standings) if k < LEADERS or s.effect in first)
 
 
 @dataclass(frozen=True)
@@ -118,11 +85,7 @@ class View(DiagnosisView):
 
 def view_of(diagnosis: Diagnosis) -> DiagnosisView:
     """What is shown of a diagnosis, whichever way the model met the record."""
-    return coefficient_view(diagnosis) if _by_coefficients(diagnosis) else _trajectory_view(diagnosis)
-
-
-def _by_coefficients(diagnosis: Diagnosis) -> bool:
-    return bool(set(NAMES) & set(diagnosis.aerodynamics.state.outputs))
+    return coefficient_view(diagnosis) if diagnosis.by_coefficients else _trajectory_view(diagnosis)
 
 
 def _trajectory_view(diagnosis: Diagnosis) -> DiagnosisView:
@@ -179,38 +142,6 @@ def _extended(diagnosis: Diagnosis) -> tuple[State, Fit]:
 def _fitted(state: State, fit: Fit) -> Fitted:
     found = details(state)
     return Fitted(state, fit, found["residual"][:, : len(NAMES)], found)
-
-
-def stages(diagnosis: Diagnosis) -> list[tuple[str, Extension]]:
-    """Stages of the diagnosis by the names that its causes carry."""
-    found = [("flight path", diagnosis.sensors)] if diagnosis.sensors is not None else []
-    last = diagnosis.aerodynamics
-    return [*found, ("coefficients" if _by_coefficients(diagnosis) else "trajectories", last)]
-
-
-def rankings_of(diagnosis: Diagnosis) -> list[Ranking]:
-    """Candidates of every stage."""
-    found = []
-    for stage, extension in stages(diagnosis):
-        if extension.steps:
-            poll = extension.steps[0].poll
-            threshold = float(np.quantile(poll.nulls, 1.0 - FALSE_ALARMS)) if len(poll.nulls) else float("nan")
-            found.append(Ranking(stage, tuple(_standings(extension, poll)), threshold))
-    return found
-
-
-def _standings(extension: Extension, poll: Poll) -> list[Standing]:
-    field, found = extension.base.field, {}
-    for s in poll.standings:
-        if s.effect in found:
-            continue
-        effect = next(e for e in field.model.effects if e.name == s.effect)
-        at = [extension.base.theta[i] for i in field.columns(field.parameters_of(s.effect))]
-        sizes = {p.name: (float(x + d), sd) for p, x, d, sd in zip(effect.parameters, at, s.step, s.sd, strict=False)}
-        found[s.effect] = Standing(
-            s.effect, effect.kind.value, s.score, poll.p_value(s.score), explained(extension.base, s), sizes
-        )
-    return sorted(found.values(), key=lambda s: -s.score)
 
 
 def _covariance(fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:

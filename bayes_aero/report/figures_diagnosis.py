@@ -14,9 +14,10 @@ from bayes_aero.criticism.residuals import profiles
 from bayes_aero.inference.scores import Scores, score
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.diagnosed import Fitted, Ranking, View
+from bayes_aero.report.diagnosed import Fitted, View
 from bayes_aero.report.figures_flight import SYMBOLS, shown_in
 from bayes_aero.report.phrases import bracket, for_people, size_text
+from bayes_aero.report.rankings import Ranking
 from bayes_aero.report.style import NotDrawn, column_width, housed, panels, refuse_many
 from bayes_aero.report.words_diagnosis import SPLITS
 

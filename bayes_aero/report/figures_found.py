@@ -15,9 +15,10 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.scores import score
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.diagnosed import Ranking, View
+from bayes_aero.report.diagnosed import View
 from bayes_aero.report.figures_diagnosis import NOTE, TIGHT, models_of
 from bayes_aero.report.phrases import for_people, short, size_text
+from bayes_aero.report.rankings import Ranking
 from bayes_aero.report.style import PHONE, housed
 
 WIDTH = 0.021  # of a letter, in widths of the widest bar

@@ -10,7 +10,7 @@ from bayes_aero.criticism.finding import Cause, Diagnosis
 from bayes_aero.criticism.trajectory import Trajectories
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.diagnosed import DiagnosisView, Ranking, View, unseen_scores
+from bayes_aero.report.diagnosed import DiagnosisView, View, unseen_scores
 from bayes_aero.report.figures_flight import SYMBOLS, shown_in
 from bayes_aero.report.page import Block, Fold, Page, Section, Table, Text, filled, section
 from bayes_aero.report.page_alternatives import diagnosis_alternatives, gained
@@ -40,6 +40,7 @@ from bayes_aero.report.page_stall import stall_table
 from bayes_aero.report.page_trajectories import trajectories
 from bayes_aero.report.page_words import WORDS
 from bayes_aero.report.phrases import bracket, several
+from bayes_aero.report.rankings import Ranking
 from bayes_aero.report.unseen import Unseen
 from bayes_aero.report.words_consistency import open_sentences
 from bayes_aero.report.words_diagnosis import NAMED_IF, diagnosis_sentences, sentences

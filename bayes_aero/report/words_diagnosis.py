@@ -176,7 +176,7 @@ def cause_table(view: DiagnosisView) -> Table | None:
     d = view.diagnosis
     if not d.causes:
         return None
-    if d.tested is not None:
+    if not d.by_coefficients:
         return _trajectory_causes(d)
     table = Table(
         title=f"Causes; R² on hold-out data ({SPLITS[d.split]}), before → after",

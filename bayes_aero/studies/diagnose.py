@@ -99,7 +99,7 @@ def run(
     if progress:
         progress("do the sensors agree?", 0.0)
     found = diagnose(records, card, settings=DiagnosisSettings(max_effects=most), seed=seed, progress=progress)
-    alone = found.tested is not None  # by trajectories
+    alone = not found.by_coefficients
     predict = None if alone else predict
     agreement, failed = sensors_agree(records, card, seed, out, known=None if alone else errors_of_diagnosis(found))
     view = view_of(found)

@@ -12,7 +12,8 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.coefficients import NAMES
-from bayes_aero.report.diagnosed import DiagnosisView, Ranking, View, composition
+from bayes_aero.report.diagnosed import DiagnosisView, View, composition
+from bayes_aero.report.rankings import Ranking
 from bayes_aero.studies.consistency_results import consistency_results
 from bayes_aero.studies.health_results import health_results
 from bayes_aero.studies.trajectory_results import trajectory_results

@@ -69,7 +69,7 @@ def separations(diagnosis: Diagnosis, progress: Progress | None = None) -> list[
 def simulations(
     diagnosis: Diagnosis, card: Card, records: Sequence[FlightRecord], seed: int, progress: Progress | None = None
 ) -> Trajectories:
-    """The card's model and the extended one flown through the records' inputs, fitted there and on unseen flight."""
+    """Simulate the card's and the extended model with the records' inputs, fitted to all and on hold-out flights."""
     bands = {name: tolerance.value for name, tolerance in card.tolerances.items()}
     flights = despiked(join(records, card, FLIGHT))[0]
     return fly_both(flights, diagnosis, bands, biases=card.output_biases, seed=seed, progress=progress)

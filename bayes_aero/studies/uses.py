@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bayes_aero.criticism.state import too_short
+from bayes_aero.criticism.folds import too_short
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.flown_channels import FLIGHT

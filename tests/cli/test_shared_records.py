@@ -72,7 +72,7 @@ def made(tmp_path_factory):
 
 @pytest.fixture
 def bare(monkeypatch):
-    """`identify` without its page and the simulation shown there: what is told has been told by then."""
+    """`identify` without its page and the simulation on it: faults are reported before those are made."""
     monkeypatch.setattr(job, "put_page", lambda *_: ())
     monkeypatch.setattr(job, "fly_identified", lambda *_: ((), (), ()))
 

@@ -1,4 +1,4 @@
-"""How probable unseen flight is: a normal density in closed form, whatever the segments' lengths."""
+"""The log score on hold-out flights is a normal density in closed form, for segments of any length."""
 
 from __future__ import annotations
 

@@ -1,0 +1,176 @@
+"""What the Python interface returns: a fit and a diagnosis, with their tables, sentences and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TypeVar
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card import Card
+from bayes_aero.inference.identification import Identification
+from bayes_aero.inference.mle import MleResult
+from bayes_aero.inference.posterior import Posterior
+from bayes_aero.report.diagnosed import DiagnosisView, View
+from bayes_aero.report.figures import DIAGNOSIS_FIGURES, FIGURES
+from bayes_aero.report.frames_diagnosis import causes_frame, screen_frame
+from bayes_aero.report.style import NotDrawn
+from bayes_aero.report.tables import parameter_table, validation_table
+from bayes_aero.report.unseen import scores_frame
+from bayes_aero.report.words import verdict
+from bayes_aero.report.words_consistency import consistency_sentences
+from bayes_aero.report.words_diagnosis import sentences
+from bayes_aero.studies.outlook import predictors
+
+Shown = TypeVar("Shown")
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A model fitted to records by maximum likelihood, with the posteriors sampled so far."""
+
+    run: Identification
+
+    @property
+    def mle(self) -> MleResult:
+        """Estimates, Cramer-Rao bounds, bounds corrected for autocorrelation, residual covariance, status."""
+        return self.run.mle
+
+    @property
+    def posteriors(self) -> Mapping[str, Posterior]:
+        """Posteriors by engine (`emcee`, `nuts`; `white` for white noise in addition), each with an ArviZ DataTree."""
+        return self.run.posteriors
+
+    @property
+    def sentences(self) -> list[str]:
+        """Doubts about the records, then the findings and the disagreements between methods, one sentence each."""
+        return [*self.doubts, *verdict(self.run)]
+
+    @property
+    def doubts(self) -> list[str]:
+        """Faulty channels and disagreement of the sensors along the flight path; empty for sound records."""
+        agreement = self.run.consistency
+        disagree = agreement is not None and agreement.disagrees
+        answer = consistency_sentences(agreement, corrects=False)[:1] if agreement is not None and disagree else []
+        return [*(finding.sentence for finding in self.run.health), *answer]
+
+    def table(self) -> pd.DataFrame:
+        """Parameters in SI and radians.
+
+        Returns:
+            A row per parameter; columns for the unit, the estimate, both bounds, each posterior and each manoeuvre.
+        """
+        return parameter_table(self.run)
+
+    def validation(self) -> pd.DataFrame:
+        """Scores of the Gaussian processes (`gpr`) and of maximum likelihood on hold-out data.
+
+        Returns:
+            A row per split, fold and coefficient; columns for the scores of both methods on the same test points.
+
+        Raises:
+            InputError: `gpr` has not been called.
+        """
+        if self.run.gp is None:
+            raise InputError("this fit has no Gaussian processes yet; add them with bayes_aero.gpr(fit)")
+        return validation_table(self.run)
+
+    def plot(self, figure: str = "forest") -> Figure:
+        """Draw a figure of `identify`.
+
+        Args:
+            figure: a name in `bayes_aero.report.figures.FIGURES`.
+
+        Raises:
+            InputError: there is no such figure, or it has nothing to show.
+        """
+        return _drawn(FIGURES, figure, self.run)
+
+
+@dataclass(frozen=True)
+class Diagnosed:
+    """A diagnosis: verdict, causes with their sizes, and the scores of the extended model."""
+
+    view: DiagnosisView
+    card: Card
+
+    @property
+    def verdict(self) -> str:
+        """`no_effect`, `explained`, `partly_explained` or `unexplained`."""
+        return self.view.diagnosis.verdict.value
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Names of the causes in the order of selection."""
+        return tuple(cause.name for cause in self.view.diagnosis.causes)
+
+    @property
+    def sentences(self) -> list[str]:
+        """The verdict, one sentence or two per cause, unexplained structure, what is not testable, notes."""
+        return sentences(self.view)
+
+    def table(self) -> pd.DataFrame:
+        """Causes in SI and radians.
+
+        Returns:
+            A row per parameter of each cause; columns for size, interval, probability, rivals and hold-out gain.
+        """
+        return causes_frame(self.view)
+
+    @property
+    def _coefficients(self) -> View:
+        if not isinstance(self.view, View):
+            raise InputError("this diagnosis rests on trajectories alone: the records lack what coefficients need")
+        return self.view
+
+    def scores(self) -> pd.DataFrame:
+        """Scores of the card's and the extended model.
+
+        Returns:
+            A row per model, data (`fitted` or hold-out, `unseen`), manoeuvre and coefficient.
+        """
+        return scores_frame(self._coefficients)
+
+    def predictors(self) -> pd.DataFrame:
+        """Hold-out scores of four predictors; takes half a minute.
+
+        Inputs of the Gaussian processes are the card's `[gp] inputs`.
+
+        Returns:
+            A row per predictor and coefficient. Predictors: the card's model, a Gaussian process, the extended model,
+            the extended model with a Gaussian process of its residuals.
+        """
+        table = predictors(self._coefficients.diagnosis, self.card)
+        rows = {(p, c): scores or {} for p, row in table.items() for c, scores in row.items()}
+        return pd.DataFrame.from_dict(rows, orient="index").rename_axis(["predictor", "coefficient"])
+
+    def screen(self) -> pd.DataFrame:
+        """Every candidate of the catalogue.
+
+        Returns:
+            A row per candidate; columns for deviance, score and family-wise p-value.
+        """
+        return screen_frame(self.view)
+
+    def plot(self, figure: str = "measured_simulated") -> Figure:
+        """Draw a figure of `diagnose`.
+
+        Args:
+            figure: a name in `bayes_aero.report.figures.DIAGNOSIS_FIGURES`.
+
+        Raises:
+            InputError: there is no such figure, or it has nothing to show.
+        """
+        return _drawn(DIAGNOSIS_FIGURES, figure, self._coefficients)
+
+
+def _drawn(figures: Mapping[str, Callable[[Shown], Figure]], name: str, shown: Shown) -> Figure:
+    if name not in figures:
+        raise InputError(f"there is no figure {name!r}; choose one of {', '.join(figures)}")
+    try:
+        return figures[name](shown)
+    except NotDrawn as reason:
+        raise InputError(f"the figure {name} has nothing to show: {reason}") from None
