@@ -99,7 +99,7 @@ class Diagnosed:
 
     @property
     def verdict(self) -> str:
-        """`no_effect`, `explained`, `partly_explained` or `unexplained`."""
+        """`no_effect`, `explained`, `partly_explained`, `unexplained` or, by trajectories alone, `undecided`."""
         return self.view.diagnosis.verdict.value
 
     @property

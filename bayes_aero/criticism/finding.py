@@ -26,6 +26,7 @@ class Verdict(StrEnum):
     EXPLAINED = "explained"
     PARTLY_EXPLAINED = "partly_explained"
     UNEXPLAINED = "unexplained"
+    UNDECIDED = "undecided"  # trajectories alone cannot tell disturbed air from a model error without a name
 
 
 @dataclass(frozen=True)
@@ -208,9 +209,12 @@ def verdict_of(causes: Sequence[Cause], unknown: Sequence[Unknown], tested: Test
 
 
 def as_tested(found: Verdict, tested: Tested) -> Verdict:
-    """A verdict by trajectories alone: what is left beyond the noise, or was never computed, is not explained."""
+    """A verdict by trajectories alone: what is left beyond the noise, or was never computed, is not explained.
+
+    Without a cause it is undecided: disturbed air leaves such errors, too, and it is not modelled.
+    """
     if found is Verdict.EXPLAINED and not tested.within_noise:
         return Verdict.PARTLY_EXPLAINED
     if found is Verdict.NO_EFFECT and tested.beyond:
-        return Verdict.UNEXPLAINED
+        return Verdict.UNDECIDED
     return found

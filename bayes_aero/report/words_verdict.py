@@ -29,6 +29,7 @@ def verdict_sentence(d: Diagnosis) -> str:
         Verdict.UNEXPLAINED: f"The card's model is wrong and no reliable cause explains it{left}{_doubtful(d)}."
         if d.causes
         else f"The card's model is wrong and no effect of the catalogue explains it{left}.",
+        Verdict.UNDECIDED: "These records cannot decide whether the card's model is wrong.",
     }[d.verdict]
 
 
@@ -57,6 +58,8 @@ def _flown_verdict(d: Diagnosis, tested: Tested, sure: int, names: str, left: st
         first = "No reliable cause improves the fit to the trajectories"
     else:
         first = "No effect of the catalogue improves the fit to the trajectories significantly"
+    if d.verdict is Verdict.UNDECIDED:
+        rest += " Disturbed air or an error of the model causes them; trajectories alone cannot decide which."
     return f"{first}{_doubtful(d)}. {rest}"
 
 

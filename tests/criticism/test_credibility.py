@@ -190,9 +190,8 @@ def test_trajectories_alone_claim_no_more_than_was_tested(diagnosed):
         assert ("V 1.2 m/s" in headline) is (verdict is not Verdict.EXPLAINED)
         assert "structure outside the catalogue was not tested" in headline
         assert "(noise 0.30 m/s)" in detail
-    none = replace(
-        d, causes=(), verdict=Verdict.UNEXPLAINED, tested=finding.Tested({"q": finding.Missed(0.0, 1.0, 1.0)})
-    )
+    none = replace(d, causes=(), verdict=Verdict.UNDECIDED, tested=finding.Tested({"q": finding.Missed(0.0, 1.0, 1.0)}))
     assert "57 deg/s" in diagnosis_sentences(none)[0]
+    assert "cannot decide" in diagnosis_sentences(none)[0]
     flown_not = diagnosis_sentences(replace(d, verdict=Verdict.PARTLY_EXPLAINED, tested=finding.Tested({})))[0]
     assert "was not computed" in flown_not

@@ -36,7 +36,7 @@ def test_causes_explain_only_where_noise_alone_is_left():
     ]
     assert [as_tested(Verdict.NO_EFFECT, t) for t in (noise, more, never)] == [
         Verdict.NO_EFFECT,
-        Verdict.UNEXPLAINED,
+        Verdict.UNDECIDED,
         Verdict.NO_EFFECT,
     ]
     assert as_tested(Verdict.UNEXPLAINED, noise) is Verdict.UNEXPLAINED
