@@ -18,7 +18,7 @@ __version__ = "0.1.0"
 
 _HOME = {
     "CATALOGUE": "effects",
-    "Card": "flight.card",
+    "Card": "flight.card.card",
     "Diagnosed": "api_results",
     "Effect": "effect",
     "Fit": "api_results",
@@ -30,11 +30,11 @@ _HOME = {
     "Stage": "effect",
     "diagnose": "api",
     "fit": "api",
-    "fly": "studies.fly",
+    "fly": "jobs.fly",
     "gpr": "api",
     "plot": "api",
     "read": "api",
-    "read_card": "flight.card",
+    "read_card": "flight.card.card",
     "sample": "api",
     "write_record": "flight.writers",
 }
@@ -45,12 +45,12 @@ if TYPE_CHECKING:
     from bayes_aero.effect import Effect, Stage
     from bayes_aero.effects import CATALOGUE
     from bayes_aero.errors import InputError
-    from bayes_aero.flight.card import Card, read_card
+    from bayes_aero.flight.card.card import Card, read_card
     from bayes_aero.flight.record import FlightRecord
     from bayes_aero.flight.writers import write_record
+    from bayes_aero.jobs.fly import fly
     from bayes_aero.model.model import Model
     from bayes_aero.parameter import Parameter, Prior
-    from bayes_aero.studies.fly import fly
 
 __all__ = [
     "CATALOGUE",

@@ -23,30 +23,30 @@ from typing import Literal, get_args
 from matplotlib.figure import Figure
 
 from bayes_aero.api_results import Diagnosed, Fit
-from bayes_aero.criticism.consistency import consistency
-from bayes_aero.criticism.diagnosis import diagnose as run_diagnosis
-from bayes_aero.criticism.settings import DiagnosisSettings
+from bayes_aero.diagnosis.consistency.consistency import consistency
+from bayes_aero.diagnosis.diagnose import diagnose as run_diagnosis
+from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card import Card, read_card
+from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.health import channel_health
-from bayes_aero.flight.reading import read_records
+from bayes_aero.flight.reading.read_record import read_records
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.ensemble import sample_ensemble
 from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.laplace import density_start, other_modes, search_modes
-from bayes_aero.inference.mle import fit_alone, fit_mle
-from bayes_aero.inference.noise_bias import without_noise_bias
-from bayes_aero.inference.nuts import sample_nuts
+from bayes_aero.inference.likelihood.mle import fit_alone, fit_mle
+from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
+from bayes_aero.inference.posterior.ensemble import sample_ensemble
+from bayes_aero.inference.posterior.laplace import density_start, other_modes, search_modes
+from bayes_aero.inference.posterior.nuts import sample_nuts
 from bayes_aero.inference.splits import SplitKind
 from bayes_aero.inference.validation import validate
+from bayes_aero.jobs.steps.spike_repair import repaired
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import DEFAULT as DEFAULT_NOISE
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Forming, observe
-from bayes_aero.report.diagnosed import view_of
-from bayes_aero.studies.repair import repaired
+from bayes_aero.report.diagnosis_view import view_of
 
 __all__ = ["Diagnosed", "Fit", "diagnose", "fit", "gpr", "plot", "read", "sample"]
 

@@ -10,20 +10,20 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card import Card
+from bayes_aero.flight.card.card import Card
 from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.mle import MleResult
-from bayes_aero.inference.posterior import Posterior
-from bayes_aero.report.diagnosed import DiagnosisView, View
-from bayes_aero.report.figures import DIAGNOSIS_FIGURES, FIGURES
-from bayes_aero.report.frames_diagnosis import causes_frame, screen_frame
+from bayes_aero.inference.likelihood.mle import MleResult
+from bayes_aero.inference.posterior.posterior import Posterior
+from bayes_aero.jobs.steps.post_diagnosis import predictors
+from bayes_aero.report.diagnosis_view import DiagnosisView, View
+from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES
 from bayes_aero.report.style import NotDrawn
-from bayes_aero.report.tables import parameter_table, validation_table
-from bayes_aero.report.unseen import scores_frame
-from bayes_aero.report.words import verdict
-from bayes_aero.report.words_consistency import consistency_sentences
-from bayes_aero.report.words_diagnosis import sentences
-from bayes_aero.studies.outlook import predictors
+from bayes_aero.report.tables.diagnosis_tables import causes_frame, screen_frame
+from bayes_aero.report.tables.holdout_scores import scores_frame
+from bayes_aero.report.tables.run_tables import parameter_table, validation_table
+from bayes_aero.report.text.consistency import consistency_sentences
+from bayes_aero.report.text.diagnosis import sentences
+from bayes_aero.report.text.identification import verdict
 
 Shown = TypeVar("Shown")
 
@@ -82,7 +82,7 @@ class Fit:
         """Draw a figure of `identify`.
 
         Args:
-            figure: a name in `bayes_aero.report.figures.FIGURES`.
+            figure: a name in `bayes_aero.report.figures.every_figure.FIGURES`.
 
         Raises:
             InputError: there is no such figure, or it has nothing to show.
@@ -159,7 +159,7 @@ class Diagnosed:
         """Draw a figure of `diagnose`.
 
         Args:
-            figure: a name in `bayes_aero.report.figures.DIAGNOSIS_FIGURES`.
+            figure: a name in `bayes_aero.report.figures.every_figure.DIAGNOSIS_FIGURES`.
 
         Raises:
             InputError: there is no such figure, or it has nothing to show.

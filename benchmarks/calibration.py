@@ -21,11 +21,11 @@ from calibration_figures import rank_bands
 from calibration_study import Replicate, calibration_table, process_replicate, stall_replicate
 from ranks import band_of
 
-from bayes_aero.flight.card import read_card
+from bayes_aero.flight.card.card import read_card
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.report.style import save
-from bayes_aero.studies.demo import simulate_stall
+from bayes_aero.simulate.demo import simulate_stall
 
 EVERY = 16  # samples of the demo's two manoeuvres: 282 at 1.6 Hz, so that the prior matters beside the data
 INPUTS, SAMPLES = ("alpha", "elevator"), 80  # of the Gaussian process

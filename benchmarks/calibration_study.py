@@ -12,19 +12,19 @@ import pandas as pd
 from jaxtyping import Float
 from ranks import DRAWS, band_of, rank
 
-from bayes_aero.inference.ensemble import sample_ensemble
 from bayes_aero.inference.gp.groups import systematic_resample
 from bayes_aero.inference.gp.kernel import hyper_names
 from bayes_aero.inference.gp.optimum import find_map
 from bayes_aero.inference.gp.posterior import Budget, sample_posterior
 from bayes_aero.inference.gp.priors import Priors
 from bayes_aero.inference.gp.reduced import ReducedData
-from bayes_aero.inference.gp.reweight import SampleStatus
-from bayes_aero.inference.gp.sample import Settings
-from bayes_aero.inference.laplace import density_start, search_modes
-from bayes_aero.inference.mle import fit_mle
-from bayes_aero.inference.nuts import sample_nuts
-from bayes_aero.inference.posterior import Posterior
+from bayes_aero.inference.gp.sampling.reweight import SampleStatus
+from bayes_aero.inference.gp.sampling.sample import Settings
+from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.posterior.ensemble import sample_ensemble
+from bayes_aero.inference.posterior.laplace import density_start, search_modes
+from bayes_aero.inference.posterior.nuts import sample_nuts
+from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise

@@ -18,11 +18,11 @@ import numpy as np
 from coverage_figures import coverage_against_colour
 from coverage_study import METHODS, coverage_study
 
-from bayes_aero.flight.card import read_card
+from bayes_aero.flight.card.card import read_card
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.report.style import save
-from bayes_aero.studies.demo import TRUTH, simulate_stall
+from bayes_aero.simulate.demo import TRUTH, simulate_stall
 
 STEPS = (4, 16)  # of 25 Hz: 6.25 and 1.5625 samples a second
 RHOS = (0.0, 0.5, 0.9, 0.98)

@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from bayes_aero.inference.ensemble import sample_ensemble
-from bayes_aero.inference.laplace import density_start, find_mode
-from bayes_aero.inference.mle import fit_mle
+from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.posterior.ensemble import sample_ensemble
+from bayes_aero.inference.posterior.laplace import density_start, find_mode
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise

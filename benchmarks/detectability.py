@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from bayes_aero.criticism.diagnosis import Diagnosis
+from bayes_aero.diagnosis.diagnose import Diagnosis
 from bayes_aero.effects import CATALOGUE
 
 

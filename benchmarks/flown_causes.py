@@ -19,19 +19,19 @@ import jax
 import numpy as np
 from hidden_effects import NOISES, candidates
 
-from bayes_aero.criticism import trajectory
-from bayes_aero.criticism.diagnosis import diagnose
-from bayes_aero.criticism.flown_density import UnseenFlight, gained_in_flight
+from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.trajectories import trajectories as trajectory
+from bayes_aero.diagnosis.trajectories.log_score import UnseenFlight, gained_in_flight
+from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.dynamics.segments import segments
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card import read_card
-from bayes_aero.inference.output_error import fit_output_error
-from bayes_aero.model.dynamics import aircraft_dynamics
-from bayes_aero.model.flights import despiked, join
-from bayes_aero.model.flown_channels import FLIGHT
-from bayes_aero.model.segments import segments
-from bayes_aero.studies.hidden import flyable
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.inference.likelihood.output_error import fit_output_error
+from bayes_aero.model.joined_channels import despiked, join
+from bayes_aero.simulate.injection import flyable
 
 
 class Watch:

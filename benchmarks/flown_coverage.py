@@ -13,9 +13,9 @@ import argparse
 import jax
 import numpy as np
 
-from bayes_aero.flight.card import read_card
-from bayes_aero.studies.fly import fly
-from bayes_aero.studies.hidden import hidden_flights
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.jobs.fly import fly
+from bayes_aero.simulate.injection import hidden_flights
 
 NOISES = ("white", "ar1", "buffet")
 

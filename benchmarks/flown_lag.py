@@ -15,15 +15,15 @@ from collections import Counter
 import jax
 import numpy as np
 
-from bayes_aero.criticism import trajectory
-from bayes_aero.criticism.candidates import lag_of
-from bayes_aero.criticism.diagnosis import diagnose
+from bayes_aero.diagnosis.candidate_set import lag_of
+from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.trajectories import trajectories as trajectory
+from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card import read_card
-from bayes_aero.model.flights import despiked, join
-from bayes_aero.model.flown_channels import FLIGHT
-from bayes_aero.studies.hidden import hidden_records
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.model.joined_channels import despiked, join
+from bayes_aero.simulate.injection import hidden_records
 
 NOISES = ("ar1", "buffet", "white", "outliers")
 OTHERS = (

@@ -23,9 +23,9 @@ with atheris.instrument_imports(include=["bayes_aero"], enable_loader_override=F
     import numpy as np
 
     from bayes_aero.errors import InputError
-    from bayes_aero.flight.card import read_card, shipped_cards
-    from bayes_aero.flight.reading import read_record, write_record
-    from bayes_aero.studies.study import read_study
+    from bayes_aero.flight.card.card import read_card, shipped_cards
+    from bayes_aero.flight.reading.read_record import read_record, write_record
+    from bayes_aero.study.study import read_study
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "flight"))
 from flight_samples import CHANNELS, sound

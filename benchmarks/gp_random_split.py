@@ -14,14 +14,14 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from bayes_aero.flight.card import read_card
-from bayes_aero.flight.reading import read_records
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.reading.read_record import read_records
 from bayes_aero.inference.gp import Priors
 from bayes_aero.inference.gp.kernel import Scaling
 from bayes_aero.inference.gp.optimum import curvature, distinct, find_map, maximise
 from bayes_aero.inference.gp.predict import gaussian_parts
 from bayes_aero.inference.gp.reduced import ReducedData
-from bayes_aero.inference.mle import fit_mle
+from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.inference.scores import score
 from bayes_aero.inference.splits import make_splits
 from bayes_aero.inference.validation import gp_inputs

@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from scikit_learn_gp import scikit_learn_model, to_scikit_learn
 
-from bayes_aero.inference.gp.density import log_density, log_likelihood_device
 from bayes_aero.inference.gp.kernel import Scaling, noise_to_signal
 from bayes_aero.inference.gp.optimum import maximise
 from bayes_aero.inference.gp.priors import Priors
 from bayes_aero.inference.gp.reduced import ReducedData
+from bayes_aero.inference.gp.sampling.density import log_density, log_likelihood_device
 
 START = np.log([1.0, 0.5, 0.5, 0.5, 0.5, 0.5, 1.0, 1.0, 1.0, 1.0, 0.1])
 

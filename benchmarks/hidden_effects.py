@@ -29,13 +29,13 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from out_of_catalogue import UNKNOWN
 from out_of_catalogue import unknown as of_no_catalogue
 
-from bayes_aero.criticism.diagnosis import diagnose
+from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card import read_card
+from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.studies.demo import TRUTH
-from bayes_aero.studies.hidden import flyable, hidden_records
+from bayes_aero.simulate.demo import TRUTH
+from bayes_aero.simulate.injection import flyable, hidden_records
 
 NOISES = ("white", "ar1", "ar1", "buffet", "outliers")
 PAIR, SINGLE = {"seconds": 90.0}, {"seconds": 100.0, "manoeuvres": 1}  # one length: one compilation serves all

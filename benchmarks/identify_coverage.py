@@ -22,19 +22,19 @@ import numpy as np
 
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card import read_card
+from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.ensemble import sample_ensemble
-from bayes_aero.inference.laplace import density_start, find_mode
-from bayes_aero.inference.mle import fit_mle
-from bayes_aero.inference.noise_bias import without_noise_bias
+from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
+from bayes_aero.inference.posterior.ensemble import sample_ensemble
+from bayes_aero.inference.posterior.laplace import density_start, find_mode
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import DEFAULT, Colour, Noise
 from bayes_aero.model.observations import Forming, observe
-from bayes_aero.studies.demo import TRUTH, simulate_stall
-from bayes_aero.studies.request import Request
-from bayes_aero.studies.synthetic import synthetic
+from bayes_aero.simulate.demo import TRUTH, simulate_stall
+from bayes_aero.simulate.request import Request
+from bayes_aero.simulate.synthetic_record import synthetic
 
 KINDS = (("white", 0.04), ("white", 0.02), ("ar1", 0.04), ("ar1", 0.02), ("demo", 0.04))
 METHODS = ("corrected bound", "posterior")

@@ -17,10 +17,10 @@ import numpy as np
 from detectability import standard_scores
 from injection import injected
 
-from bayes_aero.criticism.diagnosis import diagnose
+from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.card import read_card
-from bayes_aero.flight.reading import read_record
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.reading.read_record import read_record
 
 INJECTED = {  # parameter and range of the size's absolute value, SI
     "alpha_bias": ("alpha_bias", 0.01, 0.04),

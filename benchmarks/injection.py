@@ -8,17 +8,17 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from bayes_aero.criticism.candidates import DERIVED
+from bayes_aero.diagnosis.candidate_set import DERIVED
 from bayes_aero.effect import NEUTRAL_FLOW, Effect, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card import Card
+from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.formed import with_sums
+from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks
 from bayes_aero.physics.coefficients import condition
-from bayes_aero.studies.misrecord import misrecorded
+from bayes_aero.simulate.sensor_faults import misrecorded
 
 POSSIBLE = "only sensors, thrust and moments can be injected into a record"
 

@@ -23,17 +23,17 @@ from aeroid_jet import KeptRollout, jet_model
 from bare_stall import bare_jacobian
 from scipy.optimize import least_squares
 
-from bayes_aero.flight.card import parse_card, read_card
+from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.dynamics.segments import segments, simulate
+from bayes_aero.dynamics.system import integrate
+from bayes_aero.flight.card.card import parse_card, read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.output_error import OutputErrorStatus, fit_output_error, trajectories
-from bayes_aero.model.dynamics import aircraft_dynamics
-from bayes_aero.model.flights import join
+from bayes_aero.inference.likelihood.output_error import OutputErrorStatus, fit_output_error, trajectories
+from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
-from bayes_aero.model.segments import segments, simulate
-from bayes_aero.model.system import integrate
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.atmosphere import GRAVITY
-from bayes_aero.studies.demo import TRUTH, simulate_stall
+from bayes_aero.simulate.demo import TRUTH, simulate_stall
 
 CARD = """
 title = "A small jet, phugoid and short period"

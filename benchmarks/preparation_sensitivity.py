@@ -20,16 +20,16 @@ import numpy as np
 import pandas as pd
 from scipy import signal
 
-from bayes_aero.flight.card import Card, read_card
-from bayes_aero.flight.reading import read_records
+from bayes_aero.flight.card.card import Card, read_card
+from bayes_aero.flight.reading.read_record import read_records
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.mle import fit_mle
-from bayes_aero.model.formed import with_sums
+from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Observations, observe
 from bayes_aero.physics.coefficients import NAMES, RATES, SMOOTHED, coefficients
 from bayes_aero.physics.filters import differentiate, smooth
-from bayes_aero.studies.demo import simulate_stall
+from bayes_aero.simulate.demo import simulate_stall
 
 Filter = Callable[[np.ndarray, float], np.ndarray]
 PUBLISHED = "Spencer, 8th order"

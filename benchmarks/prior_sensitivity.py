@@ -8,17 +8,17 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from bayes_aero.flight.card import read_card
-from bayes_aero.flight.reading import read_records
-from bayes_aero.inference.ensemble import sample_ensemble
-from bayes_aero.inference.laplace import density_start, find_mode
-from bayes_aero.inference.mle import fit_mle
-from bayes_aero.inference.prior_sensitivity import prior_sensitivity
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.reading.read_record import read_records
+from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.posterior.ensemble import sample_ensemble
+from bayes_aero.inference.posterior.laplace import density_start, find_mode
+from bayes_aero.inference.posterior.prior_sensitivity import prior_sensitivity
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import observe
-from bayes_aero.studies.demo import simulate_stall
+from bayes_aero.simulate.demo import simulate_stall
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("records", type=Path, nargs="*")

@@ -17,15 +17,15 @@ import jax
 import numpy as np
 import scipy.io
 
-from bayes_aero.criticism.flown_fit import Setting, fit_flown
-from bayes_aero.flight.card import read_card
+from bayes_aero.diagnosis.trajectories.trajectory_fit import Setting, fit_flown
+from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.dynamics.linear import channel_units, linear_dynamics
+from bayes_aero.dynamics.longitudinal import FLIGHT
+from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.reading import read_record
+from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.dynamics import aircraft_dynamics
-from bayes_aero.model.flights import despiked, join
-from bayes_aero.model.linear import channel_units, linear_dynamics
-from bayes_aero.model.longitudinal import FLIGHT
+from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.model import Model
 
 CASES = {

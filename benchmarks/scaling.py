@@ -31,7 +31,7 @@ STEPS = 20  # of emcee's four ensembles
 def long_record(n: int, seed: int = 0):
     """A simulated stall flown again and again, each time with other noise: 25 Hz."""
     from bayes_aero.flight.record import FlightRecord
-    from bayes_aero.studies.demo import simulate_stall
+    from bayes_aero.simulate.demo import simulate_stall
 
     base = simulate_stall(0, sensor_noise=0.0, disturbance=0.0)
     rng = np.random.default_rng(seed)
@@ -43,11 +43,11 @@ def long_record(n: int, seed: int = 0):
 
 def samples(n: int) -> dict[str, float]:
     """Read a CSV file, fit, and a fixed number of emcee's steps under AR(1) noise."""
-    from bayes_aero.flight.card import read_card
-    from bayes_aero.flight.reading import read_record, write_record
-    from bayes_aero.inference import ensemble
-    from bayes_aero.inference.laplace import density_start, find_mode
-    from bayes_aero.inference.mle import fit_mle
+    from bayes_aero.flight.card.card import read_card
+    from bayes_aero.flight.reading.read_record import read_record, write_record
+    from bayes_aero.inference.likelihood.mle import fit_mle
+    from bayes_aero.inference.posterior import ensemble
+    from bayes_aero.inference.posterior.laplace import density_start, find_mode
     from bayes_aero.model.density import Density
     from bayes_aero.model.model import Model
     from bayes_aero.model.noise import Colour, Noise
@@ -86,8 +86,8 @@ def samples(n: int) -> dict[str, float]:
 
 def manoeuvres(count: int) -> dict[str, float]:
     """One joint fit of manoeuvres of 500 to 1000 samples, hardly two of one length."""
-    from bayes_aero.flight.card import read_card
-    from bayes_aero.inference.mle import fit_mle
+    from bayes_aero.flight.card.card import read_card
+    from bayes_aero.inference.likelihood.mle import fit_mle
     from bayes_aero.model.model import Model
     from bayes_aero.model.observations import observe
 
@@ -143,8 +143,8 @@ def gp(n: int) -> dict[str, float]:
 
 def page(n: int) -> dict[str, float]:
     """`identify` without Gaussian processes, of one record: seconds of every stage, and the size of what it writes."""
-    from bayes_aero.flight.card import read_card
-    from bayes_aero.studies.identify import identify
+    from bayes_aero.flight.card.card import read_card
+    from bayes_aero.jobs.identify import identify
 
     with tempfile.TemporaryDirectory() as folder:
         found = identify([long_record(n)], read_card("attas"), gp=False, out=Path(folder))
@@ -154,16 +154,16 @@ def page(n: int) -> dict[str, float]:
 
 def checkpoint(steps: int) -> dict[str, float]:
     """Share of emcee's time that keeping its chain on disk takes: two demo manoeuvres, AR(1) noise."""
-    from bayes_aero.flight.card import read_card
-    from bayes_aero.inference.checkpoint import Checkpoint
-    from bayes_aero.inference.ensemble import sample_ensemble
-    from bayes_aero.inference.laplace import density_start, find_mode
-    from bayes_aero.inference.mle import fit_mle
+    from bayes_aero.flight.card.card import read_card
+    from bayes_aero.inference.likelihood.mle import fit_mle
+    from bayes_aero.inference.posterior.checkpoint import Checkpoint
+    from bayes_aero.inference.posterior.ensemble import sample_ensemble
+    from bayes_aero.inference.posterior.laplace import density_start, find_mode
     from bayes_aero.model.density import Density
     from bayes_aero.model.model import Model
     from bayes_aero.model.noise import Colour, Noise
     from bayes_aero.model.observations import observe
-    from bayes_aero.studies.demo import demo_records
+    from bayes_aero.simulate.demo import demo_records
 
     spent = [0.0]
 

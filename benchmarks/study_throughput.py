@@ -25,10 +25,10 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from bayes_aero.flight.card import read_card
-from bayes_aero.studies.catalogue import known_effects
-from bayes_aero.studies.request import Request
-from bayes_aero.studies.truth import simulate_file
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.jobs.catalogue.known_effects import known_effects
+from bayes_aero.jobs.simulated_truth import simulate_file
+from bayes_aero.simulate.request import Request
 
 STUDY = """
 records = ["{pattern}"]

@@ -17,13 +17,13 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import lfilter
 
-from bayes_aero.criticism.colour import Colour, colour_of
-from bayes_aero.criticism.extension import refitted, removed
-from bayes_aero.criticism.sensors import compatibility
-from bayes_aero.criticism.state import State
-from bayes_aero.flight.card import read_card
-from bayes_aero.flight.reading import read_record
-from bayes_aero.inference.autoregression import ORDER
+from bayes_aero.diagnosis.consistency.sensor_errors import compatibility
+from bayes_aero.diagnosis.screening.autocorrelation import Colour, colour_of
+from bayes_aero.diagnosis.screening.selection_state import State
+from bayes_aero.diagnosis.selection.forward_selection import refitted, removed
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.inference.variance.autoregression import ORDER
 
 RIVALS = ("vane_position", "alpha_delay")
 TRIED = {"neither": (), "position": RIVALS[:1], "lag": RIVALS[1:], "both": RIVALS}

@@ -132,14 +132,14 @@ def trajectories_schema() -> str:
 
 
 def _schema(name: str) -> str:
-    text = (ROOT / "bayes_aero" / "studies" / name).read_text(encoding="utf-8")
+    text = (ROOT / "bayes_aero" / "jobs" / "io" / "schemas" / name).read_text(encoding="utf-8")
     schema = json.loads(text)
     rows: list[tuple[str, str, str]] = []
     _walk(schema, "", rows)
     for key, part in schema.get("$defs", {}).items():
         rows.append((f"*definition* `{key}`", _type(part), part.get("description", "")))
         _walk(part, f"{key}.", rows)
-    full = f'??? note "The schema itself, `bayes_aero/studies/{name}`"\n\n    ```json\n'
+    full = f'??? note "The schema itself, `bayes_aero/jobs/io/schemas/{name}`"\n\n    ```json\n'
     full += "".join(f"    {line}\n" for line in text.splitlines()) + "    ```\n"
     return f"{schema['description']}\n\n{_table(('key', 'type', 'what it is'), rows)}\n\n{full}"
 

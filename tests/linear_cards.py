@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.linalg import expm
 
-from bayes_aero.flight.card import Card, parse_card
+from bayes_aero.flight.card.card import Card, parse_card
 from bayes_aero.flight.record import FlightRecord
 
 SHORT_PERIOD = """

@@ -10,7 +10,7 @@ import numpy as np
 
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
-from bayes_aero.studies.hidden import Beyond
+from bayes_aero.simulate.injection import Beyond
 
 
 def _effect(name: str, channels: tuple[str, ...], parameters: tuple[tuple[str, float], ...], increments: Any) -> Effect:

@@ -13,10 +13,10 @@ import xarray as xr
 
 import bayes_aero as ba
 from bayes_aero.cli.identify import identify as command
-from bayes_aero.inference.posterior import Posterior, PosteriorStatus
+from bayes_aero.inference.posterior.posterior import Posterior, PosteriorStatus
+from bayes_aero.jobs.identify import identify
 from bayes_aero.model.noise import DEFAULT, Colour
-from bayes_aero.report.comparison import ordered
-from bayes_aero.studies.identify import identify
+from bayes_aero.report.tables.comparison import ordered
 
 PUBLIC = {
     "CATALOGUE", "Card", "Diagnosed", "Effect", "Fit", "FlightRecord", "InputError", "Model", "Parameter", "Prior",

@@ -3,8 +3,8 @@
 import jax
 import pytest
 
-from bayes_aero.criticism.diagnosis import diagnose
-from bayes_aero.criticism.settings import DiagnosisSettings
+from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.flight.record import FlightRecord
 
 

@@ -15,7 +15,7 @@ from browsing import needed
 
 import bayes_aero as ba
 from bayes_aero.flight.aircraft import AIRCRAFT_KEYS
-from bayes_aero.flight.card import PARAMETER_KEYS, SECTIONS
+from bayes_aero.flight.card.card import PARAMETER_KEYS, SECTIONS
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.parameter import FAMILIES
 
@@ -103,7 +103,9 @@ def test_reference_lists_every_key_of_the_schemas(site, name):
             for below in part:
                 yield from keys(below)
 
-    schema = json.loads((ROOT / "bayes_aero" / "studies" / f"{name}.schema.json").read_text(encoding="utf-8"))
+    schema = json.loads(
+        (ROOT / "bayes_aero" / "jobs" / "io" / "schemas" / f"{name}.schema.json").read_text(encoding="utf-8")
+    )
     found = set(keys(schema))
     assert len(found) > 10
     assert {key for key in found if not re.search(rf"<code>[^<]*\b{re.escape(key)}</code>", page)} == set()

@@ -8,7 +8,7 @@ import pytest
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.flights import response_scales
+from bayes_aero.model.joined_channels import response_scales
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks, observe
 

@@ -19,7 +19,7 @@ from bayes_aero.cli.run import run
 from bayes_aero.cli.simulate import simulate
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED, InterruptionError
 from bayes_aero.errors import DefectError, InputError, plain_line
-from bayes_aero.studies.compiled import keep_compiled
+from bayes_aero.study.jit_cache import keep_compiled
 
 TRACEBACK = "BAYES_AERO_TRACEBACK"
 """Set in the environment, an unexpected failure shows where in the program it happened."""

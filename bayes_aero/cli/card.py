@@ -36,14 +36,14 @@ def card(
 
     Example: bayes-aero card flight7.csv --out mine.toml
     """
-    from bayes_aero.flight.segments import segment_of
+    from bayes_aero.flight.reading.segments import segment_of
 
     record = segment_of(record).file
     target = out or Path(f"{record.stem}.toml")
     if target.exists() and not force:
         raise InputError(f"{target} exists; give --force to overwrite it, or another name with --out")
     with loading():
-        from bayes_aero.studies.starter import starter_card
+        from bayes_aero.jobs.card.card_template import starter_card
 
     starter = starter_card(record)
     partial = target.with_name(f".{target.name}.{os.getpid()}.part")
@@ -57,7 +57,7 @@ def card(
     report = None
     failures: tuple[str, ...] = ()
     if page:
-        from bayes_aero.studies.starter_page import put_starter_page
+        from bayes_aero.jobs.card.template_page import put_starter_page
 
         report, failures = put_starter_page(starter, record, target)
     if json:

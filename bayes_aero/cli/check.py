@@ -29,8 +29,8 @@ from bayes_aero.cli.terminal import (
 )
 
 if TYPE_CHECKING:
-    from bayes_aero.criticism.checked import CheckReport
-    from bayes_aero.flight.inspection import RecordReport
+    from bayes_aero.diagnosis.consistency.check_result import CheckReport
+    from bayes_aero.flight.reading.inspection import RecordReport
 
 
 def check(
@@ -55,8 +55,8 @@ def check(
     Example: bayes-aero check qst01.asc qst02.asc --model attas
     """
     with loading():
-        from bayes_aero.flight.card import read_card
-        from bayes_aero.studies.check import check_records, check_results, write_check
+        from bayes_aero.flight.card.card import read_card
+        from bayes_aero.jobs.check import check_records, check_results, write_check
 
     card = read_card(model)
     failures: tuple[str, ...] = ()
@@ -78,8 +78,8 @@ def check(
 
 
 def _tell(console: Console, report: CheckReport) -> None:
-    from bayes_aero.report.words_check import card_sentences, headline, left_over, sensor_sentences, use_sentences
-    from bayes_aero.report.words_consistency import sizes
+    from bayes_aero.report.text.check import card_sentences, headline, left_over, sensor_sentences, use_sentences
+    from bayes_aero.report.text.consistency import sizes
 
     doubt, told = report.consistency.disagrees, sensor_sentences(report)
     for caution in report.cautions:
@@ -100,7 +100,7 @@ def _tell(console: Console, report: CheckReport) -> None:
 
 
 def _tell_record(console: Console, r: RecordReport) -> None:
-    from bayes_aero.report.words_check import part_sentences, taken
+    from bayes_aero.report.text.check import part_sentences, taken
 
     rate = f"{1.0 / r.dt:.4g} Hz" if r.dt > 0.0 else "no sampling rate"
     console.print(r.path, style="bold", end="", soft_wrap=True)

@@ -28,7 +28,7 @@ from bayes_aero.cli.terminal import (
 )
 
 if TYPE_CHECKING:  # the real imports wait until the command needs them
-    from bayes_aero.studies.kept import Outcome
+    from bayes_aero.jobs.io.result_store import Outcome
 
 
 def diagnose(
@@ -57,8 +57,8 @@ def diagnose(
     """
     (card, flights), hidden = card_and_records(model, records or [], resample, split), None
     with loading():
-        from bayes_aero.studies.diagnose import hide_one
-        from bayes_aero.studies.tasks import diagnose_records
+        from bayes_aero.jobs.diagnose import hide_one
+        from bayes_aero.jobs.dispatch import diagnose_records
 
     console = teller(quiet=json, highlight=True)
     with interruptible(kept_stages(out, taken_up=True)), bar("reading" if records else "simulating") as tell:
@@ -92,8 +92,8 @@ def diagnose(
 
 
 def _tell(console: Console, found: Outcome) -> None:
-    from bayes_aero.report.words_diagnosis import cause_table, ranking_table, revealed, sentences
-    from bayes_aero.report.words_trajectory import trajectory_table
+    from bayes_aero.report.text.diagnosis import cause_table, ranking_table, revealed, sentences
+    from bayes_aero.report.text.trajectories import trajectory_table
 
     verdict, *rest = sentences(found.view)
     console.print(verdict, highlight=False, style="bold")

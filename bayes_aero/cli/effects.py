@@ -19,7 +19,7 @@ SCHEMA = "bayes_aero/effects/1"
 def _names(incomplete: str) -> list[str]:
     """Names for shell completion, from the files, so that the numerical libraries stay unloaded."""
     folder = Path(__file__).resolve().parents[1] / "effects"
-    return sorted(p.stem for p in folder.glob("*.py") if not p.stem.startswith("_") and p.stem.startswith(incomplete))
+    return sorted(p.stem for p in folder.rglob("*.py") if not p.stem.startswith("_") and p.stem.startswith(incomplete))
 
 
 def effects(
@@ -38,8 +38,8 @@ def effects(
 
     Example: bayes-aero effects pitch_rate_bias
     """
-    from bayes_aero.flight.card import read_card
-    from bayes_aero.studies.catalogue import described, effect_named, known_effects
+    from bayes_aero.flight.card.card import read_card
+    from bayes_aero.jobs.catalogue.known_effects import described, effect_named, known_effects
 
     card = None if model is None else read_card(model)
     known = known_effects(card)
@@ -47,7 +47,7 @@ def effects(
     found = [described(effect, card) for effect in chosen]
     failures: tuple[str, ...] = ()
     if out is not None:
-        from bayes_aero.studies.catalogue_page import write_effects
+        from bayes_aero.jobs.catalogue.catalogue_page import write_effects
 
         failures = write_effects(found, SCHEMA, card, out)
     if json:
@@ -89,7 +89,7 @@ def _table(found: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _explained(effect: Mapping[str, Any]) -> None:
-    from bayes_aero.report.words_effects import facts, parameter_facts, unit_behind, worked
+    from bayes_aero.report.text.effects import facts, parameter_facts, unit_behind, worked
 
     console = teller(highlight=True)
 

@@ -77,9 +77,9 @@ def fly(
     """
     card, flights = card_and_records(model, records, resample, split)
     with loading():
-        from bayes_aero.report.words_fly import error_table, parameter_table
-        from bayes_aero.studies.fly import RESULTS
-        from bayes_aero.studies.fly import fly as run
+        from bayes_aero.jobs.fly import RESULTS
+        from bayes_aero.jobs.fly import fly as run
+        from bayes_aero.report.text.fly import error_table, parameter_table
 
     console = teller(quiet=json, highlight=True)
     with interruptible(kept_stages(out)), bar("reading") as tell:

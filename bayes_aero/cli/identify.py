@@ -66,12 +66,12 @@ def identify(
     card, flights = card_and_records(model, records or [], resample, split)
     # Imported here: --help, a mistyped option and a file that is not there need not wait for the numerical libraries.
     with loading():
-        from bayes_aero.flight.card import read_card
+        from bayes_aero.flight.card.card import read_card
+        from bayes_aero.jobs.identify import identify as run
         from bayes_aero.model.noise import Colour
-        from bayes_aero.report.tables import terminal_table
-        from bayes_aero.report.words import verdict
-        from bayes_aero.studies.demo import TRUTH, demo_records
-        from bayes_aero.studies.identify import identify as run
+        from bayes_aero.report.tables.run_tables import terminal_table
+        from bayes_aero.report.text.identification import verdict
+        from bayes_aero.simulate.demo import TRUTH, demo_records
 
     console, truth = teller(quiet=json, highlight=True), None
     if not records:

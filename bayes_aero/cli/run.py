@@ -19,8 +19,8 @@ from bayes_aero.cli.terminal import FAILED, JsonOption, bar, interruptible, load
 from bayes_aero.errors import InputError
 
 if TYPE_CHECKING:
-    from bayes_aero.studies.batch import Doer, Planned
-    from bayes_aero.studies.study import Study
+    from bayes_aero.study.run import Doer, Planned
+    from bayes_aero.study.study import Study
 
 SILENCE = 15.0  # seconds without workers after which that is told also where there is no terminal
 SCHEMA = "bayes_aero/study/1"
@@ -61,12 +61,12 @@ def run(
     Example: bayes-aero run study.toml --out results --workers 4
     """
     _check(dry_run, verify, workers, memory, scheduler)
-    from bayes_aero.studies.study import read_study
+    from bayes_aero.study.study import read_study
 
     asked = read_study(study, trust_effects=trust_effects)  # a mistake is told before the libraries are loaded
     with loading():
-        from bayes_aero.studies.batch import UNITS, StoppedError, leftovers, plan, run_study
-        from bayes_aero.studies.study_report import put_report
+        from bayes_aero.study.report import put_report
+        from bayes_aero.study.run import UNITS, StoppedError, leftovers, plan, run_study
 
     folder = out or Path(f"{study.stem}_results")
     if folder.exists() and not folder.is_dir():
@@ -145,7 +145,7 @@ def _cluster(
         yield None
         return
     try:
-        from bayes_aero.studies import cluster
+        from bayes_aero.study import cluster
     except ModuleNotFoundError as reason:
         raise InputError(
             f'--workers and --scheduler need {reason.name}; install it with: pip install "bayes-aero[cluster]"'
@@ -194,7 +194,7 @@ def _listed(console: Console, planned: list[Planned]) -> None:
 
 
 def _verify(console: Console, study: Study, planned: list[Planned], out: Path, json: bool) -> None:
-    from bayes_aero.studies.verify import NOTHING, verify_unit
+    from bayes_aero.study.verify import NOTHING, verify_unit
 
     rows = []
     with interruptible(lambda: "verification writes nothing; give the same command again"), bar("verifying") as show:

@@ -54,11 +54,11 @@ def simulate(
     if out.exists() and not force:
         raise InputError(f"{out} exists; give --force to overwrite it, or another name with --out")
     with loading():
-        from bayes_aero.flight.card import read_card
-        from bayes_aero.studies.catalogue import known_effects
-        from bayes_aero.studies.request import Request
-        from bayes_aero.studies.truth import simulate_file
-        from bayes_aero.studies.wanted import parsed_effects
+        from bayes_aero.flight.card.card import read_card
+        from bayes_aero.jobs.catalogue.effect_arguments import parsed_effects
+        from bayes_aero.jobs.catalogue.known_effects import known_effects
+        from bayes_aero.jobs.simulated_truth import simulate_file
+        from bayes_aero.simulate.request import Request
 
     card = read_card(model)
     known = known_effects(card)

@@ -14,11 +14,11 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from bayes_aero.cli.durations import Durations, TimeLeft
-from bayes_aero.studies.compiled import cache_folder
+from bayes_aero.study.jit_cache import cache_folder
 
 if TYPE_CHECKING:  # the real imports wait until a command needs them
     from bayes_aero.flight.agreement import Consistency
-    from bayes_aero.flight.card import Card
+    from bayes_aero.flight.card.card import Card
     from bayes_aero.flight.health import HealthFinding
     from bayes_aero.flight.record import FlightRecord
 
@@ -84,19 +84,19 @@ def card_and_records(
     model: str, records: Sequence[Path], resample: float | None, split: bool
 ) -> tuple[Card, list[FlightRecord]]:
     """What a command is given, read before anything that takes seconds to load: a mistake is reported at once."""
-    from bayes_aero.flight.reading import present, read_records
+    from bayes_aero.flight.reading.read_record import present, read_records
 
     for path in records:
         present(path)
     with loading():
-        from bayes_aero.flight.card import read_card
+        from bayes_aero.flight.card.card import read_card
     card = read_card(model)
     return card, read_records(records, card.channels, resample=resample, segments=card.segments, split=split)
 
 
 def print_json(content: Mapping[str, Any]) -> None:
     """One JSON document on stdout; a number that does not exist (NaN, infinity) is null."""
-    from bayes_aero.studies.provenance import as_json
+    from bayes_aero.jobs.provenance.provenance import as_json
 
     sys.stdout.write(as_json(dict(content)))
 
@@ -108,7 +108,7 @@ def print_doubts(
 
     `corrects`: whether the command takes known errors of sensors out by itself.
     """
-    from bayes_aero.report.words_consistency import consistency_sentences
+    from bayes_aero.report.text.consistency import consistency_sentences
 
     for finding in health:
         console.print(f"! {finding.sentence}", highlight=False)

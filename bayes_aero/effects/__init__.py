@@ -1,4 +1,4 @@
-"""The catalogue of effects: every module of this package that defines `EFFECT`, found by itself.
+"""The catalogue of effects: every module below this package defines one as `EFFECT`; none is listed by hand.
 
 The `sizes` are engineering judgement for a transport of some 20 t at 60 to 100 m/s, never tuned to a result. The least
 departure worth modelling changes CL by about 0.01, CD by 0.001 or Cm by 0.002 over the usual swing of its signal in a
@@ -16,12 +16,14 @@ from bayes_aero.errors import InputError
 
 def _discover() -> dict[str, Effect]:
     found: dict[str, Effect] = {}
-    for module in pkgutil.iter_modules(__path__):
-        effect = importlib.import_module(f"{__name__}.{module.name}").EFFECT
-        if effect.name != module.name:
-            raise InputError(f"the effect in {module.name}.py calls itself {effect.name}; the two must agree")
-        found[effect.name] = effect
-    return found
+    for module in pkgutil.walk_packages(__path__, f"{__name__}."):
+        if module.ispkg:
+            continue
+        effect, name = importlib.import_module(module.name).EFFECT, module.name.rpartition(".")[2]
+        if effect.name != name:
+            raise InputError(f"the effect in {name}.py calls itself {effect.name}; the two must agree")
+        found[name] = effect
+    return dict(sorted(found.items()))
 
 
 CATALOGUE: dict[str, Effect] = _discover()

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from bayes_aero.flight.card import Card
-from bayes_aero.flight.card_linear import ONE
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card.linear_table import ONE
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.units import si_unit
 

@@ -16,10 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayes_aero.dynamics.steady import conditions, steady_flow
 from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.inference.posterior import Posterior
+from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.model.model import Model
-from bayes_aero.model.steady import conditions, steady_flow
 
 POINTS = 241  # angles: less than 0.1 deg apart over 20 deg, and the maximum is found between them
 DRAWS = 400

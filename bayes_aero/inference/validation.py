@@ -18,14 +18,14 @@ from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from bayes_aero.errors import InputError
-from bayes_aero.inference.cores import cores
 from bayes_aero.inference.gp import GPFit, Priors, fit_gp
 from bayes_aero.inference.gp.fit import MAX_SAMPLES, too_many
 from bayes_aero.inference.identification import GPReport, Validation
-from bayes_aero.inference.mle import MleResult, fit_mle
-from bayes_aero.inference.orphan import leave_with
+from bayes_aero.inference.likelihood.mle import MleResult, fit_mle
+from bayes_aero.inference.parent_watchdog import leave_with
 from bayes_aero.inference.scores import score
 from bayes_aero.inference.splits import BLOCK_SECONDS, Split, SplitKind, make_splits, too_short
+from bayes_aero.inference.threads import cores
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Observations
 from bayes_aero.physics.coefficients import NAMES

@@ -15,7 +15,7 @@ from bayes_aero.effect import NEUTRAL_FLOW, Effect, Known, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.card import Card
+from bayes_aero.flight.card.card import Card
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.parameter import Parameter, per_length
 

@@ -15,12 +15,11 @@ from jaxtyping import Array, Bool, Float, Int
 from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.card import Card
-from bayes_aero.flight.common_rate import at_common_rate
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.reading.common_rate import at_common_rate
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model import pytrees as pytrees
-from bayes_aero.model.formed import with_sums
-from bayes_aero.model.joined import MARKS, named_apart, plain_marks
+from bayes_aero.model.derived_channels import with_sums
+from bayes_aero.model.joined_records import MARKS, named_apart, plain_marks
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficients import (
     REQUIRED,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from bayes_aero.flight.agreement import Consistency
-from bayes_aero.flight.card import Card
+from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayes_aero.arrays import Array, namespace
-from bayes_aero.model.joined import Recorded
+from bayes_aero.model.joined_records import Recorded
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficient_names import NAMES
 from bayes_aero.physics.filters import FILTER_STEP

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from bayes_aero.model.flights import Flights, response_scales
+from bayes_aero.model.joined_channels import Flights, response_scales
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficients import NAMES, coefficients
 from bayes_aero.physics.flightpath import LATERAL, PATH

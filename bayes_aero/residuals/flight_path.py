@@ -17,7 +17,7 @@ from jaxtyping import Float
 from bayes_aero.arrays import Array, namespace
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.model.joined import Joined, Recorded
+from bayes_aero.model.joined_records import Joined, Recorded
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import differentiate_joined, smooth_joined
 from bayes_aero.physics.flightpath import as_symmetric, integral, path_outputs, path_rates

@@ -15,10 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from bayes_aero.model.dynamics import AircraftDynamics
-from bayes_aero.model.flights import Flights
+from bayes_aero.dynamics.flight import AircraftDynamics
+from bayes_aero.dynamics.segments import Flown, segments, simulate
+from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
-from bayes_aero.model.segments import Flown, segments, simulate
 from bayes_aero.physics.filters import FILTER_STEP
 from bayes_aero.residuals.base import ResidualModel
 from bayes_aero.residuals.windows import WINDOW

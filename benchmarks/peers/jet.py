@@ -21,7 +21,7 @@ from contender import Problem
 if TYPE_CHECKING:
     import aeroid
 
-    from bayes_aero.inference.output_error_result import OutputErrorResult
+    from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult
 
 JET = "jet.pickle"
 
@@ -85,7 +85,7 @@ def our_fit(flown) -> OutputErrorResult:
     """From the wrong start."""
     from output_error_speed import wrong_start
 
-    from bayes_aero.inference.output_error import fit_output_error
+    from bayes_aero.inference.likelihood.output_error import fit_output_error
 
     return fit_output_error(flown, start=wrong_start(flown.dynamics.names))
 

@@ -31,10 +31,10 @@ def ours(engine: str) -> Callable[[Problem, int, argparse.Namespace], Callable[[
     def prepared(problem: Problem, _: int, options: argparse.Namespace) -> Callable[[int], Drawn]:
         from output_error_speed import problem as jet_problem
 
-        from bayes_aero.inference.ensemble import sample_ensemble
-        from bayes_aero.inference.laplace import find_mode
-        from bayes_aero.inference.nuts import sample_nuts
-        from bayes_aero.inference.trajectory_density import trajectory_density
+        from bayes_aero.inference.likelihood.trajectory_density import trajectory_density
+        from bayes_aero.inference.posterior.ensemble import sample_ensemble
+        from bayes_aero.inference.posterior.laplace import find_mode
+        from bayes_aero.inference.posterior.nuts import sample_nuts
 
         fit = our_fit(jet_problem()[0])
         density = trajectory_density(fit)

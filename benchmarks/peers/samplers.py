@@ -34,7 +34,7 @@ def ours(engine: str) -> Callable[[Problem, int, argparse.Namespace], Run]:
     """`sample_ensemble` or `sample_nuts`, as `identify` runs them; their burn-in always counts."""
 
     def prepared(problem: Problem, _: int, options: argparse.Namespace) -> Run:
-        from bayes_aero.inference.laplace import Mode, ModeStatus
+        from bayes_aero.inference.posterior.laplace import Mode, ModeStatus
         from bayes_aero.model.density import Density
         from bayes_aero.model.noise import Colour, Noise
 
@@ -42,9 +42,9 @@ def ours(engine: str) -> Callable[[Problem, int, argparse.Namespace], Run]:
         density = Density(observations, model, Noise(Colour.WHITE))
         mode = Mode(problem.u, problem.factor, problem.posterior(problem.u), ModeStatus.CONVERGED)
         if engine == "emcee":
-            from bayes_aero.inference.ensemble import sample_ensemble as sample
+            from bayes_aero.inference.posterior.ensemble import sample_ensemble as sample
         else:
-            from bayes_aero.inference.nuts import sample_nuts as sample
+            from bayes_aero.inference.posterior.nuts import sample_nuts as sample
         limit = QUICK[engine] if options.quick else {}
 
         def run(seed: int) -> Drawn:
@@ -121,7 +121,7 @@ def lmfit_emcee(problem: Problem, _: int, options: argparse.Namespace) -> Run:
 
 def worth(warm: list[tuple[float, Drawn]], names: tuple[str, ...]) -> dict:
     """Medians over the runs of the least ESS and of its rates; the worst R-hat; means, to see that they agree."""
-    from bayes_aero.inference.posterior import diagnose
+    from bayes_aero.inference.posterior.posterior import diagnose
 
     ess, rate, free, rhat = [], [], [], []
     for seconds, drawn in warm:

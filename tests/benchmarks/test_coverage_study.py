@@ -3,7 +3,7 @@
 import pytest
 from coverage_study import coverage_study
 
-from bayes_aero.studies.demo import TRUTH
+from bayes_aero.simulate.demo import TRUTH
 
 NOISE = {"sigma_CL": 0.02, "sigma_CD": 0.005, "sigma_Cm": 0.004, "rho_CL": 0.95, "rho_CD": 0.95, "rho_Cm": 0.95}
 

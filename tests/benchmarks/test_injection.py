@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from injection import injected
 
-from bayes_aero.criticism.diagnosis import diagnose
+from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.errors import InputError
-from bayes_aero.flight.reading import read_record
-from bayes_aero.studies.demo import simulate_stall
+from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.simulate.demo import simulate_stall
 
 
 @pytest.fixture(scope="module")

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bayes_aero.studies import unit as units
-from bayes_aero.studies.provenance import provenance, write_json
+from bayes_aero.jobs.provenance.provenance import provenance, write_json
+from bayes_aero.study import case as units
 
 SECONDS = float(os.environ.get("QUICK_SECONDS", "0.4"))
 

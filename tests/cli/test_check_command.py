@@ -55,7 +55,7 @@ def test_what_a_lost_channel_costs_is_said(program, flights, tmp_path):
 
 
 def open_card():
-    from bayes_aero.flight.card import shipped_cards
+    from bayes_aero.flight.card.card import shipped_cards
 
     return shipped_cards()["attas"].read_text()
 

@@ -20,10 +20,10 @@ from linear_cards import (
     short_period_flight,
 )
 
-from bayes_aero.flight.reading import write_record
+from bayes_aero.flight.reading.read_record import write_record
 
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15, "p": 0.004, "r": 0.003, "p_dot": 0.03}
-SCHEMA = json.loads(resources.files("bayes_aero.studies").joinpath("trajectories.schema.json").read_text())
+SCHEMA = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("trajectories.schema.json").read_text())
 
 
 def written(folder, text, channels, name="flight", seed=1):

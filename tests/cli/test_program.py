@@ -16,15 +16,16 @@ from bayes_aero.cli import app, choices, main
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED, kept_stages
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.entry import _heed
-from bayes_aero.flight import reading
-from bayes_aero.flight.card import read_card
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.reading import read_record as reading
 from bayes_aero.inference.splits import SplitKind
+from bayes_aero.jobs import identify as job
+from bayes_aero.jobs.fly import INITIAL_STATES, INPUTS
+from bayes_aero.jobs.io.resume import Unfinished
 from bayes_aero.model.noise import Colour
 from bayes_aero.model.observations import Forming
-from bayes_aero.studies import identify as job
-from bayes_aero.studies import request, study
-from bayes_aero.studies.fly import INITIAL_STATES, INPUTS
-from bayes_aero.studies.unfinished import Unfinished
+from bayes_aero.simulate import request
+from bayes_aero.study import study
 
 COMMANDS = sorted(command.callback.__name__ for command in app.registered_commands)
 OWN = """
@@ -212,7 +213,7 @@ def test_an_unexpected_failure_is_one_sentence_and_a_traceback_if_asked_for(prog
         raise ZeroDivisionError("no such luck")
 
     (tmp_path / "one.csv").write_text("t,V\n" + "\n".join(f"{0.1 * i},80" for i in range(60)))
-    monkeypatch.setattr("bayes_aero.studies.starter.guessed", broken)
+    monkeypatch.setattr("bayes_aero.jobs.card.card_template.guessed", broken)
     done = program("card", "one.csv")
     assert done.code == 1
     assert done.err.startswith("error: the command failed unexpectedly (ZeroDivisionError: no such luck)")

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from bayes_aero.flight.card import shipped_cards
+from bayes_aero.flight.card.card import shipped_cards
 
 BOOK = Path(__file__).resolve().parents[3] / "shared" / "book"
 FIXED = ("--initial-state", "fixed")

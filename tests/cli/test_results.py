@@ -10,8 +10,8 @@ import pytest
 from calling import called
 from markupsafe import escape
 
-from bayes_aero.flight.reading import write_record
-from bayes_aero.studies import diagnose as job
+from bayes_aero.flight.reading.read_record import write_record
+from bayes_aero.jobs import diagnose as job
 
 SETTINGS = ("--noise", "white", "--no-gp", "--no-figures")
 
@@ -32,7 +32,7 @@ def flown(tmp_path_factory, clean_records, card):
 def test_results_follow_the_schema(flown):
     folder, _, _ = flown
     results = json.loads((folder / "first" / "results.json").read_text())
-    schema = json.loads(resources.files("bayes_aero.studies").joinpath("results.schema.json").read_text())
+    schema = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("results.schema.json").read_text())
     jsonschema.validate(results, schema)
     assert results["mle"]["status"] == "converged"
     assert set(results["posterior"]["emcee"]) >= {"alpha_star", "sigma_CL"}
@@ -103,7 +103,7 @@ def test_diagnose_writes_and_tells_what_it_found(tmp_path, program, diagnosed, c
     done = program("diagnose", "a.csv", "--max-effects", "2", *left_out)
     assert done.code == 0, done.err
     found = json.loads((tmp_path / "diagnosis" / "diagnosis.json").read_text())
-    schema = json.loads(resources.files("bayes_aero.studies").joinpath("diagnosis.schema.json").read_text())
+    schema = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("diagnosis.schema.json").read_text())
     jsonschema.validate(found, schema)
     assert found["provenance"]["settings"] == {"max_effects": 2}
     for cause in found["causes"]:

@@ -16,11 +16,11 @@ import pytest
 import xarray as xr
 
 from bayes_aero.errors import InputError
-from bayes_aero.studies import identify as job
-from bayes_aero.studies import unit as units
-from bayes_aero.studies.provenance import write_json
-from bayes_aero.studies.study import KEYS, OPTIONS, read_study
-from bayes_aero.studies.summary import RESULTS
+from bayes_aero.jobs import identify as job
+from bayes_aero.jobs.provenance.provenance import write_json
+from bayes_aero.study import case as units
+from bayes_aero.study.study import KEYS, OPTIONS, read_study
+from bayes_aero.study.summary import RESULTS
 
 STUDY = """
 title = "two records"

@@ -11,9 +11,9 @@ import pytest
 from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, short_period_flight
 
 from bayes_aero.cli.fly import fly
-from bayes_aero.flight.reading import write_record
-from bayes_aero.studies.provenance import write_json
-from bayes_aero.studies.study import OPTIONS
+from bayes_aero.flight.reading.read_record import write_record
+from bayes_aero.jobs.provenance.provenance import write_json
+from bayes_aero.study.study import OPTIONS
 
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15}
 STUDY = """

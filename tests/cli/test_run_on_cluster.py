@@ -26,7 +26,7 @@ import distributed  # noqa: F401  (its defaults come with it: set before, they w
 import psutil
 import pytest
 
-from bayes_aero.studies import unit as units
+from bayes_aero.study import case as units
 
 pytestmark = pytest.mark.cluster
 QUICK = Path(__file__).with_name("quick_units.py")
@@ -359,8 +359,8 @@ def test_options_that_do_not_go_together_are_one_sentence(program, folder, monke
 
 def test_without_dask_the_way_to_have_it_is_told(program, folder, monkeypatch):
     monkeypatch.chdir(folder)
-    monkeypatch.delitem(sys.modules, "bayes_aero.studies.cluster", raising=False)
-    monkeypatch.delattr("bayes_aero.studies.cluster", raising=False)
+    monkeypatch.delitem(sys.modules, "bayes_aero.study.cluster", raising=False)
+    monkeypatch.delattr("bayes_aero.study.cluster", raising=False)
     monkeypatch.setitem(sys.modules, "distributed", None)
     done = program("run", "study.toml", "--workers", "2")
     assert done.code == 2

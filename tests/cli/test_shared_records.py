@@ -22,8 +22,8 @@ from calling import called
 
 import bayes_aero as ba
 from bayes_aero.errors import InputError
-from bayes_aero.studies import identify as job
-from bayes_aero.studies.starter import starter_card
+from bayes_aero.jobs import identify as job
+from bayes_aero.jobs.card.card_template import starter_card
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "records"
 QUICK = ("--no-sample", "--no-gp", "--no-figures")

@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from bayes_aero.dynamics.manoeuvres import commands
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.reading import read_record
-from bayes_aero.model.manoeuvres import commands
-from bayes_aero.studies import request
+from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.simulate import request
 
 
 def test_a_sensor_error_acts_when_it_is_recorded(flights):

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from bayes_aero.flight.card import read_card, shipped_cards
-from bayes_aero.studies import unit as units
-from bayes_aero.studies.provenance import write_json
+from bayes_aero.flight.card.card import read_card, shipped_cards
+from bayes_aero.jobs.provenance.provenance import write_json
+from bayes_aero.study import case as units
 
 EFFECT = (Path(__file__).parents[1] / "model" / "test_own_effects.py").read_text(encoding="utf-8").split("'''")[1]
 

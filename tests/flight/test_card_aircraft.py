@@ -5,7 +5,7 @@ import re
 import pytest
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card_aircraft import parse_aircraft
+from bayes_aero.flight.card.aircraft_table import parse_aircraft
 
 STATED = {
     "mass": "377.281 slug", "Ix": "8197.35 slug-ft2", "Iy": "11710.5 slug-ft2", "Iz": "18736.8 slug-ft2",

@@ -7,11 +7,11 @@ import pandas as pd
 import pytest
 import scipy.io
 
-from bayes_aero.flight.card import parse_card
-from bayes_aero.flight.inspection import inspect_record
+from bayes_aero.flight.card.card import parse_card
+from bayes_aero.flight.card.toml_tables import parse_table
 from bayes_aero.flight.readers import READERS
-from bayes_aero.flight.tables import parse_table
-from bayes_aero.studies.starter import starter_card
+from bayes_aero.flight.reading.inspection import inspect_record
+from bayes_aero.jobs.card.card_template import starter_card
 
 DEG, FT, G, LBF, KT = np.pi / 180.0, 0.3048, 9.80665, 4.4482216152605, 1852.0 / 3600.0
 ELSEWHERE = {".ulg", ".bin"}  # logs of autopilots: their names are no aircraft's, see test_formats.py

@@ -6,15 +6,15 @@ import tomllib
 import numpy as np
 import pytest
 
-from bayes_aero.criticism.checked import CheckReport, SensorCheck
+from bayes_aero.diagnosis.consistency.check_result import CheckReport, SensorCheck
+from bayes_aero.dynamics.linear import channel_units
 from bayes_aero.errors import InputError
 from bayes_aero.flight.agreement import Consistency
-from bayes_aero.flight.card import parse_card
+from bayes_aero.flight.card.card import parse_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.formed import with_sums
-from bayes_aero.model.linear import channel_units
-from bayes_aero.report.words_check import card_sentences
-from bayes_aero.studies.check import check_records
+from bayes_aero.jobs.check import check_records
+from bayes_aero.model.derived_channels import with_sums
+from bayes_aero.report.text.check import card_sentences
 
 CARD = """
 [channels]

@@ -9,9 +9,9 @@ import pytest
 from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, short_period_flight
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card import parse_card, shipped_cards
+from bayes_aero.flight.card.card import parse_card, shipped_cards
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.formed import with_sums
+from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.model import Model
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bayes_aero.flight.common_rate import at_common_rate, rate_notes
+from bayes_aero.flight.reading.common_rate import at_common_rate, rate_notes
 from bayes_aero.flight.record import FlightRecord
 
 

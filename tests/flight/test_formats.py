@@ -13,12 +13,13 @@ from flight.format_samples import dataflash, spoilt, ulog
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
-from bayes_aero.flight.readers import excel, extras
+from bayes_aero.flight.readers import excel
 from bayes_aero.flight.readers.base import located
-from bayes_aero.flight.readers.dataflash import open_dataflash
 from bayes_aero.flight.readers.excel import open_excel
-from bayes_aero.flight.readers.mdf import open_mdf
-from bayes_aero.flight.readers.ulog import open_ulog
+from bayes_aero.flight.readers.isolated import extras
+from bayes_aero.flight.readers.isolated.dataflash import open_dataflash
+from bayes_aero.flight.readers.isolated.mdf import open_mdf
+from bayes_aero.flight.readers.isolated.ulog import open_ulog
 
 openpyxl = pytest.importorskip("openpyxl")
 asammdf = pytest.importorskip("asammdf")
@@ -367,7 +368,7 @@ def test_damaged_files_are_read_in_part_or_refused_soon(suffix, how):
 
 
 def test_a_parser_that_never_ends_is_stopped(monkeypatch, tmp_path):
-    from bayes_aero.flight.readers import apart
+    from bayes_aero.flight.readers.isolated import process as apart
 
     parser = tmp_path / "endless.py"
     parser.write_text("def groups(data):\n    while True:\n        pass\n")

@@ -9,11 +9,11 @@ from flight_samples import CHANNELS, sound, told
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
-from bayes_aero.flight.raw import read_raw
 from bayes_aero.flight.readers.clock import seconds
 from bayes_aero.flight.readers.layout import laid_out, separator_of
 from bayes_aero.flight.readers.numbers import Marks, marks_of, number_of
-from bayes_aero.flight.reading import read_record, write_record
+from bayes_aero.flight.reading.raw import read_raw
+from bayes_aero.flight.reading.read_record import read_record, write_record
 
 LABELS = [channel.heading for channel in CHANNELS]
 

@@ -9,8 +9,8 @@ import pytest
 from flight_samples import told
 
 from bayes_aero.flight.channel import Channel
-from bayes_aero.flight.raw import read_raw
-from bayes_aero.flight.reading import read_record
+from bayes_aero.flight.reading.raw import read_raw
+from bayes_aero.flight.reading.read_record import read_record
 
 QUOTED = (Channel("time", "s", "T"), Channel("alpha", "deg", "alpha, left vane"), Channel("altitude", "m", "H"))
 

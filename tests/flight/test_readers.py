@@ -12,7 +12,7 @@ from bayes_aero.cli.terminal import SUFFIXES
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.readers import READERS
-from bayes_aero.flight.reading import read_record, write_record
+from bayes_aero.flight.reading.read_record import read_record, write_record
 from bayes_aero.flight.record import FlightRecord
 
 FORMATS = (".asc", ".txt", ".dat", ".csv", ".mat", ".parquet", ".nc")
@@ -142,7 +142,7 @@ def test_unreadable_file(tmp_path, monkeypatch):
 
 
 def test_too_large_a_file(tmp_path, monkeypatch):
-    monkeypatch.setattr("bayes_aero.flight.reading.MAX_BYTES", 100)
+    monkeypatch.setattr("bayes_aero.flight.reading.read_record.MAX_BYTES", 100)
     told(written(tmp_path, sound()), CHANNELS, "more than 100", "cut it")
 
 

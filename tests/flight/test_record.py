@@ -8,10 +8,10 @@ import pytest
 from flight_samples import CHANNELS, sound
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.checks import check_record
-from bayes_aero.flight.reading import read_record, write_record
+from bayes_aero.flight.reading.checks import check_record
+from bayes_aero.flight.reading.read_record import read_record, write_record
+from bayes_aero.flight.reading.resample import resample_record
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.resample import resample_record
 
 
 def test_what_it_holds():

@@ -8,12 +8,12 @@ from flight_samples import CHANNELS, sound
 
 import bayes_aero as ba
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card import parse_card
-from bayes_aero.flight.inspection import inspect_record
-from bayes_aero.flight.proposals import proposals
-from bayes_aero.flight.reading import manoeuvres, read_record, read_records, write_record
+from bayes_aero.flight.card.card import parse_card
+from bayes_aero.flight.reading.inspection import inspect_record
+from bayes_aero.flight.reading.proposals import proposals
+from bayes_aero.flight.reading.read_record import manoeuvres, read_record, read_records, write_record
+from bayes_aero.flight.reading.segments import parts_of, segment_of
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.segments import parts_of, segment_of
 
 N = 360
 AIRCRAFT = {

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
-from bayes_aero.flight.plausible import implausible
-from bayes_aero.flight.raw import read_raw
-from bayes_aero.flight.reading import read_record
+from bayes_aero.flight.reading.plausible import implausible
+from bayes_aero.flight.reading.raw import read_raw
+from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.studies.guess import guessed
+from bayes_aero.jobs.card.column_inference import guessed
 
 N = 60
 TIME = np.arange(N) * 0.04

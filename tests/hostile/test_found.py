@@ -15,15 +15,16 @@ from flight.flight_samples import CHANNELS, sound
 from scipy.io import savemat
 
 from bayes_aero.errors import LONGEST, InputError
-from bayes_aero.flight.card import read_card, shipped_cards
+from bayes_aero.flight.card.card import read_card, shipped_cards
 from bayes_aero.flight.channel import Channel
-from bayes_aero.flight.raw import read_raw
 from bayes_aero.flight.readers import text
-from bayes_aero.flight.reading import read_record, write_record
+from bayes_aero.flight.reading.raw import read_raw
+from bayes_aero.flight.reading.read_record import read_record, write_record
+from bayes_aero.jobs.provenance import environment
 from bayes_aero.model.own_effects import own_effects
-from bayes_aero.studies import environment, unit
-from bayes_aero.studies.study import read_study
-from bayes_aero.studies.verify import verify_unit
+from bayes_aero.study import case as unit
+from bayes_aero.study.study import read_study
+from bayes_aero.study.verify import verify_unit
 
 NESTED = "[" * 100_000 + "]" * 100_000
 
@@ -157,7 +158,7 @@ def test_many_columns_of_words_are_not_read_one_by_one(tmp_path, monkeypatch):
     calls = []
     read = text.TextTable.read
     monkeypatch.setattr(text.TextTable, "read", lambda table, some: calls.append(1) or read(table, some))
-    monkeypatch.setattr("bayes_aero.flight.raw.PATIENCE", 3.0)
+    monkeypatch.setattr("bayes_aero.flight.reading.raw.PATIENCE", 3.0)
     rows = [
         ",".join(f"c{i}" for i in range(1000)) + ",t",
         *(",".join(["1"] * 500 + ["word"] * 500) + f",{0.1 * k}" for k in range(9)),

@@ -15,9 +15,9 @@ from linear_cards import SHORT_PERIOD
 from mutations import changes, mutated, toml
 
 from bayes_aero.errors import LONGEST, InputError
-from bayes_aero.flight.card import read_card, shipped_cards
+from bayes_aero.flight.card.card import read_card, shipped_cards
 from bayes_aero.model.model import Model
-from bayes_aero.studies.study import read_study
+from bayes_aero.study.study import read_study
 
 CARDS = {
     "attas": tomllib.loads(shipped_cards()["attas"].read_text(encoding="utf-8")),

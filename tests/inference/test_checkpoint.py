@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from bayes_aero.errors import InputError
-from bayes_aero.inference import ensemble
-from bayes_aero.inference.checkpoint import STEPS, Checkpoint
-from bayes_aero.inference.ensemble import sample_ensemble
-from bayes_aero.inference.laplace import find_mode
+from bayes_aero.inference.posterior import ensemble
+from bayes_aero.inference.posterior.checkpoint import STEPS, Checkpoint
+from bayes_aero.inference.posterior.ensemble import sample_ensemble
+from bayes_aero.inference.posterior.laplace import find_mode
 from bayes_aero.model.log_density import LogDensity
 from bayes_aero.parameter import Parameter, Prior
 

@@ -13,22 +13,22 @@ import pytest
 from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, short_period_flight
 from scipy.linalg import expm
 
-from bayes_aero.criticism.candidates import field_of
-from bayes_aero.criticism.flown_fit import FITTED
+from bayes_aero.diagnosis.candidate_set import field_of
+from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED
+from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.dynamics.linear import linear_dynamics
+from bayes_aero.dynamics.segments import segments
+from bayes_aero.dynamics.system import integrate
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import NO_AIRCRAFT
-from bayes_aero.flight.card import parse_card, shipped_cards
-from bayes_aero.inference.output_error import fit_output_error, trajectories
-from bayes_aero.model.dynamics import aircraft_dynamics
-from bayes_aero.model.flights import join
-from bayes_aero.model.linear import linear_dynamics
+from bayes_aero.flight.card.card import parse_card, shipped_cards
+from bayes_aero.inference.likelihood.output_error import fit_output_error, trajectories
+from bayes_aero.jobs.fly import fly, fly_results
+from bayes_aero.jobs.provenance.provenance import as_json
+from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
-from bayes_aero.model.segments import segments
-from bayes_aero.model.system import integrate
 from bayes_aero.physics.filters import differentiate
-from bayes_aero.report.words_fly import fly_sentences, parameter_rows
-from bayes_aero.studies.fly import fly, fly_results
-from bayes_aero.studies.provenance import as_json
+from bayes_aero.report.text.fly import fly_sentences, parameter_rows
 
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15}
 BEGIN = (0.04, 0.01)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayes_aero.inference.inseparable import inseparable
-from bayes_aero.report.words_restraints import inseparable_sentences
+from bayes_aero.inference.variance.inseparable import inseparable
+from bayes_aero.report.text.restraints import inseparable_sentences
 
 NAMES, UNITS = ("CL0", "CLa", "Cmq", "Cmde"), ("1", "1/rad", "1/rad", "1/rad")
 

@@ -6,12 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.inference.coloured import corrected_covariance
-from bayes_aero.inference.mle import MleStatus, descend, fit_mle
+from bayes_aero.inference.likelihood.mle import MleStatus, descend, fit_mle
+from bayes_aero.inference.variance.coloured_bounds import corrected_covariance
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
-from bayes_aero.studies.demo import TRUTH
+from bayes_aero.simulate.demo import TRUTH
 
 # ../shared/attas/README.md: estimate and Cramer-Rao deviation, reproduced from the published program.
 PUBLISHED = {

@@ -8,16 +8,16 @@ import pytest
 from jax.scipy.special import logsumexp
 from jax.scipy.stats import norm
 
-from bayes_aero.flight.card import read_card
-from bayes_aero.inference.laplace import density_start, find_mode, other_modes, search_modes
-from bayes_aero.inference.mle import fit_mle
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.posterior.laplace import density_start, find_mode, other_modes, search_modes
 from bayes_aero.model.density import Density
 from bayes_aero.model.log_density import LogDensity
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import observe
 from bayes_aero.parameter import Parameter, Prior
-from bayes_aero.studies.demo import simulate_stall
+from bayes_aero.simulate.demo import simulate_stall
 
 PRIOR = Prior("normal", 0.0, 2.0)
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import bayes_aero as ba
-from bayes_aero.inference.mle import MleStatus, fit_mle
-from bayes_aero.inference.noise_bias import without_noise_bias
+from bayes_aero.inference.likelihood.mle import MleStatus, fit_mle
+from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
 from bayes_aero.model.density import Density
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import observe
-from bayes_aero.studies.demo import simulate_stall
+from bayes_aero.simulate.demo import simulate_stall
 
 VANE = np.radians(0.3)
 

@@ -10,12 +10,12 @@ import time
 import psutil
 import pytest
 
-from bayes_aero.inference import orphan
+from bayes_aero.inference import parent_watchdog as orphan
 
 PARENT = """
 import os, time
 from joblib import Parallel, delayed, parallel_config
-from bayes_aero.inference.orphan import leave_with
+from bayes_aero.inference.parent_watchdog import leave_with
 
 def work(parent):
     leave_with(parent)

@@ -21,16 +21,16 @@ from linear_cards import (
 )
 from scipy.signal import lfilter
 
+from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.dynamics.linear import linear_dynamics
+from bayes_aero.dynamics.segments import segments
 from bayes_aero.errors import InputError
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.flown_normal import DEPARTURE, Looks, Priors
-from bayes_aero.inference.output_error import fit_cascade, fit_output_error, trajectories
-from bayes_aero.inference.output_error_result import OutputErrorStatus
-from bayes_aero.model.dynamics import aircraft_dynamics
-from bayes_aero.model.flights import join
-from bayes_aero.model.linear import linear_dynamics
+from bayes_aero.inference.likelihood.normal_equations import DEPARTURE, Looks, Priors
+from bayes_aero.inference.likelihood.output_error import fit_cascade, fit_output_error, trajectories
+from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
+from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
-from bayes_aero.model.segments import segments
 from bayes_aero.parameter import Prior
 
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15, "p": 0.004, "r": 0.003, "p_dot": 0.03}

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, norm
 
-from bayes_aero.flight.card import read_card
-from bayes_aero.inference.pit import BAND, Histogram, histogram, neighbours, pit
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.inference.posterior.pit import BAND, Histogram, histogram, neighbours, pit
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Observations
-from bayes_aero.studies.demo import TRUTH
+from bayes_aero.simulate.demo import TRUTH
 
 N = 3000
 

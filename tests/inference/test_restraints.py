@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bayes_aero.inference.restraints import bounded, prior_conflicts
+from bayes_aero.inference.likelihood.restraints import bounded, prior_conflicts
 from bayes_aero.parameter import Parameter, Prior
-from bayes_aero.report.words_restraints import bound_sentences, conflict_sentences, leaning_sentences
+from bayes_aero.report.text.restraints import bound_sentences, conflict_sentences, leaning_sentences
 
 
 def parameter(name, prior=None, bounds=(-np.inf, np.inf)):

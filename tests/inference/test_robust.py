@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import norm, t
 
-from bayes_aero.inference.robust import robust_covariance
+from bayes_aero.inference.variance.robust_bounds import robust_covariance
 
 BLOCK = 0.2
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from linear_cards import LATERAL_TRUTH, SHORT_PERIOD_TRUTH, lateral_flight, record_of, short_period_flight
 
-from bayes_aero.flight.card import read_card
-from bayes_aero.inference.output_error import fit_output_error
-from bayes_aero.inference.output_error_result import OutputErrorStatus
-from bayes_aero.model.flights import join
-from bayes_aero.model.linear import linear_dynamics
-from bayes_aero.model.segments import segments
+from bayes_aero.dynamics.linear import linear_dynamics
+from bayes_aero.dynamics.segments import segments
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.inference.likelihood.output_error import fit_output_error
+from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
+from bayes_aero.model.joined_channels import join
 
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15, "p": 0.004, "r": 0.003}
 SPEED = 90.0  # m/s, of the flight by which az follows alpha

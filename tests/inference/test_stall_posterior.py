@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from bayes_aero.inference.ensemble import sample_ensemble
-from bayes_aero.inference.laplace import ModeStatus, density_start, find_mode
-from bayes_aero.inference.mle import fit_mle
-from bayes_aero.inference.nuts import sample_nuts
-from bayes_aero.inference.posterior import PosteriorStatus
+from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.posterior.ensemble import sample_ensemble
+from bayes_aero.inference.posterior.laplace import ModeStatus, density_start, find_mode
+from bayes_aero.inference.posterior.nuts import sample_nuts
+from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import observe
 from bayes_aero.parameter import Prior
-from bayes_aero.studies.demo import TRUTH, simulate_stall
+from bayes_aero.simulate.demo import TRUTH, simulate_stall
 
 SIGMA = np.array([0.02, 0.005, 0.004])
 COLOURED = {

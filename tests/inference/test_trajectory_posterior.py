@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, short_period_flight
 
-from bayes_aero.inference.ensemble import sample_ensemble
-from bayes_aero.inference.laplace import find_mode
-from bayes_aero.inference.nuts import sample_nuts
-from bayes_aero.inference.output_error import fit_output_error
-from bayes_aero.inference.posterior import PosteriorStatus
-from bayes_aero.inference.trajectory_density import trajectory_density
-from bayes_aero.model.flights import join
-from bayes_aero.model.linear import linear_dynamics
-from bayes_aero.model.segments import segments
+from bayes_aero.dynamics.linear import linear_dynamics
+from bayes_aero.dynamics.segments import segments
+from bayes_aero.inference.likelihood.output_error import fit_output_error
+from bayes_aero.inference.likelihood.trajectory_density import trajectory_density
+from bayes_aero.inference.posterior.ensemble import sample_ensemble
+from bayes_aero.inference.posterior.laplace import find_mode
+from bayes_aero.inference.posterior.nuts import sample_nuts
+from bayes_aero.inference.posterior.posterior import PosteriorStatus
+from bayes_aero.model.joined_channels import join
 
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15}
 

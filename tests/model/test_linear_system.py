@@ -15,12 +15,12 @@ from linear_cards import (
     short_period_flight,
 )
 
+from bayes_aero.dynamics.linear import linear_dynamics
+from bayes_aero.dynamics.segments import segments, simulate
+from bayes_aero.dynamics.system import integrate
 from bayes_aero.errors import InputError
-from bayes_aero.model.flights import join
-from bayes_aero.model.linear import linear_dynamics
+from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
-from bayes_aero.model.segments import segments, simulate
-from bayes_aero.model.system import integrate
 
 FLIGHTS = {
     "short period": (SHORT_PERIOD, SHORT_PERIOD_TRUTH, short_period_flight),

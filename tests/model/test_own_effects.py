@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from out_of_catalogue import unknown
 
-from bayes_aero.criticism.candidates import field_of
-from bayes_aero.criticism.diagnosis import diagnose
+from bayes_aero.diagnosis.candidate_set import field_of
+from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card import read_card, shipped_cards
-from bayes_aero.model.flights import join
+from bayes_aero.flight.card.card import read_card, shipped_cards
+from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
-from bayes_aero.studies.hidden import hidden_flights, hidden_records
+from bayes_aero.simulate.injection import hidden_flights, hidden_records
 
 SOURCE = '''
 """A pitching moment from bank angle."""

@@ -8,15 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from bayes_aero.dynamics.plant import Inputs, Plant, Prescribed
+from bayes_aero.dynamics.simulate import Pilot, State, fly
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.model.model import Model
-from bayes_aero.model.plant import Inputs, Plant, Prescribed
-from bayes_aero.model.simulate import Pilot, State, fly
 from bayes_aero.physics.atmosphere import GRAVITY, air
 from bayes_aero.physics.coefficients import coefficients, condition
 from bayes_aero.physics.filters import differentiate
 from bayes_aero.physics.kinematics import Rotation, lever_arm
-from bayes_aero.studies.demo import PROFILES, TRUTH, _alpha_command
+from bayes_aero.simulate.demo import PROFILES, TRUTH, _alpha_command
 
 DT = 0.04
 N = 2001

@@ -12,13 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.model.longitudinal import ENVELOPE, LATERAL, Longitudinal
+from bayes_aero.dynamics.longitudinal import ENVELOPE, LATERAL, Longitudinal
+from bayes_aero.dynamics.system import System, integrate
 from bayes_aero.model.model import Model
-from bayes_aero.model.system import System, integrate
 from bayes_aero.physics.atmosphere import GRAVITY, air
 from bayes_aero.physics.coefficients import coefficients
 from bayes_aero.physics.filters import differentiate
-from bayes_aero.studies.demo import TRUTH
+from bayes_aero.simulate.demo import TRUTH
 
 DT = 0.04
 N = 251

@@ -39,7 +39,7 @@ def test_lever_arm_is_omega_dot_cross_r_plus_omega_cross_omega_cross_r():
 
 def test_coefficients_come_back_from_a_simulated_flight(clean, model):
     """The simulator writes accelerations from the model; reconstruction must give the model back."""
-    from bayes_aero.studies.demo import TRUTH
+    from bayes_aero.simulate.demo import TRUTH
 
     truth = jnp.asarray([TRUTH[name] for name in model.names])
     modelled = np.asarray(model.coefficients(truth, clean.signals, clean.aircraft))

@@ -4,10 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.flight.card import read_card
+from bayes_aero.flight.card.card import read_card
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Forming, observe
-from bayes_aero.studies.hidden import hidden_flights
+from bayes_aero.simulate.injection import hidden_flights
 
 INNER = slice(60, -60)  # away from the ends, where the vane alone is taken
 

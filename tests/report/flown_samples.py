@@ -9,10 +9,10 @@ from functools import cache
 import numpy as np
 from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, short_period_flight
 
-from bayes_aero.criticism.flown_fit import FITTED, START, FlownFit
-from bayes_aero.criticism.flown_paths import Error, Path
-from bayes_aero.criticism.residuals import theil_parts
-from bayes_aero.studies.fly import Flight, fly
+from bayes_aero.diagnosis.selection.residuals import theil_parts
+from bayes_aero.diagnosis.trajectories.time_histories import Error, Path
+from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED, START, FlownFit
+from bayes_aero.jobs.fly import Flight, fly
 
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15}
 CARD = card_of(SHORT_PERIOD.replace("[linear]", "[parameters]\nMde = { bounds = [-40.0, 0.0] }\n\n[linear]", 1))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from bayes_aero.report.page_study import StudyTold
+from bayes_aero.report.pages.study import StudyTold
 
 N = 7
 COLUMNS = ["unit", "cause", "parameter", "method", "value", "sd", "unit_of_value", "low95", "high95"]

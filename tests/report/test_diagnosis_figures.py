@@ -8,24 +8,24 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from bayes_aero.criticism.accuracy import sizes
-from bayes_aero.criticism.finding import Unknown, Verdict
+from bayes_aero.diagnosis.result import Unknown, Verdict
+from bayes_aero.diagnosis.screening.accuracy import sizes
 from bayes_aero.physics.coefficients import NAMES
-from bayes_aero.report.diagnosed import composition, with_stalls
-from bayes_aero.report.figures import DIAGNOSIS_FIGURES, draw_all
-from bayes_aero.report.figures_diagnosis import autocorrelation
-from bayes_aero.report.figures_found import telling
-from bayes_aero.report.frames_diagnosis import causes_frame, screen_frame
-from bayes_aero.report.page_alternatives import diagnosis_alternatives
-from bayes_aero.report.phrases import size_text
+from bayes_aero.report.diagnosis_view import composition, with_stalls
+from bayes_aero.report.figures.diagnosis import autocorrelation
+from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, draw_all
+from bayes_aero.report.figures.found import telling
+from bayes_aero.report.pages.captions import diagnosis_alternatives
 from bayes_aero.report.style import NotDrawn, close, save
-from bayes_aero.report.words_diagnosis import (
+from bayes_aero.report.tables.diagnosis_tables import causes_frame, screen_frame
+from bayes_aero.report.text.diagnosis import (
     cause_table,
     probability,
     ranking_table,
     revealed,
     sentences,
 )
+from bayes_aero.report.text.phrases import size_text
 
 DOES_NOT_APPLY = {"gain", "moves", "trajectories_unseen", "trajectories_fitted"}  # nothing was added or flown
 

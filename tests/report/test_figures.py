@@ -8,10 +8,10 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from bayes_aero.report import figures
-from bayes_aero.report.figures import FIGURES, write_figures
-from bayes_aero.report.predictions import broken, predicted
+from bayes_aero.report.figures import every_figure as figures
+from bayes_aero.report.figures.every_figure import FIGURES, write_figures
 from bayes_aero.report.style import NotDrawn, close, save
+from bayes_aero.report.tables.predictions import broken, predicted
 
 SLOW = {"trace_emcee", "trace_nuts", "rank_emcee", "rank_nuts", "pair", "pit"}
 UNITLESS = {"density"}

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayes_aero.inference.posterior import Posterior
+from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.model.noise import Colour
-from bayes_aero.report.figures_pit import pit_histogram, pit_words, transformed
-from bayes_aero.report.page import Fold, Picture
-from bayes_aero.report.page_identification import identification_page
+from bayes_aero.report.figures.pit import pit_histogram, pit_words, transformed
+from bayes_aero.report.html.page import Fold, Picture
+from bayes_aero.report.pages.identification import identification_page
 from bayes_aero.report.style import NotDrawn, save
 
 SIGMA = 0.005  # of the noise of the sample runs, which is white

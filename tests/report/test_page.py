@@ -14,20 +14,20 @@ import xarray as xr
 from PIL import Image
 
 from bayes_aero.flight.health import HealthFinding
-from bayes_aero.inference.posterior import PosteriorStatus
-from bayes_aero.report import page_parts
-from bayes_aero.report.diagnosed import DiagnosisView
-from bayes_aero.report.figures import FIGURES
-from bayes_aero.report.page import Fold, Page, Picture, Plot, Table, Text, put_page, render, section, write_page
+from bayes_aero.inference.posterior.posterior import PosteriorStatus
+from bayes_aero.jobs.provenance.provenance import provenance
+from bayes_aero.report.diagnosis_view import DiagnosisView
+from bayes_aero.report.figures.every_figure import FIGURES
+from bayes_aero.report.html import parts as page_parts
+from bayes_aero.report.html.page import Fold, Page, Picture, Plot, Table, Text, put_page, render, section, write_page
+from bayes_aero.report.html.pictures import Gallery, embedded
+from bayes_aero.report.html.plots import Line, Panel, extremes, linked
 from bayes_aero.report.page_context import PageContext
-from bayes_aero.report.page_diagnosis import diagnosis_page
-from bayes_aero.report.page_identification import headline, identification_page
-from bayes_aero.report.page_pictures import Gallery, embedded
-from bayes_aero.report.page_plots import Line, Panel, extremes, linked
-from bayes_aero.report.page_stall import stall_table
-from bayes_aero.report.page_tables import coverage, parameters
+from bayes_aero.report.pages.diagnosis import diagnosis_page
+from bayes_aero.report.pages.identification import headline, identification_page
+from bayes_aero.report.pages.stall import stall_table
+from bayes_aero.report.pages.tables.identification import coverage, parameters
 from bayes_aero.report.style import NotDrawn
-from bayes_aero.studies.provenance import provenance
 
 HOSTILE = """<script>alert(1)</script>"'&$$x$$</title>"""
 
@@ -195,7 +195,7 @@ def test_a_page_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
     def breaks(*_):
         raise OSError("disk full")
 
-    monkeypatch.setattr("bayes_aero.report.page.os.replace", breaks)
+    monkeypatch.setattr("bayes_aero.report.html.page.os.replace", breaks)
     with pytest.raises(OSError, match="disk full"):
         write_page(page_of(Text("second")), path)
     assert "first" in path.read_text()

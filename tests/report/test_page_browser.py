@@ -19,12 +19,13 @@ from browsing import (
     says_in_words_what_figures_show,
 )
 
-from bayes_aero.report import figures_comparison, figures_stall
-from bayes_aero.report.figures import draw_all
-from bayes_aero.report.page import section, write_page
-from bayes_aero.report.page_identification import identification_page
-from bayes_aero.report.page_trajectories import trajectories
-from bayes_aero.studies.provenance import provenance
+from bayes_aero.jobs.provenance.provenance import provenance
+from bayes_aero.report.figures import comparison as figures_comparison
+from bayes_aero.report.figures import stall as figures_stall
+from bayes_aero.report.figures.every_figure import draw_all
+from bayes_aero.report.html.page import section, write_page
+from bayes_aero.report.pages.identification import identification_page
+from bayes_aero.report.pages.trajectories import trajectories
 
 pytestmark = needed
 

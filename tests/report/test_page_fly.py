@@ -11,17 +11,17 @@ from flown_samples import CARD, flight, records, with_offsets
 from linear_cards import SHORT_PERIOD_TRUTH
 from PIL import Image
 
-from bayes_aero.criticism.residuals import TheilParts
-from bayes_aero.inference.output_error_result import OutputErrorStatus
-from bayes_aero.report.figures_fly import stem_of
-from bayes_aero.report.page import Fold, Picture, Plot, Table, render
-from bayes_aero.report.page_fly import FlyTold, fly_page
-from bayes_aero.report.page_fly_tables import errors, initial, kept, parameters
-from bayes_aero.report.page_parts import at_a_glance
-from bayes_aero.report.page_plots import AXIS, HIGHEST, LOW, Line, Panel, linked
-from bayes_aero.report.words_fly import errors_of_all
-from bayes_aero.studies import fly as job
-from bayes_aero.studies.provenance import provenance
+from bayes_aero.diagnosis.selection.residuals import TheilParts
+from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
+from bayes_aero.jobs import fly as job
+from bayes_aero.jobs.provenance.provenance import provenance
+from bayes_aero.report.figures.fly import stem_of
+from bayes_aero.report.html.page import Fold, Picture, Plot, Table, render
+from bayes_aero.report.html.parts import at_a_glance
+from bayes_aero.report.html.plots import AXIS, HIGHEST, LOW, Line, Panel, linked
+from bayes_aero.report.pages.fly import FlyTold, fly_page
+from bayes_aero.report.pages.tables.fly import errors, initial, kept, parameters
+from bayes_aero.report.text.fly import errors_of_all
 
 DEGREE = np.deg2rad(1.0)
 

@@ -15,9 +15,9 @@ from browsing import (
 )
 from flown_samples import CARD, flight, records
 
-from bayes_aero.report.page import write_page
-from bayes_aero.report.page_fly import FlyTold, fly_page
-from bayes_aero.studies.provenance import provenance
+from bayes_aero.jobs.provenance.provenance import provenance
+from bayes_aero.report.html.page import write_page
+from bayes_aero.report.pages.fly import FlyTold, fly_page
 
 pytestmark = needed
 

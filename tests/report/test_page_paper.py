@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayes_aero.report.page import Table
-from bayes_aero.report.page_plots import Line, Panel, linked
+from bayes_aero.report.html.page import Table
+from bayes_aero.report.html.plots import Line, Panel, linked
 
 
 def test_a_table_is_as_broad_as_its_longest_lines():

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from browsing import LABELS, can_be_read_by_everyone, fits_a_phone, has_a_unit_on_every_axis, needed, opened
 
-from bayes_aero.flight.card import read_card
-from bayes_aero.report.page import write_page
-from bayes_aero.report.page_card import Rest, StarterView, Taken, card_page
-from bayes_aero.studies.catalogue import described, known_effects
-from bayes_aero.studies.catalogue_page import write_effects
-from bayes_aero.studies.provenance import provenance
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.jobs.catalogue.catalogue_page import write_effects
+from bayes_aero.jobs.catalogue.known_effects import described, known_effects
+from bayes_aero.jobs.provenance.provenance import provenance
+from bayes_aero.report.html.page import write_page
+from bayes_aero.report.pages.card import Rest, StarterView, Taken, card_page
 
 pytestmark = needed
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 from study_samples import N, told
 
-from bayes_aero.report.across import estimates
-from bayes_aero.report.page import put_page, render
-from bayes_aero.report.page_study import MOST_UNITS, study_headline, study_page
+from bayes_aero.report.html.page import put_page, render
+from bayes_aero.report.pages.study import MOST_UNITS, study_headline, study_page
+from bayes_aero.report.tables.across_cases import estimates
 
 
 def test_scatter_and_claims_are_those_of_the_values(tmp_path):

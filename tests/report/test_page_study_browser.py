@@ -6,8 +6,8 @@ import pytest
 from browsing import can_be_read_by_everyone, fits_a_phone, needed, opened, says_in_words_what_figures_show
 from study_samples import told
 
-from bayes_aero.report.page import write_page
-from bayes_aero.report.page_study import study_page
+from bayes_aero.report.html.page import write_page
+from bayes_aero.report.pages.study import study_page
 
 pytestmark = needed
 

@@ -11,14 +11,15 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from bayes_aero.criticism.gain import Compared
-from bayes_aero.criticism.settings import DEFAULT
-from bayes_aero.inference.mle import MleStatus
+from bayes_aero.diagnosis.selection.cross_validation import Compared
+from bayes_aero.diagnosis.settings import DEFAULT
+from bayes_aero.inference.likelihood.mle import MleStatus
 from bayes_aero.inference.scores import Scores
 from bayes_aero.model.noise import Colour
-from bayes_aero.report.comparison import ORDER, ordered, scatter
-from bayes_aero.report.page_diagnosis_tables import by_manoeuvre
-from bayes_aero.report.tables import (
+from bayes_aero.report.pages.tables.diagnosis import by_manoeuvre
+from bayes_aero.report.tables.comparison import ORDER, ordered, scatter
+from bayes_aero.report.tables.holdout_scores import Unseen
+from bayes_aero.report.tables.run_tables import (
     concise,
     paper_table,
     parameter_table,
@@ -26,7 +27,6 @@ from bayes_aero.report.tables import (
     validation_table,
     write_csv,
 )
-from bayes_aero.report.unseen import Unseen
 
 
 def test_parameters_come_in_the_canonical_order_and_others_behind():

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from bayes_aero.inference.mle import MleStatus
-from bayes_aero.inference.posterior import PosteriorStatus
+from bayes_aero.inference.likelihood.mle import MleStatus
+from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.model.noise import Colour
-from bayes_aero.report.page_identification import headline
-from bayes_aero.report.words import verdict
+from bayes_aero.report.pages.identification import headline
+from bayes_aero.report.text.identification import verdict
 
 
 def said(run, *words: str) -> str:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from flown_samples import flight, with_offsets
 
-from bayes_aero.criticism.two_fits import Disagreement
-from bayes_aero.inference.output_error_result import OutputErrorStatus
-from bayes_aero.report.words_fly import disagreement_sentences, fly_sentences, outside
+from bayes_aero.diagnosis.trajectories.fit_agreement import Disagreement
+from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
+from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences, outside
 
 DEGREE = np.deg2rad(1.0)
 

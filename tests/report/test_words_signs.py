@@ -2,7 +2,7 @@
 
 import pytest
 
-from bayes_aero.report.words_signs import sign_sentences
+from bayes_aero.report.text.impossible_estimates import sign_sentences
 
 
 def test_an_elevator_that_raises_the_nose_is_told():

@@ -2,9 +2,9 @@
 
 from dataclasses import replace
 
-from bayes_aero.criticism.confirmation import Confirmation
-from bayes_aero.criticism.flown_lag import Lag
-from bayes_aero.report.words_trajectory import cause_sentences, lag_sentences, simulation_gain
+from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
+from bayes_aero.diagnosis.trajectories.lag_test import Lag
+from bayes_aero.report.text.trajectories import cause_sentences, lag_sentences, simulation_gain
 
 
 def test_the_gain_is_that_of_unseen_flights(simulated):

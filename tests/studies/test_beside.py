@@ -6,7 +6,7 @@ from threading import Event, get_ident
 
 import pytest
 
-from bayes_aero.studies.beside import beside
+from bayes_aero.jobs.steps.background import beside
 
 LONG = 20.0  # s: a test that waits so long has failed
 

@@ -13,19 +13,21 @@ import pandas as pd
 import pytest
 from simulated_halves import halves
 
-from bayes_aero.criticism.diagnosis import NO_GAIN
+from bayes_aero.diagnosis.diagnose import NO_GAIN
 from bayes_aero.errors import InputError
-from bayes_aero.report import figures_diagnosis
-from bayes_aero.studies import diagnose as job
-from bayes_aero.studies import follow, kept, outlook
-from bayes_aero.studies.diagnose import hide_one, run
-from bayes_aero.studies.diagnosis_results import diagnosis_results
-from bayes_aero.studies.provenance import provenance, write_json
+from bayes_aero.jobs import diagnose as job
+from bayes_aero.jobs.diagnose import hide_one, run
+from bayes_aero.jobs.io import result_store as kept
+from bayes_aero.jobs.io.diagnosis_json import diagnosis_results
+from bayes_aero.jobs.provenance.provenance import provenance, write_json
+from bayes_aero.jobs.steps import post_diagnosis as outlook
+from bayes_aero.jobs.steps import post_processing as follow
+from bayes_aero.report.figures import diagnosis as figures_diagnosis
 
 
 def validated(path) -> dict:
     content = json.loads(path.read_text())
-    schema = json.loads(resources.files("bayes_aero.studies").joinpath("diagnosis.schema.json").read_text())
+    schema = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("diagnosis.schema.json").read_text())
     jsonschema.Draft202012Validator.check_schema(schema)
     jsonschema.validate(content, schema)
     return content

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.studies.hidden import hidden_records
-from bayes_aero.studies.histories import flight_of, read_histories
-from bayes_aero.studies.tasks import diagnose_records
-from bayes_aero.studies.unfinished import MARK
+from bayes_aero.jobs.dispatch import diagnose_records
+from bayes_aero.jobs.io.resume import MARK
+from bayes_aero.jobs.io.time_histories import flight_of, read_histories
+from bayes_aero.simulate.injection import hidden_records
 
 
 def without(record: FlightRecord, *names: str) -> FlightRecord:
@@ -31,7 +31,7 @@ def test_numbers_histories_and_page_are_of_this_run(card, tmp_path):
     assert not (tmp_path / MARK).exists()
     content = json.loads((tmp_path / "diagnosis.json").read_text())
     jsonschema.validate(
-        content, json.loads(resources.files("bayes_aero.studies").joinpath("diagnosis.schema.json").read_text())
+        content, json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("diagnosis.schema.json").read_text())
     )
     assert [c["name"] for c in content["causes"]] == [c.name for c in found.causes]
     assert (tmp_path / "report.html").stat().st_size > 10_000

@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 
 from bayes_aero.errors import InputError, no_space
-from bayes_aero.report.page import put_page
-from bayes_aero.studies import durable
-from bayes_aero.studies.durable import beside, put_folder, sweep
-from bayes_aero.studies.unit import ERROR, MANIFEST, fail_unit, run_unit
+from bayes_aero.jobs.io import atomic_write as durable
+from bayes_aero.jobs.io.atomic_write import beside, put_folder, sweep
+from bayes_aero.report.html.page import put_page
+from bayes_aero.study.case import ERROR, MANIFEST, fail_unit, run_unit
 
 
 @pytest.fixture
@@ -136,7 +136,7 @@ def test_a_full_disk_is_no_failure_of_the_unit(tmp_path, given, number):
 def test_a_file_that_may_not_grow_is_a_full_disk(tmp_path, given):
     """The system's own refusal, in a process of its own: no file may exceed 100 kB."""
     code = (
-        "import json, resource, sys; from bayes_aero.studies.unit import run_unit\n"
+        "import json, resource, sys; from bayes_aero.study.case import run_unit\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
         "def task(unit, out, *_):\n"
         "    import h5py, numpy\n"

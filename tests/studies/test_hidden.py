@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from out_of_catalogue import unknown
 
+from bayes_aero.dynamics.plant import flies
 from bayes_aero.effect import Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.checks import check_record
-from bayes_aero.model.formed import with_sums
+from bayes_aero.flight.reading.checks import check_record
+from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks, observe
-from bayes_aero.model.plant import flies
-from bayes_aero.studies.hidden import draw_hidden, flyable, hidden_flights, hidden_records
+from bayes_aero.simulate.injection import draw_hidden, flyable, hidden_flights, hidden_records
 
 QUIET = {"noise": "white", "sensor_noise": 0.0}
 CHANNEL = [e.name for e in CATALOGUE.values() if e.stage is Stage.CHANNEL]

@@ -10,11 +10,11 @@ import pytest
 import xarray as xr
 from simulated_halves import halves
 
-from bayes_aero.criticism.flown_lag import Lag
+from bayes_aero.diagnosis.trajectories.lag_test import Lag
 from bayes_aero.inference.scores import score
-from bayes_aero.report.diagnosed import composition
-from bayes_aero.studies import histories
-from bayes_aero.studies.trajectory_results import _lag, _lag_of
+from bayes_aero.jobs.io import time_histories as histories
+from bayes_aero.jobs.io.trajectories_json import _lag, _lag_of
+from bayes_aero.report.diagnosis_view import composition
 
 
 @pytest.fixture

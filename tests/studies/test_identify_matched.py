@@ -5,13 +5,13 @@ import pytest
 
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.inference.mle import fit_mle
+from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.jobs.identify import identify
 from bayes_aero.model.observations import Forming, observe
-from bayes_aero.studies.demo import TRUTH
-from bayes_aero.studies.identify import identify
-from bayes_aero.studies.request import Request
-from bayes_aero.studies.study import read_study
-from bayes_aero.studies.synthetic import synthetic
+from bayes_aero.simulate.demo import TRUTH
+from bayes_aero.simulate.request import Request
+from bayes_aero.simulate.synthetic_record import synthetic
+from bayes_aero.study.study import read_study
 
 
 @pytest.fixture(scope="module")

@@ -8,14 +8,14 @@ import sys
 
 import pytest
 
-from bayes_aero.studies import own_wheel as made
-from bayes_aero.studies.environment import environment, write_environment
+from bayes_aero.jobs.provenance import package_snapshot as made
+from bayes_aero.jobs.provenance.environment import environment, write_environment
 
 pytest.importorskip("pip", reason="pip installs the wheel")
 ASK = """
 import bayes_aero
-from bayes_aero.flight.card import read_card
-from bayes_aero.studies.environment import environment
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.jobs.provenance.environment import environment
 print(bayes_aero.__file__, read_card("attas").name, environment()["bayes_aero"]["source_sha256"], sep="\\n")
 """
 

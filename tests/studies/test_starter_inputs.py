@@ -10,12 +10,12 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "flight" / "health"))
 from flights import flight
 
-from bayes_aero.flight.card import parse_card
+from bayes_aero.flight.card.card import parse_card
 from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.health.standard import standard_air
-from bayes_aero.flight.reading import read_record
-from bayes_aero.model.formed import with_sums
-from bayes_aero.studies.starter import starter_card
+from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.jobs.card.card_template import starter_card
+from bayes_aero.model.derived_channels import with_sums
 
 G, FOOT, LB, KNOT, DEG = 9.80665, 0.3048, 0.45359237, 1852.0 / 3600.0, np.pi / 180.0
 SLUG, PSF = LB * G / FOOT**4, LB * G / FOOT**2

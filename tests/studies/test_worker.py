@@ -11,10 +11,11 @@ from pathlib import Path
 import pytest
 
 from bayes_aero.errors import InputError
-from bayes_aero.inference.cores import cores
-from bayes_aero.studies import compiled, worker
-from bayes_aero.studies.compiled import cache_folder
-from bayes_aero.studies.worker import Driver, work
+from bayes_aero.inference.threads import cores
+from bayes_aero.study import jit_cache as compiled
+from bayes_aero.study import worker
+from bayes_aero.study.jit_cache import cache_folder
+from bayes_aero.study.worker import Driver, work
 
 
 @pytest.fixture
@@ -78,7 +79,7 @@ def test_a_worker_keeps_to_the_cores_that_it_is_given(monkeypatch):
     assert 1 <= cores() <= (os.cpu_count() or 1)
 
 
-WORKER = "from bayes_aero.studies import worker; worker._settled()\n"
+WORKER = "from bayes_aero.jobs import worker; worker._settled()\n"
 COMMAND = """import sys; from bayes_aero.cli import main; sys.argv[1:] = ["--version"]
 try: main()
 except SystemExit: pass

@@ -4,25 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from bayes_aero.flight.card import Card
-from bayes_aero.flight.health.across import across
-from bayes_aero.flight.health.air import air_data
-from bayes_aero.flight.health.derivatives import derivatives
-from bayes_aero.flight.health.dropout import dropouts
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.health.across.air import air_data
+from bayes_aero.flight.health.across.channels_agree import across
+from bayes_aero.flight.health.across.derivatives import derivatives
+from bayes_aero.flight.health.across.elevator import elevator_response
+from bayes_aero.flight.health.across.ground import in_flight, on_ground
+from bayes_aero.flight.health.across.refuted import refuted
+from bayes_aero.flight.health.channel.dropout import dropouts
+from bayes_aero.flight.health.channel.frozen import frozen
+from bayes_aero.flight.health.channel.held import held
+from bayes_aero.flight.health.channel.idle import idle
+from bayes_aero.flight.health.channel.quantised import quantised
+from bayes_aero.flight.health.channel.saturated import saturated
+from bayes_aero.flight.health.channel.wrapped import wrapped
 from bayes_aero.flight.health.dropped import dropped_channels, read_remarks
-from bayes_aero.flight.health.elevator import elevator_response
 from bayes_aero.flight.health.finding import HealthFinding
-from bayes_aero.flight.health.frozen import frozen
-from bayes_aero.flight.health.ground import in_flight, on_ground
-from bayes_aero.flight.health.held import held
-from bayes_aero.flight.health.idle import idle
-from bayes_aero.flight.health.quantised import quantised
 from bayes_aero.flight.health.rates import different_rates
-from bayes_aero.flight.health.refuted import refuted
 from bayes_aero.flight.health.same_record import same_records
-from bayes_aero.flight.health.saturated import saturated
 from bayes_aero.flight.health.short import short
-from bayes_aero.flight.health.wrapped import wrapped
 from bayes_aero.flight.record import FlightRecord
 
 __all__ = ["HealthFinding", "channel_health"]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayes_aero.flight.card import Card
+from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.units import from_si

@@ -8,10 +8,10 @@ from itertools import product
 
 import numpy as np
 
-from bayes_aero.flight.card import Card
+from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.health.across.kinematics import View
 from bayes_aero.flight.health.finding import declared
-from bayes_aero.flight.health.kinematics import View
 from bayes_aero.flight.tolerances import GRAVITY
 from bayes_aero.units import same_unit, to_si
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from bayes_aero.flight.readers.base import Opened
-from bayes_aero.flight.readers.dataflash import open_dataflash
 from bayes_aero.flight.readers.excel import open_excel
+from bayes_aero.flight.readers.isolated.dataflash import open_dataflash
+from bayes_aero.flight.readers.isolated.mdf import open_mdf
+from bayes_aero.flight.readers.isolated.ulog import open_ulog
 from bayes_aero.flight.readers.mat import open_mat
-from bayes_aero.flight.readers.mdf import open_mdf
 from bayes_aero.flight.readers.netcdf import open_netcdf
 from bayes_aero.flight.readers.parquet import open_parquet
 from bayes_aero.flight.readers.text import open_text
-from bayes_aero.flight.readers.ulog import open_ulog
 
 __all__ = ["READERS"]
 

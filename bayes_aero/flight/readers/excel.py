@@ -12,7 +12,7 @@ from typing import Any
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.readers.base import MOST_HEADINGS, foreign
-from bayes_aero.flight.readers.extras import require
+from bayes_aero.flight.readers.isolated.extras import require
 from bayes_aero.flight.readers.layout import CELL, MOST_HEADER_ROWS, Lines, laid_out
 from bayes_aero.flight.readers.numbers import is_blank, is_value
 from bayes_aero.flight.readers.text import TextTable

@@ -5,6 +5,6 @@ from bayes_aero.inference.gp.optimum import MapStatus
 from bayes_aero.inference.gp.posterior import Budget
 from bayes_aero.inference.gp.predict import Prediction
 from bayes_aero.inference.gp.priors import FLAT, HyperPrior, Priors
-from bayes_aero.inference.gp.reweight import SampleStatus
+from bayes_aero.inference.gp.sampling.reweight import SampleStatus
 
 __all__ = ["FLAT", "Budget", "GPFit", "HyperPrior", "MapStatus", "Prediction", "Priors", "SampleStatus", "fit_gp"]

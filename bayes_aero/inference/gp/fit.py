@@ -22,7 +22,7 @@ from bayes_aero.inference.gp.posterior import Budget, Sampled, sample_posterior
 from bayes_aero.inference.gp.predict import Prediction, gaussian_parts, mixture
 from bayes_aero.inference.gp.priors import Priors
 from bayes_aero.inference.gp.reduced import ReducedData
-from bayes_aero.inference.gp.reweight import SampleStatus
+from bayes_aero.inference.gp.sampling.reweight import SampleStatus
 from bayes_aero.inference.gp.sparse import (
     SUBSET,
     Approximation,

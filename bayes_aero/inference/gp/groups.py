@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from bayes_aero.inference.gp.kernel import Scaling, hyper_names
 from bayes_aero.inference.gp.posterior import Sampled
 from bayes_aero.inference.gp.priors import Priors
-from bayes_aero.inference.gp.sample import TEMPER
+from bayes_aero.inference.gp.sampling.sample import TEMPER
 
 __all__ = ["posterior_tree", "systematic_resample"]
 

@@ -7,14 +7,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.inference.gp.density import compiled_posterior
 from bayes_aero.inference.gp.emulator import Emulator, ExactPoint, fit_emulator
 from bayes_aero.inference.gp.kernel import noise_to_signal
 from bayes_aero.inference.gp.optimum import Optimum, Profile, curvature
 from bayes_aero.inference.gp.priors import Priors
 from bayes_aero.inference.gp.reduced import ReducedData, stats_and_gradient
-from bayes_aero.inference.gp.reweight import SampleStatus, Weighted, reweight, thin
-from bayes_aero.inference.gp.sample import TEMPER, Chains, Settings, join, sample_emulated
+from bayes_aero.inference.gp.sampling.density import compiled_posterior
+from bayes_aero.inference.gp.sampling.reweight import SampleStatus, Weighted, reweight, thin
+from bayes_aero.inference.gp.sampling.sample import TEMPER, Chains, Settings, join, sample_emulated
 
 __all__ = ["Budget", "Sampled", "sample_posterior"]
 

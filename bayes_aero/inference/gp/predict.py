@@ -12,9 +12,9 @@ from jaxtyping import Float
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.special import ndtr
 
-from bayes_aero.inference.cores import blas_threads
 from bayes_aero.inference.gp.kernel import noise_to_signal, scaled_distance_kernel
 from bayes_aero.inference.gp.reduced import ReducedData, factorise
+from bayes_aero.inference.threads import blas_threads
 
 __all__ = ["Prediction", "gaussian_parts", "mixture"]
 

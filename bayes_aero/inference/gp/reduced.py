@@ -19,8 +19,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import get_lapack_funcs
 
-from bayes_aero.inference.cores import blas_threads
 from bayes_aero.inference.gp.kernel import scaled_distance_kernel
+from bayes_aero.inference.threads import blas_threads
 
 DEPENDENT = 1e-6  # of singular values: its square is lost in the rounding of a gram that R^-1 stretches
 dpotrf, dpotrs, dpotri = get_lapack_funcs(("potrf", "potrs", "potri"), dtype=np.float64)

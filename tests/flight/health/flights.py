@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayes_aero.flight.card import parse_card
+from bayes_aero.flight.card.card import parse_card
 from bayes_aero.flight.record import FlightRecord
 
 G = 9.80665

@@ -12,10 +12,10 @@ from flights import card, changed, flight
 
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.health import channel_health
-from bayes_aero.flight.health.across import across
-from bayes_aero.flight.health.derivatives import derivatives
+from bayes_aero.flight.health.across.channels_agree import across
+from bayes_aero.flight.health.across.derivatives import derivatives
 from bayes_aero.flight.health.standard import standard_air
-from bayes_aero.flight.reading import read_record
+from bayes_aero.flight.reading.read_record import read_record
 
 BOOK = Path(__file__).parents[3].parent / "shared" / "book"
 LBF, LB, FOOT, KNOT = 0.45359237 * 9.80665, 0.45359237, 0.3048, 1852.0 / 3600.0
@@ -196,7 +196,7 @@ def test_the_records_of_the_book_are_silent_in_their_units_and_tell_others(name)
 @needs_book
 def test_the_dynamic_pressure_of_the_hfb_320_makes_its_density():
     """cases.md: 2 PDYN/V^2 is 0.7925 +- 0.0032 kg/m3."""
-    from bayes_aero.model.formed import with_sums
+    from bayes_aero.model.derived_channels import with_sums
 
     channels = (Channel("time", "s", None, 1), Channel("dynamic_pressure", "Pa", None, 3),
                 Channel("airspeed", "m/s", None, 5), Channel("q", "rad/s", None, 8),

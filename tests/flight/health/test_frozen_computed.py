@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from bayes_aero.flight.card import read_card
-from bayes_aero.flight.health.frozen import frozen
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.health.channel.frozen import frozen
 from bayes_aero.flight.record import FlightRecord
 
 

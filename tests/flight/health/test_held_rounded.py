@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayes_aero.flight.health.held import interpolated_period
+from bayes_aero.flight.health.channel.held import interpolated_period
 
 T = 0.05 * np.arange(400)
 SWING = 1.0e-6 * np.sin(2.0 * np.pi * T / 8.0)

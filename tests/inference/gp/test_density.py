@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from bayes_aero.inference.gp.density import log_density, log_likelihood_device
 from bayes_aero.inference.gp.priors import Priors
 from bayes_aero.inference.gp.reduced import ReducedData
+from bayes_aero.inference.gp.sampling.density import log_density, log_likelihood_device
 
 BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "scikit_learn_gp.py"
 

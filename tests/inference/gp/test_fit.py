@@ -9,7 +9,7 @@ import xarray as xr
 from bayes_aero.errors import InputError
 from bayes_aero.inference.gp import Budget, Priors, SampleStatus, fit_gp
 from bayes_aero.inference.gp.predict import mixture
-from bayes_aero.inference.gp.sample import Settings
+from bayes_aero.inference.gp.sampling.sample import Settings
 
 
 def make(seed, n=100):

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from bayes_aero.inference.gp.density import log_density
 from bayes_aero.inference.gp.kernel import noise_to_signal
 from bayes_aero.inference.gp.optimum import MapStatus, assemble, find_map, maximise
 from bayes_aero.inference.gp.priors import HyperPrior, Priors
 from bayes_aero.inference.gp.reduced import ReducedData
+from bayes_aero.inference.gp.sampling.density import log_density
 
 
 def test_u_and_w_are_theta(problem):

@@ -5,13 +5,13 @@ import pytest
 
 from bayes_aero.inference import validation
 from bayes_aero.inference.gp import posterior as course
-from bayes_aero.inference.gp.density import log_density
 from bayes_aero.inference.gp.optimum import find_map
 from bayes_aero.inference.gp.posterior import Budget, sample_posterior
 from bayes_aero.inference.gp.priors import Priors
 from bayes_aero.inference.gp.reduced import ReducedData
-from bayes_aero.inference.gp.reweight import SampleStatus, pareto_smooth, reweight, thin
-from bayes_aero.inference.gp.sample import Settings, laplace_root, sample_exact
+from bayes_aero.inference.gp.sampling.density import log_density
+from bayes_aero.inference.gp.sampling.reweight import SampleStatus, pareto_smooth, reweight, thin
+from bayes_aero.inference.gp.sampling.sample import Settings, laplace_root, sample_exact
 
 NUTS = Settings(250, 500, 4)
 BUDGET = Budget(exact=400, nuts=NUTS)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from bayes_aero.inference.gp.density import small_posterior
 from bayes_aero.inference.gp.priors import HyperPrior, Priors
 from bayes_aero.inference.gp.profile import SD_BOUNDS, best_sizes, slopes
 from bayes_aero.inference.gp.reduced import ReducedData, reduced_stats
+from bayes_aero.inference.gp.sampling.density import small_posterior
 
 INVERSE = Priors(linear=HyperPrior("inverse-gamma", 2.0, 0.5))
 PRIORS = {"house": Priors(), "quasi-steady": Priors.quasi_steady(), "flat": Priors.flat(), "inverse": INVERSE}

@@ -1,0 +1,1 @@
+"""What a model gets wrong, which effect explains it, and what adding that effect gains."""

@@ -1,0 +1,120 @@
+"""Who stands for election: every effect of the catalogue that the card's model lacks and the record can test."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
+from bayes_aero.effect import NEUTRAL_FLOW, Effect, Kind, Stage
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.model.joined_records import Recorded
+from bayes_aero.model.model import Model
+from bayes_aero.parameter import Prior, per_length
+
+MOVES = 1e-6  # of what an effect makes, a change that is no rounding
+FAR = 1e9  # stands for a neutral value at infinity
+LAG = "tau1"  # the parameter of a lag that can be flown
+DERIVED = ("alpha_dot", "p_dot", "q_dot", "r_dot")
+
+
+@dataclass(frozen=True)
+class Field:
+    """The card's model and every testable candidate in one model, all parameters free but those fixed off neutral."""
+
+    model: Model
+    base: tuple[str, ...]
+    candidates: tuple[Effect, ...]
+    not_testable: Mapping[str, str]
+    priors: Mapping[str, Prior] = field(default_factory=dict)  # in place of the parameters' own
+    settings: DiagnosisSettings = DEFAULT
+
+    @property
+    def neutral(self) -> dict[str, float]:
+        """Neutral value of every parameter, finite."""
+        return {p.name: p.neutral if math.isfinite(p.neutral) else FAR for p in self.model.parameters}
+
+    def prior(
+        self, index: Sequence[int] | Int[np.ndarray, " j"], theta: Float[np.ndarray, " k"]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and precision of the step from `theta` for parameters `index`, their priors taken as normal."""
+        free = self.model.free
+        pairs = [self.priors.get(free[i].name, free[i].prior).normal for i in index]
+        mean, deviation = np.array(pairs).reshape(-1, 2).T
+        return mean - theta[np.asarray(index, int)], deviation**-2.0
+
+    def columns(self, names: Sequence[str]) -> np.ndarray:
+        """Index of each parameter in the model's free vector."""
+        return np.array([self.model.names.index(name) for name in names], int)
+
+    def parameters_of(self, effect: str) -> tuple[str, ...]:
+        """Parameters that an effect owns."""
+        return tuple(p.name for e in self.model.effects if e.name == effect for p in e.parameters)
+
+
+def lag_of(field: Field) -> Effect | None:
+    """The candidate that lets the separation point lag and can be flown."""
+    return next((e for e in field.candidates if e.stage is Stage.LAG and LAG in {p.name for p in e.parameters}), None)
+
+
+def field_of(
+    model: Model, flights: Recorded, extra: Sequence[Effect] = (), settings: DiagnosisSettings = DEFAULT
+) -> Field:
+    """`model` extended by the catalogue and by `extra` effects of the user.
+
+    An effect of the card that is fixed at neutral (tau1 = 0) is absent, and so a candidate.
+    """
+    fixed = dict(model.fixed)
+    absent = [e for e in model.effects if e.parameters and all(fixed.get(p.name) == p.neutral for p in e.parameters)]
+    active = [e for e in model.effects if e not in absent]
+    changed = {p.name: p for p in model.parameters}
+    owned = {p.name for e in active for p in e.parameters}
+    have = set(flights.channels) | set(DERIVED)
+    candidates, idle, not_testable = [], [], {}
+    for effect in (*absent, *(e for e in (*CATALOGUE.values(), *extra) if e not in model.effects)):
+        missing = [c for c in effect.channels if c not in have]
+        still = [c for c in effect.channels if c in flights.channels and _at_rest(np.asarray(flights.channels[c]))]
+        if still and not missing and effect.together and _moves(effect, flights):
+            still = []
+        lacking = [name for name in effect.uses if name not in owned]
+        if effect.kind is Kind.NOISE or not (effect.candidate or effect in absent):
+            continue
+        if missing:
+            not_testable[effect.name] = f"channel {', '.join(missing)} was not recorded"
+        elif still and effect.stage >= 1:
+            not_testable[effect.name] = f"channel {', '.join(still)} does not move in this record"
+            if not lacking and effect.parameters and effect not in absent:
+                idle.append(effect)  # it stays in the compiled model, so that records do not differ by it
+        elif lacking:
+            not_testable[effect.name] = f"the model has no {', '.join(lacking)}"
+        elif {p.name for p in effect.parameters} & owned:
+            not_testable[effect.name] = "the model already has its parameters"
+        elif effect.parameters:
+            candidates.append(effect)
+    # Effects without parameters are nothing until an effect that they rest on wakes them (Kirchhoff's lift, X).
+    dormant = [
+        e for e in CATALOGUE.values() if not e.parameters and e not in active and all(name in owned for name in e.uses)
+    ]
+    everything = (*active, *dormant, *candidates, *idle)
+    parameters = tuple(changed.get(p.name, per_length(p, model.chords)) for e in everything for p in e.parameters)
+    held = {p.name for e in (*candidates, *idle) for p in e.parameters}
+    whole = Model(everything, parameters, tuple((k, v) for k, v in fixed.items() if k not in held), model.chords)
+    return Field(whole, tuple(e.name for e in active), tuple(candidates), not_testable, settings=settings)
+
+
+def _moves(effect: Effect, flights: Recorded) -> bool:
+    """Whether what an effect makes of its channels together moves: T/(qbar S) does where only the airspeed changes."""
+    values = {p.name: p.start + effect.sizes[p.name][0] for p in effect.parameters}
+    signals: dict[str, Any] = {name: np.asarray(flights.channels[name]) for name in effect.channels}
+    made = effect.increments(values, signals, flights.aircraft, NEUTRAL_FLOW)
+    return any(float(np.ptp(x)) > MOVES * float(np.max(np.abs(x))) for x in map(np.asarray, made.values()))
+
+
+def _at_rest(x: np.ndarray) -> bool:
+    """True for a channel that never moves (a flap that stays up): no effect of it can be seen."""
+    return bool(np.ptp(x) <= 1e-9 * max(1.0, float(np.abs(x).max())))

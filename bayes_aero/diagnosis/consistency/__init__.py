@@ -1,0 +1,1 @@
+"""Consistency of the sensors along the flight path."""

@@ -1,0 +1,118 @@
+"""Do the sensors agree? An answer in absolute terms, before any aerodynamics, with the known error that explains it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from bayes_aero.diagnosis.consistency.flight_path_check import path_check
+from bayes_aero.diagnosis.consistency.sensor_errors import (
+    SENSOR_KINDS,
+    as_the_card_states,
+    compatibility,
+    no_flight_path,
+    with_corrections,
+)
+from bayes_aero.diagnosis.result import Diagnosis
+from bayes_aero.diagnosis.screening.accuracy import Size
+from bayes_aero.diagnosis.selection.forward_selection import Extension
+from bayes_aero.diagnosis.selection.plausibility import implausible
+from bayes_aero.diagnosis.selection.undecided_errors import open_errors
+from bayes_aero.effect import Effect
+from bayes_aero.errors import InputError
+from bayes_aero.flight.agreement import Agreement, Consistency, OpenError, PathCheck
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.joined_records import Joined, joined, repaired
+from bayes_aero.model.model import Model
+from bayes_aero.physics.flightpath import PATH_CORE, PATH_NEEDS
+
+
+@dataclass(frozen=True)
+class KnownErrors:
+    """Errors of the record that were found: effects of stage CHANNEL, and plain data of each (see `Consistency`);
+    and those that the flight path cannot decide on."""
+
+    effects: tuple[Effect, ...]
+    errors: Mapping[str, Mapping[str, Any]]
+    open: tuple[OpenError, ...] = ()
+
+
+def consistency(
+    records: Sequence[FlightRecord], card: Card, *, seed: int = 0, seek: bool = True, known: KnownErrors | None = None
+) -> Consistency:
+    """Check the flight path of each record in absolute terms.
+
+    Args:
+        records: the manoeuvres.
+        card: says the sensors' noise, where the accelerometer is, and which errors of sensors are corrected already.
+        seed: of the records of noise.
+        seek: where sensors disagree, look for the known error that explains it (some seconds).
+        known: the search's result, where it has been done.
+    """
+    if why := no_flight_path(records, card):
+        return Consistency(why)
+    flights, _ = repaired(as_the_card_states(joined(records, card, PATH_CORE), card))
+    unchecked = tuple(n for n in ("altitude", "beta", "phi") if n not in flights.channels)
+    found = Consistency("", unchecked, checks(flights, card, seed))
+    if known is None:
+        if found.agreement is Agreement.AGREE or not seek:
+            return found
+        try:
+            known = errors_of_path(compatibility(list(records), card, seed=seed))
+        except InputError as reason:
+            return replace(found, unsought=str(reason))
+    found = replace(found, errors=known.errors, open=known.open)
+    if found.agreement is Agreement.AGREE or not known.effects:
+        return found
+    model = Model.of(known.effects)
+    values = {p: x["mean"] for e in known.errors.values() for p, x in e["parameters"].items()}
+    return replace(found, corrected=checks(with_corrections(flights, model, values), card, seed))
+
+
+def errors_of_path(known: Extension) -> KnownErrors:
+    """Errors of sensors and winds that a search along the flight path has found, minor ones included.
+
+    One at a parameter bound, or larger than sensors have, explains nothing: another cause is behind it.
+    """
+    named, neutral = {e.name: e for e in known.state.field.candidates}, known.state.field.neutral
+    found = [
+        named[name]
+        for name in (*known.causes, *known.minor)
+        if not implausible(named[name], known.sizes, neutral)
+        and not any(known.sizes[p.name].at_bound for p in named[name].parameters)
+    ]
+    plain = {e.name: _plain(e, known.sizes, minor=e.name in known.minor) for e in found}
+    return KnownErrors(tuple(found), plain, open_errors(known))
+
+
+def errors_of_diagnosis(found: Diagnosis) -> KnownErrors:
+    """Errors of the record that a diagnosis has confirmed, by the flight path or by the coefficients."""
+    named = {e.name: e for e in found.aerodynamics.state.field.model.effects}
+    causes = {c.name: c for c in found.causes if c.sure and named[c.name].kind in SENSOR_KINDS}
+    return KnownErrors(
+        tuple(named[name] for name in causes),
+        {name: _plain(named[name], cause.parameters, minor=False) for name, cause in causes.items()},
+        () if found.sensors is None else open_errors(found.sensors),
+    )
+
+
+def _plain(effect: Effect, sizes: Mapping[str, Size], *, minor: bool) -> dict[str, Any]:
+    parameters = {
+        p.name: {"mean": sizes[p.name].mean, "sd": sizes[p.name].sd, "unit": p.unit} for p in effect.parameters
+    }
+    return {"claim": effect.claim, "minor": minor, "parameters": parameters}
+
+
+def checks(flights: Joined, card: Card, seed: int) -> tuple[PathCheck, ...]:
+    """`path_check` of each manoeuvre."""
+    found, begin = [], 0
+    for name, length in zip(flights.names, flights.lengths, strict=True):
+        part = slice(begin, begin + length)
+        channels = {n: np.asarray(x)[part] for n, x in flights.channels.items() if n in PATH_NEEDS}
+        found.append(path_check(name, np.asarray(flights.time)[part], channels, card, seed))
+        begin += length
+    return tuple(found)

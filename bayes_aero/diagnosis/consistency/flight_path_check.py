@@ -1,0 +1,220 @@
+"""Where a record leaves its flight path by more than the sensors' noise permits.
+
+Airspeed, flow angles, attitude and altitude must move as accelerometers and gyros say. What does not is compared with
+the same of records of noise (see `path_noise`) by three measures of each channel: its root mean square over the record;
+the same once the best constant errors are taken out; and over windows of ten seconds. The largest of all, in units of
+what noise leaves there, decides: the rate of false alarms is that of a whole record, not of each window.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from itertools import groupby, pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.diagnosis.consistency.flight_path_noise import (
+    AIR_DATA,
+    CALM,
+    LIGHT_TURBULENCE,
+    MARGIN,
+    SensorNoise,
+    disturbances,
+    gusts,
+    sensor_noise,
+)
+from bayes_aero.diagnosis.consistency.flight_path_residuals import path_residuals
+from bayes_aero.flight.agreement import Departure, PathCheck
+from bayes_aero.flight.card.card import Card
+from bayes_aero.physics.flightpath import PATH_NEEDS, STRAIGHT, path_outputs
+
+WINDOW = 10.0  # s
+REPLICATES = 200  # records of noise: one in 200 that are as noisy as permitted exceeds them all in a kind of measure
+SPREAD = 0.6  # of the windows: a channel that exceeds in more of them does so over the whole record
+FITTED = 2000  # samples that constant errors are fitted to
+
+
+class Kind(IntEnum):
+    """Of root mean squares: over the record, the same without the best constant errors, within a window."""
+
+    DRIFT = 0
+    SHAPE = 1
+    WINDOW = 2
+
+
+Channels = Mapping[str, Float[np.ndarray, " n"]]
+
+
+@dataclass(frozen=True)
+class _Measures:
+    """Root mean squares, a row for each residual record (the recorded one first), and what each column is."""
+
+    values: Float[np.ndarray, "r k"]
+    channel: tuple[str, ...]
+    begin: tuple[float, ...]
+    end: tuple[float, ...]
+    kind: tuple[Kind, ...]
+
+
+def path_check(name: str, time: Float[np.ndarray, " n"], channels: Channels, card: Card, seed: int = 0) -> PathCheck:
+    """Compare the flight path of one record with what noise permits.
+
+    Args:
+        name: of the record.
+        time: s, evenly sampled.
+        channels: (n,) each, SI; spikes repaired, errors of sensors that are known taken out.
+        card: says the sensors' noise and where the accelerometer is.
+        seed: of the records of noise.
+    """
+    assumed = tuple(n for n in STRAIGHT if n not in channels)
+    full = {n: np.asarray(channels[n]) if n in channels else np.zeros(len(time)) for n in PATH_NEEDS}
+    outputs = path_outputs(channels)
+    dt = float(time[-1] - time[0]) / (len(time) - 1)
+    noise = sensor_noise({n: full[n] for n in channels if n in full}, card)
+    rng = np.random.default_rng([seed, 31])
+    place = card.aircraft.accelerometer
+    recorded = path_residuals(full, {"q": np.zeros((1, len(time)))}, outputs, place, dt)
+    turbulence = shown_turbulence(recorded[0], outputs, full, noise, dt, rng)
+    added = disturbances(full, noise, turbulence, dt, rng, REPLICATES)
+    errors = _constant_errors(noise, len(time))
+    both = {n: np.concatenate([errors[n], added[n]]) for n in added}
+    moved = path_residuals(full, both, outputs, place, dt) - recorded
+    columns, drawn = moved[: len(errors)], moved[len(errors) :]
+    found = _measures(np.concatenate([recorded, drawn]), columns, outputs, time)
+    return PathCheck(name, _departures(name, found), _whole(found), turbulence, assumed)
+
+
+def shown_turbulence(
+    residual: Float[np.ndarray, "n c"],
+    outputs: Sequence[str],
+    channels: Channels,
+    noise: SensorNoise,
+    dt: float,
+    rng: np.random.Generator,
+) -> float:
+    """Turbulence (m/s) that is permitted: `MARGIN` times what the calmest of the air-data channels shows within
+    windows, for air is alike in all directions (MIL-F-8785C, 3.7.2.2), no more than light and no less than calm."""
+    V = np.asarray(channels["airspeed"])
+    levels = []
+    for name in (n for n in AIR_DATA if n in outputs):
+        along = name == "airspeed"
+        unit = gusts(rng, 16, len(V), dt, float(np.median(V)), across=not along)
+        share = float(np.mean([np.median(_local(g[:, None], dt) ** 2) for g in unit]))
+        scale = np.ones_like(V) if along else V
+        inside = _local((residual[:, outputs.index(name)] * scale)[:, None], dt)[:, 0]
+        white = noise.shown[name] * float(np.median(scale))
+        levels.append(float(np.median(np.maximum(inside**2 - white**2, 0.0))) / max(share, 1e-12))
+    level = MARGIN * float(np.sqrt(min(levels, default=0.0)))
+    return float(np.clip(level, CALM, LIGHT_TURBULENCE))
+
+
+def _constant_errors(noise: SensorNoise, n: int) -> dict[str, Float[np.ndarray, "m n"]]:
+    """A constant error of each sensor by itself, as large as is permitted."""
+    names = list(noise.constant)
+    return {
+        name: np.outer(np.arange(len(names)) == i, np.full(n, noise.constant[name])) for i, name in enumerate(names)
+    }
+
+
+def _windows(n: int, dt: float) -> list[slice]:
+    """Equal parts of about `WINDOW` s."""
+    parts = max(1, round(n * dt / WINDOW))
+    edges = np.linspace(0, n, parts + 1).astype(int)
+    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
+
+
+def _local(x: Float[np.ndarray, "n c"], dt: float) -> Float[np.ndarray, "w c"]:
+    """Root mean square within each window about its own straight line."""
+    return np.stack([_rms_about_line(x[part][None])[0] for part in _windows(len(x), dt)])
+
+
+def _rms_about_line(x: Float[np.ndarray, "r n c"]) -> Float[np.ndarray, "r c"]:
+    line = np.linalg.qr(np.stack([np.ones(x.shape[1]), np.arange(x.shape[1])], axis=1))[0]
+    left = x - np.einsum("nk,rkc->rnc", line, np.einsum("nk,rnc->rkc", line, x))
+    return np.sqrt(np.mean(left**2, axis=1))
+
+
+def _measures(
+    residual: Float[np.ndarray, "r n c"],
+    columns: Float[np.ndarray, "m n c"],
+    outputs: Sequence[str],
+    time: Float[np.ndarray, " n"],
+) -> _Measures:
+    """All three measures of the recorded residual, the first, and of those of noise."""
+    dt = float(time[-1] - time[0]) / (len(time) - 1)
+    centred = residual - residual.mean(axis=1, keepdims=True)
+    values = [np.sqrt(np.mean(centred**2, axis=1)), _shape(centred, columns, time)]
+    begin, end, kinds = [time[0]] * 2, [time[-1]] * 2, [Kind.DRIFT, Kind.SHAPE]
+    for part in _windows(len(time), dt):
+        values.append(_rms_about_line(residual[:, part]))
+        begin, end, kinds = [*begin, time[part][0]], [*end, time[part][-1]], [*kinds, Kind.WINDOW]
+    count = len(outputs)
+    return _Measures(
+        np.concatenate(values, axis=1),
+        tuple(outputs) * len(values),
+        tuple(float(t) for t in np.repeat(begin, count)),
+        tuple(float(t) for t in np.repeat(end, count)),
+        tuple(kind for kind in kinds for _ in range(count)),
+    )
+
+
+def _shape(
+    centred: Float[np.ndarray, "r n c"], columns: Float[np.ndarray, "m n c"], time: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "r c"]:
+    """Root mean square of each output once the constant errors that suit all outputs best are taken out, of any size,
+    and a steady vertical wind."""
+    step = max(1, len(time) // FITTED)
+    x = centred[:, ::step]
+    scale = np.sqrt(np.mean(x[1:] ** 2, axis=(0, 1)))
+    wind = np.zeros_like(columns[:1])
+    wind[0, :, -1] = time
+    B = np.concatenate([columns, wind])[:, ::step]
+    B = (B - B.mean(axis=1, keepdims=True)) / scale
+    size = np.sqrt(np.mean(B**2, axis=(1, 2)))
+    basis = (B / np.maximum(size, 1e-300)[:, None, None])[size > 0.0].reshape(int(np.sum(size > 0.0)), -1).T
+    rows = (x / scale).reshape(len(x), -1).T
+    left = rows - basis @ np.linalg.lstsq(basis, rows, rcond=1e-8)[0]
+    return np.sqrt(np.mean(left.T.reshape(x.shape) ** 2, axis=1)) * scale
+
+
+def _permitted(found: _Measures) -> Float[np.ndarray, " k"]:
+    """What noise permits of each measure: as many times its usual size as the largest of its kind in any record of
+    noise."""
+    usual = np.sqrt(np.mean(found.values[1:] ** 2, axis=0))
+    largest, kind = found.values[1:] / usual, np.array(found.kind)
+    return usual * np.array([np.max(largest[:, kind == k]) for k in kind])
+
+
+def _departures(record: str, found: _Measures) -> tuple[Departure, ...]:
+    """Where the recorded measures exceed what is permitted: windows that touch make one, many the whole record."""
+    permitted, own = _permitted(found), found.values[0]
+    over = own > permitted
+    departures = []
+    for name in dict.fromkeys(found.channel):
+        at = [i for i, channel in enumerate(found.channel) if channel == name]
+        entire, parts = ([i for i in at if (found.kind[i] is Kind.WINDOW) == w] for w in (False, True))
+        runs = _runs([bool(over[i]) for i in parts])
+        chosen = [[parts[i] for i in run] for run in runs]
+        if not runs or sum(over[parts]) > SPREAD * len(parts):
+            chosen = [[max(entire, key=lambda i: own[i] / permitted[i])]] if any(over[entire]) else chosen
+        for run in chosen:
+            worst = max(run, key=lambda i: own[i] / permitted[i])
+            size, limit = float(own[worst]), float(permitted[worst])
+            departures.append(Departure(record, name, found.begin[run[0]], found.end[run[-1]], size, limit))
+    return tuple(departures)
+
+
+def _runs(flags: Sequence[bool]) -> list[list[int]]:
+    """Places of neighbouring true flags."""
+    numbered = groupby(enumerate(flags), lambda pair: pair[1])
+    return [[i for i, _ in run] for flag, run in numbered if flag]
+
+
+def _whole(found: _Measures) -> dict[str, tuple[float, float]]:
+    """Root mean square over the record once constant errors are out, and what is permitted, by channel."""
+    permitted, names = _permitted(found), dict.fromkeys(found.channel)
+    count = len(names)
+    return {name: (float(found.values[0, count + i]), float(permitted[count + i])) for i, name in enumerate(names)}

@@ -1,0 +1,99 @@
+"""Do the sensors agree? The flight path alone, before any aerodynamics."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.diagnosis.candidate_set import Field, field_of
+from bayes_aero.diagnosis.screening.selection_state import linearised
+from bayes_aero.diagnosis.selection.block_jackknife import borne_out
+from bayes_aero.diagnosis.selection.forward_selection import Extension, extend
+from bayes_aero.effect import Kind, Stage
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.joined_records import Joined, joined, repaired
+from bayes_aero.model.model import Model
+from bayes_aero.model.own_effects import own_effects
+from bayes_aero.parameter import Prior
+from bayes_aero.physics.flightpath import PATH_CORE
+from bayes_aero.residuals.flight_path import FlightPathError, rolled_unseen
+
+SENSOR_KINDS = (Kind.MEASUREMENT, Kind.ENVIRONMENT)
+SHORTEST = 4.0  # s of a record that can be checked
+
+
+def agreement(
+    field: Field,
+    responses: FlightPathError,
+    theta: Float[np.ndarray, " k"],
+    *,
+    seed: int,
+    known: Sequence[str] = (),
+    priors: Mapping[str, Prior] | None = None,
+) -> Extension:
+    """Sensor errors and winds that the flight path asks for beside the `known` ones, of whose parameters `priors` tell.
+
+    Nothing else is in but where integrals begin.
+    """
+    candidates = tuple(e for e in field.candidates if e.kind in SENSOR_KINDS and e.name not in known)
+    own = replace(field, base=tuple(known), candidates=candidates, priors=priors or {})
+    state = linearised(own, responses, responses.outputs, theta)
+    return borne_out(extend(state, seed=seed))
+
+
+def compatibility(records: list[FlightRecord], card: Card, *, seed: int = 0) -> Extension:
+    """Sensor errors and winds that the flight path asks for, as the first stage of a diagnosis finds them.
+
+    Raises `InputError` where there is no flight path (see `no_flight_path`) or a single manoeuvre is too short.
+    """
+    if why := no_flight_path(records, card):
+        raise InputError(why)
+    flights, _ = repaired(as_the_card_states(joined(records, card, PATH_CORE), card))
+    whole = field_of(Model((), ()), flights, tuple(own_effects(card.effect_files).values()))
+    sensors = tuple(e for e in whole.candidates if e.kind in SENSOR_KINDS)
+    model = Model(sensors, tuple(p for e in sensors for p in e.parameters))
+    field = Field(model, (), sensors, {})
+    theta = np.array([field.neutral[name] for name in model.names])
+    return agreement(field, FlightPathError.of(flights, model), theta, seed=seed)
+
+
+def no_flight_path(records: Sequence[FlightRecord], card: Card) -> str:
+    """Why the flight path cannot be checked at all; empty where it can."""
+    flights = joined(records, card, ())
+    missing = [n for n in PATH_CORE if n not in flights.channels]
+    if missing:
+        return f"the flight path needs {', '.join(missing)}"
+    if not np.isfinite(float(card.aircraft.mass)):
+        return "the card states no [aircraft], so the positions of the sensors are unknown"
+    if rolled_unseen(flights):
+        return (
+            "the flight path needs phi, because the aircraft rolled; map it, or state what did not move under "
+            "[constants]"
+        )
+    short = [r.name for r in records if r.time[-1] - r.time[0] < SHORTEST]
+    return f"record {short[0]} is shorter than {SHORTEST:g} s" if short else ""
+
+
+def as_the_card_states(flights: Joined, card: Card) -> Joined:
+    """Flights without the errors of the record that the card states."""
+    if card.linear is not None:
+        return flights
+    model = Model.from_card(card)
+    stated = [e for e in model.effects if e.stage is Stage.CHANNEL]
+    if not stated:
+        return flights
+    fixed = dict(model.fixed)
+    values = {p.name: fixed.get(p.name, p.start) for e in stated for p in e.parameters}
+    return with_corrections(flights, Model.of(stated), values)
+
+
+def with_corrections(flights: Joined, model: Model, values: Mapping[str, Any]) -> Joined:
+    """Flights as a model of errors of the record makes them true."""
+    true = model.corrected(values, flights.channels, flights.aircraft)
+    return replace(flights, channels={name: np.asarray(true[name]) for name in flights.channels})

@@ -1,0 +1,259 @@
+"""The diagnosis: do the sensors agree, where is the model wrong, which cause, what does it gain, what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bayes_aero.diagnosis.result import Cause, Diagnosis, Gain, Tested, Unknown, verdict_of
+from bayes_aero.diagnosis.screening.screening import Standing, poll
+from bayes_aero.diagnosis.screening.selection_state import State, linearised
+from bayes_aero.diagnosis.search_result import Searched, lacking
+from bayes_aero.diagnosis.selection.backward_elimination import Confirmation, confirmation
+from bayes_aero.diagnosis.selection.collinear import Together, cancelling
+from bayes_aero.diagnosis.selection.cross_validation import (
+    LeftOut,
+    gain,
+    gained,
+    measured_blocks,
+    split_name,
+    truncated,
+)
+from bayes_aero.diagnosis.selection.forward_selection import Extension
+from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, implausible, own_share
+from bayes_aero.diagnosis.selection.search_coefficients import search_coefficients
+from bayes_aero.diagnosis.selection.search_trajectories import search_trajectories
+from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
+from bayes_aero.effect import Effect
+from bayes_aero.errors import attempted
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.threads import blas_threads
+from bayes_aero.model.model import Model
+from bayes_aero.model.own_effects import own_effects
+from bayes_aero.physics.coefficient_names import NAMES
+
+Progress = Callable[[str, float], None]
+
+
+@blas_threads(0)
+def diagnose(
+    records: Sequence[FlightRecord],
+    card: Card,
+    *,
+    model: Model | None = None,
+    settings: DiagnosisSettings = DEFAULT,
+    seed: int = 0,
+    extra: Sequence[Effect] = (),
+    gains_wanted: bool = True,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Find what the card's model gets wrong on `records`; `settings` hold every threshold.
+
+    The model is compared with coefficients, or with trajectories where no accelerometer gives those. `gains_wanted`
+    False leaves out the refits on left-out data (for studies of naming alone).
+    """
+    search = search_trajectories if lacking(records, card) else search_coefficients
+    known = (*own_effects(card.effect_files).values(), *extra)
+    found = search(records, card, model or Model.from_card(card), known, settings, seed=seed, progress=progress)
+    ask = gains_wanted and found.testable_now
+    candidates, kept, failed = _confirmed(found, progress) if ask else _unasked(found)
+    causes, beyond, unnamed = attributed(candidates, settings)
+    unknown = (*found.unknown, *structure_of(found, unnamed))
+    minor = (*(found.sensors.minor if found.sensors else ()), *found.model.minor, *(c.name for c in unnamed))
+    state, tested = found.model.state, None if found.testable_now else Tested({})
+    return Diagnosis(
+        verdict=verdict_of(causes, unknown, tested),
+        causes=causes,
+        minor=minor,
+        unknown=unknown,
+        noise=found.noise,
+        not_testable=found.field.not_testable,
+        sensors=found.sensors,
+        aerodynamics=found.model,
+        theta=state.theta,
+        split=split_name(state),
+        base_moves=moves_of(found.model),
+        kept=kept,
+        failures=(*found.failures, *failed),
+        notes=found.notes,
+        together=together_of(found.stages, causes),
+        beyond=beyond,
+        tested=tested,
+    )
+
+
+Asked = tuple[list[Cause], tuple[str, ...], tuple[str, ...]]
+
+
+def _confirmed(found: Searched, progress: Progress | None) -> Asked:
+    """Causes with what unseen data say of them, the additions to the coefficients that these confirm, and failures.
+
+    Should the hold-out test fail, no cause is confirmed.
+    """
+
+    def asked() -> tuple[list[Cause], tuple[str, ...]]:
+        confirmations = {stage: confirmation(one.state) for stage, one in found.stages}
+        return causes_of(found, confirmations, progress), confirmations[found.stages[-1][0]].kept
+
+    causes, failures = attempted("No cause was tested on hold-out data", asked, None)
+    if causes is not None:
+        return (*causes, failures)
+    untested, _, _ = _unasked(found)
+    return [replace(cause, confirmed=False) for cause in untested], (), failures
+
+
+def _unasked(found: Searched) -> Asked:
+    """The same where unseen data were not asked."""
+    return causes_of(found, {}, None), found.model.state.active, ()
+
+
+def causes_of(searched: Searched, confirmations: Mapping[str, Confirmation], progress: Progress | None) -> list[Cause]:
+    """What every stage named; with gains on unseen data where these were asked to confirm it (the last stage's are the
+    coefficients)."""
+    found: list[Cause] = []
+    field = searched.field
+    for stage, extension in searched.stages:
+        if not extension.causes:
+            continue
+        sure = confirmations.get(stage)
+        measured = {} if sure is None else _gains_of(extension, searched.model, sure.kept, progress)
+        for name in extension.causes:
+            effect = next(e for e in field.candidates if e.name == name)
+            probability, others = _rivals(extension, name)
+            found.append(
+                Cause(
+                    name=name,
+                    kind=effect.kind.value,
+                    claim=effect.claim,
+                    stage=stage,
+                    probability=probability,
+                    p_value=next((s.p_value for s in extension.steps if s.chosen == name), float("nan")),
+                    ambiguous_with=others,
+                    parameters={p.name: extension.sizes[p.name] for p in effect.parameters},
+                    gain=measured.get(name, NO_GAIN),
+                    excited=_excited(extension.state, name),
+                    confirmed=sure is None or name in sure.kept,
+                    missed=NOTHING if sure is None else sure.missed[name],
+                    implausible=implausible(effect, extension.sizes, field.neutral, field.settings),
+                    own_share=own_share(extension.state, extension.fit, name),
+                )
+            )
+    return found
+
+
+def structure_of(found: Searched, unnamed: Sequence[Cause]) -> tuple[Unknown, ...]:
+    """What the record shows and cannot attribute; without rivals it is likelier nothing."""
+    effects, extensions = {e.name: e for e in found.field.candidates}, found.by_stage
+    several = [c for c in unnamed if c.ambiguous_with]
+    return tuple(as_structure(cause, extensions[cause.stage], effects[cause.name]) for cause in several)
+
+
+def together_of(stages: Sequence[tuple[str, Extension]], causes: Sequence[Cause]) -> tuple[Together, ...]:
+    """Pairs of named causes of one stage that cancel."""
+    return tuple(
+        pair
+        for stage, extension in stages
+        for pair in cancelling(extension, [c.name for c in causes if c.stage == stage])
+    )
+
+
+def _excited(state: State, name: str) -> bool:
+    """Whether every manoeuvre moves what the effect acts through: the spread of its sensitivities within each."""
+    if len(state.responses.flights.lengths) == 1:
+        return True
+    S = state.S[:, :, state.field.columns(state.field.parameters_of(name))]  # without the swell, which moves anything
+    noise = np.std(state.residual, axis=0)[:, None]
+    spread = np.array([np.sqrt(np.sum((S[fold] / noise).var(axis=0))) for fold in state.folds])
+    return bool(spread.min() >= state.settings.least_excitation * spread.max())
+
+
+NOTHING = (float("nan"), float("nan"))
+NO_GAIN = Gain(*NOTHING, "not measured", {}, {})
+
+
+def _gains_of(
+    extension: Extension, aerodynamics: Extension, kept: Sequence[str], progress: Progress | None
+) -> dict[str, Gain]:
+    """Gains of an extension's causes on left-out folds, each beside nuisances and the confirmed causes before it."""
+    state, causes = extension.state, extension.causes
+    nuisances = [name for name in extension.minor if name in kept]
+    pairs: dict[str, tuple[LeftOut, LeftOut]] = {}
+    base = before = LeftOut.refitted(truncated(state, nuisances))
+    for number, name in enumerate(causes):
+        if progress:
+            progress("gain on hold-out data", number / len(causes))
+        after = LeftOut.refitted(truncated(state, (*nuisances, *_sure(causes, number, kept), name)))
+        pairs[name] = before, after
+        before = after if name in kept else before
+    if state.outputs != NAMES:
+        return _sensor_gains(extension, aerodynamics, kept, pairs)
+    measured = measured_blocks(state)
+    return {name: gain(base, *pair, state, measured) for name, pair in pairs.items()}
+
+
+def _sure(causes: Sequence[str], number: int, kept: Sequence[str]) -> list[str]:
+    """Confirmed causes before the one of that number."""
+    return [name for name in causes[:number] if name in kept]
+
+
+def _sensor_gains(
+    extension: Extension, aerodynamics: Extension, kept: Sequence[str], pairs: Mapping[str, tuple[LeftOut, LeftOut]]
+) -> dict[str, Gain]:
+    """Density gained on the flight path, and what each correction does to the card's fit of the coefficients."""
+    state, card = extension.state, aerodynamics.base
+
+    def corrected(sensors: Sequence[str]) -> LeftOut:
+        theta = card.theta.copy()
+        for effect in state.active:
+            if effect not in sensors:
+                names = state.field.parameters_of(effect)
+                theta[state.field.columns(names)] = [state.field.neutral[name] for name in names]
+        return LeftOut.refitted(linearised(card.field, card.responses, NAMES, theta, (), card.swell, card.temper))
+
+    measured, found = measured_blocks(card), {}
+    base = corrected(()).scores(measured)
+    for number, name in enumerate(extension.causes):
+        after = corrected([*_sure(extension.causes, number, kept), name]).scores(measured)
+        found[name] = Gain(*gained(*pairs[name], state), split_name(state), base, after)
+    return found
+
+
+def _rivals(extension: Extension, name: str) -> tuple[float, tuple[str, ...]]:
+    """Probability of a cause among everything that could take its place, nothing included; and who comes close."""
+    state, fit = extension.state, extension.fit
+    ranking = poll(state, fit, seed=0, replicates=0, without=name).standings
+    best: dict[str, Standing] = {}
+    for standing in ranking:
+        if standing.effect == name or standing.score > state.settings.least_rival_score:
+            best.setdefault(standing.effect, standing)
+    own = best.get(name)
+    if own is None:
+        return 1.0, ()
+    weights = {effect: np.exp(min(0.0, -own.nats(s))) for effect, s in best.items()}
+    nothing = np.exp(-max(own.gain, 0.0) / (2.0 * max(own.inflation, 1.0)))
+    close = tuple(effect for effect, s in best.items() if effect != name and own.nats(s) < state.settings.ambiguous)
+    return float(1.0 / (sum(weights.values()) + nothing)), close
+
+
+def moves_of(extension: Extension) -> Mapping[str, tuple[float, float, float]]:
+    """How the card's parameters moved."""
+    before, after, own = extension.base, extension.state, extension.sizes
+    return {
+        name: (float(before.theta[before.field.columns([name])[0]]), float(after.theta[i]), own[name].sd)
+        for i, name in enumerate(after.field.model.names)
+        if name in own and any(name in after.field.parameters_of(e) for e in after.field.base)
+    }
+
+
+def judged_on_held_out_flights(found: Diagnosis, confirmation: Confirmation) -> Diagnosis:
+    """The diagnosis with each cause confirmed, or not, by held-out flights; untested causes stay as they are."""
+    causes = tuple(
+        replace(c, confirmed=c.name in confirmation.kept, missed=confirmation.missed[c.name])
+        if c.name in confirmation.missed
+        else c
+        for c in found.causes
+    )
+    return replace(found, causes=causes, verdict=verdict_of(causes, found.unknown, found.tested))

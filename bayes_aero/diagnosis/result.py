@@ -1,0 +1,220 @@
+"""What a diagnosis says: plain data, ready to be written and drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.diagnosis.screening.accuracy import Size
+from bayes_aero.diagnosis.selection.collinear import Together
+from bayes_aero.diagnosis.selection.forward_selection import Extension
+from bayes_aero.inference.scores import Scores
+
+FLIGHT_PATH = "flight path"  # the stage of sensors and winds
+COEFFICIENTS, TRAJECTORIES = "coefficients", "trajectories"  # stages of the model itself
+LIKELY = 0.5  # probability beyond which a cause is likelier than all else together
+
+
+class Verdict(StrEnum):
+    """The answer in a word."""
+
+    NO_EFFECT = "no_effect"
+    EXPLAINED = "explained"
+    PARTLY_EXPLAINED = "partly_explained"
+    UNEXPLAINED = "unexplained"
+    UNDECIDED = "undecided"  # trajectories alone cannot tell disturbed air from a model error without a name
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What a cause gains on data that were not fitted; before: with all earlier causes that are confirmed.
+
+    `elpd` is the sum of log predictive densities gained, divided by what the colour costs (`temper`); `elpd_se` its
+    deviation from sums over 10 s. `before` and `after` score each coefficient: card's model, and with all so far.
+    """
+
+    elpd: float
+    elpd_se: float
+    split: str
+    before: Mapping[str, Scores]
+    after: Mapping[str, Scores]
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One named effect. `stage` tells where it was found: the flight path (sensors) or the coefficients.
+
+    `confirmed`: unseen data miss it when it is taken out, by the log density `missed` with its deviation; what is not
+    confirmed stays out of the model that is flown and compared (see `confirmation`). `implausible`: parameters beyond
+    the largest size that aircraft have, with that size; `own_share`: of what it does, what no other free parameter
+    can do as well (see `credibility`).
+    """
+
+    name: str
+    kind: str
+    claim: str
+    stage: str
+    probability: float
+    p_value: float
+    ambiguous_with: tuple[str, ...]
+    parameters: Mapping[str, Size]
+    gain: Gain
+    excited: bool = True
+    confirmed: bool = True
+    missed: tuple[float, float] = (float("nan"), float("nan"))
+    implausible: Mapping[str, float] = field(default_factory=dict)
+    own_share: float = float("nan")
+
+    @property
+    def bounded(self) -> tuple[str, ...]:
+        """Parameters whose fit wants to go on beyond their bounds."""
+        return tuple(name for name, size in self.parameters.items() if size.at_bound)
+
+    @property
+    def likely(self) -> bool:
+        """Whether it is more probable than all that could take its place, nothing included."""
+        return self.probability > LIKELY
+
+    @property
+    def sure(self) -> bool:
+        """Whether the verdict may rest on it: confirmed, likelier than not, and of a size that aircraft have."""
+        return self.confirmed and self.likely and not self.bounded and not self.implausible
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """Structure that no known effect explains: predicted on unseen data by a recorded channel or a period.
+
+    `rivals`: more effects would explain it about equally well than the record can choose among.
+    """
+
+    coefficient: str
+    channel: str
+    share: float  # of the remaining variance of that coefficient
+    p_value: float
+    rivals: tuple[str, ...] = ()
+
+
+# Lag-1 correlation of means over five samples, our choice from a dozen simulated flights: white noise leaves up to a
+# third through the filter, and weak colour (0.5 from sample to sample) little more.
+COLOURED = 0.36
+
+
+@dataclass(frozen=True)
+class NoiseReport:
+    """Colour, growth with separation and outliers of the residuals, by coefficient."""
+
+    lag1: Mapping[str, float]  # of means over five samples: at the recorded rate the filter makes 0.9 of white noise
+    deviation: Mapping[str, float]
+    swell: Mapping[str, float]  # noise at full separation over that in attached flow
+    outliers: Mapping[str, int]  # repaired samples by channel
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Which of colored, buffet, outliers are present."""
+        found = []
+        if max(self.lag1.values()) > COLOURED:
+            found.append("colored")
+        if max(self.swell.values()) > 1.5:
+            found.append("buffet")
+        if sum(self.outliers.values()) > 0:
+            found.append("outliers")
+        return tuple(found)
+
+
+NOT_NOISE = 0.5  # share of a mean square error that noise does not make, beyond which it is more than noise
+
+
+@dataclass(frozen=True)
+class Missed:
+    """What simulated flights miss of one output, root mean squares in SI, and the `noise` of its sensor.
+
+    `fitted`: initial states and parameters fitted to all flights; `unseen`: from the measured initial state by the fit
+    to the others, so that the noise of that state is in it and it is no measure of the model alone.
+    """
+
+    noise: float
+    fitted: float
+    unseen: float
+
+    @property
+    def beyond(self) -> bool:
+        """Whether most of the fitted mean square error is no noise of the sensor; an error that is no number, too."""
+        return not self.fitted**2 * (1.0 - NOT_NOISE) <= self.noise**2
+
+
+@dataclass(frozen=True)
+class Tested:
+    """What a diagnosis by trajectories alone has tested: `outputs` are empty where nothing was flown.
+
+    Structure without a name is never sought there.
+    """
+
+    outputs: Mapping[str, Missed]
+
+    @property
+    def beyond(self) -> tuple[str, ...]:
+        """Outputs that the simulation misses by more than noise."""
+        return tuple(name for name, one in self.outputs.items() if one.beyond)
+
+    @property
+    def within_noise(self) -> bool:
+        """Whether it was flown and misses nothing by more than noise."""
+        return bool(self.outputs) and not self.beyond
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The whole finding. `sensors` and `aerodynamics` hold both elections with all standings."""
+
+    verdict: Verdict
+    causes: tuple[Cause, ...]
+    minor: tuple[str, ...]
+    unknown: tuple[Unknown, ...]
+    noise: NoiseReport
+    not_testable: Mapping[str, str]
+    sensors: Extension | None
+    aerodynamics: Extension
+    theta: Float[np.ndarray, " k"]
+    split: str
+    base_moves: Mapping[str, tuple[float, float, float]]  # base parameter: before, after, deviation after
+    kept: tuple[str, ...] = ()  # additions to the coefficients that unseen data confirm
+    notes: tuple[str, ...] = ()
+    failures: tuple[str, ...] = ()  # parts that failed unexpectedly; what else is here is valid
+    together: tuple[Together, ...] = ()  # pairs of causes of which the record knows one combination alone
+    beyond: tuple[Cause, ...] = ()  # errors larger than any sensor has: no causes, but in the model where confirmed
+    tested: Tested | None = None  # of a diagnosis by trajectories alone
+
+    @property
+    def by_coefficients(self) -> bool:
+        """Whether the model was compared with coefficients; otherwise with trajectories alone."""
+        return self.tested is None
+
+
+def verdict_of(causes: Sequence[Cause], unknown: Sequence[Unknown], tested: Tested | None = None) -> Verdict:
+    """What is missing counts as explained by causes that are sure alone (see `Cause.sure`).
+
+    `tested`: of a diagnosis by trajectories alone (see `as_tested`).
+    """
+    of_the_model = [cause for cause in causes if cause.stage != FLIGHT_PATH]  # the others are the sensors'
+    if any(cause.sure for cause in causes):
+        found = Verdict.PARTLY_EXPLAINED if unknown else Verdict.EXPLAINED
+    else:
+        found = Verdict.UNEXPLAINED if unknown or of_the_model else Verdict.NO_EFFECT
+    return found if tested is None else as_tested(found, tested)
+
+
+def as_tested(found: Verdict, tested: Tested) -> Verdict:
+    """A verdict by trajectories alone: what is left beyond the noise, or was never computed, is not explained.
+
+    Without a cause it is undecided: disturbed air leaves such errors, too, and it is not modelled.
+    """
+    if found is Verdict.EXPLAINED and not tested.within_noise:
+        return Verdict.PARTLY_EXPLAINED
+    if found is Verdict.NO_EFFECT and tested.beyond:
+        return Verdict.UNDECIDED
+    return found

@@ -1,0 +1,123 @@
+"""How far estimates may be off: the residuals' colour, and the noise of what the regressors were recorded with.
+
+What effects act through is recorded with noise, then smoothed and differentiated. Least squares on such regressors is
+not consistent, and its residuals do not show it. Noise of the size that is there already, added once more, moves the
+estimates by about as much as the noise that is there has moved them: the bias grows with the noise's variance. Source:
+simulation extrapolation (SIMEX), Cook and Stefanski 1994, J. Am. Stat. Assoc. 89, 1314.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.diagnosis.screening.autocorrelation import colour_of
+from bayes_aero.diagnosis.screening.regression import Fit
+from bayes_aero.diagnosis.screening.screening import uncertainty
+from bayes_aero.diagnosis.screening.selection_state import State, local_fit
+from bayes_aero.flight.health.signals import noise_of
+from bayes_aero.model.joined_records import Recorded
+
+PAIRS = 10  # of records with the same noise added and subtracted, which cancels what is linear in it
+REGRESSORS = ("alpha", "airspeed", "q", "elevator")
+AT_BOUND = 1e-6  # of a parameter's value, within which it lies on a bound: fits stop 1e-9 short
+FILTERED = -0.5  # lag-1 correlation of third differences above which they are not white noise's
+
+
+@dataclass(frozen=True)
+class Size:
+    """Estimate of one parameter of a cause, SI, freed of what recording noise adds; see `sizes`.
+
+    `at_bound`: the fit wants to go on beyond the parameter's bounds, so this is no measurement of it.
+    """
+
+    mean: float
+    sd: float
+    unit: str
+    at_bound: bool = False
+
+    @property
+    def ci95(self) -> tuple[float, float]:
+        """Mean -+ 1.96 deviations."""
+        return self.mean - 1.96 * self.sd, self.mean + 1.96 * self.sd
+
+
+def recording_noise(flights: Recorded) -> dict[str, float]:
+    """Standard deviation of the white part of every recorded channel, SI (see `noise_of`)."""
+    return {name: noise_of(*_parts(flights, name)) for name in flights.recorded}
+
+
+def filtered_channels(flights: Recorded) -> tuple[str, ...]:
+    """Channels behind the regressors whose noise was filtered before it was recorded, so that it cannot be read off.
+
+    Third differences of white noise have a lag-1 correlation of -0.75; what a filter has smoothed, or motion, has not.
+    """
+    found = []
+    for name in (name for name in REGRESSORS if name in flights.recorded):
+        rough = np.concatenate([np.diff(part, 3) for part in _parts(flights, name)])
+        limit = 5.0 * np.median(np.abs(rough))
+        inside = np.clip(rough, -limit, limit)
+        if limit > 0.0 and np.corrcoef(inside[1:], inside[:-1])[0, 1] > FILTERED:
+            found.append(name)
+    return tuple(found)
+
+
+def _parts(flights: Recorded, name: str) -> list[Float[np.ndarray, " _"]]:
+    """A channel, manoeuvre by manoeuvre."""
+    return np.split(np.asarray(flights.channels[name]), np.cumsum(flights.lengths)[:-1])
+
+
+def noise_effect(state: State, fit: Fit, seed: int = 0) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """What recording noise does to the estimate of each of the fit's columns: its bias, and its standard deviation.
+
+    `state` is at its optimum. Each record with noise takes one Gauss-Newton step from there. Columns that are no
+    parameters get zeros.
+    """
+    flights = state.responses.flights
+    noise, rng = recording_noise(flights), np.random.default_rng(seed)
+    parameters = fit.columns < len(state.theta)
+    at = fit.columns[parameters]
+
+    def step(extra: dict[str, np.ndarray], sign: float) -> np.ndarray:
+        channels = flights.channels | {name: flights.channels[name] + sign * e for name, e in extra.items()}
+        there = replace(state, responses=state.responses.with_channels(channels))
+        # Variances held: grown by the noise they would let the prior pull more, which is no bias of the regressors.
+        found = local_fit(there, state.theta, at, range(len(state.folds)), fit.variance)[0]
+        return found.step[: len(at)]
+
+    even, odd = [], []
+    for _ in range(PAIRS):
+        extra = {name: sd * rng.standard_normal(flights.n) for name, sd in noise.items()}
+        there, back = step(extra, 1.0), step(extra, -1.0)
+        even.append((there + back) / 2.0)
+        odd.append((there - back) / 2.0)
+    bias, spread = np.zeros((2, len(fit.columns)))
+    bias[parameters] = np.mean(even, axis=0) - step({}, 0.0)
+    spread[parameters] = np.sqrt(np.mean(np.square(odd), axis=0))
+    return bias, spread
+
+
+def sizes(state: State, fit: Fit) -> dict[str, Size]:
+    """Every active parameter with its deviation: what coloured residuals leave, what recording noise makes of it.
+
+    Recording noise that is integrated along the flight path wanders, and the fit follows it, so the residuals may show
+    less of it than there is: the larger of both deviations counts. The mean is the estimate without its bias, which
+    is itself known to first order only: it counts as a deviation, too.
+    """
+    colour = colour_of(state.left(fit), state.folds)
+    variance = np.maximum(np.diag(uncertainty(state, fit, colour)), 0.0)
+    bias, spread = noise_effect(state, fit)
+    deviation = np.sqrt(np.maximum(variance, spread**2) + bias**2)
+    free = state.field.model.free
+    return {
+        free[c].name: Size(
+            float(np.clip(state.theta[c] - shift, *free[c].bounds)),
+            float(sd),
+            free[c].unit,
+            bool(np.any(np.abs(state.theta[c] - np.array(free[c].bounds)) < AT_BOUND * abs(state.theta[c]))),
+        )
+        for c, shift, sd in zip(fit.columns, bias, deviation, strict=True)
+        if c < len(free)
+    }

@@ -1,0 +1,131 @@
+"""The colour of residuals: an autoregression per output, the uncertainty it leaves, and noise records made from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.inference.variance.autoregression import autoregression, driven, stationary
+
+TOGETHER = 50  # colours that columns are filtered for at a time
+RUN_IN = 400  # blocks simulated and thrown away before a noise record begins
+
+
+@dataclass(frozen=True)
+class Colour:
+    """r[t] = sum phi_i r[t-i] + e[t], per output; `sigma` (c,) is the deviation of e, `phi` (c, ORDER)."""
+
+    phi: Float[np.ndarray, "c p"]
+    sigma: Float[np.ndarray, " c"]
+
+    def simulate(self, count: int, folds: Sequence[slice], m: int, rng: np.random.Generator) -> np.ndarray:
+        """`count` noise records (count, m, c); each fold begins anew, blocks outside the folds are zero."""
+        out = np.zeros((count, m, len(self.sigma)))
+        if not count:
+            return out
+        longest = RUN_IN + max(fold.stop - fold.start for fold in folds)
+        white = np.zeros((longest, len(folds), count, len(self.sigma)))  # side by side: one loop over time
+        for k, fold in enumerate(folds):
+            drawn = rng.standard_normal((count, fold.stop - fold.start + RUN_IN, len(self.sigma)))
+            np.multiply(np.moveaxis(drawn, 1, 0), self.sigma, out=white[: drawn.shape[1], k])
+        noise = driven(self.phi.T[:, None, None, :], white)
+        for k, fold in enumerate(folds):
+            out[:, fold] = np.moveaxis(noise[RUN_IN : RUN_IN + fold.stop - fold.start, k], 0, 1)
+        return out
+
+    def meat(
+        self, S: Float[np.ndarray, "m c k"], variance: Float[np.ndarray, " c"], folds: Sequence[slice]
+    ) -> Float[np.ndarray, "k k"]:
+        """sum_ij S_i' R^-1 Rvv(i-j) R^-1 S_j under this colour: the middle of the corrected covariance.
+
+        S filtered backwards by the autoregression gives it as a plain product. Source: as `inference.coloured`.
+        """
+        return Middle(S, variance, folds, [np.arange(S.shape[2])]).under(self, [0])[1][0]
+
+
+class Middle:
+    """`Colour.meat` of many sets of columns, each by itself, made ready once for many colours.
+
+    The columns of each fold and output, divided by the output's variance, the last block first, stand side by side;
+    shorter folds rest before they begin.
+    """
+
+    def __init__(
+        self, S: Float[np.ndarray, "m c k"], variance: np.ndarray, folds: Sequence[slice], places: Sequence[np.ndarray]
+    ) -> None:
+        self.width = S.shape[2]
+        self.places = places
+        pieces = [(fold, c) for fold in folds for c in range(S.shape[1])]
+        longest = max(fold.stop - fold.start for fold in folds)
+        self.used, rows = [], []  # columns of a piece that are not all zero
+        for fold, c in pieces:
+            part = S[fold, c]
+            used = np.flatnonzero(np.any(part != 0.0, axis=0))
+            rest = np.zeros((longest - len(part), len(used)))
+            self.used.append(used)
+            rows.append(np.concatenate([rest, part[::-1, used] / variance[c]]))
+        self.rows = np.concatenate(rows, axis=1)
+        self.output = np.repeat([c for _, c in pieces], [len(used) for used in self.used])
+        self.begin = np.cumsum([0, *(len(used) for used in self.used)])
+
+    def under(self, colour: Colour, wide: Sequence[int]) -> tuple[Float[np.ndarray, " k"], list[np.ndarray]]:
+        """The diagonal over all columns, and the whole of the sets numbered `wide`."""
+        diagonal, whole = self.under_each([colour], wide)
+        return diagonal[0], [total[0] for total in whole]
+
+    def under_each(
+        self, colours: Sequence[Colour], wide: Sequence[int]
+    ) -> tuple[Float[np.ndarray, "r k"], list[np.ndarray]]:
+        """`under` of r colours: (r, k), and (r, w, w) of each set."""
+        diagonal = np.zeros((len(colours), self.width))
+        whole = [np.zeros((len(colours), len(self.places[j]), len(self.places[j]))) for j in wide]
+        for first in range(0, len(colours), TOGETHER):
+            part = slice(first, first + TOGETHER)
+            shaped = self._shaped(colours[part])
+            squares = np.einsum("trn,trn->rn", shaped, shaped)
+            for used, begin in zip(self.used, self.begin, strict=False):
+                diagonal[part, used] += squares[:, begin : begin + len(used)]
+                for total, j in ((total, j) for total, j in zip(whole, wide, strict=True) if len(self.places[j]) > 1):
+                    at = np.searchsorted(used, self.places[j])
+                    here = np.flatnonzero(np.append(used, -1)[at] == self.places[j])
+                    rows = np.moveaxis(shaped[:, :, begin + at[here]], 0, 2)
+                    total[part, here[:, None], here] += rows @ np.moveaxis(rows, 1, 2)
+        for total, j in zip(whole, wide, strict=True):
+            if len(self.places[j]) == 1:
+                total[:, 0] = diagonal[:, self.places[j]]
+        return diagonal, whole
+
+    def _shaped(self, colours: Sequence[Colour]) -> Float[np.ndarray, "t r n"]:
+        """The columns as the autoregression of each colour filters them."""
+        phi = np.stack([colour.phi[self.output].T for colour in colours], axis=1)
+        sigma = np.stack([colour.sigma[self.output] for colour in colours])
+        return driven(phi, sigma * self.rows[:, None, :])
+
+
+def colour_of(residual: Float[np.ndarray, "m c"], folds: Sequence[slice]) -> Colour:
+    """Least-squares autoregression of each output's residual within folds, its roots kept inside `ROOT`."""
+    return colours_of(residual[None], folds)[0]
+
+
+def colours_of(residuals: Float[np.ndarray, "r m c"], folds: Sequence[slice]) -> list[Colour]:
+    """`colour_of` of r records at once."""
+    each = [
+        autoregression([np.ascontiguousarray(residuals[:, fold, c]) for fold in folds])
+        for c in range(residuals.shape[2])
+    ]
+    phi, sigma = (np.stack(parts, axis=1) for parts in zip(*each, strict=True))
+    return [Colour(p, s) for p, s in zip(phi, sigma, strict=True)]
+
+
+def unbiased(colour: Colour, again: Sequence[Colour]) -> Colour:
+    """The colour corrected for what re-estimation on simulated noise does to it (Kilian 1998): slow noise looks faster.
+
+    Coefficients are shifted by their mean bias, their roots drawn inside `ROOT`; sigma is divided by its mean ratio.
+    """
+    shift = colour.phi - np.mean([c.phi for c in again], axis=0)
+    phi = stationary(colour.phi + shift)
+    ratio = np.mean([c.sigma for c in again], axis=0) / colour.sigma
+    return Colour(phi, colour.sigma / ratio)

@@ -1,0 +1,253 @@
+"""Which candidate explains what the model leaves, and how often noise alone would look as good.
+
+Candidates are ranked by how much of the residual they explain. Whether that is more than chance is judged by the
+estimate over a deviation that knows the residual's colour, and the largest such score in noise-only replicates.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from bayes_aero.diagnosis.screening.autocorrelation import Colour, colour_of, colours_of, unbiased
+from bayes_aero.diagnosis.screening.partialled_regression import Projected, equivalent, score
+from bayes_aero.diagnosis.screening.regression import Fit, Products, inverse
+from bayes_aero.diagnosis.screening.selection_state import State
+
+
+@dataclass(frozen=True)
+class Standing:
+    """One candidate against the present model.
+
+    `gain` is the deviance it takes away, `together` what it would take away if the outputs' noise were allowed to
+    correlate; `score` its estimate in standard deviations that know the colour (for several
+    parameters the equivalent of one); `inflation` the variance over what white residuals would leave; `log_bayes` the
+    log Bayes factor of estimate and deviation under the effect's prior. `apart` is the inflation along the difference
+    between what it explains and what the addition explains that was taken out (see `poll`).
+    """
+
+    effect: str
+    columns: tuple[int, ...]
+    value: float | None
+    gain: float
+    score: float
+    inflation: float
+    log_bayes: float
+    step: tuple[float, ...]
+    sd: tuple[float, ...]
+    together: float = math.nan
+    apart: float = math.nan
+
+    def nats(self, other: Standing) -> float:
+        """Log likelihood by which this addition, which was taken out, explains more than `other`.
+
+        What tells the two from each other is the residual along the difference d of what they explain. Its variance
+        is d'Sd where white residuals would leave s2 d'd: the log likelihood ratio is the white one over that inflation.
+        """
+        return (self.gain - other.gain) / other.cost_apart
+
+    @property
+    def cost_apart(self) -> float:
+        """Deviance that a nat costs where this is weighed against the addition that was taken out."""
+        return 2.0 * max(self.apart, 1.0)
+
+
+@dataclass(frozen=True)
+class Poll:
+    """Standings, the most explaining first, and the largest score of each noise-only replicate."""
+
+    standings: tuple[Standing, ...]
+    colour: Colour
+    nulls: Float[np.ndarray, " r"]
+
+    def p_value(self, score: float) -> float:
+        """Share of noise-only replicates in which some candidate scores at least as high."""
+        return float((1 + np.sum(self.nulls >= score)) / (1 + len(self.nulls)))
+
+    def of(self, effect: str) -> Standing | None:
+        """The best standing of one effect."""
+        return next((s for s in self.standings if s.effect == effect), None)
+
+
+def poll(state: State, fit: Fit, *, seed: int, replicates: int | None = None, without: str | None = None) -> Poll:
+    """Fit every candidate with all active parameters free; draw noise-only replicates (default: as many as the settings
+    say) under the present model.
+
+    `without` takes one addition out first, to first order: it then stands for election like the others, and each of
+    them is told `apart` from it.
+    """
+    active = tuple(e for e in state.active if e != without)
+    standpoint = _Standpoint(state.products, state.mean, state.columns(), fit, state.left(fit))
+    if without is not None:
+        standpoint = _taken_out(state, standpoint, without, active)
+    fit, residual, mean = standpoint.fit, standpoint.residual, standpoint.mean
+    blocks = [b for b in state.blocks if b[0] not in active]
+    if not blocks:
+        return Poll((), colour_of(residual, state.folds), np.zeros(0))
+    projected = Projected(state, fit, [b[1] for b in blocks])
+    colour = colour_of(residual, state.folds)
+    rng = np.random.default_rng(seed)
+    m = len(residual)
+    # Re-estimation from noise whose active columns were fitted shows how much faster the noise then looks.
+    drawn = colour.simulate(state.settings.correction_replicates, state.folds, m, rng)
+    colour = unbiased(colour, colours_of(without_active(state, fit, drawn), state.folds))
+    estimates, covariances = projected.scores(residual, colour)
+    stretch = state.responses.stretch
+    freedom = 0 if stretch is None else int(stretch.max())
+    if stretch is not None:
+        wider = projected.between(residual, estimates, stretch)
+        pairs = zip(estimates, covariances, wider, strict=True)
+        covariances = [C if equivalent(b, C) < equivalent(b, W) else W for b, C, W in pairs]
+    gains = _gains(state, standpoint, [b[1] for b in blocks])
+    before = projected.deviance(residual)
+    away = _most(blocks, gains[0], without)
+    apart = None if away is None else projected.apart(residual, estimates, away, colour, stretch)
+    found = []
+    for j, (effect, own, value) in enumerate(blocks):
+        variance = np.maximum(np.diag(covariances[j]), 0.0)
+        white = np.diag(projected.bread[j])
+        step = gains[1][j][: len(own)]
+        possible = value is None or step[0] * (value - _present(state, effect)) > 0.0
+        found.append(
+            Standing(
+                effect=effect,
+                columns=tuple(int(i) for i in own),
+                value=value,
+                gain=float(gains[0][j]) if possible else 0.0,
+                score=score(estimates[j], covariances[j], freedom) if possible else 0.0,
+                inflation=float(np.max(variance / white)),
+                log_bayes=log_bayes(estimates[j], covariances[j], mean[own], state.precision[own] / state.temper),
+                step=tuple(float(x) for x in step),
+                sd=tuple(float(x) for x in np.sqrt(variance)),
+                together=before - projected.deviance(residual, j, estimates[j]),
+                apart=math.nan if apart is None else float(apart[j]),
+            )
+        )
+    count = state.settings.replicates if replicates is None else replicates
+    noises = without_active(state, fit, colour.simulate(count, state.folds, m, rng))
+    nulls = projected.largest(noises, colours_of(noises, state.folds))
+    return Poll(tuple(sorted(found, key=lambda s: -s.gain)), colour, nulls)
+
+
+def explained_shares(state: State, fit: Fit, colour: Colour, seed: int, count: int) -> Float[np.ndarray, " r"]:
+    """Largest share of one output's variance that any block explains in each of `count` noise records of this colour.
+
+    Blocks must act on one output each, as components do.
+    """
+    projected = Projected(state, fit, [block[1] for block in state.blocks])
+    output = [int(np.argmax(np.abs(state.S[:, :, block[1]]).sum(axis=(0, 2)))) for block in state.blocks]
+    drawn = colour.simulate(count, state.folds, len(state.residual), np.random.default_rng(seed))
+    noises = without_active(state, fit, drawn)
+    total, right = np.sum(noises**2, axis=1) / fit.variance, projected.right(noises)
+    shares = [
+        np.einsum("ri,ij,rj->r", right[:, place], bread, right[:, place], optimize=True) / total[:, c]
+        for place, bread, c in zip(projected.place, projected.bread, output, strict=True)
+    ]
+    return np.max(shares, axis=0)
+
+
+def without_active(state: State, fit: Fit, residual: Float[np.ndarray, "*r m c"]) -> Float[np.ndarray, "*r m c"]:
+    """What is left of noise records when the active columns are fitted to them."""
+    B = state.scaled[:, :, fit.columns]
+    step = np.tensordot(residual, B / fit.variance[:, None], 2) @ inverse(fit.normal)
+    return residual - np.tensordot(step, B, (-1, 2))
+
+
+def _most(blocks: Sequence[tuple], gains: Float[np.ndarray, " j"], effect: str | None) -> int | None:
+    """The block of an effect that gains most; None where it has none."""
+    own = [j for j, block in enumerate(blocks) if block[0] == effect]
+    return max(own, key=lambda j: gains[j], default=None)
+
+
+@dataclass(frozen=True)
+class _Standpoint:
+    """From where candidates are judged: what is active, its fit, and what that leaves."""
+
+    products: Products
+    mean: Float[np.ndarray, " K"]
+    columns: Int[np.ndarray, " k"]
+    fit: Fit
+    residual: Float[np.ndarray, "m c"]
+
+
+def _taken_out(state: State, here: _Standpoint, effect: str, active: Sequence[str]) -> _Standpoint:
+    """The same with one addition at neutral, to first order; `active` are the others."""
+    names = state.field.parameters_of(effect)
+    own = state.field.columns(names)
+    away = state.theta[own] - np.array([state.field.neutral[name] for name in names])
+    products, mean, columns = here.products.shifted(own, -away), here.mean.copy(), state.columns(active)
+    mean[own] += away
+    fit = products.fit(columns, mean, state.precision)
+    before = state.scaled[:, :, here.fit.columns] @ here.fit.step
+    residual = here.residual + state.scaled[:, :, own] @ away + before - state.scaled[:, :, columns] @ fit.step
+    return _Standpoint(products, mean, columns, fit, residual)
+
+
+def _gains(state: State, here: _Standpoint, blocks: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Deviance that each block takes away, and its steps; short blocks are filled up with the column of zeros."""
+    dummy = state.S.shape[2] - 1
+    width = max(len(own) for own in blocks)
+    rows = np.array([np.concatenate([here.columns, own, np.full(width - len(own), dummy)]) for own in blocks], int)
+    step, _, _, deviance = here.products.fit_many(rows, here.mean, state.precision)
+    return here.fit.deviance - deviance, step[:, len(here.columns) :]
+
+
+def log_bayes(estimate: np.ndarray, covariance: np.ndarray, mean: np.ndarray, precision: np.ndarray) -> float:
+    """log N(estimate; mean, covariance + prior) - log N(estimate; 0, covariance)."""
+    wide = covariance + np.diag(1.0 / np.maximum(precision, 1e-30))
+    return float(_log_normal(estimate - mean, wide) - _log_normal(estimate, covariance))
+
+
+def _log_normal(x: np.ndarray, covariance: np.ndarray) -> float:
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    _, determinant = np.linalg.slogdet(covariance / np.outer(size, size) + 1e-11 * np.eye(len(x)))
+    return -0.5 * (x @ inverse(covariance) @ x + determinant) - np.sum(np.log(size))
+
+
+def _present(state: State, effect: str) -> float:
+    """Value of a scanned effect's parameter at the state."""
+    scan = next(s for s in state.scans if s.effect == effect)
+    return float(state.theta[state.field.columns([scan.parameter])[0]])
+
+
+def uncertainty(state: State, fit: Fit, colour: Colour) -> Float[np.ndarray, "k k"]:
+    """Covariance of the active columns' estimates that coloured residuals leave."""
+    bread = inverse(fit.normal)
+    return bread @ colour.meat(state.scaled[:, :, fit.columns], fit.variance, state.folds) @ bread
+
+
+def without_each_stretch(state: State, fit: Fit) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
+    """Active columns that are no offsets, and the covariance of their estimates from how far these move when a stretch
+    is left out.
+
+    The jackknife over clusters: a stretch that decides a parameter alone leaves no residual there to disagree with,
+    and `Projected.between` takes that for agreement. Source: Bell and McCaffrey 2002, Survey Methodology 28, 169.
+    """
+    stretch = state.responses.stretch
+    assert stretch is not None
+    columns = fit.columns[~np.isin(fit.columns, state.offsets)]
+    parts = [_without_offsets(state, fit, stretch == k, columns) for k in range(int(stretch.max()) + 1)]
+    whole = sum(information for information, _ in parts) + np.diag(state.precision[columns])
+    moves = np.array([inverse(whole - information) @ right for information, right in parts])
+    return columns, moves.T @ moves * (len(parts) - 1.0) / len(parts)
+
+
+def _without_offsets(
+    state: State, fit: Fit, here: Bool[np.ndarray, " m"], columns: Int[np.ndarray, " k"]
+) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
+    """Information of one stretch on these columns, its offsets free, and what it adds to the right side."""
+    here, weight = here & state.inside, 1.0 / fit.variance
+    S, begin = state.scaled[here][:, :, columns], state.scaled[here][:, :, state.offsets]
+    begin = begin[:, :, np.any(begin != 0.0, axis=(0, 1))]
+    cross, own = (np.einsum("mci,c,mcj->ij", begin, weight, other) for other in (S, begin))
+    S = S - begin @ (inverse(own) @ cross)
+    return np.einsum("mci,c,mcj->ij", S, weight, S), np.einsum("mci,c,mc->i", S, weight, state.left(fit)[here])
+
+
+def columns_of(state: State, standing: Standing) -> Int[np.ndarray, " k"]:
+    """Active columns and the candidate's."""
+    return np.concatenate([state.columns(), np.array(standing.columns, int)])

@@ -1,0 +1,282 @@
+"""Where the criticism stands: parameters, which effects are in, and the problem linearised there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from bayes_aero.diagnosis.candidate_set import Field
+from bayes_aero.diagnosis.folds import folds_of
+from bayes_aero.diagnosis.screening.autocorrelation import colour_of
+from bayes_aero.diagnosis.screening.regression import Fit, Products
+from bayes_aero.diagnosis.settings import DiagnosisSettings
+from bayes_aero.inference.variance.autoregression import ORDER
+from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.residuals.base import ResidualModel
+
+REFITS = 8
+ENOUGH = 0.05  # of the deviance
+
+
+@dataclass(frozen=True)
+class Scan:
+    """One value at which a candidate without a slope at neutral is tried."""
+
+    effect: str
+    parameter: str
+    value: float
+
+
+@dataclass(frozen=True)
+class Component:
+    """A function that is no effect: `basis` (m, w) acts on one coefficient; `label` is "coefficient over channel"."""
+
+    label: str
+    coefficient: str
+    basis: Float[np.ndarray, "m w"]
+
+
+@dataclass(frozen=True)
+class State:
+    """Parameters `theta` (all of the field's), residuals and sensitivities there; `swell` is the noise's growth.
+
+    Outputs are those of one stage of the criticism: the coefficients, or the flight path. Columns beyond the
+    parameters: the flight-path offsets, active always; a column for every scanned value of a candidate that has no
+    slope at neutral; and a last one of zeros, which fills up blocks of unequal width.
+    """
+
+    field: Field
+    responses: ResidualModel
+    outputs: tuple[str, ...]
+    theta: Float[np.ndarray, " k"]
+    residual: Float[np.ndarray, "m c"]
+    S: Float[np.ndarray, "m c K"]
+    swell: Float[np.ndarray, "m c"]
+    folds: tuple[slice, ...]
+    products: Products
+    mean: Float[np.ndarray, " K"]
+    precision: Float[np.ndarray, " K"]
+    active: tuple[str, ...]  # names of the effects that are in, beyond the card's
+    scans: tuple[Scan, ...]
+    nuisance: int = 0  # columns between the parameters and the scans
+    temper: float = 1.0  # what the colour costs: priors count so many times against the white likelihood
+    components: tuple[Component, ...] = ()  # they stand for election in place of effects
+    chosen: tuple[Component, ...] = ()  # components that are in
+
+    @property
+    def settings(self) -> DiagnosisSettings:
+        """Thresholds of the diagnosis."""
+        return self.field.settings
+
+    @cached_property
+    def inside(self) -> Bool[np.ndarray, " m"]:
+        """Blocks that belong to a fold: neither products nor fits have seen the others."""
+        found = np.zeros(len(self.S), bool)
+        for fold in self.folds:
+            found[fold] = True
+        return found
+
+    @property
+    def offsets(self) -> Int[np.ndarray, " o"]:
+        """Columns of what is free in every fit and no parameter."""
+        return len(self.theta) + np.arange(self.nuisance)
+
+    @property
+    def component_columns(self) -> list[Int[np.ndarray, " w"]]:
+        """Columns of each component that stands for election."""
+        widths = [c.basis.shape[1] for c in (*self.chosen, *self.components)]
+        begins = len(self.theta) + len(self.offsets) + len(self.scans) + np.cumsum([0, *widths])
+        found = [np.arange(a, b) for a, b in pairwise(begins)]
+        return found[len(self.chosen) :]
+
+    @property
+    def blocks(self) -> list[tuple[str, Int[np.ndarray, " w"], float | None]]:
+        """Every way in which a candidate may enter: its name, its columns, and the scanned value if there is one.
+
+        Candidates that do not reach the outputs are left out.
+        """
+        if self.components:
+            labels = [c.label for c in self.components]
+            return [(label, own, None) for label, own in zip(labels, self.component_columns, strict=True)]
+        found: list[tuple[str, np.ndarray, float | None]] = []
+        scanned = {scan.effect for scan in self.scans}
+        begin = len(self.theta) + len(self.offsets)
+        for number, scan in enumerate(self.scans):
+            found.append((scan.effect, np.array([begin + number]), scan.value))
+        for effect in self.field.candidates:
+            if effect.name not in scanned:
+                found.append((effect.name, self.field.columns(self.field.parameters_of(effect.name)), None))
+        return [block for block in found if np.any(self.S[:, :, block[1]] != 0.0)]
+
+    def columns(self, effects: Sequence[str] | None = None) -> Int[np.ndarray, " a"]:
+        """Columns of the card's effects, of `effects` (default: those that are in), and the offsets."""
+        names = (*self.field.base, *(self.active if effects is None else effects))
+        own = self.field.columns([p for n in names for p in self.field.parameters_of(n) if p in self.field.model.names])
+        begin = len(self.theta) + len(self.offsets) + len(self.scans)
+        chosen = begin + np.arange(sum(c.basis.shape[1] for c in self.chosen))
+        return np.concatenate([own[np.any(self.S[:, :, own] != 0.0, axis=(0, 1))], self.offsets, chosen])
+
+    def fit(self, effects: Sequence[str] | None = None) -> Fit:
+        """Regression with `effects` on all folds."""
+        return self.products.fit(self.columns(effects), self.mean, self.precision)
+
+    def left(self, fit: Fit) -> Float[np.ndarray, "m c"]:
+        """Residuals that a fit leaves, divided by the swell."""
+        return (self.residual - self.S[:, :, fit.columns] @ fit.step) / self.swell
+
+    @cached_property
+    def scaled(self) -> Float[np.ndarray, "m c K"]:
+        """Sensitivities divided by the swell."""
+        return self.S / self.swell[:, :, None]
+
+
+def linearised(
+    field: Field,
+    responses: ResidualModel,
+    outputs: tuple[str, ...],
+    theta: Float[np.ndarray, " k"],
+    active: tuple[str, ...] = (),
+    swell: Float[np.ndarray, "m c"] | None = None,
+    temper: float = 1.0,
+) -> State:
+    """The state at `theta`: residuals, sensitivities to every parameter, and their inner products.
+
+    Candidates that are not active and have no slope at neutral are tried at their scanned values.
+    """
+    keep = [responses.outputs.index(name) for name in outputs]
+    residual, S = responses.linearise(theta)
+    residual, S = residual[:, keep], S[:, keep]
+    scans, extra = [], [responses.offsets(theta, outputs)]
+    for effect in field.candidates:
+        if effect.name in active:
+            continue
+        for name, values in effect.scan.items():
+            at = int(field.columns([name])[0])
+            for value in values:
+                there = theta.copy()
+                there[at] = value
+                other = np.asarray(responses.evaluate(there)[0])[:, keep]
+                extra.append(((residual - other) / (value - theta[at]))[:, :, None])
+                scans.append(Scan(effect.name, name, value))
+    S = np.concatenate([S, *extra, np.zeros((*residual.shape, 1))], axis=2)
+    S = np.where(np.isfinite(S), S, 0.0)
+    swell = np.ones_like(residual) if swell is None else swell
+    folds = folds_of(responses.manoeuvre, responses.seconds, field.settings)
+    mean, precision = field.prior(range(len(theta)), theta)
+    precision = temper * precision
+    of_scans = [int(field.columns([s.parameter])[0]) for s in scans]
+    nothing = np.zeros(extra[0].shape[2])
+    mean = np.concatenate([mean, nothing, mean[of_scans], [0.0]])
+    precision = np.concatenate([precision, nothing, precision[of_scans], [1.0]])
+    products = Products.of(residual / swell, S / swell[:, :, None], folds)
+    return State(
+        field,
+        responses,
+        outputs,
+        theta,
+        residual,
+        S,
+        swell,
+        folds,
+        products,
+        mean,
+        precision,
+        active,
+        tuple(scans),
+        extra[0].shape[2],
+        temper,
+    )
+
+
+def moved(state: State, theta: Float[np.ndarray, " k"], active: tuple[str, ...] | None = None) -> State:
+    """The state at other parameters or with other effects in, with the same noise growth."""
+    chosen = state.active if active is None else active
+    return linearised(state.field, state.responses, state.outputs, theta, chosen, state.swell, state.temper)
+
+
+def refitted(state: State) -> tuple[State, Fit]:
+    """The state at the optimum of all active parameters, and the fit there."""
+    state = moved(state, optimum(state, range(len(state.folds))))
+    return state, state.fit()
+
+
+def optimum(state: State, folds: Sequence[int], most: int = REFITS) -> Float[np.ndarray, " k"]:
+    """Gauss-Newton on all active parameters, fitted to the chosen folds, each step kept inside the bounds.
+
+    A step that does not lower the deviance is shortened; it ends when a step gains less than `ENOUGH`.
+    """
+    bounds = np.array([p.bounds for p in state.field.model.free])
+    columns = state.columns()
+    at = columns[columns < len(state.theta)]
+    theta, here = state.theta, local_fit(state, state.theta, at, folds)
+    for _ in range(most):
+        fit, value = here
+        for share in (1.0, 0.5, 0.2, 0.05):
+            trial = theta.copy()
+            trial[at] = np.clip(theta[at] + share * fit.step[: len(at)], bounds[at, 0] + 1e-9, bounds[at, 1] - 1e-9)
+            new = local_fit(state, trial, at, folds)
+            if new[1] < value:
+                break
+        if not new[1] < value:
+            break
+        theta, gained, here = trial, value - new[1], new
+        if gained < ENOUGH:
+            break
+    return theta
+
+
+def local_fit(
+    state: State,
+    theta: Float[np.ndarray, " k"],
+    at: Int[np.ndarray, " a"],
+    folds: Sequence[int],
+    held: Float[np.ndarray, " c"] | None = None,
+) -> tuple[Fit, float]:
+    """Regression on the columns `at` at `theta`, and the deviance there; with variances it finds, or `held` ones."""
+    keep = [state.responses.outputs.index(name) for name in state.outputs]
+    residual, S = state.responses.linearise(theta, at)
+    residual, S = residual[:, keep], np.where(np.isfinite(S), S, 0.0)[:, keep]
+    S = np.concatenate([S, state.S[:, :, state.offsets]], axis=2)
+    products = Products.of(residual / state.swell, S / state.swell[:, :, None], [state.folds[f] for f in folds])
+    mean, precision = state.field.prior(at, theta)
+    precision = state.temper * precision
+    offsets = np.zeros(S.shape[2] - len(at))
+    mean, precision = np.append(mean, offsets), np.append(precision, offsets)
+    free = np.arange(S.shape[2])
+    only = products.fit(free[len(at) :], mean, precision)  # parameters as they are; offsets and variances adapt
+    return products.fit(free, mean, precision, held), only.deviance + float(
+        np.sum(precision[: len(at)] * mean[: len(at)] ** 2)
+    )
+
+
+def swelling(state: State, fit: Fit) -> Float[np.ndarray, "m c"]:
+    """Growth of each coefficient's noise with separation, 1 + b (1 - X), b >= 0, from the innovations' size.
+
+    Least squares of |innovation| on 1 - X; flight-path outputs do not swell.
+    """
+    if not set(state.outputs) & set(NAMES):
+        return np.ones_like(state.residual)
+    _, known = state.responses.evaluate(state.theta)
+    apart = 1.0 - np.asarray(state.responses.block(known["X"]))
+    residual = state.left(fit) * state.swell
+    colour = colour_of(residual, state.folds)
+    swell = np.ones_like(residual)
+    for c, name in enumerate(state.outputs):
+        if name not in NAMES or np.ptp(apart) < 0.05:
+            continue
+        size, x = [], []
+        for fold in state.folds:
+            r = residual[fold, c]
+            past = np.stack([r[ORDER - i : len(r) - i] for i in range(1, ORDER + 1)])
+            size.append(np.abs(r[ORDER:] - colour.phi[c] @ past))
+            x.append(apart[fold][ORDER:])
+        innovation = np.concatenate(size)
+        slope, level = np.polyfit(np.concatenate(x), np.minimum(innovation, 10 * np.median(innovation)), 1)
+        if level > 0.0:
+            swell[:, c] = 1.0 + max(0.0, slope / level) * apart
+    return swell

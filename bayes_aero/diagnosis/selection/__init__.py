@@ -1,0 +1,1 @@
+"""Forward selection, backward elimination, cross-validation."""

@@ -1,0 +1,127 @@
+"""Do the stretches of a flight agree about an error of a sensor?
+
+Gusts are in the vane and in the airspeed, and what integrates them wanders off as slowly as an error of a sensor would
+make it: no autoregression tells the two apart over a record of a minute or two. In short stretches, each from where it
+began, little has wandered, and how far they disagree says how far an estimate can be trusted, whatever the colour.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.special import ndtr
+
+from bayes_aero.diagnosis.screening.accuracy import sizes
+from bayes_aero.diagnosis.screening.partialled_regression import as_normal, disagreement, equivalent
+from bayes_aero.diagnosis.screening.regression import Fit, inverse
+from bayes_aero.diagnosis.screening.screening import poll
+from bayes_aero.diagnosis.screening.selection_state import State, refitted
+from bayes_aero.diagnosis.selection.forward_selection import Extension, Step, removed, worth
+
+
+class Stretches:
+    """Residuals and sensitivities of a fit, less each stretch's own mean: where it began is free."""
+
+    def __init__(self, state: State, fit: Fit) -> None:
+        self.state, self.number = state, _numbers(state)
+        inside = self.number >= 0
+        self._inside, self._own = inside, self.number[inside]
+        self.left = self._centred(state.left(fit))
+        self.weight = 1.0 / np.maximum(np.mean(self.left**2, axis=0), 1e-300)
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of the disagreement."""
+        return int(self._own.max())
+
+    def _centred(self, x: np.ndarray) -> np.ndarray:
+        """(m, ...) to the blocks inside stretches, (i, ...)."""
+        x = x[self._inside]
+        sums = np.zeros((self._own.max() + 1, *x.shape[1:]))
+        np.add.at(sums, self._own, x)
+        count = np.bincount(self._own).reshape(-1, *[1] * (x.ndim - 1))
+        return x - (sums / count)[self._own]
+
+    def judge(self, effect: str) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"]] | None:
+        """What the stretches add to an effect's parameters, the other additions free, and its covariance from how far
+        they disagree; None where the effect moves nothing here."""
+        state = self.state
+        own = state.field.columns(state.field.parameters_of(effect))
+        others = np.setdiff1d(state.columns([e for e in state.active if e != effect]), [*own, *state.offsets])
+        S, B = (self._centred(state.scaled[:, :, columns]) for columns in (own, others))
+        if not np.all(np.any(S != 0.0, axis=(0, 1))):
+            return None
+        left = self.left
+        if len(others):
+            scale = np.einsum("mci,c,mcj->ij", B, self.weight, B, optimize=True)
+            bread = inverse(scale)
+            S = S - B @ (bread @ np.einsum("mci,c,mcj->ij", B, self.weight, S, optimize=True))
+            left = left - B @ (bread @ np.einsum("mci,c,mc->i", B, self.weight, left, optimize=True))
+        bread = inverse(np.einsum("mci,c,mcj->ij", S, self.weight, S, optimize=True))
+        step = bread @ np.einsum("mci,c,mc->i", S, self.weight, left, optimize=True)
+        rows = np.einsum("mci,c,mc->mi", S, self.weight, left - S @ step, optimize=True)
+        return step, bread @ disagreement(rows, self._own) @ bread
+
+    def p_value(self, effect: str) -> float:
+        """Of an addition: the chance that stretches which disagree as they do show as much of it.
+
+        Bonferroni over all candidates, for it is the best of them.
+        """
+        judged = self.judge(effect)
+        if judged is None:
+            return 1.0
+        names = self.state.field.parameters_of(effect)
+        away = self.state.theta[self.state.field.columns(names)] - [self.state.field.neutral[name] for name in names]
+        score = as_normal(equivalent(away + judged[0], judged[1]), self.freedom)
+        return min(1.0, 2.0 * len(self.state.blocks) * float(ndtr(-score)))
+
+
+def _numbers(state: State) -> Int[np.ndarray, " m"]:
+    """The stretch of each block, -1 between folds."""
+    seconds, number = state.responses.seconds, np.full(len(state.residual), -1)
+    total = seconds * sum(fold.stop - fold.start for fold in state.folds)
+    wanted, begin = min(state.settings.block, total / state.settings.fewest_blocks), 0
+    for fold in state.folds:
+        length = fold.stop - fold.start
+        parts = max(1, int(length * seconds / wanted + 0.5))
+        number[fold] = begin + np.arange(length) * parts // length
+        begin += parts
+    return number
+
+
+def borne_out(found: Extension) -> Extension:
+    """`found` without additions that the stretches do not bear out, the least first; sizes at least as uncertain as
+    the stretches disagree about them. The last election is held anew."""
+    state, fit = found.state, found.fit
+    while state.active:
+        judged = Stretches(state, fit)
+        chances = {effect: judged.p_value(effect) for effect in state.active}
+        worst = max(chances, key=lambda effect: chances[effect])
+        if chances[worst] <= state.settings.false_alarm_rate:
+            break
+        state, fit = refitted(removed(state, worst))
+    return widened(found, state, fit)
+
+
+def widened(found: Extension, state: State, fit: Fit) -> Extension:
+    """The extension that ended in `state`, deviations no smaller than the stretches' disagreement makes them."""
+    judged = Stretches(state, fit)
+    told = dict(found.sizes) if state is found.state else sizes(state, fit)
+    for effect in state.active:
+        pair = judged.judge(effect)
+        if pair is not None:
+            wide = np.sqrt(np.diag(pair[1]))
+            names = state.field.parameters_of(effect)
+            told |= {n: replace(told[n], sd=max(told[n].sd, float(x))) for n, x in zip(names, wide, strict=True)}
+    last = poll(state, fit, seed=0, replicates=0)
+    standings = []
+    for standing in last.standings:
+        pair = judged.judge(standing.effect) if standing.value is None else None
+        wide = np.zeros(len(standing.sd)) if pair is None else np.sqrt(np.diag(pair[1]))
+        standings.append(replace(standing, sd=tuple(np.maximum(standing.sd, wide))))
+    closing = Step(None, float("nan"), replace(last, standings=tuple(standings)), float("nan"))
+    causes, minor = worth(state, told)
+    steps = (*found.steps, closing)
+    return replace(found, state=state, fit=fit, steps=steps, sizes=told, causes=causes, minor=minor)

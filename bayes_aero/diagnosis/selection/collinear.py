@@ -1,0 +1,80 @@
+"""Two named terms that cancel: what the record knows of them is one combination, not either.
+
+Pitch rate and the rate of the angle of attack move together in most manoeuvres. A fit then sets a large term against
+another large one; neither is measured. The combination of the two with the least variance is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from bayes_aero.diagnosis.screening.autocorrelation import colour_of
+from bayes_aero.diagnosis.screening.screening import uncertainty
+from bayes_aero.diagnosis.screening.selection_state import State
+from bayes_aero.diagnosis.selection.forward_selection import Extension
+
+
+@dataclass(frozen=True)
+class Together:
+    """The combination `parameters[0] + factor parameters[1]` of two effects, with its deviation, SI.
+
+    `correlation` is that of the two estimates; departures from neutral are meant.
+    """
+
+    effects: tuple[str, str]
+    parameters: tuple[str, str]
+    factor: float
+    mean: float
+    sd: float
+    unit: str
+    correlation: float
+
+
+def cancelling(extension: Extension, causes: Sequence[str]) -> tuple[Together, ...]:
+    """Pairs of the named causes whose estimates are correlated and whose contributions cancel."""
+    state, fit = extension.state, extension.fit
+    if len(causes) < 2:
+        return ()
+    covariance = uncertainty(state, fit, colour_of(state.left(fit), state.folds))
+    at = {int(c): k for k, c in enumerate(fit.columns)}
+    found = []
+    for one, other in combinations(causes, 2):
+        for a in state.field.parameters_of(one):
+            for b in state.field.parameters_of(other):
+                i, j = (int(state.field.columns([name])[0]) for name in (a, b))
+                if i in at and j in at and _cancel(state, i, j):
+                    C = covariance[np.ix_([at[i], at[j]], [at[i], at[j]])]
+                    pair = _together(state, (one, other), (a, b), C)
+                    found += [pair] if abs(pair.correlation) > state.settings.correlated else []
+    return tuple(found)
+
+
+def _away(state: State, column: int) -> float:
+    name = state.field.model.names[column]
+    return float(state.theta[column] - state.field.neutral[name])
+
+
+def _cancel(state: State, i: int, j: int) -> bool:
+    """Whether what two parameters do to the outputs, means aside, is less together than either alone."""
+    weight = 1.0 / np.mean(state.residual[state.inside] ** 2, axis=0)
+    moved = [state.scaled[state.inside][:, :, c] * _away(state, c) for c in (i, j)]
+    moved = [x - x.mean(axis=0) for x in moved]
+    one, other, both = (float(np.sum(weight * x**2)) for x in (*moved, moved[0] + moved[1]))
+    return both < min(one, other)
+
+
+def _together(state: State, effects: tuple[str, str], names: tuple[str, str], C: np.ndarray) -> Together:
+    """The combination of least variance; a sum or a difference where that is nearly it."""
+    i, j = (int(state.field.columns([name])[0]) for name in names)
+    units = [state.field.model.free[c].unit for c in (i, j)]
+    factor = -float(C[0, 1] / C[1, 1])
+    if units[0] == units[1] and abs(abs(factor) - 1.0) < state.settings.near_one:
+        factor = float(np.sign(factor))
+    variance = float(C[0, 0] + 2.0 * factor * C[0, 1] + factor**2 * C[1, 1])
+    mean = _away(state, i) + factor * _away(state, j)
+    correlation = float(C[0, 1] / np.sqrt(C[0, 0] * C[1, 1]))
+    return Together(effects, names, factor, mean, float(np.sqrt(max(variance, 0.0))), units[0], correlation)

@@ -1,0 +1,293 @@
+"""Extend the model by what earns its place: elect, add, refit, reconsider, until nothing is left to add."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import ndtr
+
+from bayes_aero.diagnosis.screening.accuracy import Size, sizes
+from bayes_aero.diagnosis.screening.autocorrelation import colour_of
+from bayes_aero.diagnosis.screening.partialled_regression import as_normal, equivalent
+from bayes_aero.diagnosis.screening.refit_screening import SecondLook
+from bayes_aero.diagnosis.screening.regression import Fit, Products
+from bayes_aero.diagnosis.screening.screening import (
+    Poll,
+    Standing,
+    columns_of,
+    log_bayes,
+    poll,
+    uncertainty,
+    without_each_stretch,
+)
+from bayes_aero.diagnosis.screening.selection_state import State, moved, refitted, swelling
+from bayes_aero.effect import Effect, Stage
+from bayes_aero.physics.coefficient_names import NAMES
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Step:
+    """One election: the poll, the chosen effect (None: nobody), its p-value, and its gain on folds left out."""
+
+    chosen: str | None
+    p_value: float
+    poll: Poll
+    unseen: float
+
+
+@dataclass(frozen=True)
+class Extension:
+    """The state before and after, with fits and elections; sizes of what is in.
+
+    `causes` are worth a name: as large, within a deviation, as the least departure worth modelling, and beyond doubt
+    (see `worth`); `minor` are not.
+    """
+
+    base: State
+    base_fit: Fit
+    state: State
+    fit: Fit
+    steps: tuple[Step, ...]
+    sizes: Mapping[str, Size]
+    causes: tuple[str, ...]
+    minor: tuple[str, ...]
+
+
+def extend(state: State, *, seed: int = 0, most: int | None = None, progress: Progress | None = None) -> Extension:
+    """Add effects to `state` until none is both beyond chance and useful on data left out; at most `most`
+    (default: the settings').
+
+    Each election's p-value is family-wise over all candidates.
+    """
+    most = state.settings.max_effects if most is None else most
+    state, fit = refitted(state)
+    swell, cost = swelling(state, fit), _inflation(state, fit)
+    state, fit = refitted(moved(replace(state, swell=swell, temper=cost), state.theta))
+    first, first_fit = state, fit
+    steps: list[Step] = []
+    for number in range(most):
+        if progress:
+            progress("causes", number / most)
+        step = _election(state, fit, seed + number, first=number == 0)
+        steps.append(step)
+        if step.chosen is None:
+            break
+        winner = step.poll.of(step.chosen)
+        assert winner is not None
+        state, fit = refitted(added(state, winner))
+        state, fit = _reconsidered(state, fit)
+    found = sizes(state, fit) if state.responses.stretch is None else _between_sizes(state, fit)
+    causes, minor = worth(state, found)
+    return Extension(first, first_fit, state, fit, tuple(steps), found, causes, minor)
+
+
+def _between_sizes(state: State, fit: Fit) -> dict[str, Size]:
+    """Sizes whose deviations are no smaller than the scatter of estimates without each stretch makes them."""
+    columns, covariance = without_each_stretch(state, fit)
+    names = state.field.model.names
+    wide = {names[c]: float(sd) for c, sd in zip(columns, np.sqrt(np.diag(covariance)), strict=True) if c < len(names)}
+    return {name: replace(size, sd=max(size.sd, wide[name])) for name, size in sizes(state, fit).items()}
+
+
+def _inflation(state: State, fit: Fit) -> float:
+    """How many times the colour multiplies variances, in the median over the candidates."""
+    found = poll(state, fit, seed=0, replicates=0).standings
+    return max(1.0, float(np.median([s.inflation for s in found]))) if found else 1.0
+
+
+def _election(state: State, fit: Fit, seed: int, first: bool) -> Step:
+    """The most explaining candidate that is beyond chance, large enough to matter and useful on folds left out.
+
+    Noise-only replicates are drawn where somebody stands a chance, and in the first election, whose p-values are
+    reported for every candidate.
+    """
+    settings = state.settings
+    found = poll(state, fit, seed=seed, replicates=None if first else 0)
+    able: list[tuple[Standing, float]] = []
+    seen: set[str] = set()
+    for standing in found.standings:
+        if standing.effect in seen:
+            continue
+        seen.add(standing.effect)
+        if len(seen) > settings.candidates_tried:
+            break
+        if explained(state, standing) < settings.least_share or mixes_noise(state, standing):
+            continue
+        gain = float(unseen_gain(state, columns_of(state, standing)).sum())
+        if not gain > 0.0:
+            continue
+        able.append((standing, gain))
+        if standing.score < settings.least_score or standing.log_bayes <= 0.0:
+            continue
+        if not len(found.nulls):
+            found = replace(found, nulls=poll(state, fit, seed=seed).nulls)
+        p = found.p_value(standing.score)
+        if p <= settings.false_alarm_rate:
+            return Step(standing.effect, p, found, gain)
+    if state.responses.stretch is not None:  # no stationary colour holds, with a leader in or out
+        for standing, gain in able[: settings.candidates_refitted]:
+            wider = refitted(added(state, standing))
+            p = between_p_value(*wider, standing.effect, len(found.standings))
+            if p <= settings.refit_false_alarm_rate:
+                return Step(standing.effect, p, found, gain)
+        able = []
+    for standing, gain in able:
+        look = SecondLook(state, standing, seed=seed)
+        if look.score < settings.least_score or look.log_bayes <= 0.0:
+            continue
+        if (p := look.p_value()) <= settings.refit_false_alarm_rate:
+            return Step(standing.effect, p, found, gain)
+    highest = max((s.score for s in found.standings), default=0.0)
+    return Step(None, found.p_value(highest) if len(found.nulls) else float("nan"), found, float("nan"))
+
+
+def between_p_value(wider: State, fit: Fit, effect: str, among: int) -> float:
+    """p-value of an addition by how far it moves without each stretch, Bonferroni over `among` candidates.
+
+    It is in, and all is fitted again: a large effect that is out bends the first-order residuals, and the stretches
+    then seem to disagree more than they do.
+    """
+    names = wider.field.parameters_of(effect)
+    columns = wider.field.columns(names)
+    if not np.all(np.isin(columns, fit.columns)):
+        return 1.0
+    away = wider.theta[columns] - np.array([wider.field.neutral[name] for name in names])
+    own, covariance = without_each_stretch(wider, fit)
+    at = [int(np.flatnonzero(own == c)[0]) for c in columns]
+    freedom = int(np.max(wider.responses.stretch))  # pyright: ignore[reportArgumentType, reportCallIssue]
+    score = as_normal(equivalent(away, covariance[np.ix_(at, at)]), freedom)
+    return min(1.0, 2.0 * among * float(ndtr(-score)))
+
+
+def mixes_noise(state: State, standing: Standing) -> bool:
+    """Whether a candidate's gain vanishes when noise of the coefficients may correlate.
+
+    Noise of the angle of attack is in CL and in Cm at once. A shift of the CG adds CL to Cm, which hides that noise
+    under a diagonal covariance and explains nothing. Only constants of the aircraft mix coefficients as measured; what
+    any other effect leaves out of one of them may rightly be in another, too.
+    """
+    if set(state.outputs) != set(NAMES) or standing.together >= state.settings.least_share_correlated * standing.gain:
+        return False
+    return any(e.name == standing.effect and e.stage is Stage.AIRCRAFT for e in state.field.candidates)
+
+
+def explained(state: State, standing: Standing) -> float:
+    """Share of the remaining variance that a candidate takes away, were it all in one output."""
+    return 1.0 - float(np.exp(-max(standing.gain, 0.0) / state.products.count.sum()))
+
+
+def unseen_gain(state: State, wide: np.ndarray, narrow: np.ndarray | None = None) -> Float[np.ndarray, " f"]:
+    """Deviance that columns `wide` gain over `narrow` (default: the active ones) on each fold, fitted on the others."""
+    narrow = state.columns() if narrow is None else narrow
+    used = np.unique(np.concatenate([wide, narrow, state.offsets]))
+    small = _Folds(state.products.only(used), state.mean[used], state.precision[used])
+    wide, narrow, offsets = (np.searchsorted(used, columns) for columns in (wide, narrow, state.offsets))
+    folds = range(len(state.folds))
+    return np.array([small.left_out(fold, narrow, offsets) - small.left_out(fold, wide, offsets) for fold in folds])
+
+
+@dataclass(frozen=True)
+class _Folds:
+    """Inner products by fold, and the normal prior of the steps."""
+
+    products: Products
+    mean: Float[np.ndarray, " k"]
+    precision: Float[np.ndarray, " k"]
+
+    def left_out(self, fold: int, columns: np.ndarray, offsets: np.ndarray) -> float:
+        """n log(mean square) over outputs of a fold, at parameters fitted elsewhere; offsets are the fold's own."""
+        others = [f for f in range(len(self.products.count)) if f != fold]
+        step = self.products.over(others).fit(columns, self.mean, self.precision).step
+        parameters = ~np.isin(columns, offsets)
+        left = self.products.over([fold]).shifted(columns[parameters], step[parameters])
+        nothing = np.zeros_like(self.mean)
+        n = float(left.count.sum())
+        if len(offsets):
+            return left.fit(offsets, nothing, nothing).deviance
+        return float(n * np.sum(np.log(left.gram[0, :, 0, 0] / n)))
+
+
+def added(state: State, winner: Standing) -> State:
+    """The state with a candidate in, its parameters at their first-order estimate (or the scanned value)."""
+    theta = state.theta.copy()
+    at = state.field.columns(state.field.parameters_of(winner.effect))
+    if winner.value is not None:
+        scan = next(s for s in state.scans if s.effect == winner.effect and s.value == winner.value)
+        theta[state.field.columns([scan.parameter])[0]] = winner.value
+    else:
+        bounds = np.array([state.field.model.free[i].bounds for i in at])
+        theta[at] = np.clip(theta[at] + np.array(winner.step), bounds[:, 0], bounds[:, 1])
+    return moved(state, theta, (*state.active, winner.effect))
+
+
+def removed(state: State, effect: str) -> State:
+    """The state without one of its additions, that effect's parameters at neutral."""
+    theta = state.theta.copy()
+    for name in state.field.parameters_of(effect):
+        theta[state.field.columns([name])[0]] = state.field.neutral[name]
+    return moved(state, theta, tuple(e for e in state.active if e != effect))
+
+
+def _reconsidered(state: State, fit: Fit) -> tuple[State, Fit]:
+    """Look at each earlier addition again: drop it if it is superfluous by now, exchange it if it was a proxy."""
+    for effect in state.active[:-1]:
+        ranking = poll(state, fit, seed=0, replicates=0, without=effect)
+        own = ranking.of(effect)
+        best = next((s for s in ranking.standings if not mixes_noise(state, s)), ranking.standings[0])
+        faint = own is not None and own.log_bayes < 0.0 and _bayes_within(state, fit, own) < 0.0
+        if own is None or faint or explained(state, own) < state.settings.least_share or mixes_noise(state, own):
+            state, fit = refitted(removed(state, effect))
+        elif best.effect != effect and best.gain > (1.0 + state.settings.exchange_margin) * own.gain + best.cost_apart:
+            state, fit = refitted(added(removed(state, effect), best))
+    return state, fit
+
+
+def _bayes_within(state: State, fit: Fit, own: Standing) -> float:
+    """Log Bayes factor of an addition under the colour that is left with it in."""
+    names = state.field.parameters_of(own.effect)
+    columns = state.field.columns(names)
+    away = state.theta[columns] - np.array([state.field.neutral[name] for name in names])
+    if not (np.all(np.isfinite(away)) and np.all(np.isin(columns, fit.columns))):
+        return own.log_bayes
+    at = [int(np.flatnonzero(fit.columns == c)[0]) for c in columns]
+    covariance = uncertainty(state, fit, colour_of(state.left(fit), state.folds))[np.ix_(at, at)]
+    return log_bayes(away, covariance, state.mean[columns] + away, state.precision[columns] / state.temper)
+
+
+def worth(state: State, found: Mapping[str, Size]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Additions large enough to be worth modelling, and those that are only a nuisance.
+
+    One that was elected may turn out uncertain once the noise of the regressors is counted: then it is a nuisance, too.
+    """
+    causes, minor = [], []
+    for name in state.active:
+        effect = next(e for e in state.field.candidates if e.name == name)
+        away = {p: (found[p].mean - state.field.neutral[p], found[p].sd) for p in effect.sizes if p in found}
+        (causes if large(effect, away, state.settings.least_score) else minor).append(name)
+    return tuple(causes), tuple(minor)
+
+
+def large(effect: Effect, away: Mapping[str, tuple[float, float]], least_score: float) -> bool:
+    """Whether any parameter of an effect is as far from neutral as is worth a name, and beyond its deviation: `away`
+    has both, for parameters of which the effect says what is worth it (without such, always)."""
+    told = [(abs(size), sd, effect.sizes[p][0]) for p, (size, sd) in away.items()]
+    return not told or any(size + sd >= least and size >= least_score * sd for size, sd, least in told)
+
+
+def nats_gained(old: Extension, new: Extension) -> float:
+    """Log likelihood that another extension gains, the colour counted, less what the choice of each addition costs."""
+
+    def deviance(state: State, fit: Fit) -> float:
+        inside = np.concatenate([np.arange(fold.start, fold.stop) for fold in state.folds])
+        return fit.deviance + 2.0 * float(np.sum(np.log(state.swell[inside])))
+
+    additions = len(new.state.active) - len(old.state.active)
+    gained = deviance(old.state, old.fit) - deviance(new.state, new.fit)
+    choice = math.log(max(len(new.state.field.candidates), 1))
+    return gained / (2.0 * max(old.state.temper, new.state.temper)) - additions * choice

@@ -1,0 +1,71 @@
+"""Whether an engineer would sign a cause: sizes that no aircraft has, signals that hardly move, too many rivals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from bayes_aero.diagnosis.consistency.sensor_errors import SENSOR_KINDS
+from bayes_aero.diagnosis.result import Cause, Unknown
+from bayes_aero.diagnosis.screening.accuracy import Size
+from bayes_aero.diagnosis.screening.regression import Fit, inverse
+from bayes_aero.diagnosis.screening.screening import poll
+from bayes_aero.diagnosis.screening.selection_state import State
+from bayes_aero.diagnosis.selection.forward_selection import Extension
+from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
+from bayes_aero.effect import Effect
+
+
+def implausible(
+    effect: Effect, sizes: Mapping[str, Size], neutral: Mapping[str, float], settings: DiagnosisSettings = DEFAULT
+) -> dict[str, float]:
+    """Parameters that are beyond the largest plausible size, whatever their deviation; with that size."""
+    return {
+        name: largest
+        for name, (_, largest) in effect.sizes.items()
+        if name in sizes and abs(sizes[name].mean - neutral[name]) - settings.implausible * sizes[name].sd > largest
+    }
+
+
+def own_share(state: State, fit: Fit, effect: str) -> float:
+    """Share of what an effect does to the outputs, means aside, that no other free parameter can do as well.
+
+    One over the variance inflation factor, the largest over its parameters; priors left out, for they are no data.
+    Not a number where the effect is not in the fit.
+    """
+    columns = state.field.columns(state.field.parameters_of(effect))
+    at = [int(np.flatnonzero(fit.columns == c)[0]) for c in columns if c in fit.columns]
+    if not at:
+        return float("nan")
+    S = state.scaled[state.inside][:, :, fit.columns[at]]
+    own = np.einsum("mci,c->i", (S - S.mean(axis=0)) ** 2, 1.0 / fit.variance)
+    uncertain = np.diag(inverse(fit.normal - np.diag(state.precision[fit.columns])))[at]
+    return float(np.max(1.0 / np.maximum(own * uncertain, 1.0)))
+
+
+def attributed(
+    causes: Sequence[Cause], settings: DiagnosisSettings = DEFAULT
+) -> tuple[tuple[Cause, ...], tuple[Cause, ...], tuple[Cause, ...]]:
+    """Causes that the record can attribute; errors larger than any sensor has, behind which is another fault; others.
+
+    The others have more equals than the record can choose among, or are neither confirmed nor likelier than not.
+    """
+    beyond = tuple(c for c in causes if c.kind in SENSOR_KINDS and c.implausible)
+    rest = [c for c in causes if c not in beyond]
+    named = tuple(c for c in rest if 1 + len(c.ambiguous_with) <= settings.most_names and (c.confirmed or c.likely))
+    return named, beyond, tuple(c for c in rest if c not in named)
+
+
+def as_structure(cause: Cause, extension: Extension, effect: Effect) -> Unknown:
+    """What a cause that is none explained: the output of which it takes most, through which channel."""
+    state, fit = extension.state, extension.fit
+    standing = poll(state, fit, seed=0, replicates=0, without=cause.name).of(cause.name)
+    columns = state.field.columns(state.field.parameters_of(cause.name))
+    neutral = np.array([state.field.neutral[name] for name in state.field.parameters_of(cause.name)])
+    moved = (state.scaled[:, :, columns] @ (state.theta[columns] - neutral))[state.inside]
+    output = int(np.argmax(np.mean((moved - moved.mean(axis=0)) ** 2, axis=0) / fit.variance))
+    gain = 0.0 if standing is None else max(standing.gain, 0.0)
+    share = 1.0 - float(np.exp(-gain / state.products.count.sum()))
+    channel = effect.channels[0] if effect.channels else effect.kind.value
+    return Unknown(state.outputs[output], channel, share, cause.p_value, (cause.name, *cause.ambiguous_with))

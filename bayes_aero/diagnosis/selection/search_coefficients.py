@@ -1,0 +1,99 @@
+"""The search for missing effects in coefficients: the flight path first, then the model, then what has no name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bayes_aero.diagnosis.candidate_set import field_of
+from bayes_aero.diagnosis.result import COEFFICIENTS, FLIGHT_PATH
+from bayes_aero.diagnosis.screening.accuracy import filtered_channels
+from bayes_aero.diagnosis.screening.selection_state import State
+from bayes_aero.diagnosis.search_result import Searched
+from bayes_aero.diagnosis.selection.forward_selection import Extension
+from bayes_aero.diagnosis.selection.residuals import noise_report
+from bayes_aero.diagnosis.selection.stages import Stages, stages
+from bayes_aero.diagnosis.settings import DiagnosisSettings
+from bayes_aero.diagnosis.unexplained import Left, has_chunks, unexplained
+from bayes_aero.effect import Effect
+from bayes_aero.errors import attempted
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.model.joined_channels import Flights, despiked, join
+from bayes_aero.model.model import Model
+from bayes_aero.model.observations import observe
+from bayes_aero.residuals.equation_error import EquationError
+
+Progress = Callable[[str, float], None]
+
+
+def search_coefficients(
+    records: Sequence[FlightRecord],
+    card: Card,
+    model: Model,
+    extra: Sequence[Effect],
+    settings: DiagnosisSettings,
+    *,
+    seed: int,
+    progress: Progress | None = None,
+) -> Searched:
+    """Search where coefficients can be formed; `extra` effects stand beside the catalogue's."""
+    flights, outliers = despiked(join(records, card))
+    field = field_of(model, flights, extra, settings)
+    mle = fit_mle(model, observe(records, card, model), seed=seed)
+    theta = np.array([field.neutral[name] for name in field.model.names])
+    for name, value in zip(mle.names, mle.estimate, strict=True):
+        if name in field.model.names:
+            theta[field.columns([name])[0]] = value
+    both = stages(field, EquationError.of(flights, field.model), theta, seed=seed, progress=progress)
+    left, failures = attempted(
+        "Unexplained structure was not sought",
+        lambda: unexplained(both.aerodynamics, seed=seed + 2000),
+        Left((), ()),
+    )
+    aerodynamics = _withdrawn(both.aerodynamics, left.replaced)
+    named = [] if both.sensors is None else [(FLIGHT_PATH, both.sensors)]
+    return Searched(
+        field,
+        (*named, (COEFFICIENTS, aerodynamics)),
+        left.unknown,
+        noise_report(aerodynamics, outliers),
+        (*_filtered(flights), *_too_short(aerodynamics.state), *_denials(both)),
+        failures,
+    )
+
+
+def _withdrawn(found: Extension, names: Sequence[str]) -> Extension:
+    """Causes of which little is left beside what is unexplained lose their names: nuisances, in the model as before."""
+    causes = tuple(name for name in found.causes if name not in names)
+    return replace(found, causes=causes, minor=(*found.minor, *(n for n in found.causes if n in names)))
+
+
+def _filtered(flights: Flights) -> tuple[str, ...]:
+    """What the user should know of the intervals."""
+    filtered = filtered_channels(flights)
+    if not filtered:
+        return ()
+    return (
+        f"The record shows no white noise of {', '.join(filtered)} (filtered before recording, or none): sizes are not "
+        "corrected for the bias from such noise, and their intervals do not include it.",
+    )
+
+
+def _too_short(state: State) -> tuple[str, ...]:
+    """That periods were not tested, if a manoeuvre is too short for them."""
+    if has_chunks(state):
+        return ()
+    return ("Periodic structure was not tested: a manoeuvre is too short to be divided into blocks.",)
+
+
+def _denials(found: Stages) -> tuple[str, ...]:
+    """A sentence on each sensor error that the flight path selects and the coefficients reject."""
+    return tuple(
+        f"The flight path alone selects {name}, which can be due to gusts. This correction degrades the fit of the "
+        "coefficients by more than the flight path gains, so it is not made."
+        for name in found.denied
+    )

@@ -1,0 +1,164 @@
+"""The search for missing effects in trajectories, where no accelerometer gives the coefficients.
+
+The card's model is flown through the recorded inputs in windows; the selection is that of the coefficients. Less is
+seen than there: a trajectory integrates what a coefficient shows at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bayes_aero.diagnosis.candidate_set import Field, field_of, lag_of
+from bayes_aero.diagnosis.result import TRAJECTORIES, NoiseReport
+from bayes_aero.diagnosis.screening.selection_state import State, linearised, refitted
+from bayes_aero.diagnosis.search_result import Searched, lacking
+from bayes_aero.diagnosis.selection.forward_selection import (
+    Extension,
+    Progress,
+    Step,
+    between_p_value,
+    extend,
+    nats_gained,
+)
+from bayes_aero.diagnosis.settings import DiagnosisSettings
+from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics, taken_as_zero
+from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.dynamics.segments import segments
+from bayes_aero.effect import Effect, Stage
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.likelihood.output_error import fit_cascade
+from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.model.joined_channels import Flights, despiked, join
+from bayes_aero.model.model import Model
+from bayes_aero.residuals.output_error import OutputError
+from bayes_aero.residuals.windows import WINDOW, too_few_windows
+
+FIRST = (10.0, 5.0, 2.5)  # s, of first windows, tried until a fit converges: begun far off, long ones may stray
+
+
+def search_trajectories(
+    records: Sequence[FlightRecord],
+    card: Card,
+    model: Model,
+    extra: Sequence[Effect],
+    settings: DiagnosisSettings,
+    *,
+    seed: int,
+    progress: Progress | None = None,
+) -> Searched:
+    """Search in airspeed, alpha, attitude, pitch rate and altitude alone.
+
+    Accelerations are compared too where they were recorded. A lag of the separation point that the card does not have
+    would be a state of its own: it is tried where something is missing. Structure without a name is not sought.
+    """
+    if why := too_few_windows(records):
+        raise InputError(why)
+    flights, outliers = despiked(join(records, card, FLIGHT))
+    base = aircraft_dynamics(model, flights)
+    fit = in_windows(flights, base)
+    if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
+        raise InputError(f"card {card.name}: {fit.status.value}")
+    whole = field_of(model, flights, extra, settings)
+    state = _state(_without_lags(whole), flights, base.altitude, dict(zip(fit.names, fit.estimate, strict=True)))
+    found = extend(state, seed=seed, progress=progress)
+    if found.state.active:
+        found = _with_lag(whole, found, seed, progress) or found
+    notes = [] if fit.status is OutputErrorStatus.CONVERGED else [f"The card's model: {fit.status.value}."]
+    if absent := lacking(records, card):
+        notes.append(
+            f"Without {', '.join(absent)} no coefficients can be formed: the diagnosis rests on simulated "
+            "trajectories, and structure without a name is not sought."
+        )
+    if still := taken_as_zero(flights):
+        notes.append(f"Not recorded, and taken as zero: {', '.join(still)}.")
+    stages = ((TRAJECTORIES, found),)
+    return Searched(found.state.field, stages, (), _noise(found, outliers), tuple(notes), testable_now=False)
+
+
+def in_windows(flights: Flights, dynamics: AircraftDynamics) -> OutputErrorResult:
+    """The card's model fitted to windows of `WINDOW` s: the first fit that converges, or the best."""
+    start = np.array([p.start for p in dynamics.free])
+    finer = dynamics.substeps(start, flights)
+    found = []
+    for seconds in FIRST:
+        first, windows = (segments(flights, dynamics, window=w, substeps=finer) for w in (seconds, WINDOW))
+        found.append(fit_cascade([first, windows], [start]))
+        if found[-1].status is OutputErrorStatus.CONVERGED:
+            return found[-1]
+    return min(found, key=lambda fit: (fit.status is OutputErrorStatus.LEFT_ENVELOPE, fit.cost))
+
+
+def _state(
+    field: Field, flights: Flights, altitude: bool, values: Mapping[str, float], active: tuple[str, ...] = ()
+) -> State:
+    """The problem linearised where these parameters have these values and all others are neutral."""
+    theta = np.array([values.get(name, field.neutral[name]) for name in field.model.names])
+    dynamics = AircraftDynamics(field.model, altitude)
+    responses = OutputError.of(flights, dynamics, dynamics.substeps(theta, flights))
+    return linearised(field, responses, responses.outputs, theta, active)
+
+
+def _with_lag(whole: Field, found: Extension, seed: int, progress: Progress | None) -> Extension | None:
+    """What is found with a lag of the separation point in from the beginning, if that is decisively better."""
+    try:
+        with np.errstate(over="raise", invalid="raise", divide="raise"):
+            return _lagged(whole, found, seed, progress)
+    except (FloatingPointError, np.linalg.LinAlgError):
+        return None  # the lag fell to none on the way: the state is its static value, and nothing depends on it
+
+
+def _lagged(whole: Field, found: Extension, seed: int, progress: Progress | None) -> Extension | None:
+    lag = lag_of(whole)
+    if lag is None:
+        return None
+    if progress:
+        progress("lag of the separation point", 0.0)
+    base = found.base
+    values = dict(zip(base.field.model.names, base.theta, strict=True)) | {p.name: p.start for p in lag.parameters}
+    responses = base.responses
+    assert isinstance(responses, OutputError)
+    dynamics = responses.windows.dynamics
+    assert isinstance(dynamics, AircraftDynamics)
+    state, fit = refitted(_state(whole, responses.flights, dynamics.altitude, values, (lag.name,)))
+    among = found.steps[0].poll
+    gain = (found.base_fit.deviance - fit.deviance) / (2.0 * found.base.temper)
+    settings, chance = state.settings, between_p_value(state, fit, lag.name, len(among.standings) + 1)
+    if not (gain > settings.decisive and chance <= settings.false_alarm_rate):
+        return None  # a lag that is none leaves nothing to linearise
+    other = extend(state, seed=seed, most=settings.max_effects - 1, progress=progress)
+    if lag.name not in other.state.active or nats_gained(found, other) <= settings.decisive:
+        return None
+    p = between_p_value(other.state, other.fit, lag.name, len(among.standings) + 1)
+    return replace(other, base=base, base_fit=found.base_fit, steps=(Step(lag.name, p, among, np.nan), *other.steps))
+
+
+def _without_lags(field: Field) -> Field:
+    """Without effects that need a state of their own."""
+    lags = [e for e in field.candidates if e.stage is Stage.LAG]
+    own = {p.name: p.neutral for e in lags for p in e.parameters}
+    model = Model(field.model.effects, field.model.parameters, (*field.model.fixed, *own.items()))
+    told = {
+        e.name: "a lag is a state of its own, tried only where something is missing; give it on the card" for e in lags
+    }
+    return replace(
+        field,
+        model=model,
+        candidates=tuple(e for e in field.candidates if e not in lags),
+        not_testable={**field.not_testable, **told},
+    )
+
+
+def _noise(found: Extension, outliers: Mapping[str, int]) -> NoiseReport:
+    """Of the blocks that are left, by output."""
+    left = found.state.left(found.fit)
+    lag1 = {
+        name: float(np.sum(left[1:, c] * left[:-1, c]) / np.sum(left[:, c] ** 2))
+        for c, name in enumerate(found.state.outputs)
+    }
+    deviation = {name: float(left[:, c].std()) for c, name in enumerate(found.state.outputs)}
+    return NoiseReport(lag1, deviation, dict.fromkeys(found.state.outputs, 1.0), dict(outliers))

@@ -1,0 +1,152 @@
+"""The two stages of a diagnosis, flight path and coefficients, and what each has to say of the other's finding.
+
+The flight path names errors of sensors that the coefficients would silently absorb. In gusts it may name one that is
+not there; then the coefficients, which do not wander, lose far more by the correction than the flight path gains.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.diagnosis.candidate_set import Field
+from bayes_aero.diagnosis.consistency.sensor_errors import agreement
+from bayes_aero.diagnosis.screening.screening import poll
+from bayes_aero.diagnosis.screening.selection_state import State, linearised, local_fit, optimum, refitted
+from bayes_aero.diagnosis.selection.block_jackknife import widened
+from bayes_aero.diagnosis.selection.forward_selection import Extension, extend, nats_gained, removed
+from bayes_aero.parameter import Prior
+from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.residuals.equation_error import EquationError
+from bayes_aero.residuals.flight_path import FlightPathError
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Stages:
+    """Both elections; `sensors` is None without a flight path, `denied` what it named and the coefficients deny."""
+
+    sensors: Extension | None
+    aerodynamics: Extension
+    denied: tuple[str, ...] = ()
+
+
+def stages(
+    field: Field,
+    responses: EquationError,
+    theta: Float[np.ndarray, " k"],
+    *,
+    seed: int,
+    progress: Progress | None = None,
+) -> Stages:
+    """The flight path first, where it was recorded; the coefficients with sensors corrected; then what these deny."""
+
+    def coefficients(sensors: Extension | None) -> Extension:
+        if progress:
+            progress("coefficients", 0.0)
+        begin = theta if sensors is None else _neutral(sensors.state, sensors.state.theta, sensors.state.field.base)
+        state = linearised(_after(field, sensors), responses, NAMES, begin)
+        return extend(state, seed=seed + 1000, progress=progress)
+
+    path = FlightPathError.of(responses.flights, responses.model)
+    if not path.outputs:
+        return Stages(None, coefficients(None))
+    if progress:
+        progress("sensors", 0.0)
+    sensors = agreement(field, path, theta, seed=seed)
+    aerodynamics, denied = coefficients(sensors), []
+    while (name := _denied(sensors, aerodynamics)) is not None:
+        state, fit = refitted(removed(sensors.state, name))
+        fewer = widened(sensors, state, fit)
+        other = coefficients(fewer)
+        if nats_gained(aerodynamics, other) < _path_gain(sensors, name) + field.settings.decisive:
+            break
+        denied, sensors, aerodynamics = [*denied, name], fewer, other
+    if sensors.state.active and (known := _shared(sensors, aerodynamics)):
+        told = _told(aerodynamics, known)
+        again = agreement(field, path, _with(theta, field, told), seed=seed, known=known, priors=told)
+        if len(again.state.active) < len(sensors.state.active):  # one of them had stood in for it
+            other = coefficients(again)
+            if nats_gained(aerodynamics, other) > -field.settings.decisive:
+                sensors, aerodynamics = again, other
+    return Stages(sensors, aerodynamics, tuple(denied))
+
+
+def _shared(sensors: Extension, aerodynamics: Extension) -> tuple[str, ...]:
+    """Errors that the coefficients named and the flight path feels: it must be judged with them, not beside them."""
+    felt = {block[0] for block in sensors.state.blocks}
+    return tuple(name for name in aerodynamics.state.active if name in felt)
+
+
+def _told(aerodynamics: Extension, known: Sequence[str]) -> dict[str, Prior]:
+    """What the coefficients say of these."""
+    names = [p for effect in known for p in aerodynamics.state.field.parameters_of(effect)]
+    found = {name: aerodynamics.sizes[name] for name in names}
+    return {
+        name: Prior("normal", size.mean, size.sd, "coefficients of the same record") for name, size in found.items()
+    }
+
+
+def _with(theta: Float[np.ndarray, " k"], field: Field, told: Mapping[str, Prior]) -> Float[np.ndarray, " k"]:
+    moved = theta.copy()
+    moved[field.columns(list(told))] = [prior.normal[0] for prior in told.values()]
+    return moved
+
+
+def _after(field: Field, sensors: Extension | None) -> Field:
+    """What the coefficients may still add, once the flight path has named its sensors."""
+    taken = () if sensors is None else sensors.state.active
+    candidates = tuple(e for e in field.candidates if e.name not in taken)
+    return replace(field, candidates=candidates, priors=_kinematic_priors(field, sensors))
+
+
+def _kinematic_priors(field: Field, sensors: Extension | None) -> dict[str, Prior]:
+    """What the flight path says of sensor errors that it did not elect: the coefficients must not contradict it."""
+    if sensors is None or not sensors.steps:
+        return {}
+    priors = {}
+    own = {p.name: p.prior for p in field.model.free}
+    for standing in sensors.steps[-1].poll.standings:
+        for name, step, sd in zip(field.parameters_of(standing.effect), standing.step, standing.sd, strict=False):
+            mean, deviation = own[name].normal
+            weight = deviation**-2.0 + sd**-2.0
+            combined = (mean * deviation**-2.0 + step * sd**-2.0) / weight
+            priors[name] = Prior("normal", combined, weight**-0.5, "flight-path kinematics of the same record")
+    return priors
+
+
+def _denied(sensors: Extension, aerodynamics: Extension) -> str | None:
+    """The sensor error whose correction costs the card's fit of the coefficients most, if it is more than it gains."""
+    card = aerodynamics.base
+    whole = _deviance(card, ())
+    losses = {name: (whole - _deviance(card, (name,))) / (2.0 * card.temper) for name in sensors.state.active}
+    worst = max(losses, key=lambda name: losses[name], default=None)
+    return worst if worst and losses[worst] > _path_gain(sensors, worst) + card.settings.decisive else None
+
+
+def _path_gain(sensors: Extension, name: str) -> float:
+    """What the flight path gains by an error of a sensor, nats, its colour counted."""
+    own = poll(sensors.state, sensors.fit, seed=0, replicates=0, without=name).of(name)
+    return math.inf if own is None else max(own.gain, 0.0) / (2.0 * max(own.inflation, 1.0))
+
+
+def _deviance(card: State, without: Sequence[str]) -> float:
+    """Of the coefficients under the card's effects alone, these corrections of sensors taken back."""
+    state = replace(card, theta=_neutral(card, card.theta, without))
+    columns = state.columns()
+    best, folds = optimum(state, range(len(state.folds))), range(len(state.folds))
+    return local_fit(state, best, columns[columns < len(best)], folds)[1]
+
+
+def _neutral(state: State, theta: Float[np.ndarray, " k"], effects: Sequence[str]) -> Float[np.ndarray, " k"]:
+    """`theta` with the parameters of these effects at neutral."""
+    moved = theta.copy()
+    for effect in effects:
+        names = state.field.parameters_of(effect)
+        moved[state.field.columns(names)] = [state.field.neutral[name] for name in names]
+    return moved

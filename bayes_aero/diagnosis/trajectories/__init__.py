@@ -1,0 +1,1 @@
+"""Trajectories before and after the extension of a model."""

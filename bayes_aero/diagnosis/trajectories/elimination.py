@@ -1,0 +1,127 @@
+"""Which causes flight misses: those without which unseen manoeuvres are flown as well are taken out.
+
+Coefficients confirm a cause where they follow from it directly. Flown, what it gets wrong adds up over a minute, and
+what is superfluous harms there first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.diagnosis.selection.backward_elimination import Confirmation, backward_elimination
+from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
+from bayes_aero.diagnosis.trajectories.holdout_fits import Contender, Noise, flown_unseen, left_out
+from bayes_aero.diagnosis.trajectories.log_score import UnseenFlight, gained_in_flight
+from bayes_aero.effect import Effect
+from bayes_aero.inference.likelihood.mle import solve
+from bayes_aero.inference.likelihood.normal_equations import Looks, Point, by_segment
+from bayes_aero.inference.likelihood.output_error import fit_output_error
+from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult
+
+
+@dataclass(frozen=True)
+class Needed:
+    """The contender with what flight misses, its fits to all segments but one each, and what each cause is missed by.
+
+    Parameters that are `gone` are held at neutral: those of causes that were taken out.
+    """
+
+    contender: Contender
+    fits: Sequence[OutputErrorResult]
+    confirmation: Confirmation
+    gone: frozenset[str] = frozenset()
+
+
+def needed(
+    contender: Contender,
+    fits: Sequence[OutputErrorResult],
+    causes: Sequence[Effect],
+    silent: Mapping[int, Mapping[str, float]],
+    noise: Noise,
+    settings: DiagnosisSettings = DEFAULT,
+) -> Needed:
+    """Ask unseen flight of every one of `causes`; `fits` are those to all segments but one each, `silent` parameters
+    held at their joint values there.
+
+    A cause is not asked, and stays, if it has such parameters: flown with that value, the segment is not unseen.
+    """
+    unheard = {name for held in silent.values() for name in held}
+    neutral = {e.name: {p.name: p.neutral for p in e.parameters} for e in causes}
+    neutral = {name: values for name, values in neutral.items() if not unheard & set(values)}
+    flight = _Flight(contender, neutral, silent, noise, {tuple(neutral): fits})
+    if not flight.refitted(tuple(neutral)).inside:  # what cannot be flown is no measure of anything
+        return Needed(contender, fits, Confirmation((), {}))
+    found = backward_elimination(tuple(neutral), flight, settings)
+    less = flight.without(found.kept)
+    gone = frozenset(less.held) - frozenset(contender.held)
+    if not gone:
+        return Needed(contender, fits, found)
+    fit = contender.fit
+    again = fit_output_error(fit.flown, start=fit.estimate, held=less.held, prior_weight=noise.cost)
+    return Needed(replace(less, fit=again), flight.fits[found.kept], found, gone)
+
+
+@dataclass(frozen=True)
+class _Flight:
+    """Segments as a contender with some of its causes flies them, unseen. `fits` are kept by the causes that are in."""
+
+    contender: Contender
+    neutral: Mapping[str, Mapping[str, float]]  # parameters of the causes that are asked, by cause
+    silent: Mapping[int, Mapping[str, float]]
+    noise: Noise
+    fits: dict[tuple[str, ...], Sequence[OutputErrorResult]]
+
+    def without(self, effects: Sequence[str]) -> Contender:
+        """The contender, of what is asked only `effects` in."""
+        gone = {name: x for e, values in self.neutral.items() if e not in effects for name, x in values.items()}
+        return replace(self.contender, held={**self.contender.held, **gone})
+
+    @cached_property
+    def looks(self) -> tuple[Point, Point]:
+        """From the optimum: with the initial states found there, and with the measured ones."""
+        fit = self.contender.fit
+        look = Looks(fit.flown, fit.priors)
+        return look(fit.estimate, fit.departure), look(fit.estimate, np.zeros_like(fit.departure))
+
+    def nearly(self, effects: Sequence[str]) -> UnseenFlight:
+        """Residuals linear in the parameters where all segments are fitted; parameters at a bound stay there."""
+        fit, (here, still) = self.contender.fit, self.looks
+        A, g, _ = by_segment(here, fit.priors)
+        columns = np.concatenate(still.normal.columns)
+        left = []
+        for k, inside in enumerate(fit.flown.inside):
+            others = np.arange(len(A)) != k
+            information = A[others].sum(axis=0) + np.diag(fit.priors.precision)
+            gradient = g[others].sum(axis=0) - fit.priors.precision * (fit.estimate - fit.priors.mean)
+            step = self._step(effects, k, information, gradient)
+            left.append((columns[k, ..., 0] - columns[k, ..., 1 : 1 + len(step)] @ step)[inside])
+        return UnseenFlight(tuple(left))
+
+    def _step(self, effects: Sequence[str], k: int, A: Float[np.ndarray, "k k"], g: Float[np.ndarray, " k"]):
+        """From the joint optimum to that of all segments but one."""
+        fit = self.contender.fit
+        held = {**dict.fromkeys(fit.at_bound), **self.silent[k], **self.without(effects).held}
+        away = {n: held[n] - x for n, x in zip(fit.names, fit.estimate, strict=True) if held.get(n) is not None}
+        step = np.array([away.get(n, 0.0) for n in fit.names])
+        moving = np.array([n not in held for n in fit.names])
+        step[moving] = solve(A[np.ix_(moving, moving)], (g - A @ step)[moving], 0.0)
+        return step
+
+    def refitted(self, effects: Sequence[str]) -> UnseenFlight:
+        """Every segment flown by a fit to the others."""
+        key, less = tuple(effects), self.without(effects)
+        if key not in self.fits:
+            self.fits[key] = [fit for _, fit in left_out([less], {less.name: self.silent}, self.noise)]
+        paths = flown_unseen(less, self.fits[key], {})
+        flown = self.contender.fit.flown
+        return UnseenFlight.of(paths, flown.outputs, flown.growth)
+
+    def gained(self, before: UnseenFlight, after: UnseenFlight) -> tuple[float, float]:
+        if not before.inside:  # without it the flight leaves its envelope
+            return np.inf, 0.0
+        return gained_in_flight(before, after, self.noise.cost)

@@ -1,0 +1,115 @@
+"""Models fitted to all segments of flight but one, and flown on that one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from threading import Event
+
+import equinox as eqx
+import numpy as np
+
+from bayes_aero.diagnosis.trajectories.time_histories import Path, paths_of
+from bayes_aero.diagnosis.trajectories.variance_inflation import colour_cost
+from bayes_aero.dynamics.segments import Flown
+from bayes_aero.inference.likelihood.output_error import fit_output_error
+from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult
+from bayes_aero.inference.threads import cores
+from bayes_aero.inference.variance.noise_growth import Separated
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What a first fit tells of residuals: how much their colour multiplies variances, how they grow in the stall."""
+
+    cost: float
+    parts: Separated | None
+
+    @classmethod
+    def of(cls, fit: OutputErrorResult) -> Noise:
+        """From a fit to all."""
+        return cls(colour_cost(fit)[0], Separated.of(fit))
+
+    def on(self, flown: Flown, without: int | None = None) -> Flown:
+        """The same segments with their swell; its size is read from all of them, or from all but one."""
+        return flown if self.parts is None else replace(flown, swell=self.parts.swell(without))
+
+    def told(self, outputs: Sequence[str]) -> dict[str, float]:
+        """By output, how many times more is missed in wholly separated flow than in attached flow."""
+        growths = np.zeros(len(outputs)) if self.parts is None else self.parts.growths()
+        return {name: 1.0 + float(b) for name, b in zip(outputs, growths, strict=True)}
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A model fitted to all segments; `held` parameters are never fitted, `own` are those of its causes.
+
+    `weighed`: samples count by the swell of what is missed.
+    """
+
+    name: str
+    fit: OutputErrorResult
+    own: frozenset[str] = frozenset()
+    held: Mapping[str, float] = field(default_factory=dict)
+    weighed: bool = True
+
+    def silent(self, segment: int, unidentified: float) -> dict[str, float]:
+        """Parameters of causes whose standard error without this segment is `unidentified` times the joint one; joint
+        values."""
+        if not self.own:
+            return {}
+        part = fit_output_error(
+            masked(self.fit.flown, segment, keep=False), start=self.fit.estimate, departure=self.fit.departure, most=0
+        )
+        told = zip(self.fit.names, self.fit.estimate, part.crb, self.fit.crb, strict=True)
+        with np.errstate(invalid="ignore"):
+            return {n: float(x) for n, x, alone, all_ in told if n in self.own and not alone < unidentified * all_}
+
+
+def masked(flown: Flown, segment: int, *, keep: bool) -> Flown:
+    """Only one of the segments counts, or all others; the shapes stay, so nothing compiles anew."""
+    counts = (np.arange(len(flown.index)) == segment) == keep
+    return eqx.tree_at(lambda f: f.inside, flown, flown.inside & counts[:, None])
+
+
+def left_out(
+    contenders: Sequence[Contender], silent: Mapping[str, Mapping[int, Mapping[str, float]]], noise: Noise
+) -> Iterator[tuple[str, OutputErrorResult]]:
+    """Every contender (its name is told) and segment: the fit to all other segments, its `silent` parameters held.
+
+    Two fits keep as many cores busy as one with twice the segments, so several are made at once.
+    """
+    count = len(contenders[0].fit.flown.index)
+    jobs = [(c, k) for c in contenders for k in range(count)]
+    stopped = Event()
+
+    def one(job: tuple[Contender, int]) -> tuple[str, OutputErrorResult]:
+        contender, k = job
+        fit, held = contender.fit, {**contender.held, **silent[contender.name][k]}
+        weighed = noise.on(fit.flown, without=k) if contender.weighed else fit.flown
+        rest, options = masked(weighed, k, keep=False), {"prior_weight": noise.cost, "stopped": stopped.is_set}
+        return contender.name, fit_output_error(rest, start=fit.estimate, held=held, **options)
+
+    with ThreadPoolExecutor(max(1, cores() // max(1, count - 1))) as pool:
+        try:
+            yield from pool.map(one, jobs)
+        except BaseException:  # Ctrl-C does not wait for whole fits
+            stopped.set()
+            raise
+
+
+def flown_unseen(
+    contender: Contender,
+    fits: Sequence[OutputErrorResult],
+    tolerances: Mapping[str, float],
+    cost: float = 1.0,
+    seed: int = 0,
+) -> list[Path]:
+    """Every segment flown from its measured initial state by the fit without it, in order; by draws from that fit's
+    posterior, too, where there are tolerances to stay inside."""
+    flown, still, name = contender.fit.flown, np.zeros_like(contender.fit.departure), contender.name
+    options = {"drawn": bool(tolerances), "cost": cost, "seed": seed}
+    alone = [masked(flown, k, keep=True) for k in range(len(fits))]
+    found = [paths_of(f, one, name, "unseen", still, tolerances, **options) for f, one in zip(fits, alone, strict=True)]
+    return [path for paths in found for path in paths]

@@ -1,0 +1,131 @@
+"""A lag of the separation point that coefficients leave open, asked of trajectories.
+
+The coefficients follow from the measured angle of attack and its rate, so that a lag and a quasi-steady hysteresis draw
+nearly the same loops of a few seconds. Flown, they differ: hysteresis answers alpha-dot at once, so that lift depends
+on what it does itself, and a lag does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.diagnosis.candidate_set import Field, lag_of
+from bayes_aero.diagnosis.selection.forward_selection import Extension, large
+from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
+from bayes_aero.diagnosis.trajectories.holdout_fits import Contender, Noise
+from bayes_aero.diagnosis.trajectories.log_score import UnseenFlight, gained_in_flight
+from bayes_aero.diagnosis.trajectories.time_histories import Path, posterior_covariance
+from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.dynamics.output_biases import with_biases_of
+from bayes_aero.effect import Effect, Stage
+from bayes_aero.inference.likelihood.output_error import fit_output_error
+from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.model.joined_channels import Flights
+from bayes_aero.model.model import Model
+
+SETTLED = (OutputErrorStatus.CONVERGED, OutputErrorStatus.AT_BOUND)
+
+
+@dataclass(frozen=True)
+class Lag:
+    """The lag tried beside the extended model: log density that the joint fit gains, and unseen flight, by it.
+
+    Both are divided by what the residuals' colour costs. `unseen` has its deviation, and is not a number where unseen
+    flight was not asked, the joint fit gaining too little. `kept`: unseen flight confirms it. `instead`: hysteresis
+    that the lag leaves nothing of. `slight`: less of it is found than is worth a name.
+    """
+
+    effect: str
+    gain: float
+    kept: bool = False
+    unseen: tuple[float, float] = (float("nan"), float("nan"))
+    instead: tuple[str, ...] = ()
+    slight: bool = False
+    decisive: float = DEFAULT.decisive  # nats that the joint fit must gain
+
+    @property
+    def gains(self) -> bool:
+        """Whether the joint fit gains enough by it that the hold-out test is worth running."""
+        return self.gain > self.decisive and not self.slight
+
+
+def open_lag(field: Field, found: Extension, model: Model) -> Effect | None:
+    """The catalogue's lag, if the flow of the extended model separates without one and the last election gives it the
+    score of a rival."""
+    lag, stages = lag_of(field), {e.stage for e in model.acting}
+    if lag is None or Stage.LAG in stages or Stage.SEPARATION not in stages or not found.steps:
+        return None
+    scores = [s.score for s in found.steps[-1].poll.standings if s.effect == lag.name]
+    return lag if max(scores, default=0.0) >= field.settings.least_rival_score else None
+
+
+def with_lag(
+    model: Model,
+    effect: Effect,
+    extended: Contender,
+    noise: Noise,
+    flights: Flights,
+    settings: DiagnosisSettings = DEFAULT,
+) -> tuple[Contender, Lag]:
+    """`model`, the extended one with the lag, fitted to all from the extended one's optimum.
+
+    Hysteresis that is left at none is held there: the lag stands in for it.
+    """
+    model = _without_lead(model)
+    dynamics = with_biases_of(extended.fit.flown.dynamics, aircraft_dynamics(model, flights))
+    fitted = dict(zip(extended.fit.names, map(float, extended.fit.estimate), strict=True))
+    start = np.array([fitted.get(p.name, p.start) for p in dynamics.free])
+    whole = replace(extended.fit.flown, dynamics=dynamics, substeps=dynamics.substeps(start, flights))
+    fit = fit_output_error(whole, start=start, prior_weight=noise.cost)
+    found = dict(zip(fit.names, fit.estimate, strict=True))
+    none = {n: x for n, x in _hysteresis(model).items() if n in fit.at_bound and found[n] == x}
+    if none:
+        fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, held=none, prior_weight=noise.cost)
+    gain = -np.inf
+    if fit.status in SETTLED and extended.fit.status in SETTLED:
+        gain = (extended.fit.cost - fit.cost) / noise.cost
+    own = extended.own | {p.name for p in effect.parameters}
+    slight = np.isfinite(gain) and not large(effect, _away(effect, fit, noise.cost), settings.least_score)
+    lag = Lag(effect.name, float(gain), instead=tuple(none), slight=bool(slight), decisive=settings.decisive)
+    return Contender("lagged", fit, own, none), lag
+
+
+def _away(effect: Effect, fit: OutputErrorResult, cost: float) -> dict[str, tuple[float, float]]:
+    """By parameter of which the effect says what is worth a name: how far from neutral it is, and the deviation."""
+    sd = np.sqrt(np.diag(posterior_covariance(fit, cost)))
+    told = {n: (float(x), float(s)) for n, x, s in zip(fit.names, fit.estimate, sd, strict=True)}
+    return {p.name: (told[p.name][0] - p.neutral, told[p.name][1]) for p in effect.parameters if p.name in effect.sizes}
+
+
+def confirmed(
+    lag: Lag,
+    without: Sequence[Path],
+    lagged: Sequence[Path],
+    outputs: Sequence[str],
+    swell: Sequence[Float[np.ndarray, "_ c"]],
+    cost: float,
+    hold_out: float = DEFAULT.hold_out,
+) -> Lag:
+    """Kept if hold-out prediction degrades without the lag, as for any cause; both predict the same manoeuvres."""
+    before, after = (UnseenFlight.of(paths, outputs, swell) for paths in (without, lagged))
+    told = gained_in_flight(before, after, cost)
+    return replace(lag, unseen=told, kept=bool(after.inside and told[0] > hold_out * told[1]))
+
+
+def _hysteresis(model: Model) -> Mapping[str, float]:
+    """Parameters of the quasi-steady flow's hysteresis and their neutral values."""
+    return {p.name: p.neutral for e in model.effects if e.stage is Stage.INCIDENCE for p in e.parameters}
+
+
+def _without_lead(model: Model) -> Model:
+    """Hysteresis not below none: beside a lag it would be a lead that cancels it, and mean nothing."""
+    own = _hysteresis(model)
+    bounded = [
+        replace(p, bounds=(max(own[p.name], p.bounds[0]), p.bounds[1])) if p.name in own else p
+        for p in model.parameters
+    ]
+    return replace(model, parameters=tuple(bounded))

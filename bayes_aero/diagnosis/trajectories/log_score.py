@@ -1,0 +1,41 @@
+"""Log score of a simulation on hold-out flights."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.diagnosis.selection.cross_validation import deviation_of_sum
+from bayes_aero.diagnosis.trajectories.time_histories import Path
+
+
+@dataclass(frozen=True)
+class UnseenFlight:
+    """What is missed of every segment, flown by a fit to the others, divided by its swell; `inside` the envelope."""
+
+    residual: tuple[Float[np.ndarray, "_ c"], ...]
+    inside: bool = True
+
+    @classmethod
+    def of(
+        cls, paths: Sequence[Path], outputs: Sequence[str], swell: Sequence[Float[np.ndarray, "_ c"]]
+    ) -> UnseenFlight:
+        """From simulated segments, in order."""
+        left = [np.stack([p.measured[n] - p.simulated[n] for n in outputs], axis=1) for p in paths]
+        return cls(tuple(x / s for x, s in zip(left, swell, strict=True)), all(p.inside for p in paths))
+
+    def density(self) -> Float[np.ndarray, " m"]:
+        """Log density of every sample but for what the swell adds: normal, with the variance that the residuals
+        themselves have, output by output."""
+        r = np.concatenate(self.residual)
+        variance = np.mean(r**2, axis=0)
+        return -0.5 * (r**2 / variance + np.log(variance)).sum(axis=1)
+
+
+def gained_in_flight(before: UnseenFlight, after: UnseenFlight, cost: float) -> tuple[float, float]:
+    """Log density that `after` has beyond `before` on the same segments, divided by the colour's `cost`; deviation."""
+    difference = (after.density() - before.density()) / cost
+    return float(difference.sum()), deviation_of_sum(difference, [len(r) for r in before.residual])

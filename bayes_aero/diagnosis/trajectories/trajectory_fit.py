@@ -1,0 +1,153 @@
+"""One model fitted to trajectories: parameters, initial states, variance inflation, errors by flight."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.diagnosis.trajectories.holdout_fits import Noise
+from bayes_aero.diagnosis.trajectories.time_histories import Path, label, paths_of
+from bayes_aero.diagnosis.trajectories.trajectories import BEGIN_COST, LEFT, WINDOW
+from bayes_aero.dynamics.flight import AircraftDynamics, Dynamics
+from bayes_aero.dynamics.output_biases import biased_dynamics, unbiased
+from bayes_aero.dynamics.segments import segments
+from bayes_aero.inference.likelihood.output_error import fit_cascade, fit_output_error, trajectories
+from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.inference.threads import blas_threads
+from bayes_aero.model.joined_channels import Flights
+from bayes_aero.parameter import Prior
+
+START, FITTED = "start", "fitted"
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How trajectories are fitted: the settings in which published programs differ.
+
+    `outputs` are those that are compared (default: all that are recorded and simulated, but for `LEFT`). `initial`: the
+    state in which every manoeuvre begins, SI, and where it names none the first sample; None: initial states are
+    fitted. Without `priors` the reported fit has none, of parameters and initial states alike. Inputs are linear
+    between samples, or `held`.
+    """
+
+    outputs: tuple[str, ...] | None = None
+    initial: Mapping[str, float] | None = None
+    priors: bool = True
+    held: bool = False
+
+
+@dataclass(frozen=True)
+class FlownFit:
+    """A fit to whole manoeuvres, in SI and radians.
+
+    Attributes:
+        fit: estimates (k,), standard errors and status.
+        start: first values of the parameters, (k,).
+        paths: simulated manoeuvres of the model `start` (first values, measured initial state) or `fitted`.
+        initial: by manoeuvre and state, the value at the first sample and its departure from the measured one.
+        colour_cost: variance inflation of the residuals; NaN if the model left the envelope.
+        outputs: all recorded outputs; those fitted are in `fit`.
+        units: SI units by channel.
+        window: length of the windows of the first fits, s.
+        swell: noise growth in fully separated flow, by fitted output.
+        setting: settings of the fit.
+    """
+
+    fit: OutputErrorResult
+    start: Float[np.ndarray, " k"]
+    paths: tuple[Path, ...]
+    initial: Mapping[str, Mapping[str, tuple[float, float]]]
+    colour_cost: float
+    outputs: tuple[str, ...]
+    units: Mapping[str, str]
+    window: float
+    swell: Mapping[str, float] = field(default_factory=dict)
+    setting: Setting = field(default_factory=Setting)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the fit converged; a parameter may be at its bound."""
+        return self.fit.status in (OutputErrorStatus.CONVERGED, OutputErrorStatus.AT_BOUND)
+
+    @property
+    def manoeuvres(self) -> tuple[str, ...]:
+        """Names of the manoeuvres."""
+        return tuple(dict.fromkeys(p.manoeuvre for p in self.paths))
+
+    def path(self, manoeuvre: str, model: str) -> Path:
+        """The path of one manoeuvre and model (`start` or `fitted`)."""
+        return next(p for p in self.paths if (p.manoeuvre, p.model) == (manoeuvre, model))
+
+
+@blas_threads(0)
+def fit_flown(
+    flights: Flights,
+    dynamics: Dynamics,
+    units: Mapping[str, str],
+    *,
+    starts: Sequence[Float[np.ndarray, " k"]] = (),
+    window: float = WINDOW,
+    tolerances: Mapping[str, float] | None = None,
+    biases: Mapping[str, Prior] | None = None,
+    setting: Setting | None = None,
+    progress: Progress | None = None,
+) -> FlownFit:
+    """Fit windows of `window` s from the parameters' own start and every one of `starts`, then whole manoeuvres.
+
+    Colour, and growth as the flow separates, of what is missed are measured on the way; the last fit weighs its priors
+    by the one and its samples by the other, as `trajectory.fly_both` does. `biases`: outputs recorded with a constant
+    error of each manoeuvre's own; these are fitted with the rest. Windows begin where they are measured, and
+    what finds the start of the reported fit has priors of initial states and biases whatever the `setting`.
+    """
+    setting = setting or Setting()
+
+    def tell(text: str, share: float) -> None:
+        if progress:
+            progress(text, share)
+
+    left = LEFT if isinstance(dynamics, AircraftDynamics) else ()
+    dynamics = biased_dynamics(dynamics, flights, biases or {})
+    first = np.array([p.start for p in dynamics.free])
+    starts = [np.append(s, first[len(s) :]) for s in starts]
+    shown = tuple(name for name in dynamics.outputs if name in flights.channels)
+    compared = tuple(n for n in shown if n not in left) if setting.outputs is None else setting.outputs
+    options = {"outputs": compared, "substeps": dynamics.substeps(first, flights), "held": setting.held}
+    short = segments(flights, dynamics, window=window, **options)
+    whole = segments(flights, dynamics, fixed=setting.initial, **options)
+    stages = [whole] if len(short.index) == len(whole.index) else [short, whole]
+    tell("windows, then whole manoeuvres", 0.0)
+    without = () if setting.priors else unbiased(dynamics).names
+    fit = fit_cascade(stages, [first, *starts], prior_weight=BEGIN_COST, without=without)
+    if len(stages) == 1 and fit.status is OutputErrorStatus.NOT_CONVERGED:  # a first stage stops early
+        again = {"departure": fit.departure, "prior_weight": BEGIN_COST, "without": without}
+        fit = fit_output_error(whole, start=fit.estimate, **again)
+    cost, swell = math.nan, {}
+    if math.isfinite(fit.cost) and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
+        tell("autocorrelation of the residuals", 0.7)
+        noise = Noise.of(fit)
+        cost, whole, swell = noise.cost, noise.on(whole), noise.told(whole.outputs)
+        weight = cost if setting.priors else 0.0
+        fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, prior_weight=weight)
+    tell("errors of the trajectories", 0.9)
+    bands, still = tolerances or {}, np.zeros_like(fit.departure)
+    with np.errstate(over="ignore", invalid="ignore"):  # a first guess may fly anywhere
+        paths = paths_of(replace(fit, estimate=first), whole, START, START, still, bands)
+        paths += paths_of(fit, whole, FITTED, FITTED, fit.departure, bands)
+    return FlownFit(fit, first, tuple(paths), _initial(fit, shown), cost, shown, dict(units), window, swell, setting)
+
+
+def _initial(fit: OutputErrorResult, shown: tuple[str, ...]) -> dict[str, dict[str, tuple[float, float]]]:
+    wide, theta = replace(fit.flown, outputs=shown), jnp.asarray(fit.estimate)
+    initial = {}
+    for row, departure in enumerate(fit.departure):  # one by one as the paths, for which it is compiled already
+        alone = trajectories(wide.part([row]), theta, jnp.asarray(departure[None]))
+        begin = np.asarray(alone.trajectory.states)[0, 0]
+        named = zip(fit.flown.dynamics.states, begin, departure, strict=True)
+        initial[label(fit.flown, row)] = {name: (float(at), float(away)) for name, at, away in named}
+    return initial

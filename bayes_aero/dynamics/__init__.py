@@ -1,0 +1,1 @@
+"""Equations of motion, their integration and sensitivities, standard manoeuvres."""

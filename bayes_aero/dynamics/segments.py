@@ -1,0 +1,162 @@
+"""Stretches of flight that are simulated from their own initial state: whole manoeuvres, or windows of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from bayes_aero.dynamics.flight import Dynamics
+from bayes_aero.dynamics.system import Trajectory, integrate
+from bayes_aero.errors import InputError
+from bayes_aero.model.joined_channels import Flights
+from bayes_aero.model.windows import cuts_of
+
+BEGIN = 0.5  # s over which the measured initial state is read off a straight line
+
+
+class Flown(eqx.Module):
+    """Segments of flights, a row each, filled up to one length with their last sample; `inside` marks the real ones.
+
+    `swell` is how many times an output's noise is that of attached flow, sample by sample; one where it is steady.
+    `fixed`: each segment begins at its first sample, but for states that are given here (SI); None: its initial state
+    is the measured one (see `simulate`) and a departure that is fitted. Inputs are linear between samples, or `held`.
+    """
+
+    flights: Flights
+    index: Int[np.ndarray, "w n"]
+    inside: Bool[np.ndarray, "w n"]
+    dt: Float[np.ndarray, " w"]
+    swell: Float[np.ndarray, "w n c"]
+    dynamics: Dynamics = eqx.field(static=True)
+    outputs: tuple[str, ...] = eqx.field(static=True)
+    begin: int = eqx.field(static=True, default=2)  # samples from which the measured initial state is read
+    substeps: int = eqx.field(static=True, default=1)
+    fixed: tuple[tuple[str, float], ...] | None = eqx.field(static=True, default=None)
+    held: bool = eqx.field(static=True, default=False)
+
+    @property
+    def nameless(self) -> Flown:
+        """The same of flights without names; see there."""
+        return replace(self, flights=self.flights.nameless)
+
+    @property
+    def manoeuvre(self) -> Int[np.ndarray, " w"]:
+        """Which manoeuvre each segment belongs to."""
+        return self.flights.manoeuvre[self.index[:, 0]]
+
+    @property
+    def growth(self) -> list[Float[np.ndarray, "_ c"]]:
+        """`swell` of the real samples, by segment."""
+        return [self.swell[k][real] for k, real in enumerate(self.inside)]
+
+    def part(self, rows: Sequence[int] | Int[np.ndarray, " r"]) -> Flown:
+        """Some of the segments, in the order of `rows`."""
+        index, inside, dt, swell = (x[np.asarray(rows)] for x in (self.index, self.inside, self.dt, self.swell))
+        return replace(self, index=index, inside=inside, dt=dt, swell=swell)
+
+
+class Simulated(NamedTuple):
+    """Trajectories (w, n, ...), what was recorded, and residuals by output, referred to the record.
+
+    Recorded minus residual is what the instruments would have shown of the simulated flight.
+    """
+
+    trajectory: Trajectory
+    measured: Float[Array, "w n c"]
+    residual: Float[Array, "w n c"]
+
+
+def segments(
+    flights: Flights,
+    dynamics: Dynamics,
+    *,
+    outputs: Sequence[str] | None = None,
+    window: float | None = None,
+    manoeuvres: Sequence[int] | None = None,
+    substeps: int = 1,
+    fixed: Mapping[str, float] | None = None,
+    held: bool = False,
+) -> Flown:
+    """Cut `manoeuvres` (default: all) into windows of about `window` s (default: whole manoeuvres).
+
+    `outputs` are compared with the simulation; default: all recorded ones that the dynamics make. `fixed`, `held`: see
+    `Flown`.
+    """
+    recorded = tuple(name for name in dynamics.outputs if name in flights.channels)
+    chosen = recorded if outputs is None else tuple(outputs)
+    unknown = [name for name in chosen if name not in recorded]
+    if unknown or not chosen:
+        raise InputError(
+            f"the output {unknown[0] if unknown else '(none)'} was not recorded or is not simulated; "
+            f"there are {', '.join(recorded) or 'none'}"
+        )
+    for name in fixed or {}:
+        if name not in dynamics.states or name == "X":
+            there = ", ".join(n for n in dynamics.states if n != "X")
+            raise InputError(f"the initial state has {name}, which is no state of the model; there are {there}")
+    rows, dts = [], []
+    for number in range(len(flights.lengths)) if manoeuvres is None else manoeuvres:
+        own = np.flatnonzero(flights.manoeuvre == number)
+        dt = float(flights.channels["dt"][own[0]])
+        cuts = cuts_of(len(own), dt, window)
+        rows += [own[a:b] for a, b in zip(cuts, [*cuts[1:], len(own)], strict=True)]
+        dts += [dt] * len(cuts)
+    longest = max(len(row) for row in rows)
+    index = np.stack([np.append(row, np.full(longest - len(row), row[-1])) for row in rows])
+    inside = np.stack([np.arange(longest) < len(row) for row in rows])
+    begin = max(2, min(round(BEGIN / float(np.median(dts))) + 1, int(inside.sum(axis=1).min())))
+    steady = np.ones((*index.shape, len(chosen)))
+    given = None if fixed is None else tuple(sorted(fixed.items()))
+    return Flown(flights, index, inside, np.array(dts), steady, dynamics, chosen, begin, substeps, given, held)
+
+
+def simulate(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w s"]) -> Simulated:
+    """Fly every segment from its initial state, the measured or the fixed one, plus `departure`."""
+    dynamics, flights = flown.dynamics, flown.flights
+    values = dynamics.values(theta)
+    channels = dynamics.corrected(values, flights.channels, flights.aircraft)
+    system = dynamics.system(values, flights.aircraft)
+    drives = {name: x[flown.index] for name, x in dynamics.drives(values, channels, flights).items()}
+    begin = _measured_start(flown, channels)
+
+    def fly(start, away, inputs, dt):
+        first = {name: x[0] for name, x in inputs.items()}
+        wanted = (*flown.outputs, *dynamics.unmeasured)
+        begin = system.settled(start, first) + away
+        return integrate(system, begin, inputs, dt, flown.substeps, wanted, held=flown.held)
+
+    trajectory = jax.vmap(fly)(begin, departure, drives, jnp.asarray(flown.dt))
+    true = jnp.stack([channels[name][flown.index] for name in flown.outputs], axis=2)
+    measured = jnp.stack([flights.channels[name][flown.index] for name in flown.outputs], axis=2)
+    modelled = jnp.stack([trajectory.outputs[name] for name in flown.outputs], axis=2)
+    scales = dynamics.scales(values, flights)
+    scale = jnp.stack(
+        [scales[n][flown.index] if n in scales else jnp.ones(flown.index.shape) for n in flown.outputs], axis=2
+    )
+    return Simulated(trajectory, measured, jnp.where(flown.inside[:, :, None], (true - modelled) / scale, 0.0))
+
+
+def _measured_start(flown: Flown, channels) -> Float[Array, "w s"]:
+    """Value at the first sample of a straight line through the first half second; zero where nothing was recorded.
+
+    A fixed initial state is the given one, and the first sample itself where none is given.
+    """
+    if flown.fixed is not None:
+        given, here = dict(flown.fixed), flown.index[:, 0]
+        nothing = jnp.zeros(len(here))
+        own = [channels[n][here] if n in channels else nothing for n in flown.dynamics.states]
+        named = zip(flown.dynamics.states, own, strict=True)
+        return jnp.stack([nothing + given[n] if n in given else x for n, x in named], axis=1)
+    count = flown.begin
+    t = np.arange(count) - (count - 1) / 2.0
+    weight = jnp.asarray(1.0 / count + (t[0] * t) / np.sum(t**2))
+    here = flown.index[:, :count]
+    nothing = jnp.zeros(len(here))
+    return jnp.stack([channels[n][here] @ weight if n in channels else nothing for n in flown.dynamics.states], axis=1)

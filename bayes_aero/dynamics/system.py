@@ -1,0 +1,125 @@
+"""A system that can be flown: states, their motion, and what is measured; and its integration at the sample time."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from bayes_aero.dynamics.tangent import between, later, motion, stage_table, tangent_flight
+
+Row = Mapping[str, Any]
+"""Inputs or outputs at one instant, by name."""
+
+FAR = 1e6  # a state beyond it is no flight, whatever the system
+
+
+class System(eqx.Module):
+    """States (s,), named by `states`; `motion` gives their time derivative (s,) and the outputs at one instant."""
+
+    @property
+    @abstractmethod
+    def states(self) -> tuple[str, ...]:
+        """Names of the states, in the order of the state vector."""
+
+    @property
+    def envelope(self) -> Mapping[str, tuple[float, float]]:
+        """States that must stay within bounds; beyond them a simulation stops."""
+        return {}
+
+    @abstractmethod
+    def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
+        """Derivative of the state, and outputs by name, from state and inputs; one named as a state is that state."""
+
+    def settled(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:  # noqa: ARG002
+        """The state in which a manoeuvre begins, given what was measured; states without a sensor are filled in."""
+        return x
+
+
+class Trajectory(NamedTuple):
+    """States (n, s), outputs by name (n,), and whether each sample was reached inside the envelope (n,).
+
+    From the sample where it leaves the envelope on, the state is held where it was: finite, and wrong on purpose.
+    """
+
+    states: Float[Array, "n s"]
+    outputs: dict[str, Float[Array, " n"]]
+    inside: Bool[Array, " n"]
+
+
+def integrate(
+    system: System,
+    start: Float[Array, " s"],
+    inputs: Mapping[str, Float[Array, " n"]],
+    dt: Any,
+    substeps: int = 1,
+    outputs: Sequence[str] | None = None,
+    *,
+    held: bool = False,
+) -> Trajectory:
+    """Fourth-order Runge-Kutta at the sample time `dt` (s), or `substeps` times finer; inputs linear between samples.
+
+    Inputs that are `held` keep each sample's value until the next one (zero-order hold).
+    Fixed steps suffice for flight: the largest eigenvalue is some 7 /s. A fast state (the lag of the separation point)
+    needs `substeps`. `outputs` are those that are wanted (default: all). Derivatives are forward ones only, with
+    respect to system, start and inputs.
+    """
+    now = {name: jnp.asarray(x) for name, x in inputs.items()}
+    every = jax.eval_shape(lambda x, u: motion(system, x, u), start, {name: x[0] for name, x in now.items()})[1]
+    wanted = tuple(every if outputs is None else outputs)
+    return Trajectory(*_flight(system, start, now, dt=jnp.asarray(dt), substeps=substeps, outputs=wanted, held=held))
+
+
+def _advance(system: System, x: Any, now: Row, then: Row, dt: Any, substeps: int) -> Array:
+    """The state a sample later; the stages are a loop, so that the motion is compiled once and not four times."""
+    h = dt / substeps
+
+    def further(carry, stage):
+        begin, gathered, point = carry
+        share, ahead, weight, last = stage
+        k = motion(system, point, between(now, then, share))[0]
+        gathered = gathered + weight * k
+        begin = jnp.where(last, begin + h / 6.0 * gathered, begin)
+        return (begin, jnp.where(last, 0.0, gathered), begin + jnp.where(last, 0.0, ahead) * h * k), None
+
+    return jax.lax.scan(further, (x, jnp.zeros_like(x), x), stage_table(substeps))[0][0]
+
+
+@eqx.filter_custom_jvp
+def _flight(system, start, inputs, *, dt, substeps, outputs, held):
+    """Only the state is found one sample after the other; envelope and outputs follow for all samples at once."""
+    bounds = [system.envelope.get(name, (-FAR, FAR)) for name in system.states]
+    lower, upper = (jnp.array([b[i] for b in bounds]) for i in (0, 1))
+
+    def further(x, rows):
+        now, then = rows
+        return _advance(system, x, now, then, dt, substeps), x
+
+    _, x = jax.lax.scan(further, start, (inputs, later(inputs, held)))
+    sound = jnp.all(jnp.isfinite(x), axis=1)
+    sound &= jnp.all((x >= lower) & (x <= upper), axis=1) | (jnp.arange(len(x)) == 0)
+    inside = jnp.cumsum(~sound) == 0
+    last = x[jnp.maximum(jnp.sum(inside) - 1, 0)]
+    x = jnp.where(inside[:, None], x, last)
+    found = jax.vmap(lambda x, u: motion(system, x, u)[1])(x, inputs)
+    found |= {name: x[:, i] for i, name in enumerate(system.states)}
+    return x, {name: found[name] for name in outputs}, inside
+
+
+@_flight.def_jvp
+def _flight_jvp(primals, tangents, *, dt, substeps, outputs, held):
+    system, start, inputs = primals
+    t_system, t_start, t_inputs = tangents
+    flown = _flight(system, start, inputs, dt=dt, substeps=substeps, outputs=outputs, held=held)
+    t_inputs = {name: t for name, t in t_inputs.items() if t is not None}
+    t_start = jnp.zeros_like(start) if t_start is None else t_start
+    row = jax.tree.map(lambda y: y[None], (flown[0], flown[2], inputs, dt))
+    moved = jax.tree.map(lambda y: y[None], (t_start, t_inputs))
+    along = tangent_flight(substeps, outputs, held)
+    dx, found = jax.tree.map(lambda y: y[0], along(system, *row, t_system, *moved))
+    return flown, (dx, found, None)

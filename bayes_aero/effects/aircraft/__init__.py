@@ -1,0 +1,1 @@
+"""Mass, inertia, centre of gravity."""

@@ -1,0 +1,1 @@
+"""Effects of lateral motion on the longitudinal coefficients."""

@@ -1,0 +1,1 @@
+"""Flow separation and what depends on it."""

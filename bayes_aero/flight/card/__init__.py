@@ -1,0 +1,1 @@
+"""The card: an aircraft, its channels, its model."""

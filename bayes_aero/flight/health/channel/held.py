@@ -1,0 +1,104 @@
+"""A slow signal that was held or linearly interpolated onto a faster time base."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.health.finding import HealthFinding, found
+from bayes_aero.flight.health.signals import still_runs
+from bayes_aero.flight.record import FlightRecord
+
+FEWEST = 20  # changes of a channel that a pattern needs
+ALIKE = 0.9  # share of the changes that follow the pattern
+SLOWEST = 100  # samples between changes at most
+ROUNDED = 2.5  # steps of rounding: second differences of a straight line reach two, as each value is off by a half
+FAST = frozenset(
+    "ax ay az p q r phi theta alpha beta elevator stabilizer rudder aileron_left aileron_right".split()  # noqa: SIM905
+)
+"""Channels that move within tenths of a second."""
+
+
+def held(record: FlightRecord, card: Card) -> list[HealthFinding]:  # noqa: ARG001 - the checks have one signature
+    """A finding for each channel, or all that share a rate, whose true sampling rate is lower than the record's."""
+    slow: dict[tuple[str, float], list[str]] = {}
+    for name, x in record.channels.items():
+        for how, period in (("held", held_period(x)), ("linearly interpolated", interpolated_period(x))):
+            if period:
+                slow.setdefault((how, round(period, 1)), []).append(name)
+                break
+    said = []
+    for (how, period), names in slow.items():
+        rate, delay = 1.0 / (period * record.dt), 0.5 * (period - 1.0) * record.dt
+        fast = [n for n in names if n in FAST]
+        late = f", on average {delay:.2g} s late" if how == "held" else ""
+        mend = (
+            f"resample the record to that rate (--resample {period * record.dt:.4g}), or record them faster"
+            if fast
+            else "harmless for a slow signal; do not read its noise as the sensor's"
+        )
+        them = f"{', '.join(names)} {'is' if len(names) == 1 else 'are'}"
+        sentence = (
+            f"{them} {how} over {period:.3g} samples: the true rate is {rate:.3g} Hz in a record of "
+            f"{1.0 / record.dt:.4g} Hz{late}; {mend}"
+        )
+        channel = fast[0] if fast else names[0]
+        said.append(found(record, channel, "held", sentence, at=(0, record.n - 1), grave=bool(fast)))
+    return said
+
+
+def held_period(x: np.ndarray) -> float:
+    """Samples for which (n,) values are held, on average; zero if they are not."""
+    changes = np.flatnonzero(np.diff(x))
+    if len(changes) < FEWEST:
+        return 0.0
+    lengths = np.diff(changes)
+    middle = float(np.median(lengths))
+    if not 2.0 <= middle <= SLOWEST:
+        return 0.0
+    # Values may repeat from one true sample to the next, and a ratio of rates that is no integer gives two lengths.
+    order = np.maximum(np.round(lengths / middle), 1.0)
+    like = np.abs(lengths - order * middle) <= (0.0 if middle < 3.0 else 1.0) * order
+    if np.mean(like) < ALIKE or np.mean(order == 1.0) < 0.5 or np.mean(lengths == 1) > 1.0 - ALIKE:
+        return 0.0
+    usual = lengths[like & (order == 1.0)]
+    return float(np.mean(usual))
+
+
+def interpolated_period(x: np.ndarray) -> float:
+    """Samples between the corners of a signal that is made of straight lines; zero if it is not."""
+    bends = np.abs(np.diff(x, 2))
+    if len(bends) < 4 * FEWEST or not bends.any() or len(still_runs(x)) > 0.1 * len(x):
+        return 0.0
+    if np.quantile(bends, 0.95) <= ROUNDED * _rounding(x):
+        return 0.0  # a smooth signal, rounded, bends by the last digit alone
+    corner = bends > 0.2 * np.quantile(bends, 0.95)
+    straight = np.median(bends) < 1e-3 * np.quantile(bends, 0.95) if np.mean(corner) < 0.5 else False
+    period = _comb(bends**2)
+    if period:
+        return float(period)
+    if not straight:
+        return 0.0
+    at = np.flatnonzero(bends > 1e-3 * np.quantile(bends, 0.95))
+    lengths = np.diff(at)
+    lengths = lengths[lengths > 1]  # the two samples beside a corner that falls between them
+    if len(lengths) < FEWEST or np.mean(np.abs(lengths - np.median(lengths)) <= 1.0) < ALIKE:
+        return 0.0
+    return float((at[-1] - at[0]) / len(lengths))
+
+
+def _rounding(x: np.ndarray) -> float:
+    """The step to which (n,) values are rounded: the least distance of two levels; tiny where they are not."""
+    levels = np.unique(x)
+    return float(np.min(np.diff(levels))) if len(levels) > 1 else 0.0
+
+
+def _comb(energy: np.ndarray) -> int:
+    """The largest period whose one class of samples has nearly all of the bending."""
+    best = 0
+    clipped = np.minimum(energy, np.quantile(energy, 0.98))
+    for period in range(2, min(SLOWEST, len(energy) // FEWEST) + 1):
+        shares = np.bincount(np.arange(len(energy)) % period, weights=clipped, minlength=period)
+        if shares.max() > 0.97 * shares.sum():
+            best = period
+    return best

@@ -1,0 +1,1 @@
+"""Readers whose libraries run in a process of their own."""

@@ -1,0 +1,238 @@
+"""What a record must satisfy before anything is computed from it; each failure is told with its remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+
+import numpy as np
+
+from bayes_aero.errors import InputError
+from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
+from bayes_aero.flight.reading.plausible import at, implausible, time_hint
+from bayes_aero.flight.reading.segments import GAP
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.units import same_unit
+
+__all__ = ["JITTER", "MIN_SAMPLES", "check_record", "failures"]
+
+MIN_SAMPLES = 50
+"""The derivative filter alone spans 17 samples and changes its form over the 9 next to either end."""
+
+JITTER = 0.01
+"""Largest departure of a step from the median step, relative, that still passes for even sampling."""
+
+RATES = (1e-4, 2.0)
+"""Bounds of the sampling interval, s, outside which the unit of time must be wrong."""
+
+ALPHA_MOVES = 1e-6
+"""Smallest range of alpha, rad, that counts as variation at all."""
+
+
+ROUNDED = 0.15
+"""Part of the median step from which a common divisor of all steps is taken for the rounding of time stamps."""
+
+SLOWEST, REGULAR, FEWER = 10, 0.9, 0.7
+"""Fewest values of a channel with blanks, and the share of them a step apart, from which it has a rate of its own; the
+most samples of the file that it then has."""
+
+SOME = 0.1
+"""Share of repeated stamps up to which samples were written twice, and beyond which stamps are rounded."""
+
+Check = Callable[[FlightRecord], None]
+
+
+def check_record(record: FlightRecord, *, even: bool = True, channels: Sequence[Channel] = ()) -> None:
+    """Raise InputError, naming channel, sample and remedy, for the first thing that is wrong with a record.
+
+    With `even=False` gaps and uneven sampling pass: the record is about to be resampled. `channels` are the card's:
+    what it says already is not advised.
+    """
+    for check in _checks(even, channels):
+        check(record)
+
+
+def failures(record: FlightRecord, *, even: bool = True, channels: Sequence[Channel] = ()) -> list[str]:
+    """Everything that is wrong with a record, one sentence each; `check_record` raises the first."""
+    said = []
+    for check in _checks(even, channels):
+        try:
+            check(record)
+        except InputError as reason:
+            said.append(str(reason))
+            if check in (_length, _monotonic) or not np.isfinite(record.time).all():
+                break  # what follows needs samples and time that increases
+    return said
+
+
+def _checks(even: bool, channels: Sequence[Channel]) -> list[Check]:
+    card = {channel.name: channel for channel in channels}
+    sampled: list[Check] = [_evenly_sampled] if even else []
+    plausible, rate, in_g = (partial(check, card=card) for check in (_plausible, _rate, _in_g))
+    finite = partial(_finite, blanks=not even)
+    return [_length, finite, plausible, _monotonic, rate, *sampled, _positive, in_g, _varies]
+
+
+def _length(record: FlightRecord) -> None:
+    if record.n < MIN_SAMPLES:
+        raise InputError(
+            f"the record has {record.n} samples; at least {MIN_SAMPLES} are needed (the derivative filter "
+            f"alone takes "
+            f"20): use a longer record"
+        )
+
+
+def _finite(record: FlightRecord, blanks: bool) -> None:
+    """`blanks`: missing samples pass, for they are about to be interpolated; those of time do not, nor infinities."""
+    for name in record.names:
+        values = record[name]
+        bad = ~np.isfinite(values)
+        missing = np.isnan(values)
+        if not bad.any() or (blanks and name != "time" and not np.isinf(values).any() and not missing.all()):
+            continue
+        first = int(np.argmax(bad))
+        if name != "time" and missing[first] and (rates := several_rates(record, name)):
+            raise InputError(rates)
+        kind = "empty or not a number (NaN)" if missing[first] else "infinite"
+        when = f"sample {first} (counted from 0)" if name == "time" else at(record, first)
+        raise InputError(
+            f"channel {name} is {kind} at {when}, {int(bad.sum())} of {record.n} samples in all; "
+            f"repair or cut out these samples, ask for resampling if they are few (it interpolates), or take the "
+            f"channel off the card if it is not needed"
+        )
+
+
+def several_rates(record: FlightRecord, name: str) -> str:
+    """What to do where a channel has samples of its own at its own rate; empty if its blanks have no such order."""
+    there = np.flatnonzero(np.isfinite(record[name]))
+    if len(there) < SLOWEST or len(there) > FEWER * record.n or (np.diff(record.time) <= 0.0).any():
+        return ""
+    own = np.diff(record.time[there])
+    step = float(np.median(own))
+    if np.mean(np.abs(own - step) <= 0.5 * step) < REGULAR:
+        return ""
+    fastest = sampling_step(record)
+    return (
+        f"channel {name} has a value at {len(there)} of {record.n} samples only: it is of {1.0 / step:.4g} Hz in a "
+        f"file of several rates ({1.0 / fastest:.4g} Hz the fastest); resample the record, which interpolates each "
+        f"channel between its own samples (--resample {fastest:.4g}, in Python resample={fastest:.4g})"
+    )
+
+
+def sampling_step(record: FlightRecord) -> float:
+    """Median step of the channel that has most samples, s: time alone holds the stamps of all rates of a file."""
+    there = [np.isfinite(values) for values in record.channels.values()]
+    fullest = max(there, key=np.count_nonzero, default=np.ones(record.n, bool))
+    return float(np.median(np.diff(record.time[fullest]))) if np.count_nonzero(fullest) > 1 else float("nan")
+
+
+def _monotonic(record: FlightRecord) -> None:
+    step = np.diff(record.time)
+    if (step <= 0.0).any():
+        i = int(np.argmax(step <= 0.0)) + 1
+        what = "repeats" if step[i - 1] == 0.0 else "runs backwards from"
+        raise InputError(
+            f"channel time {what} {record.time[i - 1]:.9g} s at {at(record, i)}, {int((step <= 0.0).sum())} times in "
+            f"all; time must increase: {_rounding(record) or 'sort the samples, drop the repeated ones, or divide '}"
+            f"{'' if _rounding(record) else 'the record where time starts over (--split)'}"
+        )
+
+
+def _rounding(record: FlightRecord) -> str:
+    """What to do if the time stamps are rounded: all steps are multiples of one that is no small part of the median."""
+    step = np.diff(record.time)
+    positive = step[step > 0.0]
+    if (step < 0.0).any() or len(positive) < 10 or 0.0 < np.mean(step == 0.0) < SOME:
+        return ""
+    mean = float((record.time[-1] - record.time[0]) / (record.n - 1))
+    least = float(positive.min())
+    off = np.abs(positive / least - np.round(positive / least))
+    multiples = np.round(step / least)
+    regular = abs(record.time[record.n // 2] - record.time[0] - mean * (record.n // 2)) <= 2.0 * max(least, mean)
+    if least < ROUNDED * mean or off.max() > 0.02 or not 1.0 <= np.ptp(multiples) <= 3.0 or not regular:
+        return ""
+    return (
+        f"the stamps are rounded to {least:.3g} s, and {record.n} samples in "
+        f"{record.time[-1] - record.time[0]:.6g} s make {1.0 / mean:.4g} Hz; write time with more digits, or as sample "
+        f"number times {mean:.6g} s"
+    )
+
+
+def _rate(record: FlightRecord, card: Mapping[str, Channel]) -> None:
+    median = sampling_step(record)
+    if not RATES[0] <= median <= RATES[1]:
+        raise InputError(
+            f"channel time has a median step of {median:.6g} s from {at(record, 0)}, outside "
+            f"{RATES[0]:g} to {RATES[1]:g} s; {time_hint(median, card.get('time'))}"
+        )
+
+
+def _evenly_sampled(record: FlightRecord) -> None:
+    step = np.diff(record.time)
+    median = float(np.median(step))
+    rounding = _rounding(record)
+    if (step > GAP * median).any() and not rounding:
+        i = int(np.argmax(step > GAP * median))
+        raise InputError(
+            f"channel time has a gap of {step[i]:.6g} s after {at(record, i)}, where {median:.6g} s is the "
+            f"sampling interval; divide the record there (--split, or FILE@FROM:TO), or ask for resampling if the gap "
+            "is short"
+        )
+    off = np.abs(step - median) > JITTER * median
+    if off.any():
+        i = int(np.argmax(off))
+        mean = float(np.mean(step)) if rounding else median
+        raise InputError(
+            f"channel time is sampled unevenly: the step after {at(record, i)} is {step[i]:.6g} s, the median step "
+            f"{median:.6g} s, {int(off.sum())} steps differ by more than {JITTER:.0%}; "
+            f"{rounding or 'write time with more digits'}, or ask for resampling (resample = {mean:.4g})"
+        )
+
+
+def _plausible(record: FlightRecord, card: Mapping[str, Channel]) -> None:
+    for name in record.names:
+        known = STANDARD_CHANNELS.get(name)
+        why = None if known is None else implausible(record, known, card.get(name))
+        if why is not None:
+            raise InputError(why)
+
+
+def _positive(record: FlightRecord) -> None:
+    remedies = {
+        "airspeed": "coefficients divide by dynamic pressure: cut the record to the part in flight",
+        "density": "coefficients divide by dynamic pressure: repair the channel",
+    }
+    for name, remedy in remedies.items():
+        if not record.has(name):
+            continue
+        bad = record[name] <= 0.0
+        if bad.any():
+            i = int(np.argmax(bad))
+            raise InputError(
+                f"channel {name} is {record[name][i]:.6g} {STANDARD_CHANNELS[name].unit} at "
+                f"{at(record, i)}, "
+                f"{int(bad.sum())} samples not above zero; {remedy}"
+            )
+
+
+def _in_g(record: FlightRecord, card: Mapping[str, Channel]) -> None:
+    if not all(record.has(axis) for axis in ("ax", "ay", "az")):
+        return
+    load = float(np.median(np.sqrt(record["ax"] ** 2 + record["ay"] ** 2 + record["az"] ** 2)))
+    in_g = "az" in card and same_unit(card["az"].unit, "g")
+    if 0.7 < load < 1.4 and not in_g:  # near 9.8 in m/s2; only a record flown at a tenth of gravity throughout is so
+        i = int(np.argmax(np.abs(record["az"])))
+        raise InputError(
+            f"channels ax, ay, az have a median magnitude of {load:.3g} m/s^2 (az is {record['az'][i]:.3g} at "
+            f'{at(record, i)}); looks like multiples of gravity: set unit = "g" for them on the card'
+        )
+
+
+def _varies(record: FlightRecord) -> None:
+    if record.has("alpha") and float(np.ptp(record["alpha"])) < ALPHA_MOVES:
+        raise InputError(
+            f"channel alpha stays at {record['alpha'][0]:.6g} rad from {at(record, 0)} to "
+            f"{at(record, record.n - 1)}; "
+            f"nothing can be identified from a constant angle of attack: check the sensor and the card's "
+            f"column or label"
+        )

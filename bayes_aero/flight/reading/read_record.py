@@ -1,0 +1,226 @@
+"""From a file on disk to a checked flight record in SI.
+
+The way of a file: its bytes are read once (and hashed), the format of its suffix finds the columns that the
+card names, their values are converted to SI, and the record is checked. Whatever is wrong is reported in one
+InputError that starts with the file's name.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from difflib import get_close_matches
+from pathlib import Path
+
+import numpy as np
+
+from bayes_aero.errors import InputError
+from bayes_aero.flight.aliases import split_heading
+from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
+from bayes_aero.flight.readers import READERS
+from bayes_aero.flight.readers.base import Column, Heading, Opened, located
+from bayes_aero.flight.reading.checks import check_record
+from bayes_aero.flight.reading.plausible import without_bad_options
+from bayes_aero.flight.reading.resample import resample_record
+from bayes_aero.flight.reading.segments import cut, expanded, segment_of
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.flight.writers import write_record
+from bayes_aero.units import canonical, same_kind, same_unit, to_si
+
+__all__ = [
+    "bytes_of",
+    "format_of",
+    "in_si",
+    "manoeuvres",
+    "present",
+    "read_record",
+    "read_records",
+    "unit_in_file",
+    "write_record",
+]
+
+MAX_BYTES = 1 << 30
+"""Largest file that is taken for one manoeuvre: 1 GiB."""
+
+
+def read_record(
+    path: str | os.PathLike[str], channels: Sequence[Channel], *, resample: float | None = None
+) -> FlightRecord:
+    """Read, convert and check one manoeuvre.
+
+    Args:
+        path: the file; its suffix tells the format (see READERS). FILE@FROM:TO is a part of it, in seconds of its time,
+            FILE@#2 the second part between gaps.
+        channels: what the card maps; "time" must be among them.
+        resample: interval in s of an even grid to interpolate onto; without it uneven sampling and missing samples are
+            refused.
+    """
+    name = os.fspath(path)
+    try:
+        segment = segment_of(path)
+        opens = format_of(segment.file)
+        _refuse_odd_cards(channels)
+        data = bytes_of(segment.file)
+        opened = opens(data)
+        places = located(channels, opened)
+        columns = opened.read(places)
+        if "time" not in columns:
+            raise InputError(
+                "channel time is missing, and a record needs it; set required = true and correct its place"
+            )
+        si = {c.name: in_si(c, columns[c.name], places[c.name]) for c in channels if c.name in columns}
+        record = FlightRecord(
+            name=segment.label,
+            time=si["time"],
+            channels=si,
+            source=name,
+            sha256=hashlib.sha256(data).hexdigest(),
+            remarks=tuple(opened.remarks),
+        )
+        record = without_bad_options(cut(record, segment), channels, blanks=resample is not None)
+        check_record(record, even=resample is None, channels=channels)
+        if resample is not None:
+            record = without_bad_options(resample_record(record, resample), channels)
+            check_record(record, channels=channels)
+    except InputError as reason:
+        raise InputError(f"{name}: {reason}") from reason
+    return record
+
+
+def read_records(
+    paths: Sequence[str | os.PathLike[str]],
+    channels: Sequence[Channel],
+    *,
+    resample: float | None = None,
+    segments: Mapping[str, Sequence[str]] | None = None,
+    split: bool = False,
+) -> list[FlightRecord]:
+    """Every manoeuvre of every file; the first bad one is reported.
+
+    Args:
+        paths: see `read_record`.
+        channels: what the card maps.
+        resample: see `read_record`.
+        segments: the parts of files that a card states, by file name.
+        split: whether gaps in time divide a file into manoeuvres.
+    """
+    parts = manoeuvres(paths, channels, segments=segments, split=split)
+    return [read_record(path, channels, resample=resample) for path in parts]
+
+
+def manoeuvres(
+    paths: Sequence[str | os.PathLike[str]],
+    channels: Sequence[Channel],
+    *,
+    segments: Mapping[str, Sequence[str]] | None = None,
+    split: bool = False,
+) -> list[Path]:
+    """The paths of single manoeuvres that `paths` stand for, see `read_records`."""
+    times = {os.fspath(path): _time_of(path, channels) for path in paths} if split else None
+    return expanded(paths, segments or {}, times)
+
+
+def _time_of(path: str | os.PathLike[str], channels: Sequence[Channel]) -> np.ndarray:
+    """(n,) time of the whole file, s."""
+    file = segment_of(path).file
+    try:
+        _refuse_odd_cards(channels)
+        opened = format_of(file)(bytes_of(file))
+        clock = [channel for channel in channels if channel.name == "time"]
+        places = located([replace(channel, required=True) for channel in clock], opened)
+        return in_si(clock[0], opened.read(places)["time"], places["time"])
+    except InputError as reason:
+        raise InputError(f"{os.fspath(path)}: {reason}") from reason
+
+
+def present(path: Path) -> None:
+    """Refuse a name of which there is no file; nothing need be loaded to see that."""
+    file = segment_of(path).file
+    try:
+        there = file.exists()
+    except (OSError, ValueError):  # a name that cannot be one: reading says so
+        return
+    if not there:
+        raise InputError(f"{path}: {_no_such_file(file)}")
+
+
+def format_of(path: Path) -> Callable[[bytes], Opened]:
+    """What opens a file, told by its suffix."""
+    opens = READERS.get(path.suffix.lower())
+    if opens is None:
+        given = f"the suffix {path.suffix!r}" if path.suffix else "a file without suffix"
+        raise InputError(
+            f"{given} is not known; flight records end in {', '.join(READERS)}: rename or convert the file"
+        )
+    return opens
+
+
+def _refuse_odd_cards(channels: Sequence[Channel]) -> None:
+    names = [channel.name for channel in channels]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"channel {name} is mapped twice on the card; keep one of the two")
+    if "time" not in names:
+        raise InputError('channel time is not mapped on the card; add it to [channels] with unit = "s"')
+
+
+def bytes_of(path: Path) -> bytes:
+    """The whole file: hashed as read, and no parser can be led to read beyond its end."""
+    try:
+        if path.is_dir():
+            raise InputError("it is a directory; name a file in it")
+        if not path.exists():
+            raise InputError(_no_such_file(path))
+        if not path.is_file():
+            raise InputError("it is a pipe or a device; write the data to a regular file first")
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise InputError(f"it has {size} bytes, more than {MAX_BYTES}; cut it to the manoeuvre")
+        data = path.read_bytes()
+    except (OSError, ValueError) as reason:
+        if isinstance(reason, InputError):
+            raise
+        raise InputError(f"it cannot be read ({reason}); check its name and permissions") from reason
+    if not data:
+        raise InputError("the file is empty; copy or write it again")
+    return data
+
+
+def _no_such_file(path: Path) -> str:
+    if not path.parent.is_dir():
+        return f"no such file: its folder {str(path.parent)!r} does not exist; correct the path"
+    neighbours = [entry.name for entry in path.parent.iterdir()][:10_000]
+    close = get_close_matches(path.name, neighbours, n=3)
+    return "no such file; " + (f"did you mean {' or '.join(close)}?" if close else "correct the path")
+
+
+def in_si(channel: Channel, column: Column, heading: Heading) -> np.ndarray:
+    """A channel's values in SI, (n,), with the card's sign.
+
+    Raises:
+        InputError: the file states another unit than the card.
+    """
+    unit = unit_in_file(channel, column, heading)
+    standard = STANDARD_CHANNELS.get(channel.name)
+    if unit is not None and same_unit(unit, channel.unit) is False:
+        raise InputError(
+            f"channel {channel.name} is in {unit!r} according to the file but in {channel.unit!r} according to the "
+            f'card; correct the card: unit = "{canonical(unit, standard.unit if standard else None) or unit}"'
+        )
+    return channel.sign * to_si(column.values, channel.unit, channel.name, standard.unit if standard else None)
+
+
+def unit_in_file(channel: Channel, column: Column, heading: Heading) -> str | None:
+    """The unit that a file states for a channel: in a row of units, an attribute, or its name ("rho (slug/ft3)").
+
+    What a name seems to say counts only where the channel can have that unit: the "g" of "q_g" may be a gyro.
+    """
+    if column.unit is not None:
+        return column.unit
+    for name in heading.names:
+        unit = split_heading(name, channel.unit)[1]
+        if unit is not None and same_kind(unit, channel.unit):
+            return unit
+    return None

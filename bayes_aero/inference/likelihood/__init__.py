@@ -1,0 +1,1 @@
+"""Maximum likelihood: equation error and output error."""

@@ -1,0 +1,303 @@
+"""Maximum likelihood by Gauss-Newton with the output-error cost det R, and Cramer-Rao bounds.
+
+Source: Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, ch. 4: white residuals, diagonal noise
+covariance R re-estimated in every iteration, so the cost is det R and the information is sum S' R^-1 S.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from itertools import chain
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.inference.likelihood.restraints import Bounded, PriorConflict, bounded, prior_conflicts
+from bayes_aero.inference.likelihood.sensitivity import data_of, evaluate, full_steps
+from bayes_aero.inference.scores import Scores, score
+from bayes_aero.inference.variance.inseparable import Inseparable, inseparable
+from bayes_aero.inference.variance.robust_bounds import robust_covariance
+from bayes_aero.model.model import Model
+from bayes_aero.model.observations import Observations
+from bayes_aero.physics.coefficients import NAMES
+
+MAX_ITERATIONS = 100
+DECREMENT = 1e-7  # expected gain in log-likelihood of one more step, at which it stops: 5e-4 of a Cramer-Rao deviation
+SINGULAR = 1e-11  # smallest eigenvalue of the information scaled to unit diagonal
+MOST_ALONE = 24  # manoeuvres that are fitted one by one, too
+FEWEST_BLOCKS = 10  # of 0.2 s for each parameter, below which intervals rest on too little; our choice
+LARGE_BIAS = 0.75  # share of the corrected deviation, which contains the bias
+FROZEN_X = 0.05  # a separation point that moves less than this over a record says nothing of the stall
+
+
+class MleStatus(Enum):
+    """How the fit ended; the value is the text for the user."""
+
+    CONVERGED = "converged"
+    AT_BOUND = "converged with a parameter at its bound: its interval is not reliable; widen the bound or fix the "
+    "parameter"
+    NOT_CONVERGED = "stopped before the optimum: start nearer, add priors or fix parameters; do not use the numbers"
+    SINGULAR = "the information matrix is singular: the record does not identify every parameter; fix or add data"
+    STALL_NOT_IDENTIFIED = (
+        "every start ended where the flow is never, or always, separated: the record does not identify the stall; "
+        "add a manoeuvre that stalls, or fix a1, alpha_star and tau2"
+    )
+
+
+@dataclass(frozen=True)
+class MleResult:
+    """A maximum-likelihood fit of k parameters, in SI and radians; arrays follow `names`.
+
+    `covariance` (k, k) is that of Cramer and Rao, for white residuals; `corrected` (k, k) counts their autocorrelation
+    over `blocks` blocks of 0.2 s. `R` (3,) are the residual variances of CL, CD, Cm, `eigenvalues` (k,) those of the
+    information matrix scaled to unit diagonal, `separation` the range of X. `fit` and `lag1` are by coefficient,
+    `starts` the cost and status of each start. `bounded` are parameters at their bounds, `conflicts` priors that the
+    record contradicts. `bias` (k,) from recording noise is subtracted from `estimate`; None: not computed.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    estimate: Float[np.ndarray, " k"]
+    covariance: Float[np.ndarray, "k k"]
+    corrected: Float[np.ndarray, "k k"]
+    R: Float[np.ndarray, " 3"]
+    status: MleStatus
+    iterations: int
+    at_bound: tuple[str, ...]
+    eigenvalues: Float[np.ndarray, " k"]
+    separation: tuple[float, float]
+    fit: dict[str, Scores]
+    lag1: dict[str, float]
+    starts: tuple[tuple[float, str], ...]
+    bounded: tuple[Bounded, ...] = ()
+    conflicts: tuple[PriorConflict, ...] = ()
+    blocks: int | None = None
+    bias: Float[np.ndarray, " k"] | None = None
+
+    @property
+    def det_R(self) -> float:
+        """Determinant of the diagonal residual covariance (order CL, CD, Cm)."""
+        return float(np.prod(self.R))
+
+    @property
+    def crb(self) -> Float[np.ndarray, " k"]:
+        """Cramer-Rao standard errors, shape (k,); they assume white residuals."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def crb_corrected(self) -> Float[np.ndarray, " k"]:
+        """Standard errors with the residuals' autocorrelation and varying size (`robust_covariance`), shape (k,)."""
+        return np.sqrt(np.diag(self.corrected))
+
+    @property
+    def correlation(self) -> Float[np.ndarray, "k k"]:
+        """Correlation of the estimates from the Cramer-Rao covariance, shape (k, k)."""
+        return self.covariance / np.outer(self.crb, self.crb)
+
+    @property
+    def inseparable(self) -> tuple[Inseparable, ...]:
+        """Sets of parameters that the record cannot separate."""
+        return inseparable(self.names, self.units, self.estimate, self.covariance, self.crb_corrected)
+
+    def strong_correlations(self, limit: float = 0.9) -> list[tuple[str, str, float]]:
+        """Pairs of parameters whose estimates are correlated beyond `limit` in size."""
+        rows, columns = np.triu_indices(len(self.names), 1)
+        pairs = (
+            (self.names[i], self.names[j], float(self.correlation[i, j])) for i, j in zip(rows, columns, strict=True)
+        )
+        return sorted((pair for pair in pairs if abs(pair[2]) > limit), key=lambda pair: -abs(pair[2]))
+
+    def warnings(self) -> list[str]:
+        """Warnings for the user of the numbers, one sentence each."""
+        said = [] if self.status is MleStatus.CONVERGED else [f"Maximum likelihood: {self.status.value}."]
+        if self.blocks is not None and self.blocks < FEWEST_BLOCKS * len(self.names):
+            said.append(
+                f"The record is too short for reliable intervals: it has {self.blocks} blocks of 0.2 s for "
+                f"{len(self.names)} parameters, and at least {FEWEST_BLOCKS} for each parameter are needed; add "
+                "manoeuvres or fix parameters."
+            )
+        low, high = self.separation
+        if "alpha_star" in self.names and low > 0.5:
+            said.append(
+                f"The angle of attack never approached alpha_star: X stays between {low:.2f} and {high:.2f}, "
+                "so a1, alpha_star and the terms with 1 - X depend on the onset of separation alone."
+            )
+        for name, value, bound in zip(self.names, self.estimate, self.crb, strict=True):
+            if bound > 0.5 * abs(value):
+                near = bound < 10.0 * abs(value)  # at a bound of zero a share of the estimate is infinite
+                size = f"{bound / abs(value):.0%} of it" if near else f"{bound:.2g}, its estimate {value:.2g}"
+                said.append(f"{name} is not identified: its Cramer-Rao standard error is {size}.")
+        bias = np.zeros(len(self.names)) if self.bias is None else self.bias
+        for name, moved, sd in zip(self.names, bias, self.crb_corrected, strict=True):
+            if abs(moved) > LARGE_BIAS * sd:
+                said.append(
+                    f"Noise of the recorded signals biases {name} by {moved:+.2g}, most of its corrected standard "
+                    f"error; the "
+                    "bias is subtracted to first order only. Records with less noise are needed."
+                )
+        said += [f"{a} and {b} are correlated by {value:+.3f}." for a, b, value in self.strong_correlations()]
+        return said
+
+
+@dataclass(frozen=True)
+class _Descent:
+    theta: Float[np.ndarray, " k"]
+    cost: float
+    converged: bool
+    iterations: int
+    active: np.ndarray
+
+
+def solve(A: np.ndarray, g: np.ndarray, damping: float) -> np.ndarray:
+    """(A + damping diag A)^-1 g with unit-diagonal scaling; least squares where A is singular."""
+    size, tiny = np.diag(A), np.finfo(float).tiny
+    # A diagonal that rounding has eaten (of an unstable flight) counts as the largest, lest its row overflow.
+    scale = np.sqrt(np.where(size > 0.0, np.maximum(size, tiny), np.max(size, initial=tiny)))
+    scaled = A / np.outer(scale, scale) + damping * np.eye(len(g))
+    return np.linalg.lstsq(scaled, g / scale, rcond=1e-14)[0] / scale
+
+
+def descend(model: Model, observations: Observations, start: Float[np.ndarray, " k"]) -> _Descent:
+    """Gauss-Newton from one start: full step, halved steps, then Levenberg-Marquardt; bounds by an active set.
+
+    Full steps run compiled for as long as they gain and stay inside the bounds; the rest of the way is walked here.
+    """
+    data = data_of(model, observations)
+    lower, upper = (np.array([p.bounds[i] for p in model.free]) for i in (0, 1))
+    point = full_steps(data, np.clip(start, lower, upper), lower, upper, DECREMENT, MAX_ITERATIONS)
+    active = np.zeros(len(start), bool)
+    for iteration in range(point.taken + 1, MAX_ITERATIONS + 1):
+        theta, A, g = point.theta, point.information, point.gradient
+        if not (np.isfinite(point.cost) and np.all(np.isfinite(A))):
+            return _Descent(theta, np.inf, False, iteration, active)
+        active = ((theta <= lower) & (g < 0.0)) | ((theta >= upper) & (g > 0.0))
+        free = np.flatnonzero(~active)
+        newton = solve(A[np.ix_(free, free)], g[free], 0.0)
+        gain = 0.5 * newton @ g[free]
+        if gain < DECREMENT:
+            return _Descent(theta, point.cost, True, iteration, active)
+        steps = (newton * size for size in (1.0, 0.5, 0.25, 0.125))
+        damped = (solve(A[np.ix_(free, free)], g[free], 10.0**k) for k in range(-3, 6))
+        for step in chain(steps, damped):
+            trial = theta.copy()
+            trial[free] = np.clip(theta[free] + step, lower[free], upper[free])
+            found = full_steps(data, trial, lower, upper, DECREMENT, 0)
+            if found.cost < point.cost:
+                break
+        else:
+            return _Descent(theta, point.cost, bool(gain < 1e-5), iteration, active)
+        point = found
+    return _Descent(point.theta, point.cost, False, MAX_ITERATIONS, active)
+
+
+def _starts(model: Model, count: int, seed: int) -> list[np.ndarray]:
+    """The card's start, then draws from the priors inside the bounds."""
+    rng = np.random.default_rng(seed)
+    starts = [np.array([p.start for p in model.free])]
+    for _ in range(count):
+        draw = [float(p.prior.sample(rng, 1)[0]) for p in model.free]
+        starts.append(np.array([np.clip(x, *p.bounds) for x, p in zip(draw, model.free, strict=True)]))
+    return starts
+
+
+def _degenerate(model: Model, observations: Observations, descent: _Descent) -> bool:
+    """True where the fit explains the record by flow that never changes its separation."""
+    if not np.isfinite(descent.cost):
+        return True
+    if "alpha_star" not in model.names:
+        return False
+    X = np.asarray(evaluate(data_of(model, observations), jnp.asarray(descent.theta))[2])
+    at_bound = descent.active[model.names.index("alpha_star")]
+    return bool(at_bound or np.ptp(X) < FROZEN_X)
+
+
+def fit_mle(
+    model: Model,
+    observations: Observations,
+    *,
+    extra_starts: int = 6,
+    start: Float[np.ndarray, " k"] | None = None,
+    seed: int = 0,
+) -> MleResult:
+    """Maximum-likelihood estimate of the model's free parameters.
+
+    Starts from `start` (default: the card's) and from `extra_starts` prior draws; among the optima in which the
+    separation point moves, the one with the smallest det R is kept, so a start that degenerates is recovered from.
+    """
+    starts = _starts(model, extra_starts, seed)
+    if start is not None:
+        starts[0] = np.asarray(start, float)
+    runs = [descend(model, observations, s) for s in starts]
+    sound = [not _degenerate(model, observations, run) for run in runs]
+    usable = [run for run, good in zip(runs, sound, strict=True) if good and run.converged]
+    usable = usable or [run for run, good in zip(runs, sound, strict=True) if good] or runs
+    best = min(usable, key=lambda run: run.cost)
+    table = tuple(
+        (run.cost, "degenerate" if not good else "converged" if run.converged else "not converged")
+        for run, good in zip(runs, sound, strict=True)
+    )
+    return _report(model, observations, best, any(sound), table)
+
+
+def fit_alone(model: Model, observations: Observations, *, seed: int = 0) -> dict[str, MleResult]:
+    """Each manoeuvre by itself, by name; none where there is one only, or more than `MOST_ALONE`.
+
+    Every length of a manoeuvre is compiled anew, some seconds each.
+    """
+    count = len(observations.names)
+    alone = range(count) if 1 < count <= MOST_ALONE else range(0)
+    return {observations.names[i]: fit_mle(model, observations.only(i), seed=seed) for i in alone}
+
+
+def _report(
+    model: Model, observations: Observations, best: _Descent, sound: bool, table: Sequence[tuple[float, str]]
+) -> MleResult:
+    data = data_of(model, observations)
+    point = full_steps(data, best.theta, best.theta, best.theta, DECREMENT, 0)
+    R, A = point.R, point.information
+    residual, S, X = map(np.asarray, evaluate(data, jnp.asarray(best.theta)))
+    measured = np.asarray(observations.measured)
+    scale = np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
+    eigenvalues = np.linalg.eigvalsh(A / np.outer(scale, scale))
+    singular = not eigenvalues[0] > SINGULAR
+    inverse = np.full_like(A, np.nan)
+    if not singular:
+        inverse = np.linalg.inv(A / np.outer(scale, scale)) / np.outer(scale, scale)
+    corrected, blocks = robust_covariance(
+        inverse, S, R, residual, observations.manoeuvre, np.asarray(observations.start), observations.dt
+    )
+    if not sound:
+        status = MleStatus.STALL_NOT_IDENTIFIED
+    elif singular:
+        status = MleStatus.SINGULAR
+    elif not best.converged:
+        status = MleStatus.NOT_CONVERGED
+    else:
+        status = MleStatus.AT_BOUND if best.active.any() else MleStatus.CONVERGED
+    inside = ~np.asarray(observations.start)[1:]
+    lag1 = {
+        name: float(np.sum(r[1:][inside] * r[:-1][inside]) / np.sum(r**2))
+        for name, r in zip(NAMES, residual.T, strict=True)
+    }
+    return MleResult(
+        names=model.names,
+        units=tuple(p.unit for p in model.free),
+        estimate=best.theta,
+        covariance=inverse,
+        corrected=corrected,
+        R=R,
+        status=status,
+        iterations=best.iterations,
+        at_bound=tuple(n for n, a in zip(model.names, best.active, strict=True) if a),
+        eigenvalues=eigenvalues,
+        separation=(float(X.min()), float(X.max())),
+        fit={n: score(measured[:, i], measured[:, i] - residual[:, i]) for i, n in enumerate(NAMES)},
+        lag1=lag1,
+        starts=tuple(table),
+        blocks=blocks,
+        bounded=bounded(model.free, best.theta, point.gradient, inverse, np.sqrt(np.diag(corrected)), best.active),
+        conflicts=prior_conflicts(model.free, best.theta, np.sqrt(np.diag(corrected))) if best.converged else (),
+    )

@@ -1,0 +1,258 @@
+"""The result of an output-error fit: estimates, standard errors for white and coloured residuals, a status."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from bayes_aero.dynamics.segments import Flown
+from bayes_aero.inference.likelihood.normal_equations import Point, Priors, reduced
+from bayes_aero.inference.variance.coloured_bounds import corrected_covariance
+from bayes_aero.inference.variance.inseparable import Inseparable, inseparable
+from bayes_aero.parameter import Parameter
+
+THINNED = 5  # samples, for the colour of the residuals
+INDEFINITE = -1e-14  # least eigenvalue of a scaled information matrix: below, it is more than rounding of a sound one
+SINGULAR, SHARE = 1e-13, 1e-3  # least eigenvalue of a regular scaled matrix; part of a direction that counts
+STRETCH, STRETCHES = 12.0, 10  # s of flight that the jackknife leaves out at a time, and how many it wants at least
+LEVERAGE = 0.9  # largest share of what is known in any direction that a stretch may take with it
+TRACE = 1e-13  # of a scaled information matrix: beyond rounding, within nothing that a record tells
+COLOURED = 2.0  # times the variances, in the median, from which the colour of residuals is beyond doubt
+HELD = 0.9  # posterior over prior deviation from which a parameter is said to be held by its prior
+
+
+class OutputErrorStatus(Enum):
+    """How the fit ended; the value is what to tell the user."""
+
+    CONVERGED = "converged"
+    AT_BOUND = "converged with a parameter at its bound: its standard error is not reliable; widen the bound or fix it"
+    NOT_CONVERGED = "stopped before the optimum: start nearer, or begin with shorter windows; do not use the numbers"
+    LEFT_ENVELOPE = (
+        "the simulation leaves the flight envelope at every parameter value tried: the model cannot be simulated "
+        "through this record; "
+        "check signs and units, or begin with shorter windows"
+    )
+
+
+@dataclass(frozen=True)
+class OutputErrorResult:
+    """An output-error fit: estimates of k parameters and of the initial state of each segment, in SI and radians.
+
+    `covariance` (k, k) is that of Cramer and Rao with priors, `information` (k, k) that of the data alone. `rms` is by
+    segment and output, in the recorded unit. `columns` are residual and sensitivities (parameters, then initial state),
+    both divided by the noise growth `flown.swell`; `R` is the residual variance in attached flow.
+    """
+
+    flown: Flown
+    parameters: tuple[Parameter, ...]
+    estimate: Float[np.ndarray, " k"]
+    departure: Float[np.ndarray, "w s"]
+    R: Float[np.ndarray, " c"]
+    cost: float
+    covariance: Float[np.ndarray, "k k"]
+    information: Float[np.ndarray, "k k"]
+    priors: Priors
+    rms: Float[np.ndarray, "w c"]
+    status: OutputErrorStatus
+    iterations: int
+    at_bound: tuple[str, ...]
+    columns: Float[np.ndarray, "w n c j"]
+    eliminated: Float[np.ndarray, "w s k"]  # what a unit of theta moves the best initial states by, but for its sign
+    undetermined: tuple[str, ...] = ()  # without priors: parameters that the record does not determine
+
+    @property
+    def det_R(self) -> float:
+        """Determinant of the diagonal residual covariance of the fitted outputs, SI: the cost of published programs."""
+        count = self.flown.inside.sum(axis=1)
+        return float(np.prod(np.sum(count[:, None] * self.rms**2, axis=0) / count.sum()))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def sd(self) -> Float[np.ndarray, " k"]:
+        """Standard errors with priors, for white residuals, (k,); infinite where undetermined."""
+        return self._known(np.sqrt(np.diag(self.covariance)))
+
+    def _known(self, sd: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+        """Infinite for what is not determined."""
+        return np.where([name in self.undetermined for name in self.names], np.inf, sd)
+
+    @property
+    def crb(self) -> Float[np.ndarray, " k"]:
+        """Cramer-Rao standard errors of the data alone, for white residuals, (k,); infinite where undetermined."""
+        scale = np.sqrt(np.diag(self.information))
+        known = scale > 0.0
+        found = np.full(len(scale), np.inf)
+        part = self.information[np.ix_(known, known)] / np.outer(scale[known], scale[known])
+        values, vectors = np.linalg.eigh(part)
+        if len(values) and values[0] > 1e-13:
+            found[known] = np.sqrt(np.diag((vectors / values) @ vectors.T)) / scale[known]
+        return found
+
+    @cached_property
+    def corrected(self) -> Float[np.ndarray, "k k"]:
+        """Covariance with the residuals' autocorrelation and the priors, shape (k, k); segments are independent.
+
+        With D = `covariance` it is D (M + P) D: M the scores' covariance under the residuals' autocovariance, P that
+        of the priors; D itself where residuals are white. Sources: Maine and Iliff, NASA RP-1077 (1981); Morelli and
+        Klein, J. Aircraft 1997. Where residuals are coloured, no variance is below that of the block jackknife
+        (`_left_out`): a trajectory integrates disturbances, and the fit absorbs most of them.
+        """
+        if not math.isfinite(self.cost):
+            return self.covariance
+        k, inside = len(self.estimate), self.flown.inside
+        S, own = self.columns[..., 1 : k + 1], self.columns[..., k + 1 :]
+        S = S - np.einsum("wncs,wsk->wnck", own, self.eliminated)  # initial states at their best
+        segment = np.broadcast_to(np.arange(len(inside))[:, None], inside.shape)[inside]
+        start = np.diff(segment, prepend=-1) != 0
+        D, weight = self.covariance, self.priors.weight
+        said = np.diag(self.priors.precision)
+        said = said + np.einsum("wsa,s,wsb->ab", self.eliminated, self.priors.states, self.eliminated)
+        known = weight * D @ said @ D
+        found = known + corrected_covariance(D, S[inside], self.R, self.columns[..., 0][inside], segment, start)
+        own = np.diag(found)
+        moving = own > 0.0
+        if not moving.any() or np.median(own[moving] / np.diag(D)[moving]) < COLOURED:
+            return found
+        wider = np.ones(k)
+        wider[moving] = np.sqrt(np.maximum(1.0, (self._left_out(S) + np.diag(known))[moving] / own[moving]))
+        return found * np.outer(wider, wider)
+
+    def _left_out(self, S: Float[np.ndarray, "w n c k"]) -> Float[np.ndarray, " k"]:
+        """Variances by the block jackknife, to first order and with the segments' states kept, shape (k,).
+
+        A block with nearly all information on a direction (a constant error visible while a motion begins, the only
+        step of a control) counts there as one with `LEVERAGE` of it, because the other blocks cannot test it.
+        Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), ch. 11, of blocks in place of samples.
+        """
+        moving = np.flatnonzero(np.diag(self.covariance) > 0.0)
+        counts = self.flown.inside.sum(axis=1)
+        seconds = counts * np.asarray(self.flown.dt)
+        length = min(STRETCH, seconds.sum() / STRETCHES)
+        A, g = [], []
+        for row in np.flatnonzero(counts):
+            parts = max(1, round(seconds[row] / length))
+            for own in np.array_split(np.flatnonzero(self.flown.inside[row]), parts):
+                weighed = S[row, own][:, :, moving] / self.R[:, None]
+                A.append(np.einsum("nci,ncj->ij", weighed, S[row, own][:, :, moving], optimize=True))
+                g.append(np.einsum("nci,nc->i", weighed, self.columns[row, own, :, 0]))
+        variance = np.zeros(S.shape[3])
+        if len(moving) and len(A) > 1:
+            whole = (self.information + np.diag(self.priors.precision))[np.ix_(moving, moving)]
+            scale = 1.0 / np.sqrt(np.diag(whole))
+            lower = np.linalg.cholesky(whole * np.outer(scale, scale) + TRACE * np.eye(len(scale)))
+            back = np.linalg.inv(lower)
+            share, turned = np.linalg.eigh(back @ (np.array(A) * np.outer(scale, scale)) @ back.T)
+            turned = back.T @ turned
+            along = np.einsum("iab,ia->ib", turned, -np.array(g) * scale) / (1.0 - np.minimum(share, LEVERAGE))
+            step = scale * np.einsum("iab,ib->ia", turned, along)
+            variance[moving] = (len(A) - 1.0) / len(A) * np.sum((step - step.mean(axis=0)) ** 2, axis=0)
+        return variance
+
+    @property
+    def sd_corrected(self) -> Float[np.ndarray, " k"]:
+        """Standard deviations, priors counted, that allow for the residuals' colour."""
+        return self._known(np.sqrt(np.diag(self.corrected)))
+
+    @property
+    def inseparable(self) -> tuple[Inseparable, ...]:
+        """Sets of parameters that the record, with the priors, cannot separate."""
+        units = tuple(p.unit for p in self.parameters)
+        return inseparable(self.names, units, self.estimate, self.covariance, self.sd_corrected)
+
+    @property
+    def thinned(self) -> Float[np.ndarray, "w m c j"]:
+        """Means of residual and sensitivities over `THINNED` samples."""
+        w, n, c, j = self.columns.shape
+        whole = n // THINNED * THINNED
+        return self.columns[:, :whole].reshape(w, -1, THINNED, c, j).mean(axis=2)
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        """Parameters of which the record says next to nothing: their priors hold them."""
+        with np.errstate(divide="ignore"):
+            prior = self.priors.precision**-0.5
+        return tuple(n for n, sd, own in zip(self.names, self.sd, prior, strict=True) if sd > HELD * own)
+
+
+def _sound(A: Float[np.ndarray, "k k"]) -> bool:
+    """Whether an information matrix is one: of an unstable flight rounding may have made it indefinite."""
+    size = np.diag(A)
+    if not np.all(size > 0.0):
+        return False
+    return bool(np.linalg.eigvalsh(A / np.sqrt(np.outer(size, size)))[0] > INDEFINITE)
+
+
+def _undetermined(A: Float[np.ndarray, "k k"], moving: Bool[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+    """Of the `moving` parameters those that an information matrix without priors says nothing of, alone or together."""
+    size = np.diag(A)
+    found = moving & (size <= 0.0)
+    told = np.flatnonzero(moving & (size > 0.0))
+    if not len(told):
+        return found
+    scale = np.sqrt(size[told])
+    values, vectors = np.linalg.eigh(A[np.ix_(told, told)] / np.outer(scale, scale))
+    found[told] = np.max(np.abs(vectors[:, values < SINGULAR]), axis=1, initial=0.0) > SHARE
+    return found
+
+
+def result_of(
+    flown: Flown,
+    point: Point,
+    prior: Priors,
+    *,
+    converged: bool,
+    iterations: int,
+    active: np.ndarray,
+    rest: np.ndarray,
+) -> OutputErrorResult:
+    """The result at a point; parameters that `rest` have no deviation, `active` ones lie at a bound."""
+    w, s = point.departure.shape
+    A, eliminated = np.diag(prior.precision), np.zeros((w, s, len(point.theta)))
+    if math.isfinite(point.cost):
+        found, _, local = reduced(point, prior)
+        told = (np.diag(found) > 0.0) | (prior.precision > 0.0)  # without a prior there may be nothing to know
+        if _sound(found[np.ix_(told, told)]):
+            A, eliminated = found, local.inverse @ local.cross
+    free = flown.dynamics.free
+    at_bound = tuple(p.name for p, a in zip(free, active & ~rest, strict=True) if a)
+    if point.normal.inside < 1.0:
+        status = OutputErrorStatus.LEFT_ENVELOPE
+    elif not converged:
+        status = OutputErrorStatus.NOT_CONVERGED
+    else:
+        status = OutputErrorStatus.AT_BOUND if at_bound else OutputErrorStatus.CONVERGED
+    columns = np.concatenate(point.normal.columns)[:w]
+    residual = columns[..., 0] * flown.swell
+    lost = _undetermined(A, ~rest & (prior.precision == 0.0))
+    known = ~rest & ~lost
+    moving = np.ix_(known, known)
+    scale = np.sqrt(np.diag(A)[known])
+    covariance = np.zeros_like(A)
+    covariance[moving] = np.linalg.pinv(A[moving] / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+    return OutputErrorResult(
+        flown=flown,
+        parameters=free,
+        estimate=point.theta,
+        departure=point.departure,
+        R=point.R,
+        cost=point.cost,
+        covariance=covariance,
+        information=A - np.diag(prior.precision),
+        priors=prior,
+        rms=np.sqrt(np.sum(residual**2, axis=1) / np.maximum(point.normal.count, 1.0)[:, None]),
+        status=status,
+        iterations=iterations,
+        at_bound=at_bound,
+        columns=columns,
+        eliminated=eliminated,
+        undetermined=tuple(p.name for p, unknown in zip(free, lost, strict=True) if unknown),
+    )

@@ -1,0 +1,1 @@
+"""Posterior: samplers, diagnostics, dependence on priors."""

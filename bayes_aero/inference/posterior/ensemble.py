@@ -1,0 +1,236 @@
+"""The posterior by emcee: several independent ensembles on the one density."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import emcee
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_aero.inference.posterior.checkpoint import BurnIn, Checkpoint, Stretch
+from bayes_aero.inference.posterior.laplace import Mode
+from bayes_aero.inference.posterior.posterior import Posterior, assemble, constrain_draws, converged, diagnose
+from bayes_aero.inference.threads import cores
+from bayes_aero.model.log_density import LogDensity
+
+ENSEMBLES = 4
+DEGREES = 5.0  # of freedom of the independence proposal: tails heavier than the posterior's
+INDEPENDENT = 0.7  # share of independence moves; the rest is differential evolution, which needs no good proposal
+BURN_IN = 150  # steps of one round
+ROUNDS = 4
+ENOUGH_GAINED = 1.1  # another round follows while the acceptance rises by this factor
+CHUNK = 100
+MAX_STEPS = 4000
+AUTOCORRELATION_TIMES = 30  # a run must be this long before its autocorrelation time is believed
+
+
+@eqx.filter_jit
+def _log_density(density: LogDensity, u: Float[Array, " k"], factor: Float[Array, "k k"], v: Float[Array, "m k"]):
+    """Log-density of whitened coordinates, one row a walker."""
+    return jax.vmap(lambda row: density(u + factor @ row))(v)
+
+
+class _Independent:
+    """Metropolis-Hastings proposal from one multivariate Student t, the same for every walker."""
+
+    def __init__(self, centre: np.ndarray, factor: np.ndarray) -> None:
+        self.centre, self.factor, self.inverse = centre, factor, np.linalg.inv(factor)
+
+    def _log_density(self, v: np.ndarray) -> np.ndarray:
+        squared = np.sum(((v - self.centre) @ self.inverse.T) ** 2, axis=1)
+        return -0.5 * (DEGREES + v.shape[1]) * np.log1p(squared / DEGREES)
+
+    def __call__(self, coords: np.ndarray, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
+        normal = random.standard_normal(coords.shape)
+        spread = np.sqrt(DEGREES / random.chisquare(DEGREES, size=(len(coords), 1)))
+        proposed = self.centre + (normal * spread) @ self.factor.T
+        return proposed, self._log_density(coords) - self._log_density(proposed)
+
+
+class _Target:
+    """The density as emcee calls it; non-finite values are counted, not hidden."""
+
+    def __init__(self, density: LogDensity, mode: Mode) -> None:
+        self.density, self.rejected = density, 0
+        self.frame = jnp.asarray(mode.u), jnp.asarray(mode.factor)
+
+    def __call__(self, v: np.ndarray) -> np.ndarray:
+        value = np.asarray(_log_density(self.density, *self.frame, jnp.asarray(v)))
+        bad = ~np.isfinite(value)
+        self.rejected += int(bad.sum())
+        return np.where(bad, -np.inf, value)
+
+
+def _sampler(
+    target: _Target,
+    walkers: int,
+    proposal: _Independent,
+    seed: int | None,
+    backend: emcee.backends.Backend | None = None,
+) -> emcee.EnsembleSampler:
+    """With `backend` it goes on behind that chain, from the state of the generator that is kept with it."""
+    size = target.density.size
+    moves = [(emcee.moves.MHMove(proposal), INDEPENDENT), (emcee.moves.DEMove(), 1.0 - INDEPENDENT)]
+    sampler = emcee.EnsembleSampler(walkers, size, target, moves=moves, vectorize=True, backend=backend)
+    if backend is None:
+        sampler.random_state = np.random.RandomState(seed).get_state()  # emcee takes this generator only
+    return sampler
+
+
+def _burnt_in(
+    target: _Target, walkers: int, ensembles: int, seed: int, store: Checkpoint | None, known: BurnIn | None
+) -> BurnIn:
+    """Where the ensembles begin, with the proposal fitted to what all of them found while burning in.
+
+    The fit is repeated while it still raises the acceptance much: a skewed posterior is reached in several rounds.
+    `known` is what an earlier run has left of it.
+    """
+    size = target.density.size
+    if known is None:
+        begin = np.random.default_rng(seed).standard_normal((ensembles, walkers, size)) * 0.5
+        known = BurnIn(begin, np.zeros(size), np.eye(size), 0.0, 0, False, 0)
+    target.rejected = known.rejected
+    while not known.over:
+        number, begin, before = known.rounds, known.begin, known.accepted
+        proposal = _Independent(known.centre, known.factor)
+        samplers = [_sampler(target, walkers, proposal, _seed(seed, i, number)) for i in range(ensembles)]
+        _advance(samplers, BURN_IN, begin)
+        begin = np.stack([np.asarray(s.get_chain())[-1] for s in samplers])
+        found = np.concatenate([np.asarray(s.get_chain(discard=BURN_IN // 3, flat=True)) for s in samplers])
+        accepted = float(np.mean([s.acceptance_fraction for s in samplers]))
+        over = accepted < ENOUGH_GAINED * before or number + 1 == ROUNDS
+        factor = np.linalg.cholesky(np.cov(found.T))
+        known = BurnIn(begin, found.mean(axis=0), factor, accepted, number + 1, over, target.rejected)
+        if store:
+            store.keep_burn_in(known)
+    return known
+
+
+def _continued(
+    target: _Target, walkers: int, ensembles: int, seed: int, known: BurnIn, steps: Stretch | None
+) -> list[emcee.EnsembleSampler]:
+    """Samplers after the burn-in, with the steps that they have made already."""
+    proposal = _Independent(known.centre, known.factor)
+    if steps is None:
+        samplers = [_sampler(target, walkers, proposal, _seed(seed, i, ROUNDS)) for i in range(ensembles)]
+        _advance(samplers, CHUNK, known.begin)
+        return samplers
+    target.rejected = steps.rejected
+    samplers = []
+    for i, state in enumerate(steps.random_states):
+        backend = emcee.backends.Backend()
+        backend.reset(walkers, target.density.size)
+        backend.chain, backend.log_prob, backend.accepted = steps.chain[i], steps.log_prob[i], steps.accepted[i]
+        backend.iteration, backend.random_state = steps.chain.shape[1], state
+        samplers.append(_sampler(target, walkers, proposal, None, backend))
+    return samplers
+
+
+def _keep(samplers: list[emcee.EnsembleSampler], target: _Target, store: Checkpoint, kept: int) -> int:
+    """Put the steps beyond the `kept` ones on disk; the number of all."""
+    steps = samplers[0].iteration
+    if steps > kept:
+        backends = [s.backend for s in samplers]
+        chain, log_prob = (np.stack([getattr(b, key)[kept:steps] for b in backends]) for key in ("chain", "log_prob"))
+        accepted, states = np.stack([b.accepted for b in backends]), [b.random_state for b in backends]
+        store.keep(Stretch.of(chain, log_prob, accepted, states, target.rejected), kept)
+    return steps
+
+
+def _seed(seed: int, ensemble: int, number: int) -> int:
+    """A seed of its own for every run, within what the generator takes."""
+    return (1000 * seed + 10 * ensemble + number) % 2**32
+
+
+def _advance(samplers: list[emcee.EnsembleSampler], steps: int, begin: np.ndarray | None = None) -> None:
+    """Every ensemble by `steps`, one thread a core: they share nothing, and the density runs outside Python's lock."""
+    starts = [None] * len(samplers) if begin is None else list(begin)
+    with ThreadPoolExecutor(min(len(samplers), cores())) as pool:
+        list(pool.map(lambda sampler, start: sampler.run_mcmc(start, steps), samplers, starts))
+
+
+def _autocorrelation_time(samplers: list[emcee.EnsembleSampler]) -> float:
+    """Steps, of the slowest parameter, over the walkers of all ensembles, which move alike; infinite while it is not
+    defined, as when a walker has never moved."""
+    chain = np.concatenate([np.asarray(s.get_chain()) for s in samplers], axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        slowest = float(np.max(emcee.autocorr.integrated_time(chain, tol=0, quiet=True)))
+    return slowest if np.isfinite(slowest) else np.inf
+
+
+def _chains(samplers: list[emcee.EnsembleSampler], thin: int) -> Float[np.ndarray, "chain draw k"]:
+    """One chain per ensemble, its walkers end to end: so R-hat compares ensembles and ESS sees each walker's memory."""
+    chains = [np.asarray(s.get_chain(thin=thin)) for s in samplers]
+    return np.stack([np.swapaxes(chain, 0, 1).reshape(-1, chain.shape[2]) for chain in chains])
+
+
+def sample_ensemble(
+    density: LogDensity,
+    mode: Mode,
+    *,
+    seed: int = 0,
+    ensembles: int = ENSEMBLES,
+    max_steps: int = MAX_STEPS,
+    progress: Callable[[str, float], None] | None = None,
+    predictive: bool = True,
+    checkpoint: Checkpoint | None = None,
+) -> Posterior:
+    """Sample until every parameter reaches the targets of ESS and R-hat and the run spans many autocorrelation times.
+
+    Moves, chosen by measurement (benchmarks/README.md): independence proposals from a Student t fitted to the burn-in,
+    mixed with differential evolution. The proposal is frozen before the kept draws begin. `progress(text, share)` is
+    called after every stretch of steps. With a `checkpoint` every stretch is on disk before the next begins, and a run
+    that was killed goes on behind the last one, to the chain that it would have had.
+    """
+    began = time.perf_counter()
+    walkers = 2 * (density.size + 2)
+    target = _Target(density, mode)
+    settings = np.array([seed, ensembles, walkers, CHUNK, BURN_IN, ROUNDS])
+    known, steps_made = checkpoint.begin(mode.u, mode.factor, settings) if checkpoint else (None, None)
+    known = _burnt_in(target, walkers, ensembles, seed, checkpoint, known)
+    samplers = _continued(target, walkers, ensembles, seed, known, steps_made)
+    kept = 0 if steps_made is None else samplers[0].iteration
+    while True:
+        if checkpoint:
+            kept = _keep(samplers, target, checkpoint, kept)
+        tau = _autocorrelation_time(samplers)
+        steps = samplers[0].iteration
+        if progress:
+            progress(f"emcee: {steps} steps", min(1.0, steps / (AUTOCORRELATION_TIMES * tau)))
+        if steps >= AUTOCORRELATION_TIMES * tau or steps >= max_steps:
+            thin = max(1, int(tau / 2)) if np.isfinite(tau) else 1  # draws closer than that say nearly the same
+            x = np.asarray(constrain_draws(density, jnp.asarray(mode.unwhiten(_chains(samplers, thin)))))
+            marginals = diagnose(x, density.names)
+            if converged(marginals) or steps >= max_steps:
+                break
+        _advance(samplers, CHUNK)
+    length = np.asarray(samplers[0].get_chain(thin=thin)).shape[0]
+    stats = {
+        "lp": np.stack([np.asarray(s.get_log_prob(thin=thin)).T.ravel() for s in samplers]),
+        "walker": np.tile(np.repeat(np.arange(walkers), length), (ensembles, 1)),
+    }
+    posterior = assemble(
+        density,
+        x,
+        engine="emcee",
+        seed=seed,
+        seconds=time.perf_counter() - began,
+        sample_stats=stats,
+        marginals=marginals,
+        predictive=predictive,
+    )
+    posterior.tree.attrs |= {
+        "steps": steps,
+        "thinned_by": thin,
+        "autocorrelation_time": tau,
+        "acceptance": float(np.mean([s.acceptance_fraction.mean() for s in samplers])),
+        "non_finite_densities": target.rejected,
+        "walkers": walkers,
+    }
+    return posterior

@@ -1,0 +1,1 @@
+"""What residuals that are not white do to standard errors."""

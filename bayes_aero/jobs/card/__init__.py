@@ -1,0 +1,1 @@
+"""A starter card from the columns of a file."""

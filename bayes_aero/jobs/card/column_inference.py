@@ -1,0 +1,295 @@
+"""Guess what the columns of an unknown file are: names from headings, units and signs from the values' own physics.
+
+Nothing here is certain, and every guess carries its evidence: it is meant to be read by a person.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+
+import numpy as np
+
+from bayes_aero.flight.aliases import ALIASES, plain_heading, split_heading, symbol_of
+from bayes_aero.flight.reading.raw import RawColumn
+from bayes_aero.jobs.card.column_statistics import SI, Guess, largest, slope_of, smooth, step_of
+from bayes_aero.physics.atmosphere import GRAVITY
+from bayes_aero.units import canonical, to_si
+
+ALIKE = 0.84  # likeness of a heading to a known one
+ANGLE = 1.6  # rad; no angle of attack, attitude or deflection of a sound record is larger
+THIN = 0.004  # kg/m3; slug/ft3 at sea level are 0.0024, and no aircraft flies where air is as thin in kg/m3
+MIDDLING = 0.9  # kg/m3, within a third of the air's from sea level to 6 km
+USUAL = (("m/s", "m"), ("kt", "ft"), ("ft/s", "ft"), ("km/h", "m"))  # units of airspeed and height in one file
+UNTOLD = 0.2  # logarithm of a ratio, within which short records cannot tell two pairs; our choice
+CLEAR = 0.9  # correlation from which noise lessens a slope by a fifth at most; our choice
+FRACTIONS = ("n1_left", "n1_right", "throttle", "throttle_left", "throttle_right")
+
+
+def guessed(columns: Sequence[RawColumn]) -> tuple[dict[str, Guess], list[RawColumn]]:
+    """Channels by name, and the columns that remain unknown."""
+    found: dict[str, Guess] = {}
+    unknown = []
+    for loose in (False, True):  # exact names first, so that a resemblance never takes a place
+        for column in columns:
+            if any(guess.column is column for guess in found.values()):
+                continue
+            guess = _named(column, loose)
+            if guess is not None and guess.channel not in found:
+                found[guess.channel] = guess
+            elif loose:
+                unknown.append(column)
+    found = _time(found)
+    found = _angles(found)
+    found = _rates(found)
+    found = _rates_of_rates(found)
+    found = _accelerations(found)
+    found = _speed_and_height(found)
+    found = _dynamic_pressure(found)
+    found = {name: _by_size(guess) for name, guess in found.items()}
+    found = _elevator(found)
+    return found, unknown
+
+
+def _named(column: RawColumn, loose: bool) -> Guess | None:
+    """By the first of its names that says something; files with two rows of names have two."""
+    if column.label is None or column.values is None:
+        return None
+    names = dict.fromkeys((column.label, *column.heading.names))
+    return next((guess for name in names if (guess := _called(column, name, loose)) is not None), None)
+
+
+def _called(column: RawColumn, name: str, loose: bool) -> Guess | None:
+    heading = name
+    key, evidence = split_heading(heading)[0], f"the heading {name!r}"
+    channel = ALIASES.get(key)
+    if channel is None:
+        heading = plain_heading(name)
+        key = split_heading(heading)[0]
+        channel = ALIASES.get(key)
+    if channel is None and loose and len(key) > 3:
+        close = get_close_matches(key, ALIASES, n=1, cutoff=ALIKE)
+        channel = ALIASES[close[0]] if close else None
+        evidence += f" resembles {close[0]!r}" if close else ""
+    symbol = symbol_of(name) if channel is None and loose else None
+    if symbol is not None:
+        channel = ALIASES[symbol]
+        evidence += f" ends with {symbol!r}"
+    if channel is None:
+        return None
+    si = SI.get(channel)
+    told = [column.unit, split_heading(heading, si)[1], split_heading(symbol, si)[1] if symbol else None]
+    said = (canonical(unit, si) for unit in told if unit)
+    unit = next((u for u in said if u and _fits(u, channel)), None)
+    return Guess(channel, column, unit, evidence=evidence + (f" and its unit {unit}" if unit else ""))
+
+
+def _fits(unit: str, channel: str) -> bool:
+    """Whether values in this unit can be the channel."""
+    try:
+        to_si(0.0, unit, channel, SI.get(channel))
+    except ValueError:
+        return False
+    return True
+
+
+def _time(found: dict[str, Guess]) -> dict[str, Guess]:
+    guess = found.get("time")
+    if guess is None or guess.unit is not None:
+        return found
+    step = float(np.median(np.diff(guess.values)))
+    unit = "ms" if step > 2.0 else "s"
+    return found | {"time": guess.because(f"its median step is {step:.6g}", unit=unit)}
+
+
+def _angles(found: dict[str, Guess]) -> dict[str, Guess]:
+    """Beyond 1.6 it can only be degrees; smaller ones go with the rest of the file."""
+    angles = {name: g for name, g in found.items() if SI.get(name) == "rad"}
+    large = [n for n, g in angles.items() if g.unit is None and largest(g) > ANGLE]
+    stated = [g.unit for g in angles.values() if g.unit is not None]
+    degrees = bool(large) or (bool(stated) and all(u == "deg" for u in stated))
+    for name, guess in angles.items():
+        if guess.unit is None:
+            why = f"it reaches {largest(guess):.3g}"
+            if name not in large:
+                why += ", and other angles of the file are in degrees" if degrees else ", too little for degrees"
+            found[name] = guess.because(why, unit="deg" if degrees else "rad")
+    return found
+
+
+def _rates(found: dict[str, Guess]) -> dict[str, Guess]:
+    """Unit and sign of a rate from the attitude that it changes."""
+    step = step_of(found)
+    for name, attitude in (("p", "phi"), ("q", "theta"), ("r", "psi")):
+        guess, angle = found.get(name), found.get(attitude)
+        if guess is None:
+            continue
+        slope = None
+        if step is not None and angle is not None and np.ptp(angle.si) > 0.0:
+            slope = slope_of(guess.values, np.gradient(smooth(np.unwrap(angle.si))) / step)
+        if slope is None or abs(slope) < 1e-3 or name == "r":  # heading alone tells little of the yaw rate
+            unit = guess.unit or ("deg/s" if largest(guess) > ANGLE or _degrees(found) else "rad/s")
+            found[name] = guess if guess.unit else guess.because(f"it reaches {largest(guess):.3g}", unit=unit)
+            continue
+        unit = guess.unit or ("rad/s" if abs(slope) > math.sqrt(math.pi / 180.0) else "deg/s")
+        expected = 1.0 if unit == "rad/s" else math.pi / 180.0
+        found[name] = guess.because(
+            f"{attitude} changes at {slope / expected:.2g} times it", unit=unit, sign=1 if slope > 0.0 else -1
+        )
+    return found
+
+
+def _rates_of_rates(found: dict[str, Guess]) -> dict[str, Guess]:
+    """Unit of an angular acceleration from the rate that it changes."""
+    step = step_of(found)
+    for name, of in (("p_dot", "p"), ("q_dot", "q"), ("r_dot", "r"), ("alpha_dot", "alpha"), ("beta_dot", "beta")):
+        guess, rate = found.get(name), found.get(of)
+        if guess is None or guess.unit is not None or rate is None or step is None:
+            continue
+        slope = slope_of(smooth(guess.values), np.gradient(smooth(rate.si)) / step)
+        if slope is not None and slope > 1e-3:
+            radians = slope > math.sqrt(math.pi / 180.0)
+            unit = SI[name] if radians else SI[name].replace("rad", "deg")
+            ratio = slope / (1.0 if radians else math.pi / 180.0)
+            found[name] = guess.because(f"{of} changes at {ratio:.2g} times it", unit=unit)
+    return found
+
+
+def _degrees(found: Mapping[str, Guess]) -> bool:
+    units = [g.unit for name, g in found.items() if SI.get(name) == "rad"]
+    return units.count("deg") > len(units) / 2
+
+
+def _accelerations(found: dict[str, Guess]) -> dict[str, Guess]:
+    """Level flight shows gravity: 1, 9.8 or 32 tells the unit of all three, its sign the direction of az."""
+    az = found.get("az")
+    level = None if az is None else float(np.median(az.values))
+    unit = None
+    if az is not None and level:
+        scales = {"g": 1.0, "m/s^2": GRAVITY, "ft/s^2": GRAVITY / 0.3048}
+        unit = az.unit or min(scales, key=lambda u: abs(math.log(abs(level) / scales[u])))
+        why = f"its median is {level:.3g}, and level flight has -1 g"
+        found["az"] = az.because(why, unit=unit, sign=-1 if level > 0.0 else 1)
+    for name in ("ax", "ay"):
+        guess = found.get(name)
+        if guess is not None and guess.unit is None:
+            found[name] = guess.because("as az" if unit else "no az to compare it with", unit=unit or "m/s^2")
+    return found
+
+
+def _speed_and_height(found: dict[str, Guess]) -> dict[str, Guess]:
+    """The climb: height changes by airspeed times the sine of the path angle, which tells the two units together.
+
+    Pairs as km/h with ft and m/s with m differ there by 9 per cent only, and ft/s with ft from m/s with m by nothing:
+    the airspeed at which the path turns decides, where it can be told; of pairs
+    that fit alike, the more usual is taken.
+    """
+    speed, height = found.get("airspeed"), found.get("altitude")
+    speeds = {"m/s": 1.0, "kt": 0.514444, "km/h": 1.0 / 3.6, "ft/s": 0.3048}
+    heights = {"m": 1.0, "ft": 0.3048}
+    slope, step = None, step_of(found)
+    if step is not None and all(name in found for name in ("airspeed", "altitude", "theta", "alpha")):
+        path = found["theta"].si - found["alpha"].si
+        climb = np.gradient(smooth(found["altitude"].values)) / step
+        if np.std(path) > 0.01:
+            slope = slope_of(found["airspeed"].values * np.sin(smooth(path)), climb)
+    if slope is not None and slope > 0.0 and speed is not None and height is not None:
+        every = dict.fromkeys((*USUAL, *((v, h) for v in speeds for h in heights)))
+        pairs = [(v, h) for v, h in every if speed.unit in (None, v) and height.unit in (None, h)]
+        if pairs:
+            turning, middle = _turning_speed(found), float(np.median(speed.values))
+
+            def misfit(pair: tuple[str, str]) -> float:
+                v, h = speeds[pair[0]], heights[pair[1]]
+                turn = 0.0 if turning is None or middle <= 0.0 else abs(math.log(middle * v / turning))
+                return abs(math.log(slope * h / v)) + turn
+
+            best = min(map(misfit, pairs))
+            v, h = next(pair for pair in pairs if misfit(pair) < best + UNTOLD)
+            ratio = slope * heights[h] / speeds[v]
+            why = f"height changes at {ratio:.2g} times airspeed x sin(theta - alpha) in {v} and {h}"
+            why += "" if turning is None else f", and az and q say {turning / speeds[v]:.2g} {v}"
+            return found | {"airspeed": speed.because(why, unit=v), "altitude": height.because(why, unit=h)}
+    for name, unit, other in (("airspeed", "m/s", "kt"), ("calibrated_airspeed", "m/s", "kt"), ("altitude", "m", "ft")):
+        guess = found.get(name)
+        if guess is not None and guess.unit is None:
+            found[name] = guess.because(f"nothing in the file tells {unit} from {other}", unit=unit)
+    return found
+
+
+def _turning_speed(found: Mapping[str, Guess]) -> float | None:
+    """Airspeed in m/s at which the path turns: az + g cos(theta) = V (d alpha/dt - q); None where that cannot be seen.
+
+    Small angles and level wings.
+    """
+    step, names = step_of(found), ("az", "theta", "alpha", "q")
+    if step is None or not all(name in found for name in names):
+        return None
+    az, theta, alpha, q = (smooth(found[name].si) for name in names)
+    turn, normal = np.gradient(alpha) / step - q, az + GRAVITY * np.cos(theta)
+    if min(np.ptp(turn), np.ptp(normal)) == 0.0 or np.corrcoef(turn, normal)[0, 1] < CLEAR:
+        return None  # straight flight, or noise that would make the slope too small
+    return slope_of(turn, normal)
+
+
+def _dynamic_pressure(found: dict[str, Guess]) -> dict[str, Guess]:
+    """Unit in which it makes air of the recorded density, or else of some density, at the airspeed."""
+    guess, speed = found.get("dynamic_pressure"), found.get("airspeed")
+    if guess is None or guess.unit is not None or speed is None or speed.unit is None:
+        return found
+    density = found.get("density")
+    rho = float(np.median(density.si)) if density and density.unit else MIDDLING
+    ratio = float(np.median(guess.values)) / (0.5 * rho * float(np.median(speed.si)) ** 2 or 1.0)
+    if not ratio > 0.0:
+        return found
+    sizes = {u: float(to_si(1.0, u, "dynamic_pressure", "Pa")) for u in ("Pa", "hPa", "kPa", "lbf/ft^2", "psi")}
+    unit = min(sizes, key=lambda u: abs(math.log(ratio * sizes[u])))
+    why = f"it is {ratio * sizes[unit]:.2g} times half of density times airspeed squared in {unit}"
+    return found | {"dynamic_pressure": guess.because(why, unit=unit)}
+
+
+def _by_size(guess: Guess) -> Guess:
+    """What is left, by the size of its values."""
+    if guess.unit is not None:
+        return guess
+    size, middle = largest(guess), float(np.median(guess.values))
+    choices = {
+        "static_temperature": ("K" if middle > 150.0 else "degC"),
+        "static_pressure": ("Pa" if size > 1200.0 else "hPa"),
+        **dict.fromkeys(FRACTIONS, "%" if size > 2.0 else "1"),
+        **dict.fromkeys(("alpha_dot", "beta_dot"), "deg/s" if size > ANGLE else "rad/s"),
+        "engine_speed": "rpm",
+        "density": "slug/ft^3" if middle < THIN else "kg/m^3",
+        "calibrated_airspeed": "m/s",
+        "radio_altitude": "ft" if size > 13_000.0 else "m",
+    }
+    unit = choices.get(guess.channel, SI.get(guess.channel, "1"))
+    if guess.channel.startswith("thrust"):
+        if size > 300.0:
+            return guess.because(f"it reaches {size:.4g}, and nothing in the file tells N from lbf")
+        unit = "kN"
+    return guess.because(f"it reaches {size:.4g}", unit=unit)
+
+
+def _elevator(found: dict[str, Guess]) -> dict[str, Guess]:
+    """Trailing edge down pitches the nose down: the sign that pitch acceleration shows, alpha and q accounted for."""
+    step = step_of(found)
+    if step is None or not all(name in found for name in ("elevator", "q", "alpha")):
+        return found
+    elevator = found["elevator"]
+    slope = pitch_response(elevator.si, found["alpha"].si, found["q"].si, step)
+    if slope == 0.0:
+        return found
+    why = f"pitch acceleration follows it with {slope:+.2g} 1/s^2 a rad; trailing edge down positive has a minus"
+    return found | {"elevator": elevator.because(why, sign=-1 if slope > 0.0 else 1)}
+
+
+def pitch_response(elevator: np.ndarray, alpha: np.ndarray, q: np.ndarray, step: float) -> float:
+    """Pitch acceleration a rad of elevator, 1/s^2, by least squares beside alpha and q; 0 if it stands still."""
+    if np.ptp(elevator) == 0.0:
+        return 0.0
+    q = smooth(q)
+    columns = [elevator, alpha, q, np.ones_like(q)]
+    slope, *_ = np.linalg.lstsq(np.stack([smooth(x) for x in columns], axis=1), np.gradient(q) / step, rcond=None)
+    return float(slope[0])

@@ -1,0 +1,150 @@
+"""The diagnosis as a job: records in, what the model gets wrong out; numbers are on disk as soon as they are known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayes_aero.diagnosis.consistency.consistency import errors_of_diagnosis
+from bayes_aero.diagnosis.diagnose import diagnose, judged_on_held_out_flights
+from bayes_aero.diagnosis.result import Diagnosis
+from bayes_aero.diagnosis.settings import DiagnosisSettings
+from bayes_aero.diagnosis.trajectories.noise_check import with_tested
+from bayes_aero.diagnosis.trajectories.trajectories import Trajectories
+from bayes_aero.dynamics.plant import flies
+from bayes_aero.effect import Kind
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.health import channel_health
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.threads import blas_threads, cores
+from bayes_aero.jobs.io.output_folder import writable
+from bayes_aero.jobs.io.result_store import Hidden, Kept, Outcome
+from bayes_aero.jobs.io.resume import RESTS_ON, Unfinished, digest
+from bayes_aero.jobs.provenance.environment import rests_on
+from bayes_aero.jobs.provenance.provenance import provenance
+from bayes_aero.jobs.steps.background import beside
+from bayes_aero.jobs.steps.post_processing import Predict, drawings, follow
+from bayes_aero.jobs.steps.sensors_first import sensors_agree
+from bayes_aero.model.model import Model
+from bayes_aero.report.diagnosis_view import DiagnosisView, view_of
+from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FLOWN_FIGURES
+from bayes_aero.simulate.injection import draw_hidden, flyable
+
+Progress = Callable[[str, float], None]
+Fly = Callable[[Diagnosis, Progress | None], Trajectories]
+
+
+def hide_one(card: Card, seed: int, **options: Any) -> tuple[Hidden, list[FlightRecord]]:
+    """One effect that the card's model lacks, drawn at random, hidden in simulated manoeuvres."""
+    Model.from_card(card)  # a card without effects says so before anything is flown
+    rng = np.random.default_rng([seed, 4])
+    names = [
+        e.name
+        for e in CATALOGUE.values()
+        if e.candidate
+        and flies(e)
+        and e.kind is not Kind.NOISE
+        and draw_hidden(np.random.default_rng(0), e.name)
+        and _absent(card, e.name)
+    ]
+    failure = InputError("no effect of the catalogue can be hidden")
+    for name in rng.permutation(names)[:5]:
+        try:
+            effects, flights = flyable([str(name)], seed=seed, card=card, **options)
+        except InputError as error:
+            failure = error
+            continue
+        return effects, [flight.record for flight in flights]
+    raise failure
+
+
+def _absent(card: Card, name: str) -> bool:
+    """Whether the card's model lacks an effect, or holds it at neutral."""
+    return name not in card.effects or all(card.fixed.get(p.name) == p.neutral for p in CATALOGUE[name].parameters)
+
+
+def run(
+    records: Sequence[FlightRecord],
+    card: Card,
+    *,
+    out: Path | None = None,
+    seed: int = 0,
+    most: int = 8,
+    hidden: Hidden | None = None,
+    predict: Predict | None = None,
+    fly: Fly | None = None,
+    figures: bool = True,
+    progress: Progress | None = None,
+) -> Outcome:
+    """Diagnose, as `bayes-aero diagnose` does, by coefficients or, where an accelerometer is missing, by trajectories
+    alone; with `out` it writes diagnosis.json, causes.csv, screen.csv,
+    histories.nc, figures and report.html. The same call after an interruption takes up the stages that are there.
+
+    `most` is the number of effects that each stage may add. `predict` adds the comparison of predictors, which may
+    fail (the reason is then a note), and the manoeuvres that would separate ambiguity sets. `fly` adds simulated
+    trajectories. `hidden` is what simulated records hide, for the comparison with what was found.
+    """
+    if out is not None:
+        writable(out)
+    source = provenance(card, records, seed, {"max_effects": most})
+    source[RESTS_ON] = digest(rests_on(source, records) | {"settings": source["settings"]})
+    unfinished = Unfinished(out, source[RESTS_ON])
+    if progress:
+        progress("do the sensors agree?", 0.0)
+    found = diagnose(records, card, settings=DiagnosisSettings(max_effects=most), seed=seed, progress=progress)
+    alone = not found.by_coefficients
+    predict = None if alone else predict
+    agreement, failed = sensors_agree(records, card, seed, out, known=None if alone else errors_of_diagnosis(found))
+    view = view_of(found)
+    causes = view.diagnosis.causes
+    earlier = unfinished.earlier(
+        card, causes, predictors=predict is not None, trajectories=fly is not None and not alone
+    )
+    named = {name: _found(view.diagnosis, name) for name in hidden} if hidden else {}
+    outcome = Outcome(view, hidden, named, (), channel_health(records, card), agreement)
+    kept = Kept(replace(outcome, failures=(*failed, *found.failures)), out, card, records, source, earlier)
+    unfinished.begin()
+    shown = DIAGNOSIS_FIGURES if figures else {}
+    early, late = ({n: draw for n, draw in shown.items() if (n in FLOWN_FIGURES) == x} for x in (False, True))
+    job = partial(follow, kept, predict, early)
+    with blas_threads(0), beside(job, progress) as following:  # one limit: of two, the first to end would lift both
+        if cores() == 1:
+            following.result()
+        if fly is not None and not kept.has("trajectories"):
+            kept.attempt("Trajectories were not simulated", lambda: kept.trajectories(fly(view.diagnosis, progress)))
+        if alone:
+            kept.judged(_judged(kept.outcome.view, records, card))
+            if fly is None and causes:
+                kept.note("Without trajectories no cause was tested on hold-out flights.")
+        drawn = following.result()
+    if out is not None:
+        drawn |= drawings(kept, late, progress)
+        if progress:
+            progress("report", 0.0)
+        kept.put_page(drawn)
+    if not kept.outcome.failures:  # else the same command does again what failed
+        unfinished.end()
+    return kept.outcome
+
+
+def _judged(view: DiagnosisView, records: Sequence[FlightRecord], card: Card) -> Diagnosis:
+    """A diagnosis by trajectories alone with what hold-out flights and the sensors' noise say of it."""
+    flown = view.trajectories
+    found = view.diagnosis if flown is None else judged_on_held_out_flights(view.diagnosis, flown.asked)
+    return with_tested(found, flown, records, card)
+
+
+def _found(diagnosis: Diagnosis, name: str) -> str:
+    names = [c.name for c in diagnosis.causes]
+    if name in names:
+        return "first" if names[0] == name else "named"
+    if any(name in c.ambiguous_with for c in diagnosis.causes):
+        return "ambiguous"
+    return "minor" if name in diagnosis.minor else "missed"

@@ -1,0 +1,307 @@
+"""The job of `bayes-aero fly`: parameters fitted to trajectories by output error; numbers are on disk first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.diagnosis.trajectories.fit_agreement import Disagreement, disagreements
+from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
+from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED, FlownFit, Setting, fit_flown
+from bayes_aero.dynamics.flight import Dynamics, aircraft_dynamics, taken_as_zero
+from bayes_aero.dynamics.linear import linear_dynamics
+from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.errors import InputError, attempted
+from bayes_aero.flight.agreement import Consistency
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.channel_units import channel_units
+from bayes_aero.flight.health import HealthFinding, channel_health
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.likelihood.mle import MleResult, fit_mle
+from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
+from bayes_aero.inference.likelihood.normal_equations import departures
+from bayes_aero.jobs.io.consistency_json import consistency_results
+from bayes_aero.jobs.io.diagnosis_json import record_results
+from bayes_aero.jobs.io.health_json import health_results
+from bayes_aero.jobs.io.identification_json import inseparable_results
+from bayes_aero.jobs.io.output_folder import writable
+from bayes_aero.jobs.io.time_histories import flights, put_histories
+from bayes_aero.jobs.io.trajectories_json import open_loop
+from bayes_aero.jobs.provenance.provenance import provenance, write_json
+from bayes_aero.jobs.steps.sensors_first import sensors_agree
+from bayes_aero.jobs.steps.spike_repair import repaired, spike_notes
+from bayes_aero.jobs.steps.usable_for import uses_of
+from bayes_aero.model.joined_channels import Flights, despiked, join
+from bayes_aero.model.model import Model
+from bayes_aero.model.observations import observe
+from bayes_aero.report.figures.every_figure import draw_all
+from bayes_aero.report.figures.fly import fly_figures
+from bayes_aero.report.html.page import put_page
+from bayes_aero.report.pages.fly import FlyTold, fly_page
+from bayes_aero.report.style import MOST_MANOEUVRES
+from bayes_aero.report.tables.run_tables import write_csv
+from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences, parameter_frame, parameter_rows
+from bayes_aero.report.text.phrases import several
+
+SCHEMA = "bayes_aero/trajectories/1"
+SHORTEST = 1.0  # s of a window: two ends of the straight line from which the initial state is read
+RESULTS = "trajectories.json"
+INITIAL_STATES = FREE, FIXED = "free", "fixed"
+INPUTS = LINEAR, HELD = "linear", "held"
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A fit to trajectories with its findings, in SI and radians.
+
+    `flown.fit` has estimates (k,), standard errors and `det_R`. `sentences` are the findings, `notes` remarks on the
+    input, `failures` parts that failed unexpectedly, `apart` parameters for which the coefficients of the same record
+    give other values.
+    """
+
+    flown: FlownFit
+    sentences: tuple[str, ...]
+    notes: tuple[str, ...]
+    health: tuple[HealthFinding, ...] = ()
+    consistency: Consistency | None = None
+    failures: tuple[str, ...] = ()
+    apart: tuple[Disagreement, ...] = ()
+
+
+def fly(
+    records: Sequence[FlightRecord],
+    card: Card,
+    *,
+    out: Path | None = None,
+    windows: float = WINDOW,
+    initial_state: str = FREE,
+    priors: bool = True,
+    outputs: str | Sequence[str] | None = None,
+    inputs: str = LINEAR,
+    seed: int = 0,
+    figures: bool = True,
+    progress: Progress | None = None,
+) -> Flight:
+    """Fit the card's model to the trajectories of the records (output error), as `bayes-aero fly` does.
+
+    A model of effects starts from the card's values and, if coefficients can be formed, also from their fit.
+
+    Args:
+        records: flights, fitted jointly.
+        card: one with a model of effects or a linear one.
+        out: a folder for trajectories.json, parameters.csv, histories.nc, figures and report.html; None writes nothing.
+        windows: length in s of the windows that are fitted before whole manoeuvres.
+        initial_state: "free", fitted for each manoeuvre, or "fixed": the card's ([fly] initial_state), and where it
+            names none the first sample.
+        priors: False omits all priors from the reported fit, including those of free initial states.
+        outputs: names of the outputs that are compared, a list or separated by commas; default: the card's ([fly]
+            outputs), and without these all recorded ones but altitude and q_dot.
+        inputs: "linear" between samples, or "held" until the next one.
+        seed: of the fit of the coefficients.
+        figures: False draws none.
+        progress: called with a stage and the share of it that is done.
+
+    Returns:
+        The fit (`flown.fit` has estimates, standard errors and `det_R`) with its findings. SI and radians.
+
+    Raises:
+        InputError: the records cannot be simulated with the card, or a setting is unknown.
+
+    Source:
+        Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, ch. 4.
+    """
+    if not (math.isfinite(windows) and windows >= SHORTEST):
+        raise InputError(f"windows of {windows:g} s cannot be flown; give at least {SHORTEST:g} s")
+    setting = _setting(card, initial_state, priors, outputs, inputs)
+    flights, dynamics, notes = _flights(records, card, setting.outputs or ())
+    if out is not None:
+        writable(out)
+    source = provenance(card, records, seed, {"windows": windows} | _told(setting))
+    if progress:
+        progress("do the sensors agree?", 0.0)
+    agreement, failures = sensors_agree(records, card, seed, out)
+    coefficients, failed = attempted(
+        "The coefficients gave no first values",
+        lambda: _of_coefficients(records, card, seed, progress),
+        None,
+        out,
+        own=bool(card.effect_files),
+    )
+    flown = fit_flown(
+        flights,
+        dynamics,
+        {name: STANDARD_CHANNELS[name].unit for name in STANDARD_CHANNELS} | channel_units(card),
+        starts=_starts(coefficients, dynamics),
+        window=windows,
+        tolerances={name: tolerance.value for name, tolerance in card.tolerances.items()},
+        biases=card.output_biases,
+        setting=setting,
+        progress=progress,
+    )
+    apart = () if coefficients is None else disagreements(coefficients, flown)
+    hindered = uses_of(records, card).get("diagnose", "")
+    said = (*fly_sentences(flown, hindered), *disagreement_sentences(apart, hindered))
+    health = channel_health(records, card)
+    found = Flight(flown, said, tuple(notes), health, agreement, (*failures, *failed), apart)
+    if out is None:
+        return found
+    return _written(found, card, records, source, out, figures=figures, progress=progress)
+
+
+def _written(
+    found: Flight,
+    card: Card,
+    records: Sequence[FlightRecord],
+    source: dict[str, Any],
+    out: Path,
+    *,
+    figures: bool,
+    progress: Progress | None,
+) -> Flight:
+    """Numbers first; what cannot be drawn or shown after them is a note, and the numbers are written again with it."""
+
+    def noted(said: Sequence[str], failures: Sequence[str]) -> Flight:
+        more = replace(found, notes=(*found.notes, *said), failures=(*found.failures, *failures))
+        write_json(fly_results(more, card, records, source), out / RESULTS)
+        return more
+
+    write_csv(parameter_frame(found.flown), out / "parameters.csv")
+    together = [replace(path, split=FITTED) for path in found.flown.paths]  # first values and fit side by side
+    found = noted((), ())
+    failed = put_histories(lambda: flights(together, found.flown.units), out)
+    found = noted((), failed) if failed else found
+    drawn: list[Path] = []
+    if figures:
+        drawn, failed = draw_all(fly_figures(found.flown), found.flown, out / "figures", progress)
+        many = len(records) > MOST_MANOEUVRES
+        said = [f"Figures are drawn for up to {MOST_MANOEUVRES} manoeuvres."] if many else []
+        found = noted(said, failed) if said or failed else found
+    if progress:
+        progress("report", 0.95)
+    shown = {path.stem: path for path in drawn}
+    told = FlyTold(card, records, source, found.sentences, found.notes, shown, found.consistency, found.failures)
+    failed = put_page(lambda: fly_page(found.flown, told), out)
+    return noted((), failed) if failed else found
+
+
+def _setting(card: Card, initial_state: str, priors: bool, outputs: str | Sequence[str] | None, inputs: str) -> Setting:
+    """The settings checked; what is not given is the card's."""
+    for name, given, known in (("initial state", initial_state, INITIAL_STATES), ("inputs", inputs, INPUTS)):
+        if given not in known:
+            raise InputError(f"the setting {name} is {given!r}; use {' or '.join(known)}")
+    named = outputs.split(",") if isinstance(outputs, str) else outputs
+    asked = card.fly.outputs if named is None else tuple(dict.fromkeys(name.strip() for name in named))
+    initial = card.fly.initial_state if initial_state == FIXED else None
+    return Setting(asked, initial, priors, inputs == HELD)
+
+
+def _told(setting: Setting) -> dict[str, Any]:
+    """The settings by the names of the options; `outputs` only where they were chosen."""
+    chosen = {} if setting.outputs is None else {"outputs": list(setting.outputs)}
+    return {
+        "initial_state": FREE if setting.initial is None else FIXED,
+        "priors": setting.priors,
+        "inputs": HELD if setting.held else LINEAR,
+        **chosen,
+    }
+
+
+def _flights(
+    records: Sequence[FlightRecord], card: Card, outputs: Sequence[str]
+) -> tuple[Flights, Dynamics, list[str]]:
+    """The records end to end without spikes, what flies them, and what to say of it."""
+    notes: list[str] = []
+    if card.linear is not None:
+        dynamics: Dynamics = linear_dynamics(card)
+        flights, spikes = despiked(join(records, card, dynamics.inputs))
+    else:
+        flights, spikes = despiked(join(records, card, FLIGHT))
+        dynamics = aircraft_dynamics(Model.from_card(card), flights, outputs)
+        still = taken_as_zero(flights)
+        notes += [f"Not recorded, and taken as zero: {several(still)}."] if still else []
+    unseen = [n for n in dynamics.states if n not in flights.channels and n in STANDARD_CHANNELS]
+    notes += [f"States that were not recorded begin at zero or as fitted: {several(unseen)}."] if unseen else []
+    notes += spike_notes(spikes)
+    return flights, dynamics, notes
+
+
+def _of_coefficients(
+    records: Sequence[FlightRecord], card: Card, seed: int, progress: Progress | None
+) -> MleResult | None:
+    """The fit of the coefficients, as `identify` does it, where they can be formed."""
+    if card.linear is not None:
+        return None
+    if progress:
+        progress("coefficients", 0.0)
+    model, (without_spikes, _) = Model.from_card(card), repaired(records)
+    try:
+        found = fit_mle(model, observe(without_spikes, card, model), seed=seed)
+        return without_noise_bias(found, without_spikes, card, model, seed=seed)
+    except InputError:
+        return None
+
+
+def _starts(found: MleResult | None, dynamics: Dynamics) -> list[Float[np.ndarray, " k"]]:
+    """What the fit of the coefficients has found: a trajectory has optima far from the flight."""
+    if found is None:
+        return []
+    near = dict(zip(found.names, found.estimate, strict=True))
+    lower, upper = (np.array([p.bounds[i] for p in dynamics.free], float) for i in (0, 1))
+    start = np.array([near.get(p.name, p.start) for p in dynamics.free])
+    return [np.clip(start, lower, upper)] if np.all(np.isfinite(start)) else []
+
+
+def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], source: dict[str, Any]) -> dict[str, Any]:
+    """trajectories.json: plain numbers and text, SI and radians (trajectories.schema.json beside this file)."""
+    flown = found.flown
+    fit = flown.fit
+    states = fit.flown.dynamics.states
+    units = {name: flown.units.get(name, "1") for name in states}
+    believed = flown.setting.priors and flown.setting.initial is None
+    beliefs = dict(zip(states, departures(fit.flown.dynamics), strict=True)) if believed else {}
+    return {
+        "schema": SCHEMA,
+        "card": {"name": card.name, "title": card.title},
+        "records": record_results(records),
+        "consistency": {} if found.consistency is None else consistency_results(found.consistency),
+        "status": fit.status.name.lower(),
+        "converged": flown.converged,
+        "sentences": list(found.sentences),
+        "fitted_outputs": list(fit.flown.outputs),
+        "windows": flown.window,
+        "setting": {key: x for key, x in _told(flown.setting).items() if key != "outputs"},
+        "iterations": fit.iterations,
+        "cost": fit.cost,
+        "det_R": fit.det_R,
+        "colour_cost": flown.colour_cost,
+        "swell": dict(flown.swell),
+        "parameters": parameter_rows(flown),
+        "inseparable": inseparable_results(flown.fit.inseparable),
+        "disagreement": [asdict(d) for d in found.apart],
+        "initial_states": {
+            manoeuvre: {
+                n: {"value": x, "departure": d, "unit": units[n], "prior_sd": beliefs.get(n)}
+                for n, (x, d) in states.items()
+            }
+            for manoeuvre, states in flown.initial.items()
+        },
+        "residual_sd": dict(zip(fit.flown.outputs, np.sqrt(fit.R), strict=True)),
+        "tolerances": {
+            name: {"value": t.value, "unit": flown.units[name], "source": t.source}
+            for name, t in card.tolerances.items()
+            if name in flown.outputs
+        },
+        "paths": [open_loop(path, flown.units) for path in flown.paths],
+        "health": health_results(found.health),
+        "notes": list(found.notes),
+        "failures": list(found.failures),
+        "provenance": source,
+    }

@@ -1,0 +1,1 @@
+"""Results on disk: JSON, time histories, folders that appear whole."""

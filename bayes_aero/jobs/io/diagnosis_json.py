@@ -1,0 +1,220 @@
+"""diagnosis.json: what one diagnosis found, in a versioned schema (diagnosis.schema.json beside this file)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from bayes_aero.diagnosis.result import Cause, Diagnosis, Gain, NoiseReport, Tested, Unknown
+from bayes_aero.flight.agreement import Consistency
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.health import HealthFinding
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.jobs.io.consistency_json import consistency_results
+from bayes_aero.jobs.io.health_json import health_results
+from bayes_aero.jobs.io.trajectories_json import trajectory_results
+from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.diagnosis_view import DiagnosisView, View, composition
+from bayes_aero.report.tables.rankings import Ranking
+
+SCHEMA = "bayes_aero/diagnosis/1"
+SCORES = ("r2", "rmse", "r", "theil")
+
+
+def diagnosis_results(
+    view: DiagnosisView,
+    card: Card,
+    records: Sequence[FlightRecord],
+    provenance: Mapping[str, Any],
+    *,
+    sentences: Sequence[str] = (),
+    predictors: Mapping[str, Any] | None = None,
+    separating: Sequence[Mapping[str, Any]] = (),
+    hidden: Mapping[str, Any] | None = None,
+    notes: Sequence[str] = (),
+    failures: Sequence[str] = (),
+    agreement: Consistency | None = None,
+    health: Sequence[HealthFinding] = (),
+) -> dict[str, Any]:
+    """Everything found, as plain numbers and text; `hidden` is the truth where the records are simulated."""
+    d = view.diagnosis
+    found: dict[str, Any] = {
+        "schema": SCHEMA,
+        "card": {"name": card.name, "title": card.title},
+        "records": record_results(records),
+        "consistency": {} if agreement is None else consistency_results(agreement),
+        "verdict": d.verdict.value,
+        "tested": tested_results(d.tested),
+        "sentences": list(sentences),
+        "causes": [cause_results(cause) for cause in d.causes],
+        "minor": list(d.minor),
+        "unexplained": unknown_results(d.unknown),
+        "together": together_results(d),
+        "noise": noise_results(d.noise),
+        "not_testable": dict(d.not_testable),
+        "screen": screen(d, view.rankings),
+        "split": d.split,
+        "base_parameters": {
+            name: {
+                "before": m.before,
+                "after": m.after,
+                "sd_before": m.sd_before,
+                "sd_after": m.sd_after,
+                "unit": m.unit,
+            }
+            for name, m in view.moves.items()
+        },
+        "residuals": _residuals(view),
+        "predictors": dict(predictors or {}),
+        "trajectories": {} if view.trajectories is None else trajectory_results(view.trajectories, card),
+        "stall": {n: stall.numbers() for n, stall in view.stalls.items()} if isinstance(view, View) else {},
+        "separating": [dict(one) for one in separating],
+        "health": health_results(health),
+        "notes": [*d.notes, *notes],
+        "failures": list(failures),
+        "provenance": dict(provenance),
+    }
+    if hidden is not None:
+        found["hidden"] = dict(hidden)
+    return found
+
+
+def _residuals(view: DiagnosisView) -> dict[str, Any]:
+    """Of the coefficients by either model; empty where only trajectories were compared."""
+    if not isinstance(view, View):
+        return {}
+    return {"before": composition(view, view.card), "after": composition(view, view.extended)}
+
+
+def unknown_results(unknown: Sequence[Unknown]) -> list[dict[str, Any]]:
+    """Structure without a name, and that of which the record cannot choose a name."""
+    return [
+        {
+            "coefficient": u.coefficient,
+            "channel": u.channel,
+            "share_of_variance": u.share,
+            "p_value": u.p_value,
+            "rivals": list(u.rivals),
+        }
+        for u in unknown
+    ]
+
+
+def together_results(d: Diagnosis) -> list[dict[str, Any]]:
+    """Pairs of causes that cancel, and the combination that the record knows."""
+    return [
+        {
+            "effects": list(pair.effects),
+            "parameters": list(pair.parameters),
+            "factor": pair.factor,
+            "mean": pair.mean,
+            "sd": pair.sd,
+            "unit": pair.unit,
+            "correlation": pair.correlation,
+        }
+        for pair in d.together
+    ]
+
+
+def tested_results(tested: Tested | None) -> dict[str, Any]:
+    """What a diagnosis by trajectories alone has tested; of one by coefficients, that it sought structure, too."""
+    if tested is None:
+        return {"rests_on": "coefficients", "unnamed_structure": True, "within_noise": None, "missed": {}}
+    return {
+        "rests_on": "trajectories",
+        "unnamed_structure": False,
+        "within_noise": tested.within_noise if tested.outputs else None,
+        "missed": {
+            name: {
+                "unit": STANDARD_CHANNELS[name].unit,
+                "noise": one.noise,
+                "fitted": one.fitted,
+                "unseen": one.unseen,
+                "beyond_noise": one.beyond,
+            }
+            for name, one in tested.outputs.items()
+        },
+    }
+
+
+def noise_results(noise: NoiseReport) -> dict[str, Any]:
+    """Colour, size, growth and outliers by output."""
+    return {
+        "labels": list(noise.labels),
+        "lag1": dict(noise.lag1),
+        "deviation": dict(noise.deviation),
+        "swell": dict(noise.swell),
+        "outliers": dict(noise.outliers),
+    }
+
+
+def record_results(records: Sequence[FlightRecord]) -> list[dict[str, Any]]:
+    """The records at a glance."""
+    return [{"name": r.name, "samples": r.n, "dt": r.dt, "duration": float(r.time[-1] - r.time[0])} for r in records]
+
+
+def screen(d: Diagnosis, rankings: Sequence[Ranking]) -> list[dict[str, Any]]:
+    """Every candidate in the first election of each stage, the highest score first."""
+    causes = {(c.stage, c.name) for c in d.causes}
+    return [
+        {
+            "stage": ranking.stage,
+            "name": s.effect,
+            "kind": s.kind,
+            "score": s.score,
+            "p_value": s.p_value,
+            "threshold": ranking.threshold,
+            "parameters": {name: {"estimate": x, "sd": sd} for name, (x, sd) in s.estimate.items()},
+            "cause": (ranking.stage, s.effect) in causes,
+        }
+        for ranking in rankings
+        for s in ranking.standings
+    ]
+
+
+def cause_results(cause: Cause) -> dict[str, Any]:
+    """One named cause."""
+    return {
+        "name": cause.name,
+        "kind": cause.kind,
+        "claim": cause.claim,
+        "stage": cause.stage,
+        "probability": cause.probability,
+        "p_value": cause.p_value,
+        "excited": cause.excited,
+        "confirmed": cause.confirmed,
+        "missed": {"elpd": cause.missed[0], "elpd_se": cause.missed[1]},
+        "sure": cause.sure,
+        "implausible": dict(cause.implausible),
+        "own_share": cause.own_share,
+        "ambiguous_with": list(cause.ambiguous_with),
+        "parameters": {
+            name: {
+                "mean": size.mean,
+                "sd": size.sd,
+                "ci95": list(size.ci95),
+                "unit": size.unit,
+                "at_bound": size.at_bound,
+            }
+            for name, size in cause.parameters.items()
+        },
+        "gain": _gain(cause.gain),
+    }
+
+
+def _gain(gain: Gain) -> dict[str, Any]:
+    return {
+        "elpd": gain.elpd,
+        "elpd_se": gain.elpd_se,
+        "split": gain.split,
+        "by_coefficient": {
+            name: {
+                f"{key}_{when}": getattr(scores[name], key)
+                for key in SCORES
+                for when, scores in (("before", gain.before), ("after", gain.after))
+            }
+            for name in NAMES
+            if name in gain.before and name in gain.after
+        },
+    }

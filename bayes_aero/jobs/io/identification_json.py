@@ -1,0 +1,134 @@
+"""results.json: what one identification found, in a versioned schema (results.schema.json beside this file)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from bayes_aero.diagnosis.trajectories.time_histories import Path
+from bayes_aero.inference.identification import GPReport, Identification, Validation
+from bayes_aero.inference.likelihood.mle import MleResult
+from bayes_aero.inference.posterior.posterior import Posterior
+from bayes_aero.inference.scores import Scores, score
+from bayes_aero.inference.variance.inseparable import Inseparable
+from bayes_aero.jobs.io.consistency_json import consistency_results
+from bayes_aero.jobs.io.health_json import health_results
+from bayes_aero.jobs.io.trajectories_json import open_loop
+from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.tables.comparison import flown
+
+SCHEMA = "bayes_aero/results/1"
+
+
+def results(
+    identification: Identification, verdict: list[str], provenance: dict[str, Any], simulated: Sequence[Path] = ()
+) -> dict[str, Any]:
+    """The table of contents of a run as plain numbers and text; parts not yet computed are absent.
+
+    `simulated` are the manoeuvres flown with the fitted coefficients.
+    """
+    found: dict[str, Any] = {
+        "schema": SCHEMA,
+        "card": {"name": identification.card.name, "title": identification.card.title},
+        "records": [
+            {"name": r.name, "samples": r.n, "dt": r.dt, "duration": float(r.time[-1] - r.time[0])}
+            for r in identification.records
+        ],
+        "coefficients": identification.forming.value,
+        "mle": _mle(identification.mle) | {"alone": {k: _mle(v) for k, v in identification.alone.items()}},
+    }
+    if identification.consistency is not None:
+        found["consistency"] = consistency_results(identification.consistency)
+    if identification.posteriors:
+        found["posterior"] = {"noise": identification.noise.value} | {
+            engine: {name: asdict(m) for name, m in posterior.marginals.items()}
+            for engine, posterior in identification.posteriors.items()
+        }
+        found["posterior"]["status"] = {k: _status(v) for k, v in identification.posteriors.items()}
+    if identification.stall is not None:
+        found["stall"] = identification.stall.numbers()
+    if identification.gp is not None:
+        found["gpr"] = _gpr(identification.gp)
+    if simulated:
+        found["simulated"] = [open_loop(path) for path in simulated]
+    if identification.truth is not None:
+        found["truth"] = {name: identification.truth[name] for name in flown(identification)}
+    found["verdict"] = verdict
+    found["health"] = health_results(identification.health)
+    found["notes"] = list(identification.notes)
+    found["failures"] = list(identification.failures)
+    found["provenance"] = provenance | {"seconds": {k: round(v, 2) for k, v in identification.seconds.items()}}
+    return found
+
+
+def _scores(scores: Scores) -> dict[str, float]:
+    return {key: value for key, value in asdict(scores).items() if key != "status"}
+
+
+def _mle(result: MleResult) -> dict[str, Any]:
+    bias = [None] * len(result.names) if result.bias is None else result.bias
+    columns = zip(result.names, result.units, result.estimate, result.crb, result.crb_corrected, bias, strict=True)
+    return {
+        "status": result.status.name.lower(),
+        "advice": result.status.value,
+        "det_R": result.det_R,
+        "iterations": result.iterations,
+        "parameters": {
+            name: {"estimate": x, "crb": crb, "crb_corrected": corrected, "noise_bias": moved, "unit": unit}
+            for name, unit, x, crb, corrected, moved in columns
+        },
+        "fit": {name: _scores(scores) for name, scores in result.fit.items()},
+        "lag1": result.lag1,
+        "separation": {"minimum": result.separation[0], "maximum": result.separation[1]},
+        "information_eigenvalues": result.eigenvalues,
+        "inseparable": inseparable_results(result.inseparable),
+        "strong_correlations": [{"pair": [a, b], "value": value} for a, b, value in result.strong_correlations()],
+        "starts": [{"cost": cost, "outcome": outcome} for cost, outcome in result.starts],
+        "warnings": result.warnings(),
+    }
+
+
+def inseparable_results(found: Sequence[Inseparable]) -> list[dict[str, Any]]:
+    """Sets of parameters that the record cannot separate."""
+    return [{"parameters": dict(zip(one.names, one.wider, strict=True))} for one in found]
+
+
+def _status(posterior: Posterior) -> dict[str, str]:
+    return {
+        "noise": posterior.noise,
+        "status": posterior.status.name.lower(),
+        "advice": posterior.status.value,
+    }
+
+
+def _gpr(report: GPReport) -> dict[str, Any]:
+    found: dict[str, Any] = {"sampled_split": report.chosen}
+    for split, folds in report.splits.items():
+        found[split] = {name: _pooled([fold[name] for fold in folds]) for name in NAMES}
+    return found
+
+
+def _pooled(folds: list[Validation]) -> dict[str, Any]:
+    """Scores over the test points of all folds together, and each fold's own."""
+    measured = np.concatenate([v.measured for v in folds])
+    scores = score(measured, np.concatenate([v.gp for v in folds]))
+    mle = score(measured, np.concatenate([v.mle for v in folds]))
+    weights = [len(v.measured) for v in folds]
+    coverage = {
+        f"coverage{round(100 * level)}": float(np.average([v.coverage[level] for v in folds], weights=weights))
+        for level in folds[0].coverage
+    }
+    sampled = [v.k_hat for v in folds if v.k_hat is not None]
+    return (
+        _scores(scores)
+        | coverage
+        | {
+            "k_hat": max(sampled) if sampled else None,
+            "status": "; ".join(dict.fromkeys(v.status for v in folds)),
+            "mle": _scores(mle),
+            "folds": [{"gpr": _scores(v.gp_scores), "mle": _scores(v.mle_scores)} for v in folds],
+        }
+    )

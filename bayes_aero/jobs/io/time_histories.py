@@ -1,0 +1,139 @@
+"""histories.nc: the time histories behind the numbers of a run, to be laid over those of another tool. SI, radians."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float, Int
+
+from bayes_aero.diagnosis.trajectories.trajectories import Path as FlightPath
+from bayes_aero.errors import failure, plain_line
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.inference.identification import Identification
+from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.diagnosis_view import View
+from bayes_aero.report.tables.predictions import fitted_coefficients
+
+HISTORIES = "histories.nc"
+SCHEMA = "bayes_aero/histories/1"
+ENGINE = "h5netcdf"
+Histories = Mapping[str, xr.Dataset]
+"""Groups of the file by name: manoeuvres end to end, `manoeuvre` the number of each sample's, from 1 as in `names`."""
+
+
+def diagnosed(view: View) -> Histories:
+    """CL, CD, Cm as the card reconstructs them, by the card's model and by the extended one, and both models' X.
+
+    By a model is what was measured less what the model leaves: errors of sensors that it knows are in it.
+    """
+    models = {"card": view.card, "extended": view.extended}
+    columns = {}
+    for c, name in enumerate(NAMES):
+        columns[f"{name}_measured"] = view.measured[:, c]
+        columns |= {f"{name}_{key}": view.measured[:, c] - m.residual[:, c] for key, m in models.items()}
+    columns |= {f"X_{key}": m.signals["X"] for key, m in models.items() if "X" in m.signals}
+    time = view.diagnosis.aerodynamics.state.responses.flights.time
+    return {"coefficients": _group(columns, view.names, view.manoeuvre, time)}
+
+
+def identified(run: Identification) -> Histories:
+    """CL, CD, Cm as measured and by the maximum-likelihood fit to all manoeuvres."""
+    o, fitted = run.observations, fitted_coefficients(run)
+    measured, columns = np.asarray(o.measured), {}
+    for c, name in enumerate(NAMES):
+        columns |= {f"{name}_measured": measured[:, c], f"{name}_fitted": fitted[:, c]}
+    return {"coefficients": _group(columns, o.names, o.manoeuvre, o.time)}
+
+
+def flights(paths: Iterable[FlightPath], units: Mapping[str, str] | None = None) -> Histories:
+    """Outputs as measured and by each model: groups trajectories_fitted and trajectories_unseen, by the paths' split.
+
+    `units` of outputs (SI), for channels that the program does not know by name.
+    """
+    known = units or {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
+    splits: dict[str, dict[str, list[FlightPath]]] = {}
+    for path in paths:
+        splits.setdefault(path.split, {}).setdefault(path.manoeuvre, []).append(path)
+    found = {}
+    for split, named in splits.items():
+        firsts = [own[0] for own in named.values()]
+        columns: dict[str, np.ndarray] = {}
+        unit: dict[str, str] = {}
+        for output in firsts[0].measured:
+            columns[column(output, "measured")] = np.concatenate([p.measured[output] for p in firsts])
+            for number, model in enumerate(p.model for p in next(iter(named.values()))):
+                simulated = [own[number].simulated[output] for own in named.values()]
+                columns[column(output, model)] = np.concatenate(simulated)
+            unit |= dict.fromkeys(list(columns)[len(unit) :], known[output])
+        manoeuvre = np.repeat(np.arange(len(firsts)), [len(p.time) for p in firsts])
+        time = np.concatenate([p.time for p in firsts])
+        found[f"trajectories_{split}"] = _group(columns, tuple(named), manoeuvre, time, unit)
+    return found
+
+
+def column(output: str, kind: str) -> str:
+    """A column's name; a slash in the name of a card's channel would open a group."""
+    return f"{output}_{kind}".replace("/", "|")
+
+
+def _group(
+    columns: Mapping[str, Float[np.ndarray, " n"]],
+    names: Sequence[str],
+    manoeuvre: Int[np.ndarray, " n"],
+    time: Float[np.ndarray, " n"],
+    units: Mapping[str, str] | None = None,
+) -> xr.Dataset:
+    unit = units or dict.fromkeys(columns, "1")
+    about = {"long_name": "time as recorded, s"}  # xarray would make durations of what has the unit s
+    data = {
+        "time": ("sample", time, about),
+        "manoeuvre": ("sample", manoeuvre + 1),
+        **{key: ("sample", x, {"units": unit[key]}) for key, x in columns.items()},
+    }
+    return xr.Dataset(data, attrs={"names": [plain_line(name) for name in names]})
+
+
+def put_histories(make: Callable[[], Histories], folder: Path, rests_on: str = "") -> tuple[str, ...]:
+    """Write `histories.nc` into `folder`, whole or not at all; `rests_on` tells what the numbers were made from.
+
+    Histories that cannot be written cost nothing else: an older file goes, and a sentence on it is returned.
+    """
+    path = folder.absolute() / HISTORIES  # xarray takes a leading ~ for a home
+    partial = path.with_name(path.name + ".part")
+    try:
+        groups = make()
+        tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={"schema": SCHEMA, "rests_on": rests_on}), **groups})
+        small = {"zlib": True, "complevel": 1}
+        encoding = {f"/{key}": {str(name): small for name in group.data_vars} for key, group in groups.items()}
+        tree.to_netcdf(partial, engine=ENGINE, encoding=encoding)
+        os.replace(partial, path)
+    except Exception as reason:  # whatever it is, the numbers stand
+        path.unlink(missing_ok=True)
+        return (failure(f"{HISTORIES} was not written", reason, folder),)
+    finally:
+        partial.unlink(missing_ok=True)
+    return ()
+
+
+def read_histories(path: Path, rests_on: str | None = None) -> Histories:
+    """All groups, in memory. Raises OSError or ValueError where the file is not what `put_histories` wrote.
+
+    `rests_on`, where given, is what it must have been made from.
+    """
+    with xr.open_datatree(path, engine=ENGINE) as tree:
+        if tree.attrs.get("schema") != SCHEMA:
+            raise ValueError(f"{path} does not say {SCHEMA}")
+        if rests_on is not None and tree.attrs.get("rests_on") != rests_on:
+            raise ValueError(f"{path} was made from something else")
+        return {node.path.strip("/"): node.to_dataset(inherit=False).load() for node in tree.subtree if node.data_vars}
+
+
+def flight_of(group: xr.Dataset, manoeuvre: str) -> dict[str, np.ndarray]:
+    """One manoeuvre's columns. Raises ValueError where there is no such manoeuvre."""
+    names = np.atleast_1d(group.attrs["names"]).tolist()  # a list of one comes back as that one
+    own = group["manoeuvre"].values == names.index(plain_line(manoeuvre)) + 1
+    return {str(key): np.asarray(column.values)[own] for key, column in group.data_vars.items()}

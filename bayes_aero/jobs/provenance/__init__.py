@@ -1,0 +1,1 @@
+"""What a result rests on: package, environment, inputs."""

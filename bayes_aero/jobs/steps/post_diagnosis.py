@@ -1,0 +1,75 @@
+"""What follows from a diagnosis: the best predictor available, and the flight that would settle what it left open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from bayes_aero.diagnosis.design import separating, standard
+from bayes_aero.diagnosis.predictors import compare_states
+from bayes_aero.diagnosis.result import Diagnosis
+from bayes_aero.diagnosis.selection.cross_validation import truncated
+from bayes_aero.diagnosis.trajectories.trajectories import Progress, Trajectories, fly_both
+from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.joined_channels import despiked, join
+
+SETS = 2  # ambiguity sets for which the manoeuvres are judged
+
+
+def predictors(diagnosis: Diagnosis, card: Card, progress: Progress | None = None) -> dict[str, Any]:
+    """Card's model, Gaussian process, extended model and that with its discrepancy, by coefficient, on unseen data."""
+    state = truncated(diagnosis.aerodynamics.state, diagnosis.kept)
+    found = compare_states(state, card.gp_inputs, progress=progress)
+    return {
+        name: {c: None if scores is None else asdict(scores) for c, scores in row.items()}
+        for name, row in found.table.items()
+    }
+
+
+def separations(diagnosis: Diagnosis, progress: Progress | None = None) -> list[dict[str, Any]]:
+    """For each ambiguity set of the coefficients' causes, and each pair that cancels: the standard manoeuvre that would
+    tell its members apart."""
+    state = diagnosis.aerodynamics.state
+    sets: dict[frozenset[str], dict[str, float]] = {}
+    for cause in diagnosis.causes:
+        members = frozenset((cause.name, *cause.ambiguous_with))
+        if len(members) > 1 and cause.stage == "coefficients":
+            sets.setdefault(members, {name: abs(size.mean) for name, size in cause.parameters.items()})
+    known = {c.name: c.parameters for c in diagnosis.causes if c.stage == "coefficients"}
+    for pair in diagnosis.together:
+        if set(pair.effects) <= set(known):
+            sets = {
+                frozenset(pair.effects): {}
+            } | sets  # at the least sizes worth modelling: the estimates mean nothing
+    sets = dict(list(sets.items())[:SETS])
+    if not sets:
+        return []
+    if progress:
+        progress("manoeuvres that would separate", 0.0)
+    found = {members: {"effects": sorted(members), "manoeuvres": []} for members in sets}
+    try:
+        flights = standard(state, sorted(frozenset().union(*sets)))  # flown, and compiled, once for all sets
+    except InputError as error:
+        return [one | {"status": str(error)} for one in found.values()]
+    for members, sizes in sets.items():
+        try:
+            design = separating(state, sorted(members), sizes=sizes, flights=flights)
+        except InputError as error:
+            found[members]["status"] = str(error)
+            continue
+        ranked = [{"manoeuvre": m.manoeuvre, "deviations": m.weakest} for m in design.manoeuvres]
+        found[members] |= {"status": design.status, "manoeuvres": ranked}
+    return list(found.values())
+
+
+def simulations(
+    diagnosis: Diagnosis, card: Card, records: Sequence[FlightRecord], seed: int, progress: Progress | None = None
+) -> Trajectories:
+    """Simulate the card's and the extended model with the records' inputs, fitted to all and on hold-out flights."""
+    bands = {name: tolerance.value for name, tolerance in card.tolerances.items()}
+    flights = despiked(join(records, card, FLIGHT))[0]
+    return fly_both(flights, diagnosis, bands, biases=card.output_biases, seed=seed, progress=progress)

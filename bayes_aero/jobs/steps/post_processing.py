@@ -1,0 +1,46 @@
+"""What a diagnosis is followed by while trajectories are flown: predictors, separating manoeuvres, stalls, figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from bayes_aero.diagnosis.result import Diagnosis
+from bayes_aero.jobs.io.result_store import Kept
+from bayes_aero.jobs.steps.post_diagnosis import separations
+from bayes_aero.report.diagnosis_view import View, with_stalls
+from bayes_aero.report.figures.every_figure import ViewFigures, draw_all
+
+Progress = Callable[[str, float], None]
+Predict = Callable[[Diagnosis, Progress], Mapping[str, Any]]
+
+
+def follow(kept: Kept, predict: Predict | None, figures: ViewFigures, tell: Progress) -> dict[str, Path]:
+    """All that needs no trajectories, kept piece by piece; stalls and figures only where there is a folder for them.
+
+    Returns the figures drawn, by name.
+    """
+    found = kept.outcome.diagnosis
+    if predict is not None and not kept.has("predictors"):
+        kept.attempt("Predictors were not compared", lambda: kept.predictors(predict(found, tell)))
+    if predict is not None and not kept.has("separating"):
+        what = "Manoeuvres that would separate rival causes were not designed"
+        kept.attempt(what, lambda: kept.separating(separations(found, tell)))
+    if kept.path is None:
+        return {}
+    view = kept.outcome.view
+    if isinstance(view, View):
+        tell("stall", 0.0)
+        kept.attempt("Stall left out", lambda: kept.stalls(with_stalls(view)))
+    return drawings(kept, figures, tell)
+
+
+def drawings(kept: Kept, figures: ViewFigures, tell: Progress | None) -> dict[str, Path]:
+    """Draw `figures` of what was found so far: paths by name; a note for each that failed."""
+    view = kept.outcome.view
+    if not figures or kept.path is None or not isinstance(view, View):
+        return {}
+    written, failed = draw_all(figures, view, kept.path / "figures", tell)
+    kept.fail(failed)
+    return {path.stem: path for path in written}

@@ -1,0 +1,122 @@
+"""Recorded channels of several manoeuvres, end to end, as NumPy arrays: what is checked before anything is fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float, Int, Shaped
+
+from bayes_aero.errors import InputError
+from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.derived_channels import with_sums
+from bayes_aero.model.spikes import without_spikes
+from bayes_aero.physics.coefficient_names import REQUIRED
+
+
+@runtime_checkable
+class Recorded(Protocol):
+    """Channels (n,) of manoeuvres laid end to end, of either library: `Joined`, or `Flights`."""
+
+    @property
+    def channels(self) -> dict[str, Any]: ...
+
+    @property
+    def aircraft(self) -> Aircraft: ...
+
+    @property
+    def manoeuvre(self) -> np.ndarray: ...
+
+    @property
+    def time(self) -> np.ndarray: ...
+
+    @property
+    def lengths(self) -> tuple[int, ...]: ...
+
+    @property
+    def names(self) -> tuple[str, ...]: ...
+
+    @property
+    def n(self) -> int: ...
+
+    @property
+    def recorded(self) -> tuple[str, ...]: ...
+
+
+@dataclass(frozen=True)
+class Joined:
+    """Channels (n,) in SI, with `dt`, `start`, `elapsed`, `first`, `last` beside them (see `effect.Stage`)."""
+
+    channels: dict[str, Shaped[np.ndarray, " n"]]
+    aircraft: Aircraft
+    manoeuvre: Int[np.ndarray, " n"]
+    time: Float[np.ndarray, " n"]
+    lengths: tuple[int, ...]
+    names: tuple[str, ...]
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return sum(self.lengths)
+
+    @property
+    def recorded(self) -> tuple[str, ...]:
+        """Names of the recorded channels and card sums, without what was added."""
+        return tuple(name for name in self.channels if name not in MARKS)
+
+
+def joined(records: Sequence[FlightRecord], card: Card, required: Sequence[str] = REQUIRED) -> Joined:
+    """Lay the records end to end; channels that are not in every record are left out, `required` ones missed."""
+    if not records:
+        raise InputError("there is no flight record to work on; name at least one file")
+    named_apart(records)
+    parts, offset = [], 0
+    for record in records:
+        have = with_sums(record, card)
+        for need in required:
+            if need not in have:
+                raise InputError(f"record {record.name} has no channel {need}; map it on the card")
+        parts.append(have | plain_marks(record.n, record.dt, offset))
+        offset += record.n
+    shared = set.intersection(*(set(part) for part in parts))
+    return Joined(
+        channels={name: np.concatenate([part[name] for part in parts]) for name in sorted(shared)},
+        aircraft=card.aircraft,
+        manoeuvre=np.repeat(np.arange(len(records)), [record.n for record in records]),
+        time=np.concatenate([np.asarray(record.time) for record in records]),
+        lengths=tuple(record.n for record in records),
+        names=tuple(record.name for record in records),
+    )
+
+
+def named_apart(records: Sequence[FlightRecord]) -> list[str]:
+    """The records' names; raises `InputError` where two are the same."""
+    names = [record.name for record in records]
+    if len(set(names)) < len(names):
+        raise InputError(f"two records are called {max(names, key=names.count)}; each manoeuvre needs its own name")
+    return names
+
+
+MARKS = ("dt", "start", "elapsed", "first", "last")
+
+
+def plain_marks(n: int, dt: float, first: int) -> dict[str, Shaped[np.ndarray, " n"]]:
+    """What effects of stage CHANNEL find beside the channels of one manoeuvre of `n` samples, the first at `first`."""
+    index = np.arange(n)
+    return {
+        "dt": np.full(n, dt),
+        "start": index == 0,
+        "elapsed": index * dt,
+        "first": np.full(n, first),
+        "last": np.full(n, first + n - 1),
+    }
+
+
+def repaired(flights: Joined) -> tuple[Joined, dict[str, int]]:
+    """The manoeuvres as `without_spikes` mends them, and its count."""
+    channels, count = without_spikes(flights.channels, flights.lengths)
+    return replace(flights, channels=channels), count

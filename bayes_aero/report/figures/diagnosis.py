@@ -1,0 +1,286 @@
+"""The figures of a diagnosis: residuals, candidates, gains, parameter changes, unexplained structure."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from scipy.signal import welch
+
+from bayes_aero.diagnosis.selection.residuals import profiles
+from bayes_aero.inference.scores import Scores, score
+from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.diagnosis_view import Fitted, View
+from bayes_aero.report.figures.time_histories import SYMBOLS, shown_in
+from bayes_aero.report.style import NotDrawn, column_width, housed, panels, refuse_many
+from bayes_aero.report.tables.rankings import Ranking
+from bayes_aero.report.text.diagnosis import SPLITS
+from bayes_aero.report.text.phrases import bracket, for_people, size_text
+
+RESPONSES = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot")  # what the forces make, not what makes them
+PROFILES = 3  # channels shown for each coefficient
+COPY = 0.95  # correlation beyond which two channels tell the same
+LONGEST_LAG = 10.0  # s
+NOTE = {"bbox": {"fc": "white", "ec": "none", "alpha": 0.85, "pad": 1.5}, "zorder": 5, "fontsize": 8.0}
+TIGHT = {"fc": "white", "ec": "none", "alpha": 0.85, "pad": 0.3}
+
+
+def models_of(view: View) -> list[tuple[str, str, Fitted]]:
+    """What is compared: label, colour, model: the card's, and the extended one where there is one."""
+    found = [("card's model", COLOURS["before"], view.card)]
+    return [*found, ("extended model", COLOURS["after"], view.extended)] if view.changed else found
+
+
+@housed
+def measured_simulated(view: View) -> Figure:
+    """Coefficients measured and simulated by both models, the error between them shaded; a column per manoeuvre."""
+    models, count = models_of(view), len(view.names)
+    refuse_many(count)
+    rows = len(NAMES) * len(models)
+    figure, axes = panels(rows, count, (column_width(count) * count, 1.75 * rows + 1.2), sharex="col", sharey=False)
+    for c, name in enumerate(NAMES):
+        z = view.measured[:, c]
+        curves = np.stack([z, *(z - fitted.residual[:, c] for _, _, fitted in models)])
+        low, high = float(curves.min()), float(curves.max())
+        for k, (label, colour, fitted) in enumerate(models):
+            for number, ax in enumerate(axes[c * len(models) + k]):
+                mine = view.manoeuvre == number
+                t, measured = view.time[mine], z[mine]
+                simulated = measured - fitted.residual[mine, c]
+                ax.fill_between(t, measured, simulated, color=colour, alpha=0.35, lw=0.0)
+                ax.plot(t, measured, color=COLOURS["measured"], lw=0.6)
+                ax.plot(t, simulated, color=colour, lw=1.0)
+                ax.set_ylim(low - 0.08 * (high - low), high + 0.22 * (high - low))
+                ax.margins(x=0.01)
+                found = score(measured, simulated)
+                text = f"{label}: R² = {found.r2:.3f}, r = {found.r:.3f}, RMSE = {found.rmse:.2g}"
+                ax.text(0.01, 0.95, text, transform=ax.transAxes, va="top", **NOTE)
+            axes[c * len(models) + k, 0].set_ylabel(f"{name} [-]")
+    for ax, name in zip(axes[0], view.names, strict=True):
+        ax.set_title(name)
+    for ax in axes[-1]:
+        ax.set_xlabel("time from start of record [s]")
+    figure.align_ylabels(list(axes[:, 0]))
+    figure.suptitle("Measured (black) and simulated coefficients, the error shaded; all manoeuvres fitted jointly")
+    return figure
+
+
+@housed
+def ranking(view: View) -> Figure:
+    """Score of every candidate in the first screening of each stage, and the 5 % level of noise alone."""
+    if not view.rankings:
+        raise NotDrawn("no screening was done")
+    rows = [len(r.standings) + 1.0 for r in view.rankings]
+    figure, axes = panels(len(rows), 1, (8.5, 0.2 * sum(rows) + 0.9 * len(rows) + 0.6), height_ratios=rows)
+    for ax, one in zip(axes[:, 0], view.rankings, strict=True):
+        _bars(ax, one, {c.name for c in view.diagnosis.causes if c.stage == one.stage})
+    figure.suptitle("Candidates before any addition\n(named causes in colour; later screenings may reorder them)")
+    return figure
+
+
+def _bars(ax: Axes, one: Ranking, causes: set[str]) -> None:
+    scores = [s.score for s in one.standings]
+    colours = [COLOURS["chosen"] if s.effect in causes else COLOURS["candidate"] for s in one.standings]
+    place = range(len(scores))
+    widest = max(*scores, one.threshold) if np.isfinite(one.threshold) else max(*scores, 1e-9)
+    ax.barh(place, scores, color=colours, height=0.75)
+    for y, s in zip(place, one.standings, strict=True):
+        ax.text(s.score + 0.01 * widest, y, f"{s.score:.1f}", va="center", fontsize=7.0, bbox=TIGHT, zorder=5)
+    if np.isfinite(one.threshold):
+        ax.axvline(one.threshold, color=COLOURS["measured"], ls="--", lw=1.0)
+        label = f"noise alone exceeds\n{one.threshold:.1f} in 5 % of replicates"
+        ax.text(0.99, 0.02, label, transform=ax.transAxes, va="bottom", ha="right", **NOTE)
+    ax.set_yticks(place, [s.effect for s in one.standings])
+    ax.set_ylim(len(scores) - 0.4, -0.6)
+    ax.set_xlim(0.0, 1.1 * widest)
+    ax.grid(False, axis="y")
+    ax.set_xlabel("estimate over its standard error, autocorrelation included [-]")
+    ax.set_title(f"Stage: {one.stage}")
+
+
+@housed
+def gain(view: View) -> Figure:
+    """R2 and RMSE of each coefficient on data that were not fitted, along the chain of causes."""
+    causes = [c for c in view.diagnosis.causes if c.gain.before]
+    if not causes:
+        raise NotDrawn("no cause was added")
+    links: list[tuple[str, dict[str, Scores]]] = [("card's model", dict(causes[0].gain.before))]
+    colours, stage = [COLOURS["before"]], causes[0].stage
+    for cause in causes:
+        if cause.stage != stage:
+            links.append(("sensors corrected", dict(cause.gain.before)))
+            colours.append(COLOURS["candidate"])
+            stage = cause.stage
+        links.append((f"+ {cause.name}" if cause.confirmed else f"(+ {cause.name})", dict(cause.gain.after)))
+        colours.append(COLOURS["candidate"] if cause.confirmed else COLOURS["unconfirmed"])
+    last = max((k for k, colour in enumerate(colours) if k and colour == COLOURS["candidate"]), default=0)
+    colours[last] = COLOURS["after"] if last else colours[0]
+    place = np.arange(len(links))
+    figure, axes = panels(2, len(NAMES), (13.0, 2 * (0.30 * len(links) + 1.0) + 0.8), sharey=True)
+    for row, (key, label) in zip(axes, (("r2", "R²"), ("rmse", "RMSE")), strict=True):
+        for ax, name in zip(row, NAMES, strict=True):
+            values = np.array([getattr(scores[name], key) for _, scores in links])
+            shown = np.maximum(values, -1.0) if key == "r2" else values
+            ax.barh(place, shown, color=colours, height=0.7)
+            for y, x, value in zip(place, shown, values, strict=True):
+                ax.text(max(x, 0.0), y, f" {value:.3f}" if key == "r2" else f" {value:.4f}", va="center", fontsize=7.5)
+            ax.set_yticks(place, [text for text, _ in links])
+            ax.set_ylim(len(links) - 0.5, -0.5)
+            finite = shown[np.isfinite(shown)]
+            left = min(0.0, float(finite.min())) if key == "r2" else 0.0
+            ax.set_xlim(left, 1.22 if key == "r2" else 1.25 * float(finite.max()))
+            ax.grid(False, axis="y")
+            ticks = MaxNLocator(5).tick_values(*ax.get_xlim())
+            ax.set_xticks([x for x in ticks if left <= x and (key == "rmse" or x <= 1.0)])
+            ax.set_xlabel(f"{label} of {name} [-]")
+    brackets = "; in brackets: not confirmed, and not in what follows" if any(not c.confirmed for c in causes) else ""
+    figure.suptitle(f"On hold-out data ({SPLITS[view.diagnosis.split]}), cause after cause{brackets}")
+    return figure
+
+
+@housed
+def moves(view: View) -> Figure:
+    """Change of the card's parameters, in their standard error after the causes are added."""
+    if not view.changed or not view.moves:
+        raise NotDrawn("nothing was added, so nothing moved")
+    names = list(view.moves)
+    place = np.arange(len(names))
+    figure, axes = panels(1, 1, (9.5, 0.32 * len(names) + 1.6))
+    ax = axes[0, 0]
+    for shift, when in ((-0.14, "before"), (0.14, "after")):
+        centre, sd = [], []
+        for move in view.moves.values():
+            size = max(move.sd_after, 1e-300)
+            centre.append((getattr(move, when) - move.before) / size)
+            sd.append(getattr(move, f"sd_{when}") / size)
+        label = {"before": "card's model", "after": "extended model"}[when]
+        ax.errorbar(
+            centre, place + shift, xerr=sd, fmt="o", ms=4.0, lw=1.2, capsize=2.0, color=COLOURS[when], label=label
+        )
+    for y, move in zip(place, view.moves.values(), strict=True):
+        unit, factor = for_people(move.unit)
+        before = size_text(factor * move.before, factor * move.sd_before, "1")
+        after = size_text(factor * move.after, factor * move.sd_after, "1")
+        text = f"{before}  →  {after} {'' if unit == '1' else bracket(unit)}"
+        ax.text(1.01, y, text, transform=ax.get_yaxis_transform(), va="center", fontsize=8.0)
+    ax.axvline(0.0, color="#777777", lw=0.8, zorder=0)
+    ax.set_yticks(place, names)
+    ax.set_ylim(len(names) - 0.5, -0.5)
+    ax.set_xlabel("distance from the card's estimate, in standard errors after [-]")
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.55 / (0.32 * len(names) + 1.0)), ncols=2)
+    figure.suptitle("Change of the card's parameters (bars: one standard error, autocorrelation included)")
+    return figure
+
+
+def channel_label(name: str) -> tuple[str, float]:
+    """Label with unit for an axis, and the factor from SI."""
+    plain = {
+        "X": ("separation point X [-]", 1.0),
+        "elapsed": ("time from start of record [s]", 1.0),
+        "alpha_dot": ("α̇ [deg/s]", 180.0 / np.pi),
+        "mach": ("Mach [-]", 1.0),
+    }
+    if name in plain:
+        return plain[name]
+    unit, factor = shown_in(name)
+    return f"{SYMBOLS.get(name, name.replace('_', ' '))} {bracket(unit)}", factor
+
+
+@housed
+def residual_profiles(view: View) -> Figure:
+    """Mean residual over the channels on which the card's model leaves the clearest trace, before and after."""
+    models = models_of(view)
+    figure, axes = panels(len(NAMES), PROFILES, (13.0, 8.2), sharey="row")
+    for row, c in zip(axes, range(len(NAMES)), strict=True):
+        channels = _clearest(view, c)
+        for label, colour, fitted in models:
+            found = {p.channel: p for p in _profiles(view, fitted, c)}
+            for ax, channel in zip(row, channels, strict=False):
+                text, factor = channel_label(channel)
+                p = found[channel]
+                ax.errorbar(
+                    factor * p.centre, p.mean, yerr=p.deviation, fmt="o-", ms=3.0, lw=1.0, capsize=2.0, color=colour,
+                    label=label,
+                )  # fmt: skip
+                ax.set_xlabel(text)
+        for ax in row[: len(channels)]:
+            ax.axhline(0.0, color="#777777", lw=0.8, zorder=0)
+        for ax in row[len(channels) :]:
+            ax.remove()
+        row[0].set_ylabel(f"mean residual of {NAMES[c]} [-]")
+    figure.align_ylabels(list(axes[:, 0]))
+    figure.suptitle(
+        "Residuals over the channels with the clearest dependence (bins of equal count, ± one standard error)"
+    )
+    _legend(figure, axes)
+    return figure
+
+
+def _clearest(view: View, c: int) -> list[str]:
+    """Channels on which the card's model leaves the clearest trace in a coefficient, none a near copy of another."""
+    chosen: list[str] = []
+    signals = {**view.card.state.responses.flights.channels, **view.card.signals}
+    for p in _profiles(view, view.card, c):
+        copies = [abs(np.corrcoef(signals[p.channel], signals[name])[0, 1]) > COPY for name in chosen]
+        if not any(copies):
+            chosen.append(p.channel)
+    return chosen[:PROFILES]
+
+
+def _profiles(view: View, fitted: Fitted, c: int):
+    state = fitted.state
+    block = state.responses.block
+    recorded = [*state.responses.flights.recorded, "alpha_dot", "elapsed", "X"]
+    source = {**state.responses.flights.channels, **view.card.signals}  # one abscissa for both models
+    names = [name for name in recorded if name in source and name not in RESPONSES]
+    channels = {name: np.asarray(block(jnp.asarray(source[name]))) for name in names}
+    return profiles(np.asarray(block(jnp.asarray(fitted.residual[:, c]))), channels, state.temper)
+
+
+@housed
+def residual_colour(view: View) -> Figure:
+    """Autocorrelation and spectrum of the residuals, before and after."""
+    figure, axes = panels(2, len(NAMES), (13.0, 6.4), sharex="row")
+    dt = view.seconds
+    for label, colour, fitted in models_of(view):
+        for c, name in enumerate(NAMES):
+            parts = [fitted.residual[view.manoeuvre == k, c] for k in range(len(view.names))]
+            lags, correlation = autocorrelation(parts, round(LONGEST_LAG / dt))
+            axes[0, c].plot(dt * lags, correlation, color=colour, label=label)
+            frequency, density = spectrum(parts, dt)
+            axes[1, c].loglog(frequency[1:], density[1:], color=colour)
+            axes[0, c].set_title(name)
+    for ax in axes[0]:
+        ax.axhline(0.0, color="#777777", lw=0.8, zorder=0)
+        ax.set_xlabel("lag [s]")
+    for ax in axes[1]:
+        ax.set_xlabel("frequency [Hz]")
+    axes[0, 0].set_ylabel("autocorrelation of the residual [-]")
+    axes[1, 0].set_ylabel("power spectral density [1/Hz]")
+    figure.suptitle("Autocorrelation of the residuals")
+    _legend(figure, axes)
+    return figure
+
+
+def autocorrelation(parts: list[Float[np.ndarray, " _"]], longest: int) -> tuple[np.ndarray, np.ndarray]:
+    """Lags and correlation, sums over manoeuvres, each about its own mean."""
+    centred = [p - p.mean() for p in parts]
+    lags = np.arange(min(longest, min(len(p) for p in parts) - 1) + 1)
+    products = [sum(float(p[lag:] @ p[: len(p) - lag]) for p in centred) for lag in lags]
+    return lags, np.array(products) / max(products[0], 1e-300)
+
+
+def spectrum(parts: list[Float[np.ndarray, " _"]], dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Welch's power spectral density, averaged over manoeuvres by their length."""
+    segment = min(*(len(p) for p in parts), round(25.0 / dt))
+    found = [welch(p, 1.0 / dt, nperseg=segment) for p in parts]
+    return found[0][0], np.average([f[1] for f in found], axis=0, weights=[len(p) for p in parts])
+
+
+def _legend(figure: Figure, axes: np.ndarray) -> None:
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=max(1, len(labels)))

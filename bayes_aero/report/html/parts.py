@@ -1,0 +1,223 @@
+"""Parts of a page that every command shows: the records at a glance, where it all came from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bayes_aero.flight.agreement import Agreement, Consistency
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.channel_units import channel_units
+from bayes_aero.flight.health import channel_health
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.parameter import Parameter
+from bayes_aero.report.html.page import Block, Facts, Fold, Plot, Points, Table, Text
+from bayes_aero.report.html.plots import MOST, TIME, Over, Panel, linked
+from bayes_aero.report.text.consistency import consistency_sentences
+from bayes_aero.report.text.phrases import SYMBOLS, bracket, for_people, several
+
+GLANCE = ("airspeed", "alpha", "altitude", "elevator", "q")
+MOST_SHOWN = 6  # manoeuvres whose time histories are on the page: each costs a browser a second on a phone
+
+
+def number(value: float, digits: int = 3) -> str:
+    """Significant digits without an exponent where people read numbers; a dash where there is none."""
+    if not np.isfinite(value):
+        return "–"
+    value += 0.0  # no minus before zero
+    if value != 0.0 and not 1e-4 <= abs(value) < 1e6:
+        return f"{value:.{digits - 1}e}"
+    return f"{value:.{digits}g}" if abs(value) < 10.0**digits else f"{value:.0f}"
+
+
+def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...]:
+    """What was flown and recorded."""
+    units = _glanced(card)
+    shown = [name for name in units if any(record.has(name) for record in records)]
+    heads = [f"{_name(name)}\n{bracket(for_people(units[name])[0])}" for name in shown]
+    rows = [
+        (
+            record.name,
+            f"{record.time[-1] - record.time[0]:.1f}",
+            str(record.n),
+            f"{1.0 / record.dt:.4g}",
+            str(len(record.channels)),
+            *(_range(record, name, units[name]) for name in shown),
+        )
+        for record in records
+    ]
+    channels = sorted({name for record in records for name in record.channels})
+    total = sum(float(record.time[-1] - record.time[0]) for record in records)
+    many = f"{len(records)} manoeuvres" if len(records) > 1 else "One manoeuvre"
+    return (
+        Text(f"{many}, {total:.0f} s in all. Aircraft and model: {card.title} (card “{card.name}”)."),
+        Table(
+            "Records: smallest to largest value of the main channels",
+            ("record", "duration\n[s]", "samples", "rate\n[Hz]", "channels", *heads),
+            tuple(rows),
+        ),
+        Fold("Channels and signs", (Facts(tuple((n, _described(n)) for n in channels)), Text(conventions(card)))),
+    )
+
+
+def records_and_faults(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...]:
+    """`at_a_glance`, and what is wrong with channels that no result rests on; the rest is among the `doubts`."""
+    minor = bullets([f"{finding.sentence}." for finding in channel_health(records, card) if not finding.grave])
+    return (*minor, *at_a_glance(records, card))
+
+
+def doubts(
+    records: Sequence[FlightRecord],
+    card: Card,
+    agreement: Consistency | None,
+    *,
+    corrects: bool,
+    failures: Sequence[str] = (),
+) -> tuple[Text, ...]:
+    """Parts of the job that failed, that sensors disagree, and channels that results cannot rest on: it stands before
+    all else of a page."""
+    faults = (Text(f"{finding.sentence}.", "warning") for finding in channel_health(records, card) if finding.grave)
+    failed = (Text(sentence, "warning") for sentence in failures)
+    return (*failed, *consistency_lead(agreement, corrects=corrects), *faults)
+
+
+def consistency_lead(found: Consistency | None, *, corrects: bool) -> tuple[Text, ...]:
+    """That sensors disagree, or that it could not be checked: before everything else of a page."""
+    if found is None or found.agreement is Agreement.AGREE:
+        return ()
+    answer = consistency_sentences(found, corrects=corrects)[0]
+    return (Text(answer, "warning") if found.disagrees else Text(answer),)
+
+
+def _glanced(card: Card) -> dict[str, str]:
+    """Main channels with their SI units: those that any flight has, or those of a linear card's rows."""
+    if card.linear is None:
+        return {name: STANDARD_CHANNELS[name].unit for name in GLANCE}
+    rows, units = card.linear, channel_units(card)
+    return {name: units[name] for name in (*rows.states, *rows.outputs, *rows.inputs)}
+
+
+AXES = "Body axes: x forward, y right, z down. Elevator trailing edge down is positive"
+CONVENTIONS = (
+    f"{AXES}, so Cmde is negative. CL and CD are in stability axes about the centre of gravity, Cm about the "
+    "aerodynamic reference point. Pitch rate enters as q c/V (many texts use q c/2V, which doubles Cmq). tau1 and tau2 "
+    "are in chords travelled: times c/V they are seconds."
+)
+
+
+def conventions(card: Card) -> str:
+    """Axes and signs of what the card's model is made of."""
+    if card.linear is None:
+        return CONVENTIONS
+    return f"{AXES}. Derivatives are dimensional, in SI and radians, and multiply whole channels, not departures."
+
+
+def _name(channel: str) -> str:
+    return {"elevator": "elevator", "q": "pitch rate q"}.get(
+        channel, f"{channel} {SYMBOLS[channel]}" if channel in SYMBOLS else channel
+    )
+
+
+def _range(record: FlightRecord, name: str, unit: str) -> str:
+    if not record.has(name):
+        return "–"
+    factor = for_people(unit)[1]
+    low, high = (factor * float(f(record[name])) for f in (np.min, np.max))
+    places = 0 if abs(high) >= 1000.0 else 1
+    return f"{low:.{places}f} to {high:.{places}f}"
+
+
+def _described(name: str) -> str:
+    if name not in STANDARD_CHANNELS:
+        return "a channel of the card's own"
+    channel = STANDARD_CHANNELS[name]
+    return f"{channel.description} [{plain_unit(for_people(channel.unit)[0])}]"
+
+
+def symbols(
+    parameters: Iterable[Parameter], names: Iterable[str], said: str = CONVENTIONS, *, degrees: bool = False
+) -> Fold:
+    """What each parameter is, and the conventions it rests on; `degrees` where the page shows angles so."""
+    known = {p.name: p for p in parameters}
+    units = {name: for_people(p.unit)[0] if degrees else p.unit for name, p in known.items()}
+    facts = [(f"{n} [{plain_unit(units[n])}]", known[n].description) for n in names if n in known]
+    return Fold("What the parameters mean", (Facts(tuple(facts)), Text(said)))
+
+
+def plain_unit(unit: str) -> str:
+    """A parameter's unit as people read it."""
+    return {"1": "-", "c/V": "chords"}.get(unit, unit).replace("^2", "²").replace("^3", "³")
+
+
+def first(names: Sequence[str]) -> tuple[Sequence[str], tuple[Block, ...]]:
+    """The manoeuvres whose time histories are shown, and the sentence that says so where there are more."""
+    if len(names) <= MOST_SHOWN:
+        return names, ()
+    return names[:MOST_SHOWN], (Text(f"The first {MOST_SHOWN} of {len(names)} manoeuvres are shown."),)
+
+
+def histories(
+    name: str,
+    key: str,
+    time: np.ndarray,
+    panels: Sequence[Panel],
+    legend: tuple[tuple[str, str, str], ...],
+    what: str,
+    over: Over = TIME,
+) -> Plot:
+    """One manoeuvre's panels; `what` begins the words that describe them."""
+    labels = several(panel.label for panel in panels)
+    thinned = (
+        f"Drawn from {len(time)} samples, thinned so that every peak stays (least and largest value of each stretch)."
+        if len(time) > MOST
+        else ""
+    )
+    spans = "; ".join(
+        f"{panel.label} from {number(float(np.nanmin(panel.lines[0].values)))} to "
+        f"{number(float(np.nanmax(panel.lines[0].values)))}"
+        for panel in panels
+    )
+    return Plot(
+        item=linked(time - time[0], panels, key, over),
+        legend=legend,
+        alt=f"{what} of {name} over {time[-1] - time[0]:.0f} {over.unit}: {labels}. Measured: {spans}.",
+        caption=thinned,
+        title=name,
+    )
+
+
+def provenance_blocks(source: Mapping[str, Any], notes: Sequence[str] = (), seconds: Mapping[str, float] | None = None):
+    """Inputs, versions and the command: all that is needed to make the run again."""
+    inputs = tuple((i["name"], i["source"], i["sha256"] or "–") for i in source.get("inputs", ()))
+    cards = tuple((str(c["name"]), "card", str(c["sha256"])) for c in (source.get("card"),) if c)
+    files = tuple((f["name"], "effects", f["sha256"]) for f in source.get("effect_files", ()))
+    facts = [
+        ("Command", str(source.get("command", "–"))),
+        *([("Seed", str(source["seed"]))] if "seed" in source else []),
+        *((str(k).replace("_", " "), str(v)) for k, v in dict(source.get("settings", {})).items()),
+        ("Written", str(source.get("written", "–"))),
+        *((str(k), str(v)) for k, v in dict(source.get("platform", {})).items()),
+    ]
+    blocks: list[Block] = [Text(note, "warning") for note in notes]
+    blocks += [
+        Facts(tuple(facts)),
+        *_inputs((*inputs, *cards, *files)),
+        Fold("Versions", (Facts(tuple((k, str(v)) for k, v in dict(source.get("versions", {})).items())),)),
+    ]
+    if seconds:
+        spent = several(f"{stage} {number(float(s), 2)} s" for stage, s in seconds.items())
+        blocks.append(Text(f"Time spent: {spent}."))
+    return tuple(blocks)
+
+
+def _inputs(rows: tuple[tuple[str, str, str], ...]) -> tuple[Block, ...]:
+    return (Table("Inputs", ("name", "file", "SHA-256"), rows, words=(1, 2)),) if rows else ()
+
+
+def bullets(items: Iterable[str]) -> tuple[Block, ...]:
+    """A list, or nothing."""
+    given = tuple(items)
+    return (Points(given),) if given else ()

@@ -1,0 +1,204 @@
+"""Captions and alternative texts of the figures: what each shows, in numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayes_aero.inference.identification import Identification
+from bayes_aero.inference.stall import Stall
+from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.diagnosis_view import View, composition, unseen_scores
+from bayes_aero.report.figures.found import telling
+from bayes_aero.report.pages.stall import DEG, interval
+from bayes_aero.report.tables.comparison import engine_label, methods
+from bayes_aero.report.text.phrases import several
+
+OFF = (
+    "The steady curve holds controls, airspeed and Mach number as near the largest lift, so it leaves the data where "
+    "the aircraft flew otherwise."
+)
+
+
+def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
+    """Caption and alternative text by stem."""
+    before, after = composition(view, view.card), composition(view, view.extended)
+    lag = {name: (before[name]["lag1"], after[name]["lag1"]) for name in NAMES}
+    best = telling(view)
+    what = best.quantity.replace("_", " ")
+    leaders = "; ".join(
+        f"{r.stage}: {several(f'{s.effect} {s.score:.1f}' for s in r.standings[:3])}" for r in view.rankings
+    )
+    far = sorted(
+        view.moves.items(), key=lambda item: -abs(item[1].after - item[1].before) / max(item[1].sd_after, 1e-300)
+    )
+    change = several(f"{note} with the {label}" for label, _, _, note in best.simulated)
+    return {
+        "found": (
+            f"Measured and by each model: {what} of {best.manoeuvre}, where the extended model gains most, the error "
+            "shaded; and the first screening: a bar is the share of the remaining variance that a candidate explains. "
+            "Named causes are in colour and carry their size.",
+            f"Time history of {what} for {best.manoeuvre}: {change}. Scores of the candidates, leading: {leaders}.",
+        ),
+        "ranking": (
+            "Score of every candidate before anything was added; named causes drawn in colour.",
+            f"Bar chart of candidates' scores. Leading: {leaders}.",
+        ),
+        "gain": (
+            "R² and RMSE on hold-out data as the causes are added one after the other, top to bottom.",
+            "Bar chart of scores on hold-out data by cause. " + gained(view),
+        ),
+        "moves": (
+            "Change of each of the card's parameters when the causes are added.",
+            "Dot plot of parameters before and after. Furthest: "
+            + several(f"{n} from {m.before:.3g} to {m.after:.3g}" for n, m in far[:3])
+            + ".",
+        ),
+        "residual_profiles": (
+            "Mean residual over the channels with the clearest dependence, before and after. A correct model has a "
+            "flat "
+            "line at zero.",
+            "Binned residuals of CL, CD and Cm over three channels each. RMSE before and after: "
+            + several(f"{n} {before[n]['rmse']:.4f} and {after[n]['rmse']:.4f}" for n in NAMES)
+            + ".",
+        ),
+        "residual_colour": (
+            "Autocorrelation and spectrum of the residuals, before and after. The autocorrelation of independent "
+            "noise is zero from the first lag.",
+            "Lag-1 correlation before and after: "
+            + several(f"{n} {a:.2f} and {b:.2f}" for n, (a, b) in lag.items())
+            + ".",
+        ),
+        "stall_models": (
+            "Lift over the angle of attack as measured (α rising and falling), as fitted, and in steady flow with "
+            "its 95 % band; "
+            "below, the time spent at each angle; right, the drag polar with the data on it. One row for each model. "
+            + OFF,
+            "Hysteresis loops of CL over angle of attack, and polars. " + " ".join(_peaks(view)),
+        ),
+        "separation_models": (
+            "Separation point: X = 1 attached, 0 separated from the leading edge, at three rates of the angle of "
+            "attack, "
+            "with 95 % bands. Ticks at the bottom: angles flown.",
+            "Separation point over angle of attack. " + " ".join(_apart(label, s) for label, s in view.stalls.items()),
+        ),
+        "measured_simulated": (
+            "Coefficients measured and simulated by both models, the error shaded.",
+            f"Time histories of CL, CD and Cm. {what} of {best.manoeuvre}: {change}.",
+        ),
+    }
+
+
+def gained(view: View) -> str:
+    scores = unseen_scores(view.diagnosis)
+    if scores is None:
+        return ""
+    first, last = scores
+    pairs = {n: (f"{first[n].r2:.3f}", f"{last[n].r2:.3f}") for n in NAMES if n in first and n in last}
+    moved = {n: pair for n, pair in pairs.items() if pair[0] != pair[1]}
+    return several(f"{n} R² from {before} to {after}" for n, (before, after) in moved.items()) + "." if moved else ""
+
+
+def _peaks(view: View) -> list[str]:
+    return [
+        f"Steady maximum, {label} model: CL {interval(s.CL_max)} at {interval(s.alpha_max, DEG, 1)} deg."
+        if s.seen
+        else f"The {label} model's steady lift still rises at the edge of the angles flown."
+        for label, s in view.stalls.items()
+    ]
+
+
+def _apart(label: str, s: Stall) -> str:
+    middle = np.asarray(s.X[1][1])
+    return (
+        f"In steady flow, {label} model: X from {middle[0]:.2f} at {s.alpha[0] * DEG:.1f} deg to {middle[-1]:.2f} at "
+        f"{s.alpha[-1] * DEG:.1f} deg."
+    )
+
+
+def identification_alternatives(run: Identification) -> dict[str, tuple[str, str]]:
+    """Caption and alternative text of every figure, by stem."""
+    o = run.observations
+    alpha = DEG * np.asarray(o.signals["alpha"])
+    flown = f"angles of attack from {alpha.min():.1f} to {alpha.max():.1f} deg"
+    mle, found = run.mle, methods(run)
+    crb = found[0].estimates
+    wider = {m.label: [e.sd / crb[n].sd for n, e in m.estimates.items() if crb[n].sd > 0.0] for m in found[1:]}
+    ratios = "; ".join(f"{label} {np.median(times):.2f} times" for label, times in wider.items() if times)
+    numbers = "; ".join(
+        f"{n} {x:.4g} ± {s:.2g}" for n, x, s in zip(mle.names, mle.estimate, mle.crb_corrected, strict=True)
+    )
+    texts = {
+        "forest": (
+            "Every parameter by every method, with 95 % intervals; the vertical line is the maximum-likelihood "
+            "estimate.",
+            f"Forest plot of {len(mle.names)} parameters by {len(found)} methods and {len(run.alone)} manoeuvres "
+            f"alone. "
+            f"Maximum likelihood with corrected standard errors: {numbers}.",
+        ),
+        "crb_vs_credible": (
+            "Standard deviation of every parameter by each method, over its Cramér–Rao bound (line at 1). Right of "
+            "the line: less certain than the bound.",
+            f"Dot plot, logarithmic: standard deviation over the Cramér–Rao one, median over parameters: {ratios}.",
+        ),
+        "prior_posterior": (
+            "Prior (grey) and posterior density of every parameter.",
+            f"Prior and posterior densities of {len(mle.names)} parameters. The numbers are in the table of "
+            f"parameters.",
+        ),
+        "gp_prior_posterior": (
+            "Prior and posterior of the Gaussian process's hyperparameters.",
+            "Prior and posterior densities of the hyperparameters of the Gaussian processes of CL, CD and Cm.",
+        ),
+        "pair": (
+            "Posterior of every pair of parameters.",
+            "Matrix of scatter plots of posterior draws. Strongest correlations: "
+            + ("; ".join(f"{a} and {b} {r:+.2f}" for a, b, r in mle.strong_correlations()[:5]) or "none beyond 0.9")
+            + ".",
+        ),
+        "fig2_gpr_fit": (
+            "CL, CD and Cm measured, and predicted by the Gaussian process with its 95 % band.",
+            "Time histories of measured coefficients and the Gaussian process's predictions; the table gives the "
+            "scores.",
+        ),
+    }
+    if run.stall is not None:
+        s = run.stall
+        what = (
+            f"The steady maximum is CL {interval(s.CL_max)} at {interval(s.alpha_max, DEG, 1)} deg."
+            if s.seen
+            else "The steady lift still rises at the edge of the angles flown."
+        )
+        texts["stall"] = (
+            "Top left: lift over the angle of attack as measured (α rising and falling), as fitted, and in steady "
+            "flow with its "
+            "95 % band. Below: the time spent at each angle. Right: the drag polar with the data on it. " + OFF,
+            f"Lift coefficient over {flown}, a hysteresis loop of measured points beside the fitted model. {what} "
+            f"Right: CL over "
+            "CD.",
+        )
+        middle = s.X[1][1]
+        texts["separation"] = (
+            "Where the flow separates: X = 1 attached, 0 separated from the leading edge, at three rates of the "
+            "angle of attack, "
+            "with 95 % bands. Ticks at the bottom: angles flown.",
+            f"Separation point over angle of attack. In steady flow X falls from {middle[0]:.2f} at "
+            f"{s.alpha[0] * DEG:.1f} deg to "
+            f"{middle[-1]:.2f} at {s.alpha[-1] * DEG:.1f} deg; at {s.rates[0] * DEG:.1f} deg/s it ends at "
+            f"{s.X[0][1][-1]:.2f}.",
+        )
+    for engine, posterior in run.posteriors.items():
+        worst = max(m.rhat for m in posterior.marginals.values())
+        ess = min(m.ess_bulk for m in posterior.marginals.values())
+        name = f"{engine_label(engine)}: largest R-hat {worst:.3f}, smallest bulk effective sample size {ess:.0f}"
+        texts[f"trace_{engine}"] = (f"Traces, {engine_label(engine)}.", f"Trace plots of every parameter by {name}.")
+        texts[f"rank_{engine}"] = (
+            f"Ranks of the draws by chain, {engine_label(engine)}: flat lines inside the band mean mixed chains.",
+            f"Rank plots of every parameter by {name}.",
+        )
+    for stem, c in (("fig4_correlation_CL", "CL"), ("fig7_correlation_CD", "CD"), ("fig9_correlation_Cm", "Cm")):
+        texts[stem] = (
+            f"{c} measured against predicted.",
+            f"Scatter plot of measured and predicted {c}; maximum likelihood on all samples correlates by "
+            f"{mle.fit[c].r:.4f}.",
+        )
+    return texts

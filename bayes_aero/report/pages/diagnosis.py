@@ -1,0 +1,288 @@
+"""The page of a diagnosis: causes, sizes, gains, rivals, unexplained structure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bayes_aero.diagnosis.result import Cause, Diagnosis
+from bayes_aero.diagnosis.trajectories.trajectories import Trajectories
+from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.diagnosis_view import DiagnosisView, View, unseen_scores
+from bayes_aero.report.figures.time_histories import SYMBOLS, shown_in
+from bayes_aero.report.html.folded_lists import not_testable_list, open_list
+from bayes_aero.report.html.glossary import WORDS
+from bayes_aero.report.html.page import Block, Fold, Page, Section, Table, Text, filled, section
+from bayes_aero.report.html.parts import (
+    bullets,
+    doubts,
+    first,
+    histories,
+    provenance_blocks,
+    records_and_faults,
+    symbols,
+)
+from bayes_aero.report.html.pictures import Gallery
+from bayes_aero.report.html.plots import LOW, Line, Panel
+from bayes_aero.report.page_context import PageContext
+from bayes_aero.report.pages.captions import diagnosis_alternatives, gained
+from bayes_aero.report.pages.stall import stall_table
+from bayes_aero.report.pages.tables.diagnosis import (
+    by_manoeuvre,
+    calibration,
+    causes,
+    moved,
+    predictors,
+    residuals,
+    separating,
+)
+from bayes_aero.report.pages.trajectories import trajectories
+from bayes_aero.report.tables.holdout_scores import Unseen
+from bayes_aero.report.tables.rankings import Ranking
+from bayes_aero.report.text.consistency import open_sentences
+from bayes_aero.report.text.diagnosis import NAMED_IF, diagnosis_sentences, sentences
+from bayes_aero.report.text.phrases import bracket, several
+from bayes_aero.report.text.trajectories import simulation_gain, trajectory_sentences
+
+CONTEXT = ("alpha", "elevator", "stabilizer", "thrust", "airspeed")
+FEW = 4  # manoeuvres that are listed one by one in the open
+
+
+def diagnosis_page(view: DiagnosisView, told: PageContext) -> Page:
+    """The page of a diagnosis, by coefficients or by trajectories alone."""
+    d, by_coefficients = view.diagnosis, isinstance(view, View)
+    gallery = Gallery(told.figures, diagnosis_alternatives(view) if isinstance(view, View) else {})
+    verdict, *rest = diagnosis_sentences(d) if by_coefficients else sentences(view)
+    from_what = "" if by_coefficients else ", from trajectories alone: the record has no coefficients"
+    return Page(
+        title=f"Diagnosis: {told.card.title}",
+        subtitle=f"The model error, its causes, and the gain of the extended model{from_what}",
+        verdict=verdict,
+        lead=_lead(view, told, gallery),
+        doubts=doubts(told.records, told.card, told.consistency, corrects=by_coefficients, failures=told.failures),
+        sections=filled(
+            section("records", "The records at a glance", lambda: records_and_faults(told.records, told.card)),
+            section("causes", "Causes of the model error", lambda: _causes(d, view.rankings, gallery)),
+            *(_of_coefficients(view, told, gallery, rest) if isinstance(view, View) else _findings(view, told, rest)),
+            section("provenance", "Provenance", lambda: provenance_blocks(told.source, told.notes)),
+        ),
+    )
+
+
+def _lead(view: DiagnosisView, told: PageContext, gallery: Gallery) -> tuple[Block, ...]:
+    """What was hidden, if anything was; what the extension gains; the first figure."""
+    lead: list[Block] = [Text(one, "lead") for one in told.revealed]
+    if isinstance(view, View) and gained(view):
+        lead.append(Text(f"On hold-out data, before and after: {gained(view)}", "lead"))
+    if view.trajectories is not None and (gain := simulation_gain(view.trajectories)):
+        lead.append(Text(gain, "lead"))
+    lead += gallery("found") or gallery("measured_simulated")
+    if not isinstance(view, View):
+        lead.append(Text("The record lacks channels from which lift, drag and moment coefficients are formed."))
+    elif not told.figures:
+        lead.append(Text("Static pictures were not drawn in this run; tables and interactive figures are complete."))
+    return tuple(lead)
+
+
+def _of_coefficients(view: View, told: PageContext, gallery: Gallery, rest: Sequence[str]) -> tuple[Section, ...]:
+    """Sections of a diagnosis by coefficients."""
+    return (
+        section("gain", "Gain of the extended model on hold-out data", lambda: _gain(view, gallery)),
+        section("open", "Rivals and unexplained structure", lambda: _open(view.diagnosis, told, rest)),
+        section("fit", "Measured and simulated coefficients", lambda: _coefficients(view)),
+        section("trajectories", "Trajectories, before and after", lambda: _flown(view.trajectories, told)),
+        section("stall", "The stall", lambda: _stall(view, gallery)),
+        section("parameters", "Change of the card's parameters", lambda: _parameters(view, gallery)),
+        section("predictors", "Which predictor to use", lambda: _predictors(told)),
+        section("diagnostics", "Diagnostics", lambda: _diagnostics(view, gallery)),
+    )
+
+
+def _findings(view: DiagnosisView, told: PageContext, rest: Sequence[str]) -> tuple[Section, ...]:
+    """Sections of a diagnosis by trajectories alone."""
+    listed = () if told.consistency is None else open_list(told.consistency)
+    no_lift = "CLmax and the stall angle are not given: without accelerometers lift is not measured."
+    return (
+        section(
+            "open",
+            "Findings in full",
+            lambda: (*bullets(rest), *listed, *not_testable_list(view.diagnosis.not_testable)),
+        ),
+        section("trajectories", "Trajectories, before and after", lambda: _flown(view.trajectories, told)),
+        section("stall", "The stall", lambda: (Text(no_lift),)),
+    )
+
+
+def _causes(d: Diagnosis, rankings: Sequence[Ranking], gallery: Gallery) -> tuple[Block, ...]:
+    blocks: list[Block] = []
+    shared = any(c.ambiguous_with for c in d.causes)
+    if d.causes:
+        blocks += [
+            Text(
+                "Each cause is one effect of the catalogue that the card's model lacks. Sizes are estimates with one "
+                "standard error. The probability is that of the effect being present"
+                + ("; rivals (last column) share it." if shared else ".")
+            ),
+            causes(d),
+        ]
+    else:
+        blocks.append(Text("No cause is named. The leading candidates:"))
+    if d.minor:
+        verb = "were" if len(d.minor) > 1 else "was"
+        said = f"{several(d.minor)} {verb} in the model during the selection"
+        blocks.append(Text(f"Too small to be named: {said}."))
+    listed = [_leaders(ranking, d.causes) for ranking in rankings]
+    blocks += [WORDS, Fold("Every candidate's score before anything was added", (*listed, *gallery.folded("ranking")))]
+    return tuple(blocks)
+
+
+def _leaders(ranking: Ranking, named: Sequence[Cause]) -> Table:
+    names = {c.name for c in named if c.stage == ranking.stage}
+    rows = tuple(
+        (s.effect, s.kind, f"{s.score:.1f}", f"{s.p_value:.3f}", "yes" if s.effect in names else "")
+        for s in ranking.leaders
+    )
+    beyond = f" Noise alone exceeds {ranking.threshold:.1f} once in twenty." if np.isfinite(ranking.threshold) else ""
+    return Table(
+        f"Leading candidates of the stage “{ranking.stage}”",
+        ("effect", "kind", "score", "p", "named"),
+        rows,
+        words=(1,),
+        note=f"Score: estimate over its standard error, autocorrelation included.{beyond} p is family-wise over all "
+        f"candidates, 0.005 at the least. {NAMED_IF} screen.csv lists all candidates.",
+    )
+
+
+def _gain(view: View, gallery: Gallery) -> tuple[Block, ...]:
+    scores = unseen_scores(view.diagnosis)
+    if scores is None:
+        return (Text("Nothing was added, so there is no gain to report."),)
+    head, rows = ["coefficient"], []
+    for when in ("before", "after"):
+        head += [f"R² {when}", f"RMSE {when} [-]"]
+    for name in NAMES:
+        if name not in scores[1]:
+            continue
+        a, b = scores[0][name], scores[1][name]
+        rows.append((name, f"{a.r2:.3f}", f"{a.rmse:.4f}", f"{b.r2:.3f}", f"{b.rmse:.4f}"))
+    what = (
+        "each manoeuvre predicted from the others"
+        if view.diagnosis.split == "manoeuvre"
+        else "each block from the others"
+    )
+    return (
+        Table(
+            f"Hold-out data ({what}): the card's model before, with all confirmed causes after",
+            tuple(head),
+            tuple(rows),
+            note="5 Hz means. R² below zero: worse than a constant.",
+        ),
+        *_each(view),
+        *gallery("gain"),
+    )
+
+
+def _each(view: View) -> tuple[Block, ...]:
+    """The manoeuvres one by one, where there are several; many are folded."""
+    if len(view.names) == 1 or not view.extended.state.active:
+        return ()
+    table = by_manoeuvre(Unseen(view))
+    return (table,) if len(view.names) <= FEW else (Fold("The same, manoeuvre by manoeuvre", (table,)),)
+
+
+def _open(d: Diagnosis, told: PageContext, rest: Sequence[str]) -> tuple[Block, ...]:
+    blocks: list[Block] = []
+    sets = [f"{c.name} or {several(c.ambiguous_with)}" for c in d.causes if c.ambiguous_with]
+    if sets:
+        blocks.append(Text(f"Rival explanations on this record: {'; '.join(sets)}."))
+    else:
+        blocks.append(Text("No named cause has a rival on this record."))
+    pairs = [one for one in rest if " cancel each other " in one]
+    blocks += [*bullets(pairs), *separating(told.separating)]
+    if told.consistency is not None:
+        blocks += [*bullets(open_sentences(told.consistency)), *open_list(told.consistency)]
+    unknown = [one for one in rest if one.startswith(("Unexplained", "The estimate of"))]
+    blocks += bullets(unknown) or (Text("No structure remains that a recorded channel predicts."),)
+    others = [s for s in rest if s not in (*unknown, *pairs) and not any(s.startswith(f"{c.name}: ") for c in d.causes)]
+    blocks.append(Fold("Noise, and effects that this record cannot test", bullets(others) or (Text("None."),)))
+    blocks += not_testable_list(d.not_testable)
+    return tuple(blocks)
+
+
+def _coefficients(view: View) -> tuple[Block, ...]:
+    models = [("card's model", COLOURS["before"], view.card, "dashed")]
+    if view.changed:
+        models.append(("extended model", COLOURS["after"], view.extended, "solid"))
+    legend = (
+        ("measured", COLOURS["measured"], "solid"),
+        *((label, colour, style) for label, colour, _, style in models),
+        (f"error of the {models[-1][0]}", models[-1][1], "area"),
+    )
+    channels = {**view.card.state.responses.flights.channels, **view.card.signals}
+    shown, more = first(view.names)
+    plots: list[Block] = [*more]
+    for number, name in enumerate(shown):
+        mine = view.manoeuvre == number
+        panels = []
+        for c, coefficient in enumerate(NAMES):
+            z = view.measured[mine, c]
+            lines = [Line("measured", COLOURS["measured"], z, width=1.0)]
+            lines += [Line(label, colour, z - f.residual[mine, c], style) for label, colour, f, style in models]
+            panels.append(Panel(f"{coefficient} [-]", tuple(lines), shade=((0, len(models)),)))
+        for channel in CONTEXT:
+            if channel in channels and np.ptp(np.asarray(channels[channel])[mine]) > 0.0:
+                unit, factor = shown_in(channel)
+                values = factor * np.asarray(channels[channel], float)[mine]
+                label = f"{SYMBOLS.get(channel, channel)} {bracket(unit)}"
+                panels.append(Panel(label, (Line("measured", COLOURS["measured"], values),), height=LOW))
+        what = "Coefficients measured and simulated by the card's and the extended model, and the controls,"
+        plots.append(histories(name, f"time-coefficients-{number}", view.time[mine], panels, legend, what))
+    return (
+        Text(
+            "Lift, drag and pitching-moment coefficients from the accelerometers and rate gyros, and both models "
+            "fitted to all "
+            "manoeuvres. The error of the extended model is shaded."
+        ),
+        *plots,
+    )
+
+
+def _flown(flown: Trajectories | None, told: PageContext) -> tuple[Block, ...]:
+    if flown is None:
+        return (Text("No trajectories were simulated in this run."),)
+    remarks = [s for s in trajectory_sentences(flown) if "within tolerance" not in s]  # the table has those
+    return (*trajectories(flown, told.card), *bullets(remarks))
+
+
+def _stall(view: View, gallery: Gallery) -> tuple[Block, ...]:
+    if not view.stalls:
+        return (Text("CLmax and the stall angle are not given: no coefficients were formed."),)
+    labels = {"card": "card's model", "extended": "extended model"}
+    what = "Intervals are from normal draws with the covariance of the fit, autocorrelation included."
+    return (
+        *stall_table({labels[key]: s for key, s in view.stalls.items()}, what),
+        *gallery("stall_models", "separation_models"),
+    )
+
+
+def _parameters(view: View, gallery: Gallery) -> tuple[Block, ...]:
+    if not view.moves:
+        return ()
+    return (moved(view), symbols(view.card.state.field.model.parameters, view.moves, degrees=True), *gallery("moves"))
+
+
+def _predictors(told: PageContext) -> tuple[Block, ...]:
+    if not told.predictors:
+        return (Text("Predictors were not compared in this run."),)
+    return (predictors(told.predictors),)
+
+
+def _diagnostics(view: View, gallery: Gallery) -> tuple[Block, ...]:
+    return (
+        Fold(
+            "Residuals: size, composition, autocorrelation, calibration",
+            (residuals(view), calibration(view), *gallery.folded("residual_profiles", "residual_colour")),
+        ),
+    )

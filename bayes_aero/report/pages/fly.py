@@ -1,0 +1,155 @@
+"""The page of a fit to trajectories: records, errors, parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED, START, FlownFit
+from bayes_aero.flight.agreement import Consistency
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.figures.fly import stem_of
+from bayes_aero.report.html.glossary import FLOWN, words
+from bayes_aero.report.html.page import Block, Fold, Page, Text, filled, section
+from bayes_aero.report.html.parts import (
+    bullets,
+    conventions,
+    doubts,
+    first,
+    provenance_blocks,
+    records_and_faults,
+    symbols,
+)
+from bayes_aero.report.html.pictures import Gallery
+from bayes_aero.report.html.plots import LOW, Line, Panel
+from bayes_aero.report.pages.tables import fly as tables
+from bayes_aero.report.pages.trajectories import Curve, axis_label, over_measured, sources
+from bayes_aero.report.text.fly import errors_of_all
+from bayes_aero.report.text.phrases import SYMBOLS, for_people, several, short
+
+MODELS = (
+    (START, "first values", COLOURS["before"], "dashed"),
+    (FITTED, "fitted model", COLOURS["after"], "solid"),
+)
+
+
+@dataclass(frozen=True)
+class FlyTold:
+    """What the page needs beside the fit: its sentences, the verdict first, and its notes."""
+
+    card: Card
+    records: Sequence[FlightRecord]
+    source: Mapping[str, Any]
+    said: Sequence[str]
+    notes: Sequence[str] = ()
+    figures: Mapping[str, Path] = field(default_factory=dict)  # those drawn, by stem
+    consistency: Consistency | None = None
+    failures: Sequence[str] = ()  # parts that failed unexpectedly
+
+
+def fly_page(flown: FlownFit, told: FlyTold) -> Page:
+    """The page; nothing on it but the fit's own numbers."""
+    verdict, *rest = told.said
+    return Page(
+        title=f"Trajectories: {told.card.title}",
+        subtitle="A model fitted to trajectories by output error",
+        verdict=verdict,
+        doubts=doubts(told.records, told.card, told.consistency, corrects=False, failures=told.failures),
+        lead=(*_lead(flown), *_opening(flown, told.figures)),
+        sections=filled(
+            section("findings", "Findings", lambda: (*bullets([*rest, *told.notes]), words(FLOWN))),
+            section("records", "The records at a glance", lambda: records_and_faults(told.records, told.card)),
+            section("fit", "Measured and simulated", lambda: _flights(flown)),
+            section("errors", "Errors", lambda: _errors(flown, told.card)),
+            section("parameters", "Parameters", lambda: _parameters(flown, told.card)),
+            section("provenance", "Provenance", lambda: _provenance(told.source)),
+        ),
+    )
+
+
+def _lead(flown: FlownFit) -> tuple[Block, ...]:
+    """The gain at once: error at first values and of the fit, all manoeuvres together; a warning if it failed."""
+    if not flown.converged:
+        return (Text("Do not use the numbers on this page: the fit stopped there without converging.", "warning"),)
+    told = []
+    for output, (before, after) in errors_of_all(flown).items():
+        unit, factor = for_people(flown.units[output])
+        item = f"{SYMBOLS.get(output, output)} {short(factor * before)} → {short(factor * after)} {unit}"
+        told.append(item.replace(" ", "\u00a0"))  # never broken in the middle
+    return (Text(f"Root-mean-square error of the simulation, first values → fit: {several(told)}.", "lead"),)
+
+
+def _opening(flown: FlownFit, figures: Mapping[str, Path]) -> tuple[Block, ...]:
+    """The output that the fit follows least: whose error is the largest share of its movement."""
+    errors = {n: pair for n, pair in errors_of_all(flown).items() if stem_of(n) in figures and pair[1] > 0.0}
+    if not errors:
+        return ()
+    flights = [flown.path(name, FITTED).measured for name in flown.manoeuvres]
+    moved = {n: float(np.sqrt(np.mean([np.var(flight[n]) for flight in flights]))) for n in errors}
+    worst = max(errors, key=lambda n: errors[n][1] / max(moved[n], 1e-300))
+    (before, after), (unit, factor) = errors[worst], for_people(flown.units[worst])
+    change = f"{short(factor * before)} {unit} with the first values, {short(factor * after)} {unit} as fitted"
+    caption = f"{SYMBOLS.get(worst, worst)}, which the fit follows least: measured and simulated."
+    alt = f"Time histories of {worst}, measured and simulated. Root-mean-square error: {change}."
+    return Gallery(figures, {stem_of(worst): (caption, alt)})(stem_of(worst))
+
+
+def _flights(flown: FlownFit) -> tuple[Block, ...]:
+    shown, told = first(flown.manoeuvres)
+    units = {name: flown.units[name] for name in flown.outputs}
+    plots = []
+    for order, name in enumerate(shown):
+        curves = [Curve(flown.path(name, model), *how) for model, *how in MODELS]
+        what = "Measured outputs, those simulated from the first values and by the fit, and the inputs"
+        plots.append(over_measured(name, f"time-flown-{order}", curves, units, what, _inputs(flown, order)))
+    free = flown.setting.initial is None
+    began = "from the measured initial state" if free else "from the fixed initial state"
+    what_fits = "parameters and initial state" if free else "parameters"
+    said = (
+        "The model simulated with the recorded inputs, without correction by measurements: with the first values of "
+        f"its parameters {began} (dashed), and with {what_fits} fitted. The error of the fit is shaded."
+    )
+    if any(error.tolerance is not None for path in flown.paths for error in path.errors.values()):
+        said += " The grey band is the tolerance about the measurement."
+    return (Text(said), *told, *plots)
+
+
+def _inputs(flown: FlownFit, order: int) -> list[Panel]:
+    """What drove the simulation and moved; states and outputs have panels already."""
+    flights = flown.fit.flown.flights
+    mine = flights.manoeuvre == order
+    panels = []
+    for name in flown.fit.flown.dynamics.inputs:
+        unit = flown.units.get(name)
+        if unit is None or name in flown.outputs or name not in flights.channels:
+            continue
+        values = for_people(unit)[1] * np.asarray(flights.channels[name], float)[mine]
+        if np.ptp(values) > 0.0:
+            line = Line("measured", COLOURS["measured"], values)
+            panels.append(Panel(axis_label(name, unit), (line,), height=LOW))
+    return panels
+
+
+def _errors(flown: FlownFit, card: Card) -> tuple[Block, ...]:
+    kept = tables.kept(flown)
+    units = {name: flown.units[name] for name in flown.outputs}
+    return (tables.errors(flown), *(() if kept is None else (kept, *sources(card, units))))
+
+
+def _parameters(flown: FlownFit, card: Card) -> tuple[Block, ...]:
+    parameters = flown.fit.parameters
+    return (
+        tables.parameters(flown),
+        symbols(parameters, [p.name for p in parameters], conventions(card)),
+        tables.initial(flown),
+    )
+
+
+def _provenance(source: Mapping[str, Any]) -> tuple[Block, ...]:
+    return (Fold("Inputs, versions and the command that repeat the run", provenance_blocks(source)),)

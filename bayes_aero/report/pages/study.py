@@ -1,0 +1,201 @@
+"""The report of a study: the state of its units and their joint results."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+import pandas as pd
+
+from bayes_aero.report.html.page import Block, Facts, Page, Picture, Table, Text, filled, section
+from bayes_aero.report.html.parts import bullets, number, plain_unit
+from bayes_aero.report.html.pictures import embedded
+from bayes_aero.report.style import NotDrawn, save
+from bayes_aero.report.tables.across_cases import MOST_BARS, MOST_PANELS, Estimates, across, estimates, panels_of
+from bayes_aero.report.text.phrases import several
+
+MOST_UNITS, MOST_ROWS = 200, 300  # of a table on the page; the files have all
+APART = 1.5  # times the units' own deviation, from which their scatter is told
+
+
+@dataclass(frozen=True)
+class StudyTold:
+    """A study's name, its tables (columns as in units.csv and summary.csv), where they are, and what is known of it."""
+
+    title: str
+    task: str
+    units: pd.DataFrame
+    results: pd.DataFrame
+    folder: Path
+    facts: Mapping[str, str]
+
+
+def study_page(told: StudyTold) -> Page:
+    """The page; nothing on it that the tables do not have."""
+    found = estimates(told.units, told.results)
+    return Page(
+        title=f"Study: {told.title}",
+        subtitle=f"{len(told.units)} units, each a run of {told.task}",
+        verdict=study_headline(told),
+        lead=_lead(found, told.folder),
+        sections=filled(
+            section("findings", "Findings over all units", lambda: bullets(_findings(told, found))),
+            section("across", "Scatter and intervals", lambda: _across(found)),
+            section("units", "The units", lambda: (_units(told.units, told.folder),)),
+            section("provenance", "Provenance", lambda: (Facts(tuple(told.facts.items())),)),
+        ),
+    )
+
+
+def study_headline(told: StudyTold) -> str:
+    """State of the study and joint results of its units, in one sentence."""
+    return f"{'; '.join([_progress(told.units), *_short(told)])}."
+
+
+def _progress(units: pd.DataFrame) -> str:
+    states = Counter(units["state"])
+    total, done = len(units), states.pop("done", 0)
+    if done == total:
+        return f"All {total} units are done" if total > 1 else "The unit is done"
+    return f"{done} of {total} units are done ({several(f'{n} {state}' for state, n in states.items())})"
+
+
+def _short(told: StudyTold) -> list[str]:
+    """Verdicts, the cause that most units name, the parameter that scatters farthest beyond its intervals."""
+    verdicts, causes, done = _counted(told)
+    said = []
+    if verdicts:
+        all_same = len(verdicts) == 1 and done > 1
+        said.append(several(f"{'all' if all_same else n} {_words(verdict)}" for verdict, n in verdicts.most_common()))
+    if causes:
+        cause, n = causes.most_common(1)[0]
+        said.append(f"{cause} is named in {n} of {done}")
+    compared, beyond = _beyond(estimates(told.units, told.results))
+    if beyond:
+        worst = max(beyond, key=lambda e: e.scatter / e.claimed)
+        ratio = f"{worst.scatter / worst.claimed:.1f} times its intervals"
+        said.append(f"{worst.label} differs between units by {ratio}")
+    elif compared:
+        said.append(f"no parameter differs between units by more than {APART:g} times its intervals")
+    return said
+
+
+def _words(verdict: str) -> str:
+    return verdict.replace("_", " ")
+
+
+def _counted(told: StudyTold) -> tuple[Counter[str], Counter[str], int]:
+    """Units by verdict, units by the causes that they name, and how many are done."""
+    done = told.units[told.units["state"] == "done"]
+    pairs = set(zip(told.results["cause"], told.results["unit"], strict=True))
+    return Counter(v for v in done["verdict"] if v), Counter(cause for cause, _ in sorted(pairs) if cause), len(done)
+
+
+def _beyond(found: list[Estimates]) -> tuple[list[Estimates], list[Estimates]]:
+    """Estimates that several units have, by their most trusted method; those that scatter beyond their intervals."""
+    compared = [group[0] for _, group in panels_of(found) if group and len(group[0].value) > 1]
+    return compared, [e for e in compared if e.scatter > APART * e.claimed]
+
+
+def _findings(told: StudyTold, found: list[Estimates]) -> list[str]:
+    """Verdicts by number, causes by how many units name them, and parameters that scatter beyond their intervals."""
+    verdicts, causes, done = _counted(told)
+    said = []
+    if verdicts:
+        said.append(f"Verdicts: {several(f'{n} {_words(verdict)}' for verdict, n in verdicts.most_common())}.")
+    if causes:
+        listed = several(f"{cause} {n}" for cause, n in causes.most_common())
+        said.append(f"Causes, in how many units of {done}: {listed}.")
+    _, beyond = _beyond(found)
+    if beyond:
+        listed = several(f"{e.label} ({e.scatter / e.claimed:.1f} times)" for e in beyond)
+        said.append(
+            f"Estimates differ between units by more than their own standard errors: {listed}. Units that differ in "
+            "records, effects or cards may do so; the same record under other seeds should not."
+        )
+    return said
+
+
+def _lead(found: list[Estimates], folder: Path) -> tuple[Block, ...]:
+    """The picture of all estimates; a study without any has none."""
+    path = folder / "across.png"
+    try:
+        save(across(found), path)
+    except NotDrawn:
+        return ()
+    groups = [group[0] for _, group in panels_of(found) if group]
+    means = several(f"{e.label} {number(float(np.mean(e.value)))} {plain_unit(e.si)}" for e in groups[:MOST_PANELS])
+    more = f" The first {MOST_PANELS} of {len(groups)} parameters." if len(groups) > MOST_PANELS else ""
+    source, (width, height), natural = embedded(path)
+    bars = "with its 95 % interval" if max(e.unit.max() for e in found) <= MOST_BARS else "without its interval"
+    caption = f"Every unit's estimate {bars}, by the unit's number in the table below.{more}"
+    return (Picture(source, f"Estimates of all units. Means: {means}.", caption, width, height, natural),)
+
+
+def _across(found: list[Estimates]) -> tuple[Block, ...]:
+    if not found:
+        return ()
+    rows = tuple(
+        (
+            e.label,
+            e.method,
+            str(len(e.value)),
+            number(float(np.mean(e.value)), 4),
+            plain_unit(e.si),
+            number(e.scatter, 2),
+            number(e.claimed, 2),
+            number(e.scatter / e.claimed, 2) if e.claimed > 0.0 else "–",
+        )
+        for e in found[:MOST_ROWS]
+    )
+    table = Table(
+        "Estimates of all units by parameter and method",
+        ("parameter", "method", "units", "mean", "unit", "scatter", "standard error", "ratio"),
+        rows,
+        words=(1, 4),
+        note="Scatter: standard deviation between units. Standard error: root mean square of those of the units. A "
+        "ratio well above one: the standard errors do not cover the differences between these units.",
+    )
+    left = len(found) - len(rows)
+    return (table, *((Text(f"{left} more are in summary.csv."),) if left else ()))
+
+
+def _units(units: pd.DataFrame, folder: Path) -> Table:
+    """Those that are not done first, as many as a page bears; a name leads to the unit's own report."""
+    shown = units.assign(number=np.arange(1, len(units) + 1))
+    shown = shown.sort_values("state", key=lambda s: s == "done", kind="stable").head(MOST_UNITS)
+    records = shown.to_dict("records")
+    rows = tuple(
+        (
+            str(row["unit"]),
+            str(row["number"]),
+            str(row["state"]),
+            _time(row["seconds"]),
+            str(row["verdict"] or "–"),
+            str(row["error"] or "–"),
+        )
+        for row in records
+    )
+    left = len(units) - len(rows)
+    return Table(
+        "Units of the study",
+        ("unit", "number", "state", "time", "verdict", "error"),
+        rows,
+        words=(2, 4, 5),
+        note=f"{left} more are in units.csv." if left else "",
+        links=tuple(_report(folder, str(row["unit"])) for row in records),
+    )
+
+
+def _time(seconds: Any) -> str:
+    return "–" if seconds is None or not np.isfinite(seconds) else f"{seconds:.0f} s"
+
+
+def _report(folder: Path, unit: str) -> str:
+    """Where a unit's own page is, from the study's; empty where it has none."""
+    return f"units/{quote(unit)}/report.html" if (folder / "units" / unit / "report.html").is_file() else ""

@@ -1,0 +1,160 @@
+"""The same parameters by every method of a run, in one order: what tables, figures and words all read from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from bayes_aero.inference.identification import Identification
+from bayes_aero.inference.likelihood.mle import MleResult, MleStatus
+from bayes_aero.inference.posterior.posterior import Posterior
+from bayes_aero.model.noise import Colour
+
+ORDER = (
+    *("CD0", "e", "CDX", "CL0", "CLa", "CLaM"),
+    *("Cm0", "Cma", "Cmq", "Cmde", "CmX"),
+    *("a1", "alpha_star", "tau1", "tau2"),
+)
+NORMAL95 = 1.959964
+ENGINES = {"emcee": "emcee", "nuts": "NUTS"}
+NOISES = {"ar1": "AR(1)", "buffet-ar1": "AR(1) with buffet"}
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter by one method: centre, standard deviation and 95 % interval."""
+
+    centre: float
+    sd: float
+    low: float
+    high: float
+
+    @classmethod
+    def normal(cls, centre: float, sd: float) -> Estimate:
+        """Interval of a normal distribution."""
+        return cls(centre, sd, centre - NORMAL95 * sd, centre + NORMAL95 * sd)
+
+
+@dataclass(frozen=True)
+class Method:
+    """One way to an interval: `key` for colours and columns, `label` for people, estimates by parameter."""
+
+    key: str
+    label: str
+    estimates: dict[str, Estimate]
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """One parameter between manoeuvres fitted alone.
+
+    `sd` of the estimates; `in_crb` the largest difference of a pair, in units of its combined Cramer-Rao deviation.
+    """
+
+    sd: float
+    in_crb: float
+
+
+def ordered(names: Iterable[str]) -> list[str]:
+    """Names in the canonical order, unknown ones behind as they come."""
+    given = list(names)
+    return [n for n in ORDER if n in given] + [n for n in given if n not in ORDER]
+
+
+def flown(identification: Identification) -> list[str]:
+    """Fitted parameters of which it is known with what value the records were simulated; none of real records."""
+    truth = identification.truth or {}
+    return [name for name in ordered(identification.mle.names) if name in truth]
+
+
+def unit_of(identification: Identification, name: str) -> str:
+    """The unit of a parameter of the model or of its noise."""
+    mle = identification.mle
+    return mle.units[mle.names.index(name)] if name in mle.names else "1"
+
+
+def chosen_posteriors(identification: Identification) -> dict[str, Posterior]:
+    """Posteriors under the chosen noise model, by engine."""
+    return {key: p for key, p in identification.posteriors.items() if key != "white"}
+
+
+def white_posterior(identification: Identification) -> Posterior | None:
+    """The posterior under white noise, which is the chosen one where white noise was chosen."""
+    if "white" in identification.posteriors or identification.noise is not Colour.WHITE:
+        return identification.posteriors.get("white")
+    return next(iter(chosen_posteriors(identification).values()), None)
+
+
+def engine_label(key: str) -> str:
+    """How an engine is written."""
+    return ENGINES.get(key, key)
+
+
+def noise_label(noise: str) -> str:
+    """How a noise model is written."""
+    return NOISES.get(noise, noise)
+
+
+def methods(identification: Identification) -> list[Method]:
+    """Bounds, then posteriors, each with the estimates it has of the model's parameters."""
+    mle = identification.mle
+    found = [
+        Method("crb", "ML, Cramér-Rao bound", _bounds(mle, mle.crb)),
+        Method("crb_corrected", "ML, corrected bound", _bounds(mle, mle.crb_corrected)),
+    ]
+    if "white" in identification.posteriors:
+        found.append(Method("white", "emcee, white noise", _marginals(identification.posteriors["white"], mle)))
+    for key, posterior in chosen_posteriors(identification).items():
+        label = f"{engine_label(key)}, {noise_label(identification.noise)} noise"
+        found.append(Method(key, label, _marginals(posterior, mle)))
+    return found
+
+
+def _bounds(mle: MleResult, sd: np.ndarray) -> dict[str, Estimate]:
+    return {n: Estimate.normal(float(x), float(s)) for n, x, s in zip(mle.names, mle.estimate, sd, strict=True)}
+
+
+def _marginals(posterior: Posterior, mle: MleResult) -> dict[str, Estimate]:
+    return {n: Estimate(m.mean, m.sd, *m.ci95) for n, m in posterior.marginals.items() if n in mle.names}
+
+
+def usable(mle: MleResult) -> bool:
+    """Whether a fit's numbers mean something."""
+    return mle.status in (MleStatus.CONVERGED, MleStatus.AT_BOUND)
+
+
+def alone(identification: Identification, name: str) -> dict[str, tuple[float, float, float]]:
+    """Estimate, Cramer-Rao bound and corrected bound of `name` by manoeuvre, from usable fits inside their bounds."""
+    found = {}
+    for manoeuvre, mle in identification.alone.items():
+        if usable(mle) and name in mle.names and name not in mle.at_bound:
+            i = mle.names.index(name)
+            numbers = float(mle.estimate[i]), float(mle.crb[i]), float(mle.crb_corrected[i])
+            if np.all(np.isfinite(numbers)):
+                found[manoeuvre] = numbers
+    return found
+
+
+def scatter(identification: Identification, name: str) -> Scatter | None:
+    """How far manoeuvres fitted alone differ in `name`; None with fewer than two usable estimates."""
+    single = list(alone(identification, name).values())
+    if len(single) < 2:
+        return None
+    pairs = list(combinations(single, 2))
+    return Scatter(
+        sd=float(np.std([x for x, _, _ in single], ddof=1)),
+        in_crb=max(apart(a[0], b[0], a[1], b[1]) for a, b in pairs),
+    )
+
+
+def apart(a: float, b: float, sd_a: float, sd_b: float) -> float:
+    """|a - b| in units of the standard deviation of the difference of independent estimates."""
+    return abs(a - b) / float(np.hypot(sd_a, sd_b))
+
+
+def decimals(sd: float) -> int:
+    """Decimal places that show two digits of a standard error."""
+    return int(np.clip(1 - np.floor(np.log10(sd)), 0, 8))

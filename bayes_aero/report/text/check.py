@@ -1,0 +1,99 @@
+"""The findings of a check of records, for the terminal and for the page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from bayes_aero.diagnosis.consistency.check_result import CheckReport
+from bayes_aero.flight.agreement import Agreement
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.reading.inspection import ChannelReport, RecordReport
+from bayes_aero.report.tables.not_testable import not_testable_sentences
+from bayes_aero.report.text.consistency import consistency_sentences
+from bayes_aero.report.text.phrases import for_people, several
+
+MOST_PARTS = 12  # of a file that are listed in words; the JSON has all
+
+
+def taken(channel: ChannelReport) -> tuple[str, str, str, str]:
+    """A channel's place, unit, range in the file and remarks."""
+    c = channel
+    unit = c.unit if c.unit == c.si else f"{c.unit} → {c.si}"
+    remarks = [*(["sign reversed"] if c.sign < 0 else []), *([] if c.moves else ["does not move"])]
+    return c.place, unit, f"{c.lowest:.5g} to {c.highest:.5g}", ", ".join(remarks)
+
+
+def part_sentences(record: RecordReport) -> list[str]:
+    """The parts of a file that may be analysed in place of the whole, as they are written on the command line."""
+    said = []
+    for what, words in (("in flight", "parts in flight"), ("manoeuvre", "manoeuvres")):
+        parts = [f"{record.path}@{p.part}" for p in record.proposals if p.what == what]
+        if parts:
+            more = f" and {len(parts) - MOST_PARTS} more" if len(parts) > MOST_PARTS else ""
+            said.append(f"{words}: {', '.join(parts[:MOST_PARTS])}{more}")
+    if said:
+        said.append("give these parts instead of the file, or list them on the card under [segments]")
+    return said
+
+
+def card_sentences(report: CheckReport) -> list[str]:
+    """What the card itself adds to the files."""
+    card = report.card
+    said = [f"constant from the card: {name} = {value:g}{_behind(name)}" for name, value in card.constants.items()]
+    for rule in dict.fromkeys(card.derived.values()):
+        formed = ", ".join(name for name, of in card.derived.items() if of == rule)
+        said.append(f"computed by the card's rule, where not recorded ({rule}): {formed}")
+    said += [f"table from the card: {name} over {table.said}" for name, table in card.tables.items()]
+    return said + [f"sum from the card: {name} = {_sum(parts)}" for name, parts in card.sums.items()]
+
+
+def _sum(parts: Mapping[str, float]) -> str:
+    """The parts of a sum, with the factors that are not 1."""
+    said = [f"{'-' if k < 0 else '+'} {'' if abs(k) == 1.0 else f'{abs(k):g} '}{name}" for name, k in parts.items()]
+    return " ".join(said).removeprefix("+ ")
+
+
+def _behind(channel: str) -> str:
+    """The SI unit as it stands behind a number, where it is known."""
+    unit = {"thrust": "N"} | {name: c.unit for name, c in STANDARD_CHANNELS.items()}
+    return f" {unit[channel]}".removesuffix(" 1") if channel in unit else " in SI"
+
+
+def use_sentences(report: CheckReport) -> list[str]:
+    """What the records can be used for, and what cannot be tested on them."""
+    said = [f"{name}: possible" if not why else f"{name}: not possible, {why}" for name, why in report.uses.items()]
+    return said + not_testable_sentences(report.not_testable)
+
+
+def sensor_sentences(report: CheckReport) -> list[str]:
+    """Whether the sensors agree, the answer first; then which errors are found though they are within the noise."""
+    said = consistency_sentences(report.consistency, corrects=False)
+    if report.sensors.errors and not report.consistency.disagrees:
+        said.append("Errors within this noise, which diagnose includes:")
+    return said
+
+
+def left_over(report: CheckReport) -> str:
+    """Root mean square residual of the flight path by signal, before and after correction."""
+    left, agree = [], not report.sensors.errors
+    for name, (before, after) in report.sensors.rms.items():
+        unit, factor = for_people(STANDARD_CHANNELS[name].unit)
+        change = f"{factor * before:.3g}" if agree else f"{factor * before:.3g} → {factor * after:.3g}"
+        left.append(f"{name} {change} {unit}")
+    return f"root mean square residual: {', '.join(left)}"
+
+
+def headline(report: CheckReport) -> str:
+    """The verdict in a sentence."""
+    if report.usable:
+        able = [name for name, why in report.uses.items() if not why]
+        wrong = {
+            Agreement.EXPLAINED: f"; the sensors disagree ({several(report.sensors.errors)})",
+            Agreement.UNEXPLAINED: ", but the sensors disagree and no known error explains it",
+        }.get(report.consistency.agreement, "")
+        if any(finding.grave for finding in report.health):  # an error of a sensor would be what the card gets wrong
+            wrong = ", but first correct the card or the file: channels are faulty (see the warnings)"
+        return f"Usable for {', '.join(able)}{wrong}."
+    problems = [p for r in report.records for p in r.problems] or [f"{n}: {w}" for n, w in report.uses.items() if w]
+    more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+    return f"Not usable as it is: {problems[0]}{more}." if problems else "Not usable as it is."

@@ -1,0 +1,266 @@
+"""A diagnosis as sentences and tables: verdict, causes, unexplained structure, what is not testable."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from bayes_aero.diagnosis.result import Cause, Diagnosis
+from bayes_aero.diagnosis.trajectories.trajectories import Trajectories
+from bayes_aero.effect import Stage
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.diagnosis_view import DiagnosisView
+from bayes_aero.report.tables.not_testable import not_testable_sentences
+from bayes_aero.report.text.impossible_estimates import sign_sentences
+from bayes_aero.report.text.phrases import several, size_text
+from bayes_aero.report.text.trajectories import trajectory_sentences
+from bayes_aero.report.text.verdict import tested_sentences, verdict_sentence
+
+LITTLE = 0.02  # own share of an effect below which the record hardly excites it
+SPLITS = {
+    "manoeuvre": "each manoeuvre predicted from the others",
+    "block": "each block of the manoeuvre predicted from the others",
+}
+
+
+NAMED_IF = (
+    "A small p-value alone is not sufficient. A cause must also explain a share of the remaining variance, improve the "
+    "prediction of hold-out data and be worth modelling. Significant but small effects are in the model without a name."
+)
+
+
+def sentences(view: DiagnosisView) -> list[str]:
+    """The findings, one sentence or two each: verdict, causes, unexplained structure, what is not testable."""
+    return diagnosis_sentences(view.diagnosis, view.trajectories)
+
+
+def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list[str]:
+    """As `sentences`, of a diagnosis alone."""
+    return [
+        verdict_sentence(d),
+        *tested_sentences(d),
+        *sign_sentences({name: (after, sd) for name, (_, after, sd) in d.base_moves.items()}),
+        *(_cause(cause) for cause in d.causes),
+        *_taken_over(d),
+        *_together(d),
+        *_beyond(d),
+        *_minor(d),
+        *_unknown(d),
+        *_noise(d),
+        *not_testable_sentences(d.not_testable),
+        *([] if flown is None else trajectory_sentences(flown)),
+        *d.notes,
+    ]
+
+
+def _cause(cause: Cause) -> str:
+    said = f"{cause.name}: {cause.claim}"
+    if cause.ambiguous_with:
+        said += f" On this record {several(cause.ambiguous_with)} would explain the data about as well."
+    if cause.bounded:
+        said += f" {several(cause.bounded)} is at a parameter bound: suspect another cause."
+    for name, largest in cause.implausible.items():
+        most = size_text(largest, 0.0, cause.parameters[name].unit)
+        said += f" {name} is larger than on any aircraft (at most {most}): suspect another cause."
+    if cause.own_share < LITTLE:
+        share = f"{100.0 * cause.own_share:.1f} %" if cause.own_share >= 0.001 else "less than 0.1 %"
+        said += (
+            f" The record hardly excites it: other parameters reproduce all but {share} of its contribution, so small "
+            "model errors change its estimate strongly."
+        )
+    if not cause.excited:
+        said += " Not every manoeuvre excites it."
+    lost, sd = cause.missed
+    if np.isfinite(lost) and cause.confirmed:
+        said += f" Removing it degrades hold-out prediction: log density {-lost:+.1f} ± {sd:.1f}."
+    elif np.isfinite(lost):
+        model = "simulation" if cause.stage == "flight path" else "extended model"
+        said += f" Hold-out data do not confirm it (removed: log density {-lost:+.1f} ± {sd:.1f})"
+        said += f"; the {model} omits it."
+    return said
+
+
+def _taken_over(d: Diagnosis) -> list[str]:
+    """How to put the causes that the verdict rests on into the card."""
+    sure = [cause.name for cause in d.causes if cause.sure and not cause.ambiguous_with and cause.name in CATALOGUE]
+    fitted = [name for name in sure if CATALOGUE[name].stage > Stage.AIRCRAFT]
+    errors = [name for name in sure if name not in fitted]
+    said = []
+    if fitted:
+        said.append(
+            f"To include {several(fitted)} in the model, add the name to effects under [model] of the card and fit "
+            f"again."
+        )
+    if errors:
+        said.append(
+            f"{several(errors)}: correct the record or the card's constants; or add the name to effects and its "
+            f"size to "
+            "fixed under [model]."
+        )
+    return said
+
+
+def _together(d: Diagnosis) -> list[str]:
+    """The combination that the record determines of two terms that cancel."""
+    said = []
+    for pair in d.together:
+        one, other = pair.parameters
+        factor = "" if abs(pair.factor) == 1.0 else f"{abs(pair.factor):.3g} "
+        sign = "+" if pair.factor > 0.0 else "-"
+        size = size_text(pair.mean, pair.sd, pair.unit)
+        said.append(
+            f"{several(pair.effects)} cancel each other (correlation {pair.correlation:+.2f}): this record "
+            f"determines only {one} {sign} {factor}{other} = {size}. A manoeuvre that excites them differently would "
+            "determine both."
+        )
+    return said
+
+
+def _beyond(d: Diagnosis) -> list[str]:
+    return [
+        f"The estimate of {name} is {size_text(x.mean, x.sd, x.unit)}, but sensor errors are at most "
+        f"{size_text(cause.implausible[name], 0.0, x.unit)}: suspect another fault of the record. The estimate stays "
+        "in the model and is not a cause."
+        for cause in d.beyond
+        for name, x in cause.parameters.items()
+        if name in cause.implausible
+    ]
+
+
+def _minor(d: Diagnosis) -> list[str]:
+    if not d.minor:
+        return []
+    verb = "were" if len(d.minor) > 1 else "was"
+    beside = " in comparison with the unexplained structure" if d.unknown else ""
+    return [f"Too small{beside} to be named: {several(d.minor)} {verb} in the model during the selection."]
+
+
+def _unknown(d: Diagnosis) -> list[str]:
+    return [
+        f"Unexplained: {u.coefficient} shows structure over {u.channel} ({u.share:.0%} of the remaining variance) "
+        f"that this record cannot attribute: {several(u.rivals)} would explain it about equally well."
+        if u.rivals
+        else f"Unexplained: {u.coefficient} still depends on {u.channel} ({u.share:.0%} of the remaining variance), "
+        "and no effect of the catalogue explains this."
+        for u in d.unknown
+    ]
+
+
+def _noise(d: Diagnosis) -> list[str]:
+    said = []
+    labels = d.noise.labels
+    if "colored" in labels:
+        lags = ", ".join(f"{name} {value:.2f}" for name, value in d.noise.lag1.items())
+        said.append(
+            f"Noise: neighbouring residuals are correlated (coloured noise; lag-1 correlation of means over five "
+            f"samples {lags}, where "
+            "white noise leaves a third)."
+        )
+    if "buffet" in labels:
+        growth = ", ".join(f"{name} {value:.1f} times" for name, value in d.noise.swell.items() if value > 1.05)
+        said.append(
+            f"Noise: its standard deviation grows as the flow separates or the dynamic pressure falls ({growth})."
+        )
+    if "outliers" in labels:
+        count = ", ".join(f"{name} {n}" for name, n in d.noise.outliers.items() if n)
+        said.append(f"Noise: outliers were replaced ({count}).")
+    return said
+
+
+def cause_table(view: DiagnosisView) -> Table | None:
+    """Causes for a terminal of 80 columns: size, standard error, probability, R2 on hold-out data before and after."""
+    d = view.diagnosis
+    if not d.causes:
+        return None
+    if not d.by_coefficients:
+        return _trajectory_causes(d)
+    table = Table(
+        title=f"Causes; R² on hold-out data ({SPLITS[d.split]}), before → after",
+        caption="Before: the card's model, with corrected sensors where sensor errors were found. ±: one standard "
+        "error. "
+        "*: not confirmed on hold-out data, not in the extended model. †: the verdict does not rest on it, see below.",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+        show_edge=False,
+    )
+    table.add_column("cause", no_wrap=True)
+    table.add_column("size")
+    table.add_column("prob.", justify="right")
+    for name in NAMES:
+        table.add_column(f"R² {name}", justify="right", no_wrap=True)
+    for cause in d.causes:
+        sizes = "\n".join(size_text(s.mean, s.sd, s.unit) for s in cause.parameters.values())
+        table.add_row(_marked(cause), sizes, probability(cause.probability), *(_r2(cause, c) for c in NAMES))
+    return table
+
+
+def _trajectory_causes(d: Diagnosis) -> Table:
+    """Causes named from trajectories alone: size with standard error, probability, rivals."""
+    table = Table(title="Causes, from trajectories alone", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    for head in ("cause", "size", "prob.", "rivals"):
+        table.add_column(head)
+    for cause in d.causes:
+        sizes = "\n".join(size_text(s.mean, s.sd, s.unit) for s in cause.parameters.values())
+        table.add_row(_marked(cause), sizes, probability(cause.probability), several(cause.ambiguous_with))
+    if not all(cause.sure for cause in d.causes):
+        table.caption = "*: not confirmed on hold-out flights. †: the verdict does not rest on it, see below."
+    return table
+
+
+def _marked(cause: Cause) -> str:
+    return cause.name if cause.sure else f"{cause.name}*" if not cause.confirmed else f"{cause.name}†"
+
+
+def probability(value: float) -> str:
+    """Two digits, never rounded to certainty."""
+    if not np.isfinite(value):
+        return "-"
+    return "> 0.99" if value > 0.99 else f"{value:.2f}"
+
+
+def _r2(cause: Cause, name: str) -> str:
+    if name not in cause.gain.before:
+        return "-"
+    return f"{cause.gain.before[name].r2:.2f} → {cause.gain.after[name].r2:.2f}"
+
+
+def ranking_table(view: DiagnosisView, most: int = 5) -> Table | None:
+    """The leading candidates of each stage, if no cause was found."""
+    if view.diagnosis.causes or not view.rankings:
+        return None
+    table = Table(
+        title="Leading candidates",
+        caption=f"p is family-wise, 0.005 at the least. {NAMED_IF}",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+        show_edge=False,
+    )
+    for head in ("stage", "candidate", "score", "p"):
+        table.add_column(head, justify="right" if head in ("score", "p") else "left")
+    for ranking in view.rankings:
+        for s in ranking.standings[:most]:
+            table.add_row(ranking.stage, s.effect, f"{s.score:.1f}", f"{s.p_value:.3f}")
+    return table
+
+
+def revealed(effects: Mapping[str, Mapping[str, float]], named: Mapping[str, str]) -> list[str]:
+    """The hidden effects, and whether they were found."""
+    said = {
+        "first": "It was named first.",
+        "named": "It was named, though not first.",
+        "minor": "It was found, but is too small to be named.",
+        "ambiguous": "It was reported as indistinguishable from a named cause.",
+        "missed": "It was not found.",
+    }
+    found = []
+    for name, values in effects.items():
+        units = {p.name: p.unit for p in CATALOGUE[name].parameters}
+        sizes = several(f"{key} = {size_text(x, 0.0, units[key])}" for key, x in values.items())
+        found.append(f"Hidden effect: {name} ({sizes}). {said[named[name]]}")
+    return found

@@ -1,0 +1,78 @@
+"""Sentences on priors that the record contradicts, parameters at their bounds, and inseparable parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pandas as pd
+
+from bayes_aero.inference.likelihood.restraints import Bounded, PriorConflict
+from bayes_aero.inference.posterior.prior_sensitivity import SENSITIVE
+from bayes_aero.inference.variance.inseparable import Inseparable
+from bayes_aero.report.text.phrases import several
+
+
+def conflict_sentences(conflicts: Sequence[PriorConflict]) -> list[str]:
+    """A sentence for each prior that the record contradicts."""
+    return [
+        f"The card's prior on {c.name}, {c.prior[0]:.4g} ± {c.prior[1]:.2g}{_unit(c.unit)} ({c.source}), contradicts "
+        f"the record: the likelihood alone gives {c.likelihood[0]:.4g} ± {c.likelihood[1]:.2g}, {c.apart:.1f} "
+        f"combined standard errors away. The prior shifts the posterior of {c.name} and of correlated parameters. "
+        "Widen the prior, or find the reason why the record differs."
+        for c in conflicts
+    ]
+
+
+def leaning_sentences(table: pd.DataFrame, conflicts: Sequence[PriorConflict]) -> tuple[str, ...]:
+    """How far the posterior depends on priors that the record contradicts, and which others depend on priors.
+
+    Args:
+        table: of `prior_sensitivity`.
+        conflicts: the priors.
+    """
+    names = [c.name for c in conflicts if c.name in table.index]
+    if not names:
+        return ()
+    prior, data = (table[part].astype(float).to_dict() for part in ("prior", "likelihood"))
+    own = several(f"{n} {prior[n]:.2f} to the prior, {data[n]:.2f} to the data" for n in names)
+    others = [str(n) for n in prior if n not in names and prior[n] >= SENSITIVE]
+    more = f" Priors also move {several(others)}." if others else ""
+    return (f"Sensitivity of the posterior by power-scaling ({SENSITIVE:g} and above matters): {own}.{more}",)
+
+
+def bound_sentences(found: Sequence[Bounded]) -> list[str]:
+    """A sentence for each parameter at its bound."""
+    said = []
+    for b in found:
+        side = "lower" if b.lower else "upper"
+        text = (
+            f"{b.name} is at its {side} bound, {b.bound:.4g}{_unit(b.unit)}: its interval is not reliable. Without the "
+            f"bound it would be about {b.without:.4g} (to first order)"
+        )
+        if b.pushed:
+            pushed = several(f"{n} ({-x:+.1f} corrected standard errors)" for n, x in b.pushed.items())
+            text += f"; the bound moves {pushed}"
+        said.append(f"{text}. Widen the bound, or fix {b.name}.")
+    return said
+
+
+def inseparable_sentences(found: Sequence[Inseparable]) -> list[str]:
+    """A sentence for each set of parameters that the record cannot separate."""
+    said = []
+    for one in found:
+        told = several(
+            f"{name} {x:.3g} ± {sd:.2g}{_unit(unit)}"
+            for name, unit, (x, sd) in zip(one.names, one.units, one.estimates, strict=True)
+        )
+        low, high = (f"{x:.0f}" if x >= 10.0 else f"{x:.2g}" for x in (min(one.wider), max(one.wider)))
+        times = low if low == high else f"{low} to {high}"
+        said.append(
+            f"The record cannot separate {several(one.names)} ({told}): if the others were known, each interval "
+            f"would be "
+            f"{times} times narrower. Fly manoeuvres that excite them differently, fix one, or give one a prior."
+        )
+    return said
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else f" {unit}"

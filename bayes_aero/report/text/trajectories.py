@@ -1,0 +1,191 @@
+"""Simulated trajectories, as a table and as sentences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from bayes_aero.diagnosis.trajectories.trajectories import Estimates, Trajectories
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.tolerances import TOLERANCES
+from bayes_aero.inference.likelihood.output_error import OutputErrorStatus
+from bayes_aero.report.text.phrases import SYMBOLS, for_people, several, short, size_text
+
+MODELS = ("card", "extended")
+STOPPED = "stopped before the optimum, so its errors may be too large"
+TAIL = 6  # characters of a manoeuvre's name
+SPLIT_NAMES = {"fitted": "fitted", "unseen": "hold-out"}
+"""What people read, by the split of a simulated path."""
+
+
+def trajectory_table(flown: Trajectories) -> Table:
+    """Root mean square error of every output, fitted jointly and on hold-out flights: card's model → extended model."""
+    table = Table(
+        title="Error of the simulated trajectory (RMS), card's model → extended model",
+        caption=" ".join(
+            [
+                "Fitted: parameters and initial states fitted to all flights. Hold-out: fitted without this "
+                "flight, simulated "
+                "from its measured initial state.",
+                *_status("The card's model", flown.card),
+                *_status("The extended model", flown.extended),
+            ]
+        ),
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+        show_edge=False,
+    )
+    table.add_column("manoeuvre")
+    table.add_column("")
+    for name in flown.outputs:
+        unit, _ = for_people(STANDARD_CHANNELS[name].unit)
+        table.add_column(f"{SYMBOLS.get(name, name)} [{unit}]", justify="right")
+    for split in ("fitted", "unseen"):
+        for name in dict.fromkeys(p.manoeuvre for p in flown.paths if p.split == split):
+            cells = []
+            for output in flown.outputs:
+                _, factor = for_people(STANDARD_CHANNELS[output].unit)
+                pair = [flown.path(name, model, split) for model in MODELS]
+                cells.append(" → ".join("-" if p is None else short(factor * p.errors[output].rms) for p in pair))
+            table.add_row(_tail(name), SPLIT_NAMES[split], *cells)
+    return table
+
+
+def simulation_gain(flown: Trajectories) -> str:
+    """The RMS errors of both models over all hold-out flights; empty if they are equal or a model leaves the envelope.
+
+    A fit that did not converge is reported with it.
+    """
+    if not all(p.inside for p in flown.paths if p.split == "unseen"):
+        return ""
+    told = []
+    for output in flown.outputs:
+        rms = {m: [p.errors[output].rms for p in flown.paths if (p.model, p.split) == (m, "unseen")] for m in MODELS}
+        if not all(rms.values()) or not np.isfinite([x for values in rms.values() for x in values]).all():
+            return ""
+        unit, factor = for_people(STANDARD_CHANNELS[output].unit)
+        before, after = (short(factor * float(np.sqrt(np.mean(np.square(rms[m]))))) for m in MODELS)
+        if before != after:
+            told.append(f"{SYMBOLS.get(output, output)} from {before} to {after} {unit}")
+    if not told:
+        return ""
+    failed = [*_status("The card's model", flown.card), *_status("The extended model", flown.extended)]
+    besides = [f"with {flown.lag.effect}"] if flown.lag is not None and flown.lag.kept else []
+    besides += [f"without {several(flown.out)}"] if flown.out else []
+    model = f" ({several(besides)})" if besides else ""
+    said = f"On hold-out flights the extended model{model} changes the RMS error of the simulation: {several(told)}."
+    return " ".join([said, *failed])
+
+
+def _tail(name: str) -> str:
+    """What tells records apart is mostly the end of their names, and a terminal has little room."""
+    return name if len(name) <= TAIL + 1 else f"…{name[-TAIL:]}"
+
+
+def trajectory_sentences(flown: Trajectories) -> list[str]:
+    """How the fits ended, what was held, and the share of time within the tolerances."""
+    said = [*_status("The card's model", flown.card), *_status("The extended model", flown.extended)]
+    said += [*lag_sentences(flown), *cause_sentences(flown)]
+    for name, held in flown.held.items():
+        if held:
+            are = (
+                ("is", "it is held at its joint estimate")
+                if len(held) == 1
+                else ("are", "they are held at their joint estimates")
+            )
+            said.append(f"Without {name}, {several(held)} {are[0]} not identifiable from the other flights; {are[1]}.")
+    if flown.extended.held:
+        said.append(
+            f"The trajectories contain little information on {several(flown.extended.held)}; the prior decides."
+        )
+    return said + _tolerance_sentences(flown)
+
+
+def _tolerance_sentences(flown: Trajectories) -> list[str]:
+    """The share of time of the hold-out flights within tolerance: one sentence for all, the worst flight named."""
+    unseen = [p for p in flown.paths if (p.model, p.split) == ("extended", "unseen")]
+    outside = [p.manoeuvre for p in unseen if not p.inside]
+    leaves = "leaves" if len(outside) == 1 else "leave"
+    said = [f"In the hold-out simulation {several(outside)} {leaves} the flight envelope."] if outside else []
+    inside = [p for p in unseen if p.inside]
+    told = []
+    for output in flown.outputs:
+        shares = {p.manoeuvre: x for p in inside if (x := p.errors[output].within) is not None}
+        if not shares:
+            continue
+        worst = min(shares, key=lambda name: shares[name])
+        where = f" (least, {worst})" if len(shares) > 1 and shares[worst] < max(shares.values()) else ""
+        told.append(f"{SYMBOLS.get(output, output)} {shares[worst]:.0%}{where}")
+    if told:
+        what = "every flight is" if len(inside) > 1 else f"{inside[0].manoeuvre} is"
+        said.append(
+            f"In the hold-out simulation {what} within tolerance for at least this share of the time: "
+            f"{', '.join(told)}. "
+            f"{tolerance_origin({n: e.tolerance for n, e in inside[0].errors.items() if e.tolerance is not None})}"
+        )
+    return said
+
+
+def tolerance_origin(bands: Mapping[str, float]) -> str:
+    """The origin of the tolerances; `bands` by output, SI."""
+    if all(name in TOLERANCES and value == TOLERANCES[name].value for name, value in bands.items()):
+        return (
+            "The card states no tolerances; the tolerances for flight simulators of 14 CFR Part 60 are used. "
+            "[tolerances] of the card replaces them."
+        )
+    return "The tolerances are those of the card."
+
+
+def lag_sentences(flown: Trajectories) -> list[str]:
+    """The lag test on trajectories, where the coefficients do not decide."""
+    lag = flown.lag
+    if lag is None:
+        return []
+    elpd, elpd_se = lag.unseen
+    if not lag.kept:
+        asked = f", hold-out {elpd:+.0f} ± {elpd_se:.0f} nats" if math.isfinite(elpd) else ""
+        gained = f"fit {lag.gain:+.1f} nats{asked}" if math.isfinite(lag.gain) else "its fit did not converge"
+        why = "give a size that is too small to be named" if lag.slight else "do not support it"
+        return [f"The coefficients do not decide on {lag.effect}; the trajectory data {why} ({gained})."]
+    names = [p.name for p in CATALOGUE[lag.effect].parameters]
+    after = flown.extended
+    sizes = [f"{n} {size_text(after.values[n], flown.deviation[n], after.units[n])}" for n in names]
+    instead = f" in place of {several(lag.instead)}" if lag.instead else ""
+    return [
+        f"The trajectory fit supports {lag.effect}{instead}: {several(sizes)}. The coefficients do not decide on "
+        f"it; it "
+        f"gains {lag.gain:.0f} nats in the trajectory fit and {elpd:.0f} ± {elpd_se:.0f} nats on hold-out flights."
+    ]
+
+
+def cause_sentences(flown: Trajectories) -> list[str]:
+    """Which causes that the coefficients confirm the hold-out trajectories need, and by how much."""
+    missed, kept, said = flown.asked.missed, flown.asked.kept, []
+    if flown.out:
+        gains = [f"{e} (by {missed[e][0]:+.0f} ± {missed[e][1]:.0f} nats)" for e in flown.out]
+        them, omits = ("it", "omits it") if len(gains) == 1 else ("them", "omits them")
+        said.append(
+            f"Removing {several(gains)} does not significantly degrade the prediction of hold-out trajectories. The "
+            f"coefficients confirm {them}; the simulated model {omits}."
+        )
+    if kept:
+        finite = [e for e in kept if math.isfinite(missed[e][0])]  # without the others the flight leaves its envelope
+        least = min(finite, key=lambda e: missed[e][0] / missed[e][1], default=None)
+        told = f" (least for {least}, by {missed[least][0]:.0f} ± {missed[least][1]:.0f} nats)" if least else ""
+        said.append(f"Removing {several(kept)} degrades the prediction of hold-out trajectories{told}.")
+    return said
+
+
+def _status(who: str, fit: Estimates) -> list[str]:
+    """How the fit of one model ended, if it did not converge."""
+    if fit.status is OutputErrorStatus.CONVERGED:
+        return []
+    names = f" ({several(fit.at_bound)})" if fit.at_bound else ""
+    said = STOPPED if fit.status is OutputErrorStatus.NOT_CONVERGED else fit.status.value
+    return [f"{who}, fitted to the trajectories: {said}{names}."]

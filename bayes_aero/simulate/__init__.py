@@ -1,0 +1,1 @@
+"""Simulated records: request, manoeuvres, sensors and their faults, hidden effects."""

@@ -1,0 +1,275 @@
+"""Simulated manoeuvres with effects hidden in them, known to the simulator and not to the card."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from scipy.signal import lfilter
+
+from bayes_aero.dynamics.plant import flies, refuse_unflown
+from bayes_aero.dynamics.simulate import State, fly
+from bayes_aero.effect import Effect, Kind, Stage
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.errors import InputError
+from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.flight.card.card import Card, read_card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.model import Model
+from bayes_aero.physics.atmosphere import GRAVITY, air
+from bayes_aero.simulate.demo import DISTURBANCE, TRUTH
+from bayes_aero.simulate.manoeuvres import DT, LONGEST, MARGIN, SAMPLES, SURFACES, flight_time, random_pilot
+from bayes_aero.simulate.sensor_faults import corrected, misrecorded
+from bayes_aero.simulate.sensor_model import channels_flown, sensed
+
+NOISES = ("white", "ar1", "buffet", "outliers")
+ENVELOPE = {"alpha": (0.0, 0.4363), "airspeed": (50.0, 130.0)}  # 0 to 25 deg, m/s
+_SPREAD = {"alpha_star": 0.08, "e": 0.10}  # of the base parameters, relative, either way; all others 0.12
+
+
+@dataclass(frozen=True)
+class HiddenFlight:
+    """A record; the channels and coefficients (CL, CD, Cm, X) that were flown; every parameter of the truth."""
+
+    record: FlightRecord
+    true: Mapping[str, np.ndarray]
+    flown: Mapping[str, np.ndarray]
+    values: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Beyond:
+    """Effects of no catalogue that are flown besides, and a draw of the true values of those that are not neutral."""
+
+    effects: tuple[Effect, ...]
+    draw: Callable[[np.random.Generator], Mapping[str, float]]
+
+
+@dataclass(frozen=True)
+class _Setting:
+    seed: int
+    manoeuvres: int
+    noise: str
+    rho: float | None
+    card: Card
+    sensor_noise: float
+    disturbance: float
+    seconds: float | None
+    beyond: tuple[Effect, ...]
+
+
+def hidden_records(effects: Mapping[str, Mapping[str, float]], *, seed: int, **options: Any) -> list[FlightRecord]:
+    """Records alone of `hidden_flights`, which explains the options."""
+    return [flight.record for flight in hidden_flights(effects, seed=seed, **options)]
+
+
+def hidden_flights(
+    effects: Mapping[str, Mapping[str, float]],
+    *,
+    seed: int,
+    manoeuvres: int = 2,
+    noise: str = "ar1",
+    rho: float | None = None,
+    card: Card | None = None,
+    sensor_noise: float = 1.0,
+    disturbance: float = 1.0,
+    beyond: Beyond | None = None,
+    seconds: float | None = None,
+) -> list[HiddenFlight]:
+    """Random stall manoeuvres of an aircraft near the demo's, in which `effects` (by name, true values) are hidden.
+
+    `noise`: sensor noise alone (`white`); with autoregressive coefficient disturbances (`ar1`; lag-1 correlation `rho`,
+    drawn from 0.5 to 0.98 where not given); the same growing with 1 - X (`buffet`); or sensor noise with spikes of ten
+    standard deviations on accelerations and pitch rate (`outliers`). `sensor_noise` and `disturbance` scale them.
+    `beyond` adds effects of no catalogue. Manoeuvre k of a seed is flown with the same commands and draws whatever is
+    hidden, unless the flight leaves its envelope: then all are drawn anew, and after the third time `InputError` says
+    that the aircraft cannot be flown so. `seconds` (at most 100) sets the manoeuvres' length; below 90 they break off.
+    """
+    if noise not in NOISES:
+        raise InputError(f"there is no noise {noise!r}; use one of {', '.join(NOISES)}")
+    if seconds is not None and not 1.0 <= seconds <= LONGEST:
+        raise InputError(f"a simulated manoeuvre of {seconds} s was asked for; ask for 1 to {LONGEST:.0f} s")
+    besides, card = () if beyond is None else beyond.effects, card or read_card("attas")
+    truth = _values(effects, np.random.default_rng([seed, 1]), beyond)
+    setting = _Setting(seed, manoeuvres, noise, rho, card, sensor_noise, disturbance, seconds, besides)
+    failure = InputError("")
+    for attempt in range(3):
+        try:
+            return _flights(effects, truth, [seed, 2, attempt], setting)
+        except InputError as error:
+            failure = error
+    raise failure
+
+
+def _flights(
+    effects: Mapping[str, Mapping[str, float]], values: Mapping[str, Any], seed: list[int], setting: _Setting
+) -> list[HiddenFlight]:
+    card = setting.card
+    model, misrecording, propulsion = _models(setting.beyond)
+    aircraft = model.actual_aircraft(values, card.aircraft)
+    needed = {channel for name in effects for channel in _known(name).channels}
+    moved = [name for name in SURFACES if {name, f"{name}_left"} & needed]
+    rngs = [np.random.default_rng([*seed, number]) for number in range(setting.manoeuvres)]
+    drawn = [rng.uniform(90.0, LONGEST) for rng in rngs]
+    lengths = [round((setting.seconds or length) / DT) + 1 for length in drawn]
+    pilots, starts = [], []
+    for rng, length in zip(rngs, lengths, strict=True):
+        increments, buffet = _disturbance(rng, setting.noise, setting.rho)
+        increments, stall = setting.disturbance * increments, float(values["alpha_star"])
+        pilots.append(random_pilot(rng, max(90.0, (length - 1) * DT), stall, increments, buffet, moved))
+        alpha = float(pilots[-1].alpha[0])
+        height = rng.uniform(5050.0, 5350.0)
+        begin = (_level_speed(values, aircraft, alpha, height), alpha, alpha, 0.0, height, 1.0)
+        starts.append(State(*(jnp.asarray(x) for x in begin)))
+    marks = _marks()
+    commanded = [{"thrust": np.asarray(pilot.thrust)} for pilot in pilots]
+    thrust = [corrected(propulsion, values, x, marks, card.aircraft)["thrust"] for x in commanded]
+    flying = [pilot._replace(thrust=jnp.asarray(x)) for pilot, x in zip(pilots, thrust, strict=True)]
+    states, outputs = _fly(model, values, aircraft, _stack(flying), _stack(starts), jnp.asarray(DT))
+    flights = []
+    for number, (rng, length) in enumerate(zip(rngs, lengths, strict=True)):
+        state = {key: np.asarray(x[number]) for key, x in states._asdict().items()}
+        flown = {key: np.asarray(x[number]) for key, x in outputs.items()}
+        kept = slice(MARGIN, MARGIN + length)
+        _check(state, kept, effects)
+        true = channels_flown(state, flown, pilots[number], thrust[number])
+        rec = misrecorded(misrecording, values, true | commanded[number], marks, card.aircraft)
+        channels = sensed(
+            rng, {key: x[kept] for key, x in rec.items()}, card, setting.sensor_noise, setting.noise == "outliers"
+        )
+        name = f"hidden_{setting.seed}_{number + 1}"
+        record = FlightRecord.from_arrays(name, flight_time()[kept], channels, "simulated with hidden effects")
+        flights.append(
+            HiddenFlight(
+                record,
+                {key: x[kept] for key, x in true.items()},
+                {key: flown[key][kept] for key in ("CL", "CD", "Cm", "X", "alpha_dot")},
+                {key: float(x) for key, x in values.items()},
+            )
+        )
+    return flights
+
+
+def flyable(
+    names: Sequence[str], *, seed: int, largest: float = 10.0, **options: Any
+) -> tuple[dict[str, dict[str, float]], list[HiddenFlight]]:
+    """Effects of these names at random sizes, and the flights in which they hide.
+
+    Sizes with which the flight leaves its envelope are drawn again from a range half as wide in its logarithm.
+    """
+    failure = InputError("")
+    for attempt in range(8):
+        rng = np.random.default_rng([seed, 3, attempt])
+        effects = {name: draw_hidden(rng, name, largest ** (0.5**attempt)) for name in names}
+        try:
+            return effects, hidden_flights(effects, seed=seed, **options)
+        except InputError as error:
+            failure = error
+    raise failure
+
+
+def draw_hidden(rng: np.random.Generator, name: str, largest: float = 10.0) -> dict[str, float]:
+    """True values of a catalogue effect: departure uniform in its logarithm within `sizes`, either sign where allowed.
+
+    No departure is more than `largest` times the least worth modelling. The terms of the base aircraft are in every
+    flight; for them the dictionary is empty.
+    """
+    effect, values = _known(name), {}
+    for parameter in effect.parameters:
+        if parameter.name in TRUTH and parameter.name != "tau1":
+            continue
+        least, most = effect.sizes[parameter.name]
+        size = least * np.exp(rng.uniform(0.0, np.log(min(most / least, largest))))
+        lower, upper = parameter.bounds
+        allowed = [x for x in (parameter.neutral + size, parameter.neutral - size) if lower < x < upper]
+        values[parameter.name] = float(rng.choice(allowed))
+    return values
+
+
+def _known(name: str) -> Effect:
+    if name not in CATALOGUE:
+        raise InputError(f"there is no effect {name!r} to hide; the catalogue has {', '.join(CATALOGUE)}")
+    return CATALOGUE[name]
+
+
+@cache
+def _models(beyond: tuple[Effect, ...]) -> tuple[Model, Model, Model]:
+    """Flown, misrecording and thrust: one model each for whatever is hidden, so that each compiles once."""
+    channel = [e for e in CATALOGUE.values() if e.stage is Stage.CHANNEL]
+    return (
+        Model.of([*(e for e in CATALOGUE.values() if flies(e)), *beyond]),
+        Model.of([e for e in channel if e.kind is not Kind.PROPULSION]),
+        Model.of([e for e in channel if e.kind is Kind.PROPULSION]),
+    )
+
+
+def _values(
+    effects: Mapping[str, Mapping[str, float]], rng: np.random.Generator, beyond: Beyond | None
+) -> dict[str, Any]:
+    """All parameters: neutral, the base aircraft's drawn around the demo's, then what is hidden."""
+    values = {p.name: p.neutral for p in _models(() if beyond is None else beyond.effects)[0].parameters}
+    values |= {name: x * (1.0 + rng.uniform(-1.0, 1.0) * _SPREAD.get(name, 0.12)) for name, x in TRUTH.items()}
+    for name, given in effects.items():
+        own = {p.name for p in _known(name).parameters}
+        refuse_unflown(_known(name))
+        if not set(given) <= own:
+            raise InputError(f"effect {name} has the parameters {', '.join(sorted(own))}, not {', '.join(given)}")
+        values |= given
+    if beyond is not None:
+        values |= beyond.draw(rng)
+    return {name: np.float64(x) for name, x in values.items()}
+
+
+def _disturbance(rng: np.random.Generator, noise: str, rho: float | None) -> tuple[np.ndarray, float]:
+    """Increments of CL, CD, Cm over the flight, and how they grow with 1 - X; the same draws for every noise."""
+    white = rng.standard_normal((SAMPLES, 3))
+    drawn = rng.uniform(0.5, 0.98, 3)
+    rhos = drawn if rho is None else np.full(3, rho)
+    sigma = np.array([DISTURBANCE[f"sigma_{name}"] for name in ("CL", "CD", "Cm")]) * rng.uniform(0.6, 1.4, 3)
+    buffet = rng.uniform(1.0, 3.0)
+    if noise not in ("ar1", "buffet"):
+        return np.zeros((SAMPLES, 3)), 0.0
+    increments = np.empty_like(white)
+    for i, (x, r, s) in enumerate(zip(white.T, rhos, sigma, strict=True)):
+        drive = np.concatenate([x[:1], np.sqrt(1.0 - r**2) * x[1:]])
+        increments[:, i] = s * lfilter([1.0], [1.0, -r], drive)
+    return increments, buffet if noise == "buffet" else 0.0
+
+
+@cache
+def _marks() -> dict[str, Array]:
+    """What CHANNEL effects read, over the margins too: time counts from the first sample of the record."""
+    index = jnp.arange(SAMPLES)
+    ends = {"first": jnp.zeros(SAMPLES, int), "last": jnp.full(SAMPLES, SAMPLES - 1)}
+    return {"dt": jnp.full(SAMPLES, DT), "start": index == 0, "elapsed": jnp.asarray(flight_time())} | ends
+
+
+def _level_speed(values: Mapping[str, Any], aircraft: Aircraft, alpha: float, height: float) -> float:
+    """Airspeed at which the attached lift carries the weight, m/s; the Mach number taken as 0.3."""
+    CL = values["CL0"] + (values["CLa"] + 0.3 * values["CLaM"]) * alpha
+    density = float(air(jnp.asarray(height))[0])
+    return float(np.clip(np.sqrt(2.0 * aircraft.mass * GRAVITY / (density * aircraft.wing_area * CL)), 80.0, 110.0))
+
+
+_fly = eqx.filter_jit(eqx.filter_vmap(fly, in_axes=(None, None, None, 0, 0, None)))
+
+
+def _stack(rows: list[Any]) -> Any:
+    return type(rows[0])(*(np.stack([np.asarray(x) for x in part]) for part in zip(*rows, strict=True)))
+
+
+def _check(state: Mapping[str, np.ndarray], kept: slice, effects: Mapping[str, Any]) -> None:
+    for name, series in (("alpha", state["alpha"]), ("airspeed", state["V"])):
+        lower, upper = ENVELOPE[name]
+        inside = series[kept]
+        if not (np.all(np.isfinite(inside)) and inside.min() >= lower and inside.max() <= upper):
+            raise InputError(
+                f"with {', '.join(effects) or 'nothing hidden'} at these sizes the flight leaves its envelope: {name} "
+                f"{inside.min():.3g} to {inside.max():.3g} (allowed {lower:.3g} to {upper:.3g}); make them smaller"
+            )

@@ -1,0 +1,77 @@
+"""What a recorder stores of a simulated flight: channels by the card's names, with the noise of their sensors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import jax.numpy as jnp
+import numpy as np
+
+from bayes_aero.dynamics.simulate import Pilot
+from bayes_aero.flight.card.card import Card
+from bayes_aero.physics.atmosphere import air
+from bayes_aero.simulate.manoeuvres import DT
+
+OTHER_SENSORS = {
+    "ay": 0.02,
+    "phi": 3e-4,
+    "theta": 3e-4,
+    "psi": 3e-4,
+    "beta": 9e-4,
+    "altitude": 0.5,
+    "elevator": 3e-4,
+    "stabilizer": 2e-4,
+    "mach": 6e-4,
+}
+"""White noise of channels of which a card says nothing, SI: platform, vane, potentiometers; our choice."""
+
+OUTLIER_SHARE, OUTLIER_SIZE, SPIKED = 0.005, 10.0, ("ax", "ay", "az", "q")
+
+
+def channels_flown(
+    state: Mapping[str, np.ndarray], flown: Mapping[str, np.ndarray], pilot: Pilot, thrust: np.ndarray
+) -> dict[str, np.ndarray]:
+    """True channels by the card's names, and total thrust."""
+    density, sound = (np.asarray(x) for x in air(jnp.asarray(state["h"])))
+    turn = flown["psi_dot"]
+    both = {
+        f"{name}_{side}": np.asarray(getattr(pilot, name)) for name in ("spoiler", "dlc") for side in ("left", "right")
+    }
+    return {key: np.asarray(flown[key]) for key in ("ax", "ay", "az", "p", "r", "elevator")} | {
+        "q": state["q"],
+        "phi": np.asarray(pilot.phi),
+        "theta": state["theta"],
+        "psi": np.concatenate([[0.0], np.cumsum(0.5 * DT * (turn[1:] + turn[:-1]))]),
+        "alpha": state["alpha"],
+        "beta": np.asarray(pilot.beta),
+        "airspeed": state["V"],
+        "altitude": state["h"],
+        "stabilizer": np.asarray(pilot.stabilizer),
+        "rudder": np.asarray(pilot.rudder),
+        "flap": np.asarray(pilot.flap),
+        **both,
+        "mach": state["V"] / sound,
+        "density": density,
+        "thrust": thrust,
+    }
+
+
+def sensed(
+    rng: np.random.Generator, channels: Mapping[str, np.ndarray], card: Card, scale: float, spikes: bool
+) -> dict[str, np.ndarray]:
+    """With sensor noise, thrust by engine, outliers; the channels that the card maps."""
+    engines = {f"thrust_{side}": channels["thrust"] / 2.0 for side in ("left", "right")}
+    engine = card.sensors.get("thrust", 0.0) / math.sqrt(2.0)  # each
+    deviations: dict[str, float] = {**OTHER_SENSORS, **card.sensors, **dict.fromkeys(engines, engine)}
+    mapped = {channel.name for channel in card.channels}
+    sensed = {}
+    for name, values in (dict(channels) | engines).items():
+        n, sd = len(values), scale * deviations.get(name, 0.0)
+        noisy = values + sd * rng.standard_normal(n)
+        hit, sign = rng.uniform(size=n) < OUTLIER_SHARE, rng.choice([-1.0, 1.0], n)
+        if spikes and name in SPIKED:
+            noisy = noisy + OUTLIER_SIZE * sd * hit * sign
+        if name in mapped:
+            sensed[name] = noisy
+    return sensed

@@ -1,0 +1,1 @@
+"""Many runs as one study, on this machine or on a cluster."""

@@ -1,0 +1,208 @@
+"""One unit of a study: what it was made from, whether it still stands, and how it is done, whole or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bayes_aero
+from bayes_aero.errors import ERROR, InputError, no_space
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card.toml_tables import is_file
+from bayes_aero.jobs.io.atomic_write import beside, put_folder
+from bayes_aero.jobs.provenance.environment import environment_id
+from bayes_aero.jobs.provenance.provenance import provenance, write_json, write_text
+from bayes_aero.study.study import Unit, card_of
+
+SCHEMA = "bayes_aero/unit/1"
+MANIFEST = "unit.json"
+LEAST_FREE = 1 << 20  # bytes on the disk below which no unit is begun
+Progress = Callable[[str, float], None]
+Task = Callable[[Unit, Path, Progress | None], None]
+
+
+@dataclass(frozen=True)
+class State:
+    """`word` is done, missing, changed, damaged or failed; `why` says what changed or failed."""
+
+    word: str
+    why: str = ""
+
+
+def fingerprint(unit: Unit) -> dict[str, Any]:
+    """Hashes of all that the unit's numbers depend on, but the versions of libraries."""
+    card = read_card(unit.card)
+    return {
+        "settings": unit.settings,
+        "records": {shown: _sha256(Path(path)) for shown, path in zip(unit.shown, unit.records, strict=True)},
+        "card": card.sha256,
+        "effect_files": {path.name: _sha256(path) for path in card.effect_files},
+        "bayes_aero": bayes_aero.__version__,
+    }
+
+
+def state_of(unit: Unit, folder: Path) -> State:
+    """Whether the unit's folder holds its results, made from the inputs as they are now."""
+    manifest = folder / MANIFEST
+    if not manifest.is_file():
+        return State("missing")
+    try:
+        known = json.loads(manifest.read_text(encoding="utf-8"))
+        files, made_from, state = dict(known["files"]), dict(known["made_from"]), str(known["state"])
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return State("damaged", f"{MANIFEST} cannot be read")
+    if state != "done":
+        return State("failed", str(known.get("error", "")))
+    here = fingerprint(unit)
+    changed = [key for key in here if here[key] != made_from.get(key)]
+    if changed:
+        return State("changed", _what_changed(changed, here, made_from))
+    for name, sha256 in files.items():
+        path = folder / name
+        inside = ".." not in Path(name).parts and not Path(name).is_absolute()
+        if not (inside and is_file(path)) or _sha256(path) != sha256:
+            return State("damaged", f"{name} is not what was written")
+    return State("done")
+
+
+def _what_changed(changed: list[str], here: Mapping[str, Any], before: Mapping[str, Any]) -> str:
+    words = []
+    for key in changed:
+        if isinstance(here[key], dict) and isinstance(before.get(key), dict):
+            names = sorted(n for n in {*here[key], *before[key]} if here[key].get(n) != before[key].get(n))
+            words.append(f"{key} {', '.join(names)}".replace("_", " "))
+        else:
+            words.append(key.replace("_", " "))
+    return "; ".join(words)
+
+
+def run_unit(
+    given: Mapping[str, Any], folder: str, *, task: Task | None = None, progress: Progress | None = None
+) -> dict[str, Any]:
+    """Do a unit (`Unit.as_json`) into `folder`, which appears when it is complete: with results, or with error.txt.
+
+    A pure function of its description and the files it names, fit to be sent to another process. Returns name, state,
+    seconds and error. A disk on which nothing can be written is no failure of the unit: it is told, and nothing stays.
+    """
+    return _made(Unit.of_json(given), Path(folder), lambda unit, out: _attempt(unit, out, task or perform, progress))
+
+
+def fail_unit(given: Mapping[str, Any], folder: str, error: str) -> dict[str, Any]:
+    """Put on record that a unit failed where it could not say so itself, as one that kills its process."""
+
+    def written(_: Unit, out: Path) -> str:
+        write_text(f"{error}\n", out / ERROR)
+        return error
+
+    return _made(Unit.of_json(given), Path(folder), written)
+
+
+def _made(unit: Unit, target: Path, attempt: Callable[[Unit, Path], str]) -> dict[str, Any]:
+    began, partial = time.perf_counter(), beside(target)
+    shutil.rmtree(partial, ignore_errors=True)
+    try:
+        partial.mkdir(parents=True)
+        if shutil.disk_usage(partial).free < LEAST_FREE:
+            raise InputError(_full(target))
+        made_from = fingerprint(unit)
+        error = attempt(unit, partial)
+        seconds = round(time.perf_counter() - began, 2)
+        _seal(partial, unit, made_from, error, seconds)
+        put_folder(partial, target)
+    except Exception as reason:
+        if no_space(reason):
+            raise InputError(_full(target)) from None
+        if isinstance(reason, OSError):
+            raise InputError(
+                f"cannot write to {target.parent} ({reason.strerror}); mend that and give the same command again"
+            ) from None
+        raise
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return {"name": unit.name, "state": "failed" if error else "done", "seconds": seconds, "error": error}
+
+
+def _full(target: Path) -> str:
+    return (
+        f"the disk of {target.parent} is full; units that were done are kept: free some space and give the same "
+        "command again"
+    )
+
+
+def perform(unit: Unit, out: Path, progress: Progress | None = None) -> None:
+    """The unit's own work: everything that it writes lies in `out`."""
+    from bayes_aero.flight.reading.read_record import read_records
+    from bayes_aero.jobs.dispatch import diagnose_records
+    from bayes_aero.jobs.fly import fly
+    from bayes_aero.jobs.identify import identify
+    from bayes_aero.model.noise import DEFAULT, Colour  # here, since whoever only hands units out needs none of these
+
+    card = card_of(unit)
+    options = dict(unit.options)
+    reading = {"resample": options.pop("resample", None), "split": options.pop("split", False)}
+    records = read_records([Path(p) for p in unit.records], card.channels, segments=card.segments, **reading)
+    settings = unit.settings | {"environment": environment_id()}
+    write_json(provenance(card, records, unit.seed, settings), out / "provenance.json")
+    if unit.task == "identify":
+        identify(
+            records,
+            card,
+            noise=Colour(unit.noise or DEFAULT),
+            split=unit.split or "random",  # type: ignore[arg-type]
+            seed=unit.seed,
+            out=out,
+            resume=False,  # a unit is done anew: its folder is another one
+            progress=progress,
+            **options,
+        )
+    else:
+        job = {"diagnose": diagnose_records, "fly": fly}[unit.task]
+        job(records, card, seed=unit.seed, out=out, progress=progress, **options)
+
+
+def _attempt(unit: Unit, out: Path, task: Task, progress: Progress | None) -> str:
+    """Empty, or why it failed; bad input in a sentence, a defect with where it happened."""
+    try:
+        task(unit, out, progress)
+    except InputError as reason:
+        if no_space(reason):
+            raise
+        write_text(f"{reason}\n", out / ERROR)
+        return str(reason)
+    except Exception as reason:  # the study goes on; the unit keeps the whole story
+        if no_space(reason):
+            raise
+        write_text(traceback.format_exc(), out / ERROR)
+        return f"{type(reason).__name__}: {reason}"
+    return ""
+
+
+def _seal(partial: Path, unit: Unit, made_from: Mapping[str, Any], error: str, seconds: float) -> None:
+    """The manifest, written last."""
+    files = sorted(p for p in partial.rglob("*") if p.is_file())
+    content = {
+        "schema": SCHEMA,
+        "state": "failed" if error else "done",
+        "error": error,
+        "name": unit.name,
+        "made_from": dict(made_from),
+        "environment": environment_id(),
+        "seconds": seconds,
+        "files": {p.relative_to(partial).as_posix(): _sha256(p) for p in files},
+    }
+    write_json(content, partial / MANIFEST)
+
+
+def _sha256(path: Path) -> str:
+    try:
+        with path.open("rb") as handle:
+            return hashlib.file_digest(handle, "sha256").hexdigest()
+    except OSError as reason:
+        raise InputError(f"{path} cannot be read ({reason.strerror}); check the path and its permissions") from None

@@ -1,0 +1,253 @@
+"""A study's units on a Dask cluster: one of this machine's, or any that answers at an address."""
+
+from __future__ import annotations
+
+import json
+import logging
+import signal
+import threading
+import time
+import uuid
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from multiprocessing import resource_tracker
+from pathlib import Path
+from typing import Any, cast
+
+import dask
+from dask.utils import format_bytes, parse_bytes
+from distributed import Client, Future, KilledWorker, LocalCluster, get_worker
+from distributed.system import MEMORY_LIMIT
+
+from bayes_aero.errors import InputError
+from bayes_aero.jobs.io.atomic_write import sweep
+from bayes_aero.study.case import fail_unit
+from bayes_aero.study.run import Doer, StoppedError
+from bayes_aero.study.worker import Driver, variables, work
+
+Told = Callable[[int, int, str], None]
+"""Is told how many units are done, of how many, and what goes on."""
+
+LEAST_MEMORY = 10**9  # bytes: what a worker takes that has compiled one model
+LOOK, COUNT, PAUSE = (
+    0.02,
+    1.0,
+    0.5,
+)  # seconds between looks at units in work, at how many workers there are, at a lost line
+PATIENCE = 120.0  # seconds in which a worker of this machine that died is started again
+STUMBLES = 5  # lost connections in a row after which the study is given up
+QUIET = ("distributed", "tornado", "asyncio")
+OWN_CLUSTER = {
+    # Units hold no data that could be moved to disk or given away: a worker that is paused would never come back.
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+    "distributed.worker.memory.terminate": 0.95,
+    "distributed.worker.profile.enabled": False,
+    "distributed.scheduler.allowed-failures": 2,
+}
+
+
+def memory_of(given: str | None, workers: int) -> int:
+    """Bytes for each worker: as given ("4GiB"), else an equal share of this machine's memory."""
+    try:
+        size = parse_bytes(given) if given else int(MEMORY_LIMIT // workers)
+    except ValueError:
+        raise InputError(f"--memory {given!r} is no size; write e.g. 4GiB, for each worker") from None
+    if size < LEAST_MEMORY:
+        fewer = "give --memory at least 1GB" if given else "give fewer --workers"
+        raise InputError(f"{format_bytes(size)} for each worker are too little to compile a model in; {fewer}")
+    return size
+
+
+@contextmanager
+def local(workers: int, memory: int, units: Path, tell: Told) -> Iterator[Doer]:
+    """Worker processes of this machine, one thread each, that end with the block."""
+    with ExitStack() as stack:
+        stack.callback(sweep, units)
+        stack.enter_context(_quiet())
+        stack.enter_context(dask.config.set(OWN_CLUSTER))
+        try:
+            client = _begun(stack, workers, memory)
+        except (OSError, RuntimeError) as reason:
+            raise InputError(
+                f"{workers} workers cannot be started here ({_short(reason)}); mend that, or leave --workers out"
+            ) from None
+        yield _doer(client, units, tell, f"give each worker more than --memory {format_bytes(memory)}", PATIENCE)
+
+
+def _begun(stack: ExitStack, workers: int, memory: int) -> Client:
+    with _deaf():
+        cluster = LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=memory,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",  # any port that is free; its pages are left out
+            scheduler_kwargs={"dashboard": False},
+            silence_logs=logging.CRITICAL,
+            env=variables(),
+        )
+        stack.callback(_close, cluster)
+        client = Client(cluster, set_as_default=False)
+        stack.callback(_close, client)
+    return client
+
+
+@contextmanager
+def remote(address: str, units: Path, tell: Told) -> Iterator[Doer]:
+    """The workers of a scheduler that runs already, now or later; they stay."""
+    with _quiet():
+        try:
+            client = Client(address, set_as_default=False)  # else a failed one stays the default
+        except (OSError, ValueError, TypeError, ImportError) as reason:
+            raise InputError(
+                f"--scheduler {address} does not answer ({_short(reason)}); check that it runs, and that the "
+                "address is the one that it printed, e.g. tcp://node1:8786"
+            ) from None
+        try:
+            yield _doer(client, units, tell, "give its workers more memory")
+        finally:
+            _close(client)
+
+
+def _doer(client: Client, units: Path, tell: Told, remedy: str, patience: float = float("inf")) -> Doer:
+    def do(given: Iterable[tuple[Mapping[str, Any], str]]) -> Iterator[Mapping[str, Any]]:
+        driver = Driver.of(units)
+        try:
+            yield from _Study(client, driver, tell, remedy, patience).done(list(given))
+        finally:
+            Path(driver.token).unlink(missing_ok=True)
+            sweep(units)
+
+    return do
+
+
+class _Study:
+    """Units handed out as workers become free: one for each, so that a dying worker takes no other unit with it."""
+
+    def __init__(self, client: Client, driver: Driver, tell: Told, remedy: str, patience: float) -> None:
+        self.client, self.driver, self.tell, self.remedy = client, driver, tell, remedy
+        self.address = client.scheduler.addr if client.scheduler else "the scheduler"
+        self.running: dict[Future, tuple[Mapping[str, Any], str]] = {}
+        self.workers, self.counted, self.stumbled = 0, -COUNT, 0
+        self.patience, self.seen = patience, time.monotonic()
+
+    def done(self, given: list[tuple[Mapping[str, Any], str]]) -> Iterator[Mapping[str, Any]]:
+        """What `run_unit` returns for each unit, as they end."""
+        waiting, finished = deque(given), 0
+        while waiting or self.running:
+            try:
+                self._count()
+                while waiting and len(self.running) < self.workers:
+                    self.running[self._submit(*waiting[0])] = waiting[0]
+                    waiting.popleft()
+                ended = {future: self._outcome(future, *unit) for future, unit in self.running.items() if future.done()}
+                self.stumbled = 0
+            except (InputError, StoppedError):
+                raise
+            except Exception as reason:  # whatever a client without its scheduler raises
+                self._reconnect(reason, finished, len(given))
+                waiting.extendleft(reversed(self.running.values()))
+                self.running.clear()
+                continue
+            for future, outcome in ended.items():
+                del self.running[future]
+                finished += 1
+                yield outcome
+            what = f"{len(self.running)} in work on {self.workers} workers"
+            self.tell(finished, len(given), what if self.workers else f"waiting for workers at {self.address}")
+            if not ended:
+                time.sleep(LOOK)
+
+    def _count(self) -> None:
+        """How many processes there are to work, asked now and then."""
+        if time.monotonic() - self.counted > COUNT:
+            self.workers, self.counted = len(cast("dict[str, int]", self.client.nthreads())), time.monotonic()
+            if self.workers:
+                self.seen = self.counted
+            elif self.counted - self.seen > self.patience:
+                raise StoppedError(f"all workers have ended, and none could be started again in {self.patience:.0f} s")
+
+    def _submit(self, given: Mapping[str, Any], folder: str) -> Future:
+        text, place = json.dumps(given), str(Path(folder).resolve())
+        return self.client.submit(
+            _work, text, place, self.driver, key=f"{given['name']}-{uuid.uuid4().hex}", pure=False
+        )
+
+    def _outcome(self, future: Future, given: Mapping[str, Any], folder: str) -> Mapping[str, Any]:
+        if future.status != "error":
+            return cast("dict[str, Any]", future.result())
+        reason = cast(BaseException, future.exception())
+        if isinstance(reason, InputError):
+            raise reason
+        if isinstance(reason, KilledWorker):
+            deaths = reason.allowed_failures + 1
+            return fail_unit(
+                given, folder, f"its process died {deaths} times, most likely for lack of memory; {self.remedy}"
+            )
+        raise StoppedError(
+            f"the cluster at {self.address} cannot do units ({_short(reason)}); see that its scheduler and its "
+            "workers run this version of bayes-aero with its extra `cluster`"
+        )
+
+    def _reconnect(self, reason: Exception, finished: int, total: int) -> None:
+        """Wait for the client, which itself looks for its scheduler for a while, and give up when it does."""
+        self.counted, self.stumbled = -COUNT, self.stumbled + 1
+        time.sleep(PAUSE)  # the client may not have noticed yet
+        while self.client.status == "connecting":
+            self.tell(finished, total, f"the connection to {self.address} is lost, reconnecting")
+            time.sleep(PAUSE)
+        if self.client.status != "running":
+            raise StoppedError(f"the scheduler at {self.address} is lost")
+        if self.stumbled > STUMBLES:
+            raise StoppedError(f"the scheduler at {self.address} does not respond correctly ({_short(reason)})")
+
+
+def _work(given: str, folder: str, driver: Driver) -> dict[str, Any]:
+    """What is sent to a worker."""
+    limit = getattr(get_worker().memory_manager, "memory_limit", None)
+    return work(json.loads(given), folder, driver, limit)
+
+
+def _close(what: Client | LocalCluster) -> None:
+    """Leave, letting go of the units that are in work."""
+    with suppress(Exception):
+        what.close(timeout=5)
+
+
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """Threads and processes begun meanwhile do not hear Ctrl-C, which is for this program to answer."""
+    if not hasattr(signal, "pthread_sigmask") or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    resource_tracker.ensure_running()  # the first process to be begun would begin it, and hear again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """What Dask logs of lost connections and dead workers is told in our own words."""
+    names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in QUIET]
+    loggers = [logging.getLogger(name) for name in names]
+    before = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, before, strict=True):
+            logger.setLevel(level)
+
+
+def _short(reason: BaseException) -> str:
+    """The first sentence of what Dask says."""
+    lines = str(reason).strip().splitlines() or [type(reason).__name__]
+    return lines[0].partition(". ")[0].strip().rstrip(".:")

@@ -1,0 +1,108 @@
+"""A study's units, done one after the other or by whatever maps `run_unit` over them; resumed by doing it again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from bayes_aero.errors import InputError
+from bayes_aero.jobs.io.atomic_write import sweep
+from bayes_aero.jobs.io.output_folder import writable
+from bayes_aero.jobs.provenance.environment import write_environment
+from bayes_aero.jobs.provenance.provenance import write_text
+from bayes_aero.study.case import State, run_unit, state_of
+from bayes_aero.study.study import Study, Unit
+from bayes_aero.study.summary import write_summary
+
+UNITS, COPY = "units", "study.toml"
+Told = Callable[[int, int, Unit, str], None]
+"""Is told how many units are done, of how many, which one is in work, and its stage."""
+
+
+class StoppedError(Exception):
+    """Why the rest of a study cannot be done now, in one sentence; what is finished is kept."""
+
+
+Doer = Callable[[Iterable[tuple[Mapping[str, Any], str]]], Iterator[Mapping[str, Any]]]
+"""Takes (description, folder) of units and yields what `run_unit` returns, in any order: here a cluster goes in."""
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A unit, its folder and the state in which it was found."""
+
+    unit: Unit
+    folder: Path
+    state: State
+
+
+def plan(study: Study, out: Path) -> list[Planned]:
+    """Every unit with its state; nothing is written."""
+    folders = [out / UNITS / unit.name for unit in study.units]
+    return [Planned(u, f, state_of(u, f)) for u, f in zip(study.units, folders, strict=True)]
+
+
+def leftovers(study: Study, out: Path) -> list[str]:
+    """Folders of units that the study no longer has."""
+    folder = out / UNITS
+    names = {unit.name for unit in study.units}
+    if not folder.is_dir():
+        return []
+    return sorted(p.name for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".") and p.name not in names)
+
+
+def run_study(
+    study: Study, out: Path, planned: Sequence[Planned], *, tell: Told | None = None, doer: Doer | None = None
+) -> dict[str, Mapping[str, Any]]:
+    """Do the units that are not done; returns what each said, by name. The summary is written in any case."""
+    prepare(study, out)
+    due = [p for p in planned if p.state.word != "done"]
+    said: dict[str, Mapping[str, Any]] = {}
+    work = [(p.unit.as_json(), str(p.folder)) for p in due]
+    try:
+        for outcome in (doer or partial(_one_by_one, tell=tell))(work):
+            said[str(outcome["name"])] = outcome
+    except BaseException:
+        with suppress(OSError):  # what stopped the study is told, not that its tables could not be written either
+            write_summary(study.units, out / UNITS, out)
+        raise
+    try:
+        write_summary(study.units, out / UNITS, out)
+    except OSError as error:
+        raise InputError(
+            f"the tables of {out} cannot be written ({error.strerror}), but all units are kept; mend that and give the "
+            "same command again"
+        ) from None
+    return said
+
+
+def prepare(study: Study, out: Path) -> None:
+    """The results folder with the study's copy and the environment."""
+    try:
+        writable(out)
+        writable(out / UNITS)
+        sweep(out / UNITS)
+        text = study.path.read_text(encoding="utf-8")
+        copy = out / COPY
+        if not copy.is_file() or copy.read_text(encoding="utf-8") != text:
+            write_text(text, copy)
+        write_environment(out)
+    except OSError as error:
+        raise InputError(f"cannot write to {out} ({error.strerror}); give another folder with --out") from None
+
+
+def _one_by_one(work: Iterable[tuple[Mapping[str, Any], str]], tell: Told | None) -> Iterator[Mapping[str, Any]]:
+    units = list(work)
+    for number, (given, folder) in enumerate(units):
+        unit = Unit.of_json(given)
+
+        def progress(text: str, _: float, number: int = number, unit: Unit = unit) -> None:
+            if tell:
+                tell(number, len(units), unit, text)
+
+        progress("reading", 0.0)
+        yield run_unit(given, folder, progress=progress)

@@ -1,0 +1,296 @@
+"""A study file: which records, cards, seeds, splits, noise models and effects are combined into units of work."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import os
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card.card import Card, read_card, shipped_cards
+from bayes_aero.flight.card.toml_tables import is_file, read_table
+from bayes_aero.flight.readers import READERS
+from bayes_aero.flight.reading.segments import segment_of
+from bayes_aero.jobs.catalogue.known_effects import effect_named, known_effects
+from bayes_aero.jobs.io.output_folder import safe_name
+from bayes_aero.model.model import Model
+
+KEYS = (
+    "title", "task", "records", "one_by_one", "cards", "seeds", "splits", "noise", "effects", "options",
+)  # fmt: skip
+NOISES = ("white", "ar1", "buffet-ar1")
+SPLITS = ("random", "block", "manoeuvre")
+OPTIONS: dict[str, dict[str, type]] = {
+    "identify": {
+        "sample": bool,
+        "gp": bool,
+        "approximate_gp": bool,
+        "figures": bool,
+        "page": bool,
+        "resample": float,
+        "split": bool,
+        "coefficients": str,
+    },
+    "diagnose": {
+        "max_effects": int, "predictors": bool, "trajectories": bool, "figures": bool, "resample": float,
+        "split": bool,
+    },
+    "fly": {
+        "windows": float, "initial_state": str, "priors": bool, "outputs": str, "inputs": str, "figures": bool,
+        "resample": float, "split": bool,
+    },
+}  # fmt: skip
+CHOICES = {
+    "coefficients": ("matched", "published"),
+    "initial_state": ("free", "fixed"),
+    "inputs": ("linear", "held"),
+}
+MOST_UNITS = 100_000
+LARGEST_SEED = 2**32 - 1  # that every generator takes
+LONGEST = 90  # characters of a unit's name before its hash
+
+
+@dataclass(frozen=True)
+class Unit:
+    """One job, complete in itself: plain data that can be sent to another process as JSON.
+
+    `records` and `card` are absolute paths; `shown` are the records as the study's folder sees them, which with all
+    else but the paths makes the identity of the unit.
+    """
+
+    name: str
+    task: str
+    records: tuple[str, ...]
+    shown: tuple[str, ...]
+    card: str
+    card_name: str
+    seed: int
+    split: str | None
+    noise: str | None
+    effects: tuple[str, ...]
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        """A dictionary that `of_json` reads back."""
+        found = asdict(self)
+        return json.loads(json.dumps(found))
+
+    @classmethod
+    def of_json(cls, given: Mapping[str, Any]) -> Unit:
+        """The unit that `as_json` wrote."""
+        lists = {key: tuple(given[key]) for key in ("records", "shown", "effects")}
+        return cls(**{**given, **lists})
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What was chosen for it, without the paths of a machine."""
+        own = {key: value for key, value in self.as_json().items() if key not in ("name", "shown", "card_name")}
+        own |= {"records": list(self.shown), "card": self.card_name}
+        return {key: value for key, value in own.items() if value is not None}
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study file with its units, in the order in which they are listed."""
+
+    path: Path
+    sha256: str
+    title: str
+    task: str
+    units: tuple[Unit, ...]
+
+
+def read_study(path: Path, *, trust_effects: bool = False) -> Study:
+    """Read and check a study; whatever is wrong is one sentence.
+
+    A card that names effect files is refused unless `trust_effects`: they are code, and the user has named the study
+    only, not them and not the card.
+    """
+    raw, table = read_table(path, "study")
+    where = f"study {path}"
+    _known(table, KEYS, where, "key")
+    task = table.get("task", "identify")
+    if not isinstance(task, str) or task not in OPTIONS:
+        raise InputError(f"{where}: task is {task!r}; use one of {', '.join(OPTIONS)}")
+    for key in ("splits", "noise"):
+        if key in table and task != "identify":
+            raise InputError(f"{where}: {key} is of no use to the task {task}; take it out")
+    options = _options(table.get("options", {}), task, where)
+    sets = _record_sets(table, path.parent, where)
+    cards = _cards(table.get("cards", ["attas"]), path.parent, where, trust_effects)
+    axes: list[list[Any]] = [
+        sets,
+        list(cards),
+        _variants(table.get("effects", [[]]), cards, task, where),
+        _chosen(table.get("noise", ["buffet-ar1"]), NOISES, where, "noise") if task == "identify" else [None],
+        _chosen(table.get("splits", ["random"]), SPLITS, where, "splits") if task == "identify" else [None],
+        _seeds(table.get("seeds", [0]), where),
+    ]
+    count = 1
+    for axis in axes:
+        count *= len(axis)
+    if count > MOST_UNITS:
+        raise InputError(f"{where}: it makes {count} units, more than {MOST_UNITS}; split it into several studies")
+    units = tuple(_unit(task, path.parent, options, choice) for choice in itertools.product(*axes))
+    return Study(path, hashlib.sha256(raw).hexdigest(), str(table.get("title", path.stem)), task, units)
+
+
+def card_of(unit: Unit) -> Card:
+    """The card with the unit's effects added to its model."""
+    card = read_card(unit.card)
+    return replace(card, effects=(*card.effects, *unit.effects)) if unit.effects else card
+
+
+def _unit(
+    task: str,
+    folder: Path,
+    options: Mapping[str, Any],
+    choice: Any,
+) -> Unit:
+    """The unit of one (records, card, effects, noise, split, seed)."""
+    records, card, effects, noise, split, seed = choice
+    shown = tuple(Path(os.path.relpath(path, folder)).as_posix() for path in records)
+    unit = Unit("", task, tuple(map(str, records)), shown, card[1], card[0], seed, split, noise, effects, dict(options))
+    more = f"+{len(records) - 1}" if len(records) > 1 else ""
+    parts = [segment_of(records[0]).label + more, Path(card[0]).stem, *effects, noise, split, f"seed{seed}"]
+    words = "-".join(re.sub(r"[^A-Za-z0-9+_.]", "_", part) for part in parts if part)
+    identity = hashlib.sha256(json.dumps(unit.settings, sort_keys=True).encode()).hexdigest()[:8]
+    return replace(unit, name=f"{safe_name(words[:LONGEST])}-{identity}")
+
+
+def _known(table: Mapping[str, Any], known: Sequence[str], where: str, what: str) -> None:
+    for key in table:
+        if key not in known:
+            close = get_close_matches(key, known, n=1)
+            hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known)}"
+            raise InputError(f"{where}: unknown {what} {key!r}; {hint}")
+
+
+def _list(given: Any, kind: type, where: str, key: str) -> list[Any]:
+    fits = isinstance(given, list) and given and all(isinstance(x, kind) and not isinstance(x, bool) for x in given)
+    if not fits:
+        words = {str: 'texts, e.g. ["a", "b"]', int: "whole numbers, e.g. [0, 1]", list: 'lists, e.g. [[], ["a"]]'}
+        raise InputError(f"{where}: {key} must be a list of {words[kind]}")
+    counts = Counter(map(repr, given))
+    if len(counts) < len(given):
+        raise InputError(f"{where}: {key} lists {counts.most_common(1)[0][0]} twice")
+    return given
+
+
+def _record_sets(table: Mapping[str, Any], folder: Path, where: str) -> list[tuple[Path, ...]]:
+    if "records" not in table:
+        raise InputError(f'{where}: records are missing; list files or patterns, e.g. records = ["flights/*.csv"]')
+    one_by_one = table.get("one_by_one", False)
+    if not isinstance(one_by_one, bool):
+        raise InputError(f"{where}: one_by_one is {one_by_one!r}; write true or false")
+    sets: list[tuple[Path, ...]] = []
+    for pattern in _list(table["records"], str, where, "records"):
+        found = _matching(pattern, folder, where)
+        sets += [(path,) for path in found] if one_by_one else [tuple(found)]
+    return list(dict.fromkeys(sets))
+
+
+def _matching(pattern: str, folder: Path, where: str) -> list[Path]:
+    """Files of a pattern, relative to the study's folder, in the order of their names."""
+    if not any(c in pattern for c in "*?["):
+        segment = segment_of(folder / pattern)
+        if not is_file(segment.file):
+            raise InputError(f"{where}: record {pattern!r} does not exist; it is looked for in {folder.resolve()}")
+        return [Path(str(segment.file.resolve()) + str(folder / pattern).removeprefix(str(segment.file)))]
+    start = Path(pattern).anchor
+    try:
+        found = (Path(start) if start else folder).glob(str(Path(pattern).relative_to(start)) if start else pattern)
+        files = sorted(p.resolve() for p in found if p.is_file() and p.suffix.lower() in READERS)
+    except (ValueError, OSError) as reason:
+        raise InputError(f"{where}: records {pattern!r} is no pattern of files ({reason})") from None
+    if not files:
+        raise InputError(
+            f"{where}: no record matches {pattern!r} in {folder.resolve()}; records end in {', '.join(READERS)}"
+        )
+    return files
+
+
+def _cards(given: Any, folder: Path, where: str, trust_effects: bool) -> dict[tuple[str, str], Card]:
+    """Cards by (name as given, absolute path), read once so that a bad one stops the study before it starts."""
+    cards = {}
+    for name in _list(given, str, where, "cards"):
+        path: Path = shipped_cards().get(name) or folder / name
+        if not is_file(path):
+            known = ", ".join(shipped_cards())
+            raise InputError(f"{where}: card {name!r} does not exist; give a .toml file beside the study, or {known}")
+        card = read_card(path.resolve())
+        if card.effect_files and not trust_effects:
+            files = ", ".join(str(file) for file in card.effect_files)
+            raise InputError(
+                f"{where}: card {name!r} names effect files, which are code and would be run ({files}); read them, "
+                "then give --trust-effects"
+            )
+        cards[name, str(path.resolve())] = card
+    return cards
+
+
+def _variants(given: Any, cards: Mapping[Any, Card], task: str, where: str) -> list[tuple[str, ...]]:
+    """Effects added to the cards' models; each variant must make a model with each card, or fly its linear system."""
+    found = []
+    for names in _list(given, list, where, "effects"):
+        if not all(isinstance(name, str) for name in names):
+            raise InputError(f'{where}: effects must be lists of names of effects, e.g. [[], ["thrust_lag"]]')
+        for card in cards.values():
+            try:
+                for name in names:
+                    effect_named(name, known_effects(card))
+                if task == "fly" and card.linear is not None and not names:
+                    from bayes_aero.dynamics.linear import linear_dynamics  # loads JAX, which few studies need here
+
+                    linear_dynamics(card)
+                else:
+                    Model.from_card(replace(card, effects=(*card.effects, *names)))
+            except InputError as reason:
+                raise InputError(f"{where}: effects {names} with card {card.name}: {reason}") from None
+        found.append(tuple(names))
+    return found
+
+
+def _chosen(given: Any, known: Sequence[str], where: str, key: str) -> list[str]:
+    for name in _list(given, str, where, key):
+        if name not in known:
+            raise InputError(f"{where}: {key} lists {name!r}; use {', '.join(known)}")
+    return given
+
+
+def _seeds(given: Any, where: str) -> list[int]:
+    for seed in _list(given, int, where, "seeds"):
+        if not 0 <= seed <= LARGEST_SEED:
+            raise InputError(f"{where}: seeds lists {seed}; a seed lies between 0 and {LARGEST_SEED}")
+    return given
+
+
+def _options(given: Any, task: str, where: str) -> dict[str, Any]:
+    if not isinstance(given, dict):
+        raise InputError(f"{where}: options must be a section, [options]")
+    _known(given, tuple(OPTIONS[task]), where, f"option of the task {task}")
+    for key, value in given.items():
+        kind = OPTIONS[task][key]
+        if kind is str:
+            known = CHOICES.get(key)
+            if known is not None and value not in known:
+                raise InputError(f"{where}: option {key} is {value!r}; use one of {', '.join(known)}")
+            if not isinstance(value, str):
+                raise InputError(f'{where}: option {key} is {value!r}; write names in quotes, e.g. "alpha,q"')
+            continue
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not (isinstance(value, bool) if kind is bool else number and (kind is float or isinstance(value, int))):
+            raise InputError(
+                f"{where}: option {key} is {value!r}; write a {'true or false' if kind is bool else 'number'}"
+            )
+        if number and not value > 0:
+            raise InputError(f"{where}: option {key} is {value!r}; it must be positive")
+    return dict(given)

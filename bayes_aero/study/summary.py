@@ -1,0 +1,153 @@
+"""All units of a study as two tables, in CSV and Parquet: a row a unit, and a row a result."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from bayes_aero.jobs.io.atomic_write import sync
+from bayes_aero.study.case import MANIFEST
+from bayes_aero.study.study import Unit
+
+UNIT_COLUMNS = (
+    "unit", "state", "task", "records", "card", "effects", "noise", "split", "seed", "seconds", "verdict", "error",
+)  # fmt: skip
+RESULT_COLUMNS = (
+    "unit", "records", "card", "effects", "noise", "split", "seed", "method", "cause", "parameter", "unit_of_value",
+    "value", "sd", "low95", "high95", "status",
+)  # fmt: skip
+NUMBERS = ("seed", "seconds", "value", "sd", "low95", "high95")
+RESULTS = {"identify": "results.json", "diagnose": "diagnosis.json", "fly": "trajectories.json"}
+"""Where a task leaves its numbers."""
+
+
+def write_summary(units: Sequence[Unit], folder: Path, out: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """units.csv and results.csv with their Parquet twins in `out`; units that are not done have no results."""
+    rows, results = [], []
+    for unit in units:
+        manifest = _json(folder / unit.name / MANIFEST)
+        found = _json(folder / unit.name / RESULTS[unit.task])
+        about = _axes(unit)
+        state = manifest.get("state", "missing")
+        rows.append(
+            {
+                "unit": unit.name,
+                "state": state,
+                "task": unit.task,
+                **about,
+                "seconds": manifest.get("seconds"),
+                "verdict": _verdict(unit, found),
+                "error": manifest.get("error", ""),
+            }
+        )
+        if state == "done":
+            results += [{"unit": unit.name, **about, **row} for row in _results(unit, found)]
+    tables = (pd.DataFrame(rows, columns=list(UNIT_COLUMNS)), pd.DataFrame(results, columns=list(RESULT_COLUMNS)))
+    for table, name in zip(tables, ("units", "summary"), strict=True):
+        _write(table, out / f"{name}.csv")
+        _write(table, out / f"{name}.parquet")
+    return tables
+
+
+def _axes(unit: Unit) -> dict[str, Any]:
+    return {
+        "records": " + ".join(unit.shown),
+        "card": unit.card_name,
+        "effects": " + ".join(unit.effects),
+        "noise": unit.noise,
+        "split": unit.split,
+        "seed": unit.seed,
+    }
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+
+
+def _verdict(unit: Unit, found: dict[str, Any]) -> str:
+    if unit.task == "diagnose":
+        return str(found.get("verdict", ""))
+    return str((found if unit.task == "fly" else found.get("mle", {})).get("status", ""))
+
+
+def _results(unit: Unit, found: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    if unit.task == "fly":
+        return _estimates(found, {"output_error": "crb", "output_error_corrected": "sd_corrected"})
+    return _causes(found) if unit.task == "diagnose" else _parameters(found)
+
+
+def _estimates(found: dict[str, Any], methods: dict[str, str]) -> Iterator[dict[str, Any]]:
+    """A row for each parameter and method, which is named after the deviation taken; bounds are symmetric."""
+    for name, p in found.get("parameters", {}).items():
+        for method, key in methods.items():
+            value, sd = p["estimate"], p[key]
+            known = sd is not None
+            yield {
+                "method": method,
+                "parameter": name,
+                "unit_of_value": p["unit"],
+                "value": value,
+                "sd": sd,
+                "low95": value - 1.96 * sd if known else None,
+                "high95": value + 1.96 * sd if known else None,
+                "status": found.get("status"),
+            }
+
+
+def _parameters(found: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Maximum likelihood, then a row for each parameter and posterior."""
+    mle = found.get("mle", {})
+    yield from _estimates(mle, {"mle": "crb", "mle_corrected": "crb_corrected"})
+    units = {name: p["unit"] for name, p in mle.get("parameters", {}).items()}
+    posterior = found.get("posterior", {})
+    for engine, status in posterior.get("status", {}).items():
+        for name, m in posterior.get(engine, {}).items():
+            yield {
+                "method": engine,
+                "parameter": name,
+                "unit_of_value": units.get(name, "1"),
+                "value": m["mean"],
+                "sd": m["sd"],
+                "low95": m["ci95"][0],
+                "high95": m["ci95"][1],
+                "status": status["status"],
+            }
+
+
+def _causes(found: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """A row for each parameter of each named cause."""
+    for cause in found.get("causes", []):
+        for name, size in cause["parameters"].items():
+            yield {
+                "method": cause["stage"],
+                "cause": cause["name"],
+                "parameter": name,
+                "unit_of_value": size["unit"],
+                "value": size["mean"],
+                "sd": size["sd"],
+                "low95": size["ci95"][0],
+                "high95": size["ci95"][1],
+                "status": found.get("verdict"),
+            }
+
+
+def _write(table: pd.DataFrame, path: Path) -> None:
+    partial = path.with_name(path.name + ".part")
+    try:
+        if path.suffix == ".csv":
+            table.to_csv(partial, index=False, lineterminator="\n")
+        else:
+            text = [c for c in table.columns if c not in NUMBERS]
+            table.astype(dict.fromkeys(text, "string")).to_parquet(partial, index=False)
+        sync(partial)
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)

@@ -1,0 +1,60 @@
+"""Which effects stand for election."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bayes_aero.diagnosis.candidate_set import field_of
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.joined_channels import join
+from bayes_aero.model.model import Model
+
+
+def test_stand_ins_are_no_candidates_but_serve_on_a_card(card, model, clean_records):
+    flights = join(clean_records, card)
+    stand_ins = {name for name, effect in CATALOGUE.items() if not effect.candidate}
+    assert stand_ins == {
+        "alpha_drag", "speed_drag", "speed_lift", "speed_moment", "stabilizer_lift", "stabilizer_drag",
+    }  # fmt: skip
+    field = field_of(model, flights)
+    assert len(field.candidates) > 20
+    assert not stand_ins & ({e.name for e in field.model.effects} | set(field.not_testable))
+    stated = Model.of([*card.effects, "speed_lift"], {"tau1": 0.0})
+    field = field_of(stated, flights)
+    assert "speed_lift" in field.base
+    assert stand_ins & {e.name for e in field.model.effects} == {"speed_lift"}
+    absent = Model.of([*card.effects, "speed_lift"], {"tau1": 0.0, "CLV": 0.0})  # written down, so asked for
+    assert "speed_lift" in {e.name for e in field_of(absent, flights).candidates}
+
+
+WAVE = np.sin(np.linspace(0.0, 9.0, 200))
+
+
+@pytest.mark.parametrize(
+    ("channels", "effect", "why"),
+    [
+        ({}, "thrust_moment", None),  # density and thrust stand still: T/(qbar S) moves with the airspeed
+        ({}, "thrust_lift", None),
+        ({"airspeed": 80.0}, "thrust_lift", "channel thrust, density, airspeed does not move in this record"),
+        ({"airspeed": 80.0, "thrust": 9e3 + WAVE}, "thrust_moment", None),
+        ({"thrust": 0.0}, "thrust_moment", "channel thrust, density does not move in this record"),
+        ({"spoiler_left": 0.0, "spoiler_right": 0.1 * WAVE}, "spoiler_lift", None),
+        ({"spoiler_left": 0.0, "spoiler_right": 0.1}, "spoiler_lift", "does not move"),
+        ({"mach": 0.3}, "mach_lift", "channel mach does not move in this record"),  # the slope CLa says it already
+        ({"canard": 0.1 * WAVE}, "canard_moment", None),
+        ({"flap": 0.3}, "flap_lift", "channel flap does not move in this record"),
+    ],
+)
+def test_an_effect_can_be_tested_where_what_it_acts_through_moves(card, channels, effect, why):
+    base = {
+        "alpha": 0.1 + 0.05 * WAVE, "q": 0.05 * WAVE, "airspeed": 80.0 + 5.0 * WAVE, "elevator": -0.05 * WAVE,
+        "ax": 0.1 * WAVE, "az": -9.8 + WAVE, "p": 0.0, "r": 0.0, "density": 0.9, "thrust": 9e3,
+    } | channels  # fmt: skip
+    arrays = {name: np.broadcast_to(x, len(WAVE)) for name, x in base.items()}
+    record = FlightRecord.from_arrays("run", np.arange(len(WAVE)) * 0.04, arrays)
+    names = ["attached_lift", "elevator_moment", "pitching_moment", "pitch_damping", "profile_drag", "induced_drag"]
+    field = field_of(Model.of(names), join([record], replace(card, sums={}, constants={})))
+    assert (effect in {e.name for e in field.candidates}) == (why is None)
+    assert why is None or why in field.not_testable[effect]

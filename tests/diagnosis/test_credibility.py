@@ -1,0 +1,197 @@
+"""Causes that the verdict may rest on, sizes that no aircraft has, terms that cancel, and names too many."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bayes_aero.diagnosis import result as finding
+from bayes_aero.diagnosis.candidate_set import Field
+from bayes_aero.diagnosis.design import standard
+from bayes_aero.diagnosis.diagnose import judged_on_held_out_flights, verdict_of
+from bayes_aero.diagnosis.result import Cause, Gain, Unknown, Verdict
+from bayes_aero.diagnosis.screening.accuracy import Size
+from bayes_aero.diagnosis.screening.autocorrelation import colour_of
+from bayes_aero.diagnosis.screening.screening import uncertainty
+from bayes_aero.diagnosis.screening.selection_state import linearised
+from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
+from bayes_aero.diagnosis.selection.collinear import cancelling
+from bayes_aero.diagnosis.selection.forward_selection import Extension
+from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, implausible, own_share
+from bayes_aero.diagnosis.settings import DEFAULT
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.model.joined_channels import join
+from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.text.diagnosis import diagnosis_sentences
+from bayes_aero.residuals.equation_error import EquationError
+from bayes_aero.simulate.demo import TRUTH, simulate_stall
+
+PAIR = ("pitch_rate_lift", "alpha_dot_lift")
+LEFT = (Unknown("Cm", "phi", 0.2, 0.01),)
+
+
+def cause(name="thrust_scale", mean=-0.08, sd=0.01, **given) -> Cause:
+    parameters = {p.name: Size(mean, sd, p.unit) for p in CATALOGUE[name].parameters}
+    gain = Gain(1.0, 1.0, "manoeuvre", {}, {})
+    rest = {"probability": 0.9, "p_value": 0.01, "ambiguous_with": ()} | given
+    return Cause(name, "propulsion", CATALOGUE[name].claim, "coefficients", parameters=parameters, gain=gain, **rest)
+
+
+def test_the_verdict_rests_on_what_is_confirmed_and_likely():
+    sure, open_, unlikely = cause(), cause(confirmed=False), cause(probability=0.17)
+    assert verdict_of([], ()) is Verdict.NO_EFFECT
+    assert verdict_of([sure, open_], ()) is Verdict.EXPLAINED
+    assert verdict_of([sure, unlikely], LEFT) is Verdict.PARTLY_EXPLAINED
+    for doubtful in (open_, unlikely, cause(implausible={"thrust_scale": 0.3})):
+        assert verdict_of([doubtful], ()) is Verdict.UNEXPLAINED
+        assert verdict_of([doubtful], LEFT) is Verdict.UNEXPLAINED
+    of_a_sensor = replace(
+        cause(name="roll_rate_scale", mean=0.22, implausible={"roll_rate_scale": 0.15}), stage="flight path"
+    )
+    assert verdict_of([of_a_sensor], ()) is Verdict.NO_EFFECT  # that sensors disagree is no fault of the card's model
+    bounded = replace(sure, parameters={"thrust_scale": Size(-0.9, 0.01, "1", at_bound=True)})
+    assert verdict_of([bounded], ()) is Verdict.UNEXPLAINED
+
+
+def test_half_the_thrust_missing_is_beyond_what_aircraft_have():
+    effect = CATALOGUE["thrust_scale"]
+    neutral = {"thrust_scale": 0.0}
+    assert implausible(effect, cause(mean=-0.48, sd=0.02).parameters, neutral) == {"thrust_scale": 0.3}
+    assert not implausible(effect, cause(mean=-0.48, sd=0.15).parameters, neutral)  # the record does not know it
+    assert not implausible(effect, cause(mean=-0.08, sd=0.004).parameters, neutral)
+    # Pitch rate makes lift at the tail: 2 a V_H per q c/2V, some 5 per q c/V. Three real records gave 20.
+    assert implausible(CATALOGUE["pitch_rate_lift"], {"CLq": Size(19.6, 1.1, "1")}, {"CLq": 0.0})
+    assert not implausible(CATALOGUE["pitch_rate_lift"], {"CLq": Size(5.0, 1.1, "1")}, {"CLq": 0.0})
+
+
+def test_an_error_that_no_sensor_has_is_said_with_its_unit(diagnosed):
+    off = replace(
+        cause("alpha_bias", np.radians(9.0), np.radians(0.5), implausible={"alpha_bias": np.radians(3.0)}),
+        kind="measurement",
+    )
+    said = diagnosis_sentences(replace(diagnosed.view.diagnosis, beyond=(off,)))
+    (sentence,) = [one for one in said if "alpha_bias" in one]
+    assert "9.00 ± 0.50 deg" in sentence
+    assert "at most 3 deg" in sentence
+
+
+def test_more_than_five_names_are_no_name():
+    names = ("mass_scale", "drag_offset", "accel_x_bias", "density_scale", "mach_drag")
+    few, many = cause(ambiguous_with=names[: DEFAULT.most_names - 1]), cause(ambiguous_with=names)
+    assert attributed([few, many]) == ((few,), (), (many,))
+    unlikely, open_ = cause(probability=0.33), cause(confirmed=False)
+    assert attributed([unlikely, open_]) == ((unlikely, open_), (), ())
+    neither = replace(unlikely, confirmed=False)
+    assert attributed([neither]) == ((), (), (neither,))
+
+
+def test_an_error_that_no_sensor_has_is_no_cause():
+    scale = cause(name="roll_rate_scale", mean=0.22, implausible={"roll_rate_scale": 0.15})
+    of_a_sensor, of_the_model = replace(scale, kind="measurement"), replace(scale, kind="aerodynamics")
+    assert attributed([of_a_sensor, of_the_model]) == ((of_the_model,), (of_a_sensor,), ())
+
+
+def test_structure_with_many_names_tells_where_and_how_much(diagnosed):
+    """The hidden curvature of the pitching moment, as if five others explained it as well."""
+    d = diagnosed.view.diagnosis
+    found = next(c for c in d.causes if c.name == "alpha_squared_moment")
+    names = ("mass_scale", "drag_offset", "accel_x_bias", "density_scale", "mach_drag")
+    effect = CATALOGUE[found.name]
+    unknown = as_structure(replace(found, ambiguous_with=names), d.aerodynamics, effect)
+    assert (unknown.coefficient, unknown.channel) == ("Cm", "alpha")
+    assert 0.04 < unknown.share < 1.0
+    assert unknown.rivals == (found.name, *names)
+
+
+def test_flight_that_does_not_miss_a_cause_takes_it_out_of_the_verdict(diagnosed):
+    d = diagnosed.view.diagnosis
+    names = [c.name for c in d.causes]
+    assert d.verdict is not Verdict.UNEXPLAINED
+    nothing = judged_on_held_out_flights(d, Confirmation((), dict.fromkeys(names, (1.0, 2.0))))
+    assert not any(c.confirmed for c in nothing.causes)
+    assert nothing.verdict is Verdict.UNEXPLAINED
+    assert judged_on_held_out_flights(d, Confirmation((), {})) == d
+
+
+@pytest.fixture(scope="module")
+def both(card, model):
+    """The card's model and lift due to pitch rate and to alpha-dot, at the truth of a simulated stall without them."""
+    base = tuple(e for e in model.effects if e.name != "separation_lag")  # fixed at neutral by the card
+    candidates = tuple(CATALOGUE[name] for name in (*PAIR, "sideslip_drag"))
+    everything = (*base, *candidates)
+    changed = {p.name: p for p in model.parameters}
+    parameters = tuple(changed.get(p.name, p) for e in everything for p in e.parameters)
+    whole = replace(model, effects=everything, parameters=parameters, fixed=())
+    field = Field(whole, tuple(e.name for e in base), candidates, {})
+    theta = np.array([TRUTH.get(p.name, p.neutral) for p in parameters])
+    return linearised(field, EquationError.of(join([simulate_stall(0, card=card)], card), whole), NAMES, theta)
+
+
+def on(both, flights, values) -> Extension:
+    """Both terms in, with these values, on a record."""
+    model = both.field.model
+    theta = both.theta.copy()
+    theta[both.field.columns(list(values))] = list(values.values())
+    state = linearised(both.field, EquationError.of(flights, model), NAMES, theta, PAIR)
+    fit = state.fit()
+    return Extension(state, fit, state, fit, (), {}, PAIR, ())
+
+
+def test_two_terms_that_cancel_are_known_by_their_sum(both):
+    """In a doublet the flight path bends little: alpha-dot is pitch rate, and large opposite terms are their sum."""
+    flown = standard(both, (*PAIR, "sideslip_drag")).flown
+    doublet = flown["elevator_doublet"]
+    found = on(both, doublet, {"CLq": 19.6, "CLadot": -18.2})
+    (pair,) = cancelling(found, PAIR)
+    assert pair.parameters == ("CLq", "CLadot")
+    assert pair.correlation < -0.9
+    assert pair.mean == pytest.approx(19.6 - 18.2 * pair.factor)
+    assert pair.factor == pytest.approx(1.0, abs=0.1)
+    # Of a combination with correlation near -1 little is left of either deviation: closed form of a sum's variance.
+    columns = found.state.field.columns(["CLq", "CLadot"])
+    colour = colour_of(found.state.left(found.fit), found.state.folds)
+    at = [int(np.flatnonzero(found.fit.columns == c)[0]) for c in columns]
+    C = uncertainty(found.state, found.fit, colour)[np.ix_(at, at)]
+    assert pair.sd**2 == pytest.approx(C[0, 0] + 2 * pair.factor * C[0, 1] + pair.factor**2 * C[1, 1])
+    assert pair.sd < 0.1 * np.sqrt(C[0, 0])
+    turn = on(both, flown["bank_to_bank"], {"CLq": 19.6, "CLadot": -18.2})
+    assert not cancelling(turn, PAIR)  # it has pitch rate at constant alpha
+    assert not cancelling(on(both, doublet, {"CLq": 4.0, "CLadot": 2.0}), PAIR)  # nothing cancels
+
+
+def test_own_share_is_one_over_the_variance_inflation(both):
+    """Closed form: what a regression on the others leaves of the effect's sensitivity, over its spread."""
+    found = on(both, both.responses.flights, {"CLq": 4.0})
+    state, fit = found.state, found.fit
+    own = int(state.field.columns(["CLq"])[0])
+    weighed = state.scaled[state.inside] / np.sqrt(fit.variance)[:, None]
+    S = weighed.reshape(-1, state.S.shape[2])
+    x, others = S[:, own], S[:, [c for c in fit.columns if c != own]]
+    scale = np.sqrt(np.sum(others**2, axis=0))
+    left = x - (others / scale) @ np.linalg.lstsq(others / scale, x, rcond=None)[0]
+    spread = np.sum((weighed[:, :, own] - weighed[:, :, own].mean(axis=0)) ** 2)
+    assert own_share(state, fit, "pitch_rate_lift") == pytest.approx(left @ left / spread, rel=1e-3)
+    assert np.isnan(own_share(state, fit, "sideslip_drag"))  # not in
+
+
+def test_trajectories_alone_claim_no_more_than_was_tested(diagnosed):
+    """One sure cause, and the simulation still off by 1.2 m/s where the sensor is off by 0.3 m/s."""
+    d = replace(diagnosed.view.diagnosis, causes=(cause(),), unknown=())
+    for left, verdict, claim in (
+        (finding.Missed(0.3, 0.6, 1.2), Verdict.PARTLY_EXPLAINED, "cause improves the fit to the trajectories"),
+        (finding.Missed(0.3, 0.3, 1.2), Verdict.EXPLAINED, "the error of the card's model in the trajectories"),
+    ):
+        tested = finding.Tested({"airspeed": left})
+        headline, detail, *_ = diagnosis_sentences(replace(d, tested=tested, verdict=verdict))
+        assert claim in headline
+        assert ("explain" in headline) is (verdict is Verdict.EXPLAINED)
+        assert ("V 1.2 m/s" in headline) is (verdict is not Verdict.EXPLAINED)
+        assert "structure outside the catalogue was not tested" in headline
+        assert "(noise 0.30 m/s)" in detail
+    none = replace(d, causes=(), verdict=Verdict.UNDECIDED, tested=finding.Tested({"q": finding.Missed(0.0, 1.0, 1.0)}))
+    assert "57 deg/s" in diagnosis_sentences(none)[0]
+    assert "cannot decide" in diagnosis_sentences(none)[0]
+    flown_not = diagnosis_sentences(replace(d, verdict=Verdict.PARTLY_EXPLAINED, tested=finding.Tested({})))[0]
+    assert "was not computed" in flown_not

@@ -1,0 +1,142 @@
+"""Which standard manoeuvre separates which effects."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bayes_aero.diagnosis.candidate_set import Field
+from bayes_aero.diagnosis.design import separating, standard
+from bayes_aero.diagnosis.screening.selection_state import linearised
+from bayes_aero.dynamics.manoeuvres import commands, trimmed
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.errors import InputError
+from bayes_aero.model.joined_channels import join
+from bayes_aero.physics.atmosphere import GRAVITY, air, altitude_of_density
+from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.residuals.equation_error import EquationError
+from bayes_aero.simulate.demo import TRUTH, simulate_stall
+
+CANDIDATES = ("thrust_scale", "mass_scale", "alpha_dot_lift", "pitch_rate_lift", "sideslip_drag", "mach_drag")
+
+
+@pytest.fixture(scope="module")
+def state(card, model):
+    """The card's model at the truth of a simulated stall, with a few candidates."""
+    base = tuple(e for e in model.effects if e.name != "separation_lag")  # fixed at neutral by the card
+    candidates = tuple(CATALOGUE[name] for name in CANDIDATES)
+    everything = (*base, *candidates)
+    changed = {p.name: p for p in model.parameters}
+    parameters = tuple(changed.get(p.name, p) for e in everything for p in e.parameters)
+    whole = replace(model, effects=everything, parameters=parameters, fixed=())
+    field = Field(whole, tuple(e.name for e in base), candidates, {})
+    theta = np.array([TRUTH.get(p.name, p.neutral) for p in parameters])
+    return linearised(field, EquationError.of(join([simulate_stall(0, card=card)], card), whole), NAMES, theta)
+
+
+@pytest.fixture(scope="module")
+def rates(state):
+    return separating(state, ("alpha_dot_lift", "pitch_rate_lift"))
+
+
+def test_pitch_rate_and_alpha_dot_part_where_the_flight_path_bends(rates):
+    by_name = {m.manoeuvre: m for m in rates.manoeuvres}
+    pair = ("alpha_dot_lift", "pitch_rate_lift")
+    assert abs(by_name["elevator_doublet"].correlation[pair]) > 0.8
+    assert abs(by_name["bank_to_bank"].correlation[pair]) < 0.7  # a turn has pitch rate at constant alpha
+    assert rates.manoeuvres[0].weakest == max(m.weakest for m in rates.manoeuvres)
+    assert rates.manoeuvres[0].manoeuvre.replace("_", " ") in rates.status
+
+
+def test_thrust_and_mass_part_only_when_thrust_moves(state):
+    found = separating(state, ("thrust_scale", "mass_scale"))
+    by_name = {m.manoeuvre: m for m in found.manoeuvres}
+    assert by_name["thrust_steps"].weakest > 2.0 * by_name["elevator_doublet"].weakest
+
+
+def test_information_grows_with_amplitude(state, rates):
+    smaller = separating(state, ("alpha_dot_lift", "pitch_rate_lift"), amplitude=0.5)
+    less = {m.manoeuvre: m.weakest for m in smaller.manoeuvres}
+    for name in ("elevator_doublet", "elevator_3211"):
+        assert less[name] < next(m.weakest for m in rates.manoeuvres if m.manoeuvre == name)
+
+
+def test_one_set_of_flights_serves_several_sets_of_effects(state, rates):
+    """With a rival from another set in the model, at neutral, the manoeuvres are the same flights."""
+    flights = standard(state, ("alpha_dot_lift", "pitch_rate_lift", "mach_drag"))
+    shared = separating(state, ("alpha_dot_lift", "pitch_rate_lift"), flights=flights)
+    for one, other in zip(shared.manoeuvres, rates.manoeuvres, strict=True):
+        assert one.manoeuvre == other.manoeuvre
+        assert one.weakest == pytest.approx(other.weakest, rel=1e-6)
+
+
+def test_a_record_without_altitude_begins_in_air_of_its_density(state):
+    flights = state.responses.flights
+    channels = {name: x for name, x in flights.channels.items() if name != "altitude"}
+    without = replace(flights, channels=channels)
+    there = replace(state, responses=EquationError.of(without, state.responses.model))
+    flown = standard(there, ("alpha_dot_lift",)).flown["elevator_doublet"]
+    begin = float(np.mean(np.asarray(flights.channels["density"])[:50]))
+    assert float(flown.channels["density"][0]) == pytest.approx(begin, rel=0.01)
+
+
+@pytest.mark.parametrize("height", [0.0, 4500.0, 11000.0])
+def test_altitude_of_density_is_the_inverse_of_the_standard_atmosphere(height):
+    """ISO 2533:1975: 1.225 kg/m3 at sea level, 0.3639 at 11 km."""
+    assert altitude_of_density(float(air(jnp.asarray(height))[0])) == pytest.approx(height, abs=1e-6)
+    assert altitude_of_density(1.225) == pytest.approx(0.0, abs=0.5)
+    assert altitude_of_density(0.36391) == pytest.approx(11000.0, abs=2.0)
+
+
+def test_a_larger_effect_is_told_apart_in_proportion(state, rates):
+    least = {"CLadot": 2.0, "CLq": 2.0}
+    larger = separating(state, ("alpha_dot_lift", "pitch_rate_lift"), sizes={k: 3.0 * x for k, x in least.items()})
+    assert larger.manoeuvres[0].weakest == pytest.approx(3.0 * rates.manoeuvres[0].weakest, rel=1e-6)
+
+
+def test_sideslip_needs_a_sideslip(state):
+    found = separating(state, ("sideslip_drag", "mach_drag"))
+    assert max(found.manoeuvres, key=lambda m: m.deviations["sideslip_drag", "mach_drag"]).manoeuvre == "sideslip"
+
+
+def test_no_manoeuvre_is_proposed_whose_input_is_not_recorded(state):
+    flights = state.responses.flights
+    blind = replace(flights, channels={n: x for n, x in flights.channels.items() if n not in ("stabilizer", "beta")})
+    flown = standard(replace(state, responses=replace(state.responses, flights=blind)), ("thrust_scale", "mass_scale"))
+    assert flown.refused["stabilizer_steps"] == "stabilizer was not recorded"
+    assert flown.refused["sideslip"] == "beta was not recorded"
+    assert {"bank_to_bank", "thrust_steps"} <= set(flown.flown)
+    assert not {"stabilizer_steps", "sideslip"} & set(flown.flown)
+
+
+def test_trim_is_level_flight(state):
+    model, aircraft = state.field.model, state.responses.flights.aircraft
+    values = dict(zip(model.names, map(float, state.theta), strict=True))
+    trim = trimmed(model, values, aircraft, 95.0, 5200.0)
+    CL = aircraft.mass * GRAVITY / (0.5 * 0.7198 * 95.0**2 * aircraft.wing_area)  # density of the ICAO table
+    assert trim.alpha == pytest.approx((CL - TRUTH["CL0"]) / (TRUTH["CLa"] + 0.297 * TRUTH["CLaM"]), abs=0.01)
+    assert 5e3 < trim.thrust < 4e4
+
+
+def test_commands_begin_at_trim_and_scale():
+    time = np.arange(-5.0, 60.02, 0.04)
+    whole, half = commands(time, 0.15, 0.9), commands(time, 0.15, 0.9, 0.5)
+    for name, command in whole.items():
+        moving = [np.abs(x).max() for x in command[1:]]
+        assert max(moving) > 0.0, name
+        for x, y in zip(command[1:], half[name][1:], strict=True):
+            assert x[0] == 0.0
+            assert np.allclose(0.5 * x, y)
+
+
+def test_one_effect_is_no_ambiguity(state):
+    with pytest.raises(InputError, match="at least two"):
+        separating(state, ("thrust_scale",))
+
+
+def test_an_effect_that_is_no_candidate_is_named(state):
+    with pytest.raises(InputError, match="buffet"):
+        separating(state, ("thrust_scale", "buffet"))

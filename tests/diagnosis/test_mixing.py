@@ -1,0 +1,78 @@
+"""What only takes correlated noise out of one coefficient with another gains nothing; nor is doubt a cause."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from bayes_aero.diagnosis.candidate_set import Field
+from bayes_aero.diagnosis.screening.accuracy import Size
+from bayes_aero.diagnosis.screening.partialled_regression import Projected
+from bayes_aero.diagnosis.screening.regression import Fit
+from bayes_aero.diagnosis.screening.selection_state import State
+from bayes_aero.diagnosis.selection.forward_selection import worth
+from bayes_aero.diagnosis.settings import DEFAULT
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.model.model import Model
+
+
+def part(kind, **given):
+    """An instance of a dataclass with these fields alone: what is judged here needs no aircraft."""
+    made = object.__new__(kind)
+    for name, value in given.items():
+        assert name in {f.name for f in fields(kind)}
+        object.__setattr__(made, name, value)
+    return made
+
+
+@pytest.fixture
+def projected():
+    """Noise of one sensor in two of three coefficients; columns: a constant (in the model), that noise, a wave."""
+    rng = np.random.default_rng(31)
+    n = 2400
+    vane = rng.standard_normal(n)
+    residual = 0.3 * rng.standard_normal((n, 3))
+    residual[:, 0] += vane
+    residual[:, 2] += rng.uniform(0.5, 2.0) * vane
+    wave = np.sin(np.arange(n) / 9.0)
+    residual[:, 2] += rng.uniform(0.8, 1.5) * wave
+    S = np.zeros((n, 3, 3))
+    S[:, :, 0], S[:, 2, 1], S[:, 2, 2] = 1.0, residual[:, 0], wave
+    residual -= residual.mean(axis=0)
+    state = part(State, S=S, swell=np.ones((n, 3)), folds=(slice(0, 1200), slice(1200, n)))
+    variance = residual.var(axis=0)
+    fit = Fit(np.array([0]), np.zeros(1), np.array([[n * np.sum(1.0 / variance)]]), variance, 0.0)
+    return Projected(state, fit, [np.array([1]), np.array([2])]), residual
+
+
+def test_a_sum_of_outputs_gains_under_single_variances_and_nothing_under_a_whole_covariance(projected):
+    given, residual = projected
+    right = given.right(residual)
+    for block, (mixes, coefficient) in enumerate([(True, 2), (False, 2)]):
+        place = given.place[block]
+        estimate = given.bread[block] @ right[place]
+        left = residual[:, coefficient] - (given.P[:, :, place] @ estimate)[:, coefficient]
+        alone = len(left) * np.log(np.mean(residual[:, coefficient] ** 2) / np.mean(left**2))
+        together = given.deviance(residual) - given.deviance(residual, block, estimate)
+        assert alone > 100.0
+        assert (together < 0.05 * alone) if mixes else (together > 0.7 * alone)
+
+
+def test_the_whole_covariance_does_not_ask_which_outputs_were_chosen(projected):
+    given, residual = projected
+    mixed = residual @ np.array([[1.0, 0.0, 0.7], [0.0, 1.0, 0.0], [0.0, -2.0, 1.0]]).T
+    unit = np.linalg.det([[1.0, 0.0, 0.7], [0.0, 1.0, 0.0], [0.0, -2.0, 1.0]])
+    expected = given.deviance(residual) + 2.0 * len(residual) * np.log(abs(unit))
+    assert given.deviance(mixed) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize(("scores", "named"), [((0.2, 2.4), False), ((2.6, 30.0), True)])
+def test_a_size_that_may_as_well_be_none_is_no_cause(scores, named):
+    score = np.random.default_rng(int(1e3 * scores[0])).uniform(*scores)
+    least = CATALOGUE["cg_shift"].sizes["cg_shift"][0]
+    size = 2.0 * least
+    field = part(Field, candidates=(CATALOGUE["cg_shift"],), model=Model.of(["cg_shift"]))
+    state = part(State, active=("cg_shift",), field=field)
+    causes, minor = worth(state, {"cg_shift": Size(size, size / score, "m")})
+    assert (causes, minor) == ((("cg_shift",), ()) if named else ((), ("cg_shift",)))
+    assert scores[0] > DEFAULT.least_score or not named

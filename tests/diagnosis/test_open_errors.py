@@ -1,0 +1,80 @@
+"""Errors of sensors without an altitude: named, or told with what cannot be parted from them; silent where none is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bayes_aero.diagnosis.consistency.consistency import KnownErrors, consistency, errors_of_path
+from bayes_aero.diagnosis.consistency.sensor_errors import compatibility
+from bayes_aero.flight.agreement import Agreement, Consistency
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.jobs.io.consistency_json import consistency_results
+from bayes_aero.report.text.consistency import open_sentences
+
+G = 9.80665
+NOISE = {"ax": 0.01, "az": 0.02, "q": 2e-4, "theta": 5e-4, "alpha": 5e-4, "airspeed": 0.1}
+
+
+def level_flight(seconds: float, seed: int, **offsets: float) -> FlightRecord:
+    """Wings level, by hand: u' = ax - g sin theta - q w, w' = az + g cos theta + q u with u = V cos a, w = V sin a."""
+    t = np.arange(0.0, seconds, 0.1)
+    swing = [(0.02, 0.9), (0.015, 1.7), (0.03, 0.25)]
+    alpha = 0.10 + sum(a * np.sin(w * t) for a, w in swing)
+    alpha_dot = sum(a * w * np.cos(w * t) for a, w in swing)
+    theta = 0.12 + sum(1.5 * a * np.sin(w * t - 0.4) for a, w in swing)
+    q = sum(1.5 * a * w * np.cos(w * t - 0.4) for a, w in swing)
+    V, V_dot = 100.0 + 4.0 * np.sin(0.2 * t), 0.8 * np.cos(0.2 * t)
+    u, w = V * np.cos(alpha), V * np.sin(alpha)
+    true = {
+        "ax": V_dot * np.cos(alpha) - w * alpha_dot + q * w + G * np.sin(theta),
+        "az": V_dot * np.sin(alpha) + u * alpha_dot - q * u - G * np.cos(theta),
+        "q": q, "theta": theta, "alpha": alpha, "airspeed": V,
+    }  # fmt: skip
+    rng = np.random.default_rng(seed)
+    measured = {n: x + offsets.get(n, 0.0) + NOISE[n] * rng.standard_normal(t.size) for n, x in true.items()}
+    return FlightRecord.from_arrays(f"level_{seed}", t, measured)
+
+
+@pytest.fixture(scope="module")
+def bare(card):
+    """A card that states the aircraft and no constants: lateral channels are neither recorded nor stated."""
+    return replace(card, aircraft=replace(card.aircraft, accelerometer=(0.0, 0.0, 0.0)), constants={}, sums={})
+
+
+def found_in(record: FlightRecord, card) -> tuple[KnownErrors, Consistency]:
+    known = errors_of_path(compatibility([record], card))
+    return known, consistency([record], card, known=known)
+
+
+def test_an_offset_of_the_pitch_attitude_is_told_with_what_cannot_be_parted_from_it(bare):
+    """Gravity in the body axes turns: ax by g b cos theta and az by g b sin theta do the same to V and alpha."""
+    known, found = found_in(level_flight(60.0, 1, theta=0.0125), bare)
+    assert found.unchecked == ("altitude", "beta", "phi")
+    told = {e.name: e for e in found.open}
+    entry = told["pitch_attitude_bias"]
+    assert "accel_x_bias" in entry.imitators
+    assert entry.among > 3.0 * entry.sd or entry.among > 0.005  # with those free it is not known as well
+    size = known.errors.get("pitch_attitude_bias", {}).get("parameters", {}).get("pitch_attitude_bias")
+    mean, sd = (size["mean"], size["sd"]) if size else (entry.mean, entry.sd)
+    assert mean == pytest.approx(0.0125, abs=max(4.0 * sd, 0.003))
+    assert any("pitch_attitude_bias" in one and "accel_x_bias" in one for one in open_sentences(found))
+    assert consistency_results(found)["open"]["pitch_attitude_bias"]["imitators"]
+
+
+def test_accelerometers_that_are_off_by_as_much_look_the_same(bare):
+    """An offset b of theta and offsets of ax and az that stand for it give one and the same flight path."""
+    b = 0.0125
+    tilted = {"ax": -G * b * np.cos(0.12), "az": -G * b * np.sin(0.12)}
+    found = found_in(level_flight(60.0, 1, **tilted), bare)[1]
+    told = {e.name: e for e in found.open}
+    assert {"accel_x_bias", "pitch_attitude_bias"} <= set(told)
+    assert "pitch_attitude_bias" in told["accel_x_bias"].imitators
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_nothing_is_asked_for_where_nothing_is_hidden(bare, seed):
+    known, found = found_in(level_flight(60.0, seed), bare)
+    assert found.agreement is Agreement.AGREE
+    assert not [e for e in known.errors.values() if not e["minor"]]
+    assert not [e.name for e in found.open if e.asked]

@@ -1,0 +1,139 @@
+"""Regression from inner products, the colour's covariance and noise records: against plain linear algebra."""
+
+import numpy as np
+import pytest
+
+from bayes_aero.diagnosis.screening.autocorrelation import Colour, Middle, colour_of, colours_of
+from bayes_aero.diagnosis.screening.regression import Products, inverse
+from bayes_aero.inference.variance.autoregression import ORDER, ROOT
+
+
+@pytest.fixture(params=[3, 4])
+def problem(request):
+    rng = np.random.default_rng(request.param)
+    m, c, k = 400, 3, 5
+    S = rng.standard_normal((m, c, k))
+    S[:, 0, 3] = 0.0  # a parameter that does not reach every output
+    truth = rng.standard_normal(k)
+    residual = S @ truth + np.array([0.1, 1.0, 0.01]) * rng.standard_normal((m, c))
+    return residual, S, truth, [slice(0, 150), slice(150, 400)]
+
+
+def test_fit_is_weighted_least_squares_at_its_own_variances(problem):
+    residual, S, _, folds = problem
+    k = S.shape[2]
+    fit = Products.of(residual, S, folds).fit(np.arange(k), np.zeros(k), np.zeros(k))
+    w = 1.0 / np.sqrt(fit.variance)
+    A, b = (S * w[:, None]).reshape(-1, k), (residual * w).ravel()
+    np.testing.assert_allclose(fit.step, np.linalg.lstsq(A, b, rcond=None)[0], rtol=1e-5)
+    np.testing.assert_allclose(fit.variance, np.mean((residual - S @ fit.step) ** 2, axis=0), rtol=1e-5)
+
+
+def test_prior_pulls_as_another_observation_would(problem):
+    residual, S, _, folds = problem
+    k = S.shape[2]
+    mean, precision = np.full(k, 0.3), np.full(k, 1e4)
+    fit = Products.of(residual, S, folds).fit(np.arange(k), mean, precision)
+    w = 1.0 / np.sqrt(fit.variance)
+    A = np.vstack([(S * w[:, None]).reshape(-1, k), np.diag(np.sqrt(precision))])
+    b = np.concatenate([(residual * w).ravel(), np.sqrt(precision) * mean])
+    np.testing.assert_allclose(fit.step, np.linalg.lstsq(A, b, rcond=None)[0], rtol=1e-5)
+
+
+def test_shifting_is_the_residual_after_a_step(problem):
+    residual, S, truth, folds = problem
+    columns = np.array([1, 4])
+    moved = Products.of(residual, S, folds).shifted(columns, truth[columns])
+    direct = Products.of(residual - S[:, :, columns] @ truth[columns], S, folds)
+    np.testing.assert_allclose(moved.gram, direct.gram, atol=1e-8)
+
+
+def test_columns_filled_up_with_zeros_change_nothing(problem):
+    residual, S, _, folds = problem
+    k = S.shape[2]
+    S = np.concatenate([S, np.zeros((*residual.shape, 1))], axis=2)
+    products, precision = Products.of(residual, S, folds), np.append(np.zeros(k), 1.0)
+    alone = products.fit(np.arange(3), np.zeros(k + 1), precision)
+    step, _, variance, deviance = products.fit_many(np.array([[0, 1, 2, k, k]]), np.zeros(k + 1), precision)
+    np.testing.assert_allclose(step[0, :3], alone.step, rtol=1e-8)
+    assert deviance[0] == pytest.approx(alone.deviance)
+    np.testing.assert_allclose(variance[0], alone.variance)
+
+
+def test_autoregression_is_found_again():
+    truth = Colour(np.array([[0.9, 0.0, 0.0], [0.5, 0.2, 0.1]]), np.array([1.0, 0.3]))
+    folds = [slice(0, 4000), slice(4000, 8000)]
+    noise = truth.simulate(1, folds, 8000, np.random.default_rng(1))[0]
+    found = colour_of(noise, folds)
+    # Least squares has a standard error of about 1/sqrt(n) here.
+    np.testing.assert_allclose(found.phi, truth.phi, atol=5 / np.sqrt(8000))
+    np.testing.assert_allclose(found.sigma, truth.sigma, rtol=0.05)
+
+
+def test_meat_is_the_sum_over_all_pairs_of_samples():
+    rng = np.random.default_rng(2)
+    m, phi, sigma = 300, 0.7, 0.4
+    colour = Colour(np.array([[phi, 0.0, 0.0]]), np.array([sigma]))
+    S, variance = rng.standard_normal((m, 1, 2)), np.array([0.5])
+    lags = np.abs(np.subtract.outer(np.arange(m), np.arange(m)))
+    covariance = sigma**2 / (1 - phi**2) * phi**lags
+    W = S[:, 0] / variance[0]
+    exact = W.T @ covariance @ W
+    # Filtering backwards leaves out what lies before the first sample: a correction of order one sample in m.
+    np.testing.assert_allclose(colour.meat(S, variance, [slice(0, m)]), exact, rtol=0.03, atol=0.02 * np.trace(exact))
+
+
+def test_records_fitted_together_are_fitted_each_by_itself():
+    """Least squares on the lags by linear algebra; the root of what grows is drawn inside."""
+    folds = [slice(0, 200), slice(210, 400)]
+    slow = Colour(np.array([[0.6, 0.2, -0.1]]), np.array([0.7])).simulate(2, folds, 400, np.random.default_rng(5))
+    growing = (1.02 ** np.arange(400.0) + 0.01 * np.random.default_rng(6).standard_normal(400)).reshape(1, 400, 1)
+    found = colours_of(np.concatenate([slow, growing]), folds)
+    for record, one in zip(slow, found, strict=False):
+        rows = np.concatenate([np.lib.stride_tricks.sliding_window_view(record[f, 0], ORDER + 1) for f in folds])
+        expected = np.linalg.lstsq(rows[:, ORDER - 1 :: -1], rows[:, ORDER], rcond=None)[0]
+        np.testing.assert_allclose(one.phi[0], expected, rtol=1e-6)
+        left = rows[:, ORDER] - rows[:, ORDER - 1 :: -1] @ expected
+        assert one.sigma[0] == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-6)
+    assert np.abs(np.roots(np.append(1.0, -found[2].phi[0]))).max() == pytest.approx(ROOT, rel=1e-6)
+
+
+def test_middles_are_the_blocks_of_the_whole(problem):
+    _, S, _, folds = problem
+    colour = Colour(np.array([[0.8, 0.1, 0.0], [0.3, 0.0, 0.2], [0.95, 0.0, 0.0]]), np.array([0.1, 1.0, 0.01]))
+    variance, places = np.array([0.02, 1.3, 0.001]), [np.array([0]), np.array([1, 3]), np.array([2, 3, 4])]
+    diagonal, (first, second) = Middle(S, variance, folds, places).under(colour, [1, 2])
+    whole = colour.meat(S, variance, folds)
+    np.testing.assert_allclose(diagonal, np.diag(whole), rtol=1e-10)
+    np.testing.assert_allclose(first, whole[np.ix_(places[1], places[1])], rtol=1e-10)
+    np.testing.assert_allclose(second, whole[np.ix_(places[2], places[2])], rtol=1e-10)
+
+
+def test_noise_does_not_reach_across_folds():
+    colour = Colour(np.full((1, ORDER), 0.3), np.ones(1))
+    noise = colour.simulate(4000, [slice(0, 5), slice(5, 10)], 10, np.random.default_rng(3))[:, :, 0]
+    within, across = np.corrcoef(noise[:, 3], noise[:, 4])[0, 1], np.corrcoef(noise[:, 4], noise[:, 5])[0, 1]
+    assert within > 0.3
+    assert abs(across) < 5 / np.sqrt(4000)
+
+
+def test_a_record_without_noise_leaves_no_number_that_is_none(problem):
+    """Altitudes of kilometres that the model follows to the last digit: what is left is rounding, of either sign."""
+    _, S, truth, folds = problem
+    S = np.concatenate([S, np.ones((len(S), 3, 1))], axis=2)
+    exact = S[:, :, :-1] @ truth + 5000.0
+    with np.errstate(all="raise"):
+        fit = Products.of(exact, S, folds).fit(
+            np.arange(len(truth) + 1), np.zeros(len(truth) + 1), np.zeros(len(truth) + 1)
+        )
+    np.testing.assert_allclose(fit.step, [*truth, 5000.0], rtol=1e-6, atol=1e-6)
+    assert np.all(fit.variance > 0.0)
+    assert np.all(fit.variance < 1e-6)
+
+
+def test_the_inverse_of_no_information_is_a_number(recwarn):
+    """A candidate that the model imitates wholly leaves none; its square enters a covariance."""
+    found = inverse(np.diag([4.0, 0.0, 1e-200]))
+    assert np.isfinite(found @ found).all()
+    assert found[0, 0] == pytest.approx(0.25)
+    assert not recwarn.list

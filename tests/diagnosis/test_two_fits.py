@@ -1,0 +1,53 @@
+"""Coefficients and trajectories of the same record: told where they differ beyond what both intervals allow."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+
+from bayes_aero.diagnosis.trajectories.fit_agreement import disagreements
+from bayes_aero.diagnosis.trajectories.trajectory_fit import FlownFit
+from bayes_aero.inference.likelihood.mle import MleResult, MleStatus
+from bayes_aero.report.text.fly import disagreement_sentences
+
+
+def fits(status=MleStatus.CONVERGED, converged=True, at_bound=(), held=()):
+    """Of the HFB-320: CLa differs, Cmq not so much; CD0 is in one of them alone."""
+    parameters = [SimpleNamespace(name=name, unit=unit) for name, unit in (("CLa", "1/rad"), ("Cmq", "1/rad"))]
+    one = Mock(
+        spec=MleResult,
+        status=status,
+        names=("CLa", "Cmq", "CD0"),
+        estimate=np.array([4.34, -35.2, 0.03]),
+        crb_corrected=np.array([0.14, 3.0, 0.001]),
+        at_bound=(),
+    )
+    fit = SimpleNamespace(
+        parameters=parameters,
+        estimate=np.array([3.37, -25.3]),
+        sd_corrected=np.array([0.15, 2.0]),
+        at_bound=at_bound,
+        held=held,
+    )
+    return one, Mock(spec=FlownFit, fit=fit, converged=converged)
+
+
+def test_what_differs_beyond_both_intervals_is_told():
+    (found,) = disagreements(*fits())
+    assert (found.name, found.coefficients, found.trajectories) == ("CLa", (4.34, 0.14), (3.37, 0.15))
+    assert found.apart == pytest.approx(0.97 / np.hypot(0.14, 0.15))
+    (said,) = disagreement_sentences([found])
+    assert "CLa 4.34 ± 0.14 from the coefficients, 3.37 ± 0.15 from trajectories" in said
+    assert "4.7 combined standard errors apart" in said
+
+
+@pytest.mark.parametrize(
+    "unusable",
+    [{"status": MleStatus.NOT_CONVERGED}, {"converged": False}, {"at_bound": ("CLa",)}, {"held": ("CLa",)}],
+)
+def test_what_cannot_be_compared_is_not(unusable):
+    assert disagreements(*fits(**unusable)) == ()
+    assert disagreement_sentences(()) == []
