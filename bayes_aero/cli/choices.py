@@ -19,14 +19,14 @@ class Coefficients(StrEnum):
 
 
 class InitialState(StrEnum):
-    """Where a manoeuvre begins: `studies.fly.INITIAL_STATES`."""
+    """Where a manoeuvre begins: `jobs.fly.INITIAL_STATES`."""
 
     FREE = "free"
     FIXED = "fixed"
 
 
 class Inputs(StrEnum):
-    """Inputs between samples: `studies.fly.INPUTS`."""
+    """Inputs between samples: `jobs.fly.INPUTS`."""
 
     LINEAR = "linear"
     HELD = "held"
@@ -41,7 +41,7 @@ class Split(StrEnum):
 
 
 class SimulatedNoise(StrEnum):
-    """Noise of a simulated record: `studies.request.NOISES`."""
+    """Noise of a simulated record: `simulate.request.NOISES`."""
 
     NONE = "none"
     WHITE = "white"
@@ -50,7 +50,7 @@ class SimulatedNoise(StrEnum):
 
 
 class Manoeuvre(StrEnum):
-    """What is flown: `studies.request.MANOEUVRES`."""
+    """What is flown: `simulate.request.MANOEUVRES`."""
 
     RANDOM_STALL = "random_stall"
     SLOW_STALL = "slow_stall"

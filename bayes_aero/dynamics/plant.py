@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.model import pytrees as pytrees
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air
 from bayes_aero.physics.forces import pitch_acceleration, specific_force

@@ -18,6 +18,7 @@ from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.reading.common_rate import at_common_rate
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model import pytrees as pytrees
 from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.joined_records import MARKS, named_apart, plain_marks
 from bayes_aero.model.model import Model
