@@ -17,7 +17,7 @@ def standard_scores(found: Diagnosis, effects: Mapping[str, Mapping[str, float]]
     scores: dict[str, float] = {}
     for name, values in effects.items():
         for stage in (found.sensors, found.aerodynamics):
-            standing = stage.steps[0].poll.of(name) if stage is not None and stage.steps else None
+            standing = stage.steps[0].screening.of(name) if stage is not None and stage.steps else None
             if standing is not None:
                 owned = [p for p in CATALOGUE[name].parameters if p.name in values]
                 sizes = [

@@ -21,7 +21,7 @@ from hidden_effects import NOISES, candidates
 
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.trajectories import trajectories as trajectory
-from bayes_aero.diagnosis.trajectories.log_score import UnseenFlight, gained_in_flight
+from bayes_aero.diagnosis.trajectories.log_score import HoldoutScore, holdout_gain
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import segments
@@ -56,15 +56,15 @@ class Watch:
             start = np.array([values[name] for name in dynamics.names])
             whole = segments(flights, dynamics, outputs=fit.flown.outputs, substeps=fit.flown.substeps)
             own = fit_output_error(whole, start=start, held=values, prior_weight=self.cost)
-            flown.append(UnseenFlight((own.columns[0, ..., 0][whole.inside[0]],)))
-        return gained_in_flight(*flown, self.cost)[0]
+            flown.append(HoldoutScore((own.columns[0, ..., 0][whole.inside[0]],)))
+        return holdout_gain(*flown, self.cost)[0]
 
 
 def put_in(found, true: str, rng: np.random.Generator) -> str | None:
     """One effect of the hidden one's kind that the diagnosis has not."""
     named = [c.name for c in found.causes]
     kind = CATALOGUE[true].kind
-    absent = [e.name for e in found.aerodynamics.state.field.candidates if e.kind is kind and e.stage is not Stage.LAG]
+    absent = [e.name for e in found.aerodynamics.state.full.candidates if e.kind is kind and e.stage is not Stage.LAG]
     absent = sorted(set(absent) - set(named))
     return str(rng.choice(absent)) if absent else None
 
@@ -91,7 +91,7 @@ def main() -> None:
                 continue
             if not given.alone:
                 found = replace(found, causes=(*found.causes, replace(found.causes[0], name=false)))
-            flown = trajectory.fly_both(despiked(join(records[:2], card, FLIGHT))[0], found, {})
+            flown = trajectory.compare_trajectories(despiked(join(records[:2], card, FLIGHT))[0], found, {})
             gain = watch.gain_on(records[2], card) if flown.out else 0.0
         except InputError as reason:
             print(seed, noise, reason, flush=True)

@@ -65,7 +65,7 @@ def main() -> None:
         try:
             records = hidden_records(effects, seed=seed, seconds=95.0, noise=noise)
             found = diagnose(records, card, gains_wanted=False)
-            flown = trajectory.fly_both(despiked(join(records, card, FLIGHT))[0], found, {})
+            flown = trajectory.compare_trajectories(despiked(join(records, card, FLIGHT))[0], found, {})
         except InputError as reason:
             counts["not flown"] += 1
             print(seed, effects, noise, reason, flush=True)

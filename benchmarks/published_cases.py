@@ -5,7 +5,7 @@
 BOOK is the folder with the flight data of Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015 (doi
 10.2514/4.102790), and with `references.json`, what its programs gave in GNU Octave. Cards and settings are those of
 tests/cli/test_published_cases.py. `cold` compiles (nothing is kept on disk), `warm` is the same fit once more. Both are
-of `fit_flown`: windows, whole manoeuvres, the residuals' colour and the simulations that are shown.
+of `fit_trajectories`: windows, whole manoeuvres, the residuals' colour and the simulations that are shown.
 """
 
 import argparse
@@ -17,7 +17,7 @@ import jax
 import numpy as np
 import scipy.io
 
-from bayes_aero.diagnosis.trajectories.trajectory_fit import Setting, fit_flown
+from bayes_aero.diagnosis.trajectories.trajectory_fit import Setting, fit_trajectories
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.linear import channel_units, linear_dynamics
 from bayes_aero.dynamics.longitudinal import FLIGHT
@@ -67,7 +67,7 @@ def fit(case: str, book: Path):
     units = {key: channel.unit for key, channel in STANDARD_CHANNELS.items()} | channel_units(card)
     setting = Setting(card.fly.outputs, initial, priors=False)
     begin = time.perf_counter()
-    found = fit_flown(flights, dynamics, units, biases=card.output_biases, setting=setting)
+    found = fit_trajectories(flights, dynamics, units, biases=card.output_biases, setting=setting)
     return found.fit, time.perf_counter() - begin
 
 

@@ -17,9 +17,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import lfilter
 
-from bayes_aero.diagnosis.consistency.sensor_errors import compatibility
-from bayes_aero.diagnosis.screening.autocorrelation import Colour, colour_of
-from bayes_aero.diagnosis.screening.selection_state import State
+from bayes_aero.diagnosis.consistency.sensor_errors import screen_sensor_errors
+from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, autocorrelation_of
+from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection.forward_selection import refitted, removed
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.reading.read_record import read_record
@@ -37,7 +37,7 @@ def main() -> None:
     given = arguments.parse_args()
     card = read_card(given.model)
     records = [read_record(path, card.channels) for path in given.records]
-    state = without_rivals(compatibility(records, card).state)
+    state = without_rivals(screen_sensor_errors(records, card).state)
     colour = colour_with_both(state)
     folds = range(len(state.folds))
     for name, effects in TRIED.items():
@@ -56,7 +56,7 @@ def main() -> None:
         print(f"fold {left} with the value of the others: {'; '.join(told)}")
 
 
-def without_rivals(state: State) -> State:
+def without_rivals(state: SelectionState) -> SelectionState:
     """The flight path's errors without position and lag."""
     for name in RIVALS:
         if name in state.active:
@@ -64,25 +64,25 @@ def without_rivals(state: State) -> State:
     return state
 
 
-def columns(state: State, effects: Sequence[str]) -> np.ndarray:
-    return state.field.columns([p for e in effects for p in state.field.parameters_of(e)])
+def columns(state: SelectionState, effects: Sequence[str]) -> np.ndarray:
+    return state.full.columns([p for e in effects for p in state.full.parameters_of(e)])
 
 
-def colour_with_both(state: State) -> Colour:
+def colour_with_both(state: SelectionState) -> Autocorrelation:
     """The colour that is left with position and lag in."""
     own, folds = columns(state, RIVALS), range(len(state.folds))
     fit = state.fit()
-    colour = colour_of(state.residual - state.S[:, :, fit.columns] @ fit.step, state.folds)
+    colour = autocorrelation_of(state.residual - state.S[:, :, fit.columns] @ fit.step, state.folds)
     for _ in range(ROUNDS):
         rows, right, scale = filtered(state, state.residual, own, folds, colour)
         step = np.linalg.lstsq(rows, right, rcond=1e-9)[0] / scale
         everything = np.append(state.columns(), own).astype(int)
-        colour = colour_of(state.residual - state.S[:, :, everything] @ step, state.folds)
+        colour = autocorrelation_of(state.residual - state.S[:, :, everything] @ step, state.folds)
     return colour
 
 
 def filtered(
-    state: State, residual: np.ndarray, own: np.ndarray, folds: Sequence[int], colour: Colour
+    state: SelectionState, residual: np.ndarray, own: np.ndarray, folds: Sequence[int], colour: Autocorrelation
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Sensitivities of the active columns and of `own`, each over its scale; residuals; the scales."""
     everything = np.append(state.columns(), own).astype(int)
@@ -99,7 +99,7 @@ def filtered(
 
 
 def generalised(
-    state: State, residual: np.ndarray, own: np.ndarray, folds: Sequence[int], colour: Colour
+    state: SelectionState, residual: np.ndarray, own: np.ndarray, folds: Sequence[int], colour: Autocorrelation
 ) -> tuple[np.ndarray, np.ndarray, float, int]:
     """Estimates of the columns `own` with their deviations, chi2 of what is left, and the number of values."""
     X, y, scale = filtered(state, residual, own, folds, colour)

@@ -39,12 +39,12 @@ def effects(
     Example: bayes-aero effects pitch_rate_bias
     """
     from bayes_aero.flight.card.card import read_card
-    from bayes_aero.jobs.catalogue.known_effects import described, effect_named, known_effects
+    from bayes_aero.jobs.catalogue.known_effects import effect_facts, effect_named, known_effects
 
     card = None if model is None else read_card(model)
     known = known_effects(card)
     chosen = known.values() if name is None else [effect_named(name, known)]
-    found = [described(effect, card) for effect in chosen]
+    found = [effect_facts(effect, card) for effect in chosen]
     failures: tuple[str, ...] = ()
     if out is not None:
         from bayes_aero.jobs.catalogue.catalogue_page import write_effects

@@ -24,7 +24,7 @@ DERIVED = ("alpha_dot", "p_dot", "q_dot", "r_dot")
 
 
 @dataclass(frozen=True)
-class Field:
+class CandidateModel:
     """The card's model and every testable candidate in one model, all parameters free but those fixed off neutral."""
 
     model: Model
@@ -57,14 +57,14 @@ class Field:
         return tuple(p.name for e in self.model.effects if e.name == effect for p in e.parameters)
 
 
-def lag_of(field: Field) -> Effect | None:
+def lag_of(full: CandidateModel) -> Effect | None:
     """The candidate that lets the separation point lag and can be flown."""
-    return next((e for e in field.candidates if e.stage is Stage.LAG and LAG in {p.name for p in e.parameters}), None)
+    return next((e for e in full.candidates if e.stage is Stage.LAG and LAG in {p.name for p in e.parameters}), None)
 
 
-def field_of(
+def candidate_model(
     model: Model, flights: Recorded, extra: Sequence[Effect] = (), settings: DiagnosisSettings = DEFAULT
-) -> Field:
+) -> CandidateModel:
     """`model` extended by the catalogue and by `extra` effects of the user.
 
     An effect of the card that is fixed at neutral (tau1 = 0) is absent, and so a candidate.
@@ -104,7 +104,7 @@ def field_of(
     parameters = tuple(changed.get(p.name, per_length(p, model.chords)) for e in everything for p in e.parameters)
     held = {p.name for e in (*candidates, *idle) for p in e.parameters}
     whole = Model(everything, parameters, tuple((k, v) for k, v in fixed.items() if k not in held), model.chords)
-    return Field(whole, tuple(e.name for e in active), tuple(candidates), not_testable, settings=settings)
+    return CandidateModel(whole, tuple(e.name for e in active), tuple(candidates), not_testable, settings=settings)
 
 
 def _moves(effect: Effect, flights: Recorded) -> bool:

@@ -17,9 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayes_aero.diagnosis.screening.autocorrelation import Colour, colour_of
+from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, autocorrelation_of
 from bayes_aero.diagnosis.screening.regression import inverse
-from bayes_aero.diagnosis.screening.selection_state import State, linearised
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
 from bayes_aero.dynamics.manoeuvres import MOVED, fly_standard
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
@@ -81,13 +81,13 @@ class _Noise:
 
     outputs: tuple[str, ...]
     variance: Float[np.ndarray, " c"]
-    colour: Colour
+    colour: Autocorrelation
     growth: Float[np.ndarray, " c"]
 
     def of(self, outputs: Sequence[str]) -> _Noise:
         """Of those outputs alone that are among `outputs`."""
         at = [c for c, name in enumerate(self.outputs) if name in outputs]
-        colour = Colour(self.colour.phi[at], self.colour.sigma[at])
+        colour = Autocorrelation(self.colour.phi[at], self.colour.sigma[at])
         return _Noise(tuple(self.outputs[c] for c in at), self.variance[at], colour, self.growth[at])
 
 
@@ -104,16 +104,16 @@ class Standard:
     refused: Mapping[str, str]
 
 
-def standard(state: State, effects: Sequence[str], *, amplitude: float = 1.0) -> Standard:
+def standard(state: SelectionState, effects: Sequence[str], *, amplitude: float = 1.0) -> Standard:
     """Fly the standard manoeuvres with the effects that are in, and with those of `effects` that are candidates.
 
     `amplitude` multiplies every input. What the record itself gets wrong (sensors, thrust) is flown as at neutral.
     """
     small = _narrowed(state, effects)
-    theta = {n: x for n, x in zip(state.field.model.names, state.theta, strict=True) if n in small.names}
+    theta = {n: x for n, x in zip(state.full.model.names, state.theta, strict=True) if n in small.names}
     for effect in small.effects:
         if effect.stage is Stage.CHANNEL:
-            theta |= {p.name: state.field.neutral[p.name] for p in effect.parameters if p.name in theta}
+            theta |= {p.name: state.full.neutral[p.name] for p in effect.parameters if p.name in theta}
     values, flights = dict(small.fixed) | theta, state.responses.flights
     begin = round(BEGINNING * 5 / state.responses.seconds)
     start = _start({name: float(np.mean(np.asarray(x)[:begin])) for name, x in flights.channels.items()})
@@ -133,7 +133,7 @@ def _start(mean: Mapping[str, float]) -> dict[str, float]:
 
 
 def separating(
-    state: State,
+    state: SelectionState,
     effects: Sequence[str],
     *,
     amplitude: float = 1.0,
@@ -171,23 +171,23 @@ def _words(names: Sequence[str], found: Sequence[Separation]) -> str:
     return f"no standard manoeuvre separates {listed}; the best, {called}, gives {best.weakest:.1f} deviations"
 
 
-def _candidate(state: State, name: str) -> Effect:
-    found = next((e for e in state.field.model.effects if e.name == name and e.parameters), None)
+def _candidate(state: SelectionState, name: str) -> Effect:
+    found = next((e for e in state.full.model.effects if e.name == name and e.parameters), None)
     if found is None:
         raise InputError(f"effect {name} is none that this record can test; choose among the candidates of the state")
     return found
 
 
-def _narrowed(state: State, chosen: Sequence[str]) -> Model:
+def _narrowed(state: SelectionState, chosen: Sequence[str]) -> Model:
     """The card's effects, those that are in, those chosen, and those without parameters: less to compile."""
-    kept = {*state.field.base, *state.active, *chosen}
-    effects = tuple(e for e in state.field.model.effects if e.name in kept or not e.parameters)
+    kept = {*state.full.base, *state.active, *chosen}
+    effects = tuple(e for e in state.full.model.effects if e.name in kept or not e.parameters)
     names = {p.name for e in effects for p in e.parameters}
-    fixed = tuple((k, x) for k, x in state.field.model.fixed if k in names)
-    return Model(effects, tuple(p for p in state.field.model.parameters if p.name in names), fixed)
+    fixed = tuple((k, x) for k, x in state.full.model.fixed if k in names)
+    return Model(effects, tuple(p for p in state.full.model.parameters if p.name in names), fixed)
 
 
-def _noise(state: State) -> _Noise:
+def _noise(state: SelectionState) -> _Noise:
     """Residuals of the coefficients and, where it was recorded, of the flight path at the present parameters."""
     residual, known = state.responses.evaluate(jnp.asarray(state.theta))
     residual, manoeuvre = np.array(residual), state.responses.manoeuvre
@@ -195,14 +195,14 @@ def _noise(state: State) -> _Noise:
     growth = np.zeros(residual.shape[1])
     for c, name in enumerate(state.responses.outputs):
         if name in state.outputs and np.any(apart > 0.0):
-            own = state.swell[:, state.outputs.index(name)]
+            own = state.noise_growth[:, state.outputs.index(name)]
             growth[c] = max(0.0, float((own - 1.0) @ apart / (apart @ apart)))
         if name not in NAMES:
             for k in range(int(manoeuvre[-1]) + 1):
                 residual[manoeuvre == k, c] -= residual[manoeuvre == k, c].mean()
     residual /= 1.0 + growth * apart[:, None]
     folds = [slice(int(e[0]), int(e[-1]) + 1) for e in (np.flatnonzero(manoeuvre == k) for k in np.unique(manoeuvre))]
-    return _Noise(state.responses.outputs, np.mean(residual**2, axis=0), colour_of(residual, folds), growth)
+    return _Noise(state.responses.outputs, np.mean(residual**2, axis=0), autocorrelation_of(residual, folds), growth)
 
 
 def _recorded(like: Recorded, channels: Mapping[str, np.ndarray], dt: float) -> Flights:
@@ -217,26 +217,26 @@ def _recorded(like: Recorded, channels: Mapping[str, np.ndarray], dt: float) -> 
 
 
 def _on_record(
-    state: State,
+    state: SelectionState,
     model: Model,
     flights: Flights,
     theta: Mapping[str, float],
     chosen: Sequence[Effect],
     noise: _Noise,
-) -> tuple[State, _Noise]:
+) -> tuple[SelectionState, _Noise]:
     """The problem linearised on a flown record, all outputs together."""
     active = tuple(e for e in state.active if e not in {c.name for c in chosen})
-    field = replace(state.field, model=model, candidates=tuple(chosen))
+    full = replace(state.full, model=model, candidates=tuple(chosen))
     at = np.array([theta[name] for name in model.names])
     responses = EquationError.of(flights, model)
     noise = noise.of(responses.outputs)  # a manoeuvre with wings level says nothing of sideslip and bank
-    there = linearised(field, responses, noise.outputs, at, active, temper=state.temper)
+    there = linearised(full, responses, noise.outputs, at, active, variance_inflation=state.variance_inflation)
     X = np.asarray(there.responses.block(there.responses.evaluate(jnp.asarray(at))[1]["X"]))
-    return replace(there, swell=1.0 + noise.growth * (1.0 - X[:, None])), noise
+    return replace(there, noise_growth=1.0 + noise.growth * (1.0 - X[:, None])), noise
 
 
 def _judged(
-    name: str, problem: tuple[State, _Noise], chosen: Sequence[Effect], worth: Mapping[str, float]
+    name: str, problem: tuple[SelectionState, _Noise], chosen: Sequence[Effect], worth: Mapping[str, float]
 ) -> Separation:
     state, noise = problem
     own = {e.name: _columns(state, e, worth) for e in chosen}
@@ -269,16 +269,18 @@ def _judged(
     return Separation(name, correlation, deviations)
 
 
-def _columns(state: State, effect: Effect, worth: Mapping[str, float]) -> tuple[Int[np.ndarray, " w"], list[float]]:
+def _columns(
+    state: SelectionState, effect: Effect, worth: Mapping[str, float]
+) -> tuple[Int[np.ndarray, " w"], list[float]]:
     """Columns of an effect and the size of each; of one without slope at neutral, its least scanned value's column."""
     begin = len(state.theta) + len(state.offsets)
     scans = [(abs(s.value), begin + k, s) for k, s in enumerate(state.scans) if s.effect == effect.name]
     if scans:
         _, column, scan = min(scans, key=lambda row: row[0])
-        at = state.theta[state.field.columns([scan.parameter])[0]]
+        at = state.theta[state.full.columns([scan.parameter])[0]]
         return np.array([column]), [float(scan.value - at)]
-    names = [name for name in state.field.parameters_of(effect.name) if name in state.field.model.names]
-    return state.field.columns(names), [worth[name] for name in names]
+    names = [name for name in state.full.parameters_of(effect.name) if name in state.full.model.names]
+    return state.full.columns(names), [worth[name] for name in names]
 
 
 def _correlation(x: Float[np.ndarray, "m c"], y: Float[np.ndarray, "m c"], weight: Float[np.ndarray, " c"]) -> float:

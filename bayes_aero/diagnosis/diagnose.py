@@ -7,16 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayes_aero.diagnosis.result import Cause, Diagnosis, Gain, Tested, Unknown, verdict_of
-from bayes_aero.diagnosis.screening.screening import Standing, poll
-from bayes_aero.diagnosis.screening.selection_state import State, linearised
-from bayes_aero.diagnosis.search_result import Searched, lacking
+from bayes_aero.diagnosis.result import Cause, Diagnosis, Gain, Tested, UnexplainedStructure, verdict_of
+from bayes_aero.diagnosis.screening.screening import CandidateScore, screen
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
+from bayes_aero.diagnosis.search_result import SearchResult, lacking
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation, confirmation
-from bayes_aero.diagnosis.selection.collinear import Together, cancelling
+from bayes_aero.diagnosis.selection.collinear import CancellingPair, cancelling
 from bayes_aero.diagnosis.selection.cross_validation import (
     LeftOut,
     gain,
-    gained,
+    holdout_gain,
     measured_blocks,
     split_name,
     truncated,
@@ -70,7 +70,7 @@ def diagnose(
         minor=minor,
         unknown=unknown,
         noise=found.noise,
-        not_testable=found.field.not_testable,
+        not_testable=found.full.not_testable,
         sensors=found.sensors,
         aerodynamics=found.model,
         theta=state.theta,
@@ -88,7 +88,7 @@ def diagnose(
 Asked = tuple[list[Cause], tuple[str, ...], tuple[str, ...]]
 
 
-def _confirmed(found: Searched, progress: Progress | None) -> Asked:
+def _confirmed(found: SearchResult, progress: Progress | None) -> Asked:
     """Causes with what unseen data say of them, the additions to the coefficients that these confirm, and failures.
 
     Should the hold-out test fail, no cause is confirmed.
@@ -105,23 +105,25 @@ def _confirmed(found: Searched, progress: Progress | None) -> Asked:
     return [replace(cause, confirmed=False) for cause in untested], (), failures
 
 
-def _unasked(found: Searched) -> Asked:
+def _unasked(found: SearchResult) -> Asked:
     """The same where unseen data were not asked."""
     return causes_of(found, {}, None), found.model.state.active, ()
 
 
-def causes_of(searched: Searched, confirmations: Mapping[str, Confirmation], progress: Progress | None) -> list[Cause]:
+def causes_of(
+    searched: SearchResult, confirmations: Mapping[str, Confirmation], progress: Progress | None
+) -> list[Cause]:
     """What every stage named; with gains on unseen data where these were asked to confirm it (the last stage's are the
     coefficients)."""
     found: list[Cause] = []
-    field = searched.field
+    full = searched.full
     for stage, extension in searched.stages:
         if not extension.causes:
             continue
         sure = confirmations.get(stage)
         measured = {} if sure is None else _gains_of(extension, searched.model, sure.kept, progress)
         for name in extension.causes:
-            effect = next(e for e in field.candidates if e.name == name)
+            effect = next(e for e in full.candidates if e.name == name)
             probability, others = _rivals(extension, name)
             found.append(
                 Cause(
@@ -137,21 +139,21 @@ def causes_of(searched: Searched, confirmations: Mapping[str, Confirmation], pro
                     excited=_excited(extension.state, name),
                     confirmed=sure is None or name in sure.kept,
                     missed=NOTHING if sure is None else sure.missed[name],
-                    implausible=implausible(effect, extension.sizes, field.neutral, field.settings),
+                    implausible=implausible(effect, extension.sizes, full.neutral, full.settings),
                     own_share=own_share(extension.state, extension.fit, name),
                 )
             )
     return found
 
 
-def structure_of(found: Searched, unnamed: Sequence[Cause]) -> tuple[Unknown, ...]:
+def structure_of(found: SearchResult, unnamed: Sequence[Cause]) -> tuple[UnexplainedStructure, ...]:
     """What the record shows and cannot attribute; without rivals it is likelier nothing."""
-    effects, extensions = {e.name: e for e in found.field.candidates}, found.by_stage
+    effects, extensions = {e.name: e for e in found.full.candidates}, found.by_stage
     several = [c for c in unnamed if c.ambiguous_with]
     return tuple(as_structure(cause, extensions[cause.stage], effects[cause.name]) for cause in several)
 
 
-def together_of(stages: Sequence[tuple[str, Extension]], causes: Sequence[Cause]) -> tuple[Together, ...]:
+def together_of(stages: Sequence[tuple[str, Extension]], causes: Sequence[Cause]) -> tuple[CancellingPair, ...]:
     """Pairs of named causes of one stage that cancel."""
     return tuple(
         pair
@@ -160,11 +162,13 @@ def together_of(stages: Sequence[tuple[str, Extension]], causes: Sequence[Cause]
     )
 
 
-def _excited(state: State, name: str) -> bool:
+def _excited(state: SelectionState, name: str) -> bool:
     """Whether every manoeuvre moves what the effect acts through: the spread of its sensitivities within each."""
     if len(state.responses.flights.lengths) == 1:
         return True
-    S = state.S[:, :, state.field.columns(state.field.parameters_of(name))]  # without the swell, which moves anything
+    S = state.S[
+        :, :, state.full.columns(state.full.parameters_of(name))
+    ]  # without the noise_growth, which moves anything
     noise = np.std(state.residual, axis=0)[:, None]
     spread = np.array([np.sqrt(np.sum((S[fold] / noise).var(axis=0))) for fold in state.folds])
     return bool(spread.min() >= state.settings.least_excitation * spread.max())
@@ -209,23 +213,25 @@ def _sensor_gains(
         theta = card.theta.copy()
         for effect in state.active:
             if effect not in sensors:
-                names = state.field.parameters_of(effect)
-                theta[state.field.columns(names)] = [state.field.neutral[name] for name in names]
-        return LeftOut.refitted(linearised(card.field, card.responses, NAMES, theta, (), card.swell, card.temper))
+                names = state.full.parameters_of(effect)
+                theta[state.full.columns(names)] = [state.full.neutral[name] for name in names]
+        return LeftOut.refitted(
+            linearised(card.full, card.responses, NAMES, theta, (), card.noise_growth, card.variance_inflation)
+        )
 
     measured, found = measured_blocks(card), {}
     base = corrected(()).scores(measured)
     for number, name in enumerate(extension.causes):
         after = corrected([*_sure(extension.causes, number, kept), name]).scores(measured)
-        found[name] = Gain(*gained(*pairs[name], state), split_name(state), base, after)
+        found[name] = Gain(*holdout_gain(*pairs[name], state), split_name(state), base, after)
     return found
 
 
 def _rivals(extension: Extension, name: str) -> tuple[float, tuple[str, ...]]:
     """Probability of a cause among everything that could take its place, nothing included; and who comes close."""
     state, fit = extension.state, extension.fit
-    ranking = poll(state, fit, seed=0, replicates=0, without=name).standings
-    best: dict[str, Standing] = {}
+    ranking = screen(state, fit, seed=0, replicates=0, without=name).candidate_scores
+    best: dict[str, CandidateScore] = {}
     for standing in ranking:
         if standing.effect == name or standing.score > state.settings.least_rival_score:
             best.setdefault(standing.effect, standing)
@@ -242,9 +248,9 @@ def moves_of(extension: Extension) -> Mapping[str, tuple[float, float, float]]:
     """How the card's parameters moved."""
     before, after, own = extension.base, extension.state, extension.sizes
     return {
-        name: (float(before.theta[before.field.columns([name])[0]]), float(after.theta[i]), own[name].sd)
-        for i, name in enumerate(after.field.model.names)
-        if name in own and any(name in after.field.parameters_of(e) for e in after.field.base)
+        name: (float(before.theta[before.full.columns([name])[0]]), float(after.theta[i]), own[name].sd)
+        for i, name in enumerate(after.full.model.names)
+        if name in own and any(name in after.full.parameters_of(e) for e in after.full.base)
     }
 
 

@@ -6,7 +6,7 @@ and A. O'Hagan, Bayesian calibration of computer models, J. R. Stat. Soc. B 63, 
 other. How far it is believed is told in `discrepancy`.
 
 All densities here treat the residuals of neighbouring blocks as independent. They are not: a difference of `elpd` is
-worth as many times less as the colour multiplies variances (`State.temper`).
+worth as many times less as the colour multiplies variances (`SelectionState.variance_inflation`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bayes_aero.diagnosis.screening.selection_state import State, moved, optimum
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, optimum
 from bayes_aero.diagnosis.selection.cross_validation import split_name
 from bayes_aero.diagnosis.selection.discrepancy import Processes
 from bayes_aero.errors import InputError
@@ -44,7 +44,7 @@ class Predictor(StrEnum):
 
 
 @dataclass(frozen=True)
-class UnseenScores:
+class HoldoutErrors:
     """One coefficient on data left out: correlation, root mean square error, R2 and Theil's coefficient.
 
     `coverage95` is the share inside the central 95 % intervals; `elpd` the sum of log predictive densities over all
@@ -68,7 +68,7 @@ class Prediction:
     """
 
     status: str
-    scores: UnseenScores | None
+    scores: HoldoutErrors | None
     mean: Float[np.ndarray, " m"]
     sd: Float[np.ndarray, " m"]
     trust: tuple[float, ...]
@@ -85,14 +85,14 @@ class Comparison:
     predictions: Mapping[Predictor, Mapping[str, Prediction]]
 
     @property
-    def table(self) -> dict[str, dict[str, UnseenScores | None]]:
+    def table(self) -> dict[str, dict[str, HoldoutErrors | None]]:
         """Scores by predictor and coefficient."""
         return {p.value: {c: x.scores for c, x in row.items()} for p, row in self.predictions.items()}
 
 
 @blas_threads(0)
 def compare_states(
-    extended: State, inputs: Sequence[str], *, seed: int = 0, progress: Progress | None = None
+    extended: SelectionState, inputs: Sequence[str], *, seed: int = 0, progress: Progress | None = None
 ) -> Comparison:
     """All four predictors of a state of the coefficients; the card's model is the state with nothing added.
 
@@ -122,10 +122,13 @@ def compare_states(
         others = [f for f in range(len(extended.folds)) if f != number]
         train = _training(extended, others)
         _, residual, variance = _fitted(card, others, train)
-        mean[card_at, fold], sd[card_at, fold] = measured[fold] - residual[fold], np.sqrt(variance) * card.swell[fold]
+        mean[card_at, fold], sd[card_at, fold] = (
+            measured[fold] - residual[fold],
+            np.sqrt(variance) * card.noise_growth[fold],
+        )
         theta, residual, variance = _fitted(extended, others, train)
         mean[extended_at, fold] = measured[fold] - residual[fold]
-        sd[extended_at, fold] = np.sqrt(variance) * extended.swell[fold]
+        sd[extended_at, fold] = np.sqrt(variance) * extended.noise_growth[fold]
         known = _blocks(extended, theta)
         Z = np.stack([known[name] for name in dict.fromkeys((*inputs, *BEYOND)) if name in known], axis=1)
         for at, columns, target in ((gp_at, X, measured), (both_at, Z, residual)):
@@ -157,23 +160,23 @@ def compare_states(
     return Comparison(split_name(extended), labels, inside, measured, predictions)
 
 
-def _bare(state: State) -> Float[np.ndarray, " k"]:
+def _bare(state: SelectionState) -> Float[np.ndarray, " k"]:
     """Parameters with every effect that is not on the card at neutral, corrections of sensors too."""
     theta = state.theta.copy()
-    for effect in state.field.model.effects:
-        names = [name for name in state.field.parameters_of(effect.name) if name in state.field.model.names]
-        if effect.name not in state.field.base:
-            theta[state.field.columns(names)] = [state.field.neutral[name] for name in names]
+    for effect in state.full.model.effects:
+        names = [name for name in state.full.parameters_of(effect.name) if name in state.full.model.names]
+        if effect.name not in state.full.base:
+            theta[state.full.columns(names)] = [state.full.neutral[name] for name in names]
     return theta
 
 
-def _blocks(state: State, theta: Float[np.ndarray, " k"]) -> dict[str, np.ndarray]:
+def _blocks(state: SelectionState, theta: Float[np.ndarray, " k"]) -> dict[str, np.ndarray]:
     """Signals, X and measured coefficients at parameters `theta`, averaged over blocks."""
     known = state.responses.evaluate(jnp.asarray(theta))[1]
     return {key: np.asarray(state.responses.block(x * 1.0)) for key, x in known.items() if jnp.ndim(x)}
 
 
-def _training(state: State, others: Sequence[int]) -> Bool[np.ndarray, " m"]:
+def _training(state: SelectionState, others: Sequence[int]) -> Bool[np.ndarray, " m"]:
     train = np.zeros(len(state.residual), bool)
     for f in others:
         train[state.folds[f]] = True
@@ -181,13 +184,13 @@ def _training(state: State, others: Sequence[int]) -> Bool[np.ndarray, " m"]:
 
 
 def _fitted(
-    state: State, others: Sequence[int], train: Bool[np.ndarray, " m"]
+    state: SelectionState, others: Sequence[int], train: Bool[np.ndarray, " m"]
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "m c"], Float[np.ndarray, " c"]]:
     """Parameters fitted to the other folds, the residual of everything, and the variance of what they leave there."""
     theta = optimum(state, others, state.settings.hold_out_steps)
     keep = [state.responses.outputs.index(name) for name in state.outputs]
     residual = np.asarray(state.responses.evaluate(jnp.asarray(theta))[0])[:, keep]
-    return theta, residual, np.mean((residual / state.swell)[train] ** 2, axis=0)
+    return theta, residual, np.mean((residual / state.noise_growth)[train] ** 2, axis=0)
 
 
 def _scored(
@@ -196,16 +199,16 @@ def _scored(
     sd: Float[np.ndarray, "m c"],
     inside: Bool[np.ndarray, " m"],
     c: int,
-) -> UnseenScores:
+) -> HoldoutErrors:
     z, y, s = measured[inside, c], mean[inside, c], sd[inside, c]
     found = score(z, y)
     standard = (z - y) / s
     density = -0.5 * (standard**2 + np.log(2.0 * np.pi * s**2))
     covered = float(np.mean(np.abs(standard) <= 1.959964))
-    return UnseenScores(found.r, found.rmse, found.r2, found.theil, covered, float(density.sum()))
+    return HoldoutErrors(found.r, found.rmse, found.r2, found.theil, covered, float(density.sum()))
 
 
-def _label(state: State, fold: int) -> str:
+def _label(state: SelectionState, fold: int) -> str:
     """Name of the manoeuvre left out, or the seconds of a single one."""
     if split_name(state) == "manoeuvre":
         return state.responses.flights.names[fold]

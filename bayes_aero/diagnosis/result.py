@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.screening.accuracy import Size
-from bayes_aero.diagnosis.selection.collinear import Together
+from bayes_aero.diagnosis.selection.collinear import CancellingPair
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.inference.scores import Scores
 
@@ -33,8 +33,9 @@ class Verdict(StrEnum):
 class Gain:
     """What a cause gains on data that were not fitted; before: with all earlier causes that are confirmed.
 
-    `elpd` is the sum of log predictive densities gained, divided by what the colour costs (`temper`); `elpd_se` its
-    deviation from sums over 10 s. `before` and `after` score each coefficient: card's model, and with all so far.
+    `elpd` is the sum of log predictive densities gained, divided by what the colour costs (`variance_inflation`);
+    `elpd_se` its deviation from sums over 10 s. `before` and `after` score each coefficient:
+    card's model, and with all so far.
     """
 
     elpd: float
@@ -86,7 +87,7 @@ class Cause:
 
 
 @dataclass(frozen=True)
-class Unknown:
+class UnexplainedStructure:
     """Structure that no known effect explains: predicted on unseen data by a recorded channel or a period.
 
     `rivals`: more effects would explain it about equally well than the record can choose among.
@@ -110,7 +111,7 @@ class NoiseReport:
 
     lag1: Mapping[str, float]  # of means over five samples: at the recorded rate the filter makes 0.9 of white noise
     deviation: Mapping[str, float]
-    swell: Mapping[str, float]  # noise at full separation over that in attached flow
+    noise_growth: Mapping[str, float]  # noise at full separation over that in attached flow
     outliers: Mapping[str, int]  # repaired samples by channel
 
     @property
@@ -119,7 +120,7 @@ class NoiseReport:
         found = []
         if max(self.lag1.values()) > COLOURED:
             found.append("colored")
-        if max(self.swell.values()) > 1.5:
+        if max(self.noise_growth.values()) > 1.5:
             found.append("buffet")
         if sum(self.outliers.values()) > 0:
             found.append("outliers")
@@ -130,7 +131,7 @@ NOT_NOISE = 0.5  # share of a mean square error that noise does not make, beyond
 
 
 @dataclass(frozen=True)
-class Missed:
+class OutputMiss:
     """What simulated flights miss of one output, root mean squares in SI, and the `noise` of its sensor.
 
     `fitted`: initial states and parameters fitted to all flights; `unseen`: from the measured initial state by the fit
@@ -154,7 +155,7 @@ class Tested:
     Structure without a name is never sought there.
     """
 
-    outputs: Mapping[str, Missed]
+    outputs: Mapping[str, OutputMiss]
 
     @property
     def beyond(self) -> tuple[str, ...]:
@@ -169,12 +170,12 @@ class Tested:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The whole finding. `sensors` and `aerodynamics` hold both elections with all standings."""
+    """The whole finding. `sensors` and `aerodynamics` hold both elections with all candidate_scores."""
 
     verdict: Verdict
     causes: tuple[Cause, ...]
     minor: tuple[str, ...]
-    unknown: tuple[Unknown, ...]
+    unknown: tuple[UnexplainedStructure, ...]
     noise: NoiseReport
     not_testable: Mapping[str, str]
     sensors: Extension | None
@@ -185,7 +186,7 @@ class Diagnosis:
     kept: tuple[str, ...] = ()  # additions to the coefficients that unseen data confirm
     notes: tuple[str, ...] = ()
     failures: tuple[str, ...] = ()  # parts that failed unexpectedly; what else is here is valid
-    together: tuple[Together, ...] = ()  # pairs of causes of which the record knows one combination alone
+    together: tuple[CancellingPair, ...] = ()  # pairs of causes of which the record knows one combination alone
     beyond: tuple[Cause, ...] = ()  # errors larger than any sensor has: no causes, but in the model where confirmed
     tested: Tested | None = None  # of a diagnosis by trajectories alone
 
@@ -195,7 +196,9 @@ class Diagnosis:
         return self.tested is None
 
 
-def verdict_of(causes: Sequence[Cause], unknown: Sequence[Unknown], tested: Tested | None = None) -> Verdict:
+def verdict_of(
+    causes: Sequence[Cause], unknown: Sequence[UnexplainedStructure], tested: Tested | None = None
+) -> Verdict:
     """What is missing counts as explained by causes that are sure alone (see `Cause.sure`).
 
     `tested`: of a diagnosis by trajectories alone (see `as_tested`).

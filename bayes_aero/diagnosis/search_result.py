@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from bayes_aero.diagnosis.candidate_set import Field
-from bayes_aero.diagnosis.result import NoiseReport, Unknown
+from bayes_aero.diagnosis.candidate_set import CandidateModel
+from bayes_aero.diagnosis.result import NoiseReport, UnexplainedStructure
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
@@ -14,15 +14,15 @@ from bayes_aero.physics.coefficient_names import REQUIRED
 
 
 @dataclass(frozen=True)
-class Searched:
+class SearchResult:
     """Extensions by stage, the model's own last; structure without a name; noise.
 
     `testable_now`: whether hold-out data can be asked at once; trajectories ask them when they are compared.
     """
 
-    field: Field
+    full: CandidateModel
     stages: tuple[tuple[str, Extension], ...]
-    unknown: tuple[Unknown, ...]
+    unknown: tuple[UnexplainedStructure, ...]
     noise: NoiseReport
     notes: tuple[str, ...] = ()
     failures: tuple[str, ...] = ()  # parts that failed unexpectedly

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.result import Unknown
-from bayes_aero.diagnosis.screening.autocorrelation import colour_of
+from bayes_aero.diagnosis.result import UnexplainedStructure
+from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.regression import Fit, Products
-from bayes_aero.diagnosis.screening.screening import explained_shares, poll
-from bayes_aero.diagnosis.screening.selection_state import Component, State
-from bayes_aero.diagnosis.selection.forward_selection import Extension, removed, unseen_gain
+from bayes_aero.diagnosis.screening.screening import explained_shares, screen
+from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
+from bayes_aero.diagnosis.selection.forward_selection import Extension, holdout_gain, removed
 from bayes_aero.inference.variance.autoregression import ORDER
 from bayes_aero.physics.coefficients import NAMES
 
@@ -29,13 +29,13 @@ SKIPPED = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot", "alpha_dot")  # response
 class Left:
     """Unknown structure, and named causes that were only its proxies."""
 
-    unknown: tuple[Unknown, ...]
+    unknown: tuple[UnexplainedStructure, ...]
     replaced: tuple[str, ...]
 
 
 def unexplained(extension: Extension, *, seed: int) -> Left:
     """Look at what the extended model leaves; then whether a component explains a named cause better than itself."""
-    found: list[Unknown] = []
+    found: list[UnexplainedStructure] = []
     state = extension.state
     chosen: list[Component] = []
     for number in range(state.settings.unnamed_most):
@@ -45,7 +45,7 @@ def unexplained(extension: Extension, *, seed: int) -> Left:
         component, share, p = one
         chosen.append(component)
         coefficient, channel = component.label.split(" over ")
-        found.append(Unknown(coefficient, channel, share, p))
+        found.append(UnexplainedStructure(coefficient, channel, share, p))
     if found:
         return Left(tuple(found), _superfluous(extension, chosen))
     stand_ins = _proxies(extension)
@@ -53,7 +53,7 @@ def unexplained(extension: Extension, *, seed: int) -> Left:
         return Left((), ())
     component, share, names = stand_ins
     coefficient, channel = component.label.split(" over ")
-    return Left((Unknown(coefficient, channel, share, float("nan")),), names)
+    return Left((UnexplainedStructure(coefficient, channel, share, float("nan")),), names)
 
 
 def _superfluous(extension: Extension, chosen: Sequence[Component]) -> tuple[str, ...]:
@@ -68,22 +68,22 @@ def _superfluous(extension: Extension, chosen: Sequence[Component]) -> tuple[str
     return tuple(dropped)
 
 
-def _with(state: State, chosen: Sequence[Component]) -> tuple[float, float]:
+def _with(state: SelectionState, chosen: Sequence[Component]) -> tuple[float, float]:
     """Deviance of the active effects and the chosen components together, and the number of blocks."""
     wide = with_components(state, (), chosen, state.folds)
     return wide.fit().deviance, float(wide.products.count.sum())
 
 
-def _best(state: State, chosen: Sequence[Component], seed: int) -> tuple[Component, float, float] | None:
+def _best(state: SelectionState, chosen: Sequence[Component], seed: int) -> tuple[Component, float, float] | None:
     """The component that explains most of what is left, if it is beyond chance and predicts what was left out."""
     for folds, components, least in _families(state):
         trial = with_components(state, components, chosen, folds)
         fit = trial.fit()
-        leaders = poll(trial, fit, seed=seed, replicates=0).standings[: state.settings.unnamed_tried]
+        leaders = screen(trial, fit, seed=seed, replicates=0).candidate_scores[: state.settings.unnamed_tried]
         for standing in leaders:
             own = np.array(standing.columns, int)
             wide = np.concatenate([trial.columns(), own])
-            gained = float(unseen_gain(trial, wide).sum())
+            gained = float(holdout_gain(trial, wide).sum())
             share = _share(trial, own)
             if gained <= 0.0 or share < least:
                 continue
@@ -93,18 +93,18 @@ def _best(state: State, chosen: Sequence[Component], seed: int) -> tuple[Compone
     return None
 
 
-def _p_value(state: State, fit: Fit, wider: Fit, share: float, seed: int) -> float:
+def _p_value(state: SelectionState, fit: Fit, wider: Fit, share: float, seed: int) -> float:
     """How often noise alone lets some component explain so large a share.
 
     The noise has the colour that is left with the component in: with it out, the structure itself would pass for slow
     noise, under which anything goes.
     """
-    colour = colour_of(state.left(wider), state.folds)
+    colour = autocorrelation_of(state.left(wider), state.folds)
     shares = explained_shares(state, fit, colour, seed, state.settings.unnamed_replicates)
     return float((1 + np.sum(shares >= share)) / (1 + len(shares)))
 
 
-def _share(state: State, own: np.ndarray) -> float:
+def _share(state: SelectionState, own: np.ndarray) -> float:
     """Share of a coefficient's remaining variance that the component takes away, at best over the coefficients."""
     before = state.fit()
     after = state.products.fit(np.concatenate([before.columns, own]), state.mean, state.precision)
@@ -119,25 +119,25 @@ def _proxies(extension: Extension) -> tuple[Component, float, tuple[str, ...]] |
     state = extension.state
     if not extension.causes:
         return None
-    names = [p for effect in state.active for p in state.field.parameters_of(effect)]
-    own = state.field.columns(names)
-    neutral = np.array([state.field.neutral[p] for p in names])
+    names = [p for effect in state.active for p in state.full.parameters_of(effect)]
+    own = state.full.columns(names)
+    neutral = np.array([state.full.neutral[p] for p in names])
     best = None
     for folds, components, least in _families(state):
         trial = with_components(state, components, (), folds)
         bare = trial.columns(())
         products = trial.products.shifted(own, neutral - state.theta[own])
         taken_out = replace(trial, products=products, active=())
-        known = float(unseen_gain(taken_out, np.concatenate([bare, own]), bare).sum())
+        known = float(holdout_gain(taken_out, np.concatenate([bare, own]), bare).sum())
         width = max(len(columns) for columns in trial.component_columns)
         dummy = trial.S.shape[2] - 1
         rows = [np.append(np.append(bare, c), np.full(width - len(c), dummy)) for c in trial.component_columns]
         deviance = products.fit_many(np.array(rows, int), trial.mean, trial.precision)[3]
         for i in np.argsort(deviance)[: state.settings.unnamed_tried]:
             columns = trial.component_columns[i]
-            gained = float(unseen_gain(taken_out, np.concatenate([bare, columns]), bare).sum())
+            gained = float(holdout_gain(taken_out, np.concatenate([bare, columns]), bare).sum())
             margin, share = (
-                gained - state.settings.stand_in * max(known, 0.0) - 6.0 * state.temper,
+                gained - state.settings.stand_in * max(known, 0.0) - 6.0 * state.variance_inflation,
                 _share(taken_out, columns),
             )
             if margin > 0.0 and share >= least and (best is None or margin > best[0]):
@@ -145,12 +145,12 @@ def _proxies(extension: Extension) -> tuple[Component, float, tuple[str, ...]] |
     return None if best is None else (best[1], best[2], extension.causes)
 
 
-def has_chunks(state: State) -> bool:
+def has_chunks(state: SelectionState) -> bool:
     """Whether every manoeuvre is long enough for a sinusoid to be fitted to parts of it and predict the others."""
     return all(part.stop - part.start > ORDER for part in _chunks(state))
 
 
-def _families(state: State) -> tuple[tuple[Sequence[slice], list[Component], float], ...]:
+def _families(state: SelectionState) -> tuple[tuple[Sequence[slice], list[Component], float], ...]:
     """The kinds of components that the record can test: the folds by which they must predict, themselves, and the least
     share of a verdict."""
     s, alone = state.settings, len(state.responses.flights.lengths) == 1
@@ -159,7 +159,7 @@ def _families(state: State) -> tuple[tuple[Sequence[slice], list[Component], flo
     return (smooth, (_chunks(state), periodic_components(state), wave)) if has_chunks(state) else (smooth,)
 
 
-def smooth_components(state: State) -> list[Component]:
+def smooth_components(state: SelectionState) -> list[Component]:
     """A smooth function of every recorded channel that moves, in each coefficient."""
     signals = state.responses.evaluate(state.theta)[1]
     names = [n for n in (*state.responses.flights.recorded, "elapsed", "X") if n in signals and n not in SKIPPED]
@@ -173,7 +173,7 @@ def smooth_components(state: State) -> list[Component]:
     return found
 
 
-def periodic_components(state: State) -> list[Component]:
+def periodic_components(state: SelectionState) -> list[Component]:
     """A sinusoid of each period and free phase in each manoeuvre, in each coefficient."""
     elapsed = np.asarray(state.responses.block(state.responses.flights.channels["elapsed"]))
     manoeuvre = state.responses.manoeuvre
@@ -198,15 +198,15 @@ def _basis(x: Float[np.ndarray, " m"], count: int) -> Float[np.ndarray, "m w"]:
     return B / np.maximum(B.std(axis=0), 1e-12)
 
 
-def _chunks(state: State) -> tuple[slice, ...]:
+def _chunks(state: SelectionState) -> tuple[slice, ...]:
     edges = [np.flatnonzero(state.responses.manoeuvre == k) for k in range(len(state.responses.flights.lengths))]
     parts = [part for e in edges for part in np.array_split(e, state.settings.manoeuvre_parts)]
     return tuple(slice(int(p[0]) + 2, int(p[-1]) - 1) for p in parts)
 
 
 def with_components(
-    state: State, components: Sequence[Component], chosen: Sequence[Component], folds: Sequence[slice]
-) -> State:
+    state: SelectionState, components: Sequence[Component], chosen: Sequence[Component], folds: Sequence[slice]
+) -> SelectionState:
     """The state in which components stand for election in place of effects; those `chosen` are in."""
     extra, width = [], 0
     for component in (*chosen, *components):
@@ -215,10 +215,12 @@ def with_components(
         extra.append(block)
         width += component.basis.shape[1]
     S = np.concatenate([state.S[:, :, :-1], *extra, state.S[:, :, -1:]], axis=2)
-    size = float(np.median(np.std(state.residual / state.swell, axis=0)))
-    precision = np.concatenate([state.precision[:-1], np.full(width, state.temper / (10 * size) ** 2), [1.0]])
+    size = float(np.median(np.std(state.residual / state.noise_growth, axis=0)))
+    precision = np.concatenate(
+        [state.precision[:-1], np.full(width, state.variance_inflation / (10 * size) ** 2), [1.0]]
+    )
     mean = np.concatenate([state.mean[:-1], np.zeros(width), [0.0]])
-    products = Products.of(state.residual / state.swell, S / state.swell[:, :, None], folds)
+    products = Products.of(state.residual / state.noise_growth, S / state.noise_growth[:, :, None], folds)
     return replace(
         state, S=S, mean=mean, precision=precision, products=products, folds=tuple(folds),
         components=tuple(components), chosen=tuple(chosen),

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.dynamics.plant import SIDE_FORCE, Inputs, Plant, Prescribed, State
+from bayes_aero.dynamics.plant import SIDE_FORCE, FlightState, Inputs, Plant, Prescribed
 from bayes_aero.dynamics.simulate import Pilot, fly
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
@@ -118,7 +118,9 @@ def fly_standard(
     lean = -pressure * aircraft.wing_area * SIDE_FORCE / (aircraft.mass * GRAVITY)
     listed = commands(time, float(stall), float(lean), amplitude)
     pilots = [_pilot(command, trim) for command in listed.values()]
-    start = State(*(jnp.asarray(x) for x in (airspeed, trim.alpha, trim.alpha, 0.0, altitude, 1.0, trim.elevator)))
+    start = FlightState(
+        *(jnp.asarray(x) for x in (airspeed, trim.alpha, trim.alpha, 0.0, altitude, 1.0, trim.elevator))
+    )
     stacked = Pilot(*(jnp.stack(part) for part in zip(*pilots, strict=True)))
     states, outputs = _fly(model, values, aircraft, stacked, start, jnp.asarray(dt))
     flown, refused = {}, {}
@@ -164,7 +166,7 @@ def _balance(model: Model, values: Any, aircraft: Aircraft, airspeed: Any, altit
     prescribed = Prescribed(*(zero,) * len(Prescribed._fields))
 
     def one(alpha, thrust, elevator):
-        state = State(zero + airspeed, alpha, alpha, zero, zero + altitude, zero + 1.0, elevator)
+        state = FlightState(zero + airspeed, alpha, alpha, zero, zero + altitude, zero + 1.0, elevator)
         inputs = Inputs(alpha, thrust, zero, jnp.zeros(3))
         total, _ = plant.forces(state, inputs, prescribed, zero)
         return total[0], total[1], plant.pitch_acceleration(state, inputs, zero, zero, total)

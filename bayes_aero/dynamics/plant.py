@@ -68,7 +68,7 @@ def refuse_unflown(effect: Effect) -> None:
         raise InputError(f"the simulated aircraft cannot fly effect {effect.name}: it has no {lacks}; ask for another")
 
 
-class State(NamedTuple):
+class FlightState(NamedTuple):
     """V m/s, alpha rad, theta rad, q rad/s, h m, X, and the elevator that the pilot has trimmed to, rad."""
 
     V: Float[Array, "*n"]
@@ -133,14 +133,14 @@ class Plant(eqx.Module):
         """Lag of the separation point, chords travelled."""
         return self.values.get("tau1", 0.0)
 
-    def elevator(self, state: State, inputs: Inputs) -> Float[Array, ""]:
+    def elevator(self, state: FlightState, inputs: Inputs) -> Float[Array, ""]:
         """Trim for the commanded alpha in attached flow, and feedback that leads alpha along it."""
         v = self.values
         trim = -(v.get("Cm0", 0.0) + v.get("Cma", 0.0) * inputs.alpha) / v["Cmde"]
         feedback = self.gains[0] * (state.alpha - inputs.alpha) + self.gains[1] * state.q
         return trim + feedback + inputs.excitation + state.trim
 
-    def turn(self, state: State, prescribed: Prescribed) -> Turn:
+    def turn(self, state: FlightState, prescribed: Prescribed) -> Turn:
         """Rates of a flight with this bank angle and sideslip: Euler's equations and the side-force equation.
 
         The latter is V (r cos alpha - p sin alpha + beta-dot) = g cos theta sin phi + Y/m with Y that of the sideslip:
@@ -158,7 +158,7 @@ class Plant(eqx.Module):
         return Turn(p, psi_dot * lean - q * jnp.tan(phi), theta_dot, psi_dot)
 
     def signals(
-        self, state: State, inputs: Inputs, prescribed: Prescribed, alpha_dot: Float[Array, ""]
+        self, state: FlightState, inputs: Inputs, prescribed: Prescribed, alpha_dot: Float[Array, ""]
     ) -> dict[str, Float[Array, ""]]:
         """What effects may depend on, by the names of the recorded channels (`SIGNALS`)."""
         density, sound = air(state.h)
@@ -188,27 +188,27 @@ class Plant(eqx.Module):
             "thrust": inputs.thrust,
         }
 
-    def forces(self, state: State, inputs: Inputs, prescribed: Prescribed, alpha_dot: Float[Array, ""]):
+    def forces(self, state: FlightState, inputs: Inputs, prescribed: Prescribed, alpha_dot: Float[Array, ""]):
         """CL, CD, Cm about the reference point, and the static separation point."""
         signals = self.signals(state, inputs, prescribed, alpha_dot)
         static = self.model.static_separation(self.values, signals, self.aircraft)
         X = jnp.where(self.lag > 0.0, state.X, static)
         known = self.model.flow(self.values, signals, self.aircraft, X=X)
-        swell = 1.0 + self.buffet * (1.0 - X)
-        return jnp.stack([known["CL"], known["CD"], known["Cm"]]) + swell * inputs.disturbance, static
+        noise_growth = 1.0 + self.buffet * (1.0 - X)
+        return jnp.stack([known["CL"], known["CD"], known["Cm"]]) + noise_growth * inputs.disturbance, static
 
-    def specific_force(self, state: State, inputs: Inputs, CL: Float[Array, ""], CD: Float[Array, ""]):
+    def specific_force(self, state: FlightState, inputs: Inputs, CL: Float[Array, ""], CD: Float[Array, ""]):
         """Aerodynamics and thrust along body x and z over the mass, m/s2."""
         return specific_force(CL, CD, state.alpha, _pressure(state), inputs.thrust, self.aircraft)
 
     def pitch_acceleration(
-        self, state: State, inputs: Inputs, p: Float[Array, ""], r: Float[Array, ""], total: Float[Array, " 3"]
+        self, state: FlightState, inputs: Inputs, p: Float[Array, ""], r: Float[Array, ""], total: Float[Array, " 3"]
     ) -> Float[Array, ""]:
         """q-dot from the moments of `total` (CL, CD, Cm) and thrust about the CG and from the terms of p and r."""
         CL, CD, Cm = total
         return pitch_acceleration(CL, CD, Cm, state.alpha, _pressure(state), inputs.thrust, p, r, self.aircraft)
 
-    def alpha_dot(self, state: State, inputs: Inputs, prescribed: Prescribed) -> Float[Array, ""]:
+    def alpha_dot(self, state: FlightState, inputs: Inputs, prescribed: Prescribed) -> Float[Array, ""]:
         """Solve the equation of alpha-dot, in which lift depends on alpha-dot itself through tau2.
 
         The right side falls as alpha-dot rises (more separation costs lift while alpha falls), so the root is unique
@@ -235,7 +235,7 @@ class Plant(eqx.Module):
         low, high = jax.lax.fori_loop(0, BISECTIONS, halve, (-limit, limit))
         return 0.5 * (low + high)
 
-    def motion(self, state: State, inputs: Inputs, prescribed: Prescribed) -> tuple[State, dict[str, Any]]:
+    def motion(self, state: FlightState, inputs: Inputs, prescribed: Prescribed) -> tuple[FlightState, dict[str, Any]]:
         """Time derivatives of the state, and the outputs at this instant."""
         a, V, theta, q = self.aircraft, state.V, state.theta, state.q
         phi, beta = prescribed.phi, prescribed.beta
@@ -253,7 +253,9 @@ class Plant(eqx.Module):
         time_constant = jnp.where(self.lag > 0.0, self.lag * a.chord / V, 1.0)
         X_dot = jnp.where(self.lag > 0.0, (static - state.X) / time_constant, 0.0)
 
-        derivative = State(V_dot, rate, theta_dot, q_dot, climb, X_dot, self.gains[2] * (state.alpha - inputs.alpha))
+        derivative = FlightState(
+            V_dot, rate, theta_dot, q_dot, climb, X_dot, self.gains[2] * (state.alpha - inputs.alpha)
+        )
         none = Prescribed(*(jnp.zeros_like(x) for x in prescribed))
         changes = none._replace(
             phi=prescribed.phi_rate,
@@ -284,6 +286,6 @@ class Plant(eqx.Module):
         return derivative, outputs
 
 
-def _pressure(state: State) -> Float[Array, "*n"]:
+def _pressure(state: FlightState) -> Float[Array, "*n"]:
     """Dynamic pressure, Pa."""
     return 0.5 * air(state.h)[0] * state.V**2

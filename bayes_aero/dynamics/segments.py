@@ -21,10 +21,10 @@ from bayes_aero.model.windows import cuts_of
 BEGIN = 0.5  # s over which the measured initial state is read off a straight line
 
 
-class Flown(eqx.Module):
+class SegmentTrajectories(eqx.Module):
     """Segments of flights, a row each, filled up to one length with their last sample; `inside` marks the real ones.
 
-    `swell` is how many times an output's noise is that of attached flow, sample by sample; one where it is steady.
+    `noise_growth` is how many times an output's noise is that of attached flow at each sample; one where it is steady.
     `fixed`: each segment begins at its first sample, but for states that are given here (SI); None: its initial state
     is the measured one (see `simulate`) and a departure that is fitted. Inputs are linear between samples, or `held`.
     """
@@ -33,7 +33,7 @@ class Flown(eqx.Module):
     index: Int[np.ndarray, "w n"]
     inside: Bool[np.ndarray, "w n"]
     dt: Float[np.ndarray, " w"]
-    swell: Float[np.ndarray, "w n c"]
+    noise_growth: Float[np.ndarray, "w n c"]
     dynamics: Dynamics = eqx.field(static=True)
     outputs: tuple[str, ...] = eqx.field(static=True)
     begin: int = eqx.field(static=True, default=2)  # samples from which the measured initial state is read
@@ -42,7 +42,7 @@ class Flown(eqx.Module):
     held: bool = eqx.field(static=True, default=False)
 
     @property
-    def nameless(self) -> Flown:
+    def nameless(self) -> SegmentTrajectories:
         """The same of flights without names; see there."""
         return replace(self, flights=self.flights.nameless)
 
@@ -53,13 +53,15 @@ class Flown(eqx.Module):
 
     @property
     def growth(self) -> list[Float[np.ndarray, "_ c"]]:
-        """`swell` of the real samples, by segment."""
-        return [self.swell[k][real] for k, real in enumerate(self.inside)]
+        """`noise_growth` of the real samples, by segment."""
+        return [self.noise_growth[k][real] for k, real in enumerate(self.inside)]
 
-    def part(self, rows: Sequence[int] | Int[np.ndarray, " r"]) -> Flown:
+    def part(self, rows: Sequence[int] | Int[np.ndarray, " r"]) -> SegmentTrajectories:
         """Some of the segments, in the order of `rows`."""
-        index, inside, dt, swell = (x[np.asarray(rows)] for x in (self.index, self.inside, self.dt, self.swell))
-        return replace(self, index=index, inside=inside, dt=dt, swell=swell)
+        index, inside, dt, noise_growth = (
+            x[np.asarray(rows)] for x in (self.index, self.inside, self.dt, self.noise_growth)
+        )
+        return replace(self, index=index, inside=inside, dt=dt, noise_growth=noise_growth)
 
 
 class Simulated(NamedTuple):
@@ -83,11 +85,11 @@ def segments(
     substeps: int = 1,
     fixed: Mapping[str, float] | None = None,
     held: bool = False,
-) -> Flown:
+) -> SegmentTrajectories:
     """Cut `manoeuvres` (default: all) into windows of about `window` s (default: whole manoeuvres).
 
     `outputs` are compared with the simulation; default: all recorded ones that the dynamics make. `fixed`, `held`: see
-    `Flown`.
+    `SegmentTrajectories`.
     """
     recorded = tuple(name for name in dynamics.outputs if name in flights.channels)
     chosen = recorded if outputs is None else tuple(outputs)
@@ -114,10 +116,12 @@ def segments(
     begin = max(2, min(round(BEGIN / float(np.median(dts))) + 1, int(inside.sum(axis=1).min())))
     steady = np.ones((*index.shape, len(chosen)))
     given = None if fixed is None else tuple(sorted(fixed.items()))
-    return Flown(flights, index, inside, np.array(dts), steady, dynamics, chosen, begin, substeps, given, held)
+    return SegmentTrajectories(
+        flights, index, inside, np.array(dts), steady, dynamics, chosen, begin, substeps, given, held
+    )
 
 
-def simulate(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w s"]) -> Simulated:
+def simulate(flown: SegmentTrajectories, theta: Float[Array, " k"], departure: Float[Array, "w s"]) -> Simulated:
     """Fly every segment from its initial state, the measured or the fixed one, plus `departure`."""
     dynamics, flights = flown.dynamics, flown.flights
     values = dynamics.values(theta)
@@ -143,7 +147,7 @@ def simulate(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w
     return Simulated(trajectory, measured, jnp.where(flown.inside[:, :, None], (true - modelled) / scale, 0.0))
 
 
-def _measured_start(flown: Flown, channels) -> Float[Array, "w s"]:
+def _measured_start(flown: SegmentTrajectories, channels) -> Float[Array, "w s"]:
     """Value at the first sample of a straight line through the first half second; zero where nothing was recorded.
 
     A fixed initial state is the given one, and the first sample itself where none is given.

@@ -15,12 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_aero.dynamics.plant import Inputs, Plant, Prescribed, State
+from bayes_aero.dynamics.plant import FlightState, Inputs, Plant, Prescribed
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import differentiate
 
-__all__ = ["Pilot", "State", "fly"]
+__all__ = ["FlightState", "Pilot", "fly"]
 
 RUNGE_KUTTA = np.array([[0.0, 1.0], [0.5, 2.0], [0.5, 2.0], [1.0, 1.0]])  # share of the step, weight x 6
 """The classical fourth-order method: each stage starts from the one before it."""
@@ -58,9 +58,9 @@ def fly(
     values: Mapping[str, Float[Array, ""]],
     aircraft: Aircraft,
     pilot: Pilot,
-    start: State,
+    start: FlightState,
     dt: float | Float[Array, ""],
-) -> tuple[State, dict[str, Float[Array, " n"]]]:
+) -> tuple[FlightState, dict[str, Float[Array, " n"]]]:
     """States and outputs at every sample; fourth-order Runge-Kutta at the sample time.
 
     Whatever comes from outside is linear between samples. Held over a step it would lag its own record by half a step,
@@ -70,14 +70,14 @@ def fly(
     start = jax.tree.map(jnp.asarray, start)
     plant = Plant(model, dict(values), aircraft, gains, jnp.asarray(pilot.buffet))
 
-    def stage(carry, tableau, state: State, now: tuple[Inputs, Prescribed], then: tuple[Inputs, Prescribed]):
+    def stage(carry, tableau, state: FlightState, now: tuple[Inputs, Prescribed], then: tuple[Inputs, Prescribed]):
         slope, total = carry
         share, weight = tableau
         here = jax.tree.map(lambda x, k: x + share * dt * k, state, slope)
         slope, outputs = plant.motion(here, *jax.tree.map(lambda a, b: (1.0 - share) * a + share * b, now, then))
         return (slope, jax.tree.map(lambda s, k: s + weight * k, total, slope)), outputs
 
-    def step(state: State, row):
+    def step(state: FlightState, row):
         rest = jax.tree.map(jnp.zeros_like, state)
         (_, total), outputs = jax.lax.scan(lambda c, t: stage(c, t, state, *row), (rest, rest), RUNGE_KUTTA)
         following = jax.tree.map(lambda x, k: x + dt * k / 6.0, state, total)

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.candidate_set import field_of
+from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.diagnosis.consistency.check_result import CheckReport, SensorCheck
 from bayes_aero.diagnosis.consistency.consistency import consistency, errors_of_path
-from bayes_aero.diagnosis.consistency.sensor_errors import compatibility
+from bayes_aero.diagnosis.consistency.sensor_errors import screen_sensor_errors
 from bayes_aero.errors import InputError
 from bayes_aero.flight.agreement import Agreement, Consistency
 from bayes_aero.flight.card.card import Card
@@ -24,7 +24,7 @@ from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.jobs.io.health_json import health_results
 from bayes_aero.jobs.io.output_folder import writable
 from bayes_aero.jobs.provenance.provenance import provenance, write_json
-from bayes_aero.jobs.steps.usable_for import available, uses_of
+from bayes_aero.jobs.steps.usable_for import available, usable_for
 from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.joined_records import joined
 from bayes_aero.model.model import Model
@@ -53,7 +53,7 @@ def check_records(
         looked.append(_within_tables(inspect_record(path, card, resample=resample), card))
     sound = [r.record for r in looked if r.record is not None]
     whole = len(sound) == len(looked)
-    uses, not_testable = (uses_of(sound, card), _not_testable(sound, card)) if whole else ({}, {})
+    uses, not_testable = (usable_for(sound, card), _not_testable(sound, card)) if whole else ({}, {})
     why = "not asked for" if not sensors else "a record is not usable" if len(sound) < len(looked) else ""
     if not why and progress:
         progress("do the sensors agree?", 0.5)
@@ -77,20 +77,20 @@ def _not_testable(records: Sequence[FlightRecord], card: Card) -> dict[str, str]
     if card.linear is not None or "alpha" not in available(records, card):
         return {}
     own = tuple(own_effects(card.effect_files).values())
-    return dict(field_of(Model.from_card(card), joined(records, card, ()), own).not_testable)
+    return dict(candidate_model(Model.from_card(card), joined(records, card, ()), own).not_testable)
 
 
 def _sensors(records: Sequence[FlightRecord], card: Card, seed: int) -> tuple[Consistency, SensorCheck]:
     """Agreement in absolute terms, and the errors that an election along the flight path names."""
     try:
-        found = compatibility(list(records), card, seed=seed)
+        found = screen_sensor_errors(list(records), card, seed=seed)
     except InputError as reason:
         agreement = consistency(records, card, seed=seed, seek=False)
         return replace(agreement, unsought=str(reason)), SensorCheck(str(reason), {}, {})
     known = errors_of_path(found)
     agreement = consistency(records, card, seed=seed, known=known)
-    before = np.sqrt(np.mean((found.base.left(found.base_fit) * found.base.swell) ** 2, axis=0))
-    after = np.sqrt(np.mean((found.state.left(found.fit) * found.state.swell) ** 2, axis=0))
+    before = np.sqrt(np.mean((found.base.left(found.base_fit) * found.base.noise_growth) ** 2, axis=0))
+    after = np.sqrt(np.mean((found.state.left(found.fit) * found.state.noise_growth) ** 2, axis=0))
     rms = {n: (float(a), float(b)) for n, a, b in zip(found.state.outputs, before, after, strict=True)}
     return agreement, SensorCheck("", {n: dict(error) for n, error in known.errors.items()}, rms)
 

@@ -25,11 +25,11 @@ from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.threads import blas_threads, cores
 from bayes_aero.jobs.io.output_folder import writable
-from bayes_aero.jobs.io.result_store import Hidden, Kept, Outcome
-from bayes_aero.jobs.io.resume import RESTS_ON, Unfinished, digest
+from bayes_aero.jobs.io.result_store import Hidden, Outcome, ResultStore
+from bayes_aero.jobs.io.resume import RESTS_ON, ResumeStore, digest
 from bayes_aero.jobs.provenance.environment import rests_on
 from bayes_aero.jobs.provenance.provenance import provenance
-from bayes_aero.jobs.steps.background import beside
+from bayes_aero.jobs.steps.background import in_background
 from bayes_aero.jobs.steps.post_processing import Predict, drawings, follow
 from bayes_aero.jobs.steps.sensors_first import sensors_agree
 from bayes_aero.model.model import Model
@@ -95,7 +95,7 @@ def run(
         writable(out)
     source = provenance(card, records, seed, {"max_effects": most})
     source[RESTS_ON] = digest(rests_on(source, records) | {"settings": source["settings"]})
-    unfinished = Unfinished(out, source[RESTS_ON])
+    unfinished = ResumeStore(out, source[RESTS_ON])
     if progress:
         progress("do the sensors agree?", 0.0)
     found = diagnose(records, card, settings=DiagnosisSettings(max_effects=most), seed=seed, progress=progress)
@@ -109,12 +109,15 @@ def run(
     )
     named = {name: _found(view.diagnosis, name) for name in hidden} if hidden else {}
     outcome = Outcome(view, hidden, named, (), channel_health(records, card), agreement)
-    kept = Kept(replace(outcome, failures=(*failed, *found.failures)), out, card, records, source, earlier)
+    kept = ResultStore(replace(outcome, failures=(*failed, *found.failures)), out, card, records, source, earlier)
     unfinished.begin()
     shown = DIAGNOSIS_FIGURES if figures else {}
     early, late = ({n: draw for n, draw in shown.items() if (n in FLOWN_FIGURES) == x} for x in (False, True))
     job = partial(follow, kept, predict, early)
-    with blas_threads(0), beside(job, progress) as following:  # one limit: of two, the first to end would lift both
+    with (
+        blas_threads(0),
+        in_background(job, progress) as following,
+    ):  # one limit: of two, the first to end would lift both
         if cores() == 1:
             following.result()
         if fly is not None and not kept.has("trajectories"):

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.trajectories.fit_agreement import Disagreement, disagreements
+from bayes_aero.diagnosis.trajectories.fit_agreement import Disagreement, fit_disagreements
 from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
-from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED, FlownFit, Setting, fit_flown
+from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED, Setting, TrajectoryFit, fit_trajectories
 from bayes_aero.dynamics.flight import Dynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
@@ -37,7 +37,7 @@ from bayes_aero.jobs.io.trajectories_json import open_loop
 from bayes_aero.jobs.provenance.provenance import provenance, write_json
 from bayes_aero.jobs.steps.sensors_first import sensors_agree
 from bayes_aero.jobs.steps.spike_repair import repaired, spike_notes
-from bayes_aero.jobs.steps.usable_for import uses_of
+from bayes_aero.jobs.steps.usable_for import usable_for
 from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
@@ -67,7 +67,7 @@ class Flight:
     give other values.
     """
 
-    flown: FlownFit
+    flown: TrajectoryFit
     sentences: tuple[str, ...]
     notes: tuple[str, ...]
     health: tuple[HealthFinding, ...] = ()
@@ -135,7 +135,7 @@ def fly(
         out,
         own=bool(card.effect_files),
     )
-    flown = fit_flown(
+    flown = fit_trajectories(
         flights,
         dynamics,
         {name: STANDARD_CHANNELS[name].unit for name in STANDARD_CHANNELS} | channel_units(card),
@@ -146,8 +146,8 @@ def fly(
         setting=setting,
         progress=progress,
     )
-    apart = () if coefficients is None else disagreements(coefficients, flown)
-    hindered = uses_of(records, card).get("diagnose", "")
+    apart = () if coefficients is None else fit_disagreements(coefficients, flown)
+    hindered = usable_for(records, card).get("diagnose", "")
     said = (*fly_sentences(flown, hindered), *disagreement_sentences(apart, hindered))
     health = channel_health(records, card)
     found = Flight(flown, said, tuple(notes), health, agreement, (*failures, *failed), apart)
@@ -282,7 +282,7 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
         "cost": fit.cost,
         "det_R": fit.det_R,
         "colour_cost": flown.colour_cost,
-        "swell": dict(flown.swell),
+        "noise_growth": dict(flown.noise_growth),
         "parameters": parameter_rows(flown),
         "inseparable": inseparable_results(flown.fit.inseparable),
         "disagreement": [asdict(d) for d in found.apart],

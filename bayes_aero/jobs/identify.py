@@ -13,7 +13,7 @@ from typing import Any
 
 import xarray as xr
 
-from bayes_aero.diagnosis.consistency.filter_mismatch import preparation_notes
+from bayes_aero.diagnosis.consistency.filter_mismatch import filter_mismatch_notes
 from bayes_aero.diagnosis.trajectories.time_histories import Path as Flown
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card.card import Card
@@ -108,7 +108,7 @@ def identify(
             "Manoeuvres were not fitted alone", lambda: fit_alone(model, observations, seed=seed), {}
         )
         failures += failed
-        told = preparation_notes(without_spikes, card, model, mle) if forming is Forming.PUBLISHED else ()
+        told = filter_mismatch_notes(without_spikes, card, model, mle) if forming is Forming.PUBLISHED else ()
     run = Identification(
         card,
         model,

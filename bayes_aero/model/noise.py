@@ -58,8 +58,8 @@ class Noise:
         sigma = values[f"sigma_{name}"]
         log_swell = jnp.zeros(())
         if self.colour is Colour.BUFFET_AR1:
-            swell = 1.0 + values[f"buffet_{name}"] * (1.0 - X)
-            residual, log_swell = residual / swell, jnp.log(swell)
+            noise_growth = 1.0 + values[f"buffet_{name}"] * (1.0 - X)
+            residual, log_swell = residual / noise_growth, jnp.log(noise_growth)
         if self.colour is Colour.WHITE:
             return residual / sigma, jnp.broadcast_to(jnp.log(sigma), residual.shape)
         rho = values[f"rho_{name}"]

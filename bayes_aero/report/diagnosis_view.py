@@ -11,10 +11,10 @@ from jaxtyping import Float, Int
 from scipy import stats
 
 from bayes_aero.diagnosis.result import Diagnosis
-from bayes_aero.diagnosis.screening.autocorrelation import colour_of
+from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.regression import Fit
 from bayes_aero.diagnosis.screening.screening import uncertainty
-from bayes_aero.diagnosis.screening.selection_state import State, moved, refitted
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, refitted
 from bayes_aero.diagnosis.selection.cross_validation import truncated
 from bayes_aero.diagnosis.selection.residuals import details, theil_parts
 from bayes_aero.diagnosis.trajectories.trajectories import Trajectories
@@ -32,14 +32,14 @@ NOT_SIGNALS = ("X", "measured", "modelled", "residual", *NAMES)
 class Fitted:
     """One model fitted to all manoeuvres: residuals at the recorded rate (n, 3), and the regression behind it."""
 
-    state: State
+    state: SelectionState
     fit: Fit
     residual: Float[np.ndarray, "n 3"]
     signals: Mapping[str, np.ndarray]
 
 
 @dataclass(frozen=True)
-class Move:
+class ParameterMove:
     """A parameter of the card before and after the causes are added; standard errors count the autocorrelation."""
 
     before: float
@@ -55,7 +55,7 @@ class DiagnosisView:
 
     diagnosis: Diagnosis
     rankings: tuple[Ranking, ...]
-    moves: Mapping[str, Move]
+    moves: Mapping[str, ParameterMove]
     trajectories: Trajectories | None = None
 
 
@@ -90,8 +90,10 @@ def view_of(diagnosis: Diagnosis) -> DiagnosisView:
 
 def _trajectory_view(diagnosis: Diagnosis) -> DiagnosisView:
     """Of the card's parameters before, the standard errors are not known."""
-    units = {p.name: p.unit for p in diagnosis.aerodynamics.state.field.model.free}
-    moves = {name: Move(a, b, float("nan"), sd, units[name]) for name, (a, b, sd) in diagnosis.base_moves.items()}
+    units = {p.name: p.unit for p in diagnosis.aerodynamics.state.full.model.free}
+    moves = {
+        name: ParameterMove(a, b, float("nan"), sd, units[name]) for name, (a, b, sd) in diagnosis.base_moves.items()
+    }
     return DiagnosisView(diagnosis=diagnosis, rankings=tuple(rankings_of(diagnosis)), moves=moves)
 
 
@@ -120,18 +122,18 @@ def with_stalls(view: View) -> View:
     return replace(view, stalls={name: _stall(fitted) for name, fitted in models.items()})
 
 
-def _card(diagnosis: Diagnosis) -> tuple[State, Fit]:
+def _card(diagnosis: Diagnosis) -> tuple[SelectionState, Fit]:
     base, sensors = diagnosis.aerodynamics.base, diagnosis.sensors
     if sensors is None or not sensors.state.active:
         return base, diagnosis.aerodynamics.base_fit
     theta = base.theta.copy()
     for effect in sensors.state.active:
-        for name in base.field.parameters_of(effect):
-            theta[base.field.columns([name])[0]] = base.field.neutral[name]
+        for name in base.full.parameters_of(effect):
+            theta[base.full.columns([name])[0]] = base.full.neutral[name]
     return refitted(moved(base, theta))
 
 
-def _extended(diagnosis: Diagnosis) -> tuple[State, Fit]:
+def _extended(diagnosis: Diagnosis) -> tuple[SelectionState, Fit]:
     """The part of the extension that hold-out data confirm."""
     last = diagnosis.aerodynamics
     if set(diagnosis.kept) == set(last.state.active):
@@ -139,7 +141,7 @@ def _extended(diagnosis: Diagnosis) -> tuple[State, Fit]:
     return refitted(truncated(last.state, diagnosis.kept))
 
 
-def _fitted(state: State, fit: Fit) -> Fitted:
+def _fitted(state: SelectionState, fit: Fit) -> Fitted:
     found = details(state)
     return Fitted(state, fit, found["residual"][:, : len(NAMES)], found)
 
@@ -148,14 +150,14 @@ def _covariance(fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
     """Which parameters were fitted, and the covariance of their estimates that coloured residuals leave."""
     state, fit = fitted.state, fitted.fit
     own = np.flatnonzero(fit.columns < len(state.theta))
-    covariance = uncertainty(state, fit, colour_of(state.left(fit), state.folds))
+    covariance = uncertainty(state, fit, autocorrelation_of(state.left(fit), state.folds))
     return fit.columns[own], covariance[np.ix_(own, own)]
 
 
 def _deviations(fitted: Fitted) -> dict[str, float]:
     columns, covariance = _covariance(fitted)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    free = fitted.state.field.model.names
+    free = fitted.state.full.model.names
     return {free[c]: float(x) for c, x in zip(columns, sd, strict=True)}
 
 
@@ -168,24 +170,24 @@ def _stall(fitted: Fitted) -> Stall:
     white = np.random.default_rng(0).standard_normal((DRAWS, len(columns)))
     draws = np.tile(state.theta, (DRAWS, 1))
     draws[:, columns] += (white * np.sqrt(np.maximum(values, 0.0))) @ vectors.T * scale
-    lower, upper = (np.array([p.bounds[i] for p in state.field.model.free], float) for i in (0, 1))
+    lower, upper = (np.array([p.bounds[i] for p in state.full.model.free], float) for i in (0, 1))
     lower, upper = np.minimum(lower, state.theta), np.maximum(upper, state.theta)
-    model, flights = state.field.model, state.responses.flights
+    model, flights = state.full.model, state.responses.flights
     signals = {name: fitted.signals[name] for name in fitted.signals if name not in NOT_SIGNALS}
     return stall_of(model, np.clip(draws, lower, upper), signals, flights.aircraft)
 
 
-def _moves(before: Fitted, after: Fitted) -> dict[str, Move]:
+def _moves(before: Fitted, after: Fitted) -> dict[str, ParameterMove]:
     """Parameters of the card's own effects."""
-    field = after.state.field
+    full = after.state.full
     sds = _deviations(before), _deviations(after)
     found = {}
-    for effect in field.base:
-        for name in field.parameters_of(effect):
+    for effect in full.base:
+        for name in full.parameters_of(effect):
             if name in sds[0] and name in sds[1]:
-                i = field.columns([name])[0]
+                i = full.columns([name])[0]
                 values = float(before.state.theta[i]), float(after.state.theta[i])
-                found[name] = Move(*values, sds[0][name], sds[1][name], field.model.free[i].unit)
+                found[name] = ParameterMove(*values, sds[0][name], sds[1][name], full.model.free[i].unit)
     return found
 
 

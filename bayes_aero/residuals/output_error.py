@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from bayes_aero.dynamics.flight import AircraftDynamics
-from bayes_aero.dynamics.segments import Flown, segments, simulate
+from bayes_aero.dynamics.segments import SegmentTrajectories, segments, simulate
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import FILTER_STEP
@@ -28,7 +28,7 @@ class OutputError(ResidualModel, eqx.Module):
     """Residuals of simulated windows, averaged over blocks of `FILTER_STEP` samples: m of them."""
 
     flights: Flights
-    windows: Flown
+    windows: SegmentTrajectories
     place: Int[np.ndarray, " m"]  # of every block that is whole, among all
     model: Model = eqx.field(static=True)
 
@@ -38,13 +38,13 @@ class OutputError(ResidualModel, eqx.Module):
         names = tuple(n for n in dynamics.outputs if n in flights.channels)
         cut = segments(flights, dynamics, outputs=names, window=WINDOW, substeps=substeps)
         whole = cut.index.shape[1] // FILTER_STEP * FILTER_STEP
-        index, inside, swell = (x[:, :whole] for x in (cut.index, cut.inside, cut.swell))
-        cut = replace(cut, index=index, inside=inside, swell=swell)
+        index, inside, noise_growth = (x[:, :whole] for x in (cut.index, cut.inside, cut.noise_growth))
+        cut = replace(cut, index=index, inside=inside, noise_growth=noise_growth)
         place = np.flatnonzero(cut.inside.reshape(-1, FILTER_STEP).all(axis=1))
         return cls(flights=flights, windows=cut, place=place, model=dynamics.model)
 
     @property
-    def flown(self) -> Flown:
+    def flown(self) -> SegmentTrajectories:
         """The windows of the present flights."""
         return eqx.tree_at(lambda f: f.flights, self.windows, self.flights)
 

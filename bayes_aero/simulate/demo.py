@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.dynamics.simulate import Pilot, State, fly
+from bayes_aero.dynamics.simulate import FlightState, Pilot, fly
 from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
@@ -103,7 +103,7 @@ def simulate_stall(
     )
     values = {name: jnp.asarray(value) for name, value in truth.items()}
     alpha0 = float(pilot.alpha[0])
-    start = State(*(jnp.asarray(x) for x in (95.0, alpha0, alpha0, 0.0, 5200.0, 1.0)))
+    start = FlightState(*(jnp.asarray(x) for x in (95.0, alpha0, alpha0, 0.0, 5200.0, 1.0)))
     states, outputs = fly(model, values, card.aircraft, pilot, start, DT)
     outputs = {key: np.asarray(value) for key, value in outputs.items()}
     return _record(NAMES[number], time, states, outputs, pilot, card, rng, sensor_noise)
@@ -112,7 +112,7 @@ def simulate_stall(
 def _record(
     name: str,
     time: Float[np.ndarray, " n"],
-    states: State,
+    states: FlightState,
     outputs: Mapping[str, np.ndarray],
     pilot: Pilot,
     card: Card,

@@ -14,7 +14,7 @@ from jaxtyping import Array
 from scipy.signal import lfilter
 
 from bayes_aero.dynamics.plant import flies, refuse_unflown
-from bayes_aero.dynamics.simulate import State, fly
+from bayes_aero.dynamics.simulate import FlightState, fly
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
@@ -126,7 +126,7 @@ def _flights(
         alpha = float(pilots[-1].alpha[0])
         height = rng.uniform(5050.0, 5350.0)
         begin = (_level_speed(values, aircraft, alpha, height), alpha, alpha, 0.0, height, 1.0)
-        starts.append(State(*(jnp.asarray(x) for x in begin)))
+        starts.append(FlightState(*(jnp.asarray(x) for x in begin)))
     marks = _marks()
     commanded = [{"thrust": np.asarray(pilot.thrust)} for pilot in pilots]
     thrust = [corrected(propulsion, values, x, marks, card.aircraft)["thrust"] for x in commanded]

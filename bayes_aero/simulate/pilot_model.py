@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 
 from bayes_aero.dynamics.manoeuvres import STALL_BEYOND, commands, trimmed
 from bayes_aero.dynamics.plant import SIDE_FORCE
-from bayes_aero.dynamics.simulate import Pilot, State
+from bayes_aero.dynamics.simulate import FlightState, Pilot
 from bayes_aero.effect import Effect
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
@@ -33,7 +33,7 @@ def piloted(
     increments: Float[np.ndarray, "n 3"],
     buffet: float,
     chosen: list[Effect],
-) -> tuple[Pilot, State]:
+) -> tuple[Pilot, FlightState]:
     """What the pilot does, and the state in which the flight begins."""
     if request.manoeuvre == RANDOM_STALL:
         needed = {channel for effect in chosen for channel in effect.channels}
@@ -69,7 +69,7 @@ def piloted(
             trim_gain=gains[2],
         )
     begin = (airspeed, alpha, alpha, 0.0, request.altitude, 1.0, trim)
-    return pilot._replace(disturbance=jnp.asarray(increments)), State(*(jnp.asarray(x) for x in begin))
+    return pilot._replace(disturbance=jnp.asarray(increments)), FlightState(*(jnp.asarray(x) for x in begin))
 
 
 def _sampled(pilot: Pilot, grid: Grid, weight: Any) -> Pilot:

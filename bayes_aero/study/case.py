@@ -29,7 +29,7 @@ Task = Callable[[Unit, Path, Progress | None], None]
 
 
 @dataclass(frozen=True)
-class State:
+class CaseState:
     """`word` is done, missing, changed, damaged or failed; `why` says what changed or failed."""
 
     word: str
@@ -48,28 +48,28 @@ def fingerprint(unit: Unit) -> dict[str, Any]:
     }
 
 
-def state_of(unit: Unit, folder: Path) -> State:
+def state_of(unit: Unit, folder: Path) -> CaseState:
     """Whether the unit's folder holds its results, made from the inputs as they are now."""
     manifest = folder / MANIFEST
     if not manifest.is_file():
-        return State("missing")
+        return CaseState("missing")
     try:
         known = json.loads(manifest.read_text(encoding="utf-8"))
         files, made_from, state = dict(known["files"]), dict(known["made_from"]), str(known["state"])
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return State("damaged", f"{MANIFEST} cannot be read")
+        return CaseState("damaged", f"{MANIFEST} cannot be read")
     if state != "done":
-        return State("failed", str(known.get("error", "")))
+        return CaseState("failed", str(known.get("error", "")))
     here = fingerprint(unit)
     changed = [key for key in here if here[key] != made_from.get(key)]
     if changed:
-        return State("changed", _what_changed(changed, here, made_from))
+        return CaseState("changed", _what_changed(changed, here, made_from))
     for name, sha256 in files.items():
         path = folder / name
         inside = ".." not in Path(name).parts and not Path(name).is_absolute()
         if not (inside and is_file(path)) or _sha256(path) != sha256:
-            return State("damaged", f"{name} is not what was written")
-    return State("done")
+            return CaseState("damaged", f"{name} is not what was written")
+    return CaseState("done")
 
 
 def _what_changed(changed: list[str], here: Mapping[str, Any], before: Mapping[str, Any]) -> str:

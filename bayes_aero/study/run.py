@@ -14,7 +14,7 @@ from bayes_aero.jobs.io.atomic_write import sweep
 from bayes_aero.jobs.io.output_folder import writable
 from bayes_aero.jobs.provenance.environment import write_environment
 from bayes_aero.jobs.provenance.provenance import write_text
-from bayes_aero.study.case import State, run_unit, state_of
+from bayes_aero.study.case import CaseState, run_unit, state_of
 from bayes_aero.study.study import Study, Unit
 from bayes_aero.study.summary import write_summary
 
@@ -37,7 +37,7 @@ class Planned:
 
     unit: Unit
     folder: Path
-    state: State
+    state: CaseState
 
 
 def plan(study: Study, out: Path) -> list[Planned]:

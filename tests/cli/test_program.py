@@ -21,7 +21,7 @@ from bayes_aero.flight.reading import read_record as reading
 from bayes_aero.inference.splits import SplitKind
 from bayes_aero.jobs import identify as job
 from bayes_aero.jobs.fly import INITIAL_STATES, INPUTS
-from bayes_aero.jobs.io.resume import Unfinished
+from bayes_aero.jobs.io.resume import ResumeStore
 from bayes_aero.model.noise import Colour
 from bayes_aero.model.observations import Forming
 from bayes_aero.simulate import request
@@ -144,12 +144,12 @@ def test_an_interruption_says_what_is_kept(program, monkeypatch):
 def test_an_interrupted_diagnosis_is_said_to_be_taken_up(tmp_path):
     told = kept_stages(tmp_path, taken_up=True)
     assert "nothing new" in told()
-    Unfinished(tmp_path, "").begin()
+    ResumeStore(tmp_path, "").begin()
     (tmp_path / "diagnosis.json").write_text("{}")
     assert "(diagnosis.json)" in told()
     assert "continues with the rest" in told()
     assert "repeats all stages" in kept_stages(tmp_path)()  # another command in the same folder
-    Unfinished(tmp_path, "").end()
+    ResumeStore(tmp_path, "").end()
     assert "repeats all stages" in told()
 
 

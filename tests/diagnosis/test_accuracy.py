@@ -68,7 +68,7 @@ def test_size_freed_of_what_noise_adds_is_nearer_to_the_truth(card, model):
         effects, flights = flyable([name], seed=int(seed), noise="white", seconds=90.0, sensor_noise=10.0)
         state = with_added(card, model, [flight.record for flight in flights], [name])
         fit, truth = state.fit(), effects[name]["Cma2"]
-        column = int(state.field.columns(["Cma2"])[0])
+        column = int(state.full.columns(["Cma2"])[0])
         plain.append(abs(state.theta[column] - truth))
         freed.append(abs(sizes(state, fit)["Cma2"].mean - truth))
         bias, spread = noise_effect(state, fit)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayes_aero.diagnosis.candidate_set import field_of
+from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_channels import join
@@ -18,15 +18,15 @@ def test_stand_ins_are_no_candidates_but_serve_on_a_card(card, model, clean_reco
     assert stand_ins == {
         "alpha_drag", "speed_drag", "speed_lift", "speed_moment", "stabilizer_lift", "stabilizer_drag",
     }  # fmt: skip
-    field = field_of(model, flights)
-    assert len(field.candidates) > 20
-    assert not stand_ins & ({e.name for e in field.model.effects} | set(field.not_testable))
+    full = candidate_model(model, flights)
+    assert len(full.candidates) > 20
+    assert not stand_ins & ({e.name for e in full.model.effects} | set(full.not_testable))
     stated = Model.of([*card.effects, "speed_lift"], {"tau1": 0.0})
-    field = field_of(stated, flights)
-    assert "speed_lift" in field.base
-    assert stand_ins & {e.name for e in field.model.effects} == {"speed_lift"}
+    full = candidate_model(stated, flights)
+    assert "speed_lift" in full.base
+    assert stand_ins & {e.name for e in full.model.effects} == {"speed_lift"}
     absent = Model.of([*card.effects, "speed_lift"], {"tau1": 0.0, "CLV": 0.0})  # written down, so asked for
-    assert "speed_lift" in {e.name for e in field_of(absent, flights).candidates}
+    assert "speed_lift" in {e.name for e in candidate_model(absent, flights).candidates}
 
 
 WAVE = np.sin(np.linspace(0.0, 9.0, 200))
@@ -55,6 +55,6 @@ def test_an_effect_can_be_tested_where_what_it_acts_through_moves(card, channels
     arrays = {name: np.broadcast_to(x, len(WAVE)) for name, x in base.items()}
     record = FlightRecord.from_arrays("run", np.arange(len(WAVE)) * 0.04, arrays)
     names = ["attached_lift", "elevator_moment", "pitching_moment", "pitch_damping", "profile_drag", "induced_drag"]
-    field = field_of(Model.of(names), join([record], replace(card, sums={}, constants={})))
-    assert (effect in {e.name for e in field.candidates}) == (why is None)
-    assert why is None or why in field.not_testable[effect]
+    full = candidate_model(Model.of(names), join([record], replace(card, sums={}, constants={})))
+    assert (effect in {e.name for e in full.candidates}) == (why is None)
+    assert why is None or why in full.not_testable[effect]

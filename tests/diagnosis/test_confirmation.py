@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from bayes_aero.diagnosis.candidate_set import field_of
+from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.diagnosis.screening.selection_state import linearised, refitted
 from bayes_aero.diagnosis.selection.backward_elimination import confirmation
-from bayes_aero.diagnosis.selection.cross_validation import LeftOut, gained, truncated
+from bayes_aero.diagnosis.selection.cross_validation import LeftOut, holdout_gain, truncated
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.model.joined_channels import despiked, join
@@ -24,12 +24,12 @@ SEEDS = [DRAWN[0], *(pytest.param(seed, marks=pytest.mark.verify) for seed in DR
 def with_added(card, model, records, added):
     """The card's model with effects put in, whether they deserve it or not, everything fitted."""
     flights = despiked(join(records, card))[0]
-    field = field_of(model, flights)
-    theta = np.array([field.neutral[name] for name in field.model.names])
+    full = candidate_model(model, flights)
+    theta = np.array([full.neutral[name] for name in full.model.names])
     mle = fit_mle(model, observe(records, card, model), seed=0)
     for name, value in zip(mle.names, mle.estimate, strict=True):
-        theta[field.columns([name])[0]] = value
-    return refitted(linearised(field, EquationError.of(flights, field.model), NAMES, theta, tuple(added)))[0]
+        theta[full.columns([name])[0]] = value
+    return refitted(linearised(full, EquationError.of(flights, full.model), NAMES, theta, tuple(added)))[0]
 
 
 @pytest.mark.recovery
@@ -61,6 +61,6 @@ def test_first_order_is_the_whole_truth_for_an_effect_that_enters_linearly(card,
     for effects in ((), ("thrust_moment",)):
         linear, full = LeftOut.first_order(state, effects), LeftOut.refitted(truncated(state, effects))
         assert np.allclose(linear.residual.std(axis=0), full.residual.std(axis=0), rtol=0.1)
-    near = gained(LeftOut.first_order(state, ()), LeftOut.first_order(state, ("thrust_moment",)), state)
-    whole = gained(LeftOut.refitted(truncated(state, ())), LeftOut.refitted(state), state)
+    near = holdout_gain(LeftOut.first_order(state, ()), LeftOut.first_order(state, ("thrust_moment",)), state)
+    whole = holdout_gain(LeftOut.refitted(truncated(state, ())), LeftOut.refitted(state), state)
     assert near[0] == pytest.approx(whole[0], rel=0.2)

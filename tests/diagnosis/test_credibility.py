@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from bayes_aero.diagnosis import result as finding
-from bayes_aero.diagnosis.candidate_set import Field
+from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.design import standard
 from bayes_aero.diagnosis.diagnose import judged_on_held_out_flights, verdict_of
-from bayes_aero.diagnosis.result import Cause, Gain, Unknown, Verdict
+from bayes_aero.diagnosis.result import Cause, Gain, UnexplainedStructure, Verdict
 from bayes_aero.diagnosis.screening.accuracy import Size
-from bayes_aero.diagnosis.screening.autocorrelation import colour_of
+from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.screening import uncertainty
 from bayes_aero.diagnosis.screening.selection_state import linearised
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
@@ -29,7 +29,7 @@ from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 
 PAIR = ("pitch_rate_lift", "alpha_dot_lift")
-LEFT = (Unknown("Cm", "phi", 0.2, 0.01),)
+LEFT = (UnexplainedStructure("Cm", "phi", 0.2, 0.01),)
 
 
 def cause(name="thrust_scale", mean=-0.08, sd=0.01, **given) -> Cause:
@@ -124,17 +124,17 @@ def both(card, model):
     changed = {p.name: p for p in model.parameters}
     parameters = tuple(changed.get(p.name, p) for e in everything for p in e.parameters)
     whole = replace(model, effects=everything, parameters=parameters, fixed=())
-    field = Field(whole, tuple(e.name for e in base), candidates, {})
+    full = CandidateModel(whole, tuple(e.name for e in base), candidates, {})
     theta = np.array([TRUTH.get(p.name, p.neutral) for p in parameters])
-    return linearised(field, EquationError.of(join([simulate_stall(0, card=card)], card), whole), NAMES, theta)
+    return linearised(full, EquationError.of(join([simulate_stall(0, card=card)], card), whole), NAMES, theta)
 
 
 def on(both, flights, values) -> Extension:
     """Both terms in, with these values, on a record."""
-    model = both.field.model
+    model = both.full.model
     theta = both.theta.copy()
-    theta[both.field.columns(list(values))] = list(values.values())
-    state = linearised(both.field, EquationError.of(flights, model), NAMES, theta, PAIR)
+    theta[both.full.columns(list(values))] = list(values.values())
+    state = linearised(both.full, EquationError.of(flights, model), NAMES, theta, PAIR)
     fit = state.fit()
     return Extension(state, fit, state, fit, (), {}, PAIR, ())
 
@@ -150,8 +150,8 @@ def test_two_terms_that_cancel_are_known_by_their_sum(both):
     assert pair.mean == pytest.approx(19.6 - 18.2 * pair.factor)
     assert pair.factor == pytest.approx(1.0, abs=0.1)
     # Of a combination with correlation near -1 little is left of either deviation: closed form of a sum's variance.
-    columns = found.state.field.columns(["CLq", "CLadot"])
-    colour = colour_of(found.state.left(found.fit), found.state.folds)
+    columns = found.state.full.columns(["CLq", "CLadot"])
+    colour = autocorrelation_of(found.state.left(found.fit), found.state.folds)
     at = [int(np.flatnonzero(found.fit.columns == c)[0]) for c in columns]
     C = uncertainty(found.state, found.fit, colour)[np.ix_(at, at)]
     assert pair.sd**2 == pytest.approx(C[0, 0] + 2 * pair.factor * C[0, 1] + pair.factor**2 * C[1, 1])
@@ -165,7 +165,7 @@ def test_own_share_is_one_over_the_variance_inflation(both):
     """Closed form: what a regression on the others leaves of the effect's sensitivity, over its spread."""
     found = on(both, both.responses.flights, {"CLq": 4.0})
     state, fit = found.state, found.fit
-    own = int(state.field.columns(["CLq"])[0])
+    own = int(state.full.columns(["CLq"])[0])
     weighed = state.scaled[state.inside] / np.sqrt(fit.variance)[:, None]
     S = weighed.reshape(-1, state.S.shape[2])
     x, others = S[:, own], S[:, [c for c in fit.columns if c != own]]
@@ -180,8 +180,8 @@ def test_trajectories_alone_claim_no_more_than_was_tested(diagnosed):
     """One sure cause, and the simulation still off by 1.2 m/s where the sensor is off by 0.3 m/s."""
     d = replace(diagnosed.view.diagnosis, causes=(cause(),), unknown=())
     for left, verdict, claim in (
-        (finding.Missed(0.3, 0.6, 1.2), Verdict.PARTLY_EXPLAINED, "cause improves the fit to the trajectories"),
-        (finding.Missed(0.3, 0.3, 1.2), Verdict.EXPLAINED, "the error of the card's model in the trajectories"),
+        (finding.OutputMiss(0.3, 0.6, 1.2), Verdict.PARTLY_EXPLAINED, "cause improves the fit to the trajectories"),
+        (finding.OutputMiss(0.3, 0.3, 1.2), Verdict.EXPLAINED, "the error of the card's model in the trajectories"),
     ):
         tested = finding.Tested({"airspeed": left})
         headline, detail, *_ = diagnosis_sentences(replace(d, tested=tested, verdict=verdict))
@@ -190,7 +190,9 @@ def test_trajectories_alone_claim_no_more_than_was_tested(diagnosed):
         assert ("V 1.2 m/s" in headline) is (verdict is not Verdict.EXPLAINED)
         assert "structure outside the catalogue was not tested" in headline
         assert "(noise 0.30 m/s)" in detail
-    none = replace(d, causes=(), verdict=Verdict.UNDECIDED, tested=finding.Tested({"q": finding.Missed(0.0, 1.0, 1.0)}))
+    none = replace(
+        d, causes=(), verdict=Verdict.UNDECIDED, tested=finding.Tested({"q": finding.OutputMiss(0.0, 1.0, 1.0)})
+    )
     assert "57 deg/s" in diagnosis_sentences(none)[0]
     assert "cannot decide" in diagnosis_sentences(none)[0]
     flown_not = diagnosis_sentences(replace(d, verdict=Verdict.PARTLY_EXPLAINED, tested=finding.Tested({})))[0]

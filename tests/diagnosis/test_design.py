@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.diagnosis.candidate_set import Field
+from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.design import separating, standard
 from bayes_aero.diagnosis.screening.selection_state import linearised
 from bayes_aero.dynamics.manoeuvres import commands, trimmed
@@ -32,9 +32,9 @@ def state(card, model):
     changed = {p.name: p for p in model.parameters}
     parameters = tuple(changed.get(p.name, p) for e in everything for p in e.parameters)
     whole = replace(model, effects=everything, parameters=parameters, fixed=())
-    field = Field(whole, tuple(e.name for e in base), candidates, {})
+    full = CandidateModel(whole, tuple(e.name for e in base), candidates, {})
     theta = np.array([TRUTH.get(p.name, p.neutral) for p in parameters])
-    return linearised(field, EquationError.of(join([simulate_stall(0, card=card)], card), whole), NAMES, theta)
+    return linearised(full, EquationError.of(join([simulate_stall(0, card=card)], card), whole), NAMES, theta)
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +113,7 @@ def test_no_manoeuvre_is_proposed_whose_input_is_not_recorded(state):
 
 
 def test_trim_is_level_flight(state):
-    model, aircraft = state.field.model, state.responses.flights.aircraft
+    model, aircraft = state.full.model, state.responses.flights.aircraft
     values = dict(zip(model.names, map(float, state.theta), strict=True))
     trim = trimmed(model, values, aircraft, 95.0, 5200.0)
     CL = aircraft.mass * GRAVITY / (0.5 * 0.7198 * 95.0**2 * aircraft.wing_area)  # density of the ICAO table

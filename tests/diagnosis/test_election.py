@@ -8,11 +8,11 @@ import pytest
 from scipy.linalg import lstsq
 from test_mixing import part
 
-from bayes_aero.diagnosis.screening.autocorrelation import Colour
-from bayes_aero.diagnosis.screening.partialled_regression import Projected
+from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation
+from bayes_aero.diagnosis.screening.partialled_regression import PartialledRegression
 from bayes_aero.diagnosis.screening.regression import Products
-from bayes_aero.diagnosis.screening.screening import without_each_stretch
-from bayes_aero.diagnosis.screening.selection_state import State
+from bayes_aero.diagnosis.screening.screening import block_jackknife_covariance
+from bayes_aero.diagnosis.screening.selection_state import SelectionState
 
 
 @pytest.mark.parametrize("gap", [0, 40])
@@ -26,8 +26,8 @@ def test_information_is_what_the_model_cannot_follow_in_the_folds(gap):
     residual = rng.standard_normal((n, 3)) * [1.0, 0.1, 3.0]
     active = np.arange(k)
     fit = Products.of(residual, S, folds).fit(active, np.zeros(k + 2), np.zeros(k + 2))
-    state = part(State, S=S, swell=np.ones((n, 3)), folds=folds)
-    found = Projected(state, fit, [np.array([k]), np.array([k + 1])]).information
+    state = part(SelectionState, S=S, noise_growth=np.ones((n, 3)), folds=folds)
+    found = PartialledRegression(state, fit, [np.array([k]), np.array([k + 1])]).information
 
     inside = np.concatenate([np.arange(n)[fold] for fold in folds])
     A = (S[inside] / np.sqrt(fit.variance)[:, None]).reshape(-1, k + 2)
@@ -41,14 +41,16 @@ def test_two_rivals_are_told_apart_by_the_noise_along_what_parts_them():
     `apart`, under a colour that white noise does not know."""
     rng = np.random.default_rng(4132)
     n, phi = 800, rng.uniform(0.5, 0.9)
-    colour = Colour(np.array([[phi, 0.0, 0.0]]), np.array([np.sqrt(1.0 - phi**2)]))
+    colour = Autocorrelation(np.array([[phi, 0.0, 0.0]]), np.array([np.sqrt(1.0 - phi**2)]))
     folds = (slice(0, n),)
     t = np.linspace(0.0, 1.0, n)
     period = rng.uniform(0.05, 0.4)
     S = np.stack([np.ones(n), t, np.sin(2.0 * np.pi * t / period), t**2, np.zeros(n)], axis=1)[:, None, :]
     fit = Products.of(colour.simulate(1, folds, n, rng)[0], S, folds).fit(np.arange(2), np.zeros(5), np.zeros(5))
     fit = replace(fit, variance=np.ones(1), normal=S[:, 0, :2].T @ S[:, 0, :2])
-    projected = Projected(part(State, S=S, swell=np.ones((n, 1)), folds=folds), fit, [np.array([2]), np.array([3])])
+    projected = PartialledRegression(
+        part(SelectionState, S=S, noise_growth=np.ones((n, 1)), folds=folds), fit, [np.array([2]), np.array([3])]
+    )
     sizes = [np.array([0.3]), np.array([2.0])]
     apart = projected.apart(np.zeros((n, 1)), sizes, 0, colour, None)
     assert apart[0] == 1.0
@@ -67,9 +69,11 @@ def test_stretches_that_disagree_more_than_the_colour_says_part_rivals_less():
     S = np.stack([np.ones(n), *rng.standard_normal((2, n)) + np.repeat(rng.standard_normal((2, 20)), 20, axis=1)])
     S = np.append(S, np.zeros((1, n)), axis=0).T[:, None, :]
     residual = np.repeat(rng.standard_normal(20), 20)[:, None]
-    folds, white = (slice(0, n),), Colour(np.zeros((1, 3)), np.ones(1))
+    folds, white = (slice(0, n),), Autocorrelation(np.zeros((1, 3)), np.ones(1))
     fit = Products.of(residual, S, folds).fit(np.arange(1), np.zeros(4), np.zeros(4))
-    projected = Projected(part(State, S=S, swell=np.ones((n, 1)), folds=folds), fit, [np.array([1]), np.array([2])])
+    projected = PartialledRegression(
+        part(SelectionState, S=S, noise_growth=np.ones((n, 1)), folds=folds), fit, [np.array([1]), np.array([2])]
+    )
     estimates = [np.zeros(1), np.ones(1)]
     alone, together = (projected.apart(residual, estimates, 0, white, s)[1] for s in (None, stretches))
     sums = np.add.reduceat(projected.P[:, 0, 1] * residual[:, 0], np.arange(0, n, 20)) / fit.variance[0]
@@ -93,10 +97,18 @@ def test_deviations_are_those_of_fits_without_each_stretch():
     known = np.array([1.0, 9.0])
     fit = Products.of(residual, S, folds).fit(np.arange(k + count), np.zeros(k + count), precision, known)
     fit = replace(fit, variance=known)
-    state = part(State, S=S, residual=residual, swell=np.ones((n, 2)), folds=folds, precision=precision, nuisance=count)
+    state = part(
+        SelectionState,
+        S=S,
+        residual=residual,
+        noise_growth=np.ones((n, 2)),
+        folds=folds,
+        precision=precision,
+        nuisance=count,
+    )
     object.__setattr__(state, "theta", np.zeros(k))
     object.__setattr__(state, "responses", SimpleNamespace(stretch=stretch))
-    columns, covariance = without_each_stretch(state, fit)
+    columns, covariance = block_jackknife_covariance(state, fit)
     assert list(columns) == [0, 1, 2]
 
     weight = np.tile(1.0 / np.sqrt(known), n)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayes_aero.diagnosis.candidate_set import field_of
+from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.effect import Stage
 from bayes_aero.model.joined_channels import join
 from bayes_aero.residuals.equation_error import EquationError
@@ -16,26 +16,26 @@ STEP = 1e-5  # of a parameter's usual deviation
 def problem(card, model):
     """EquationError of one flight, its field, and parameters near those flown but off neutral."""
     flights = join([simulate_stall(0, card=card)], card)
-    field = field_of(model, flights)
+    full = candidate_model(model, flights)
     rng = np.random.default_rng(12)
-    deviation = np.array([p.prior.normal[1] for p in field.model.free])
-    middle = np.array([TRUTH.get(name, field.neutral[name]) for name in field.model.names])
+    deviation = np.array([p.prior.normal[1] for p in full.model.free])
+    middle = np.array([TRUTH.get(name, full.neutral[name]) for name in full.model.names])
     theta = middle + 1e-3 * deviation * rng.uniform(0.5, 1.0, len(middle))
-    low, high = np.array([p.bounds for p in field.model.free]).T
-    return EquationError.of(flights, field.model), field, np.clip(theta, low, high), deviation
+    low, high = np.array([p.bounds for p in full.model.free]).T
+    return EquationError.of(flights, full.model), full, np.clip(theta, low, high), deviation
 
 
 def test_what_moves_the_measured_side_are_the_effects_on_record_and_aircraft(problem):
-    responses, field, _, _ = problem
-    acting = {p.name for e in field.model.effects if e.stage <= Stage.AIRCRAFT for p in e.parameters}
-    assert {field.model.names[i] for i in responses.measuring} == acting & set(field.model.names)
+    responses, full, _, _ = problem
+    acting = {p.name for e in full.model.effects if e.stage <= Stage.AIRCRAFT for p in e.parameters}
+    assert {full.model.names[i] for i in responses.measuring} == acting & set(full.model.names)
 
 
 def test_sensitivities_are_those_of_central_differences(problem):
-    responses, field, theta, deviation = problem
+    responses, full, theta, deviation = problem
     residual, S = responses.linearise(theta)
     np.testing.assert_allclose(residual, responses.evaluate(theta)[0], atol=1e-12)
-    for i, name in enumerate(field.model.names):
+    for i, name in enumerate(full.model.names):
         h = STEP * deviation[i]
         ahead, behind = (
             np.asarray(responses.evaluate(theta + s * h * (np.arange(len(theta)) == i))[0]) for s in (1, -1)

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from bayes_aero.diagnosis.candidate_set import Field, field_of
+from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model
 from bayes_aero.diagnosis.consistency.sensor_errors import SENSOR_KINDS
-from bayes_aero.diagnosis.screening.screening import poll
-from bayes_aero.diagnosis.screening.selection_state import State, linearised
+from bayes_aero.diagnosis.screening.screening import screen
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
 from bayes_aero.diagnosis.selection.forward_selection import explained
 from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.effect import Kind
@@ -80,10 +80,10 @@ def with_canard(flight: HiddenFlight, card, name: str = "", values: Mapping[str,
     return FlightRecord.from_arrays(record.name, np.asarray(record.time), channels, "simulated").window(BEGIN, END)
 
 
-def named(state: State) -> list[str]:
+def named(state: SelectionState) -> list[str]:
     """Of one screening: effects that explain enough, at a size worth a name; the most explaining first."""
     found = []
-    for one in poll(state, state.fit(), seed=0, replicates=0).standings:
+    for one in screen(state, state.fit(), seed=0, replicates=0).candidate_scores:
         sizes = CATALOGUE[one.effect].sizes.values()
         large = any(abs(step) >= least for step, (least, _) in zip(one.step, sizes, strict=False))
         if large and explained(state, one) >= DEFAULT.least_share:
@@ -96,45 +96,45 @@ class Case:
     """Flights, all effects in one model, and the card's estimates."""
 
     flights: Flights
-    field: Field
+    full: CandidateModel
     theta: np.ndarray
 
     @classmethod
     def of(cls, records: Sequence[FlightRecord], card, model) -> Case:
         flights, _ = despiked(join(records, card))
-        field = field_of(model, flights, EXTRA)
-        values = field.neutral
+        full = candidate_model(model, flights, EXTRA)
+        values = full.neutral
         fit = fit_mle(model, observe(records, card, model), seed=0, extra_starts=0)
         values |= {name: x for name, x in zip(fit.names, fit.estimate, strict=True) if name in values}
-        return cls(flights, field, np.array([values[name] for name in field.model.names]))
+        return cls(flights, full, np.array([values[name] for name in full.model.names]))
 
     def without(self, name: str) -> Case:
         """The same where the card lacks one of its effects, which is a candidate then."""
-        theta, own = self.theta.copy(), self.field.parameters_of(name)
-        theta[self.field.columns(own)] = [self.field.neutral[p] for p in own]
-        base = tuple(e for e in self.field.base if e != name)
-        candidates = (*self.field.candidates, CATALOGUE[name])
-        return replace(self, field=replace(self.field, base=base, candidates=candidates), theta=theta)
+        theta, own = self.theta.copy(), self.full.parameters_of(name)
+        theta[self.full.columns(own)] = [self.full.neutral[p] for p in own]
+        base = tuple(e for e in self.full.base if e != name)
+        candidates = (*self.full.candidates, CATALOGUE[name])
+        return replace(self, full=replace(self.full, base=base, candidates=candidates), theta=theta)
 
     def only(self, name: str = "") -> Case:
         """The same without the terms that stand in for others, but for that one."""
-        kept = tuple(e for e in self.field.candidates if e.name == name or e.name not in STAND_INS)
-        return replace(self, field=replace(self.field, candidates=kept))
+        kept = tuple(e for e in self.full.candidates if e.name == name or e.name not in STAND_INS)
+        return replace(self, full=replace(self.full, candidates=kept))
 
-    def screening(self, name: str) -> State:
+    def screening(self, name: str) -> SelectionState:
         """That of the flight path where the effect shows there, else that of the coefficients."""
         path = self.path() if CATALOGUE[name].kind in SENSOR_KINDS else None
         return path if path and name in {block[0] for block in path.blocks} else self.coefficients()
 
-    def path(self) -> State:
-        sensors = tuple(e for e in self.field.candidates if e.kind in SENSOR_KINDS)
-        field = replace(self.field, base=(), candidates=sensors)
-        responses = FlightPathError.of(self.flights, field.model)
-        return linearised(field, responses, responses.outputs, self.theta)
+    def path(self) -> SelectionState:
+        sensors = tuple(e for e in self.full.candidates if e.kind in SENSOR_KINDS)
+        full = replace(self.full, base=(), candidates=sensors)
+        responses = FlightPathError.of(self.flights, full.model)
+        return linearised(full, responses, responses.outputs, self.theta)
 
-    def coefficients(self) -> State:
-        responses = EquationError.of(self.flights, self.field.model)
-        return linearised(self.field, responses, NAMES, self.theta)
+    def coefficients(self) -> SelectionState:
+        responses = EquationError.of(self.flights, self.full.model)
+        return linearised(self.full, responses, NAMES, self.theta)
 
 
 def flown(effects: Mapping[str, Mapping[str, float]]) -> list[HiddenFlight]:
@@ -176,7 +176,7 @@ def test_what_the_card_lacks_leads(name, silent):
 
 def test_nothing_is_worth_a_name_where_nothing_is_hidden(silent):
     case = silent.only()
-    assert len(case.field.candidates) == len(CANDIDATES) - len(STAND_INS)
+    assert len(case.full.candidates) == len(CANDIDATES) - len(STAND_INS)
     assert named(case.path()) == named(case.coefficients()) == []
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from bayes_aero.diagnosis.trajectories.log_score import UnseenFlight
+from bayes_aero.diagnosis.trajectories.log_score import HoldoutScore
 from bayes_aero.diagnosis.trajectories.time_histories import Path
 from bayes_aero.report.figures.diagnosis import autocorrelation, spectrum
 
@@ -15,7 +15,7 @@ LENGTHS = (90, 91)  # the halves of a manoeuvre with an odd number of samples
 
 def test_halves_that_differ_by_a_sample():
     rng = np.random.default_rng(1)
-    missed, swell = [rng.standard_normal((n, 1)) for n in LENGTHS], [np.full((n, 1), 2.0) for n in LENGTHS]
+    missed, noise_growth = [rng.standard_normal((n, 1)) for n in LENGTHS], [np.full((n, 1), 2.0) for n in LENGTHS]
     paths = [
         Path("run", "extended", "unseen", True, {}, 0.1 * np.arange(len(x)), {"q": x[:, 0]}, {"q": np.zeros(len(x))})
         for x in missed
@@ -23,7 +23,7 @@ def test_halves_that_differ_by_a_sample():
     expected = np.concatenate(missed)[:, 0] / 2.0
     density = norm.logpdf(expected, scale=np.sqrt(np.mean(expected**2))) + 0.5 * np.log(2.0 * np.pi)
     for _ in range(20):  # the type checker looks at one element of a sequence, drawn at random
-        found = UnseenFlight.of(paths, ("q",), swell)
+        found = HoldoutScore.of(paths, ("q",), noise_growth)
     assert found.density() == pytest.approx(density)
 
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayes_aero.diagnosis.candidate_set import field_of, lag_of
-from bayes_aero.diagnosis.trajectories.holdout_fits import Contender, Noise, flown_unseen, left_out
-from bayes_aero.diagnosis.trajectories.lag_test import Lag, confirmed, with_lag
+from bayes_aero.diagnosis.candidate_set import candidate_model, lag_of
+from bayes_aero.diagnosis.trajectories.holdout_fits import CandidateFit, Noise, holdout_fits, left_out
+from bayes_aero.diagnosis.trajectories.lag_test import LagTest, confirmed, with_lag
 from bayes_aero.diagnosis.trajectories.time_histories import Path
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
@@ -28,14 +28,14 @@ def asked(card, hidden, seed):
     """The card's model fitted to two stalls, and what is said of a lag beside it."""
     flights = despiked(join(hidden_records(hidden, seed=seed, seconds=90.0), card, FLIGHT))[0]
     model = Model.from_card(card)
-    field = field_of(model, flights)
+    full = candidate_model(model, flights)
     dynamics = aircraft_dynamics(model, flights)
     short, whole = (segments(flights, dynamics, outputs=OUTPUTS, window=w) for w in (12.0, None))
     start = np.array([TRUTH[name] for name in dynamics.names])
     first = fit_cascade([short, whole], [start], prior_weight=30.0)
     noise = Noise.of(first)
     fit = fit_output_error(noise.on(whole), start=first.estimate, departure=first.departure, prior_weight=noise.cost)
-    plain, effect = Contender("extended", fit), lag_of(field)
+    plain, effect = CandidateFit("extended", fit), lag_of(full)
     wider = replace(model.extended(), fixed=())
     lagged, lag = with_lag(wider, effect, plain, noise, flights)
     if not lag.gains:
@@ -44,7 +44,7 @@ def asked(card, hidden, seed):
     fits: dict[str, list] = {"extended": [], "lagged": []}
     for name, found in left_out((plain, lagged), silent, noise):
         fits[name].append(found)
-    without, within = (flown_unseen(c, fits[c.name], {}) for c in (plain, lagged))
+    without, within = (holdout_fits(c, fits[c.name], {}) for c in (plain, lagged))
     return confirmed(lag, without, within, OUTPUTS, fit.flown.growth, noise.cost), lagged
 
 
@@ -72,12 +72,12 @@ def path(errors, name="a"):
 
 
 def test_the_gain_on_unseen_flight_is_that_of_normal_densities():
-    """Half the error gains n log 2 over the colour's cost; a swell that both share changes nothing of it."""
+    """Half the error gains n log 2 over the colour's cost; a noise_growth that both share changes nothing of it."""
     n, rng = 400, np.random.default_rng(2)
     one = np.ones((n, 1))
     noise = [{"alpha": rng.standard_normal(n)} for _ in range(2)]
     before, after = ([path({k: s * x for k, x in e.items()}) for e in noise] for s in (1.0, 0.5))
-    tried = Lag("separation_lag", 5.0)
+    tried = LagTest("separation_lag", 5.0)
     found = confirmed(tried, before, after, ("alpha",), [one] * 2, 10.0)
     assert found.kept
     assert found.unseen[0] == pytest.approx(2 * n * np.log(2.0) / 10.0)

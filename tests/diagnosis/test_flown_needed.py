@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from bayes_aero.diagnosis.selection.backward_elimination import backward_elimination
-from bayes_aero.diagnosis.trajectories.elimination import needed
-from bayes_aero.diagnosis.trajectories.holdout_fits import Contender, Noise, flown_unseen, left_out
-from bayes_aero.diagnosis.trajectories.log_score import UnseenFlight, gained_in_flight
+from bayes_aero.diagnosis.trajectories.elimination import eliminate
+from bayes_aero.diagnosis.trajectories.holdout_fits import CandidateFit, Noise, holdout_fits, left_out
+from bayes_aero.diagnosis.trajectories.log_score import HoldoutScore, holdout_gain
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import segments
@@ -37,7 +37,7 @@ def flown(card, hidden, added, seed):
     first = fit_cascade([short, whole], [start], prior_weight=30.0)
     noise = Noise.of(first)
     fit = fit_output_error(noise.on(whole), start=first.estimate, departure=first.departure, prior_weight=noise.cost)
-    contender = Contender("extended", fit)
+    contender = CandidateFit("extended", fit)
     return contender, fits_of(contender, noise), noise
 
 
@@ -59,7 +59,7 @@ def stalls(card):
 def test_what_was_flown_stays_and_what_was_put_in_is_taken_out(stalls):
     """The latter stays in a quarter of simulated flights (benchmarks/README.md); not in these."""
     hidden, absent, (contender, fits, noise) = stalls
-    found = needed(contender, fits, [CATALOGUE[TRUE], CATALOGUE[absent]], NOBODY, noise)
+    found = eliminate(contender, fits, [CATALOGUE[TRUE], CATALOGUE[absent]], NOBODY, noise)
     assert found.confirmation.kept == (TRUE,), (hidden, found.confirmation.missed)
     names = found.contender.fit.names
     values = dict(zip(names, found.contender.fit.estimate, strict=True))
@@ -75,12 +75,12 @@ def test_what_was_flown_stays_and_what_was_put_in_is_taken_out(stalls):
 @pytest.mark.recovery
 def test_what_is_told_to_first_order_is_what_refitting_finds(stalls):
     hidden, _, (contender, fits, noise) = stalls
-    told = needed(contender, fits, [CATALOGUE[TRUE]], NOBODY, noise).confirmation.missed[TRUE]
+    told = eliminate(contender, fits, [CATALOGUE[TRUE]], NOBODY, noise).confirmation.missed[TRUE]
     less = replace(contender, held={"thrust_arm": 0.0})
-    outputs, swell = contender.fit.flown.outputs, contender.fit.flown.growth
-    within = UnseenFlight.of(flown_unseen(contender, fits, {}), outputs, swell)
-    without = UnseenFlight.of(flown_unseen(less, fits_of(less, noise), {}), outputs, swell)
-    elpd, elpd_se = gained_in_flight(without, within, noise.cost)
+    outputs, noise_growth = contender.fit.flown.outputs, contender.fit.flown.growth
+    within = HoldoutScore.of(holdout_fits(contender, fits, {}), outputs, noise_growth)
+    without = HoldoutScore.of(holdout_fits(less, fits_of(less, noise), {}), outputs, noise_growth)
+    elpd, elpd_se = holdout_gain(without, within, noise.cost)
     assert told[0] == pytest.approx(elpd, rel=0.3), (SEED, hidden)
     assert told[1] == pytest.approx(elpd_se, rel=0.5), (SEED, hidden)
 
@@ -89,7 +89,7 @@ def test_what_is_told_to_first_order_is_what_refitting_finds(stalls):
 def test_a_cause_of_which_one_flight_alone_tells_is_not_asked(stalls):
     _, absent, (contender, fits, noise) = stalls
     (parameter,) = CATALOGUE[absent].parameters
-    found = needed(contender, fits, [CATALOGUE[absent]], {0: {parameter.name: 0.1}, 1: {}}, noise)
+    found = eliminate(contender, fits, [CATALOGUE[absent]], {0: {parameter.name: 0.1}, 1: {}}, noise)
     assert not found.confirmation.missed
     assert not found.gone
     assert found.fits is fits
@@ -103,14 +103,14 @@ class Independent:
     factor: float = 1.0
     refits: tuple = ()
 
-    def nearly(self, effects):
+    def first_order(self, effects):
         return self.factor * sum(self.worth[e] for e in effects)
 
     def refitted(self, effects):
         self.refits += (tuple(effects),)
         return sum(self.worth[e] for e in effects)
 
-    def gained(self, before, after):
+    def holdout_gain(self, before, after):
         return after - before, 1.0
 
 

@@ -8,7 +8,7 @@ from scipy import stats
 from scipy.signal import lfilter
 from test_mixing import part
 
-from bayes_aero.diagnosis.screening.selection_state import State
+from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection.cross_validation import LeftOut, compared, deviation_of_sum
 
 LENGTHS = (600, 400)
@@ -43,20 +43,22 @@ def test_a_comparison_by_manoeuvre_is_the_difference_of_plain_scores():
     m, second = 900, 350
     manoeuvre = np.repeat([0, 1], [m - second, second])
     measured = np.cumsum(rng.standard_normal((m, 3)), axis=0)
-    swell = 1.0 + rng.uniform(0.0, 3.0, (m, 1)) * np.ones(3)
-    before, after = (LeftOut(size * rng.standard_normal((m, 3)), swell, np.ones(m, bool)) for size in (2.0, 1.0))
-    temper = rng.uniform(1.0, 9.0)
-    state = part(State, responses=SimpleNamespace(manoeuvre=manoeuvre), temper=temper)
+    noise_growth = 1.0 + rng.uniform(0.0, 3.0, (m, 1)) * np.ones(3)
+    before, after = (LeftOut(size * rng.standard_normal((m, 3)), noise_growth, np.ones(m, bool)) for size in (2.0, 1.0))
+    variance_inflation = rng.uniform(1.0, 9.0)
+    state = part(SelectionState, responses=SimpleNamespace(manoeuvre=manoeuvre), variance_inflation=variance_inflation)
     density = []
     for left in (before, after):
-        deviation = np.sqrt(np.mean((left.residual / swell) ** 2, axis=0)) * swell
+        deviation = np.sqrt(np.mean((left.residual / noise_growth) ** 2, axis=0)) * noise_growth
         density.append(stats.norm.logpdf(left.residual, 0.0, deviation))
     for k in (0, 1):
         found, here = compared(before, after, state, measured, k), manoeuvre == k
         for c, name in enumerate(("CL", "CD", "Cm")):
             r2 = [r2_score(measured[here, c], (measured - left.residual)[here, c]) for left in (before, after)]
             assert found[name].r2 == pytest.approx(r2[1] - r2[0], rel=1e-9)
-            assert found[name].elpd == pytest.approx((density[1] - density[0])[here, c].sum() / temper, rel=1e-9)
+            assert found[name].elpd == pytest.approx(
+                (density[1] - density[0])[here, c].sum() / variance_inflation, rel=1e-9
+            )
             assert found[name].r2_sd > 0.0
             assert 0.0 < found[name].elpd_sd < found[name].elpd
 

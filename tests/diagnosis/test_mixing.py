@@ -5,11 +5,11 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from bayes_aero.diagnosis.candidate_set import Field
+from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.screening.accuracy import Size
-from bayes_aero.diagnosis.screening.partialled_regression import Projected
+from bayes_aero.diagnosis.screening.partialled_regression import PartialledRegression
 from bayes_aero.diagnosis.screening.regression import Fit
-from bayes_aero.diagnosis.screening.selection_state import State
+from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection.forward_selection import worth
 from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.effects import CATALOGUE
@@ -39,10 +39,10 @@ def projected():
     S = np.zeros((n, 3, 3))
     S[:, :, 0], S[:, 2, 1], S[:, 2, 2] = 1.0, residual[:, 0], wave
     residual -= residual.mean(axis=0)
-    state = part(State, S=S, swell=np.ones((n, 3)), folds=(slice(0, 1200), slice(1200, n)))
+    state = part(SelectionState, S=S, noise_growth=np.ones((n, 3)), folds=(slice(0, 1200), slice(1200, n)))
     variance = residual.var(axis=0)
     fit = Fit(np.array([0]), np.zeros(1), np.array([[n * np.sum(1.0 / variance)]]), variance, 0.0)
-    return Projected(state, fit, [np.array([1]), np.array([2])]), residual
+    return PartialledRegression(state, fit, [np.array([1]), np.array([2])]), residual
 
 
 def test_a_sum_of_outputs_gains_under_single_variances_and_nothing_under_a_whole_covariance(projected):
@@ -71,8 +71,8 @@ def test_a_size_that_may_as_well_be_none_is_no_cause(scores, named):
     score = np.random.default_rng(int(1e3 * scores[0])).uniform(*scores)
     least = CATALOGUE["cg_shift"].sizes["cg_shift"][0]
     size = 2.0 * least
-    field = part(Field, candidates=(CATALOGUE["cg_shift"],), model=Model.of(["cg_shift"]))
-    state = part(State, active=("cg_shift",), field=field)
+    full = part(CandidateModel, candidates=(CATALOGUE["cg_shift"],), model=Model.of(["cg_shift"]))
+    state = part(SelectionState, active=("cg_shift",), full=full)
     causes, minor = worth(state, {"cg_shift": Size(size, size / score, "m")})
     assert (causes, minor) == ((("cg_shift",), ()) if named else ((), ("cg_shift",)))
     assert scores[0] > DEFAULT.least_score or not named

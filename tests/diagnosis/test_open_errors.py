@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayes_aero.diagnosis.consistency.consistency import KnownErrors, consistency, errors_of_path
-from bayes_aero.diagnosis.consistency.sensor_errors import compatibility
+from bayes_aero.diagnosis.consistency.sensor_errors import screen_sensor_errors
 from bayes_aero.flight.agreement import Agreement, Consistency
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.consistency_json import consistency_results
@@ -43,7 +43,7 @@ def bare(card):
 
 
 def found_in(record: FlightRecord, card) -> tuple[KnownErrors, Consistency]:
-    known = errors_of_path(compatibility([record], card))
+    known = errors_of_path(screen_sensor_errors([record], card))
     return known, consistency([record], card, known=known)
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayes_aero.diagnosis.candidate_set import Field
+from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.predictors import Predictor, compare_states
 from bayes_aero.diagnosis.screening.selection_state import linearised
 from bayes_aero.diagnosis.selection import discrepancy
@@ -38,9 +38,9 @@ def _state(card, model, size: float, manoeuvres: int = 2):
     records = [_with_lift(simulate_stall(i, card=card), card, size) for i in range(manoeuvres)]
     effects = tuple(e for e in model.effects if e.name != "separation_lag")  # fixed at neutral by the card
     model = replace(model, effects=effects, parameters=tuple(p for e in effects for p in e.parameters), fixed=())
-    field = Field(model, tuple(e.name for e in model.effects), (), {})
+    full = CandidateModel(model, tuple(e.name for e in model.effects), (), {})
     start = fit_mle(model, observe(records, card, model), seed=0, extra_starts=0).estimate
-    return linearised(field, EquationError.of(join(records, card), model), NAMES, np.asarray(start))
+    return linearised(full, EquationError.of(join(records, card), model), NAMES, np.asarray(start))
 
 
 @pytest.fixture(scope="module")

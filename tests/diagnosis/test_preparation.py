@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from stranger_records import flown
 
-from bayes_aero.diagnosis.consistency.filter_mismatch import preparation_notes
+from bayes_aero.diagnosis.consistency.filter_mismatch import filter_mismatch_notes
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.inference.likelihood.mle import fit_mle
@@ -37,7 +37,7 @@ def test_filtered_alike_the_moment_is_that_of_the_truth(stranger):
 
 def test_the_note_names_what_moves(stranger):
     _, *given = stranger
-    (note,) = preparation_notes(*given)
+    (note,) = filter_mismatch_notes(*given)
     assert "Cmde would be" in note
     assert "CD0" not in note
 
@@ -45,7 +45,7 @@ def test_the_note_names_what_moves(stranger):
 def test_no_word_where_slow_stalls_were_flown(attas_paths, card, model):
     records = [read_record(path, card.channels) for path in attas_paths]
     published = fit_mle(model, observe(records, card, model, Forming.PUBLISHED))
-    assert preparation_notes(records, card, model, published) == ()
+    assert filter_mismatch_notes(records, card, model, published) == ()
 
 
 def test_identify_says_it_first(stranger):

@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from bayes_aero.diagnosis.screening.autocorrelation import Colour, Middle, colour_of, colours_of
+from bayes_aero.diagnosis.screening.autocorrelation import (
+    Autocorrelation,
+    Middle,
+    autocorrelation_of,
+    autocorrelations_of,
+)
 from bayes_aero.diagnosis.screening.regression import Products, inverse
 from bayes_aero.inference.variance.autoregression import ORDER, ROOT
 
@@ -61,10 +66,10 @@ def test_columns_filled_up_with_zeros_change_nothing(problem):
 
 
 def test_autoregression_is_found_again():
-    truth = Colour(np.array([[0.9, 0.0, 0.0], [0.5, 0.2, 0.1]]), np.array([1.0, 0.3]))
+    truth = Autocorrelation(np.array([[0.9, 0.0, 0.0], [0.5, 0.2, 0.1]]), np.array([1.0, 0.3]))
     folds = [slice(0, 4000), slice(4000, 8000)]
     noise = truth.simulate(1, folds, 8000, np.random.default_rng(1))[0]
-    found = colour_of(noise, folds)
+    found = autocorrelation_of(noise, folds)
     # Least squares has a standard error of about 1/sqrt(n) here.
     np.testing.assert_allclose(found.phi, truth.phi, atol=5 / np.sqrt(8000))
     np.testing.assert_allclose(found.sigma, truth.sigma, rtol=0.05)
@@ -73,7 +78,7 @@ def test_autoregression_is_found_again():
 def test_meat_is_the_sum_over_all_pairs_of_samples():
     rng = np.random.default_rng(2)
     m, phi, sigma = 300, 0.7, 0.4
-    colour = Colour(np.array([[phi, 0.0, 0.0]]), np.array([sigma]))
+    colour = Autocorrelation(np.array([[phi, 0.0, 0.0]]), np.array([sigma]))
     S, variance = rng.standard_normal((m, 1, 2)), np.array([0.5])
     lags = np.abs(np.subtract.outer(np.arange(m), np.arange(m)))
     covariance = sigma**2 / (1 - phi**2) * phi**lags
@@ -86,9 +91,11 @@ def test_meat_is_the_sum_over_all_pairs_of_samples():
 def test_records_fitted_together_are_fitted_each_by_itself():
     """Least squares on the lags by linear algebra; the root of what grows is drawn inside."""
     folds = [slice(0, 200), slice(210, 400)]
-    slow = Colour(np.array([[0.6, 0.2, -0.1]]), np.array([0.7])).simulate(2, folds, 400, np.random.default_rng(5))
+    slow = Autocorrelation(np.array([[0.6, 0.2, -0.1]]), np.array([0.7])).simulate(
+        2, folds, 400, np.random.default_rng(5)
+    )
     growing = (1.02 ** np.arange(400.0) + 0.01 * np.random.default_rng(6).standard_normal(400)).reshape(1, 400, 1)
-    found = colours_of(np.concatenate([slow, growing]), folds)
+    found = autocorrelations_of(np.concatenate([slow, growing]), folds)
     for record, one in zip(slow, found, strict=False):
         rows = np.concatenate([np.lib.stride_tricks.sliding_window_view(record[f, 0], ORDER + 1) for f in folds])
         expected = np.linalg.lstsq(rows[:, ORDER - 1 :: -1], rows[:, ORDER], rcond=None)[0]
@@ -100,7 +107,7 @@ def test_records_fitted_together_are_fitted_each_by_itself():
 
 def test_middles_are_the_blocks_of_the_whole(problem):
     _, S, _, folds = problem
-    colour = Colour(np.array([[0.8, 0.1, 0.0], [0.3, 0.0, 0.2], [0.95, 0.0, 0.0]]), np.array([0.1, 1.0, 0.01]))
+    colour = Autocorrelation(np.array([[0.8, 0.1, 0.0], [0.3, 0.0, 0.2], [0.95, 0.0, 0.0]]), np.array([0.1, 1.0, 0.01]))
     variance, places = np.array([0.02, 1.3, 0.001]), [np.array([0]), np.array([1, 3]), np.array([2, 3, 4])]
     diagonal, (first, second) = Middle(S, variance, folds, places).under(colour, [1, 2])
     whole = colour.meat(S, variance, folds)
@@ -110,7 +117,7 @@ def test_middles_are_the_blocks_of_the_whole(problem):
 
 
 def test_noise_does_not_reach_across_folds():
-    colour = Colour(np.full((1, ORDER), 0.3), np.ones(1))
+    colour = Autocorrelation(np.full((1, ORDER), 0.3), np.ones(1))
     noise = colour.simulate(4000, [slice(0, 5), slice(5, 10)], 10, np.random.default_rng(3))[:, :, 0]
     within, across = np.corrcoef(noise[:, 3], noise[:, 4])[0, 1], np.corrcoef(noise[:, 4], noise[:, 5])[0, 1]
     assert within > 0.3

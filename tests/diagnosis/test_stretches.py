@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayes_aero.diagnosis.consistency.sensor_errors import agreement, compatibility
+from bayes_aero.diagnosis.consistency.sensor_errors import check_sensors, screen_sensor_errors
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Verdict
 from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.selection_state import moved
 from bayes_aero.diagnosis.selection import stages as module
-from bayes_aero.diagnosis.selection.block_jackknife import Stretches
+from bayes_aero.diagnosis.selection.block_jackknife import Blocks
 from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.simulate.injection import draw_hidden, hidden_records
 
@@ -29,12 +29,12 @@ def test_stretches_measure_an_error_with_its_uncertainty(card):
     seed, name = int(rng.integers(1_000_000)), str(rng.choice(SENSORS))
     truth = draw_hidden(rng, name)
     records = hidden_records({name: truth}, seed=seed, noise="ar1", seconds=90.0)
-    found = compatibility(records, card, seed=seed)
+    found = screen_sensor_errors(records, card, seed=seed)
     assert name in found.causes, (seed, name, truth, found.causes)
-    judged = Stretches(found.state, found.fit)
+    judged = Blocks(found.state, found.fit)
     assert judged.freedom == 2 * round(90.0 / DEFAULT.block) - 1
     step, covariance = judged.judge(name)
-    estimate = found.state.theta[found.state.field.columns(list(truth))] + step
+    estimate = found.state.theta[found.state.full.columns(list(truth))] + step
     for (parameter, true), x, sd in zip(truth.items(), estimate, np.sqrt(np.diag(covariance)), strict=True):
         assert abs(x - true) < 5.0 * sd + 0.02 * abs(true), (seed, name, truth)
         assert found.sizes[parameter].sd >= 0.999 * sd
@@ -43,24 +43,24 @@ def test_stretches_measure_an_error_with_its_uncertainty(card):
 
 def test_what_is_not_there_is_not_borne_out(silent, card):
     """A wrong correction moves every stretch by what it is, and the stretches say by how much to take it back."""
-    found = compatibility(silent, card)
+    found = screen_sensor_errors(silent, card)
     state, name = found.state, "accel_z_bias"
     theta, wrong = state.theta.copy(), 0.2
-    theta[state.field.columns(["accel_z_bias"])] += wrong
+    theta[state.full.columns(["accel_z_bias"])] += wrong
     state = moved(state, theta, tuple(dict.fromkeys((*state.active, name))))  # chance may have it in, too small to tell
-    (step,), ((variance,),) = Stretches(state, state.fit()).judge(name)
-    left = wrong + state.fit().step[list(state.fit().columns).index(state.field.columns(["accel_z_bias"])[0])]
+    (step,), ((variance,),) = Blocks(state, state.fit()).judge(name)
+    left = wrong + state.fit().step[list(state.fit().columns).index(state.full.columns(["accel_z_bias"])[0])]
     assert abs(left) < 0.1 * wrong
     assert abs(step) < 5.0 * np.sqrt(variance) + 0.1 * wrong
 
 
 def test_disagreement_is_the_scatter_of_the_stretches_own_estimates(silent, card):
     """For an effect with equal information in every stretch: the standard error of the mean of estimates."""
-    found = compatibility(silent, card)
-    judged = Stretches(found.base, found.base_fit)
+    found = screen_sensor_errors(silent, card)
+    judged = Blocks(found.base, found.base_fit)
     name = "pitch_rate_bias"
     step, covariance = judged.judge(name)
-    column = found.base.field.columns([name])
+    column = found.base.full.columns([name])
     S = judged._centred(found.base.scaled[:, :, column])[:, :, 0] * np.sqrt(judged.weight)
     y = judged.left * np.sqrt(judged.weight)
     own = judged.number[judged.number >= 0]
@@ -79,11 +79,11 @@ def test_disagreement_is_the_scatter_of_the_stretches_own_estimates(silent, card
 def test_the_coefficients_deny_a_correction_that_harms_them(silent, card, monkeypatch):
     """An airspeed that is right is corrected by 2 m/s: lift over dynamic pressure tells."""
 
-    def wrong(field, responses, theta, **options):
-        found = agreement(field, responses, theta, **options)
+    def wrong(full, responses, theta, **options):
+        found = check_sensors(full, responses, theta, **options)
         state, name = found.state, "airspeed_bias"
         theta = state.theta.copy()
-        theta[state.field.columns(["airspeed_bias"])] = 2.0
+        theta[state.full.columns(["airspeed_bias"])] = 2.0
         state = moved(state, theta, tuple(dict.fromkeys((*state.active, name))))
         sizes = {**found.sizes, name: Size(2.0, 0.1, "m/s")}
         return replace(found, state=state, fit=state.fit(), sizes=sizes, causes=(name,))

@@ -9,7 +9,7 @@ import pytest
 
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.selection.search_trajectories import in_windows
-from bayes_aero.diagnosis.trajectories.trajectories import fly_both
+from bayes_aero.diagnosis.trajectories.trajectories import compare_trajectories
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.flight.record import FlightRecord
@@ -29,7 +29,7 @@ def flown(card):
     """A thrust line 0.6 m from where the card has it: found from coefficients, then flown."""
     records = hidden_records({"thrust_moment": {"thrust_arm": 0.6}}, seed=SEED, seconds=90.0)
     found = diagnose(records, card, gains_wanted=False)
-    return found, fly_both(despiked(join(records, card))[0], found, BANDS)
+    return found, compare_trajectories(despiked(join(records, card))[0], found, BANDS)
 
 
 @pytest.mark.recovery
@@ -71,7 +71,7 @@ def test_an_attitude_off_in_one_flight_is_fitted_and_leaves_the_arm_alone(flown,
     flights = despiked(join(records, card))[0]
     theta = flights.channels["theta"] + np.where(np.asarray(flights.manoeuvre) == 1, off, 0.0)
     flights = replace(flights, channels={**flights.channels, "theta": theta})
-    free = fly_both(flights, found, {}, biases={"theta": Prior("normal", 0.0, 0.01)})
+    free = compare_trajectories(flights, found, {}, biases={"theta": Prior("normal", 0.0, 0.01)})
     apart = free.extended.values["bias_theta_2"] - free.extended.values["bias_theta_1"]
     assert apart == pytest.approx(off, abs=0.002), SEED
     near = max(0.06, 4.0 * free.deviation["thrust_arm"])

@@ -8,8 +8,8 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from bayes_aero.diagnosis.trajectories.fit_agreement import disagreements
-from bayes_aero.diagnosis.trajectories.trajectory_fit import FlownFit
+from bayes_aero.diagnosis.trajectories.fit_agreement import fit_disagreements
+from bayes_aero.diagnosis.trajectories.trajectory_fit import TrajectoryFit
 from bayes_aero.inference.likelihood.mle import MleResult, MleStatus
 from bayes_aero.report.text.fly import disagreement_sentences
 
@@ -32,11 +32,11 @@ def fits(status=MleStatus.CONVERGED, converged=True, at_bound=(), held=()):
         at_bound=at_bound,
         held=held,
     )
-    return one, Mock(spec=FlownFit, fit=fit, converged=converged)
+    return one, Mock(spec=TrajectoryFit, fit=fit, converged=converged)
 
 
 def test_what_differs_beyond_both_intervals_is_told():
-    (found,) = disagreements(*fits())
+    (found,) = fit_disagreements(*fits())
     assert (found.name, found.coefficients, found.trajectories) == ("CLa", (4.34, 0.14), (3.37, 0.15))
     assert found.apart == pytest.approx(0.97 / np.hypot(0.14, 0.15))
     (said,) = disagreement_sentences([found])
@@ -49,5 +49,5 @@ def test_what_differs_beyond_both_intervals_is_told():
     [{"status": MleStatus.NOT_CONVERGED}, {"converged": False}, {"at_bound": ("CLa",)}, {"held": ("CLa",)}],
 )
 def test_what_cannot_be_compared_is_not(unusable):
-    assert disagreements(*fits(**unusable)) == ()
+    assert fit_disagreements(*fits(**unusable)) == ()
     assert disagreement_sentences(()) == []

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayes_aero.diagnosis.consistency.sensor_errors import compatibility
+from bayes_aero.diagnosis.consistency.sensor_errors import screen_sensor_errors
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
@@ -17,7 +17,7 @@ BOOM, LAG = 13.08, 0.15  # m, s: at 80 m/s x/V is .16 s, so that each is what th
 def test_a_boom_is_called_a_boom_and_a_lag_a_lag(card, name, true):
     """By kinematics alone: no aerodynamics enters, and each is the other's nearest rival."""
     records = hidden_records({name: {name: true}}, seed=620, noise="ar1", seconds=90.0)
-    found = compatibility(records, card)
+    found = screen_sensor_errors(records, card)
     assert found.causes == (name,)
     size = found.sizes[name]
     assert abs(size.mean - true) < 3.0 * size.sd

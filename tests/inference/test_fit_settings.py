@@ -13,7 +13,7 @@ import pytest
 from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, short_period_flight
 from scipy.linalg import expm
 
-from bayes_aero.diagnosis.candidate_set import field_of
+from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.linear import linear_dynamics
@@ -214,7 +214,7 @@ def test_defaults_of_derivatives_per_rate_follow_the_card_s_length(card, clean_r
     table = tomllib.loads(shipped_cards()["attas"].read_text())
     table["aircraft"]["rate_length"] = "1.5795 m"
     half = parse_card(table, "half", "half.toml")
-    usual, other = (field_of(Model.from_card(c), join(clean_records, c)).model.parameters for c in (card, half))
+    usual, other = (candidate_model(Model.from_card(c), join(clean_records, c)).model.parameters for c in (card, half))
     scaled = {"Cmq", "CLq", "CLadot", "Cmadot", "CmqX"}
     assert scaled <= {p.name for p in usual}
     for before, after in zip(usual, other, strict=True):

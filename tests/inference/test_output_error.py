@@ -26,7 +26,7 @@ from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.errors import InputError
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.normal_equations import DEPARTURE, Looks, Priors
+from bayes_aero.inference.likelihood.normal_equations import DEPARTURE, NormalEquations, Priors
 from bayes_aero.inference.likelihood.output_error import fit_cascade, fit_output_error, trajectories
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 from bayes_aero.model.joined_channels import join
@@ -104,7 +104,7 @@ def test_what_is_told_of_the_last_step_is_what_is_flown_there(short_period, late
     for found in (short_period[1], lateral):
         flown = trajectories(found.flown, jnp.asarray(found.estimate), jnp.asarray(found.departure)).residual
         inside = found.flown.inside
-        told = (found.columns[..., 0] * found.flown.swell)[inside]
+        told = (found.columns[..., 0] * found.flown.noise_growth)[inside]
         np.testing.assert_array_less(
             np.abs(told - np.asarray(flown)[inside]), 1e-3 * np.sqrt(found.R) + np.zeros_like(told)
         )
@@ -116,7 +116,7 @@ def test_a_step_of_the_initial_states_needs_no_look_where_the_system_is_linear()
     rng = np.random.default_rng(4132)
     theta = np.array([SHORT_PERIOD_TRUTH[p.name] for p in flown.dynamics.free])
     w, s = flown.index.shape[0], len(flown.dynamics.states)
-    look, steps = Looks(flown, Priors.of(flown, 1.0)), 0.02 * rng.standard_normal((2, w, s))
+    look, steps = NormalEquations(flown, Priors.of(flown, 1.0)), 0.02 * rng.standard_normal((2, w, s))
     here, there = look(theta, steps[0]), look(theta, steps[0] + steps[1])
     found = look.ahead(here, np.zeros(len(theta)), steps[1])
     assert abs(there.cost - here.cost) > 1.0

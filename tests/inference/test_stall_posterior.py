@@ -161,9 +161,9 @@ def test_density_is_that_of_the_multivariate_normal(thinned, model, colour):
         at = short.manoeuvre == m
         lag = np.abs(np.subtract.outer(np.arange(at.sum()), np.arange(at.sum())))
         for i, k in enumerate(("CL", "CD", "Cm")):
-            swell = 1 + values[f"buffet_{k}"] * (1 - X[at]) if colour is Colour.BUFFET_AR1 else np.ones(at.sum())
+            noise_growth = 1 + values[f"buffet_{k}"] * (1 - X[at]) if colour is Colour.BUFFET_AR1 else np.ones(at.sum())
             rho = 0.0 if colour is Colour.WHITE else values[f"rho_{k}"]
-            covariance = values[f"sigma_{k}"] ** 2 * rho**lag * np.outer(swell, swell)
+            covariance = values[f"sigma_{k}"] ** 2 * rho**lag * np.outer(noise_growth, noise_growth)
             expected += multivariate_normal(cov=covariance).logpdf(residual[at, i])
     assert float(density.log_likelihood(x)) == pytest.approx(expected, rel=1e-10)
 

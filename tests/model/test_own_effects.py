@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from out_of_catalogue import unknown
 
-from bayes_aero.diagnosis.candidate_set import field_of
+from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import read_card, shipped_cards
@@ -83,7 +83,7 @@ def test_a_file_that_is_not_there_is_said(tmp_path):
 def test_it_stands_for_election(tmp_path):
     card, records = read_card(own_card(tmp_path)), hidden_records({}, seed=0, manoeuvres=1, seconds=90.0)
     own = tuple(own_effects(card.effect_files).values())
-    field = field_of(Model.from_card(card), join(records, card), own)
+    field = candidate_model(Model.from_card(card), join(records, card), own)
     assert "bank_pitching" in {e.name for e in field.candidates}
     assert "CmB" in field.model.names
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayes_aero.dynamics.plant import Inputs, Plant, Prescribed
-from bayes_aero.dynamics.simulate import Pilot, State, fly
+from bayes_aero.dynamics.simulate import FlightState, Pilot, fly
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air
@@ -35,8 +35,8 @@ def pilot(n: int = N, **changes) -> Pilot:
     )._replace(**changes)
 
 
-def state(V, alpha, theta, q=0.0, h=3000.0, X=1.0) -> State:
-    return State(*(jnp.asarray(float(x)) for x in (V, alpha, theta, q, h, X)))
+def state(V, alpha, theta, q=0.0, h=3000.0, X=1.0) -> FlightState:
+    return FlightState(*(jnp.asarray(float(x)) for x in (V, alpha, theta, q, h, X)))
 
 
 def weave(n: int = N) -> tuple[np.ndarray, np.ndarray]:

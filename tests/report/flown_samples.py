@@ -11,7 +11,7 @@ from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, s
 
 from bayes_aero.diagnosis.selection.residuals import theil_parts
 from bayes_aero.diagnosis.trajectories.time_histories import Error, Path
-from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED, START, FlownFit
+from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED, START, TrajectoryFit
 from bayes_aero.jobs.fly import Flight, fly
 
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15}
@@ -37,7 +37,7 @@ def flight() -> Flight:
     return fly(records(), CARD)
 
 
-def with_offsets(flown: FlownFit, samples: Mapping[str, int], off: Mapping[str, float]) -> FlownFit:
+def with_offsets(flown: TrajectoryFit, samples: Mapping[str, int], off: Mapping[str, float]) -> TrajectoryFit:
     """Paths of alpha alone: the fit simulates what was measured and `off` rad by manoeuvre, the start twice that."""
     paths, band = [], float(np.deg2rad(2.0))
     for name, n in samples.items():

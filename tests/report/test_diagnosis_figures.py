@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from bayes_aero.diagnosis.result import Unknown, Verdict
+from bayes_aero.diagnosis.result import UnexplainedStructure, Verdict
 from bayes_aero.diagnosis.screening.accuracy import sizes
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.diagnosis_view import composition, with_stalls
@@ -121,16 +121,16 @@ def test_the_extension_explains_more(diagnosed):
 
 def test_candidates_are_ranked_once_each(diagnosed):
     for ranking in diagnosed.view.rankings:
-        names = [s.effect for s in ranking.standings]
+        names = [s.effect for s in ranking.candidate_scores]
         assert len(names) == len(set(names))
-        scores = [s.score for s in ranking.standings]
+        scores = [s.score for s in ranking.candidate_scores]
         assert scores == sorted(scores, reverse=True)
 
 
 def test_tables_hold_every_cause_and_candidate(diagnosed):
     view = diagnosed.view
     assert set(causes_frame(view)["cause"]) == {c.name for c in view.diagnosis.causes}
-    assert len(screen_frame(view)) == sum(len(r.standings) for r in view.rankings)
+    assert len(screen_frame(view)) == sum(len(r.candidate_scores) for r in view.rankings)
     table = cause_table(view)
     assert table is not None
     assert table.row_count == len(view.diagnosis.causes)
@@ -147,7 +147,7 @@ def test_without_a_cause_the_closest_candidates_are_told(nothing):
 def test_words_name_cause_rivals_and_what_is_unexplained(diagnosed):
     view = diagnosed.view
     cause = replace(view.diagnosis.causes[0], ambiguous_with=("mass_scale",), excited=False)
-    unknown = (Unknown("Cm", "phi", 0.25, 0.01),)
+    unknown = (UnexplainedStructure("Cm", "phi", 0.25, 0.01),)
     d = replace(
         view.diagnosis,
         verdict=Verdict.PARTLY_EXPLAINED,
@@ -168,9 +168,9 @@ def test_a_size_on_its_bound_is_no_measurement(diagnosed):
     view = diagnosed.view
     cause, extension, name = view.diagnosis.causes[0], view.diagnosis.aerodynamics, "e"
     state = extension.state
-    column = int(state.field.columns([name])[0])
+    column = int(state.full.columns([name])[0])
     theta = state.theta.copy()
-    theta[column] = state.field.model.free[column].bounds[1] - 1e-9
+    theta[column] = state.full.model.free[column].bounds[1] - 1e-9
     found = sizes(replace(state, theta=theta), extension.fit)
     assert [n for n, size in found.items() if size.at_bound] == [name]
     assert not any(size.at_bound for size in extension.sizes.values())

@@ -8,7 +8,7 @@ from browsing import LABELS, can_be_read_by_everyone, fits_a_phone, has_a_unit_o
 
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.jobs.catalogue.catalogue_page import write_effects
-from bayes_aero.jobs.catalogue.known_effects import described, known_effects
+from bayes_aero.jobs.catalogue.known_effects import effect_facts, known_effects
 from bayes_aero.jobs.provenance.provenance import provenance
 from bayes_aero.report.html.page import write_page
 from bayes_aero.report.pages.card import Rest, StarterView, Taken, card_page
@@ -19,7 +19,7 @@ pytestmark = needed
 @pytest.fixture(scope="module")
 def catalogue(tmp_path_factory):
     card = read_card("attas")
-    found = [described(effect, card) for effect in known_effects(card).values()]
+    found = [effect_facts(effect, card) for effect in known_effects(card).values()]
     out = tmp_path_factory.mktemp("catalogue")
     assert write_effects(found, "effects", card, out) == ()
     return out / "report.html"

@@ -18,7 +18,7 @@ from bayes_aero.inference.scores import Scores
 from bayes_aero.model.noise import Colour
 from bayes_aero.report.pages.tables.diagnosis import by_manoeuvre
 from bayes_aero.report.tables.comparison import ORDER, ordered, scatter
-from bayes_aero.report.tables.holdout_scores import Unseen
+from bayes_aero.report.tables.holdout_scores import HoldoutScores
 from bayes_aero.report.tables.run_tables import (
     concise,
     paper_table,
@@ -40,7 +40,7 @@ def test_manoeuvres_are_compared_one_by_one_and_a_loss_beyond_chance_is_said(los
     gains["b", "CD"] = Compared(loses, 1.0, -0.012, 0.015)
     scores = {c: Scores(0.9, 0.1, 0.1, 0.8) for c in ("CL", "CD", "Cm")}
     left = {model: SimpleNamespace(residual=None) for model in ("card", "extended")}
-    unseen = object.__new__(Unseen)
+    unseen = object.__new__(HoldoutScores)
     extended = SimpleNamespace(state=SimpleNamespace(settings=DEFAULT))
     view = SimpleNamespace(names=("a", "b"), extended=extended)
     unseen.__dict__.update(view=view, gains=gains, left=left, scores=lambda *_: scores)

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
-from bayes_aero.diagnosis.trajectories.lag_test import Lag
+from bayes_aero.diagnosis.trajectories.lag_test import LagTest
 from bayes_aero.report.text.trajectories import cause_sentences, lag_sentences, simulation_gain
 
 
@@ -24,7 +24,7 @@ def test_without_unseen_flights_or_without_a_gain_nothing_is_said(simulated):
 
 
 def test_a_lag_is_told_with_its_size_and_what_it_stands_in_for(simulated):
-    lag = Lag("separation_lag", 25.4, True, (62.1, 15.5), ("tau2",))
+    lag = LagTest("separation_lag", 25.4, True, (62.1, 15.5), ("tau2",))
     after = replace(simulated.extended, values={"tau1": 13.31}, units={"tau1": "c/V"})
     lagged = replace(simulated, extended=after, deviation={"tau1": 1.57}, lag=lag)
     (said,) = lag_sentences(lagged)
@@ -34,13 +34,13 @@ def test_a_lag_is_told_with_its_size_and_what_it_stands_in_for(simulated):
 
 
 def test_a_lag_that_is_not_wanted_says_why(simulated):
-    asked = replace(simulated, lag=Lag("separation_lag", 4.2, False, (-1.0, 2.0)))
+    asked = replace(simulated, lag=LagTest("separation_lag", 4.2, False, (-1.0, 2.0)))
     assert "do not support it (fit +4.2 nats, hold-out -1 ± 2 nats)" in lag_sentences(asked)[0]
-    weak = replace(simulated, lag=Lag("separation_lag", 1.2, False))
+    weak = replace(simulated, lag=LagTest("separation_lag", 1.2, False))
     assert "do not support it (fit +1.2 nats)" in lag_sentences(weak)[0]
-    slight = replace(simulated, lag=Lag("separation_lag", 5.4, slight=True))
+    slight = replace(simulated, lag=LagTest("separation_lag", 5.4, slight=True))
     assert "give a size that is too small to be named (fit +5.4 nats)" in lag_sentences(slight)[0]
-    lost = replace(simulated, lag=Lag("separation_lag", float("-inf"), False))
+    lost = replace(simulated, lag=LagTest("separation_lag", float("-inf"), False))
     assert "its fit did not converge" in lag_sentences(lost)[0]
     assert lag_sentences(simulated) == []
 
@@ -57,7 +57,7 @@ def test_causes_that_flight_does_not_miss_are_told_and_the_weakest_of_the_others
         "thrust_lift, by 91 ± 21 nats)."
     )
     assert "the extended model (without thrust_scale) changes the RMS error" in simulation_gain(asked)
-    lagged = replace(asked, lag=Lag("separation_lag", 25.4, True, (62.1, 15.5)))
+    lagged = replace(asked, lag=LagTest("separation_lag", 25.4, True, (62.1, 15.5)))
     both_told = "the extended model (with separation_lag and without thrust_scale) changes the RMS error"
     assert both_told in simulation_gain(lagged)
     both = replace(simulated, asked=Confirmation((), {"a": (1.0, 1.0), "b": (0.0, 2.0)}))

@@ -6,7 +6,7 @@ from threading import Event, get_ident
 
 import pytest
 
-from bayes_aero.jobs.steps.background import beside
+from bayes_aero.jobs.steps.background import in_background
 
 LONG = 20.0  # s: a test that waits so long has failed
 
@@ -20,7 +20,7 @@ def test_both_run_at_once():
         assert here.wait(LONG)
         return get_ident()
 
-    with beside(job) as running:
+    with in_background(job) as running:
         assert there.wait(LONG)
         here.set()
         assert running.result() != get_ident()
@@ -35,7 +35,7 @@ def test_it_is_shown_where_it_is_only_while_it_is_waited_for():
         while not shown:
             tell("waited for", 0.9)
 
-    with beside(job, lambda *row: shown.append(row)) as running:
+    with in_background(job, lambda *row: shown.append(row)) as running:
         assert told.wait(LONG)
         assert shown == []
         running.result()
@@ -54,7 +54,7 @@ def test_a_block_that_fails_ends_it():
             ends.append("stopped")
 
     def interrupted():
-        with beside(job):
+        with in_background(job):
             assert begun.wait(LONG)
             raise KeyboardInterrupt
 
@@ -67,5 +67,5 @@ def test_its_failure_is_that_of_who_waits():
     def job(_):
         raise ValueError("no such luck")
 
-    with pytest.raises(ValueError, match="no such luck"), beside(job) as running:
+    with pytest.raises(ValueError, match="no such luck"), in_background(job) as running:
         running.result()

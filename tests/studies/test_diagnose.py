@@ -145,7 +145,7 @@ def left(repeated, card, tmp_path, monkeypatch):
 
     monkeypatch.setattr(follow, "separations", separated)
     with monkeypatch.context() as patch:
-        patch.setattr(kept.Kept, "put_page", interrupted)
+        patch.setattr(kept.ResultStore, "put_page", interrupted)
         with pytest.raises(KeyboardInterrupt):
             run(repeated.records, card, out=tmp_path, figures=False, predict=told, fly=halved(repeated))
     return repeated, tmp_path

@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 from simulated_halves import halves
 
-from bayes_aero.diagnosis.trajectories.lag_test import Lag
+from bayes_aero.diagnosis.trajectories.lag_test import LagTest
 from bayes_aero.inference.scores import score
 from bayes_aero.jobs.io import time_histories as histories
 from bayes_aero.jobs.io.trajectories_json import _lag, _lag_of
@@ -107,5 +107,8 @@ def test_a_file_of_another_kind_is_refused(tmp_path):
 
 def test_a_lag_that_was_told_is_read_back_whole():
     """What an interrupted diagnosis takes up again says of it what was said."""
-    for lag in (Lag("separation_lag", 5.4, slight=True), Lag("separation_lag", 25.4, True, (62.1, 15.5), ("tau2",))):
+    for lag in (
+        LagTest("separation_lag", 5.4, slight=True),
+        LagTest("separation_lag", 25.4, True, (62.1, 15.5), ("tau2",)),
+    ):
         assert repr(_lag_of(_lag(lag))) == repr(lag)  # as text, for nan is not nan

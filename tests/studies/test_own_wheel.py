@@ -44,7 +44,7 @@ def test_a_folder_restores_the_package(tmp_path):
 
 
 def test_equal_source_makes_an_equal_wheel():
-    assert made.own_wheel() == made.own_wheel()
+    assert made.package_wheel() == made.package_wheel()
 
 
 def test_a_package_that_is_not_installed_is_named_only(tmp_path, monkeypatch):

@@ -12,8 +12,8 @@ from bayes_aero.diagnosis.consistency.flight_path_check import path_check
 from bayes_aero.diagnosis.consistency.sensor_errors import (
     SENSOR_KINDS,
     as_the_card_states,
-    compatibility,
     no_flight_path,
+    screen_sensor_errors,
     with_corrections,
 )
 from bayes_aero.diagnosis.result import Diagnosis
@@ -62,7 +62,7 @@ def consistency(
         if found.agreement is Agreement.AGREE or not seek:
             return found
         try:
-            known = errors_of_path(compatibility(list(records), card, seed=seed))
+            known = errors_of_path(screen_sensor_errors(list(records), card, seed=seed))
         except InputError as reason:
             return replace(found, unsought=str(reason))
     found = replace(found, errors=known.errors, open=known.open)
@@ -78,7 +78,7 @@ def errors_of_path(known: Extension) -> KnownErrors:
 
     One at a parameter bound, or larger than sensors have, explains nothing: another cause is behind it.
     """
-    named, neutral = {e.name: e for e in known.state.field.candidates}, known.state.field.neutral
+    named, neutral = {e.name: e for e in known.state.full.candidates}, known.state.full.neutral
     found = [
         named[name]
         for name in (*known.causes, *known.minor)
@@ -91,7 +91,7 @@ def errors_of_path(known: Extension) -> KnownErrors:
 
 def errors_of_diagnosis(found: Diagnosis) -> KnownErrors:
     """Errors of the record that a diagnosis has confirmed, by the flight path or by the coefficients."""
-    named = {e.name: e for e in found.aerodynamics.state.field.model.effects}
+    named = {e.name: e for e in found.aerodynamics.state.full.model.effects}
     causes = {c.name: c for c in found.causes if c.sure and named[c.name].kind in SENSOR_KINDS}
     return KnownErrors(
         tuple(named[name] for name in causes),

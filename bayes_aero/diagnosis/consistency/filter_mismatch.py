@@ -21,7 +21,7 @@ BEYOND = 2.0  # corrected deviations, from which a move is worth a word
 SHOWN = 4
 
 
-def preparation_notes(records: Sequence[FlightRecord], card: Card, model: Model, mle: MleResult) -> tuple[str, ...]:
+def filter_mismatch_notes(records: Sequence[FlightRecord], card: Card, model: Model, mle: MleResult) -> tuple[str, ...]:
     """A sentence where estimates move by more than their intervals allow for; none where they do not.
 
     `mle` is the fit to coefficients formed as published. No sentence either where that fit, or the one with all signals

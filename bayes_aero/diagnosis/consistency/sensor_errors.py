@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.candidate_set import Field, field_of
+from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model
 from bayes_aero.diagnosis.screening.selection_state import linearised
-from bayes_aero.diagnosis.selection.block_jackknife import borne_out
-from bayes_aero.diagnosis.selection.forward_selection import Extension, extend
+from bayes_aero.diagnosis.selection.block_jackknife import consistent_across_blocks
+from bayes_aero.diagnosis.selection.forward_selection import Extension, forward_selection
 from bayes_aero.effect import Kind, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
@@ -28,8 +28,8 @@ SENSOR_KINDS = (Kind.MEASUREMENT, Kind.ENVIRONMENT)
 SHORTEST = 4.0  # s of a record that can be checked
 
 
-def agreement(
-    field: Field,
+def check_sensors(
+    full: CandidateModel,
     responses: FlightPathError,
     theta: Float[np.ndarray, " k"],
     *,
@@ -41,13 +41,13 @@ def agreement(
 
     Nothing else is in but where integrals begin.
     """
-    candidates = tuple(e for e in field.candidates if e.kind in SENSOR_KINDS and e.name not in known)
-    own = replace(field, base=tuple(known), candidates=candidates, priors=priors or {})
+    candidates = tuple(e for e in full.candidates if e.kind in SENSOR_KINDS and e.name not in known)
+    own = replace(full, base=tuple(known), candidates=candidates, priors=priors or {})
     state = linearised(own, responses, responses.outputs, theta)
-    return borne_out(extend(state, seed=seed))
+    return consistent_across_blocks(forward_selection(state, seed=seed))
 
 
-def compatibility(records: list[FlightRecord], card: Card, *, seed: int = 0) -> Extension:
+def screen_sensor_errors(records: list[FlightRecord], card: Card, *, seed: int = 0) -> Extension:
     """Sensor errors and winds that the flight path asks for, as the first stage of a diagnosis finds them.
 
     Raises `InputError` where there is no flight path (see `no_flight_path`) or a single manoeuvre is too short.
@@ -55,12 +55,12 @@ def compatibility(records: list[FlightRecord], card: Card, *, seed: int = 0) -> 
     if why := no_flight_path(records, card):
         raise InputError(why)
     flights, _ = repaired(as_the_card_states(joined(records, card, PATH_CORE), card))
-    whole = field_of(Model((), ()), flights, tuple(own_effects(card.effect_files).values()))
+    whole = candidate_model(Model((), ()), flights, tuple(own_effects(card.effect_files).values()))
     sensors = tuple(e for e in whole.candidates if e.kind in SENSOR_KINDS)
     model = Model(sensors, tuple(p for e in sensors for p in e.parameters))
-    field = Field(model, (), sensors, {})
-    theta = np.array([field.neutral[name] for name in model.names])
-    return agreement(field, FlightPathError.of(flights, model), theta, seed=seed)
+    full = CandidateModel(model, (), sensors, {})
+    theta = np.array([full.neutral[name] for name in model.names])
+    return check_sensors(full, FlightPathError.of(flights, model), theta, seed=seed)
 
 
 def no_flight_path(records: Sequence[FlightRecord], card: Card) -> str:

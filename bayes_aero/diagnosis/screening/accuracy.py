@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.screening.autocorrelation import colour_of
+from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.regression import Fit
 from bayes_aero.diagnosis.screening.screening import uncertainty
-from bayes_aero.diagnosis.screening.selection_state import State, local_fit
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, local_fit
 from bayes_aero.flight.health.signals import noise_of
 from bayes_aero.model.joined_records import Recorded
 
@@ -69,7 +69,9 @@ def _parts(flights: Recorded, name: str) -> list[Float[np.ndarray, " _"]]:
     return np.split(np.asarray(flights.channels[name]), np.cumsum(flights.lengths)[:-1])
 
 
-def noise_effect(state: State, fit: Fit, seed: int = 0) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+def noise_effect(
+    state: SelectionState, fit: Fit, seed: int = 0
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """What recording noise does to the estimate of each of the fit's columns: its bias, and its standard deviation.
 
     `state` is at its optimum. Each record with noise takes one Gauss-Newton step from there. Columns that are no
@@ -99,18 +101,18 @@ def noise_effect(state: State, fit: Fit, seed: int = 0) -> tuple[Float[np.ndarra
     return bias, spread
 
 
-def sizes(state: State, fit: Fit) -> dict[str, Size]:
+def sizes(state: SelectionState, fit: Fit) -> dict[str, Size]:
     """Every active parameter with its deviation: what coloured residuals leave, what recording noise makes of it.
 
     Recording noise that is integrated along the flight path wanders, and the fit follows it, so the residuals may show
     less of it than there is: the larger of both deviations counts. The mean is the estimate without its bias, which
     is itself known to first order only: it counts as a deviation, too.
     """
-    colour = colour_of(state.left(fit), state.folds)
+    colour = autocorrelation_of(state.left(fit), state.folds)
     variance = np.maximum(np.diag(uncertainty(state, fit, colour)), 0.0)
     bias, spread = noise_effect(state, fit)
     deviation = np.sqrt(np.maximum(variance, spread**2) + bias**2)
-    free = state.field.model.free
+    free = state.full.model.free
     return {
         free[c].name: Size(
             float(np.clip(state.theta[c] - shift, *free[c].bounds)),

@@ -15,7 +15,7 @@ RUN_IN = 400  # blocks simulated and thrown away before a noise record begins
 
 
 @dataclass(frozen=True)
-class Colour:
+class Autocorrelation:
     """r[t] = sum phi_i r[t-i] + e[t], per output; `sigma` (c,) is the deviation of e, `phi` (c, ORDER)."""
 
     phi: Float[np.ndarray, "c p"]
@@ -47,7 +47,7 @@ class Colour:
 
 
 class Middle:
-    """`Colour.meat` of many sets of columns, each by itself, made ready once for many colours.
+    """`Autocorrelation.meat` of many sets of columns, each by itself, made ready once for many colours.
 
     The columns of each fold and output, divided by the output's variance, the last block first, stand side by side;
     shorter folds rest before they begin.
@@ -71,13 +71,13 @@ class Middle:
         self.output = np.repeat([c for _, c in pieces], [len(used) for used in self.used])
         self.begin = np.cumsum([0, *(len(used) for used in self.used)])
 
-    def under(self, colour: Colour, wide: Sequence[int]) -> tuple[Float[np.ndarray, " k"], list[np.ndarray]]:
+    def under(self, colour: Autocorrelation, wide: Sequence[int]) -> tuple[Float[np.ndarray, " k"], list[np.ndarray]]:
         """The diagonal over all columns, and the whole of the sets numbered `wide`."""
         diagonal, whole = self.under_each([colour], wide)
         return diagonal[0], [total[0] for total in whole]
 
     def under_each(
-        self, colours: Sequence[Colour], wide: Sequence[int]
+        self, colours: Sequence[Autocorrelation], wide: Sequence[int]
     ) -> tuple[Float[np.ndarray, "r k"], list[np.ndarray]]:
         """`under` of r colours: (r, k), and (r, w, w) of each set."""
         diagonal = np.zeros((len(colours), self.width))
@@ -98,29 +98,29 @@ class Middle:
                 total[:, 0] = diagonal[:, self.places[j]]
         return diagonal, whole
 
-    def _shaped(self, colours: Sequence[Colour]) -> Float[np.ndarray, "t r n"]:
+    def _shaped(self, colours: Sequence[Autocorrelation]) -> Float[np.ndarray, "t r n"]:
         """The columns as the autoregression of each colour filters them."""
         phi = np.stack([colour.phi[self.output].T for colour in colours], axis=1)
         sigma = np.stack([colour.sigma[self.output] for colour in colours])
         return driven(phi, sigma * self.rows[:, None, :])
 
 
-def colour_of(residual: Float[np.ndarray, "m c"], folds: Sequence[slice]) -> Colour:
+def autocorrelation_of(residual: Float[np.ndarray, "m c"], folds: Sequence[slice]) -> Autocorrelation:
     """Least-squares autoregression of each output's residual within folds, its roots kept inside `ROOT`."""
-    return colours_of(residual[None], folds)[0]
+    return autocorrelations_of(residual[None], folds)[0]
 
 
-def colours_of(residuals: Float[np.ndarray, "r m c"], folds: Sequence[slice]) -> list[Colour]:
-    """`colour_of` of r records at once."""
+def autocorrelations_of(residuals: Float[np.ndarray, "r m c"], folds: Sequence[slice]) -> list[Autocorrelation]:
+    """`autocorrelation_of` of r records at once."""
     each = [
         autoregression([np.ascontiguousarray(residuals[:, fold, c]) for fold in folds])
         for c in range(residuals.shape[2])
     ]
     phi, sigma = (np.stack(parts, axis=1) for parts in zip(*each, strict=True))
-    return [Colour(p, s) for p, s in zip(phi, sigma, strict=True)]
+    return [Autocorrelation(p, s) for p, s in zip(phi, sigma, strict=True)]
 
 
-def unbiased(colour: Colour, again: Sequence[Colour]) -> Colour:
+def unbiased(colour: Autocorrelation, again: Sequence[Autocorrelation]) -> Autocorrelation:
     """The colour corrected for what re-estimation on simulated noise does to it (Kilian 1998): slow noise looks faster.
 
     Coefficients are shifted by their mean bias, their roots drawn inside `ROOT`; sigma is divided by its mean ratio.
@@ -128,4 +128,4 @@ def unbiased(colour: Colour, again: Sequence[Colour]) -> Colour:
     shift = colour.phi - np.mean([c.phi for c in again], axis=0)
     phi = stationary(colour.phi + shift)
     ratio = np.mean([c.sigma for c in again], axis=0) / colour.sigma
-    return Colour(phi, colour.sigma / ratio)
+    return Autocorrelation(phi, colour.sigma / ratio)

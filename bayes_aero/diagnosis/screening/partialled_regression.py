@@ -9,15 +9,15 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import chdtrc, ndtri, stdtr
 
-from bayes_aero.diagnosis.screening.autocorrelation import Colour, Middle
+from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, Middle
 from bayes_aero.diagnosis.screening.regression import TINY, Fit, inverse
-from bayes_aero.diagnosis.screening.selection_state import State
+from bayes_aero.diagnosis.screening.selection_state import SelectionState
 
 
-class Projected:
+class PartialledRegression:
     """Candidate columns with the active ones projected out, under the variances of the present fit."""
 
-    def __init__(self, state: State, fit: Fit, blocks: Sequence[np.ndarray]) -> None:
+    def __init__(self, state: SelectionState, fit: Fit, blocks: Sequence[np.ndarray]) -> None:
         self.wanted = np.unique(np.concatenate(blocks))
         self.place = [np.searchsorted(self.wanted, block) for block in blocks]
         S, base, weight = state.scaled, fit.columns, 1.0 / fit.variance
@@ -35,7 +35,9 @@ class Projected:
         """Right sides of the normal equations of any number of records."""
         return np.tensordot(residual * self.weight, self.P, 2)
 
-    def scores(self, residual: Float[np.ndarray, "m c"], colour: Colour) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    def scores(
+        self, residual: Float[np.ndarray, "m c"], colour: Autocorrelation
+    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """First-order estimate and its covariance for each block."""
         right = self.right(residual)
         _, whole = self.middle.under(colour, range(len(self.place)))
@@ -54,7 +56,9 @@ class Projected:
         left = left[self.inside]
         return float(len(left) * np.linalg.slogdet(left.T @ left / len(left))[1])
 
-    def largest(self, noises: Float[np.ndarray, "r m c"], colours: Sequence[Colour]) -> Float[np.ndarray, " r"]:
+    def largest(
+        self, noises: Float[np.ndarray, "r m c"], colours: Sequence[Autocorrelation]
+    ) -> Float[np.ndarray, " r"]:
         """The largest score that any block reaches in each of r records."""
         alone = np.array([place[0] for place in self.place if len(place) == 1], int)
         wide = [j for j, place in enumerate(self.place) if len(place) > 1]
@@ -88,7 +92,7 @@ class Projected:
         residual: Float[np.ndarray, "m c"],
         estimates: Sequence[np.ndarray],
         own: int,
-        colour: Colour,
+        colour: Autocorrelation,
         stretch: Int[np.ndarray, " m"] | None,
     ) -> Float[np.ndarray, " j"]:
         """Inflation of the variance along the difference of what each block and block `own` explain (1 for `own`).

@@ -12,28 +12,34 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.screening.autocorrelation import Colour, Middle, colour_of, colours_of, unbiased
-from bayes_aero.diagnosis.screening.partialled_regression import Projected, equivalent
+from bayes_aero.diagnosis.screening.autocorrelation import (
+    Autocorrelation,
+    Middle,
+    autocorrelation_of,
+    autocorrelations_of,
+    unbiased,
+)
+from bayes_aero.diagnosis.screening.partialled_regression import PartialledRegression, equivalent
 from bayes_aero.diagnosis.screening.screening import (
-    Standing,
+    CandidateScore,
     columns_of,
     log_bayes,
     without_active,
 )
-from bayes_aero.diagnosis.screening.selection_state import State
+from bayes_aero.diagnosis.screening.selection_state import SelectionState
 
 
-class SecondLook:
+class RefitScore:
     """One candidate's score, log Bayes factor and p-value under its own colour."""
 
-    def __init__(self, state: State, standing: Standing, *, seed: int) -> None:
+    def __init__(self, state: SelectionState, standing: CandidateScore, *, seed: int) -> None:
         wider = state.products.fit(columns_of(state, standing), state.mean, state.precision)
         self.state = state
         self.fit = state.products.fit(state.columns(), state.mean, state.precision, held=wider.variance)
         blocks = [b[1] for b in state.blocks if b[0] not in state.active]
-        self.projected = Projected(state, self.fit, blocks)
+        self.projected = PartialledRegression(state, self.fit, blocks)
         self.rng = np.random.default_rng(seed)
-        found = colour_of(state.left(wider), state.folds)
+        found = autocorrelation_of(state.left(wider), state.folds)
         drawn = found.simulate(state.settings.correction_replicates, state.folds, len(state.residual), self.rng)
         noises = without_active(state, self.fit, drawn)
         self.colour = unbiased(found, self._left(noises, self._leaders(noises)))
@@ -41,7 +47,7 @@ class SecondLook:
         (estimate,), (covariance,) = self._judged(own, state.left(self.fit)[None], [self.colour])
         self.score = equivalent(estimate, covariance)
         at = np.array(standing.columns, int)
-        self.log_bayes = log_bayes(estimate, covariance, state.mean[at], state.precision[at] / state.temper)
+        self.log_bayes = log_bayes(estimate, covariance, state.mean[at], state.precision[at] / state.variance_inflation)
 
     def p_value(self) -> float:
         """Share of noise-only replicates whose most explaining candidate scores at least as high."""
@@ -67,14 +73,14 @@ class SecondLook:
 
     def _left(
         self, noises: Float[np.ndarray, "r m c"], leaders: Sequence[tuple[int, Float[np.ndarray, " _"]]]
-    ) -> list[Colour]:
+    ) -> list[Autocorrelation]:
         """The colour of each noise record once its leader is taken out."""
         P, place = self.projected.P, self.projected.place
         left = [noise - P[:, :, place[j]] @ estimate for noise, (j, estimate) in zip(noises, leaders, strict=True)]
-        return colours_of(np.array(left), self.state.folds)
+        return autocorrelations_of(np.array(left), self.state.folds)
 
     def _judged(
-        self, j: int, residuals: Float[np.ndarray, "r m c"], colours: Sequence[Colour]
+        self, j: int, residuals: Float[np.ndarray, "r m c"], colours: Sequence[Autocorrelation]
     ) -> tuple[Float[np.ndarray, "r w"], Float[np.ndarray, "r w w"]]:
         """Estimate and covariance of one block in each of r records."""
         bread, P = self.projected.bread[j], self.projected.P[:, :, self.projected.place[j]]

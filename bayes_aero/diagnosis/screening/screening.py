@@ -13,21 +13,26 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from bayes_aero.diagnosis.screening.autocorrelation import Colour, colour_of, colours_of, unbiased
-from bayes_aero.diagnosis.screening.partialled_regression import Projected, equivalent, score
+from bayes_aero.diagnosis.screening.autocorrelation import (
+    Autocorrelation,
+    autocorrelation_of,
+    autocorrelations_of,
+    unbiased,
+)
+from bayes_aero.diagnosis.screening.partialled_regression import PartialledRegression, equivalent, score
 from bayes_aero.diagnosis.screening.regression import Fit, Products, inverse
-from bayes_aero.diagnosis.screening.selection_state import State
+from bayes_aero.diagnosis.screening.selection_state import SelectionState
 
 
 @dataclass(frozen=True)
-class Standing:
+class CandidateScore:
     """One candidate against the present model.
 
     `gain` is the deviance it takes away, `together` what it would take away if the outputs' noise were allowed to
     correlate; `score` its estimate in standard deviations that know the colour (for several
     parameters the equivalent of one); `inflation` the variance over what white residuals would leave; `log_bayes` the
     log Bayes factor of estimate and deviation under the effect's prior. `apart` is the inflation along the difference
-    between what it explains and what the addition explains that was taken out (see `poll`).
+    between what it explains and what the addition explains that was taken out (see `screening`).
     """
 
     effect: str
@@ -42,7 +47,7 @@ class Standing:
     together: float = math.nan
     apart: float = math.nan
 
-    def nats(self, other: Standing) -> float:
+    def nats(self, other: CandidateScore) -> float:
         """Log likelihood by which this addition, which was taken out, explains more than `other`.
 
         What tells the two from each other is the residual along the difference d of what they explain. Its variance
@@ -57,23 +62,25 @@ class Standing:
 
 
 @dataclass(frozen=True)
-class Poll:
+class ScreeningResult:
     """Standings, the most explaining first, and the largest score of each noise-only replicate."""
 
-    standings: tuple[Standing, ...]
-    colour: Colour
+    candidate_scores: tuple[CandidateScore, ...]
+    colour: Autocorrelation
     nulls: Float[np.ndarray, " r"]
 
     def p_value(self, score: float) -> float:
         """Share of noise-only replicates in which some candidate scores at least as high."""
         return float((1 + np.sum(self.nulls >= score)) / (1 + len(self.nulls)))
 
-    def of(self, effect: str) -> Standing | None:
+    def of(self, effect: str) -> CandidateScore | None:
         """The best standing of one effect."""
-        return next((s for s in self.standings if s.effect == effect), None)
+        return next((s for s in self.candidate_scores if s.effect == effect), None)
 
 
-def poll(state: State, fit: Fit, *, seed: int, replicates: int | None = None, without: str | None = None) -> Poll:
+def screen(
+    state: SelectionState, fit: Fit, *, seed: int, replicates: int | None = None, without: str | None = None
+) -> ScreeningResult:
     """Fit every candidate with all active parameters free; draw noise-only replicates (default: as many as the settings
     say) under the present model.
 
@@ -87,14 +94,14 @@ def poll(state: State, fit: Fit, *, seed: int, replicates: int | None = None, wi
     fit, residual, mean = standpoint.fit, standpoint.residual, standpoint.mean
     blocks = [b for b in state.blocks if b[0] not in active]
     if not blocks:
-        return Poll((), colour_of(residual, state.folds), np.zeros(0))
-    projected = Projected(state, fit, [b[1] for b in blocks])
-    colour = colour_of(residual, state.folds)
+        return ScreeningResult((), autocorrelation_of(residual, state.folds), np.zeros(0))
+    projected = PartialledRegression(state, fit, [b[1] for b in blocks])
+    colour = autocorrelation_of(residual, state.folds)
     rng = np.random.default_rng(seed)
     m = len(residual)
     # Re-estimation from noise whose active columns were fitted shows how much faster the noise then looks.
     drawn = colour.simulate(state.settings.correction_replicates, state.folds, m, rng)
-    colour = unbiased(colour, colours_of(without_active(state, fit, drawn), state.folds))
+    colour = unbiased(colour, autocorrelations_of(without_active(state, fit, drawn), state.folds))
     estimates, covariances = projected.scores(residual, colour)
     stretch = state.responses.stretch
     freedom = 0 if stretch is None else int(stretch.max())
@@ -113,14 +120,16 @@ def poll(state: State, fit: Fit, *, seed: int, replicates: int | None = None, wi
         step = gains[1][j][: len(own)]
         possible = value is None or step[0] * (value - _present(state, effect)) > 0.0
         found.append(
-            Standing(
+            CandidateScore(
                 effect=effect,
                 columns=tuple(int(i) for i in own),
                 value=value,
                 gain=float(gains[0][j]) if possible else 0.0,
                 score=score(estimates[j], covariances[j], freedom) if possible else 0.0,
                 inflation=float(np.max(variance / white)),
-                log_bayes=log_bayes(estimates[j], covariances[j], mean[own], state.precision[own] / state.temper),
+                log_bayes=log_bayes(
+                    estimates[j], covariances[j], mean[own], state.precision[own] / state.variance_inflation
+                ),
                 step=tuple(float(x) for x in step),
                 sd=tuple(float(x) for x in np.sqrt(variance)),
                 together=before - projected.deviance(residual, j, estimates[j]),
@@ -129,16 +138,18 @@ def poll(state: State, fit: Fit, *, seed: int, replicates: int | None = None, wi
         )
     count = state.settings.replicates if replicates is None else replicates
     noises = without_active(state, fit, colour.simulate(count, state.folds, m, rng))
-    nulls = projected.largest(noises, colours_of(noises, state.folds))
-    return Poll(tuple(sorted(found, key=lambda s: -s.gain)), colour, nulls)
+    nulls = projected.largest(noises, autocorrelations_of(noises, state.folds))
+    return ScreeningResult(tuple(sorted(found, key=lambda s: -s.gain)), colour, nulls)
 
 
-def explained_shares(state: State, fit: Fit, colour: Colour, seed: int, count: int) -> Float[np.ndarray, " r"]:
+def explained_shares(
+    state: SelectionState, fit: Fit, colour: Autocorrelation, seed: int, count: int
+) -> Float[np.ndarray, " r"]:
     """Largest share of one output's variance that any block explains in each of `count` noise records of this colour.
 
     Blocks must act on one output each, as components do.
     """
-    projected = Projected(state, fit, [block[1] for block in state.blocks])
+    projected = PartialledRegression(state, fit, [block[1] for block in state.blocks])
     output = [int(np.argmax(np.abs(state.S[:, :, block[1]]).sum(axis=(0, 2)))) for block in state.blocks]
     drawn = colour.simulate(count, state.folds, len(state.residual), np.random.default_rng(seed))
     noises = without_active(state, fit, drawn)
@@ -150,7 +161,9 @@ def explained_shares(state: State, fit: Fit, colour: Colour, seed: int, count: i
     return np.max(shares, axis=0)
 
 
-def without_active(state: State, fit: Fit, residual: Float[np.ndarray, "*r m c"]) -> Float[np.ndarray, "*r m c"]:
+def without_active(
+    state: SelectionState, fit: Fit, residual: Float[np.ndarray, "*r m c"]
+) -> Float[np.ndarray, "*r m c"]:
     """What is left of noise records when the active columns are fitted to them."""
     B = state.scaled[:, :, fit.columns]
     step = np.tensordot(residual, B / fit.variance[:, None], 2) @ inverse(fit.normal)
@@ -174,11 +187,11 @@ class _Standpoint:
     residual: Float[np.ndarray, "m c"]
 
 
-def _taken_out(state: State, here: _Standpoint, effect: str, active: Sequence[str]) -> _Standpoint:
+def _taken_out(state: SelectionState, here: _Standpoint, effect: str, active: Sequence[str]) -> _Standpoint:
     """The same with one addition at neutral, to first order; `active` are the others."""
-    names = state.field.parameters_of(effect)
-    own = state.field.columns(names)
-    away = state.theta[own] - np.array([state.field.neutral[name] for name in names])
+    names = state.full.parameters_of(effect)
+    own = state.full.columns(names)
+    away = state.theta[own] - np.array([state.full.neutral[name] for name in names])
     products, mean, columns = here.products.shifted(own, -away), here.mean.copy(), state.columns(active)
     mean[own] += away
     fit = products.fit(columns, mean, state.precision)
@@ -187,7 +200,7 @@ def _taken_out(state: State, here: _Standpoint, effect: str, active: Sequence[st
     return _Standpoint(products, mean, columns, fit, residual)
 
 
-def _gains(state: State, here: _Standpoint, blocks: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def _gains(state: SelectionState, here: _Standpoint, blocks: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Deviance that each block takes away, and its steps; short blocks are filled up with the column of zeros."""
     dummy = state.S.shape[2] - 1
     width = max(len(own) for own in blocks)
@@ -208,24 +221,28 @@ def _log_normal(x: np.ndarray, covariance: np.ndarray) -> float:
     return -0.5 * (x @ inverse(covariance) @ x + determinant) - np.sum(np.log(size))
 
 
-def _present(state: State, effect: str) -> float:
+def _present(state: SelectionState, effect: str) -> float:
     """Value of a scanned effect's parameter at the state."""
     scan = next(s for s in state.scans if s.effect == effect)
-    return float(state.theta[state.field.columns([scan.parameter])[0]])
+    return float(state.theta[state.full.columns([scan.parameter])[0]])
 
 
-def uncertainty(state: State, fit: Fit, colour: Colour) -> Float[np.ndarray, "k k"]:
+def uncertainty(state: SelectionState, fit: Fit, colour: Autocorrelation) -> Float[np.ndarray, "k k"]:
     """Covariance of the active columns' estimates that coloured residuals leave."""
     bread = inverse(fit.normal)
     return bread @ colour.meat(state.scaled[:, :, fit.columns], fit.variance, state.folds) @ bread
 
 
-def without_each_stretch(state: State, fit: Fit) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
+def block_jackknife_covariance(
+    state: SelectionState, fit: Fit
+) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
     """Active columns that are no offsets, and the covariance of their estimates from how far these move when a stretch
     is left out.
 
     The jackknife over clusters: a stretch that decides a parameter alone leaves no residual there to disagree with,
-    and `Projected.between` takes that for agreement. Source: Bell and McCaffrey 2002, Survey Methodology 28, 169.
+    and `PartialledRegression.between` takes that for agreement.
+
+    Source: Bell and McCaffrey 2002, Survey Methodology 28, 169.
     """
     stretch = state.responses.stretch
     assert stretch is not None
@@ -237,7 +254,7 @@ def without_each_stretch(state: State, fit: Fit) -> tuple[Int[np.ndarray, " k"],
 
 
 def _without_offsets(
-    state: State, fit: Fit, here: Bool[np.ndarray, " m"], columns: Int[np.ndarray, " k"]
+    state: SelectionState, fit: Fit, here: Bool[np.ndarray, " m"], columns: Int[np.ndarray, " k"]
 ) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
     """Information of one stretch on these columns, its offsets free, and what it adds to the right side."""
     here, weight = here & state.inside, 1.0 / fit.variance
@@ -248,6 +265,6 @@ def _without_offsets(
     return np.einsum("mci,c,mcj->ij", S, weight, S), np.einsum("mci,c,mc->i", S, weight, state.left(fit)[here])
 
 
-def columns_of(state: State, standing: Standing) -> Int[np.ndarray, " k"]:
+def columns_of(state: SelectionState, standing: CandidateScore) -> Int[np.ndarray, " k"]:
     """Active columns and the candidate's."""
     return np.concatenate([state.columns(), np.array(standing.columns, int)])

@@ -10,9 +10,9 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from bayes_aero.diagnosis.candidate_set import Field
+from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.folds import folds_of
-from bayes_aero.diagnosis.screening.autocorrelation import colour_of
+from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.regression import Fit, Products
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.inference.variance.autoregression import ORDER
@@ -42,21 +42,21 @@ class Component:
 
 
 @dataclass(frozen=True)
-class State:
-    """Parameters `theta` (all of the field's), residuals and sensitivities there; `swell` is the noise's growth.
+class SelectionState:
+    """Parameters `theta` (all of the full model's), residuals and sensitivities there.
 
     Outputs are those of one stage of the criticism: the coefficients, or the flight path. Columns beyond the
     parameters: the flight-path offsets, active always; a column for every scanned value of a candidate that has no
     slope at neutral; and a last one of zeros, which fills up blocks of unequal width.
     """
 
-    field: Field
+    full: CandidateModel
     responses: ResidualModel
     outputs: tuple[str, ...]
     theta: Float[np.ndarray, " k"]
     residual: Float[np.ndarray, "m c"]
     S: Float[np.ndarray, "m c K"]
-    swell: Float[np.ndarray, "m c"]
+    noise_growth: Float[np.ndarray, "m c"]
     folds: tuple[slice, ...]
     products: Products
     mean: Float[np.ndarray, " K"]
@@ -64,14 +64,14 @@ class State:
     active: tuple[str, ...]  # names of the effects that are in, beyond the card's
     scans: tuple[Scan, ...]
     nuisance: int = 0  # columns between the parameters and the scans
-    temper: float = 1.0  # what the colour costs: priors count so many times against the white likelihood
+    variance_inflation: float = 1.0  # what the colour costs: priors count so many times against the white likelihood
     components: tuple[Component, ...] = ()  # they stand for election in place of effects
     chosen: tuple[Component, ...] = ()  # components that are in
 
     @property
     def settings(self) -> DiagnosisSettings:
         """Thresholds of the diagnosis."""
-        return self.field.settings
+        return self.full.settings
 
     @cached_property
     def inside(self) -> Bool[np.ndarray, " m"]:
@@ -108,15 +108,15 @@ class State:
         begin = len(self.theta) + len(self.offsets)
         for number, scan in enumerate(self.scans):
             found.append((scan.effect, np.array([begin + number]), scan.value))
-        for effect in self.field.candidates:
+        for effect in self.full.candidates:
             if effect.name not in scanned:
-                found.append((effect.name, self.field.columns(self.field.parameters_of(effect.name)), None))
+                found.append((effect.name, self.full.columns(self.full.parameters_of(effect.name)), None))
         return [block for block in found if np.any(self.S[:, :, block[1]] != 0.0)]
 
     def columns(self, effects: Sequence[str] | None = None) -> Int[np.ndarray, " a"]:
         """Columns of the card's effects, of `effects` (default: those that are in), and the offsets."""
-        names = (*self.field.base, *(self.active if effects is None else effects))
-        own = self.field.columns([p for n in names for p in self.field.parameters_of(n) if p in self.field.model.names])
+        names = (*self.full.base, *(self.active if effects is None else effects))
+        own = self.full.columns([p for n in names for p in self.full.parameters_of(n) if p in self.full.model.names])
         begin = len(self.theta) + len(self.offsets) + len(self.scans)
         chosen = begin + np.arange(sum(c.basis.shape[1] for c in self.chosen))
         return np.concatenate([own[np.any(self.S[:, :, own] != 0.0, axis=(0, 1))], self.offsets, chosen])
@@ -126,24 +126,24 @@ class State:
         return self.products.fit(self.columns(effects), self.mean, self.precision)
 
     def left(self, fit: Fit) -> Float[np.ndarray, "m c"]:
-        """Residuals that a fit leaves, divided by the swell."""
-        return (self.residual - self.S[:, :, fit.columns] @ fit.step) / self.swell
+        """Residuals that a fit leaves, divided by the noise_growth."""
+        return (self.residual - self.S[:, :, fit.columns] @ fit.step) / self.noise_growth
 
     @cached_property
     def scaled(self) -> Float[np.ndarray, "m c K"]:
-        """Sensitivities divided by the swell."""
-        return self.S / self.swell[:, :, None]
+        """Sensitivities divided by the noise_growth."""
+        return self.S / self.noise_growth[:, :, None]
 
 
 def linearised(
-    field: Field,
+    full: CandidateModel,
     responses: ResidualModel,
     outputs: tuple[str, ...],
     theta: Float[np.ndarray, " k"],
     active: tuple[str, ...] = (),
-    swell: Float[np.ndarray, "m c"] | None = None,
-    temper: float = 1.0,
-) -> State:
+    noise_growth: Float[np.ndarray, "m c"] | None = None,
+    variance_inflation: float = 1.0,
+) -> SelectionState:
     """The state at `theta`: residuals, sensitivities to every parameter, and their inner products.
 
     Candidates that are not active and have no slope at neutral are tried at their scanned values.
@@ -152,11 +152,11 @@ def linearised(
     residual, S = responses.linearise(theta)
     residual, S = residual[:, keep], S[:, keep]
     scans, extra = [], [responses.offsets(theta, outputs)]
-    for effect in field.candidates:
+    for effect in full.candidates:
         if effect.name in active:
             continue
         for name, values in effect.scan.items():
-            at = int(field.columns([name])[0])
+            at = int(full.columns([name])[0])
             for value in values:
                 there = theta.copy()
                 there[at] = value
@@ -165,23 +165,23 @@ def linearised(
                 scans.append(Scan(effect.name, name, value))
     S = np.concatenate([S, *extra, np.zeros((*residual.shape, 1))], axis=2)
     S = np.where(np.isfinite(S), S, 0.0)
-    swell = np.ones_like(residual) if swell is None else swell
-    folds = folds_of(responses.manoeuvre, responses.seconds, field.settings)
-    mean, precision = field.prior(range(len(theta)), theta)
-    precision = temper * precision
-    of_scans = [int(field.columns([s.parameter])[0]) for s in scans]
+    noise_growth = np.ones_like(residual) if noise_growth is None else noise_growth
+    folds = folds_of(responses.manoeuvre, responses.seconds, full.settings)
+    mean, precision = full.prior(range(len(theta)), theta)
+    precision = variance_inflation * precision
+    of_scans = [int(full.columns([s.parameter])[0]) for s in scans]
     nothing = np.zeros(extra[0].shape[2])
     mean = np.concatenate([mean, nothing, mean[of_scans], [0.0]])
     precision = np.concatenate([precision, nothing, precision[of_scans], [1.0]])
-    products = Products.of(residual / swell, S / swell[:, :, None], folds)
-    return State(
-        field,
+    products = Products.of(residual / noise_growth, S / noise_growth[:, :, None], folds)
+    return SelectionState(
+        full,
         responses,
         outputs,
         theta,
         residual,
         S,
-        swell,
+        noise_growth,
         folds,
         products,
         mean,
@@ -189,28 +189,32 @@ def linearised(
         active,
         tuple(scans),
         extra[0].shape[2],
-        temper,
+        variance_inflation,
     )
 
 
-def moved(state: State, theta: Float[np.ndarray, " k"], active: tuple[str, ...] | None = None) -> State:
+def moved(
+    state: SelectionState, theta: Float[np.ndarray, " k"], active: tuple[str, ...] | None = None
+) -> SelectionState:
     """The state at other parameters or with other effects in, with the same noise growth."""
     chosen = state.active if active is None else active
-    return linearised(state.field, state.responses, state.outputs, theta, chosen, state.swell, state.temper)
+    return linearised(
+        state.full, state.responses, state.outputs, theta, chosen, state.noise_growth, state.variance_inflation
+    )
 
 
-def refitted(state: State) -> tuple[State, Fit]:
+def refitted(state: SelectionState) -> tuple[SelectionState, Fit]:
     """The state at the optimum of all active parameters, and the fit there."""
     state = moved(state, optimum(state, range(len(state.folds))))
     return state, state.fit()
 
 
-def optimum(state: State, folds: Sequence[int], most: int = REFITS) -> Float[np.ndarray, " k"]:
+def optimum(state: SelectionState, folds: Sequence[int], most: int = REFITS) -> Float[np.ndarray, " k"]:
     """Gauss-Newton on all active parameters, fitted to the chosen folds, each step kept inside the bounds.
 
     A step that does not lower the deviance is shortened; it ends when a step gains less than `ENOUGH`.
     """
-    bounds = np.array([p.bounds for p in state.field.model.free])
+    bounds = np.array([p.bounds for p in state.full.model.free])
     columns = state.columns()
     at = columns[columns < len(state.theta)]
     theta, here = state.theta, local_fit(state, state.theta, at, folds)
@@ -231,7 +235,7 @@ def optimum(state: State, folds: Sequence[int], most: int = REFITS) -> Float[np.
 
 
 def local_fit(
-    state: State,
+    state: SelectionState,
     theta: Float[np.ndarray, " k"],
     at: Int[np.ndarray, " a"],
     folds: Sequence[int],
@@ -242,9 +246,11 @@ def local_fit(
     residual, S = state.responses.linearise(theta, at)
     residual, S = residual[:, keep], np.where(np.isfinite(S), S, 0.0)[:, keep]
     S = np.concatenate([S, state.S[:, :, state.offsets]], axis=2)
-    products = Products.of(residual / state.swell, S / state.swell[:, :, None], [state.folds[f] for f in folds])
-    mean, precision = state.field.prior(at, theta)
-    precision = state.temper * precision
+    products = Products.of(
+        residual / state.noise_growth, S / state.noise_growth[:, :, None], [state.folds[f] for f in folds]
+    )
+    mean, precision = state.full.prior(at, theta)
+    precision = state.variance_inflation * precision
     offsets = np.zeros(S.shape[2] - len(at))
     mean, precision = np.append(mean, offsets), np.append(precision, offsets)
     free = np.arange(S.shape[2])
@@ -254,18 +260,18 @@ def local_fit(
     )
 
 
-def swelling(state: State, fit: Fit) -> Float[np.ndarray, "m c"]:
+def noise_growth_of(state: SelectionState, fit: Fit) -> Float[np.ndarray, "m c"]:
     """Growth of each coefficient's noise with separation, 1 + b (1 - X), b >= 0, from the innovations' size.
 
-    Least squares of |innovation| on 1 - X; flight-path outputs do not swell.
+    Least squares of |innovation| on 1 - X; flight-path outputs do not noise_growth.
     """
     if not set(state.outputs) & set(NAMES):
         return np.ones_like(state.residual)
     _, known = state.responses.evaluate(state.theta)
     apart = 1.0 - np.asarray(state.responses.block(known["X"]))
-    residual = state.left(fit) * state.swell
-    colour = colour_of(residual, state.folds)
-    swell = np.ones_like(residual)
+    residual = state.left(fit) * state.noise_growth
+    colour = autocorrelation_of(residual, state.folds)
+    noise_growth = np.ones_like(residual)
     for c, name in enumerate(state.outputs):
         if name not in NAMES or np.ptp(apart) < 0.05:
             continue
@@ -278,5 +284,5 @@ def swelling(state: State, fit: Fit) -> Float[np.ndarray, "m c"]:
         innovation = np.concatenate(size)
         slope, level = np.polyfit(np.concatenate(x), np.minimum(innovation, 10 * np.median(innovation)), 1)
         if level > 0.0:
-            swell[:, c] = 1.0 + max(0.0, slope / level) * apart
-    return swell
+            noise_growth[:, c] = 1.0 + max(0.0, slope / level) * apart
+    return noise_growth

@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeVar, runtime_checkable
 
-from bayes_aero.diagnosis.screening.selection_state import State
-from bayes_aero.diagnosis.selection.cross_validation import LeftOut, gained, truncated
+from bayes_aero.diagnosis.screening.selection_state import SelectionState
+from bayes_aero.diagnosis.selection.cross_validation import LeftOut, holdout_gain, truncated
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 
 
@@ -32,7 +32,7 @@ T = TypeVar("T")
 class Predictions(Protocol[T]):
     """Unseen data as the model with some of its additions predicts them: T is what is left of them."""
 
-    def nearly(self, effects: Sequence[str]) -> T:
+    def first_order(self, effects: Sequence[str]) -> T:
         """To first order, in no time."""
         ...
 
@@ -40,7 +40,7 @@ class Predictions(Protocol[T]):
         """Everything fitted again."""
         ...
 
-    def gained(self, before: T, after: T) -> tuple[float, float]:
+    def holdout_gain(self, before: T, after: T) -> tuple[float, float]:
         """Log density that `after` has beyond `before`, the colour's cost counted, and its deviation."""
         ...
 
@@ -57,8 +57,8 @@ def backward_elimination(
     kept, missed, waiting = list(additions), {}, list(additions)
     whole: T | None = None
     while waiting:
-        near = unseen.nearly(kept)
-        losses = {e: unseen.gained(unseen.nearly(_less(kept, e)), near) for e in waiting}
+        near = unseen.first_order(kept)
+        losses = {e: unseen.holdout_gain(unseen.first_order(_less(kept, e)), near) for e in waiting}
         least = min(waiting, key=lambda e: losses[e][0] - plain * losses[e][1])
         if losses[least][0] > plain * losses[least][1]:
             missed |= losses
@@ -66,7 +66,7 @@ def backward_elimination(
         if whole is None:
             whole = unseen.refitted(kept)
         without = unseen.refitted(_less(kept, least))
-        missed[least] = unseen.gained(without, whole)
+        missed[least] = unseen.holdout_gain(without, whole)
         if not missed[least][0] > settings.hold_out * missed[least][1]:
             kept, whole = _less(kept, least), without
         waiting.remove(least)
@@ -77,19 +77,19 @@ def backward_elimination(
 class _Coefficients:
     """Those of the record, from sensitivities where the state stands or from fits of their own."""
 
-    state: State
+    state: SelectionState
 
-    def nearly(self, effects: Sequence[str]) -> LeftOut:
+    def first_order(self, effects: Sequence[str]) -> LeftOut:
         return LeftOut.first_order(self.state, effects)
 
     def refitted(self, effects: Sequence[str]) -> LeftOut:
         return LeftOut.refitted(truncated(self.state, effects))
 
-    def gained(self, before: LeftOut, after: LeftOut) -> tuple[float, float]:
-        return gained(before, after, self.state)
+    def holdout_gain(self, before: LeftOut, after: LeftOut) -> tuple[float, float]:
+        return holdout_gain(before, after, self.state)
 
 
-def confirmation(state: State) -> Confirmation:
+def confirmation(state: SelectionState) -> Confirmation:
     """What unseen coefficients confirm of all additions of a state."""
     return backward_elimination(state.active, _Coefficients(state), state.settings)
 

@@ -16,15 +16,15 @@ from scipy.special import ndtr
 from bayes_aero.diagnosis.screening.accuracy import sizes
 from bayes_aero.diagnosis.screening.partialled_regression import as_normal, disagreement, equivalent
 from bayes_aero.diagnosis.screening.regression import Fit, inverse
-from bayes_aero.diagnosis.screening.screening import poll
-from bayes_aero.diagnosis.screening.selection_state import State, refitted
+from bayes_aero.diagnosis.screening.screening import screen
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, refitted
 from bayes_aero.diagnosis.selection.forward_selection import Extension, Step, removed, worth
 
 
-class Stretches:
+class Blocks:
     """Residuals and sensitivities of a fit, less each stretch's own mean: where it began is free."""
 
-    def __init__(self, state: State, fit: Fit) -> None:
+    def __init__(self, state: SelectionState, fit: Fit) -> None:
         self.state, self.number = state, _numbers(state)
         inside = self.number >= 0
         self._inside, self._own = inside, self.number[inside]
@@ -48,7 +48,7 @@ class Stretches:
         """What the stretches add to an effect's parameters, the other additions free, and its covariance from how far
         they disagree; None where the effect moves nothing here."""
         state = self.state
-        own = state.field.columns(state.field.parameters_of(effect))
+        own = state.full.columns(state.full.parameters_of(effect))
         others = np.setdiff1d(state.columns([e for e in state.active if e != effect]), [*own, *state.offsets])
         S, B = (self._centred(state.scaled[:, :, columns]) for columns in (own, others))
         if not np.all(np.any(S != 0.0, axis=(0, 1))):
@@ -72,13 +72,13 @@ class Stretches:
         judged = self.judge(effect)
         if judged is None:
             return 1.0
-        names = self.state.field.parameters_of(effect)
-        away = self.state.theta[self.state.field.columns(names)] - [self.state.field.neutral[name] for name in names]
+        names = self.state.full.parameters_of(effect)
+        away = self.state.theta[self.state.full.columns(names)] - [self.state.full.neutral[name] for name in names]
         score = as_normal(equivalent(away + judged[0], judged[1]), self.freedom)
         return min(1.0, 2.0 * len(self.state.blocks) * float(ndtr(-score)))
 
 
-def _numbers(state: State) -> Int[np.ndarray, " m"]:
+def _numbers(state: SelectionState) -> Int[np.ndarray, " m"]:
     """The stretch of each block, -1 between folds."""
     seconds, number = state.responses.seconds, np.full(len(state.residual), -1)
     total = seconds * sum(fold.stop - fold.start for fold in state.folds)
@@ -91,12 +91,12 @@ def _numbers(state: State) -> Int[np.ndarray, " m"]:
     return number
 
 
-def borne_out(found: Extension) -> Extension:
+def consistent_across_blocks(found: Extension) -> Extension:
     """`found` without additions that the stretches do not bear out, the least first; sizes at least as uncertain as
     the stretches disagree about them. The last election is held anew."""
     state, fit = found.state, found.fit
     while state.active:
-        judged = Stretches(state, fit)
+        judged = Blocks(state, fit)
         chances = {effect: judged.p_value(effect) for effect in state.active}
         worst = max(chances, key=lambda effect: chances[effect])
         if chances[worst] <= state.settings.false_alarm_rate:
@@ -105,23 +105,23 @@ def borne_out(found: Extension) -> Extension:
     return widened(found, state, fit)
 
 
-def widened(found: Extension, state: State, fit: Fit) -> Extension:
+def widened(found: Extension, state: SelectionState, fit: Fit) -> Extension:
     """The extension that ended in `state`, deviations no smaller than the stretches' disagreement makes them."""
-    judged = Stretches(state, fit)
+    judged = Blocks(state, fit)
     told = dict(found.sizes) if state is found.state else sizes(state, fit)
     for effect in state.active:
         pair = judged.judge(effect)
         if pair is not None:
             wide = np.sqrt(np.diag(pair[1]))
-            names = state.field.parameters_of(effect)
+            names = state.full.parameters_of(effect)
             told |= {n: replace(told[n], sd=max(told[n].sd, float(x))) for n, x in zip(names, wide, strict=True)}
-    last = poll(state, fit, seed=0, replicates=0)
-    standings = []
-    for standing in last.standings:
+    last = screen(state, fit, seed=0, replicates=0)
+    candidate_scores = []
+    for standing in last.candidate_scores:
         pair = judged.judge(standing.effect) if standing.value is None else None
         wide = np.zeros(len(standing.sd)) if pair is None else np.sqrt(np.diag(pair[1]))
-        standings.append(replace(standing, sd=tuple(np.maximum(standing.sd, wide))))
-    closing = Step(None, float("nan"), replace(last, standings=tuple(standings)), float("nan"))
+        candidate_scores.append(replace(standing, sd=tuple(np.maximum(standing.sd, wide))))
+    closing = Step(None, float("nan"), replace(last, candidate_scores=tuple(candidate_scores)), float("nan"))
     causes, minor = worth(state, told)
     steps = (*found.steps, closing)
     return replace(found, state=state, fit=fit, steps=steps, sizes=told, causes=causes, minor=minor)

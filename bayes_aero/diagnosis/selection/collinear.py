@@ -12,14 +12,14 @@ from itertools import combinations
 
 import numpy as np
 
-from bayes_aero.diagnosis.screening.autocorrelation import colour_of
+from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.screening import uncertainty
-from bayes_aero.diagnosis.screening.selection_state import State
+from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 
 
 @dataclass(frozen=True)
-class Together:
+class CancellingPair:
     """The combination `parameters[0] + factor parameters[1]` of two effects, with its deviation, SI.
 
     `correlation` is that of the two estimates; departures from neutral are meant.
@@ -34,18 +34,18 @@ class Together:
     correlation: float
 
 
-def cancelling(extension: Extension, causes: Sequence[str]) -> tuple[Together, ...]:
+def cancelling(extension: Extension, causes: Sequence[str]) -> tuple[CancellingPair, ...]:
     """Pairs of the named causes whose estimates are correlated and whose contributions cancel."""
     state, fit = extension.state, extension.fit
     if len(causes) < 2:
         return ()
-    covariance = uncertainty(state, fit, colour_of(state.left(fit), state.folds))
+    covariance = uncertainty(state, fit, autocorrelation_of(state.left(fit), state.folds))
     at = {int(c): k for k, c in enumerate(fit.columns)}
     found = []
     for one, other in combinations(causes, 2):
-        for a in state.field.parameters_of(one):
-            for b in state.field.parameters_of(other):
-                i, j = (int(state.field.columns([name])[0]) for name in (a, b))
+        for a in state.full.parameters_of(one):
+            for b in state.full.parameters_of(other):
+                i, j = (int(state.full.columns([name])[0]) for name in (a, b))
                 if i in at and j in at and _cancel(state, i, j):
                     C = covariance[np.ix_([at[i], at[j]], [at[i], at[j]])]
                     pair = _together(state, (one, other), (a, b), C)
@@ -53,12 +53,12 @@ def cancelling(extension: Extension, causes: Sequence[str]) -> tuple[Together, .
     return tuple(found)
 
 
-def _away(state: State, column: int) -> float:
-    name = state.field.model.names[column]
-    return float(state.theta[column] - state.field.neutral[name])
+def _away(state: SelectionState, column: int) -> float:
+    name = state.full.model.names[column]
+    return float(state.theta[column] - state.full.neutral[name])
 
 
-def _cancel(state: State, i: int, j: int) -> bool:
+def _cancel(state: SelectionState, i: int, j: int) -> bool:
     """Whether what two parameters do to the outputs, means aside, is less together than either alone."""
     weight = 1.0 / np.mean(state.residual[state.inside] ** 2, axis=0)
     moved = [state.scaled[state.inside][:, :, c] * _away(state, c) for c in (i, j)]
@@ -67,14 +67,14 @@ def _cancel(state: State, i: int, j: int) -> bool:
     return both < min(one, other)
 
 
-def _together(state: State, effects: tuple[str, str], names: tuple[str, str], C: np.ndarray) -> Together:
+def _together(state: SelectionState, effects: tuple[str, str], names: tuple[str, str], C: np.ndarray) -> CancellingPair:
     """The combination of least variance; a sum or a difference where that is nearly it."""
-    i, j = (int(state.field.columns([name])[0]) for name in names)
-    units = [state.field.model.free[c].unit for c in (i, j)]
+    i, j = (int(state.full.columns([name])[0]) for name in names)
+    units = [state.full.model.free[c].unit for c in (i, j)]
     factor = -float(C[0, 1] / C[1, 1])
     if units[0] == units[1] and abs(abs(factor) - 1.0) < state.settings.near_one:
         factor = float(np.sign(factor))
     variance = float(C[0, 0] + 2.0 * factor * C[0, 1] + factor**2 * C[1, 1])
     mean = _away(state, i) + factor * _away(state, j)
     correlation = float(C[0, 1] / np.sqrt(C[0, 0] * C[1, 1]))
-    return Together(effects, names, factor, mean, float(np.sqrt(max(variance, 0.0))), units[0], correlation)
+    return CancellingPair(effects, names, factor, mean, float(np.sqrt(max(variance, 0.0))), units[0], correlation)

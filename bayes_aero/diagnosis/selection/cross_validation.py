@@ -10,13 +10,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from bayes_aero.diagnosis.result import Gain
-from bayes_aero.diagnosis.screening.selection_state import State, moved, optimum
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, optimum
 from bayes_aero.inference.scores import Scores, score
 from bayes_aero.inference.variance.coloured_bounds import LAG_SHARE, autocovariance
 from bayes_aero.physics.coefficients import NAMES
 
 
-def split_name(state: State) -> str:
+def split_name(state: SelectionState) -> str:
     """How data were left out."""
     return "manoeuvre" if len(state.responses.flights.lengths) > 1 else "block"
 
@@ -26,11 +26,11 @@ class LeftOut:
     """Residuals of every fold at parameters fitted to the other folds; `inside` marks blocks that belong to a fold."""
 
     residual: Float[np.ndarray, "m c"]
-    swell: Float[np.ndarray, "m c"]
+    noise_growth: Float[np.ndarray, "m c"]
     inside: Bool[np.ndarray, " m"]
 
     @classmethod
-    def refitted(cls, state: State) -> LeftOut:
+    def refitted(cls, state: SelectionState) -> LeftOut:
         """With the effects that are in, every fit brought to its own optimum."""
         keep = [state.responses.outputs.index(name) for name in state.outputs]
         residual = np.zeros_like(state.residual)
@@ -40,12 +40,12 @@ class LeftOut:
         return cls._of(state, residual)
 
     @classmethod
-    def first_order(cls, state: State, effects: Sequence[str]) -> LeftOut:
+    def first_order(cls, state: SelectionState, effects: Sequence[str]) -> LeftOut:
         """With only `effects` of those that are in, from the sensitivities where the state stands: a hundredth of
         the time of `refitted`."""
-        own = [state.field.columns(state.field.parameters_of(e)) for e in state.active if e not in effects]
+        own = [state.full.columns(state.full.parameters_of(e)) for e in state.active if e not in effects]
         gone = np.concatenate([np.zeros(0, int), *own])
-        neutral = np.array([state.field.neutral[name] for name in state.field.model.names])
+        neutral = np.array([state.full.neutral[name] for name in state.full.model.names])
         away = neutral[gone] - state.theta[gone]
         products, columns = state.products.shifted(gone, away), state.columns(effects)
         parameters = ~np.isin(columns, state.offsets)
@@ -57,7 +57,7 @@ class LeftOut:
         return cls._of(state, residual)
 
     @classmethod
-    def _of(cls, state: State, residual: Float[np.ndarray, "m c"]) -> LeftOut:
+    def _of(cls, state: SelectionState, residual: Float[np.ndarray, "m c"]) -> LeftOut:
         inside = np.zeros(len(residual), bool)
         for fold in state.folds:
             inside[fold] = True
@@ -65,7 +65,7 @@ class LeftOut:
         offsets = state.S[:, :, state.offsets]
         if offsets.shape[2]:  # where a flight-path integral began is the left-out fold's own to find
             residual -= offsets @ (np.einsum("mco,mc->o", offsets, residual) / np.sum(offsets**2, axis=(0, 1)))
-        return cls(residual, state.swell, inside)
+        return cls(residual, state.noise_growth, inside)
 
     def density(self) -> Float[np.ndarray, " m"]:
         """Log predictive density of every block, all outputs together."""
@@ -77,8 +77,8 @@ class LeftOut:
         Independent and normal, with the variance that the left-out residuals themselves have: the variance of the
         fitted ones would punish a model for the other manoeuvre's stall, whatever its mean.
         """
-        scaled = self.residual[self.inside] / self.swell[self.inside]
-        variance = np.mean(scaled**2, axis=0) * self.swell[self.inside] ** 2
+        scaled = self.residual[self.inside] / self.noise_growth[self.inside]
+        variance = np.mean(scaled**2, axis=0) * self.noise_growth[self.inside] ** 2
         return -0.5 * (self.residual[self.inside] ** 2 / variance + np.log(2.0 * np.pi * variance))
 
     def scores(self, measured: Float[np.ndarray, "m c"]) -> dict[str, Scores]:
@@ -87,21 +87,21 @@ class LeftOut:
         return {name: score(z[:, c], z[:, c] - e[:, c]) for c, name in enumerate(NAMES)}
 
 
-def measured_blocks(state: State) -> Float[np.ndarray, "m c"]:
+def measured_blocks(state: SelectionState) -> Float[np.ndarray, "m c"]:
     """Coefficients as the card reconstructs them from the record, averaged over blocks."""
-    neutral = np.array([state.field.neutral[name] for name in state.field.model.names])
+    neutral = np.array([state.full.neutral[name] for name in state.full.model.names])
     at_base = state.theta.copy()
-    for effect in state.field.model.effects:
-        if effect.name not in state.field.base:
+    for effect in state.full.model.effects:
+        if effect.name not in state.full.base:
             for p in effect.parameters:
-                i = state.field.columns([p.name])[0]
+                i = state.full.columns([p.name])[0]
                 at_base[i] = neutral[i]
     return np.asarray(state.responses.block(state.responses.evaluate(at_base)[1]["measured"]))
 
 
-def gained(before: LeftOut, after: LeftOut, state: State) -> tuple[float, float]:
+def holdout_gain(before: LeftOut, after: LeftOut, state: SelectionState) -> tuple[float, float]:
     """Log density of unseen data that `after` has beyond `before`, the colour's cost counted, and its deviation."""
-    difference = (after.density() - before.density()) / state.temper
+    difference = (after.density() - before.density()) / state.variance_inflation
     lengths = [fold.stop - fold.start for fold in state.folds]
     if len(state.responses.flights.lengths) == 1:  # blocks of one flight, one after the other: their colour runs on
         lengths = [sum(lengths)]
@@ -123,11 +123,11 @@ class Compared:
 
 
 def compared(
-    before: LeftOut, after: LeftOut, state: State, measured: Float[np.ndarray, "m c"], manoeuvre: int
+    before: LeftOut, after: LeftOut, state: SelectionState, measured: Float[np.ndarray, "m c"], manoeuvre: int
 ) -> dict[str, Compared]:
     """`after` against `before` on one manoeuvre, by coefficient; its blocks' order and colour are kept."""
     here = (state.responses.manoeuvre == manoeuvre) & before.inside
-    density = (after.densities() - before.densities())[here[before.inside]] / state.temper
+    density = (after.densities() - before.densities())[here[before.inside]] / state.variance_inflation
     total = np.sum((measured[here] - measured[here].mean(axis=0)) ** 2, axis=0)
     squares = (before.residual[here] ** 2 - after.residual[here] ** 2) / total
     n = len(density)
@@ -154,16 +154,18 @@ def deviation_of_sum(values: Float[np.ndarray, " m"], lengths: Sequence[int]) ->
     return float(np.sqrt(variance * len(values) / (len(values) - 1)))
 
 
-def gain(base: LeftOut, before: LeftOut, after: LeftOut, state: State, measured: Float[np.ndarray, "m c"]) -> Gain:
+def gain(
+    base: LeftOut, before: LeftOut, after: LeftOut, state: SelectionState, measured: Float[np.ndarray, "m c"]
+) -> Gain:
     """The gain of `after` over the extension before it; scores before are those of `base`."""
-    return Gain(*gained(before, after, state), split_name(state), base.scores(measured), after.scores(measured))
+    return Gain(*holdout_gain(before, after, state), split_name(state), base.scores(measured), after.scores(measured))
 
 
-def truncated(state: State, effects: Sequence[str]) -> State:
+def truncated(state: SelectionState, effects: Sequence[str]) -> SelectionState:
     """The state with only the first additions in, the others' parameters at neutral."""
     theta = state.theta.copy()
     for effect in state.active:
         if effect not in effects:
-            for name in state.field.parameters_of(effect):
-                theta[state.field.columns([name])[0]] = state.field.neutral[name]
+            for name in state.full.parameters_of(effect):
+                theta[state.full.columns([name])[0]] = state.full.neutral[name]
     return moved(state, theta, tuple(effects))

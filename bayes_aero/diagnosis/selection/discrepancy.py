@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bayes_aero.diagnosis.screening.selection_state import State
+from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.errors import InputError
 from bayes_aero.inference.gp import GPFit, MapStatus, Priors, fit_gp
 from bayes_aero.inference.gp.kernel import Scaling
@@ -42,7 +42,7 @@ class Guess:
 class Processes:
     """Gaussian processes of one output of a state, one for each fold left out."""
 
-    def __init__(self, state: State, name: str, seed: int) -> None:
+    def __init__(self, state: SelectionState, name: str, seed: int) -> None:
         self.state, self.name, self.seed = state, name, seed
         self.column = state.outputs.index(name)
         self.last: dict[Priors, GPFit] = {}
@@ -61,22 +61,24 @@ class Processes:
         self, X: Float[np.ndarray, "m d"], y: Float[np.ndarray, " m"], train: Bool[np.ndarray, " m"], fold: slice
     ) -> Guess:
         """The same for what a model leaves, its noise growing as the state's: as fine as it earns, else long scales."""
-        swell, inputs = self.state.swell[:, self.column], self._inputs(X, train)
+        noise_growth, inputs = self.state.noise_growth[:, self.column], self._inputs(X, train)
         fine = self._fit(X, y, train, Priors())
         if not isinstance(fine, str):
             guard = round(self.state.settings.gap / self.state.responses.seconds)
-            trust, noise = trust_of(fine, y[train], swell[train], _stretches(self.state, train), guard)
+            trust, noise = trust_of(fine, y[train], noise_growth[train], _stretches(self.state, train), guard)
             if trust >= EARNED:
                 there = fine.predict(inputs[fold])
                 return Guess(
-                    trust * there.mean, np.sqrt(trust**2 * there.latent_sd**2 + noise * swell[fold] ** 2), trust
+                    trust * there.mean, np.sqrt(trust**2 * there.latent_sd**2 + noise * noise_growth[fold] ** 2), trust
                 )
         fit = self._fit(X, y, train, Priors.quasi_steady())
         if isinstance(fit, str):
             return _refusal(fold, fit)
         there = fit.predict(inputs[fold])
-        noise = float(np.mean((y / swell)[train] ** 2))  # of the model: how well its own folds are followed is no merit
-        return Guess(there.mean, np.sqrt(there.latent_sd**2 + noise * swell[fold] ** 2))
+        noise = float(
+            np.mean((y / noise_growth)[train] ** 2)
+        )  # of the model: how well its own folds are followed is no merit
+        return Guess(there.mean, np.sqrt(there.latent_sd**2 + noise * noise_growth[fold] ** 2))
 
     def _inputs(self, X: Float[np.ndarray, "m d"], train: Bool[np.ndarray, " m"]) -> Float[np.ndarray, "m e"]:
         """Inputs that move in `train`."""
@@ -126,7 +128,7 @@ def _white(fit: GPFit) -> float:
     return float(np.exp(2.0 * fit.optima[0].theta[-1]) * fit.scaling.rms**2)
 
 
-def _stretches(state: State, train: Bool[np.ndarray, " m"]) -> list[np.ndarray]:
+def _stretches(state: SelectionState, train: Bool[np.ndarray, " m"]) -> list[np.ndarray]:
     """Positions among the training blocks of stretches of about `INNER` s, each within one manoeuvre and fold."""
     at = np.flatnonzero(train)
     breaks = (np.diff(at) > 1) | (np.diff(state.responses.manoeuvre[at]) > 0)
@@ -136,16 +138,20 @@ def _stretches(state: State, train: Bool[np.ndarray, " m"]) -> list[np.ndarray]:
 
 
 def trust_of(
-    fit: GPFit, y: Float[np.ndarray, " n"], swell: Float[np.ndarray, " n"], stretches: Sequence[np.ndarray], guard: int
+    fit: GPFit,
+    y: Float[np.ndarray, " n"],
+    noise_growth: Float[np.ndarray, " n"],
+    stretches: Sequence[np.ndarray],
+    guard: int,
 ) -> tuple[float, float]:
     """How far to trust a process, 0 to 1, and the variance of what then remains beyond its own uncertainty.
 
-    That variance is of noise that grows as `swell`. Each stretch is predicted from the others (`guard` blocks on either
-    side left out) with the hyperparameters of all; trust is the regression of the output on those predictions, lowered
-    by its standard error. Where there is nothing to predict a stretch from (a manoeuvre of some seconds, its gaps taken
-    out, is one stretch), nothing is trusted.
+    That variance is of noise that grows as `noise_growth`. Each stretch is predicted from the others (`guard` blocks on
+    either side left out) with the hyperparameters of all; trust is the regression of the output on those predictions,
+    lowered by its standard error. Where there is nothing to predict a stretch from (a manoeuvre of some seconds, its
+    gaps taken out, is one stretch), nothing is trusted.
     """
-    nothing = 0.0, float(np.mean((y / swell) ** 2))
+    nothing = 0.0, float(np.mean((y / noise_growth) ** 2))
     if len(stretches) < 2:
         return nothing
     theta, rms = fit.optima[0].theta, fit.scaling.rms
@@ -165,5 +171,5 @@ def trust_of(
     slope = float(cross.sum() / square.sum())
     error = float(np.sqrt(np.sum((cross - slope * square) ** 2)) / square.sum())  # stretches taken as independent
     trust = float(np.clip(slope - error, 0.0, 1.0))
-    left = ((y - trust * mean) ** 2 - trust**2 * latent) / swell**2
-    return trust, float(max(np.mean(left), _white(fit) / np.mean(swell**2)))
+    left = ((y - trust * mean) ** 2 - trust**2 * latent) / noise_growth**2
+    return trust, float(max(np.mean(left), _white(fit) / np.mean(noise_growth**2)))

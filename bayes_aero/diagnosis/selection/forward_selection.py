@@ -11,20 +11,20 @@ from jaxtyping import Float
 from scipy.special import ndtr
 
 from bayes_aero.diagnosis.screening.accuracy import Size, sizes
-from bayes_aero.diagnosis.screening.autocorrelation import colour_of
+from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.partialled_regression import as_normal, equivalent
-from bayes_aero.diagnosis.screening.refit_screening import SecondLook
+from bayes_aero.diagnosis.screening.refit_screening import RefitScore
 from bayes_aero.diagnosis.screening.regression import Fit, Products
 from bayes_aero.diagnosis.screening.screening import (
-    Poll,
-    Standing,
+    CandidateScore,
+    ScreeningResult,
+    block_jackknife_covariance,
     columns_of,
     log_bayes,
-    poll,
+    screen,
     uncertainty,
-    without_each_stretch,
 )
-from bayes_aero.diagnosis.screening.selection_state import State, moved, refitted, swelling
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, noise_growth_of, refitted
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.physics.coefficient_names import NAMES
 
@@ -33,11 +33,11 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Step:
-    """One election: the poll, the chosen effect (None: nobody), its p-value, and its gain on folds left out."""
+    """One election: the screening, the chosen effect (None: nobody), its p-value, and its gain on folds left out."""
 
     chosen: str | None
     p_value: float
-    poll: Poll
+    screening: ScreeningResult
     unseen: float
 
 
@@ -49,9 +49,9 @@ class Extension:
     (see `worth`); `minor` are not.
     """
 
-    base: State
+    base: SelectionState
     base_fit: Fit
-    state: State
+    state: SelectionState
     fit: Fit
     steps: tuple[Step, ...]
     sizes: Mapping[str, Size]
@@ -59,7 +59,9 @@ class Extension:
     minor: tuple[str, ...]
 
 
-def extend(state: State, *, seed: int = 0, most: int | None = None, progress: Progress | None = None) -> Extension:
+def forward_selection(
+    state: SelectionState, *, seed: int = 0, most: int | None = None, progress: Progress | None = None
+) -> Extension:
     """Add effects to `state` until none is both beyond chance and useful on data left out; at most `most`
     (default: the settings').
 
@@ -67,8 +69,8 @@ def extend(state: State, *, seed: int = 0, most: int | None = None, progress: Pr
     """
     most = state.settings.max_effects if most is None else most
     state, fit = refitted(state)
-    swell, cost = swelling(state, fit), _inflation(state, fit)
-    state, fit = refitted(moved(replace(state, swell=swell, temper=cost), state.theta))
+    noise_growth, cost = noise_growth_of(state, fit), _inflation(state, fit)
+    state, fit = refitted(moved(replace(state, noise_growth=noise_growth, variance_inflation=cost), state.theta))
     first, first_fit = state, fit
     steps: list[Step] = []
     for number in range(most):
@@ -78,7 +80,7 @@ def extend(state: State, *, seed: int = 0, most: int | None = None, progress: Pr
         steps.append(step)
         if step.chosen is None:
             break
-        winner = step.poll.of(step.chosen)
+        winner = step.screening.of(step.chosen)
         assert winner is not None
         state, fit = refitted(added(state, winner))
         state, fit = _reconsidered(state, fit)
@@ -87,31 +89,31 @@ def extend(state: State, *, seed: int = 0, most: int | None = None, progress: Pr
     return Extension(first, first_fit, state, fit, tuple(steps), found, causes, minor)
 
 
-def _between_sizes(state: State, fit: Fit) -> dict[str, Size]:
+def _between_sizes(state: SelectionState, fit: Fit) -> dict[str, Size]:
     """Sizes whose deviations are no smaller than the scatter of estimates without each stretch makes them."""
-    columns, covariance = without_each_stretch(state, fit)
-    names = state.field.model.names
+    columns, covariance = block_jackknife_covariance(state, fit)
+    names = state.full.model.names
     wide = {names[c]: float(sd) for c, sd in zip(columns, np.sqrt(np.diag(covariance)), strict=True) if c < len(names)}
     return {name: replace(size, sd=max(size.sd, wide[name])) for name, size in sizes(state, fit).items()}
 
 
-def _inflation(state: State, fit: Fit) -> float:
+def _inflation(state: SelectionState, fit: Fit) -> float:
     """How many times the colour multiplies variances, in the median over the candidates."""
-    found = poll(state, fit, seed=0, replicates=0).standings
+    found = screen(state, fit, seed=0, replicates=0).candidate_scores
     return max(1.0, float(np.median([s.inflation for s in found]))) if found else 1.0
 
 
-def _election(state: State, fit: Fit, seed: int, first: bool) -> Step:
+def _election(state: SelectionState, fit: Fit, seed: int, first: bool) -> Step:
     """The most explaining candidate that is beyond chance, large enough to matter and useful on folds left out.
 
     Noise-only replicates are drawn where somebody stands a chance, and in the first election, whose p-values are
     reported for every candidate.
     """
     settings = state.settings
-    found = poll(state, fit, seed=seed, replicates=None if first else 0)
-    able: list[tuple[Standing, float]] = []
+    found = screen(state, fit, seed=seed, replicates=None if first else 0)
+    able: list[tuple[CandidateScore, float]] = []
     seen: set[str] = set()
-    for standing in found.standings:
+    for standing in found.candidate_scores:
         if standing.effect in seen:
             continue
         seen.add(standing.effect)
@@ -119,53 +121,53 @@ def _election(state: State, fit: Fit, seed: int, first: bool) -> Step:
             break
         if explained(state, standing) < settings.least_share or mixes_noise(state, standing):
             continue
-        gain = float(unseen_gain(state, columns_of(state, standing)).sum())
+        gain = float(holdout_gain(state, columns_of(state, standing)).sum())
         if not gain > 0.0:
             continue
         able.append((standing, gain))
         if standing.score < settings.least_score or standing.log_bayes <= 0.0:
             continue
         if not len(found.nulls):
-            found = replace(found, nulls=poll(state, fit, seed=seed).nulls)
+            found = replace(found, nulls=screen(state, fit, seed=seed).nulls)
         p = found.p_value(standing.score)
         if p <= settings.false_alarm_rate:
             return Step(standing.effect, p, found, gain)
     if state.responses.stretch is not None:  # no stationary colour holds, with a leader in or out
         for standing, gain in able[: settings.candidates_refitted]:
             wider = refitted(added(state, standing))
-            p = between_p_value(*wider, standing.effect, len(found.standings))
+            p = between_p_value(*wider, standing.effect, len(found.candidate_scores))
             if p <= settings.refit_false_alarm_rate:
                 return Step(standing.effect, p, found, gain)
         able = []
     for standing, gain in able:
-        look = SecondLook(state, standing, seed=seed)
+        look = RefitScore(state, standing, seed=seed)
         if look.score < settings.least_score or look.log_bayes <= 0.0:
             continue
         if (p := look.p_value()) <= settings.refit_false_alarm_rate:
             return Step(standing.effect, p, found, gain)
-    highest = max((s.score for s in found.standings), default=0.0)
+    highest = max((s.score for s in found.candidate_scores), default=0.0)
     return Step(None, found.p_value(highest) if len(found.nulls) else float("nan"), found, float("nan"))
 
 
-def between_p_value(wider: State, fit: Fit, effect: str, among: int) -> float:
+def between_p_value(wider: SelectionState, fit: Fit, effect: str, among: int) -> float:
     """p-value of an addition by how far it moves without each stretch, Bonferroni over `among` candidates.
 
     It is in, and all is fitted again: a large effect that is out bends the first-order residuals, and the stretches
     then seem to disagree more than they do.
     """
-    names = wider.field.parameters_of(effect)
-    columns = wider.field.columns(names)
+    names = wider.full.parameters_of(effect)
+    columns = wider.full.columns(names)
     if not np.all(np.isin(columns, fit.columns)):
         return 1.0
-    away = wider.theta[columns] - np.array([wider.field.neutral[name] for name in names])
-    own, covariance = without_each_stretch(wider, fit)
+    away = wider.theta[columns] - np.array([wider.full.neutral[name] for name in names])
+    own, covariance = block_jackknife_covariance(wider, fit)
     at = [int(np.flatnonzero(own == c)[0]) for c in columns]
     freedom = int(np.max(wider.responses.stretch))  # pyright: ignore[reportArgumentType, reportCallIssue]
     score = as_normal(equivalent(away, covariance[np.ix_(at, at)]), freedom)
     return min(1.0, 2.0 * among * float(ndtr(-score)))
 
 
-def mixes_noise(state: State, standing: Standing) -> bool:
+def mixes_noise(state: SelectionState, standing: CandidateScore) -> bool:
     """Whether a candidate's gain vanishes when noise of the coefficients may correlate.
 
     Noise of the angle of attack is in CL and in Cm at once. A shift of the CG adds CL to Cm, which hides that noise
@@ -174,15 +176,15 @@ def mixes_noise(state: State, standing: Standing) -> bool:
     """
     if set(state.outputs) != set(NAMES) or standing.together >= state.settings.least_share_correlated * standing.gain:
         return False
-    return any(e.name == standing.effect and e.stage is Stage.AIRCRAFT for e in state.field.candidates)
+    return any(e.name == standing.effect and e.stage is Stage.AIRCRAFT for e in state.full.candidates)
 
 
-def explained(state: State, standing: Standing) -> float:
+def explained(state: SelectionState, standing: CandidateScore) -> float:
     """Share of the remaining variance that a candidate takes away, were it all in one output."""
     return 1.0 - float(np.exp(-max(standing.gain, 0.0) / state.products.count.sum()))
 
 
-def unseen_gain(state: State, wide: np.ndarray, narrow: np.ndarray | None = None) -> Float[np.ndarray, " f"]:
+def holdout_gain(state: SelectionState, wide: np.ndarray, narrow: np.ndarray | None = None) -> Float[np.ndarray, " f"]:
     """Deviance that columns `wide` gain over `narrow` (default: the active ones) on each fold, fitted on the others."""
     narrow = state.columns() if narrow is None else narrow
     used = np.unique(np.concatenate([wide, narrow, state.offsets]))
@@ -213,33 +215,33 @@ class _Folds:
         return float(n * np.sum(np.log(left.gram[0, :, 0, 0] / n)))
 
 
-def added(state: State, winner: Standing) -> State:
+def added(state: SelectionState, winner: CandidateScore) -> SelectionState:
     """The state with a candidate in, its parameters at their first-order estimate (or the scanned value)."""
     theta = state.theta.copy()
-    at = state.field.columns(state.field.parameters_of(winner.effect))
+    at = state.full.columns(state.full.parameters_of(winner.effect))
     if winner.value is not None:
         scan = next(s for s in state.scans if s.effect == winner.effect and s.value == winner.value)
-        theta[state.field.columns([scan.parameter])[0]] = winner.value
+        theta[state.full.columns([scan.parameter])[0]] = winner.value
     else:
-        bounds = np.array([state.field.model.free[i].bounds for i in at])
+        bounds = np.array([state.full.model.free[i].bounds for i in at])
         theta[at] = np.clip(theta[at] + np.array(winner.step), bounds[:, 0], bounds[:, 1])
     return moved(state, theta, (*state.active, winner.effect))
 
 
-def removed(state: State, effect: str) -> State:
+def removed(state: SelectionState, effect: str) -> SelectionState:
     """The state without one of its additions, that effect's parameters at neutral."""
     theta = state.theta.copy()
-    for name in state.field.parameters_of(effect):
-        theta[state.field.columns([name])[0]] = state.field.neutral[name]
+    for name in state.full.parameters_of(effect):
+        theta[state.full.columns([name])[0]] = state.full.neutral[name]
     return moved(state, theta, tuple(e for e in state.active if e != effect))
 
 
-def _reconsidered(state: State, fit: Fit) -> tuple[State, Fit]:
+def _reconsidered(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]:
     """Look at each earlier addition again: drop it if it is superfluous by now, exchange it if it was a proxy."""
     for effect in state.active[:-1]:
-        ranking = poll(state, fit, seed=0, replicates=0, without=effect)
+        ranking = screen(state, fit, seed=0, replicates=0, without=effect)
         own = ranking.of(effect)
-        best = next((s for s in ranking.standings if not mixes_noise(state, s)), ranking.standings[0])
+        best = next((s for s in ranking.candidate_scores if not mixes_noise(state, s)), ranking.candidate_scores[0])
         faint = own is not None and own.log_bayes < 0.0 and _bayes_within(state, fit, own) < 0.0
         if own is None or faint or explained(state, own) < state.settings.least_share or mixes_noise(state, own):
             state, fit = refitted(removed(state, effect))
@@ -248,27 +250,27 @@ def _reconsidered(state: State, fit: Fit) -> tuple[State, Fit]:
     return state, fit
 
 
-def _bayes_within(state: State, fit: Fit, own: Standing) -> float:
+def _bayes_within(state: SelectionState, fit: Fit, own: CandidateScore) -> float:
     """Log Bayes factor of an addition under the colour that is left with it in."""
-    names = state.field.parameters_of(own.effect)
-    columns = state.field.columns(names)
-    away = state.theta[columns] - np.array([state.field.neutral[name] for name in names])
+    names = state.full.parameters_of(own.effect)
+    columns = state.full.columns(names)
+    away = state.theta[columns] - np.array([state.full.neutral[name] for name in names])
     if not (np.all(np.isfinite(away)) and np.all(np.isin(columns, fit.columns))):
         return own.log_bayes
     at = [int(np.flatnonzero(fit.columns == c)[0]) for c in columns]
-    covariance = uncertainty(state, fit, colour_of(state.left(fit), state.folds))[np.ix_(at, at)]
-    return log_bayes(away, covariance, state.mean[columns] + away, state.precision[columns] / state.temper)
+    covariance = uncertainty(state, fit, autocorrelation_of(state.left(fit), state.folds))[np.ix_(at, at)]
+    return log_bayes(away, covariance, state.mean[columns] + away, state.precision[columns] / state.variance_inflation)
 
 
-def worth(state: State, found: Mapping[str, Size]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def worth(state: SelectionState, found: Mapping[str, Size]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Additions large enough to be worth modelling, and those that are only a nuisance.
 
     One that was elected may turn out uncertain once the noise of the regressors is counted: then it is a nuisance, too.
     """
     causes, minor = [], []
     for name in state.active:
-        effect = next(e for e in state.field.candidates if e.name == name)
-        away = {p: (found[p].mean - state.field.neutral[p], found[p].sd) for p in effect.sizes if p in found}
+        effect = next(e for e in state.full.candidates if e.name == name)
+        away = {p: (found[p].mean - state.full.neutral[p], found[p].sd) for p in effect.sizes if p in found}
         (causes if large(effect, away, state.settings.least_score) else minor).append(name)
     return tuple(causes), tuple(minor)
 
@@ -283,11 +285,11 @@ def large(effect: Effect, away: Mapping[str, tuple[float, float]], least_score: 
 def nats_gained(old: Extension, new: Extension) -> float:
     """Log likelihood that another extension gains, the colour counted, less what the choice of each addition costs."""
 
-    def deviance(state: State, fit: Fit) -> float:
+    def deviance(state: SelectionState, fit: Fit) -> float:
         inside = np.concatenate([np.arange(fold.start, fold.stop) for fold in state.folds])
-        return fit.deviance + 2.0 * float(np.sum(np.log(state.swell[inside])))
+        return fit.deviance + 2.0 * float(np.sum(np.log(state.noise_growth[inside])))
 
     additions = len(new.state.active) - len(old.state.active)
     gained = deviance(old.state, old.fit) - deviance(new.state, new.fit)
-    choice = math.log(max(len(new.state.field.candidates), 1))
-    return gained / (2.0 * max(old.state.temper, new.state.temper)) - additions * choice
+    choice = math.log(max(len(new.state.full.candidates), 1))
+    return gained / (2.0 * max(old.state.variance_inflation, new.state.variance_inflation)) - additions * choice

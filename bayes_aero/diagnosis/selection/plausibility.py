@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from bayes_aero.diagnosis.consistency.sensor_errors import SENSOR_KINDS
-from bayes_aero.diagnosis.result import Cause, Unknown
+from bayes_aero.diagnosis.result import Cause, UnexplainedStructure
 from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.regression import Fit, inverse
-from bayes_aero.diagnosis.screening.screening import poll
-from bayes_aero.diagnosis.screening.selection_state import State
+from bayes_aero.diagnosis.screening.screening import screen
+from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.effect import Effect
@@ -28,13 +28,13 @@ def implausible(
     }
 
 
-def own_share(state: State, fit: Fit, effect: str) -> float:
+def own_share(state: SelectionState, fit: Fit, effect: str) -> float:
     """Share of what an effect does to the outputs, means aside, that no other free parameter can do as well.
 
     One over the variance inflation factor, the largest over its parameters; priors left out, for they are no data.
     Not a number where the effect is not in the fit.
     """
-    columns = state.field.columns(state.field.parameters_of(effect))
+    columns = state.full.columns(state.full.parameters_of(effect))
     at = [int(np.flatnonzero(fit.columns == c)[0]) for c in columns if c in fit.columns]
     if not at:
         return float("nan")
@@ -57,15 +57,17 @@ def attributed(
     return named, beyond, tuple(c for c in rest if c not in named)
 
 
-def as_structure(cause: Cause, extension: Extension, effect: Effect) -> Unknown:
+def as_structure(cause: Cause, extension: Extension, effect: Effect) -> UnexplainedStructure:
     """What a cause that is none explained: the output of which it takes most, through which channel."""
     state, fit = extension.state, extension.fit
-    standing = poll(state, fit, seed=0, replicates=0, without=cause.name).of(cause.name)
-    columns = state.field.columns(state.field.parameters_of(cause.name))
-    neutral = np.array([state.field.neutral[name] for name in state.field.parameters_of(cause.name)])
+    standing = screen(state, fit, seed=0, replicates=0, without=cause.name).of(cause.name)
+    columns = state.full.columns(state.full.parameters_of(cause.name))
+    neutral = np.array([state.full.neutral[name] for name in state.full.parameters_of(cause.name)])
     moved = (state.scaled[:, :, columns] @ (state.theta[columns] - neutral))[state.inside]
     output = int(np.argmax(np.mean((moved - moved.mean(axis=0)) ** 2, axis=0) / fit.variance))
     gain = 0.0 if standing is None else max(standing.gain, 0.0)
     share = 1.0 - float(np.exp(-gain / state.products.count.sum()))
     channel = effect.channels[0] if effect.channels else effect.kind.value
-    return Unknown(state.outputs[output], channel, share, cause.p_value, (cause.name, *cause.ambiguous_with))
+    return UnexplainedStructure(
+        state.outputs[output], channel, share, cause.p_value, (cause.name, *cause.ambiguous_with)
+    )

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.result import NoiseReport
-from bayes_aero.diagnosis.screening.selection_state import State
+from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.physics.coefficients import NAMES
 
@@ -52,7 +52,7 @@ class Profile:
     deviation: Float[np.ndarray, " b"]
 
 
-def details(state: State) -> Mapping[str, np.ndarray]:
+def details(state: SelectionState) -> Mapping[str, np.ndarray]:
     """Signals, X, measured, modelled and residual coefficients at the recorded rate."""
     return {key: np.asarray(value) for key, value in state.responses.evaluate(state.theta)[1].items()}
 
@@ -80,5 +80,5 @@ def noise_report(extension: Extension, outliers: Mapping[str, int]) -> NoiseRepo
         pieces = [r - r.mean() for r in (blocks[manoeuvre == k, c] for k in range(int(manoeuvre[-1]) + 1))]
         lag1[name] = float(sum(np.sum(r[1:] * r[:-1]) for r in pieces) / sum(np.sum(r**2) for r in pieces))
     deviation = {name: float(full[:, c].std()) for c, name in enumerate(NAMES)}
-    swell = {name: float(state.swell[:, c].max()) for c, name in enumerate(NAMES)}
-    return NoiseReport(lag1, deviation, swell, dict(outliers))
+    noise_growth = {name: float(state.noise_growth[:, c].max()) for c, name in enumerate(NAMES)}
+    return NoiseReport(lag1, deviation, noise_growth, dict(outliers))

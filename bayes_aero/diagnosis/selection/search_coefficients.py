@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayes_aero.diagnosis.candidate_set import field_of
+from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.diagnosis.result import COEFFICIENTS, FLIGHT_PATH
 from bayes_aero.diagnosis.screening.accuracy import filtered_channels
-from bayes_aero.diagnosis.screening.selection_state import State
-from bayes_aero.diagnosis.search_result import Searched
+from bayes_aero.diagnosis.screening.selection_state import SelectionState
+from bayes_aero.diagnosis.search_result import SearchResult
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.selection.residuals import noise_report
-from bayes_aero.diagnosis.selection.stages import Stages, stages
+from bayes_aero.diagnosis.selection.stages import Stages, search_in_stages
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.diagnosis.unexplained import Left, has_chunks, unexplained
 from bayes_aero.effect import Effect
@@ -39,16 +39,16 @@ def search_coefficients(
     *,
     seed: int,
     progress: Progress | None = None,
-) -> Searched:
+) -> SearchResult:
     """Search where coefficients can be formed; `extra` effects stand beside the catalogue's."""
     flights, outliers = despiked(join(records, card))
-    field = field_of(model, flights, extra, settings)
+    full = candidate_model(model, flights, extra, settings)
     mle = fit_mle(model, observe(records, card, model), seed=seed)
-    theta = np.array([field.neutral[name] for name in field.model.names])
+    theta = np.array([full.neutral[name] for name in full.model.names])
     for name, value in zip(mle.names, mle.estimate, strict=True):
-        if name in field.model.names:
-            theta[field.columns([name])[0]] = value
-    both = stages(field, EquationError.of(flights, field.model), theta, seed=seed, progress=progress)
+        if name in full.model.names:
+            theta[full.columns([name])[0]] = value
+    both = search_in_stages(full, EquationError.of(flights, full.model), theta, seed=seed, progress=progress)
     left, failures = attempted(
         "Unexplained structure was not sought",
         lambda: unexplained(both.aerodynamics, seed=seed + 2000),
@@ -56,8 +56,8 @@ def search_coefficients(
     )
     aerodynamics = _withdrawn(both.aerodynamics, left.replaced)
     named = [] if both.sensors is None else [(FLIGHT_PATH, both.sensors)]
-    return Searched(
-        field,
+    return SearchResult(
+        full,
         (*named, (COEFFICIENTS, aerodynamics)),
         left.unknown,
         noise_report(aerodynamics, outliers),
@@ -83,7 +83,7 @@ def _filtered(flights: Flights) -> tuple[str, ...]:
     )
 
 
-def _too_short(state: State) -> tuple[str, ...]:
+def _too_short(state: SelectionState) -> tuple[str, ...]:
     """That periods were not tested, if a manoeuvre is too short for them."""
     if has_chunks(state):
         return ()

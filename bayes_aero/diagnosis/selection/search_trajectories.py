@@ -11,16 +11,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayes_aero.diagnosis.candidate_set import Field, field_of, lag_of
+from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model, lag_of
 from bayes_aero.diagnosis.result import TRAJECTORIES, NoiseReport
-from bayes_aero.diagnosis.screening.selection_state import State, linearised, refitted
-from bayes_aero.diagnosis.search_result import Searched, lacking
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised, refitted
+from bayes_aero.diagnosis.search_result import SearchResult, lacking
 from bayes_aero.diagnosis.selection.forward_selection import (
     Extension,
     Progress,
     Step,
     between_p_value,
-    extend,
+    forward_selection,
     nats_gained,
 )
 from bayes_aero.diagnosis.settings import DiagnosisSettings
@@ -50,7 +50,7 @@ def search_trajectories(
     *,
     seed: int,
     progress: Progress | None = None,
-) -> Searched:
+) -> SearchResult:
     """Search in airspeed, alpha, attitude, pitch rate and altitude alone.
 
     Accelerations are compared too where they were recorded. A lag of the separation point that the card does not have
@@ -63,9 +63,9 @@ def search_trajectories(
     fit = in_windows(flights, base)
     if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
         raise InputError(f"card {card.name}: {fit.status.value}")
-    whole = field_of(model, flights, extra, settings)
+    whole = candidate_model(model, flights, extra, settings)
     state = _state(_without_lags(whole), flights, base.altitude, dict(zip(fit.names, fit.estimate, strict=True)))
-    found = extend(state, seed=seed, progress=progress)
+    found = forward_selection(state, seed=seed, progress=progress)
     if found.state.active:
         found = _with_lag(whole, found, seed, progress) or found
     notes = [] if fit.status is OutputErrorStatus.CONVERGED else [f"The card's model: {fit.status.value}."]
@@ -77,7 +77,7 @@ def search_trajectories(
     if still := taken_as_zero(flights):
         notes.append(f"Not recorded, and taken as zero: {', '.join(still)}.")
     stages = ((TRAJECTORIES, found),)
-    return Searched(found.state.field, stages, (), _noise(found, outliers), tuple(notes), testable_now=False)
+    return SearchResult(found.state.full, stages, (), _noise(found, outliers), tuple(notes), testable_now=False)
 
 
 def in_windows(flights: Flights, dynamics: AircraftDynamics) -> OutputErrorResult:
@@ -94,16 +94,16 @@ def in_windows(flights: Flights, dynamics: AircraftDynamics) -> OutputErrorResul
 
 
 def _state(
-    field: Field, flights: Flights, altitude: bool, values: Mapping[str, float], active: tuple[str, ...] = ()
-) -> State:
+    full: CandidateModel, flights: Flights, altitude: bool, values: Mapping[str, float], active: tuple[str, ...] = ()
+) -> SelectionState:
     """The problem linearised where these parameters have these values and all others are neutral."""
-    theta = np.array([values.get(name, field.neutral[name]) for name in field.model.names])
-    dynamics = AircraftDynamics(field.model, altitude)
+    theta = np.array([values.get(name, full.neutral[name]) for name in full.model.names])
+    dynamics = AircraftDynamics(full.model, altitude)
     responses = OutputError.of(flights, dynamics, dynamics.substeps(theta, flights))
-    return linearised(field, responses, responses.outputs, theta, active)
+    return linearised(full, responses, responses.outputs, theta, active)
 
 
-def _with_lag(whole: Field, found: Extension, seed: int, progress: Progress | None) -> Extension | None:
+def _with_lag(whole: CandidateModel, found: Extension, seed: int, progress: Progress | None) -> Extension | None:
     """What is found with a lag of the separation point in from the beginning, if that is decisively better."""
     try:
         with np.errstate(over="raise", invalid="raise", divide="raise"):
@@ -112,44 +112,44 @@ def _with_lag(whole: Field, found: Extension, seed: int, progress: Progress | No
         return None  # the lag fell to none on the way: the state is its static value, and nothing depends on it
 
 
-def _lagged(whole: Field, found: Extension, seed: int, progress: Progress | None) -> Extension | None:
+def _lagged(whole: CandidateModel, found: Extension, seed: int, progress: Progress | None) -> Extension | None:
     lag = lag_of(whole)
     if lag is None:
         return None
     if progress:
         progress("lag of the separation point", 0.0)
     base = found.base
-    values = dict(zip(base.field.model.names, base.theta, strict=True)) | {p.name: p.start for p in lag.parameters}
+    values = dict(zip(base.full.model.names, base.theta, strict=True)) | {p.name: p.start for p in lag.parameters}
     responses = base.responses
     assert isinstance(responses, OutputError)
     dynamics = responses.windows.dynamics
     assert isinstance(dynamics, AircraftDynamics)
     state, fit = refitted(_state(whole, responses.flights, dynamics.altitude, values, (lag.name,)))
-    among = found.steps[0].poll
-    gain = (found.base_fit.deviance - fit.deviance) / (2.0 * found.base.temper)
-    settings, chance = state.settings, between_p_value(state, fit, lag.name, len(among.standings) + 1)
+    among = found.steps[0].screening
+    gain = (found.base_fit.deviance - fit.deviance) / (2.0 * found.base.variance_inflation)
+    settings, chance = state.settings, between_p_value(state, fit, lag.name, len(among.candidate_scores) + 1)
     if not (gain > settings.decisive and chance <= settings.false_alarm_rate):
         return None  # a lag that is none leaves nothing to linearise
-    other = extend(state, seed=seed, most=settings.max_effects - 1, progress=progress)
+    other = forward_selection(state, seed=seed, most=settings.max_effects - 1, progress=progress)
     if lag.name not in other.state.active or nats_gained(found, other) <= settings.decisive:
         return None
-    p = between_p_value(other.state, other.fit, lag.name, len(among.standings) + 1)
+    p = between_p_value(other.state, other.fit, lag.name, len(among.candidate_scores) + 1)
     return replace(other, base=base, base_fit=found.base_fit, steps=(Step(lag.name, p, among, np.nan), *other.steps))
 
 
-def _without_lags(field: Field) -> Field:
+def _without_lags(full: CandidateModel) -> CandidateModel:
     """Without effects that need a state of their own."""
-    lags = [e for e in field.candidates if e.stage is Stage.LAG]
+    lags = [e for e in full.candidates if e.stage is Stage.LAG]
     own = {p.name: p.neutral for e in lags for p in e.parameters}
-    model = Model(field.model.effects, field.model.parameters, (*field.model.fixed, *own.items()))
+    model = Model(full.model.effects, full.model.parameters, (*full.model.fixed, *own.items()))
     told = {
         e.name: "a lag is a state of its own, tried only where something is missing; give it on the card" for e in lags
     }
     return replace(
-        field,
+        full,
         model=model,
-        candidates=tuple(e for e in field.candidates if e not in lags),
-        not_testable={**field.not_testable, **told},
+        candidates=tuple(e for e in full.candidates if e not in lags),
+        not_testable={**full.not_testable, **told},
     )
 
 

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.candidate_set import Field
-from bayes_aero.diagnosis.consistency.sensor_errors import agreement
-from bayes_aero.diagnosis.screening.screening import poll
-from bayes_aero.diagnosis.screening.selection_state import State, linearised, local_fit, optimum, refitted
+from bayes_aero.diagnosis.candidate_set import CandidateModel
+from bayes_aero.diagnosis.consistency.sensor_errors import check_sensors
+from bayes_aero.diagnosis.screening.screening import screen
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised, local_fit, optimum, refitted
 from bayes_aero.diagnosis.selection.block_jackknife import widened
-from bayes_aero.diagnosis.selection.forward_selection import Extension, extend, nats_gained, removed
+from bayes_aero.diagnosis.selection.forward_selection import Extension, forward_selection, nats_gained, removed
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.coefficient_names import NAMES
 from bayes_aero.residuals.equation_error import EquationError
@@ -36,8 +36,8 @@ class Stages:
     denied: tuple[str, ...] = ()
 
 
-def stages(
-    field: Field,
+def search_in_stages(
+    full: CandidateModel,
     responses: EquationError,
     theta: Float[np.ndarray, " k"],
     *,
@@ -49,30 +49,30 @@ def stages(
     def coefficients(sensors: Extension | None) -> Extension:
         if progress:
             progress("coefficients", 0.0)
-        begin = theta if sensors is None else _neutral(sensors.state, sensors.state.theta, sensors.state.field.base)
-        state = linearised(_after(field, sensors), responses, NAMES, begin)
-        return extend(state, seed=seed + 1000, progress=progress)
+        begin = theta if sensors is None else _neutral(sensors.state, sensors.state.theta, sensors.state.full.base)
+        state = linearised(_after(full, sensors), responses, NAMES, begin)
+        return forward_selection(state, seed=seed + 1000, progress=progress)
 
     path = FlightPathError.of(responses.flights, responses.model)
     if not path.outputs:
         return Stages(None, coefficients(None))
     if progress:
         progress("sensors", 0.0)
-    sensors = agreement(field, path, theta, seed=seed)
+    sensors = check_sensors(full, path, theta, seed=seed)
     aerodynamics, denied = coefficients(sensors), []
     while (name := _denied(sensors, aerodynamics)) is not None:
         state, fit = refitted(removed(sensors.state, name))
         fewer = widened(sensors, state, fit)
         other = coefficients(fewer)
-        if nats_gained(aerodynamics, other) < _path_gain(sensors, name) + field.settings.decisive:
+        if nats_gained(aerodynamics, other) < _path_gain(sensors, name) + full.settings.decisive:
             break
         denied, sensors, aerodynamics = [*denied, name], fewer, other
     if sensors.state.active and (known := _shared(sensors, aerodynamics)):
         told = _told(aerodynamics, known)
-        again = agreement(field, path, _with(theta, field, told), seed=seed, known=known, priors=told)
+        again = check_sensors(full, path, _with(theta, full, told), seed=seed, known=known, priors=told)
         if len(again.state.active) < len(sensors.state.active):  # one of them had stood in for it
             other = coefficients(again)
-            if nats_gained(aerodynamics, other) > -field.settings.decisive:
+            if nats_gained(aerodynamics, other) > -full.settings.decisive:
                 sensors, aerodynamics = again, other
     return Stages(sensors, aerodynamics, tuple(denied))
 
@@ -85,34 +85,34 @@ def _shared(sensors: Extension, aerodynamics: Extension) -> tuple[str, ...]:
 
 def _told(aerodynamics: Extension, known: Sequence[str]) -> dict[str, Prior]:
     """What the coefficients say of these."""
-    names = [p for effect in known for p in aerodynamics.state.field.parameters_of(effect)]
+    names = [p for effect in known for p in aerodynamics.state.full.parameters_of(effect)]
     found = {name: aerodynamics.sizes[name] for name in names}
     return {
         name: Prior("normal", size.mean, size.sd, "coefficients of the same record") for name, size in found.items()
     }
 
 
-def _with(theta: Float[np.ndarray, " k"], field: Field, told: Mapping[str, Prior]) -> Float[np.ndarray, " k"]:
+def _with(theta: Float[np.ndarray, " k"], full: CandidateModel, told: Mapping[str, Prior]) -> Float[np.ndarray, " k"]:
     moved = theta.copy()
-    moved[field.columns(list(told))] = [prior.normal[0] for prior in told.values()]
+    moved[full.columns(list(told))] = [prior.normal[0] for prior in told.values()]
     return moved
 
 
-def _after(field: Field, sensors: Extension | None) -> Field:
+def _after(full: CandidateModel, sensors: Extension | None) -> CandidateModel:
     """What the coefficients may still add, once the flight path has named its sensors."""
     taken = () if sensors is None else sensors.state.active
-    candidates = tuple(e for e in field.candidates if e.name not in taken)
-    return replace(field, candidates=candidates, priors=_kinematic_priors(field, sensors))
+    candidates = tuple(e for e in full.candidates if e.name not in taken)
+    return replace(full, candidates=candidates, priors=_kinematic_priors(full, sensors))
 
 
-def _kinematic_priors(field: Field, sensors: Extension | None) -> dict[str, Prior]:
+def _kinematic_priors(full: CandidateModel, sensors: Extension | None) -> dict[str, Prior]:
     """What the flight path says of sensor errors that it did not elect: the coefficients must not contradict it."""
     if sensors is None or not sensors.steps:
         return {}
     priors = {}
-    own = {p.name: p.prior for p in field.model.free}
-    for standing in sensors.steps[-1].poll.standings:
-        for name, step, sd in zip(field.parameters_of(standing.effect), standing.step, standing.sd, strict=False):
+    own = {p.name: p.prior for p in full.model.free}
+    for standing in sensors.steps[-1].screening.candidate_scores:
+        for name, step, sd in zip(full.parameters_of(standing.effect), standing.step, standing.sd, strict=False):
             mean, deviation = own[name].normal
             weight = deviation**-2.0 + sd**-2.0
             combined = (mean * deviation**-2.0 + step * sd**-2.0) / weight
@@ -124,18 +124,20 @@ def _denied(sensors: Extension, aerodynamics: Extension) -> str | None:
     """The sensor error whose correction costs the card's fit of the coefficients most, if it is more than it gains."""
     card = aerodynamics.base
     whole = _deviance(card, ())
-    losses = {name: (whole - _deviance(card, (name,))) / (2.0 * card.temper) for name in sensors.state.active}
+    losses = {
+        name: (whole - _deviance(card, (name,))) / (2.0 * card.variance_inflation) for name in sensors.state.active
+    }
     worst = max(losses, key=lambda name: losses[name], default=None)
     return worst if worst and losses[worst] > _path_gain(sensors, worst) + card.settings.decisive else None
 
 
 def _path_gain(sensors: Extension, name: str) -> float:
     """What the flight path gains by an error of a sensor, nats, its colour counted."""
-    own = poll(sensors.state, sensors.fit, seed=0, replicates=0, without=name).of(name)
+    own = screen(sensors.state, sensors.fit, seed=0, replicates=0, without=name).of(name)
     return math.inf if own is None else max(own.gain, 0.0) / (2.0 * max(own.inflation, 1.0))
 
 
-def _deviance(card: State, without: Sequence[str]) -> float:
+def _deviance(card: SelectionState, without: Sequence[str]) -> float:
     """Of the coefficients under the card's effects alone, these corrections of sensors taken back."""
     state = replace(card, theta=_neutral(card, card.theta, without))
     columns = state.columns()
@@ -143,10 +145,10 @@ def _deviance(card: State, without: Sequence[str]) -> float:
     return local_fit(state, best, columns[columns < len(best)], folds)[1]
 
 
-def _neutral(state: State, theta: Float[np.ndarray, " k"], effects: Sequence[str]) -> Float[np.ndarray, " k"]:
+def _neutral(state: SelectionState, theta: Float[np.ndarray, " k"], effects: Sequence[str]) -> Float[np.ndarray, " k"]:
     """`theta` with the parameters of these effects at neutral."""
     moved = theta.copy()
     for effect in effects:
-        names = state.field.parameters_of(effect)
-        moved[state.field.columns(names)] = [state.field.neutral[name] for name in names]
+        names = state.full.parameters_of(effect)
+        moved[state.full.columns(names)] = [state.full.neutral[name] for name in names]
     return moved

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.screening.regression import TINY, inverse
-from bayes_aero.diagnosis.screening.screening import Standing
-from bayes_aero.diagnosis.screening.selection_state import State
+from bayes_aero.diagnosis.screening.screening import CandidateScore
+from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection.forward_selection import Extension, explained
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.effect import Effect
@@ -27,15 +27,15 @@ def open_errors(found: Extension) -> tuple[OpenError, ...]:
         found: the search along the flight path, ended by `stretches.borne_out`.
     """
     state = found.state
-    effects = [e for e in state.field.candidates if _felt(state, e)]
+    effects = [e for e in state.full.candidates if _felt(state, e)]
     gram, columns = _information(found, effects)
-    # Priors weigh against a white likelihood as against the coloured one: see `State.temper`.
-    among = np.sqrt(state.temper * np.diag(inverse(gram + np.diag(state.precision[columns]))))
-    poll = found.steps[-1].poll
+    # Priors weigh against a white likelihood as against the coloured one: see `SelectionState.variance_inflation`.
+    among = np.sqrt(state.variance_inflation * np.diag(inverse(gram + np.diag(state.precision[columns]))))
+    screening = found.steps[-1].screening
     told = []
     for place, effect in enumerate(effects):
         parameter = effect.parameters[0]
-        standing = None if effect.name in state.active else poll.of(effect.name)
+        standing = None if effect.name in state.active else screening.of(effect.name)
         asked = standing is not None and _asked(state, effect, standing)
         mean, sd = _size(found, effect, standing)
         wide = max(sd, float(among[place]))
@@ -57,21 +57,21 @@ def open_errors(found: Extension) -> tuple[OpenError, ...]:
                 share=share,
             )
         )
-    rank = {standing.effect: k for k, standing in reversed(list(enumerate(poll.standings)))}
+    rank = {standing.effect: k for k, standing in reversed(list(enumerate(screening.candidate_scores)))}
     return tuple(sorted(told, key=lambda e: (not e.asked, rank.get(e.name, len(rank)))))
 
 
-def _felt(state: State, effect: Effect) -> bool:
+def _felt(state: SelectionState, effect: Effect) -> bool:
     """Whether an effect has one parameter, no break point, and moves the flight path."""
     if len(effect.parameters) != 1 or effect.scan or not effect.sizes:
         return False
-    return bool(np.any(state.S[:, :, state.field.columns(state.field.parameters_of(effect.name))] != 0.0))
+    return bool(np.any(state.S[:, :, state.full.columns(state.full.parameters_of(effect.name))] != 0.0))
 
 
 def _information(found: Extension, effects: Sequence[Effect]) -> tuple[Float[np.ndarray, "k k"], np.ndarray]:
     """Information on one parameter of each effect, where integrals begin being free, and these parameters' columns."""
     state = found.state
-    columns = state.field.columns([e.parameters[0].name for e in effects])
+    columns = state.full.columns([e.parameters[0].name for e in effects])
     X, begin = (state.scaled[state.inside][:, :, own] for own in (columns, state.offsets))
     weight = 1.0 / found.fit.variance
     cross, own = (np.einsum("mci,c,mcj->ij", begin, weight, other) for other in (X, begin))
@@ -79,14 +79,14 @@ def _information(found: Extension, effects: Sequence[Effect]) -> tuple[Float[np.
     return np.einsum("mci,c,mcj->ij", X, weight, X), columns
 
 
-def _asked(state: State, effect: Effect, standing: Standing) -> bool:
+def _asked(state: SelectionState, effect: Effect, standing: CandidateScore) -> bool:
     """Whether an error of a size worth a name would explain much of what is left, were it only confirmed."""
     least = effect.sizes[effect.parameters[0].name][0]
     clear = standing.score >= state.settings.least_score and standing.log_bayes > 0.0 and abs(standing.step[0]) >= least
     return clear and explained(state, standing) >= state.settings.open_share
 
 
-def _size(found: Extension, effect: Effect, standing: Standing | None) -> tuple[float, float]:
+def _size(found: Extension, effect: Effect, standing: CandidateScore | None) -> tuple[float, float]:
     """What the record says of an error, were it the only one."""
     if standing is not None:
         return float(standing.step[0]), float(standing.sd[0])

@@ -15,36 +15,36 @@ from jaxtyping import Float
 
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation, backward_elimination
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
-from bayes_aero.diagnosis.trajectories.holdout_fits import Contender, Noise, flown_unseen, left_out
-from bayes_aero.diagnosis.trajectories.log_score import UnseenFlight, gained_in_flight
+from bayes_aero.diagnosis.trajectories.holdout_fits import CandidateFit, Noise, holdout_fits, left_out
+from bayes_aero.diagnosis.trajectories.log_score import HoldoutScore, holdout_gain
 from bayes_aero.effect import Effect
 from bayes_aero.inference.likelihood.mle import solve
-from bayes_aero.inference.likelihood.normal_equations import Looks, Point, by_segment
+from bayes_aero.inference.likelihood.normal_equations import NormalEquations, Point, by_segment
 from bayes_aero.inference.likelihood.output_error import fit_output_error
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult
 
 
 @dataclass(frozen=True)
-class Needed:
+class Elimination:
     """The contender with what flight misses, its fits to all segments but one each, and what each cause is missed by.
 
     Parameters that are `gone` are held at neutral: those of causes that were taken out.
     """
 
-    contender: Contender
+    contender: CandidateFit
     fits: Sequence[OutputErrorResult]
     confirmation: Confirmation
     gone: frozenset[str] = frozenset()
 
 
-def needed(
-    contender: Contender,
+def eliminate(
+    contender: CandidateFit,
     fits: Sequence[OutputErrorResult],
     causes: Sequence[Effect],
     silent: Mapping[int, Mapping[str, float]],
     noise: Noise,
     settings: DiagnosisSettings = DEFAULT,
-) -> Needed:
+) -> Elimination:
     """Ask unseen flight of every one of `causes`; `fits` are those to all segments but one each, `silent` parameters
     held at their joint values there.
 
@@ -55,28 +55,28 @@ def needed(
     neutral = {name: values for name, values in neutral.items() if not unheard & set(values)}
     flight = _Flight(contender, neutral, silent, noise, {tuple(neutral): fits})
     if not flight.refitted(tuple(neutral)).inside:  # what cannot be flown is no measure of anything
-        return Needed(contender, fits, Confirmation((), {}))
+        return Elimination(contender, fits, Confirmation((), {}))
     found = backward_elimination(tuple(neutral), flight, settings)
     less = flight.without(found.kept)
     gone = frozenset(less.held) - frozenset(contender.held)
     if not gone:
-        return Needed(contender, fits, found)
+        return Elimination(contender, fits, found)
     fit = contender.fit
     again = fit_output_error(fit.flown, start=fit.estimate, held=less.held, prior_weight=noise.cost)
-    return Needed(replace(less, fit=again), flight.fits[found.kept], found, gone)
+    return Elimination(replace(less, fit=again), flight.fits[found.kept], found, gone)
 
 
 @dataclass(frozen=True)
 class _Flight:
     """Segments as a contender with some of its causes flies them, unseen. `fits` are kept by the causes that are in."""
 
-    contender: Contender
+    contender: CandidateFit
     neutral: Mapping[str, Mapping[str, float]]  # parameters of the causes that are asked, by cause
     silent: Mapping[int, Mapping[str, float]]
     noise: Noise
     fits: dict[tuple[str, ...], Sequence[OutputErrorResult]]
 
-    def without(self, effects: Sequence[str]) -> Contender:
+    def without(self, effects: Sequence[str]) -> CandidateFit:
         """The contender, of what is asked only `effects` in."""
         gone = {name: x for e, values in self.neutral.items() if e not in effects for name, x in values.items()}
         return replace(self.contender, held={**self.contender.held, **gone})
@@ -85,10 +85,10 @@ class _Flight:
     def looks(self) -> tuple[Point, Point]:
         """From the optimum: with the initial states found there, and with the measured ones."""
         fit = self.contender.fit
-        look = Looks(fit.flown, fit.priors)
+        look = NormalEquations(fit.flown, fit.priors)
         return look(fit.estimate, fit.departure), look(fit.estimate, np.zeros_like(fit.departure))
 
-    def nearly(self, effects: Sequence[str]) -> UnseenFlight:
+    def first_order(self, effects: Sequence[str]) -> HoldoutScore:
         """Residuals linear in the parameters where all segments are fitted; parameters at a bound stay there."""
         fit, (here, still) = self.contender.fit, self.looks
         A, g, _ = by_segment(here, fit.priors)
@@ -100,7 +100,7 @@ class _Flight:
             gradient = g[others].sum(axis=0) - fit.priors.precision * (fit.estimate - fit.priors.mean)
             step = self._step(effects, k, information, gradient)
             left.append((columns[k, ..., 0] - columns[k, ..., 1 : 1 + len(step)] @ step)[inside])
-        return UnseenFlight(tuple(left))
+        return HoldoutScore(tuple(left))
 
     def _step(self, effects: Sequence[str], k: int, A: Float[np.ndarray, "k k"], g: Float[np.ndarray, " k"]):
         """From the joint optimum to that of all segments but one."""
@@ -112,16 +112,16 @@ class _Flight:
         step[moving] = solve(A[np.ix_(moving, moving)], (g - A @ step)[moving], 0.0)
         return step
 
-    def refitted(self, effects: Sequence[str]) -> UnseenFlight:
+    def refitted(self, effects: Sequence[str]) -> HoldoutScore:
         """Every segment flown by a fit to the others."""
         key, less = tuple(effects), self.without(effects)
         if key not in self.fits:
             self.fits[key] = [fit for _, fit in left_out([less], {less.name: self.silent}, self.noise)]
-        paths = flown_unseen(less, self.fits[key], {})
+        paths = holdout_fits(less, self.fits[key], {})
         flown = self.contender.fit.flown
-        return UnseenFlight.of(paths, flown.outputs, flown.growth)
+        return HoldoutScore.of(paths, flown.outputs, flown.growth)
 
-    def gained(self, before: UnseenFlight, after: UnseenFlight) -> tuple[float, float]:
+    def holdout_gain(self, before: HoldoutScore, after: HoldoutScore) -> tuple[float, float]:
         if not before.inside:  # without it the flight leaves its envelope
             return np.inf, 0.0
-        return gained_in_flight(before, after, self.noise.cost)
+        return holdout_gain(before, after, self.noise.cost)

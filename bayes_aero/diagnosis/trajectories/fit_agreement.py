@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.trajectory_fit import FlownFit
+from bayes_aero.diagnosis.trajectories.trajectory_fit import TrajectoryFit
 from bayes_aero.inference.likelihood.mle import MleResult, MleStatus
 from bayes_aero.inference.likelihood.restraints import AGAINST
 
@@ -24,7 +24,7 @@ class Disagreement:
     apart: float
 
 
-def disagreements(coefficients: MleResult, flown: FlownFit) -> tuple[Disagreement, ...]:
+def fit_disagreements(coefficients: MleResult, flown: TrajectoryFit) -> tuple[Disagreement, ...]:
     """Parameters about which the fits differ beyond chance and by more than `WORTH`, the furthest first.
 
     Those at a bound are left out.

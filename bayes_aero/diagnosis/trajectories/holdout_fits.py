@@ -11,12 +11,12 @@ import equinox as eqx
 import numpy as np
 
 from bayes_aero.diagnosis.trajectories.time_histories import Path, paths_of
-from bayes_aero.diagnosis.trajectories.variance_inflation import colour_cost
-from bayes_aero.dynamics.segments import Flown
+from bayes_aero.diagnosis.trajectories.variance_inflation import variance_inflation
+from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.likelihood.output_error import fit_output_error
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult
 from bayes_aero.inference.threads import cores
-from bayes_aero.inference.variance.noise_growth import Separated
+from bayes_aero.inference.variance.noise_growth import SeparatedFlow
 
 
 @dataclass(frozen=True)
@@ -24,16 +24,16 @@ class Noise:
     """What a first fit tells of residuals: how much their colour multiplies variances, how they grow in the stall."""
 
     cost: float
-    parts: Separated | None
+    parts: SeparatedFlow | None
 
     @classmethod
     def of(cls, fit: OutputErrorResult) -> Noise:
         """From a fit to all."""
-        return cls(colour_cost(fit)[0], Separated.of(fit))
+        return cls(variance_inflation(fit)[0], SeparatedFlow.of(fit))
 
-    def on(self, flown: Flown, without: int | None = None) -> Flown:
-        """The same segments with their swell; its size is read from all of them, or from all but one."""
-        return flown if self.parts is None else replace(flown, swell=self.parts.swell(without))
+    def on(self, flown: SegmentTrajectories, without: int | None = None) -> SegmentTrajectories:
+        """The same segments with their noise_growth; its size is read from all of them, or from all but one."""
+        return flown if self.parts is None else replace(flown, noise_growth=self.parts.noise_growth(without))
 
     def told(self, outputs: Sequence[str]) -> dict[str, float]:
         """By output, how many times more is missed in wholly separated flow than in attached flow."""
@@ -42,10 +42,10 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class Contender:
+class CandidateFit:
     """A model fitted to all segments; `held` parameters are never fitted, `own` are those of its causes.
 
-    `weighed`: samples count by the swell of what is missed.
+    `weighed`: samples count by the noise_growth of what is missed.
     """
 
     name: str
@@ -67,14 +67,14 @@ class Contender:
             return {n: float(x) for n, x, alone, all_ in told if n in self.own and not alone < unidentified * all_}
 
 
-def masked(flown: Flown, segment: int, *, keep: bool) -> Flown:
+def masked(flown: SegmentTrajectories, segment: int, *, keep: bool) -> SegmentTrajectories:
     """Only one of the segments counts, or all others; the shapes stay, so nothing compiles anew."""
     counts = (np.arange(len(flown.index)) == segment) == keep
     return eqx.tree_at(lambda f: f.inside, flown, flown.inside & counts[:, None])
 
 
 def left_out(
-    contenders: Sequence[Contender], silent: Mapping[str, Mapping[int, Mapping[str, float]]], noise: Noise
+    contenders: Sequence[CandidateFit], silent: Mapping[str, Mapping[int, Mapping[str, float]]], noise: Noise
 ) -> Iterator[tuple[str, OutputErrorResult]]:
     """Every contender (its name is told) and segment: the fit to all other segments, its `silent` parameters held.
 
@@ -84,7 +84,7 @@ def left_out(
     jobs = [(c, k) for c in contenders for k in range(count)]
     stopped = Event()
 
-    def one(job: tuple[Contender, int]) -> tuple[str, OutputErrorResult]:
+    def one(job: tuple[CandidateFit, int]) -> tuple[str, OutputErrorResult]:
         contender, k = job
         fit, held = contender.fit, {**contender.held, **silent[contender.name][k]}
         weighed = noise.on(fit.flown, without=k) if contender.weighed else fit.flown
@@ -99,8 +99,8 @@ def left_out(
             raise
 
 
-def flown_unseen(
-    contender: Contender,
+def holdout_fits(
+    contender: CandidateFit,
     fits: Sequence[OutputErrorResult],
     tolerances: Mapping[str, float],
     cost: float = 1.0,

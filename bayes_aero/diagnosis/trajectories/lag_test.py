@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.candidate_set import Field, lag_of
+from bayes_aero.diagnosis.candidate_set import CandidateModel, lag_of
 from bayes_aero.diagnosis.selection.forward_selection import Extension, large
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
-from bayes_aero.diagnosis.trajectories.holdout_fits import Contender, Noise
-from bayes_aero.diagnosis.trajectories.log_score import UnseenFlight, gained_in_flight
+from bayes_aero.diagnosis.trajectories.holdout_fits import CandidateFit, Noise
+from bayes_aero.diagnosis.trajectories.log_score import HoldoutScore, holdout_gain
 from bayes_aero.diagnosis.trajectories.time_histories import Path, posterior_covariance
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_biases import with_biases_of
@@ -31,7 +31,7 @@ SETTLED = (OutputErrorStatus.CONVERGED, OutputErrorStatus.AT_BOUND)
 
 
 @dataclass(frozen=True)
-class Lag:
+class LagTest:
     """The lag tried beside the extended model: log density that the joint fit gains, and unseen flight, by it.
 
     Both are divided by what the residuals' colour costs. `unseen` has its deviation, and is not a number where unseen
@@ -53,24 +53,24 @@ class Lag:
         return self.gain > self.decisive and not self.slight
 
 
-def open_lag(field: Field, found: Extension, model: Model) -> Effect | None:
+def open_lag(full: CandidateModel, found: Extension, model: Model) -> Effect | None:
     """The catalogue's lag, if the flow of the extended model separates without one and the last election gives it the
     score of a rival."""
-    lag, stages = lag_of(field), {e.stage for e in model.acting}
+    lag, stages = lag_of(full), {e.stage for e in model.acting}
     if lag is None or Stage.LAG in stages or Stage.SEPARATION not in stages or not found.steps:
         return None
-    scores = [s.score for s in found.steps[-1].poll.standings if s.effect == lag.name]
-    return lag if max(scores, default=0.0) >= field.settings.least_rival_score else None
+    scores = [s.score for s in found.steps[-1].screening.candidate_scores if s.effect == lag.name]
+    return lag if max(scores, default=0.0) >= full.settings.least_rival_score else None
 
 
 def with_lag(
     model: Model,
     effect: Effect,
-    extended: Contender,
+    extended: CandidateFit,
     noise: Noise,
     flights: Flights,
     settings: DiagnosisSettings = DEFAULT,
-) -> tuple[Contender, Lag]:
+) -> tuple[CandidateFit, LagTest]:
     """`model`, the extended one with the lag, fitted to all from the extended one's optimum.
 
     Hysteresis that is left at none is held there: the lag stands in for it.
@@ -90,8 +90,8 @@ def with_lag(
         gain = (extended.fit.cost - fit.cost) / noise.cost
     own = extended.own | {p.name for p in effect.parameters}
     slight = np.isfinite(gain) and not large(effect, _away(effect, fit, noise.cost), settings.least_score)
-    lag = Lag(effect.name, float(gain), instead=tuple(none), slight=bool(slight), decisive=settings.decisive)
-    return Contender("lagged", fit, own, none), lag
+    lag = LagTest(effect.name, float(gain), instead=tuple(none), slight=bool(slight), decisive=settings.decisive)
+    return CandidateFit("lagged", fit, own, none), lag
 
 
 def _away(effect: Effect, fit: OutputErrorResult, cost: float) -> dict[str, tuple[float, float]]:
@@ -102,17 +102,17 @@ def _away(effect: Effect, fit: OutputErrorResult, cost: float) -> dict[str, tupl
 
 
 def confirmed(
-    lag: Lag,
+    lag: LagTest,
     without: Sequence[Path],
     lagged: Sequence[Path],
     outputs: Sequence[str],
-    swell: Sequence[Float[np.ndarray, "_ c"]],
+    noise_growth: Sequence[Float[np.ndarray, "_ c"]],
     cost: float,
     hold_out: float = DEFAULT.hold_out,
-) -> Lag:
+) -> LagTest:
     """Kept if hold-out prediction degrades without the lag, as for any cause; both predict the same manoeuvres."""
-    before, after = (UnseenFlight.of(paths, outputs, swell) for paths in (without, lagged))
-    told = gained_in_flight(before, after, cost)
+    before, after = (HoldoutScore.of(paths, outputs, noise_growth) for paths in (without, lagged))
+    told = holdout_gain(before, after, cost)
     return replace(lag, unseen=told, kept=bool(after.inside and told[0] > hold_out * told[1]))
 
 

@@ -13,29 +13,32 @@ from bayes_aero.diagnosis.trajectories.time_histories import Path
 
 
 @dataclass(frozen=True)
-class UnseenFlight:
-    """What is missed of every segment, flown by a fit to the others, divided by its swell; `inside` the envelope."""
+class HoldoutScore:
+    """What is missed of every segment, flown by a fit to the others, divided by `noise_growth`.
+
+    `inside`: the flight stayed in the envelope.
+    """
 
     residual: tuple[Float[np.ndarray, "_ c"], ...]
     inside: bool = True
 
     @classmethod
     def of(
-        cls, paths: Sequence[Path], outputs: Sequence[str], swell: Sequence[Float[np.ndarray, "_ c"]]
-    ) -> UnseenFlight:
+        cls, paths: Sequence[Path], outputs: Sequence[str], noise_growth: Sequence[Float[np.ndarray, "_ c"]]
+    ) -> HoldoutScore:
         """From simulated segments, in order."""
         left = [np.stack([p.measured[n] - p.simulated[n] for n in outputs], axis=1) for p in paths]
-        return cls(tuple(x / s for x, s in zip(left, swell, strict=True)), all(p.inside for p in paths))
+        return cls(tuple(x / s for x, s in zip(left, noise_growth, strict=True)), all(p.inside for p in paths))
 
     def density(self) -> Float[np.ndarray, " m"]:
-        """Log density of every sample but for what the swell adds: normal, with the variance that the residuals
+        """Log density of every sample but for what the noise_growth adds: normal, with the variance that the residuals
         themselves have, output by output."""
         r = np.concatenate(self.residual)
         variance = np.mean(r**2, axis=0)
         return -0.5 * (r**2 / variance + np.log(variance)).sum(axis=1)
 
 
-def gained_in_flight(before: UnseenFlight, after: UnseenFlight, cost: float) -> tuple[float, float]:
+def holdout_gain(before: HoldoutScore, after: HoldoutScore, cost: float) -> tuple[float, float]:
     """Log density that `after` has beyond `before` on the same segments, divided by the colour's `cost`; deviation."""
     difference = (after.density() - before.density()) / cost
     return float(difference.sum()), deviation_of_sum(difference, [len(r) for r in before.residual])

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayes_aero.diagnosis.consistency.flight_path_noise import sensor_noise
-from bayes_aero.diagnosis.result import Diagnosis, Missed, Tested, verdict_of
+from bayes_aero.diagnosis.result import Diagnosis, OutputMiss, Tested, verdict_of
 from bayes_aero.diagnosis.trajectories.trajectories import Trajectories
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health.signals import channels_of
@@ -28,16 +28,16 @@ def with_tested(found: Diagnosis, flown: Trajectories | None, records: Sequence[
         records: what it rests on.
         card: states the sensors' noise; a usual installation's where it does not.
     """
-    tested = Tested({} if flown is None else missed(flown, records, card))
+    tested = Tested({} if flown is None else beyond_noise(flown, records, card))
     return replace(found, tested=tested, verdict=verdict_of(found.causes, found.unknown, tested))
 
 
-def missed(flown: Trajectories, records: Sequence[FlightRecord], card: Card) -> dict[str, Missed]:
+def beyond_noise(flown: Trajectories, records: Sequence[FlightRecord], card: Card) -> dict[str, OutputMiss]:
     """What the extended model misses of every fitted output (root mean squares, SI), and the noise that is allowed."""
     noises = [sensor_noise(channels_of(record, card), card).white for record in records]
     lengths = [record.n for record in records]
     return {
-        name: Missed(
+        name: OutputMiss(
             noise=float(np.sqrt(np.average([n.get(name, 0.0) ** 2 for n in noises], weights=lengths))),
             fitted=_rms(flown, name, "fitted"),
             unseen=_rms(flown, name, "unseen"),

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.selection.residuals import TheilParts, theil_parts
-from bayes_aero.dynamics.segments import Flown
+from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.likelihood.output_error import trajectories
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
 from bayes_aero.inference.threads import cores
@@ -52,7 +52,7 @@ class Path:
     simulated: Mapping[str, np.ndarray]
 
 
-def label(flown: Flown, row: int) -> str:
+def label(flown: SegmentTrajectories, row: int) -> str:
     """The manoeuvre's name; of the halves of a single one, which."""
     name = flown.flights.names[int(flown.manoeuvre[row])]
     if len(flown.flights.lengths) > 1 or len(flown.index) == 1:
@@ -62,7 +62,7 @@ def label(flown: Flown, row: int) -> str:
 
 def paths_of(
     fit: OutputErrorResult,
-    flown: Flown,
+    flown: SegmentTrajectories,
     model: str,
     split: str,
     departure: Float[np.ndarray, "w s"],
@@ -82,7 +82,7 @@ def paths_of(
 
 def simulated(
     estimate: Float[np.ndarray, " k"],
-    flown: Flown,
+    flown: SegmentTrajectories,
     model: str,
     split: str,
     departure: Float[np.ndarray, "w s"],
@@ -148,7 +148,9 @@ def _draws(fit: OutputErrorResult, cost: float, seed: int) -> Float[np.ndarray, 
     return np.clip(thetas, lower, upper)
 
 
-def _probabilities(alone: Flown, draws: Float[np.ndarray, "m k"], tolerances: Mapping[str, float]) -> dict[str, float]:
+def _probabilities(
+    alone: SegmentTrajectories, draws: Float[np.ndarray, "m k"], tolerances: Mapping[str, float]
+) -> dict[str, float]:
     """Share of draws whose whole trajectory, of one segment, stays inside each tolerance and the envelope.
 
     Draw by draw: a simulation of all of them together would have to be compiled, and takes half as long only.

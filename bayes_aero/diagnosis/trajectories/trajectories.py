@@ -1,7 +1,7 @@
 """The simulation before and after the extension: fitted to trajectories, flown on what it was not fitted to.
 
 Every manoeuvre is left out in turn. A single one is cut in two halves, each flown by the fit to the other. What the
-extended model misses grows as the flow separates, and counts for less there (see `inference/swell.py`).
+extended model misses grows as the flow separates, and counts for less there (see `inference/noise_growth.py`).
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from jaxtyping import Float
 
 from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
-from bayes_aero.diagnosis.trajectories.elimination import needed
-from bayes_aero.diagnosis.trajectories.holdout_fits import Contender, Noise, flown_unseen, left_out
-from bayes_aero.diagnosis.trajectories.lag_test import Lag, confirmed, open_lag, with_lag
+from bayes_aero.diagnosis.trajectories.elimination import eliminate
+from bayes_aero.diagnosis.trajectories.holdout_fits import CandidateFit, Noise, holdout_fits, left_out
+from bayes_aero.diagnosis.trajectories.lag_test import LagTest, confirmed, open_lag, with_lag
 from bayes_aero.diagnosis.trajectories.time_histories import Error as Error
 from bayes_aero.diagnosis.trajectories.time_histories import Path, label, paths_of, posterior_covariance
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_biases import biased_dynamics
-from bayes_aero.dynamics.segments import Flown, segments
+from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.inference.likelihood.output_error import fit_cascade, fit_output_error
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
@@ -67,10 +67,10 @@ class Trajectories:
     held: Mapping[str, tuple[str, ...]]  # causes held at their joint estimate when a manoeuvre is fitted alone
     fitted: tuple[str, ...]  # outputs
     outputs: tuple[str, ...]  # all that were recorded
-    swell: Mapping[str, float] = field(
+    noise_growth: Mapping[str, float] = field(
         default_factory=dict
     )  # by fitted output: how many times more is missed in wholly separated flow
-    lag: Lag | None = None  # of the separation point, if it was tried
+    lag: LagTest | None = None  # of the separation point, if it was tried
     asked: Confirmation = field(default_factory=lambda: Confirmation((), {}))  # of the causes: which flight misses
 
     @property
@@ -84,7 +84,7 @@ class Trajectories:
 
 
 @blas_threads(0)
-def fly_both(
+def compare_trajectories(
     flights: Flights,
     diagnosis: Diagnosis,
     tolerances: Mapping[str, float],
@@ -100,7 +100,7 @@ def fly_both(
     `biases`: outputs recorded with a constant error in each manoeuvre; they are fitted with the rest. Hold-out flights
     are compared with the record as it is.
     """
-    whole = diagnosis.aerodynamics.state.field
+    whole = diagnosis.aerodynamics.state.full
     causes = [c.name for c in diagnosis.causes if c.confirmed]
     added = [e for e in whole.model.effects if e.name in causes]
     base = [e for e in whole.model.effects if e.name in whole.base or not e.parameters]
@@ -117,7 +117,7 @@ def fly_both(
     noise = Noise.of(joint)
     options = {"departure": joint.departure, "prior_weight": noise.cost}
     joint = fit_output_error(noise.on(ours.whole), start=joint.estimate, **options)
-    extended = Contender("extended", joint, frozenset(p.name for e in added for p in e.parameters))
+    extended = CandidateFit("extended", joint, frozenset(p.name for e in added for p in e.parameters))
     lagged, lag, effect = None, None, open_lag(whole, diagnosis.aerodynamics, model)
     if effect is not None:
         tell("separation lag", 0.2)
@@ -131,13 +131,13 @@ def fly_both(
     fits, silent = _left_out(contenders, noise, whole.settings.unidentified, tell)
     best = extended
     if lag is not None and lagged is not None:
-        without, within = (flown_unseen(c, fits[c.name], {}) for c in (extended, lagged))
+        without, within = (holdout_fits(c, fits[c.name], {}) for c in (extended, lagged))
         lag = confirmed(
             lag, without, within, joint.flown.outputs, joint.flown.growth, noise.cost, whole.settings.hold_out
         )
         best = lagged if lag.kept else extended
     tell("causes that hold-out flights need", 0.8)
-    flies = needed(best, fits[best.name], added, silent[best.name], noise, whole.settings)
+    flies = eliminate(best, fits[best.name], added, silent[best.name], noise, whole.settings)
     tell("errors", 0.9)
     paths = _paths({"card": card, "extended": flies.contender}, (fits["card"], flies.fits), noise, tolerances, seed)
     fit, gone = flies.contender.fit, flies.gone
@@ -151,14 +151,14 @@ def fly_both(
         held={label(fit.flown, k): tuple(n for n in names if n not in gone) for k, names in silent[best.name].items()},
         fitted=fit.flown.outputs,
         outputs=tuple(n for n in fit.flown.dynamics.outputs if n in flights.channels),
-        swell=noise.told(fit.flown.outputs),
+        noise_growth=noise.told(fit.flown.outputs),
         lag=lag,
         asked=flies.confirmation,
     )
 
 
 def _left_out(
-    contenders: Sequence[Contender], noise: Noise, unidentified: float, tell: Progress
+    contenders: Sequence[CandidateFit], noise: Noise, unidentified: float, tell: Progress
 ) -> tuple[dict[str, list], dict[str, dict]]:
     """By contender: its fits to all segments but one each, and by that segment what the others say nothing of."""
     tell("left out", 0.5)
@@ -172,7 +172,7 @@ def _left_out(
 
 
 def _paths(
-    models: Mapping[str, Contender],
+    models: Mapping[str, CandidateFit],
     without: Sequence[Sequence[OutputErrorResult]],
     noise: Noise,
     tolerances: Mapping[str, float],
@@ -183,7 +183,7 @@ def _paths(
     for name, c in models.items():
         paths += paths_of(c.fit, c.fit.flown, name, "fitted", c.fit.departure, tolerances)
     for (name, c), fits in zip(models.items(), without, strict=True):
-        paths += [replace(p, model=name) for p in flown_unseen(c, fits, tolerances, noise.cost, seed)]
+        paths += [replace(p, model=name) for p in holdout_fits(c, fits, tolerances, noise.cost, seed)]
     return paths
 
 
@@ -192,17 +192,17 @@ def _card(
     bare: Model,
     ours: _Side,
     added: Sequence[Effect],
-    extended: Contender,
+    extended: CandidateFit,
     noise: Noise,
     flights: Flights,
     biases: Mapping[str, Prior] | None,
-) -> Contender:
+) -> CandidateFit:
     """The card's model, the causes at neutral; from its own start and from what the extended one shares with it.
 
     Every sample counts the same: what it misses is not confined to the stall.
     """
-    base, neutral = diagnosis.aerodynamics.base, diagnosis.aerodynamics.state.field.neutral
-    before = dict(zip(base.field.model.names, base.theta, strict=True))
+    base, neutral = diagnosis.aerodynamics.base, diagnosis.aerodynamics.state.full.neutral
+    before = dict(zip(base.full.model.names, base.theta, strict=True))
     held = {name: neutral[name] for name in extended.own if name in extended.fit.names}
     first = {p.name: p.start for p in ours.whole.dynamics.free} | before | held
     theirs = replace(ours, start=np.array([first[name] for name in ours.whole.dynamics.names]))
@@ -212,15 +212,15 @@ def _card(
     shared = np.array([fitted[name] for name in theirs.whole.dynamics.names])
     starts = [theirs.start, shared]  # a model with something missing may have several optima
     fit = fit_cascade([theirs.window, theirs.whole], starts, held=held, prior_weight=noise.cost)
-    return Contender("card", fit, held=held, weighed=False)
+    return CandidateFit("card", fit, held=held, weighed=False)
 
 
 @dataclass(frozen=True)
 class _Side:
     """One model, cut for its fits: windows first, then whole manoeuvres (or the halves of a single one)."""
 
-    window: Flown
-    whole: Flown
+    window: SegmentTrajectories
+    whole: SegmentTrajectories
     start: Float[np.ndarray, " k"]
 
 

@@ -43,7 +43,7 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class FlownFit:
+class TrajectoryFit:
     """A fit to whole manoeuvres, in SI and radians.
 
     Attributes:
@@ -55,7 +55,7 @@ class FlownFit:
         outputs: all recorded outputs; those fitted are in `fit`.
         units: SI units by channel.
         window: length of the windows of the first fits, s.
-        swell: noise growth in fully separated flow, by fitted output.
+        noise_growth: noise growth in fully separated flow, by fitted output.
         setting: settings of the fit.
     """
 
@@ -67,7 +67,7 @@ class FlownFit:
     outputs: tuple[str, ...]
     units: Mapping[str, str]
     window: float
-    swell: Mapping[str, float] = field(default_factory=dict)
+    noise_growth: Mapping[str, float] = field(default_factory=dict)
     setting: Setting = field(default_factory=Setting)
 
     @property
@@ -86,7 +86,7 @@ class FlownFit:
 
 
 @blas_threads(0)
-def fit_flown(
+def fit_trajectories(
     flights: Flights,
     dynamics: Dynamics,
     units: Mapping[str, str],
@@ -97,7 +97,7 @@ def fit_flown(
     biases: Mapping[str, Prior] | None = None,
     setting: Setting | None = None,
     progress: Progress | None = None,
-) -> FlownFit:
+) -> TrajectoryFit:
     """Fit windows of `window` s from the parameters' own start and every one of `starts`, then whole manoeuvres.
 
     Colour, and growth as the flow separates, of what is missed are measured on the way; the last fit weighs its priors
@@ -127,11 +127,11 @@ def fit_flown(
     if len(stages) == 1 and fit.status is OutputErrorStatus.NOT_CONVERGED:  # a first stage stops early
         again = {"departure": fit.departure, "prior_weight": BEGIN_COST, "without": without}
         fit = fit_output_error(whole, start=fit.estimate, **again)
-    cost, swell = math.nan, {}
+    cost, noise_growth = math.nan, {}
     if math.isfinite(fit.cost) and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         tell("autocorrelation of the residuals", 0.7)
         noise = Noise.of(fit)
-        cost, whole, swell = noise.cost, noise.on(whole), noise.told(whole.outputs)
+        cost, whole, noise_growth = noise.cost, noise.on(whole), noise.told(whole.outputs)
         weight = cost if setting.priors else 0.0
         fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, prior_weight=weight)
     tell("errors of the trajectories", 0.9)
@@ -139,7 +139,9 @@ def fit_flown(
     with np.errstate(over="ignore", invalid="ignore"):  # a first guess may fly anywhere
         paths = paths_of(replace(fit, estimate=first), whole, START, START, still, bands)
         paths += paths_of(fit, whole, FITTED, FITTED, fit.departure, bands)
-    return FlownFit(fit, first, tuple(paths), _initial(fit, shown), cost, shown, dict(units), window, swell, setting)
+    return TrajectoryFit(
+        fit, first, tuple(paths), _initial(fit, shown), cost, shown, dict(units), window, noise_growth, setting
+    )
 
 
 def _initial(fit: OutputErrorResult, shown: tuple[str, ...]) -> dict[str, dict[str, tuple[float, float]]]:

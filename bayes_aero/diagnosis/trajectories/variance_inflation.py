@@ -9,7 +9,7 @@ from bayes_aero.inference.likelihood.output_error_result import THINNED, OutputE
 from bayes_aero.inference.variance.coloured_bounds import corrected_covariance
 
 
-def colour_cost(fit: OutputErrorResult) -> tuple[float, Float[np.ndarray, " k"]]:
+def variance_inflation(fit: OutputErrorResult) -> tuple[float, Float[np.ndarray, " k"]]:
     """How many times the residuals' colour multiplies the parameters' variances: median, and each.
 
     From Morelli and Klein's corrected covariance on means over `THINNED` samples (of white residuals a fifth of the

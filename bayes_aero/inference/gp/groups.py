@@ -35,7 +35,7 @@ def posterior_tree(
     """Groups: `posterior`, draws of the exact posterior with equal weights (the indices `at` of the weighted
     ones) and `sample_stats` of these; `prior`; `proposal`, the weighted draws before resampling, with their exact
     and stand-in log densities and PSIS log weights; `stand_in`, the full NUTS chains of theta, drawn
-    from the stand-in to the power `temper`. Hyperparameters in
+    from the stand-in to the power `variance_inflation`. Hyperparameters in
     physical units (`Scaling.physical`), save theta, which is log scaled.
     """
     weighted, chains = sampled.weighted, sampled.chains
@@ -73,7 +73,7 @@ def posterior_tree(
         "weight_ess": weighted.ess,
         "rounds": sampled.rounds,
         "divergences": chains.divergences,
-        "temper": TEMPER,
+        "variance_inflation": TEMPER,
         "status": sampled.status.name,
         "output_name": output_name,
         "output_rms": scaling.rms,

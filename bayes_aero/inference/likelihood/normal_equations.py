@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_aero.dynamics.flight import Dynamics
-from bayes_aero.dynamics.segments import Flown, simulate
+from bayes_aero.dynamics.segments import SegmentTrajectories, simulate
 from bayes_aero.inference.threads import cores
 
 DEPARTURE = {"airspeed": 1.0, "alpha": 0.01, "theta": 0.01, "q": 0.01, "altitude": 3.0, "X": 0.1}
@@ -52,7 +52,7 @@ class Priors:
     fixed: bool = False
 
     @classmethod
-    def of(cls, flown: Flown, weight: float, without: Collection[str] = ()) -> Priors:
+    def of(cls, flown: SegmentTrajectories, weight: float, without: Collection[str] = ()) -> Priors:
         """All priors as normals, counted `weight` times; parameters `without` one have none."""
         pairs = np.array([p.prior.normal for p in flown.dynamics.free]).reshape(-1, 2)
         deviations = departures(flown.dynamics)
@@ -75,7 +75,7 @@ class Normal(NamedTuple):
 
 
 @eqx.filter_jit
-def _normal(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w s"]):
+def _normal(flown: SegmentTrajectories, theta: Float[Array, " k"], departure: Float[Array, "w s"]):
     """Grams, samples inside the envelope, columns; sensitivities forward, in all directions at once."""
     k, s = theta.shape[0], departure.shape[1]
 
@@ -86,23 +86,23 @@ def _normal(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w 
     point = (theta, jnp.zeros(s))
     towards = (jnp.concatenate([jnp.eye(k), jnp.zeros((s, k))]), jnp.concatenate([jnp.zeros((k, s)), jnp.eye(s)]))
     r, slope, inside = jax.vmap(lambda t: jax.jvp(residual, point, t, has_aux=True), out_axes=(None, -1, None))(towards)
-    columns = jnp.concatenate([r[..., None], -slope], axis=-1) / flown.swell[..., None]  # w n c j
+    columns = jnp.concatenate([r[..., None], -slope], axis=-1) / flown.noise_growth[..., None]  # w n c j
     return jnp.einsum("wnci,wncj->wcij", columns, columns), jnp.sum(inside & flown.inside, axis=1), columns
 
 
-class Looks:
+class NormalEquations:
     """Looks at one set of segments from many points; the segments are shared out among the cores.
 
     XLA leaves a scan to one of them. The first look is taken part by part, lest every thread compile for itself. A part
     of which no sample counts is not flown: it says nothing.
     """
 
-    def __init__(self, flown: Flown, prior: Priors):
+    def __init__(self, flown: SegmentTrajectories, prior: Priors):
         w = len(flown.index)
         size = -(-w // min(w, os.cpu_count() or 1))
         self.prior = prior
         self.count = flown.inside.sum(axis=1).astype(float)
-        self.swell = float(np.log(flown.swell[flown.inside]).sum())
+        self.noise_growth = float(np.log(flown.noise_growth[flown.inside]).sum())
         self._rows = [np.minimum(np.arange(a, a + size), w - 1) for a in range(0, w, size)]  # the last may repeat
         self._parts = {
             number: jax.tree.map(jnp.asarray, flown.nameless.part(rows))
@@ -129,7 +129,7 @@ class Looks:
         gram, within, columns = zip(*(found.get(i, silent) for i in range(len(self._rows))), strict=True)
         gram, within = np.concatenate(gram)[:w], np.concatenate(within)[:w]
         normal = Normal(gram, self.count, float(within.sum() / self.count.sum()), columns)
-        return _point(theta, departure, normal, self.prior, self.swell)
+        return _point(theta, departure, normal, self.prior, self.noise_growth)
 
     def ahead(self, point: Point, step: Float[np.ndarray, " k"], own: Float[np.ndarray, "w s"]) -> Point:
         """What would be seen after a step of parameters and initial states so short that residuals are linear in it."""
@@ -144,7 +144,7 @@ class Looks:
             moved[..., 0] -= np.einsum("wncj,wj->wnc", part[..., 1:], all_steps[rows])
             columns.append(moved)
         normal = point.normal._replace(gram=gram, columns=tuple(columns))
-        return _point(point.theta + step, point.departure + own, normal, self.prior, self.swell)
+        return _point(point.theta + step, point.departure + own, normal, self.prior, self.noise_growth)
 
 
 class Point(NamedTuple):
@@ -157,13 +157,13 @@ class Point(NamedTuple):
     cost: float
 
 
-def _point(theta: np.ndarray, departure: np.ndarray, normal: Normal, prior: Priors, swell: float) -> Point:
-    """`swell`: sum of its logarithms over all samples and outputs, which the likelihood holds."""
+def _point(theta: np.ndarray, departure: np.ndarray, normal: Normal, prior: Priors, noise_growth: float) -> Point:
+    """`noise_growth`: sum of its logarithms over all samples and outputs, which the likelihood holds."""
     gram, total = normal.gram, normal.count.sum()
     if not np.all(np.abs(gram) < HUGE):
         return Point(theta, departure, normal._replace(inside=0.0), np.ones(gram.shape[1]), math.inf)
     R = np.maximum(gram[:, :, 0, 0].sum(axis=0) / total, TINY)
-    cost = 0.5 * total * float(np.sum(np.log(R))) + swell
+    cost = 0.5 * total * float(np.sum(np.log(R))) + noise_growth
     cost += 0.5 * float(prior.precision @ (theta - prior.mean) ** 2) + 0.5 * float(np.sum(departure**2 @ prior.states))
     if normal.inside < 1.0:
         cost += OUTSIDE * (1.0 - normal.inside)

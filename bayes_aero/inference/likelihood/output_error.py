@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_aero.dynamics.output_biases import biased_dynamics
-from bayes_aero.dynamics.segments import Flown, Simulated, simulate
+from bayes_aero.dynamics.segments import SegmentTrajectories, Simulated, simulate
 from bayes_aero.inference.likelihood.mle import solve
-from bayes_aero.inference.likelihood.normal_equations import TINY, Looks, Priors, reduced
+from bayes_aero.inference.likelihood.normal_equations import TINY, NormalEquations, Priors, reduced
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus, result_of
 from bayes_aero.parameter import Prior
 
@@ -31,13 +31,13 @@ WORTH = 0.05  # least share of the expected gain that a step must bring
 _simulate = eqx.filter_jit(simulate)
 
 
-def trajectories(flown: Flown, theta: Float[Array, " k"], departure: Float[Array, "w s"]) -> Simulated:
+def trajectories(flown: SegmentTrajectories, theta: Float[Array, " k"], departure: Float[Array, "w s"]) -> Simulated:
     """`segments.simulate`, compiled."""
     return _simulate(flown.nameless, theta, departure)
 
 
 def fit_output_error(
-    flown: Flown,
+    flown: SegmentTrajectories,
     *,
     start: Float[np.ndarray, " k"] | None = None,
     departure: Float[np.ndarray, "w s"] | None = None,
@@ -69,7 +69,7 @@ def fit_output_error(
     lower, upper = np.where(rest, theta, lower), np.where(rest, theta, upper)
     prior = replace(prior, mean=np.where(rest, theta, prior.mean))  # what is held has no say in the cost
     w, s = flown.index.shape[0], len(flown.dynamics.states)
-    look = Looks(flown, prior)
+    look = NormalEquations(flown, prior)
     here = look(np.clip(theta, lower, upper), np.zeros((w, s)) if departure is None else departure)
     damping, converged, active = BEGIN_DAMPING, False, np.zeros(len(free), bool)
     count = 0
@@ -109,7 +109,7 @@ def fit_output_error(
 
 
 def fit_cascade(
-    stages: Sequence[Flown],
+    stages: Sequence[SegmentTrajectories],
     starts: Sequence[Float[np.ndarray, " k"]],
     *,
     held: Mapping[str, float] | None = None,

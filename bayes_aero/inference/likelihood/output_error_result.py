@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bayes_aero.dynamics.segments import Flown
+from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.likelihood.normal_equations import Point, Priors, reduced
 from bayes_aero.inference.variance.coloured_bounds import corrected_covariance
 from bayes_aero.inference.variance.inseparable import Inseparable, inseparable
@@ -45,10 +45,10 @@ class OutputErrorResult:
 
     `covariance` (k, k) is that of Cramer and Rao with priors, `information` (k, k) that of the data alone. `rms` is by
     segment and output, in the recorded unit. `columns` are residual and sensitivities (parameters, then initial state),
-    both divided by the noise growth `flown.swell`; `R` is the residual variance in attached flow.
+    both divided by the noise growth `flown.noise_growth`; `R` is the residual variance in attached flow.
     """
 
-    flown: Flown
+    flown: SegmentTrajectories
     parameters: tuple[Parameter, ...]
     estimate: Float[np.ndarray, " k"]
     departure: Float[np.ndarray, "w s"]
@@ -205,7 +205,7 @@ def _undetermined(A: Float[np.ndarray, "k k"], moving: Bool[np.ndarray, " k"]) -
 
 
 def result_of(
-    flown: Flown,
+    flown: SegmentTrajectories,
     point: Point,
     prior: Priors,
     *,
@@ -231,7 +231,7 @@ def result_of(
     else:
         status = OutputErrorStatus.AT_BOUND if at_bound else OutputErrorStatus.CONVERGED
     columns = np.concatenate(point.normal.columns)[:w]
-    residual = columns[..., 0] * flown.swell
+    residual = columns[..., 0] * flown.noise_growth
     lost = _undetermined(A, ~rest & (prior.precision == 0.0))
     known = ~rest & ~lost
     moving = np.ix_(known, known)

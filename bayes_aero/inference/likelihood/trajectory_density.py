@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_aero.dynamics.segments import Flown, simulate
+from bayes_aero.dynamics.segments import SegmentTrajectories, simulate
 from bayes_aero.inference.likelihood.normal_equations import departures
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult
 from bayes_aero.model.log_density import LogDensity
@@ -26,7 +26,7 @@ class TrajectoryDensity(LogDensity):
     standard deviation of each output's residual (sigma_output). Values `held` are fixed.
     """
 
-    flown: Flown
+    flown: SegmentTrajectories
     scale: tuple[float, ...] = eqx.field(static=True)  # noise levels of the fit
     cost: float = eqx.field(static=True, default=1.0)
 
@@ -61,7 +61,7 @@ class TrajectoryDensity(LogDensity):
         k, (w, _) = len(self.flown.dynamics.free), self.flown.index.shape
         s, c = len(self.flown.dynamics.states), len(self.flown.outputs)
         found = simulate(self.flown, x[:k], x[k : k + w * s].reshape(w, s))
-        sigma = x[-c:] * self.flown.swell
+        sigma = x[-c:] * self.flown.noise_growth
         z = found.residual / sigma
         each = -0.5 * jnp.square(z) - jnp.log(sigma) - 0.5 * jnp.log(2.0 * jnp.pi)
         total = jnp.sum(jnp.where(self.flown.inside[:, :, None], each, 0.0)) / self.cost

@@ -20,7 +20,7 @@ MOVES = 0.05  # range of X over a record below which it says nothing of separate
 
 
 @dataclass(frozen=True)
-class Separated:
+class SeparatedFlow:
     """What a fit leaves of each output, and how far the flow is apart then: 1 - X, between 0 and 1."""
 
     residual: Float[np.ndarray, "w n c"]
@@ -28,7 +28,7 @@ class Separated:
     inside: Bool[np.ndarray, "w n"]
 
     @classmethod
-    def of(cls, fit: OutputErrorResult) -> Separated | None:
+    def of(cls, fit: OutputErrorResult) -> SeparatedFlow | None:
         """None where the flow does not separate, or the model cannot fly."""
         if fit.status is OutputErrorStatus.LEFT_ENVELOPE or not np.isfinite(fit.cost):
             return None
@@ -48,7 +48,7 @@ class Separated:
             counts[without] = False
         return np.array([_growth(self.residual[counts, c], self.apart[counts]) for c in range(self.residual.shape[2])])
 
-    def swell(self, without: int | None = None) -> Float[np.ndarray, "w n c"]:
+    def noise_growth(self, without: int | None = None) -> Float[np.ndarray, "w n c"]:
         """1 + b (1 - X)."""
         return 1.0 + self.growths(without) * self.apart[:, :, None]
 

@@ -32,7 +32,7 @@ def effect_named(name: str, among: Mapping[str, Effect]) -> Effect:
     raise InputError(f"there is no effect {name!r}; {hint}")
 
 
-def described(effect: Effect, card: Card | None = None) -> dict[str, Any]:
+def effect_facts(effect: Effect, card: Card | None = None) -> dict[str, Any]:
     """An effect as plain data; `model` says whether the card's model has it, null without a card."""
     return {
         "name": effect.name,

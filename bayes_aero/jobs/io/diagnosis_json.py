@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bayes_aero.diagnosis.result import Cause, Diagnosis, Gain, NoiseReport, Tested, Unknown
+from bayes_aero.diagnosis.result import Cause, Diagnosis, Gain, NoiseReport, Tested, UnexplainedStructure
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
@@ -87,7 +87,7 @@ def _residuals(view: DiagnosisView) -> dict[str, Any]:
     return {"before": composition(view, view.card), "after": composition(view, view.extended)}
 
 
-def unknown_results(unknown: Sequence[Unknown]) -> list[dict[str, Any]]:
+def unknown_results(unknown: Sequence[UnexplainedStructure]) -> list[dict[str, Any]]:
     """Structure without a name, and that of which the record cannot choose a name."""
     return [
         {
@@ -144,7 +144,7 @@ def noise_results(noise: NoiseReport) -> dict[str, Any]:
         "labels": list(noise.labels),
         "lag1": dict(noise.lag1),
         "deviation": dict(noise.deviation),
-        "swell": dict(noise.swell),
+        "noise_growth": dict(noise.noise_growth),
         "outliers": dict(noise.outliers),
     }
 
@@ -169,7 +169,7 @@ def screen(d: Diagnosis, rankings: Sequence[Ranking]) -> list[dict[str, Any]]:
             "cause": (ranking.stage, s.effect) in causes,
         }
         for ranking in rankings
-        for s in ranking.standings
+        for s in ranking.candidate_scores
     ]
 
 

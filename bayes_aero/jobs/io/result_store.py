@@ -49,7 +49,7 @@ class Outcome:
         return self.view.diagnosis
 
 
-class Kept:
+class ResultStore:
     """An outcome that grows, and diagnosis.json with it; `path` is the folder, if there is one.
 
     What an interrupted run had found (`earlier`) is there from the beginning.

@@ -33,7 +33,7 @@ class Earlier:
 NOTHING = Earlier({}, (), None)
 
 
-class Unfinished:
+class ResumeStore:
     """A folder whose run has not ended, marked with what its numbers rest on; without a folder nothing is kept."""
 
     def __init__(self, folder: Path | None, digest: str) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
 from bayes_aero.diagnosis.selection.residuals import TheilParts
-from bayes_aero.diagnosis.trajectories.lag_test import Lag
+from bayes_aero.diagnosis.trajectories.lag_test import LagTest
 from bayes_aero.diagnosis.trajectories.trajectories import Error, Estimates, Path, Trajectories
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
@@ -25,7 +25,7 @@ def trajectory_results(flown: Trajectories, card: Card) -> dict[str, Any]:
         "status": {"card": before.status.name, "extended": after.status.name},
         "at_bound": {"card": list(before.at_bound), "extended": list(after.at_bound)},
         "colour_cost": flown.colour_cost,
-        "swell": dict(flown.swell),
+        "noise_growth": dict(flown.noise_growth),
         "lag": None if flown.lag is None else _lag(flown.lag),
         "causes": {
             name: {"elpd": elpd, "elpd_se": elpd_se, "kept": name in flown.asked.kept}
@@ -110,7 +110,7 @@ def trajectories_of(told: Mapping[str, Any], histories: Histories, card: Card) -
         held={name: tuple(held) for name, held in told["held_without"].items()},
         fitted=tuple(told["fitted_outputs"]),
         outputs=tuple(paths[0].errors),
-        swell={name: number(x) for name, x in told["swell"].items()},
+        noise_growth={name: number(x) for name, x in told["noise_growth"].items()},
         lag=None if told["lag"] is None else _lag_of(told["lag"]),
         asked=_asked_of(told["causes"]),
     )
@@ -121,17 +121,17 @@ def _asked_of(told: Mapping[str, Any]) -> Confirmation:
     return Confirmation(tuple(name for name, one in told.items() if one["kept"]), missed)
 
 
-def _lag(lag: Lag) -> dict[str, Any]:
+def _lag(lag: LagTest) -> dict[str, Any]:
     elpd, elpd_se = lag.unseen
     unseen = {"elpd": elpd, "elpd_se": elpd_se}
     told = {"effect": lag.effect, "gain": lag.gain, "unseen": unseen, "kept": lag.kept}
     return told | {"instead_of": list(lag.instead), "slight": lag.slight}
 
 
-def _lag_of(told: Mapping[str, Any]) -> Lag:
+def _lag_of(told: Mapping[str, Any]) -> LagTest:
     unseen = number(told["unseen"]["elpd"]), number(told["unseen"]["elpd_se"])
     instead, slight = tuple(told["instead_of"]), bool(told["slight"])
-    return Lag(told["effect"], number(told["gain"]), bool(told["kept"]), unseen, instead, slight)
+    return LagTest(told["effect"], number(told["gain"]), bool(told["kept"]), unseen, instead, slight)
 
 
 def _path(told: Mapping[str, Any], histories: Histories, card: Card) -> Path:

@@ -14,7 +14,7 @@ from typing import Any
 
 import bayes_aero
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.provenance.package_snapshot import own_wheel, wheel_name
+from bayes_aero.jobs.provenance.package_snapshot import package_wheel, wheel_name
 from bayes_aero.jobs.provenance.provenance import write_bytes, write_json, write_text
 
 OWN = "bayes-aero"
@@ -70,7 +70,7 @@ def write_environment(out: Path) -> Path:
     if not (folder / "environment.json").is_file():
         folder.mkdir(parents=True, exist_ok=True)
         here = environment()
-        wheel = own_wheel()
+        wheel = package_wheel()
         lines = [
             f"# Python {here['python']} on {here['platform']}",
             "# Restore, in this folder: python -m venv env && env/bin/python -m pip install -r requirements.txt",

@@ -24,7 +24,7 @@ def wheel_name() -> str:
     return f"{PACKAGE}-{bayes_aero.__version__}-py3-none-any.whl"
 
 
-def own_wheel() -> bytes | None:
+def package_wheel() -> bytes | None:
     """The wheel; none where the package runs without having been installed, so that what it needs is not known.
 
     Source: the binary distribution format of the Python Packaging User Guide.

@@ -12,7 +12,7 @@ Progress = Callable[[str, float], None]
 Result = TypeVar("Result")
 
 
-class Beside(Generic[Result]):
+class BackgroundJob(Generic[Result]):
     """A job that runs. Where it is will be shown from when it is waited for."""
 
     def __init__(self, pool: Executor, job: Callable[[Progress], Result], progress: Progress | None) -> None:
@@ -36,14 +36,16 @@ class Beside(Generic[Result]):
 
 
 @contextmanager
-def beside(job: Callable[[Progress], Result], progress: Progress | None = None) -> Iterator[Beside[Result]]:
+def in_background(
+    job: Callable[[Progress], Result], progress: Progress | None = None
+) -> Iterator[BackgroundJob[Result]]:
     """Run `job` in a thread of its own while the block lasts, and until it ends.
 
     The job is handed a function to be told where it is. There it ends if the block fails: Ctrl-C does not wait for its
     whole length.
     """
     with ThreadPoolExecutor(1) as pool:
-        running = Beside(pool, job, progress)
+        running = BackgroundJob(pool, job, progress)
         try:
             yield running
         except BaseException:

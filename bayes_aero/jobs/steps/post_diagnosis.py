@@ -10,7 +10,7 @@ from bayes_aero.diagnosis.design import separating, standard
 from bayes_aero.diagnosis.predictors import compare_states
 from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.diagnosis.selection.cross_validation import truncated
-from bayes_aero.diagnosis.trajectories.trajectories import Progress, Trajectories, fly_both
+from bayes_aero.diagnosis.trajectories.trajectories import Progress, Trajectories, compare_trajectories
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
@@ -72,4 +72,4 @@ def simulations(
     """Simulate the card's and the extended model with the records' inputs, fitted to all and on hold-out flights."""
     bands = {name: tolerance.value for name, tolerance in card.tolerances.items()}
     flights = despiked(join(records, card, FLIGHT))[0]
-    return fly_both(flights, diagnosis, bands, biases=card.output_biases, seed=seed, progress=progress)
+    return compare_trajectories(flights, diagnosis, bands, biases=card.output_biases, seed=seed, progress=progress)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bayes_aero.diagnosis.result import Diagnosis
-from bayes_aero.jobs.io.result_store import Kept
+from bayes_aero.jobs.io.result_store import ResultStore
 from bayes_aero.jobs.steps.post_diagnosis import separations
 from bayes_aero.report.diagnosis_view import View, with_stalls
 from bayes_aero.report.figures.every_figure import ViewFigures, draw_all
@@ -16,7 +16,7 @@ Progress = Callable[[str, float], None]
 Predict = Callable[[Diagnosis, Progress], Mapping[str, Any]]
 
 
-def follow(kept: Kept, predict: Predict | None, figures: ViewFigures, tell: Progress) -> dict[str, Path]:
+def follow(kept: ResultStore, predict: Predict | None, figures: ViewFigures, tell: Progress) -> dict[str, Path]:
     """All that needs no trajectories, kept piece by piece; stalls and figures only where there is a folder for them.
 
     Returns the figures drawn, by name.
@@ -36,7 +36,7 @@ def follow(kept: Kept, predict: Predict | None, figures: ViewFigures, tell: Prog
     return drawings(kept, figures, tell)
 
 
-def drawings(kept: Kept, figures: ViewFigures, tell: Progress | None) -> dict[str, Path]:
+def drawings(kept: ResultStore, figures: ViewFigures, tell: Progress | None) -> dict[str, Path]:
     """Draw `figures` of what was found so far: paths by name; a note for each that failed."""
     view = kept.outcome.view
     if not figures or kept.path is None or not isinstance(view, View):

@@ -17,7 +17,7 @@ from bayes_aero.residuals.windows import too_few_windows
 DERIVED = ("alpha_dot",)  # formed from recorded channels
 
 
-def uses_of(records: Sequence[FlightRecord], card: Card) -> dict[str, str]:
+def usable_for(records: Sequence[FlightRecord], card: Card) -> dict[str, str]:
     """Why each command cannot use the records with the card, by command; empty where it can.
 
     A command that the card does not serve is left out.

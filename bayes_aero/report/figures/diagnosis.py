@@ -74,7 +74,7 @@ def ranking(view: View) -> Figure:
     """Score of every candidate in the first screening of each stage, and the 5 % level of noise alone."""
     if not view.rankings:
         raise NotDrawn("no screening was done")
-    rows = [len(r.standings) + 1.0 for r in view.rankings]
+    rows = [len(r.candidate_scores) + 1.0 for r in view.rankings]
     figure, axes = panels(len(rows), 1, (8.5, 0.2 * sum(rows) + 0.9 * len(rows) + 0.6), height_ratios=rows)
     for ax, one in zip(axes[:, 0], view.rankings, strict=True):
         _bars(ax, one, {c.name for c in view.diagnosis.causes if c.stage == one.stage})
@@ -83,18 +83,18 @@ def ranking(view: View) -> Figure:
 
 
 def _bars(ax: Axes, one: Ranking, causes: set[str]) -> None:
-    scores = [s.score for s in one.standings]
-    colours = [COLOURS["chosen"] if s.effect in causes else COLOURS["candidate"] for s in one.standings]
+    scores = [s.score for s in one.candidate_scores]
+    colours = [COLOURS["chosen"] if s.effect in causes else COLOURS["candidate"] for s in one.candidate_scores]
     place = range(len(scores))
     widest = max(*scores, one.threshold) if np.isfinite(one.threshold) else max(*scores, 1e-9)
     ax.barh(place, scores, color=colours, height=0.75)
-    for y, s in zip(place, one.standings, strict=True):
+    for y, s in zip(place, one.candidate_scores, strict=True):
         ax.text(s.score + 0.01 * widest, y, f"{s.score:.1f}", va="center", fontsize=7.0, bbox=TIGHT, zorder=5)
     if np.isfinite(one.threshold):
         ax.axvline(one.threshold, color=COLOURS["measured"], ls="--", lw=1.0)
         label = f"noise alone exceeds\n{one.threshold:.1f} in 5 % of replicates"
         ax.text(0.99, 0.02, label, transform=ax.transAxes, va="bottom", ha="right", **NOTE)
-    ax.set_yticks(place, [s.effect for s in one.standings])
+    ax.set_yticks(place, [s.effect for s in one.candidate_scores])
     ax.set_ylim(len(scores) - 0.4, -0.6)
     ax.set_xlim(0.0, 1.1 * widest)
     ax.grid(False, axis="y")
@@ -238,7 +238,7 @@ def _profiles(view: View, fitted: Fitted, c: int):
     source = {**state.responses.flights.channels, **view.card.signals}  # one abscissa for both models
     names = [name for name in recorded if name in source and name not in RESPONSES]
     channels = {name: np.asarray(block(jnp.asarray(source[name]))) for name in names}
-    return profiles(np.asarray(block(jnp.asarray(fitted.residual[:, c]))), channels, state.temper)
+    return profiles(np.asarray(block(jnp.asarray(fitted.residual[:, c]))), channels, state.variance_inflation)
 
 
 @housed

@@ -8,7 +8,7 @@ from functools import partial
 
 from matplotlib.figure import Figure
 
-from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED, START, FlownFit
+from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED, START, TrajectoryFit
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.trajectories import over_measured
 from bayes_aero.report.style import housed, refuse_many
@@ -16,7 +16,7 @@ from bayes_aero.report.style import housed, refuse_many
 MODELS = ((START, "start", COLOURS["before"]), (FITTED, "fitted", COLOURS["after"]))
 
 
-def fly_figures(flown: FlownFit) -> dict[str, Callable[[FlownFit], Figure]]:
+def fly_figures(flown: TrajectoryFit) -> dict[str, Callable[[TrajectoryFit], Figure]]:
     """A figure for each output, by the stem of its file."""
     return {stem_of(n): housed(partial(_of, n)) for n in flown.outputs}
 
@@ -26,7 +26,7 @@ def stem_of(output: str) -> str:
     return f"trajectory_{re.sub(r'[^A-Za-z0-9_-]', '_', output)}"
 
 
-def _of(output: str, flown: FlownFit) -> Figure:
+def _of(output: str, flown: TrajectoryFit) -> Figure:
     refuse_many(len(flown.manoeuvres))
     columns = {
         name: [(flown.path(name, model), label, colour) for model, label, colour in MODELS] for name in flown.manoeuvres

@@ -158,7 +158,7 @@ def _election(ax: Axes, ranking: Ranking, view: View) -> None:
         ax.text(y=y, s=text, va="center", fontsize=7.5, zorder=5, **look)
     if np.isfinite(ranking.threshold):
         text = f"pale: score below {ranking.threshold:.1f}, which noise\nalone exceeds in 5 % of replicates"
-        if (left := len(ranking.standings) - len(leaders)) > 0:
+        if (left := len(ranking.candidate_scores) - len(leaders)) > 0:
             text += f"\n{left} more with lower scores: see screen.csv"
         ax.text(0.99, 0.02, text, transform=ax.transAxes, va="bottom", ha="right", **NOTE)
     ax.set_yticks(range(len(leaders)), [s.effect for s in leaders])

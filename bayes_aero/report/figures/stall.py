@@ -23,7 +23,7 @@ RATE_COLOURS = ("falling", "measured", "rising")
 
 
 @dataclass(frozen=True)
-class Flown:
+class StallData:
     """What was flown, beside one model's stall: angles in deg; `modelled` and `measured` are CL, CD, Cm."""
 
     title: str
@@ -37,13 +37,13 @@ class Flown:
     stall: Stall
 
 
-def of_identification(identification: Identification) -> list[Flown]:
+def of_identification(identification: Identification) -> list[StallData]:
     """The one model of a run."""
     if identification.stall is None:
         raise NotDrawn("the stall was not computed: that needs a posterior that converged")
     o = identification.observations
     return [
-        Flown(
+        StallData(
             "",
             COLOURS["mle"],
             np.rad2deg(np.asarray(o.signals["alpha"])),
@@ -57,7 +57,7 @@ def of_identification(identification: Identification) -> list[Flown]:
     ]
 
 
-def of_view(view: View) -> list[Flown]:
+def of_view(view: View) -> list[StallData]:
     """The card's model, and the extended one where there is one; each with the sensors as it corrects them."""
     if not view.stalls:
         raise NotDrawn("the stall was not computed")
@@ -65,7 +65,7 @@ def of_view(view: View) -> list[Flown]:
     if "extended" in view.stalls:
         models.append(("extended", "extended model", COLOURS["after"], view.extended))
     return [
-        Flown(
+        StallData(
             label,
             colour,
             np.rad2deg(fitted.signals["alpha"]),
@@ -114,7 +114,7 @@ def separation_models(view: View) -> Figure:
     return _separation(of_view(view))
 
 
-def _stall(models: list[Flown]) -> Figure:
+def _stall(models: list[StallData]) -> Figure:
     rows = len(models)
     figure, axes = panels(2 * rows, 2, (10.5, 5.0 * rows + 0.7), height_ratios=(4, 1) * rows, width_ratios=(3, 2))
     for number, flown in enumerate(models):
@@ -125,7 +125,7 @@ def _stall(models: list[Flown]) -> Figure:
     return figure
 
 
-def _fill(lift: Axes, time: Axes, polar: Axes, flown: Flown) -> None:
+def _fill(lift: Axes, time: Axes, polar: Axes, flown: StallData) -> None:
     _lift(lift, flown)
     _time_spent(time, flown)
     time.sharex(lift)
@@ -142,7 +142,7 @@ def _keys(figure: Figure, axes: list[Axes], columns: int) -> None:
     figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=columns)
 
 
-def _lift(ax: Axes, flown: Flown) -> None:
+def _lift(ax: Axes, flown: StallData) -> None:
     s = flown.stall
     for key, mask in (("rising", flown.rising), ("falling", ~flown.rising)):
         ax.plot(
@@ -161,7 +161,7 @@ def _lift(ax: Axes, flown: Flown) -> None:
     ax.set_title(f"Lift{f', {flown.title}' if flown.title else ''}")
 
 
-def _peak(ax: Axes, flown: Flown) -> None:
+def _peak(ax: Axes, flown: StallData) -> None:
     s = flown.stall
     if not s.seen:
         note = (
@@ -178,7 +178,7 @@ def _peak(ax: Axes, flown: Flown) -> None:
     ax.text(0.97, 0.05, f"CLmax {y:.3f}\nat {x:.1f} deg", transform=ax.transAxes, ha="right", fontsize=9.5)
 
 
-def _time_spent(ax: Axes, flown: Flown) -> None:
+def _time_spent(ax: Axes, flown: StallData) -> None:
     edges = np.arange(np.floor(flown.alpha.min()), np.ceil(flown.alpha.max()) + 1.0)
     weights = np.full(len(flown.alpha), flown.seconds)
     ax.hist(flown.alpha, bins=edges, weights=weights, color="#9fb8c9")
@@ -186,7 +186,7 @@ def _time_spent(ax: Axes, flown: Flown) -> None:
     ax.set_ylabel("time [s/deg]")
 
 
-def _polar(ax: Axes, flown: Flown) -> None:
+def _polar(ax: Axes, flown: StallData) -> None:
     s = flown.stall
     for key, mask in (("rising", flown.rising), ("falling", ~flown.rising)):
         ax.plot(flown.measured[mask, 1], flown.measured[mask, 0], ".", ms=2.0, alpha=0.5, color=COLOURS[key])
@@ -199,7 +199,7 @@ def _polar(ax: Axes, flown: Flown) -> None:
     ax.set_title(f"Drag polar{f', {flown.title}' if flown.title else ''}")
 
 
-def _separation(models: list[Flown]) -> Figure:
+def _separation(models: list[StallData]) -> Figure:
     figure, axes = panels(1, len(models), (6.2 * len(models) if len(models) > 1 else 7.5, 4.2), sharey=True)
     for ax, flown in zip(axes[0], models, strict=True):
         s = flown.stall

@@ -26,7 +26,7 @@ def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
     best = telling(view)
     what = best.quantity.replace("_", " ")
     leaders = "; ".join(
-        f"{r.stage}: {several(f'{s.effect} {s.score:.1f}' for s in r.standings[:3])}" for r in view.rankings
+        f"{r.stage}: {several(f'{s.effect} {s.score:.1f}' for s in r.candidate_scores[:3])}" for r in view.rankings
     )
     far = sorted(
         view.moves.items(), key=lambda item: -abs(item[1].after - item[1].before) / max(item[1].sd_after, 1e-300)

@@ -39,7 +39,7 @@ from bayes_aero.report.pages.tables.diagnosis import (
     separating,
 )
 from bayes_aero.report.pages.trajectories import trajectories
-from bayes_aero.report.tables.holdout_scores import Unseen
+from bayes_aero.report.tables.holdout_scores import HoldoutScores
 from bayes_aero.report.tables.rankings import Ranking
 from bayes_aero.report.text.consistency import open_sentences
 from bayes_aero.report.text.diagnosis import NAMED_IF, diagnosis_sentences, sentences
@@ -188,7 +188,7 @@ def _each(view: View) -> tuple[Block, ...]:
     """The manoeuvres one by one, where there are several; many are folded."""
     if len(view.names) == 1 or not view.extended.state.active:
         return ()
-    table = by_manoeuvre(Unseen(view))
+    table = by_manoeuvre(HoldoutScores(view))
     return (table,) if len(view.names) <= FEW else (Fold("The same, manoeuvre by manoeuvre", (table,)),)
 
 
@@ -270,7 +270,7 @@ def _stall(view: View, gallery: Gallery) -> tuple[Block, ...]:
 def _parameters(view: View, gallery: Gallery) -> tuple[Block, ...]:
     if not view.moves:
         return ()
-    return (moved(view), symbols(view.card.state.field.model.parameters, view.moves, degrees=True), *gallery("moves"))
+    return (moved(view), symbols(view.card.state.full.model.parameters, view.moves, degrees=True), *gallery("moves"))
 
 
 def _predictors(told: PageContext) -> tuple[Block, ...]:

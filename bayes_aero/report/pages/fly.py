@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED, START, FlownFit
+from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED, START, TrajectoryFit
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
@@ -53,7 +53,7 @@ class FlyTold:
     failures: Sequence[str] = ()  # parts that failed unexpectedly
 
 
-def fly_page(flown: FlownFit, told: FlyTold) -> Page:
+def fly_page(flown: TrajectoryFit, told: FlyTold) -> Page:
     """The page; nothing on it but the fit's own numbers."""
     verdict, *rest = told.said
     return Page(
@@ -73,7 +73,7 @@ def fly_page(flown: FlownFit, told: FlyTold) -> Page:
     )
 
 
-def _lead(flown: FlownFit) -> tuple[Block, ...]:
+def _lead(flown: TrajectoryFit) -> tuple[Block, ...]:
     """The gain at once: error at first values and of the fit, all manoeuvres together; a warning if it failed."""
     if not flown.converged:
         return (Text("Do not use the numbers on this page: the fit stopped there without converging.", "warning"),)
@@ -85,7 +85,7 @@ def _lead(flown: FlownFit) -> tuple[Block, ...]:
     return (Text(f"Root-mean-square error of the simulation, first values → fit: {several(told)}.", "lead"),)
 
 
-def _opening(flown: FlownFit, figures: Mapping[str, Path]) -> tuple[Block, ...]:
+def _opening(flown: TrajectoryFit, figures: Mapping[str, Path]) -> tuple[Block, ...]:
     """The output that the fit follows least: whose error is the largest share of its movement."""
     errors = {n: pair for n, pair in errors_of_all(flown).items() if stem_of(n) in figures and pair[1] > 0.0}
     if not errors:
@@ -100,7 +100,7 @@ def _opening(flown: FlownFit, figures: Mapping[str, Path]) -> tuple[Block, ...]:
     return Gallery(figures, {stem_of(worst): (caption, alt)})(stem_of(worst))
 
 
-def _flights(flown: FlownFit) -> tuple[Block, ...]:
+def _flights(flown: TrajectoryFit) -> tuple[Block, ...]:
     shown, told = first(flown.manoeuvres)
     units = {name: flown.units[name] for name in flown.outputs}
     plots = []
@@ -120,7 +120,7 @@ def _flights(flown: FlownFit) -> tuple[Block, ...]:
     return (Text(said), *told, *plots)
 
 
-def _inputs(flown: FlownFit, order: int) -> list[Panel]:
+def _inputs(flown: TrajectoryFit, order: int) -> list[Panel]:
     """What drove the simulation and moved; states and outputs have panels already."""
     flights = flown.fit.flown.flights
     mine = flights.manoeuvre == order
@@ -136,13 +136,13 @@ def _inputs(flown: FlownFit, order: int) -> list[Panel]:
     return panels
 
 
-def _errors(flown: FlownFit, card: Card) -> tuple[Block, ...]:
+def _errors(flown: TrajectoryFit, card: Card) -> tuple[Block, ...]:
     kept = tables.kept(flown)
     units = {name: flown.units[name] for name in flown.outputs}
     return (tables.errors(flown), *(() if kept is None else (kept, *sources(card, units))))
 
 
-def _parameters(flown: FlownFit, card: Card) -> tuple[Block, ...]:
+def _parameters(flown: TrajectoryFit, card: Card) -> tuple[Block, ...]:
     parameters = flown.fit.parameters
     return (
         tables.parameters(flown),

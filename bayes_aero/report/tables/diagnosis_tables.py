@@ -49,6 +49,6 @@ def screen_frame(view: DiagnosisView) -> pd.DataFrame:
     rows = [
         {"stage": r.stage, "name": s.effect, "kind": s.kind, "score": s.score, "p_value": s.p_value}
         for r in view.rankings
-        for s in r.standings
+        for s in r.candidate_scores
     ]
     return pd.DataFrame(rows, columns=["stage", "name", "kind", "score", "p_value"]).set_index("stage")

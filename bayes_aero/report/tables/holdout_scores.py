@@ -17,7 +17,7 @@ from bayes_aero.report.diagnosis_view import View
 
 
 @dataclass(frozen=True)
-class Unseen:
+class HoldoutScores:
     """Both models of a view on hold-out data."""
 
     view: View
@@ -62,7 +62,7 @@ def scores_frame(view: View) -> pd.DataFrame:
     Rows of the extended model on hold-out data have its gain over the card's: log density `elpd_gain` [nats] and
     `r2_gain`, each with its standard error (see `criticism.gain.Compared`).
     """
-    unseen, rows = Unseen(view), []
+    unseen, rows = HoldoutScores(view), []
     for model, left in unseen.left.items():
         fitted = {"card": view.card, "extended": view.extended}[model].state.residual
         for data, residual in (("fitted", fitted), ("unseen", left.residual)):

@@ -161,7 +161,7 @@ def _noise(d: Diagnosis) -> list[str]:
             "white noise leaves a third)."
         )
     if "buffet" in labels:
-        growth = ", ".join(f"{name} {value:.1f} times" for name, value in d.noise.swell.items() if value > 1.05)
+        growth = ", ".join(f"{name} {value:.1f} times" for name, value in d.noise.noise_growth.items() if value > 1.05)
         said.append(
             f"Noise: its standard deviation grows as the flow separates or the dynamic pressure falls ({growth})."
         )
@@ -244,7 +244,7 @@ def ranking_table(view: DiagnosisView, most: int = 5) -> Table | None:
     for head in ("stage", "candidate", "score", "p"):
         table.add_column(head, justify="right" if head in ("score", "p") else "left")
     for ranking in view.rankings:
-        for s in ranking.standings[:most]:
+        for s in ranking.candidate_scores[:most]:
             table.add_row(ranking.stage, s.effect, f"{s.score:.1f}", f"{s.p_value:.3f}")
     return table
 

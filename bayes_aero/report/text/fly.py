@@ -11,7 +11,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from bayes_aero.diagnosis.trajectories.fit_agreement import Disagreement
-from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED, START, FlownFit
+from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED, START, TrajectoryFit
 from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.output_biases import unbiased
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
@@ -28,7 +28,7 @@ OFTEN = 0.5  # share of the time outside a tolerance from which a sentence is wr
 SWOLLEN = 2.0  # noise growth in fully separated flow from which a sentence is written; our choice
 
 
-def parameter_rows(flown: FlownFit) -> dict[str, dict[str, Any]]:
+def parameter_rows(flown: TrajectoryFit) -> dict[str, dict[str, Any]]:
     """By parameter, SI and radians; `crb` is infinite where the data alone do not determine it.
 
     `prior` is None where the fit had none.
@@ -75,13 +75,13 @@ def remarks(row: Mapping[str, Any]) -> str:
     return ", ".join(words for key, words in MARKS.items() if row[key])
 
 
-def parameter_frame(flown: FlownFit) -> pd.DataFrame:
+def parameter_frame(flown: TrajectoryFit) -> pd.DataFrame:
     """The same as a table."""
     rows = {name: row | {"prior": prior_words(row)} for name, row in parameter_rows(flown).items()}
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("parameter")
 
 
-def parameter_table(flown: FlownFit) -> Table:
+def parameter_table(flown: TrajectoryFit) -> Table:
     """Estimate, both standard errors, prior and remarks."""
     table = _table(
         f"Parameters fitted to trajectories: {flown.fit.status.name.lower().replace('_', ' ')}",
@@ -110,7 +110,7 @@ def _sd(sd: float) -> str:
     return f"{sd:.2g}" if np.isfinite(sd) else "-"
 
 
-def error_table(flown: FlownFit) -> Table:
+def error_table(flown: TrajectoryFit) -> Table:
     """Every manoeuvre and output: error at the first values and of the fit, Theil's coefficient and its parts."""
     table = _table(
         "Error of the simulated trajectory",
@@ -138,7 +138,7 @@ def error_table(flown: FlownFit) -> Table:
     return table
 
 
-def errors_of_all(flown: FlownFit) -> dict[str, tuple[float, float]]:
+def errors_of_all(flown: TrajectoryFit) -> dict[str, tuple[float, float]]:
     """Root mean square error of each output over all manoeuvres, SI: at the first values, and of the fit."""
 
     def rms(model: str, output: str) -> float:
@@ -150,7 +150,7 @@ def errors_of_all(flown: FlownFit) -> dict[str, tuple[float, float]]:
         return {output: (rms(START, output), rms(FITTED, output)) for output in flown.outputs}
 
 
-def fly_sentences(flown: FlownFit, hindered: str = "") -> list[str]:
+def fly_sentences(flown: TrajectoryFit, hindered: str = "") -> list[str]:
     """How the fit ended, its errors, the variance inflation, what is not identified, what left the envelope.
 
     `hindered` is why diagnose cannot use the records; empty if it can.
@@ -168,7 +168,7 @@ def fly_sentences(flown: FlownFit, hindered: str = "") -> list[str]:
             f"median, and the "
             "Cramér-Rao bound is too small; use the corrected standard error."
         )
-    swollen = {name: times for name, times in flown.swell.items() if times > SWOLLEN}
+    swollen = {name: times for name, times in flown.noise_growth.items() if times > SWOLLEN}
     if swollen:
         told = several(f"{SYMBOLS.get(name, name)} {short(times)} times" for name, times in swollen.items())
         said.append(f"Residuals grow where the flow has separated ({told}): these samples have less weight.")
@@ -210,7 +210,7 @@ def disagreement_sentences(found: Sequence[Disagreement], hindered: str = "") ->
     ]
 
 
-def _settings(flown: FlownFit) -> list[str]:
+def _settings(flown: TrajectoryFit) -> list[str]:
     """The cost of the published programs, and the settings that differ from the defaults."""
     if flown.fit.status is OutputErrorStatus.LEFT_ENVELOPE:
         return []
@@ -230,7 +230,7 @@ def _settings(flown: FlownFit) -> list[str]:
     return said
 
 
-def outside(flown: FlownFit) -> dict[str, float]:
+def outside(flown: TrajectoryFit) -> dict[str, float]:
     """Share of the time over all manoeuvres for which the fit of each output is outside its tolerance."""
     paths = [p for p in flown.paths if p.model == FITTED and p.inside]
     shares = {}
@@ -242,7 +242,7 @@ def outside(flown: FlownFit) -> dict[str, float]:
     return shares
 
 
-def _wanting(flown: FlownFit, hindered: str) -> list[str]:
+def _wanting(flown: TrajectoryFit, hindered: str) -> list[str]:
     """That the model lacks an effect, if its best fit is mostly outside the tolerances."""
     shares = {name: share for name, share in outside(flown).items() if share > OFTEN}
     if not (shares and flown.converged):  # what has not converged may still come nearer
@@ -254,7 +254,7 @@ def _wanting(flown: FlownFit, hindered: str) -> list[str]:
     return [f"The fitted model is outside its tolerances ({told}): the model lacks an effect{where}."]
 
 
-def _off(flown: FlownFit) -> str:
+def _off(flown: TrajectoryFit) -> str:
     """How far from the measurements the fit is where it converged."""
     if flown.fit.status is not OutputErrorStatus.CONVERGED:
         return ""

@@ -14,7 +14,7 @@ from bayes_aero.report.diagnosis_view import LEVELS, View, composition
 from bayes_aero.report.html.page import Block, Table, Text
 from bayes_aero.report.html.parts import number
 from bayes_aero.report.tables.comparison import decimals
-from bayes_aero.report.tables.holdout_scores import Unseen
+from bayes_aero.report.tables.holdout_scores import HoldoutScores
 from bayes_aero.report.text.diagnosis import probability
 from bayes_aero.report.text.phrases import bracket, for_people, several, size_text
 
@@ -87,7 +87,7 @@ def separating(found: Sequence[Mapping[str, Any]]) -> list[Block]:
     return blocks
 
 
-def by_manoeuvre(unseen: Unseen) -> Table:
+def by_manoeuvre(unseen: HoldoutScores) -> Table:
     """Both models on each hold-out manoeuvre, and whether the difference is significant."""
     rows = []
     for k, manoeuvre in enumerate(unseen.view.names):

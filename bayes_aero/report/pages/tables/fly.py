@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED, START, FlownFit
+from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED, START, TrajectoryFit
 from bayes_aero.inference.likelihood.normal_equations import departures
 from bayes_aero.report.html.page import Table
 from bayes_aero.report.html.parts import number, plain_unit
@@ -17,7 +17,7 @@ UNKNOWN = 100.0  # times the value from which its deviation says only that it is
 Row = tuple[str, ...]
 
 
-def errors(flown: FlownFit) -> Table:
+def errors(flown: TrajectoryFit) -> Table:
     """Error at the first values and of the fit by manoeuvre and output, with Theil's coefficient and its parts."""
     fitted = flown.fit.flown.outputs
 
@@ -49,7 +49,7 @@ def errors(flown: FlownFit) -> Table:
     )
 
 
-def kept(flown: FlownFit) -> Table | None:
+def kept(flown: TrajectoryFit) -> Table | None:
     """Share of the time inside the tolerance, before and after; nothing where no output has one."""
 
     def rows(name: str) -> list[Row]:
@@ -74,7 +74,7 @@ def kept(flown: FlownFit) -> Table | None:
     )
 
 
-def parameters(flown: FlownFit) -> Table:
+def parameters(flown: TrajectoryFit) -> Table:
     """First value, estimate, both standard errors and bounds of every parameter."""
     bounds = {p.name: p.bounds for p in flown.fit.parameters}
     rows = [
@@ -101,7 +101,7 @@ def parameters(flown: FlownFit) -> Table:
     )
 
 
-def initial(flown: FlownFit) -> Table:
+def initial(flown: TrajectoryFit) -> Table:
     """The fitted state at each manoeuvre's first sample, how far it is from the measured one, and the prior of that."""
     dynamics = flown.fit.flown.dynamics
     own = dict(zip(dynamics.states, departures(dynamics), strict=True)) if flown.setting.priors else {}
@@ -129,7 +129,7 @@ def initial(flown: FlownFit) -> Table:
     )
 
 
-def _by_manoeuvre(flown: FlownFit, rows: Callable[[str], list[Row]]) -> tuple[Row, ...]:
+def _by_manoeuvre(flown: TrajectoryFit, rows: Callable[[str], list[Row]]) -> tuple[Row, ...]:
     """Each manoeuvre's rows, below its name where there are several."""
     found: list[Row] = []
     for name in flown.manoeuvres:
@@ -140,7 +140,7 @@ def _by_manoeuvre(flown: FlownFit, rows: Callable[[str], list[Row]]) -> tuple[Ro
     return tuple(found)
 
 
-def _label(flown: FlownFit, channel: str) -> str:
+def _label(flown: TrajectoryFit, channel: str) -> str:
     return axis_label(channel, flown.units.get(channel, "1"))
 
 
