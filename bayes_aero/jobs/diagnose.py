@@ -34,7 +34,7 @@ from bayes_aero.jobs.steps.post_processing import Predict, drawings, follow
 from bayes_aero.jobs.steps.sensors_first import sensors_agree
 from bayes_aero.model.model import Model
 from bayes_aero.report.diagnosis_view import DiagnosisView, view_of
-from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FLOWN_FIGURES
+from bayes_aero.report.figures.every_figure import AFTER_TRAJECTORIES, DIAGNOSIS_FIGURES
 from bayes_aero.simulate.injection import draw_hidden, flyable
 
 Progress = Callable[[str, float], None]
@@ -112,7 +112,7 @@ def run(
     kept = ResultStore(replace(outcome, failures=(*failed, *found.failures)), out, card, records, source, earlier)
     unfinished.begin()
     shown = DIAGNOSIS_FIGURES if figures else {}
-    early, late = ({n: draw for n, draw in shown.items() if (n in FLOWN_FIGURES) == x} for x in (False, True))
+    early, late = ({n: draw for n, draw in shown.items() if (n in AFTER_TRAJECTORIES) == x} for x in (False, True))
     job = partial(follow, kept, predict, early)
     with (
         blas_threads(0),

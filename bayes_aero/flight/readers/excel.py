@@ -48,6 +48,9 @@ def open_excel(data: bytes) -> TextTable:
     return table
 
 
+READS = {".xlsx": open_excel}
+
+
 def rows_of(data: bytes) -> tuple[Rows, list[str]]:
     """The first sheet with a table, and which one it is where there are several.
 

@@ -54,6 +54,9 @@ def open_mat(data: bytes) -> Opened:
     return MatFile(data, {n: c for n, c in contents.items() if n not in structs}, structs)
 
 
+READS = {".mat": open_mat}
+
+
 class MatFile:
     """A MATLAB file whose variables have been listed; `structs` are read, the other variables are not yet."""
 

@@ -30,6 +30,9 @@ def open_netcdf(data: bytes) -> Opened:
     return ClassicNetCDF(file, headings)
 
 
+READS = {".nc": open_netcdf}
+
+
 @dataclass(frozen=True)
 class ClassicNetCDF:
     """A classic NetCDF file whose variables have been listed."""

@@ -27,6 +27,9 @@ def open_parquet(data: bytes) -> ParquetTable:
     return ParquetTable(file, rows, headings)
 
 
+READS = {".parquet": open_parquet}
+
+
 @dataclass(frozen=True)
 class ParquetTable:
     """A Parquet file whose schema has been read."""

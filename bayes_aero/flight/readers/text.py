@@ -25,6 +25,9 @@ def open_text(data: bytes) -> TextTable:
     return TextTable(laid_out(lines, separator_of(lines)))
 
 
+READS = dict.fromkeys((".asc", ".txt", ".dat", ".csv", ".tsv"), open_text)
+
+
 @dataclass
 class TextTable:
     """A laid-out table whose cells are still text."""

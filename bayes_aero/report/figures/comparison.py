@@ -142,3 +142,6 @@ def _decades(ax: Axes) -> None:
     ax.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
     ax.xaxis.set_minor_formatter(NullFormatter())
     ax.minorticks_off()
+
+
+FIGURES = {"forest": forest, "crb_vs_credible": crb_vs_credible}

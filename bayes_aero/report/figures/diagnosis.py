@@ -284,3 +284,13 @@ def spectrum(parts: list[Float[np.ndarray, " _"]], dt: float) -> tuple[np.ndarra
 def _legend(figure: Figure, axes: np.ndarray) -> None:
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=max(1, len(labels)))
+
+
+DIAGNOSIS_FIGURES = {
+    "measured_simulated": measured_simulated,
+    "ranking": ranking,
+    "gain": gain,
+    "moves": moves,
+    "residual_profiles": residual_profiles,
+    "residual_colour": residual_colour,
+}

@@ -173,3 +173,7 @@ def _sizes(cause: Cause) -> str:
     """Sizes; named where there are several."""
     sizes = {name: size_text(x.mean, x.sd, x.unit) for name, x in cause.parameters.items()}
     return ", ".join(f"{name} = {x}" for name, x in sizes.items()) if len(sizes) > 1 else "".join(sizes.values())
+
+
+DIAGNOSIS_FIGURES = {"found": found, "found_narrow": found_narrow}
+AFTER_TRAJECTORIES = ("found", "found_narrow")

@@ -103,3 +103,6 @@ def _independence(t: Transformed) -> str:
         f"The residuals of {several(coloured)} are coloured: the band takes samples as independent, so it is too "
         "narrow there if neighbours resemble each other, and bars outside it prove little."
     )
+
+
+FIGURES = {"pit": pit_histogram}

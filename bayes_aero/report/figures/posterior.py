@@ -163,3 +163,12 @@ def _label_matrix(identification: Identification, figure: Figure, names: list[st
         ax.set_xlabel(f"{names[column]} {bracket(unit_of(identification, names[column]))}" if last else "")
         density = "density" if row == 0 else f"{names[row]} {bracket(unit_of(identification, names[row]))}"
         ax.set_ylabel(density if column == 0 else "")
+
+
+FIGURES = {
+    "trace_emcee": trace_emcee,
+    "trace_nuts": trace_nuts,
+    "rank_emcee": rank_emcee,
+    "rank_nuts": rank_nuts,
+    "pair": pair,
+}

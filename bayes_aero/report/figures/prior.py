@@ -156,3 +156,6 @@ def _log_density(ax: Axes, draws: np.ndarray, key: str) -> None:
     label = "prior" if key == "prior" else "posterior"
     ax.fill_between(x, y, color=COLOURS[key], alpha=0.5, lw=0.0, label=label)
     ax.plot(x, y, color=COLOURS[key], lw=1.0)
+
+
+FIGURES = {"prior_posterior": prior_posterior, "gp_prior_posterior": gp_prior_posterior}

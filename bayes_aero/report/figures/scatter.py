@@ -88,3 +88,11 @@ def _loop(ax: Axes, identification: Identification, index: np.ndarray, values: n
     rising = np.asarray(signals["alpha_dot"])[index] > 0.0
     for key, mask in (("rising", rising), ("falling", ~rising)):
         ax.plot(alpha[mask], values[mask], ".", ms=2.0, color=COLOURS[key], alpha=0.7, label=f"α {key}")
+
+
+FIGURES = {
+    "fig4_correlation_CL": correlation_CL,
+    "fig5_stall_hysteresis": hysteresis,
+    "fig7_correlation_CD": correlation_CD,
+    "fig9_correlation_Cm": correlation_Cm,
+}

@@ -216,3 +216,7 @@ def _separation(models: list[StallData]) -> Figure:
         ax.legend(loc="lower left", bbox_to_anchor=(0.0, 0.08))
     axes[0, 0].set_ylabel("separation point X [-] (1 attached, 0 separated)")
     return figure
+
+
+FIGURES = {"stall": stall, "stall_narrow": stall_narrow, "separation": separation}
+DIAGNOSIS_FIGURES = {"stall_models": stall_models, "separation_models": separation_models}

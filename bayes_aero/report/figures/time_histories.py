@@ -175,3 +175,12 @@ def validation_CD(identification: Identification) -> Figure:
 def validation_Cm(identification: Identification) -> Figure:
     """Pitching-moment coefficient over time: measured, maximum likelihood, GPR."""
     return _validation(identification, "Cm")
+
+
+FIGURES = {
+    "fig1_time_history": time_history,
+    "fig2_gpr_fit": gpr_fit,
+    "fig3_validation_CL": validation_CL,
+    "fig6_validation_CD": validation_CD,
+    "fig8_validation_Cm": validation_Cm,
+}

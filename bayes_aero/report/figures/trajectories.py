@@ -86,3 +86,7 @@ def trajectories_unseen(view: View) -> Figure:
 def trajectories_fitted(view: View) -> Figure:
     """Every manoeuvre simulated with the joint fit, initial states included."""
     return _shown(view, "fitted")
+
+
+DIAGNOSIS_FIGURES = {"trajectories_unseen": trajectories_unseen, "trajectories_fitted": trajectories_fitted}
+AFTER_TRAJECTORIES = ("trajectories_unseen", "trajectories_fitted")

@@ -20,3 +20,6 @@ def open_dataflash(data: bytes) -> SeveralRates:
         raise InputError("it is not an ArduPilot DataFlash log (no message begins near its start); is it misnamed?")
     groups, remarks = parsed_apart(data, "dataflash_child.py", "DataFlash log")
     return several_rates("field", groups, remarks, 1e-6)
+
+
+READS = {".bin": open_dataflash}

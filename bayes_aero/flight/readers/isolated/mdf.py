@@ -23,3 +23,6 @@ def open_mdf(data: bytes) -> SeveralRates:
         raise InputError(f"it is an MDF file of version {said!r}; convert it to version 4, and save it as .mf4")
     groups, remarks = parsed_apart(data, "mdf_child.py", "MDF file")
     return several_rates("signal", groups, remarks, 1e-9)
+
+
+READS = {".mf4": open_mdf}

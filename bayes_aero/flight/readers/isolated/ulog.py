@@ -20,3 +20,6 @@ def open_ulog(data: bytes) -> SeveralRates:
         raise InputError("it is not a PX4 ULog file (its first bytes differ); is it misnamed?")
     groups, remarks = parsed_apart(data, "ulog_child.py", "ULog file")
     return several_rates("field", groups, remarks, 1e-6)
+
+
+READS = {".ulg": open_ulog}
