@@ -23,7 +23,7 @@ ATTAS = Path(__file__).resolve().parents[2] / "shared" / "attas"
 
 
 TESTS = Path(__file__).parent
-FIRST = ("criticism", "diagnosed", "cli", "cluster", "inference")  # most work: not to be begun last, by one worker
+FIRST = ("diagnosis", "diagnosed", "cli", "cluster", "inference")  # most work: not to be begun last, by one worker
 
 
 def pytest_collection_modifyitems(items):
