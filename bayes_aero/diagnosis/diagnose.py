@@ -210,11 +210,7 @@ def _sensor_gains(
     state, card = extension.state, aerodynamics.base
 
     def corrected(sensors: Sequence[str]) -> LeftOut:
-        theta = card.theta.copy()
-        for effect in state.active:
-            if effect not in sensors:
-                names = state.full.parameters_of(effect)
-                theta[state.full.columns(names)] = [state.full.neutral[name] for name in names]
+        theta = state.full.at_neutral(card.theta, [e for e in state.active if e not in sensors])
         return LeftOut.refitted(
             linearised(card.full, card.responses, NAMES, theta, (), card.noise_growth, card.variance_inflation)
         )

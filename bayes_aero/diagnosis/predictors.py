@@ -101,7 +101,7 @@ def compare_states(
     """
     if extended.outputs != NAMES:
         raise InputError("predictors are compared on the coefficients, not on the flight path")
-    card = moved(extended, _bare(extended), ())
+    card = moved(extended, extended.full.card_only(extended.theta), ())
     signals = _blocks(card, card.theta)
     measured = signals["measured"]
     for name in inputs:
@@ -158,16 +158,6 @@ def compare_states(
         for at, predictor in enumerate(order)
     }
     return Comparison(split_name(extended), labels, inside, measured, predictions)
-
-
-def _bare(state: SelectionState) -> Float[np.ndarray, " k"]:
-    """Parameters with every effect that is not on the card at neutral, corrections of sensors too."""
-    theta = state.theta.copy()
-    for effect in state.full.model.effects:
-        names = [name for name in state.full.parameters_of(effect.name) if name in state.full.model.names]
-        if effect.name not in state.full.base:
-            theta[state.full.columns(names)] = [state.full.neutral[name] for name in names]
-    return theta
 
 
 def _blocks(state: SelectionState, theta: Float[np.ndarray, " k"]) -> dict[str, np.ndarray]:

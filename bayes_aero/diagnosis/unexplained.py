@@ -121,12 +121,11 @@ def _proxies(extension: Extension) -> tuple[Component, float, tuple[str, ...]] |
         return None
     names = [p for effect in state.active for p in state.full.parameters_of(effect)]
     own = state.full.columns(names)
-    neutral = np.array([state.full.neutral[p] for p in names])
     best = None
     for folds, components, least in _families(state):
         trial = with_components(state, components, (), folds)
         bare = trial.columns(())
-        products = trial.products.shifted(own, neutral - state.theta[own])
+        products = trial.products.shifted(own, -state.departure[own])
         taken_out = replace(trial, products=products, active=())
         known = float(holdout_gain(taken_out, np.concatenate([bare, own]), bare).sum())
         width = max(len(columns) for columns in trial.component_columns)

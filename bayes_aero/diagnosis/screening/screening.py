@@ -189,9 +189,8 @@ class _Standpoint:
 
 def _taken_out(state: SelectionState, here: _Standpoint, effect: str, active: Sequence[str]) -> _Standpoint:
     """The same with one addition at neutral, to first order; `active` are the others."""
-    names = state.full.parameters_of(effect)
-    own = state.full.columns(names)
-    away = state.theta[own] - np.array([state.full.neutral[name] for name in names])
+    own = state.full.columns(state.full.parameters_of(effect))
+    away = state.departure[own]
     products, mean, columns = here.products.shifted(own, -away), here.mean.copy(), state.columns(active)
     mean[own] += away
     fit = products.fit(columns, mean, state.precision)

@@ -73,6 +73,11 @@ class SelectionState:
         """Thresholds of the diagnosis."""
         return self.full.settings
 
+    @property
+    def departure(self) -> Float[np.ndarray, " k"]:
+        """How far each parameter is from neutral."""
+        return self.theta - self.full.neutral_vector
+
     @cached_property
     def inside(self) -> Bool[np.ndarray, " m"]:
         """Blocks that belong to a fold: neither products nor fits have seen the others."""

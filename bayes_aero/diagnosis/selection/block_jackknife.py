@@ -72,8 +72,7 @@ class Blocks:
         judged = self.judge(effect)
         if judged is None:
             return 1.0
-        names = self.state.full.parameters_of(effect)
-        away = self.state.theta[self.state.full.columns(names)] - [self.state.full.neutral[name] for name in names]
+        away = self.state.departure[self.state.full.columns(self.state.full.parameters_of(effect))]
         score = as_normal(equivalent(away + judged[0], judged[1]), self.freedom)
         return min(1.0, 2.0 * len(self.state.blocks) * float(ndtr(-score)))
 

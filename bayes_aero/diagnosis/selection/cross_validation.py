@@ -45,8 +45,7 @@ class LeftOut:
         the time of `refitted`."""
         own = [state.full.columns(state.full.parameters_of(e)) for e in state.active if e not in effects]
         gone = np.concatenate([np.zeros(0, int), *own])
-        neutral = np.array([state.full.neutral[name] for name in state.full.model.names])
-        away = neutral[gone] - state.theta[gone]
+        away = -state.departure[gone]
         products, columns = state.products.shifted(gone, away), state.columns(effects)
         parameters = ~np.isin(columns, state.offsets)
         residual = state.residual - state.S[:, :, gone] @ away
@@ -89,14 +88,8 @@ class LeftOut:
 
 def measured_blocks(state: SelectionState) -> Float[np.ndarray, "m c"]:
     """Coefficients as the card reconstructs them from the record, averaged over blocks."""
-    neutral = np.array([state.full.neutral[name] for name in state.full.model.names])
-    at_base = state.theta.copy()
-    for effect in state.full.model.effects:
-        if effect.name not in state.full.base:
-            for p in effect.parameters:
-                i = state.full.columns([p.name])[0]
-                at_base[i] = neutral[i]
-    return np.asarray(state.responses.block(state.responses.evaluate(at_base)[1]["measured"]))
+    card = state.full.card_only(state.theta)
+    return np.asarray(state.responses.block(state.responses.evaluate(card)[1]["measured"]))
 
 
 def holdout_gain(before: LeftOut, after: LeftOut, state: SelectionState) -> tuple[float, float]:
@@ -162,10 +155,6 @@ def gain(
 
 
 def truncated(state: SelectionState, effects: Sequence[str]) -> SelectionState:
-    """The state with only the first additions in, the others' parameters at neutral."""
-    theta = state.theta.copy()
-    for effect in state.active:
-        if effect not in effects:
-            for name in state.full.parameters_of(effect):
-                theta[state.full.columns([name])[0]] = state.full.neutral[name]
+    """The state with only `effects` of its additions in, the others' parameters at neutral."""
+    theta = state.full.at_neutral(state.theta, [e for e in state.active if e not in effects])
     return moved(state, theta, tuple(effects))

@@ -155,11 +155,10 @@ def between_p_value(wider: SelectionState, fit: Fit, effect: str, among: int) ->
     It is in, and all is fitted again: a large effect that is out bends the first-order residuals, and the stretches
     then seem to disagree more than they do.
     """
-    names = wider.full.parameters_of(effect)
-    columns = wider.full.columns(names)
+    columns = wider.full.columns(wider.full.parameters_of(effect))
     if not np.all(np.isin(columns, fit.columns)):
         return 1.0
-    away = wider.theta[columns] - np.array([wider.full.neutral[name] for name in names])
+    away = wider.departure[columns]
     own, covariance = block_jackknife_covariance(wider, fit)
     at = [int(np.flatnonzero(own == c)[0]) for c in columns]
     freedom = int(np.max(wider.responses.stretch))  # pyright: ignore[reportArgumentType, reportCallIssue]
@@ -230,10 +229,8 @@ def added(state: SelectionState, winner: CandidateScore) -> SelectionState:
 
 def removed(state: SelectionState, effect: str) -> SelectionState:
     """The state without one of its additions, that effect's parameters at neutral."""
-    theta = state.theta.copy()
-    for name in state.full.parameters_of(effect):
-        theta[state.full.columns([name])[0]] = state.full.neutral[name]
-    return moved(state, theta, tuple(e for e in state.active if e != effect))
+    left = tuple(e for e in state.active if e != effect)
+    return moved(state, state.full.at_neutral(state.theta, [effect]), left)
 
 
 def _reconsidered(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]:
@@ -252,9 +249,8 @@ def _reconsidered(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]
 
 def _bayes_within(state: SelectionState, fit: Fit, own: CandidateScore) -> float:
     """Log Bayes factor of an addition under the colour that is left with it in."""
-    names = state.full.parameters_of(own.effect)
-    columns = state.full.columns(names)
-    away = state.theta[columns] - np.array([state.full.neutral[name] for name in names])
+    columns = state.full.columns(state.full.parameters_of(own.effect))
+    away = state.departure[columns]
     if not (np.all(np.isfinite(away)) and np.all(np.isin(columns, fit.columns))):
         return own.log_bayes
     at = [int(np.flatnonzero(fit.columns == c)[0]) for c in columns]

@@ -62,8 +62,7 @@ def as_structure(cause: Cause, extension: Extension, effect: Effect) -> Unexplai
     state, fit = extension.state, extension.fit
     standing = screen(state, fit, seed=0, replicates=0, without=cause.name).of(cause.name)
     columns = state.full.columns(state.full.parameters_of(cause.name))
-    neutral = np.array([state.full.neutral[name] for name in state.full.parameters_of(cause.name)])
-    moved = (state.scaled[:, :, columns] @ (state.theta[columns] - neutral))[state.inside]
+    moved = (state.scaled[:, :, columns] @ state.departure[columns])[state.inside]
     output = int(np.argmax(np.mean((moved - moved.mean(axis=0)) ** 2, axis=0) / fit.variance))
     gain = 0.0 if standing is None else max(standing.gain, 0.0)
     share = 1.0 - float(np.exp(-gain / state.products.count.sum()))

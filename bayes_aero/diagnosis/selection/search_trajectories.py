@@ -140,7 +140,7 @@ def _lagged(whole: CandidateModel, found: Extension, seed: int, progress: Progre
 def _without_lags(full: CandidateModel) -> CandidateModel:
     """Without effects that need a state of their own."""
     lags = [e for e in full.candidates if e.stage is Stage.LAG]
-    own = {p.name: p.neutral for e in lags for p in e.parameters}
+    own = {name: x for e in lags for name, x in e.neutral_values.items()}
     model = Model(full.model.effects, full.model.parameters, (*full.model.fixed, *own.items()))
     told = {
         e.name: "a lag is a state of its own, tried only where something is missing; give it on the card" for e in lags

@@ -49,7 +49,9 @@ def search_in_stages(
     def coefficients(sensors: Extension | None) -> Extension:
         if progress:
             progress("coefficients", 0.0)
-        begin = theta if sensors is None else _neutral(sensors.state, sensors.state.theta, sensors.state.full.base)
+        begin = theta
+        if sensors is not None:
+            begin = sensors.state.full.at_neutral(sensors.state.theta, sensors.state.full.base)
         state = linearised(_after(full, sensors), responses, NAMES, begin)
         return forward_selection(state, seed=seed + 1000, progress=progress)
 
@@ -139,16 +141,7 @@ def _path_gain(sensors: Extension, name: str) -> float:
 
 def _deviance(card: SelectionState, without: Sequence[str]) -> float:
     """Of the coefficients under the card's effects alone, these corrections of sensors taken back."""
-    state = replace(card, theta=_neutral(card, card.theta, without))
+    state = replace(card, theta=card.full.at_neutral(card.theta, without))
     columns = state.columns()
     best, folds = optimum(state, range(len(state.folds))), range(len(state.folds))
     return local_fit(state, best, columns[columns < len(best)], folds)[1]
-
-
-def _neutral(state: SelectionState, theta: Float[np.ndarray, " k"], effects: Sequence[str]) -> Float[np.ndarray, " k"]:
-    """`theta` with the parameters of these effects at neutral."""
-    moved = theta.copy()
-    for effect in effects:
-        names = state.full.parameters_of(effect)
-        moved[state.full.columns(names)] = [state.full.neutral[name] for name in names]
-    return moved

@@ -51,7 +51,7 @@ def eliminate(
     A cause is not asked, and stays, if it has such parameters: flown with that value, the segment is not unseen.
     """
     unheard = {name for held in silent.values() for name in held}
-    neutral = {e.name: {p.name: p.neutral for p in e.parameters} for e in causes}
+    neutral = {e.name: e.neutral_values for e in causes}
     neutral = {name: values for name, values in neutral.items() if not unheard & set(values)}
     flight = _Flight(contender, neutral, silent, noise, {tuple(neutral): fits})
     if not flight.refitted(tuple(neutral)).inside:  # what cannot be flown is no measure of anything

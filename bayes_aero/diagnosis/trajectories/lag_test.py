@@ -118,7 +118,7 @@ def confirmed(
 
 def _hysteresis(model: Model) -> Mapping[str, float]:
     """Parameters of the quasi-steady flow's hysteresis and their neutral values."""
-    return {p.name: p.neutral for e in model.effects if e.stage is Stage.INCIDENCE for p in e.parameters}
+    return {name: x for e in model.effects if e.stage is Stage.INCIDENCE for name, x in e.neutral_values.items()}
 
 
 def _without_lead(model: Model) -> Model:
