@@ -12,6 +12,7 @@ from scipy.special import chdtrc, ndtri, stdtr
 from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, Middle
 from bayes_aero.diagnosis.screening.regression import TINY, Fit, inverse
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
+from bayes_aero.inference.variance.block_jackknife import cluster_covariance
 
 
 class PartialledRegression:
@@ -78,13 +79,13 @@ class PartialledRegression:
     ) -> list[np.ndarray]:
         """Covariance of each block's estimate from how far the stretches disagree about it, whatever the colour within.
 
-        Cluster-robust (Liang and Zeger 1986, Biometrika 73, 13), with the estimate itself taken out.
+        See `cluster_covariance`; the estimate itself is taken out.
         """
         found = []
         for place, bread, estimate in zip(self.place, self.bread, estimates, strict=True):
             P = self.P[:, :, place]
             rows = np.einsum("mci,c,mc->mi", P, self.weight, residual - P @ estimate, optimize=True)
-            found.append(bread @ disagreement(rows, stretch) @ bread)
+            found.append(bread @ cluster_covariance(rows, stretch) @ bread)
         return found
 
     def apart(
@@ -104,17 +105,9 @@ class PartialledRegression:
         variance, _ = Middle(D, 1.0 / self.weight, self.folds, []).under(colour, [])
         if stretch is not None:
             rows = np.einsum("mcj,c,mc->mj", D, self.weight, residual - explained[own], optimize=True)
-            variance = np.maximum(variance, np.diag(disagreement(rows, stretch)))
+            variance = np.maximum(variance, np.diag(cluster_covariance(rows, stretch)))
         white = np.einsum("mcj,c,mcj->j", D, self.weight, D, optimize=True)
         return np.where(white > 0.0, variance / np.maximum(white, TINY), 1.0)
-
-
-def disagreement(rows: Float[np.ndarray, "m k"], stretch: Int[np.ndarray, " m"]) -> Float[np.ndarray, "k k"]:
-    """Sum over stretches of the outer products of what each contributes to the normal equations."""
-    count = int(stretch.max()) + 1
-    sums = np.zeros((count, rows.shape[1]))
-    np.add.at(sums, stretch, rows)
-    return sums.T @ sums * count / (count - 1.0)
 
 
 def score(estimate: np.ndarray, covariance: np.ndarray, freedom: int) -> float:

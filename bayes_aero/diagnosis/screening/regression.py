@@ -115,6 +115,14 @@ class Products:
         return np.einsum("k,fckl,l->fc", v, self.gram[:, :, full[:, None], full[None, :]], v, optimize=True)
 
 
+def partialled(
+    X: Float[np.ndarray, "m c j"], B: Float[np.ndarray, "m c b"], weight: Float[np.ndarray, " c"]
+) -> Float[np.ndarray, "m c j"]:
+    """What weighted least squares on the columns `B` leaves of each of the columns `X`."""
+    cross, own = (np.einsum("mci,c,mcj->ij", B, weight, other, optimize=True) for other in (X, B))
+    return X - B @ (inverse(own) @ cross)
+
+
 TINY = 1e-300
 NOTHING = 1e-130  # least information that is inverted: a covariance of it, and its square, are still numbers
 ROUNDING = 1e-14  # of a sum of squares, of what is left of it

@@ -20,8 +20,9 @@ from bayes_aero.diagnosis.screening.autocorrelation import (
     unbiased,
 )
 from bayes_aero.diagnosis.screening.partialled_regression import PartialledRegression, equivalent, score
-from bayes_aero.diagnosis.screening.regression import Fit, Products, inverse
+from bayes_aero.diagnosis.screening.regression import Fit, Products, inverse, partialled
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
+from bayes_aero.inference.variance.block_jackknife import jackknife_covariance
 
 
 @dataclass(frozen=True)
@@ -238,10 +239,7 @@ def block_jackknife_covariance(
     """Active columns that are no offsets, and the covariance of their estimates from how far these move when a stretch
     is left out.
 
-    The jackknife over clusters: a stretch that decides a parameter alone leaves no residual there to disagree with,
-    and `PartialledRegression.between` takes that for agreement.
-
-    Source: Bell and McCaffrey 2002, Survey Methodology 28, 169.
+    See `jackknife_covariance`.
     """
     stretch = state.responses.stretch
     assert stretch is not None
@@ -249,7 +247,7 @@ def block_jackknife_covariance(
     parts = [_without_offsets(state, fit, stretch == k, columns) for k in range(int(stretch.max()) + 1)]
     whole = sum(information for information, _ in parts) + np.diag(state.precision[columns])
     moves = np.array([inverse(whole - information) @ right for information, right in parts])
-    return columns, moves.T @ moves * (len(parts) - 1.0) / len(parts)
+    return columns, jackknife_covariance(moves)
 
 
 def _without_offsets(
@@ -258,9 +256,7 @@ def _without_offsets(
     """Information of one stretch on these columns, its offsets free, and what it adds to the right side."""
     here, weight = here & state.inside, 1.0 / fit.variance
     S, begin = state.scaled[here][:, :, columns], state.scaled[here][:, :, state.offsets]
-    begin = begin[:, :, np.any(begin != 0.0, axis=(0, 1))]
-    cross, own = (np.einsum("mci,c,mcj->ij", begin, weight, other) for other in (S, begin))
-    S = S - begin @ (inverse(own) @ cross)
+    S = partialled(S, begin[:, :, np.any(begin != 0.0, axis=(0, 1))], weight)
     return np.einsum("mci,c,mcj->ij", S, weight, S), np.einsum("mci,c,mc->i", S, weight, state.left(fit)[here])
 
 

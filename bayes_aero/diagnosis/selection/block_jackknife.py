@@ -14,11 +14,12 @@ from jaxtyping import Float, Int
 from scipy.special import ndtr
 
 from bayes_aero.diagnosis.screening.accuracy import sizes
-from bayes_aero.diagnosis.screening.partialled_regression import as_normal, disagreement, equivalent
-from bayes_aero.diagnosis.screening.regression import Fit, inverse
+from bayes_aero.diagnosis.screening.partialled_regression import as_normal, equivalent
+from bayes_aero.diagnosis.screening.regression import Fit, inverse, partialled
 from bayes_aero.diagnosis.screening.screening import screen
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, refitted
 from bayes_aero.diagnosis.selection.forward_selection import Extension, Step, removed, worth
+from bayes_aero.inference.variance.block_jackknife import cluster_covariance
 
 
 class Blocks:
@@ -53,16 +54,12 @@ class Blocks:
         S, B = (self._centred(state.scaled[:, :, columns]) for columns in (own, others))
         if not np.all(np.any(S != 0.0, axis=(0, 1))):
             return None
-        left = self.left
-        if len(others):
-            scale = np.einsum("mci,c,mcj->ij", B, self.weight, B, optimize=True)
-            bread = inverse(scale)
-            S = S - B @ (bread @ np.einsum("mci,c,mcj->ij", B, self.weight, S, optimize=True))
-            left = left - B @ (bread @ np.einsum("mci,c,mc->i", B, self.weight, left, optimize=True))
+        both = partialled(np.concatenate([S, self.left[:, :, None]], axis=2), B, self.weight)
+        S, left = both[:, :, :-1], both[:, :, -1]
         bread = inverse(np.einsum("mci,c,mcj->ij", S, self.weight, S, optimize=True))
         step = bread @ np.einsum("mci,c,mc->i", S, self.weight, left, optimize=True)
         rows = np.einsum("mci,c,mc->mi", S, self.weight, left - S @ step, optimize=True)
-        return step, bread @ disagreement(rows, self._own) @ bread
+        return step, bread @ cluster_covariance(rows, self._own) @ bread
 
     def p_value(self, effect: str) -> float:
         """Of an addition: the chance that stretches which disagree as they do show as much of it.

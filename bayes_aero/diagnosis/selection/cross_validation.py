@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from bayes_aero.diagnosis.result import Gain
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, optimum
 from bayes_aero.inference.scores import Scores, score
-from bayes_aero.inference.variance.coloured_bounds import LAG_SHARE, autocovariance
+from bayes_aero.inference.variance.coloured_bounds import deviation_of_sum
 from bayes_aero.physics.coefficients import NAMES
 
 
@@ -133,18 +133,6 @@ def compared(
         )
         for c, name in enumerate(NAMES)
     }
-
-
-def deviation_of_sum(values: Float[np.ndarray, " m"], lengths: Sequence[int]) -> float:
-    """Standard deviation of the sum of a coloured series of constant mean, its stretches taken as independent.
-
-    From the autocovariance up to `LAG_SHARE` of each stretch, tapered by Parzen's window as in the corrected
-    Cramer-Rao bounds: short of the truth where the colour is nearly as long as that.
-    """
-    away = (values - values.mean())[:, None]
-    parts = np.split(away, np.cumsum(lengths)[:-1])
-    variance = sum(len(part) * autocovariance(part, max(1, int(LAG_SHARE * len(part)))).sum() for part in parts)
-    return float(np.sqrt(variance * len(values) / (len(values) - 1)))
 
 
 def gain(

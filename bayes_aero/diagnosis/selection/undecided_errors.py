@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.screening.regression import TINY, inverse
+from bayes_aero.diagnosis.screening.regression import TINY, inverse, partialled
 from bayes_aero.diagnosis.screening.screening import CandidateScore
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection.forward_selection import Extension, explained
@@ -74,8 +74,7 @@ def _information(found: Extension, effects: Sequence[Effect]) -> tuple[Float[np.
     columns = state.full.columns([e.parameters[0].name for e in effects])
     X, begin = (state.scaled[state.inside][:, :, own] for own in (columns, state.offsets))
     weight = 1.0 / found.fit.variance
-    cross, own = (np.einsum("mci,c,mcj->ij", begin, weight, other) for other in (X, begin))
-    X = X - begin @ (inverse(own) @ cross)
+    X = partialled(X, begin, weight)
     return np.einsum("mci,c,mcj->ij", X, weight, X), columns
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.selection.cross_validation import deviation_of_sum
 from bayes_aero.diagnosis.trajectories.time_histories import Path
+from bayes_aero.inference.variance.coloured_bounds import deviation_of_sum
 
 
 @dataclass(frozen=True)

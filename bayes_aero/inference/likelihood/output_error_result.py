@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.likelihood.normal_equations import Point, Priors, reduced
+from bayes_aero.inference.variance.block_jackknife import jackknife_covariance
 from bayes_aero.inference.variance.coloured_bounds import corrected_covariance
 from bayes_aero.inference.variance.inseparable import Inseparable, inseparable
 from bayes_aero.parameter import Parameter
@@ -131,7 +132,6 @@ class OutputErrorResult:
 
         A block with nearly all information on a direction (a constant error visible while a motion begins, the only
         step of a control) counts there as one with `LEVERAGE` of it, because the other blocks cannot test it.
-        Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), ch. 11, of blocks in place of samples.
         """
         moving = np.flatnonzero(np.diag(self.covariance) > 0.0)
         counts = self.flown.inside.sum(axis=1)
@@ -154,7 +154,7 @@ class OutputErrorResult:
             turned = back.T @ turned
             along = np.einsum("iab,ia->ib", turned, -np.array(g) * scale) / (1.0 - np.minimum(share, LEVERAGE))
             step = scale * np.einsum("iab,ib->ia", turned, along)
-            variance[moving] = (len(A) - 1.0) / len(A) * np.sum((step - step.mean(axis=0)) ** 2, axis=0)
+            variance[moving] = np.diag(jackknife_covariance(step - step.mean(axis=0)))
         return variance
 
     @property
