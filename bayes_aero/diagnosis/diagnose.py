@@ -31,6 +31,7 @@ from bayes_aero.errors import attempted
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.threads import blas_threads
+from bayes_aero.inference.variance.variance_inflation import nats
 from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.physics.coefficient_names import NAMES
@@ -235,7 +236,7 @@ def _rivals(extension: Extension, name: str) -> tuple[float, tuple[str, ...]]:
     if own is None:
         return 1.0, ()
     weights = {effect: np.exp(min(0.0, -own.nats(s))) for effect, s in best.items()}
-    nothing = np.exp(-max(own.gain, 0.0) / (2.0 * max(own.inflation, 1.0)))
+    nothing = np.exp(-nats(max(own.gain, 0.0), own.variance_inflation))
     close = tuple(effect for effect, s in best.items() if effect != name and own.nats(s) < state.settings.ambiguous)
     return float(1.0 / (sum(weights.values()) + nothing)), close
 

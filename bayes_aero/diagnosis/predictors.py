@@ -6,7 +6,7 @@ and A. O'Hagan, Bayesian calibration of computer models, J. R. Stat. Soc. B 63, 
 other. How far it is believed is told in `discrepancy`.
 
 All densities here treat the residuals of neighbouring blocks as independent. They are not: a difference of `elpd` is
-worth as many times less as the colour multiplies variances (`SelectionState.variance_inflation`).
+worth as many times less as the variance inflation says (`SelectionState.variance_inflation`).
 """
 
 from __future__ import annotations

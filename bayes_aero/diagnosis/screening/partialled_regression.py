@@ -13,6 +13,7 @@ from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, Midd
 from bayes_aero.diagnosis.screening.regression import TINY, Fit, inverse
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.inference.variance.block_jackknife import cluster_covariance
+from bayes_aero.inference.variance.variance_inflation import variance_inflation
 
 
 class PartialledRegression:
@@ -96,7 +97,7 @@ class PartialledRegression:
         colour: Autocorrelation,
         stretch: Int[np.ndarray, " m"] | None,
     ) -> Float[np.ndarray, " j"]:
-        """Inflation of the variance along the difference of what each block and block `own` explain (1 for `own`).
+        """Variance inflation along the difference of what each block and block `own` explain (1 for `own`).
 
         Under the colour, or by how far the stretches disagree where that is more.
         """
@@ -107,7 +108,7 @@ class PartialledRegression:
             rows = np.einsum("mcj,c,mc->mj", D, self.weight, residual - explained[own], optimize=True)
             variance = np.maximum(variance, np.diag(cluster_covariance(rows, stretch)))
         white = np.einsum("mcj,c,mcj->j", D, self.weight, D, optimize=True)
-        return np.where(white > 0.0, variance / np.maximum(white, TINY), 1.0)
+        return variance_inflation(variance, white)
 
 
 def score(estimate: np.ndarray, covariance: np.ndarray, freedom: int) -> float:

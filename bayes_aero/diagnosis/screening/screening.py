@@ -23,6 +23,7 @@ from bayes_aero.diagnosis.screening.partialled_regression import PartialledRegre
 from bayes_aero.diagnosis.screening.regression import Fit, Products, inverse, partialled
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.inference.variance.block_jackknife import jackknife_covariance
+from bayes_aero.inference.variance.variance_inflation import nats, variance_inflation
 
 
 @dataclass(frozen=True)
@@ -31,9 +32,9 @@ class CandidateScore:
 
     `gain` is the deviance it takes away, `together` what it would take away if the outputs' noise were allowed to
     correlate; `score` its estimate in standard deviations that know the colour (for several
-    parameters the equivalent of one); `inflation` the variance over what white residuals would leave; `log_bayes` the
-    log Bayes factor of estimate and deviation under the effect's prior. `apart` is the inflation along the difference
-    between what it explains and what the addition explains that was taken out (see `screening`).
+    parameters the equivalent of one); `variance_inflation` that of its parameters, the largest; `log_bayes` the
+    log Bayes factor of estimate and deviation under the effect's prior. `variance_inflation_apart` is that along the
+    difference between what it explains and what the addition explains that was taken out (see `screening`).
     """
 
     effect: str
@@ -41,25 +42,20 @@ class CandidateScore:
     value: float | None
     gain: float
     score: float
-    inflation: float
+    variance_inflation: float
     log_bayes: float
     step: tuple[float, ...]
     sd: tuple[float, ...]
     together: float = math.nan
-    apart: float = math.nan
+    variance_inflation_apart: float = math.nan
 
     def nats(self, other: CandidateScore) -> float:
         """Log likelihood by which this addition, which was taken out, explains more than `other`.
 
         What tells the two from each other is the residual along the difference d of what they explain. Its variance
-        is d'Sd where white residuals would leave s2 d'd: the log likelihood ratio is the white one over that inflation.
+        is d'Sd where white residuals would leave s2 d'd: the log likelihood ratio is the white one over that of both.
         """
-        return (self.gain - other.gain) / other.cost_apart
-
-    @property
-    def cost_apart(self) -> float:
-        """Deviance that a nat costs where this is weighed against the addition that was taken out."""
-        return 2.0 * max(self.apart, 1.0)
+        return nats(self.gain - other.gain, other.variance_inflation_apart)
 
 
 @dataclass(frozen=True)
@@ -117,7 +113,7 @@ def screen(
     found = []
     for j, (effect, own, value) in enumerate(blocks):
         variance = np.maximum(np.diag(covariances[j]), 0.0)
-        white = np.diag(projected.bread[j])
+        inflation = variance_inflation(variance, np.diag(projected.bread[j]))
         step = gains[1][j][: len(own)]
         possible = value is None or step[0] * (value - _present(state, effect)) > 0.0
         found.append(
@@ -127,14 +123,14 @@ def screen(
                 value=value,
                 gain=float(gains[0][j]) if possible else 0.0,
                 score=score(estimates[j], covariances[j], freedom) if possible else 0.0,
-                inflation=float(np.max(variance / white)),
+                variance_inflation=float(np.max(inflation)),
                 log_bayes=log_bayes(
                     estimates[j], covariances[j], mean[own], state.precision[own] / state.variance_inflation
                 ),
                 step=tuple(float(x) for x in step),
                 sd=tuple(float(x) for x in np.sqrt(variance)),
                 together=before - projected.deviance(residual, j, estimates[j]),
-                apart=math.nan if apart is None else float(apart[j]),
+                variance_inflation_apart=math.nan if apart is None else float(apart[j]),
             )
         )
     count = state.settings.replicates if replicates is None else replicates

@@ -64,7 +64,7 @@ class SelectionState:
     active: tuple[str, ...]  # names of the effects that are in, beyond the card's
     scans: tuple[Scan, ...]
     nuisance: int = 0  # columns between the parameters and the scans
-    variance_inflation: float = 1.0  # what the colour costs: priors count so many times against the white likelihood
+    variance_inflation: float = 1.0  # priors count so many times against the white likelihood
     components: tuple[Component, ...] = ()  # they stand for election in place of effects
     chosen: tuple[Component, ...] = ()  # components that are in
 

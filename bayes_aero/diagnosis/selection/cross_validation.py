@@ -93,7 +93,7 @@ def measured_blocks(state: SelectionState) -> Float[np.ndarray, "m c"]:
 
 
 def holdout_gain(before: LeftOut, after: LeftOut, state: SelectionState) -> tuple[float, float]:
-    """Log density of unseen data that `after` has beyond `before`, the colour's cost counted, and its deviation."""
+    """Log density of unseen data that `after` has beyond `before`, over the variance inflation, and its deviation."""
     difference = (after.density() - before.density()) / state.variance_inflation
     lengths = [fold.stop - fold.start for fold in state.folds]
     if len(state.responses.flights.lengths) == 1:  # blocks of one flight, one after the other: their colour runs on

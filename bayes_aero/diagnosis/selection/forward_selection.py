@@ -26,6 +26,7 @@ from bayes_aero.diagnosis.screening.screening import (
 )
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, noise_growth_of, refitted
 from bayes_aero.effect import Effect, Stage
+from bayes_aero.inference.variance.variance_inflation import nats, typical
 from bayes_aero.physics.coefficient_names import NAMES
 
 Progress = Callable[[str, float], None]
@@ -69,8 +70,8 @@ def forward_selection(
     """
     most = state.settings.max_effects if most is None else most
     state, fit = refitted(state)
-    noise_growth, cost = noise_growth_of(state, fit), _inflation(state, fit)
-    state, fit = refitted(moved(replace(state, noise_growth=noise_growth, variance_inflation=cost), state.theta))
+    noise_growth, inflation = noise_growth_of(state, fit), _inflation(state, fit)
+    state, fit = refitted(moved(replace(state, noise_growth=noise_growth, variance_inflation=inflation), state.theta))
     first, first_fit = state, fit
     steps: list[Step] = []
     for number in range(most):
@@ -98,9 +99,8 @@ def _between_sizes(state: SelectionState, fit: Fit) -> dict[str, Size]:
 
 
 def _inflation(state: SelectionState, fit: Fit) -> float:
-    """How many times the colour multiplies variances, in the median over the candidates."""
-    found = screen(state, fit, seed=0, replicates=0).candidate_scores
-    return max(1.0, float(np.median([s.inflation for s in found]))) if found else 1.0
+    """Variance inflation in the median over the candidates."""
+    return typical(np.array([s.variance_inflation for s in screen(state, fit, seed=0, replicates=0).candidate_scores]))
 
 
 def _election(state: SelectionState, fit: Fit, seed: int, first: bool) -> Step:
@@ -242,8 +242,10 @@ def _reconsidered(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]
         faint = own is not None and own.log_bayes < 0.0 and _bayes_within(state, fit, own) < 0.0
         if own is None or faint or explained(state, own) < state.settings.least_share or mixes_noise(state, own):
             state, fit = refitted(removed(state, effect))
-        elif best.effect != effect and best.gain > (1.0 + state.settings.exchange_margin) * own.gain + best.cost_apart:
-            state, fit = refitted(added(removed(state, effect), best))
+        elif best.effect != effect:
+            more = best.gain - (1.0 + state.settings.exchange_margin) * own.gain
+            if nats(more, best.variance_inflation_apart) > 1.0:
+                state, fit = refitted(added(removed(state, effect), best))
     return state, fit
 
 
@@ -288,4 +290,4 @@ def nats_gained(old: Extension, new: Extension) -> float:
     additions = len(new.state.active) - len(old.state.active)
     gained = deviance(old.state, old.fit) - deviance(new.state, new.fit)
     choice = math.log(max(len(new.state.full.candidates), 1))
-    return gained / (2.0 * max(old.state.variance_inflation, new.state.variance_inflation)) - additions * choice
+    return nats(gained, max(old.state.variance_inflation, new.state.variance_inflation)) - additions * choice

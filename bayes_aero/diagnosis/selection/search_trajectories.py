@@ -33,6 +33,7 @@ from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.output_error import fit_cascade
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.inference.variance.variance_inflation import nats
 from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.residuals.output_error import OutputError
@@ -126,7 +127,7 @@ def _lagged(whole: CandidateModel, found: Extension, seed: int, progress: Progre
     assert isinstance(dynamics, AircraftDynamics)
     state, fit = refitted(_state(whole, responses.flights, dynamics.altitude, values, (lag.name,)))
     among = found.steps[0].screening
-    gain = (found.base_fit.deviance - fit.deviance) / (2.0 * found.base.variance_inflation)
+    gain = nats(found.base_fit.deviance - fit.deviance, found.base.variance_inflation)
     settings, chance = state.settings, between_p_value(state, fit, lag.name, len(among.candidate_scores) + 1)
     if not (gain > settings.decisive and chance <= settings.false_alarm_rate):
         return None  # a lag that is none leaves nothing to linearise

@@ -62,7 +62,7 @@ def eliminate(
     if not gone:
         return Elimination(contender, fits, found)
     fit = contender.fit
-    again = fit_output_error(fit.flown, start=fit.estimate, held=less.held, prior_weight=noise.cost)
+    again = fit_output_error(fit.flown, start=fit.estimate, held=less.held, prior_weight=noise.variance_inflation)
     return Elimination(replace(less, fit=again), flight.fits[found.kept], found, gone)
 
 
@@ -124,4 +124,4 @@ class _Flight:
     def holdout_gain(self, before: HoldoutScore, after: HoldoutScore) -> tuple[float, float]:
         if not before.inside:  # without it the flight leaves its envelope
             return np.inf, 0.0
-        return holdout_gain(before, after, self.noise.cost)
+        return holdout_gain(before, after, self.noise.variance_inflation)

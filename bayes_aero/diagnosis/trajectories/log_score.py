@@ -38,7 +38,7 @@ class HoldoutScore:
         return -0.5 * (r**2 / variance + np.log(variance)).sum(axis=1)
 
 
-def holdout_gain(before: HoldoutScore, after: HoldoutScore, cost: float) -> tuple[float, float]:
-    """Log density that `after` has beyond `before` on the same segments, divided by the colour's `cost`; deviation."""
-    difference = (after.density() - before.density()) / cost
+def holdout_gain(before: HoldoutScore, after: HoldoutScore, variance_inflation: float) -> tuple[float, float]:
+    """Log density that `after` has beyond `before` on the same segments, over the variance inflation; deviation."""
+    difference = (after.density() - before.density()) / variance_inflation
     return float(difference.sum()), deviation_of_sum(difference, [len(r) for r in before.residual])

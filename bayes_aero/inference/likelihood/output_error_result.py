@@ -15,6 +15,7 @@ from bayes_aero.inference.likelihood.normal_equations import Point, Priors, redu
 from bayes_aero.inference.variance.block_jackknife import jackknife_covariance
 from bayes_aero.inference.variance.coloured_bounds import corrected_covariance
 from bayes_aero.inference.variance.inseparable import Inseparable, inseparable
+from bayes_aero.inference.variance.variance_inflation import typical, variance_inflation
 from bayes_aero.parameter import Parameter
 
 THINNED = 5  # samples, for the colour of the residuals
@@ -23,7 +24,7 @@ SINGULAR, SHARE = 1e-13, 1e-3  # least eigenvalue of a regular scaled matrix; pa
 STRETCH, STRETCHES = 12.0, 10  # s of flight that the jackknife leaves out at a time, and how many it wants at least
 LEVERAGE = 0.9  # largest share of what is known in any direction that a stretch may take with it
 TRACE = 1e-13  # of a scaled information matrix: beyond rounding, within nothing that a record tells
-COLOURED = 2.0  # times the variances, in the median, from which the colour of residuals is beyond doubt
+COLOURED = 2.0  # variance inflation, in the median, from which the colour of residuals is beyond doubt
 HELD = 0.9  # posterior over prior deviation from which a parameter is said to be held by its prior
 
 
@@ -121,7 +122,7 @@ class OutputErrorResult:
         found = known + corrected_covariance(D, S[inside], self.R, self.columns[..., 0][inside], segment, start)
         own = np.diag(found)
         moving = own > 0.0
-        if not moving.any() or np.median(own[moving] / np.diag(D)[moving]) < COLOURED:
+        if typical(variance_inflation(own, np.diag(D))[moving]) < COLOURED:
             return found
         wider = np.ones(k)
         wider[moving] = np.sqrt(np.maximum(1.0, (self._left_out(S) + np.diag(known))[moving] / own[moving]))
