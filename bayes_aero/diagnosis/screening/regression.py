@@ -46,6 +46,10 @@ class Products:
         chosen = list(folds)
         return Products(self.gram[chosen].sum(axis=0, keepdims=True), self.count[chosen].sum(keepdims=True))
 
+    def without(self, fold: int) -> Products:
+        """All folds but one summed into one."""
+        return self.over([f for f in range(len(self.count)) if f != fold])
+
     def only(self, columns: Int[np.ndarray, " k"]) -> Products:
         """These columns alone, numbered anew in their order."""
         at = np.append(0, np.asarray(columns) + 1)

@@ -94,8 +94,7 @@ def screen(
         return ScreeningResult((), autocorrelation_of(residual, state.folds), np.zeros(0))
     projected = PartialledRegression(state, fit, [b[1] for b in blocks])
     colour = autocorrelation_of(residual, state.folds)
-    rng = np.random.default_rng(seed)
-    m = len(residual)
+    rng, m = np.random.default_rng(seed), len(residual)
     # Re-estimation from noise whose active columns were fitted shows how much faster the noise then looks.
     drawn = colour.simulate(state.settings.correction_replicates, state.folds, m, rng)
     colour = unbiased(colour, autocorrelations_of(without_active(state, fit, drawn), state.folds))
@@ -103,8 +102,7 @@ def screen(
     stretch = state.responses.stretch
     freedom = 0 if stretch is None else int(stretch.max())
     if stretch is not None:
-        wider = projected.between(residual, estimates, stretch)
-        pairs = zip(estimates, covariances, wider, strict=True)
+        pairs = zip(estimates, covariances, projected.between(residual, estimates, stretch), strict=True)
         covariances = [C if equivalent(b, C) < equivalent(b, W) else W for b, C, W in pairs]
     gains = _gains(state, standpoint, [b[1] for b in blocks])
     before = projected.deviance(residual)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel
-from bayes_aero.diagnosis.folds import folds_of
+from bayes_aero.diagnosis.folds import blocks_of, folds_of
 from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.regression import Fit, Products
 from bayes_aero.diagnosis.settings import DiagnosisSettings
@@ -81,10 +81,7 @@ class SelectionState:
     @cached_property
     def inside(self) -> Bool[np.ndarray, " m"]:
         """Blocks that belong to a fold: neither products nor fits have seen the others."""
-        found = np.zeros(len(self.S), bool)
-        for fold in self.folds:
-            found[fold] = True
-        return found
+        return blocks_of(self.folds, len(self.S))
 
     @property
     def offsets(self) -> Int[np.ndarray, " o"]:

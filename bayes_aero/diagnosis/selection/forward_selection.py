@@ -203,8 +203,7 @@ class _Folds:
 
     def left_out(self, fold: int, columns: np.ndarray, offsets: np.ndarray) -> float:
         """n log(mean square) over outputs of a fold, at parameters fitted elsewhere; offsets are the fold's own."""
-        others = [f for f in range(len(self.products.count)) if f != fold]
-        step = self.products.over(others).fit(columns, self.mean, self.precision).step
+        step = self.products.without(fold).fit(columns, self.mean, self.precision).step
         parameters = ~np.isin(columns, offsets)
         left = self.products.over([fold]).shifted(columns[parameters], step[parameters])
         nothing = np.zeros_like(self.mean)
@@ -284,8 +283,7 @@ def nats_gained(old: Extension, new: Extension) -> float:
     """Log likelihood that another extension gains, the colour counted, less what the choice of each addition costs."""
 
     def deviance(state: SelectionState, fit: Fit) -> float:
-        inside = np.concatenate([np.arange(fold.start, fold.stop) for fold in state.folds])
-        return fit.deviance + 2.0 * float(np.sum(np.log(state.noise_growth[inside])))
+        return fit.deviance + 2.0 * float(np.sum(np.log(state.noise_growth[state.inside])))
 
     additions = len(new.state.active) - len(old.state.active)
     gained = deviance(old.state, old.fit) - deviance(new.state, new.fit)

@@ -34,7 +34,7 @@ SETTLED = (OutputErrorStatus.CONVERGED, OutputErrorStatus.AT_BOUND)
 class LagTest:
     """The lag tried beside the extended model: log density that the joint fit gains, and unseen flight, by it.
 
-    Both are divided by the variance inflation. `unseen` has its deviation, and is not a number where unseen
+    Both are divided by what the residuals' colour costs. `unseen` has its deviation, and is not a number where unseen
     flight was not asked, the joint fit gaining too little. `kept`: unseen flight confirms it. `instead`: hysteresis
     that the lag leaves nothing of. `slight`: less of it is found than is worth a name.
     """
