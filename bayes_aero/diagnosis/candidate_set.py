@@ -67,6 +67,10 @@ class CandidateModel:
         """Index of each parameter in the model's free vector."""
         return np.array([self.model.names.index(name) for name in names], int)
 
+    def own_columns(self, *effects: str) -> np.ndarray:
+        """Index of each parameter that these effects own."""
+        return self.columns([name for effect in effects for name in self.parameters_of(effect)])
+
     def parameters_of(self, effect: str) -> tuple[str, ...]:
         """Parameters that an effect owns."""
         return tuple(p.name for e in self.model.effects if e.name == effect for p in e.parameters)

@@ -9,13 +9,12 @@ import numpy as np
 
 from bayes_aero.diagnosis.result import Cause, Diagnosis, Gain, Tested, UnexplainedStructure, verdict_of
 from bayes_aero.diagnosis.screening.screening import CandidateScore, screen
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
 from bayes_aero.diagnosis.search_result import SearchResult, lacking
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation, confirmation
 from bayes_aero.diagnosis.selection.collinear import CancellingPair, cancelling
 from bayes_aero.diagnosis.selection.cross_validation import (
     LeftOut,
-    gain,
     holdout_gain,
     measured_blocks,
     split_name,
@@ -167,9 +166,7 @@ def _excited(state: SelectionState, name: str) -> bool:
     """Whether every manoeuvre moves what the effect acts through: the spread of its sensitivities within each."""
     if len(state.responses.flights.lengths) == 1:
         return True
-    S = state.S[
-        :, :, state.full.columns(state.full.parameters_of(name))
-    ]  # without the noise_growth, which moves anything
+    S = state.S[:, :, state.full.own_columns(name)]  # without the noise growth, which moves anything
     noise = np.std(state.residual, axis=0)[:, None]
     spread = np.array([np.sqrt(np.sum((S[fold] / noise).var(axis=0))) for fold in state.folds])
     return bool(spread.min() >= state.settings.least_excitation * spread.max())
@@ -196,7 +193,10 @@ def _gains_of(
     if state.outputs != NAMES:
         return _sensor_gains(extension, aerodynamics, kept, pairs)
     measured = measured_blocks(state)
-    return {name: gain(base, *pair, state, measured) for name, pair in pairs.items()}
+    return {
+        name: Gain(*holdout_gain(*pair, state), split_name(state), base.scores(measured), pair[1].scores(measured))
+        for name, pair in pairs.items()
+    }
 
 
 def _sure(causes: Sequence[str], number: int, kept: Sequence[str]) -> list[str]:
@@ -212,9 +212,7 @@ def _sensor_gains(
 
     def corrected(sensors: Sequence[str]) -> LeftOut:
         theta = state.full.at_neutral(card.theta, [e for e in state.active if e not in sensors])
-        return LeftOut.refitted(
-            linearised(card.full, card.responses, NAMES, theta, (), card.noise_growth, card.variance_inflation)
-        )
+        return LeftOut.refitted(moved(card, theta, ()))
 
     measured, found = measured_blocks(card), {}
     base = corrected(()).scores(measured)

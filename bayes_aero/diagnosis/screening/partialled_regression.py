@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.special import chdtrc, ndtri, stdtr
+from scipy.special import chdtrc, ndtr, ndtri, stdtr
 
 from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, Middle
 from bayes_aero.diagnosis.screening.regression import TINY, Fit, inverse
@@ -119,6 +119,11 @@ def score(estimate: np.ndarray, covariance: np.ndarray, freedom: int) -> float:
 def as_normal(score: float, freedom: int) -> float:
     """Student's score as the normal one of the same tail probability."""
     return -float(ndtri(max(stdtr(freedom, -score), 1e-300)))
+
+
+def largest_p_value(estimate: np.ndarray, covariance: np.ndarray, freedom: int, among: int) -> float:
+    """p-value of the largest of `among` estimates (Bonferroni), its covariance from `freedom` + 1 blocks."""
+    return min(1.0, 2.0 * among * float(ndtr(-as_normal(equivalent(estimate, covariance), freedom))))
 
 
 def equivalent(estimate: np.ndarray, covariance: np.ndarray) -> float:

@@ -184,7 +184,7 @@ class _Standpoint:
 
 def _taken_out(state: SelectionState, here: _Standpoint, effect: str, active: Sequence[str]) -> _Standpoint:
     """The same with one addition at neutral, to first order; `active` are the others."""
-    own = state.full.columns(state.full.parameters_of(effect))
+    own = state.full.own_columns(effect)
     away = state.departure[own]
     products, mean, columns = here.products.shifted(own, -away), here.mean.copy(), state.columns(active)
     mean[own] += away

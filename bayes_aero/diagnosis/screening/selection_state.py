@@ -112,7 +112,7 @@ class SelectionState:
             found.append((scan.effect, np.array([begin + number]), scan.value))
         for effect in self.full.candidates:
             if effect.name not in scanned:
-                found.append((effect.name, self.full.columns(self.full.parameters_of(effect.name)), None))
+                found.append((effect.name, self.full.own_columns(effect.name), None))
         return [block for block in found if np.any(self.S[:, :, block[1]] != 0.0)]
 
     def columns(self, effects: Sequence[str] | None = None) -> Int[np.ndarray, " a"]:

@@ -11,10 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.special import ndtr
 
 from bayes_aero.diagnosis.screening.accuracy import sizes
-from bayes_aero.diagnosis.screening.partialled_regression import as_normal, equivalent
+from bayes_aero.diagnosis.screening.partialled_regression import largest_p_value
 from bayes_aero.diagnosis.screening.regression import Fit, inverse, partialled
 from bayes_aero.diagnosis.screening.screening import screen
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, refitted
@@ -49,7 +48,7 @@ class Blocks:
         """What the stretches add to an effect's parameters, the other additions free, and its covariance from how far
         they disagree; None where the effect moves nothing here."""
         state = self.state
-        own = state.full.columns(state.full.parameters_of(effect))
+        own = state.full.own_columns(effect)
         others = np.setdiff1d(state.columns([e for e in state.active if e != effect]), [*own, *state.offsets])
         S, B = (self._centred(state.scaled[:, :, columns]) for columns in (own, others))
         if not np.all(np.any(S != 0.0, axis=(0, 1))):
@@ -69,9 +68,8 @@ class Blocks:
         judged = self.judge(effect)
         if judged is None:
             return 1.0
-        away = self.state.departure[self.state.full.columns(self.state.full.parameters_of(effect))]
-        score = as_normal(equivalent(away + judged[0], judged[1]), self.freedom)
-        return min(1.0, 2.0 * len(self.state.blocks) * float(ndtr(-score)))
+        away = self.state.departure[self.state.full.own_columns(effect)]
+        return largest_p_value(away + judged[0], judged[1], self.freedom, len(self.state.blocks))
 
 
 def _numbers(state: SelectionState) -> Int[np.ndarray, " m"]:

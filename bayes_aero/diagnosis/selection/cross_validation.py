@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from bayes_aero.diagnosis.folds import blocks_of
-from bayes_aero.diagnosis.result import Gain
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, optimum
 from bayes_aero.inference.scores import Scores, log_density, log_score_gain, score
 from bayes_aero.inference.variance.coloured_bounds import deviation_of_sum
@@ -62,8 +61,7 @@ class LeftOut:
     def first_order(cls, state: SelectionState, effects: Sequence[str]) -> LeftOut:
         """With only `effects` of those that are in, from the sensitivities where the state stands: a hundredth of
         the time of `refitted`."""
-        own = [state.full.columns(state.full.parameters_of(e)) for e in state.active if e not in effects]
-        gone = np.concatenate([np.zeros(0, int), *own])
+        gone = state.full.own_columns(*(e for e in state.active if e not in effects))
         away = -state.departure[gone]
         products, columns = state.products.shifted(gone, away), state.columns(effects)
         parameters = ~np.isin(columns, state.offsets)
@@ -146,13 +144,6 @@ def compared(
         )
         for c, name in enumerate(NAMES)
     }
-
-
-def gain(
-    base: LeftOut, before: LeftOut, after: LeftOut, state: SelectionState, measured: Float[np.ndarray, "m c"]
-) -> Gain:
-    """The gain of `after` over the extension before it; scores before are those of `base`."""
-    return Gain(*holdout_gain(before, after, state), split_name(state), base.scores(measured), after.scores(measured))
 
 
 def truncated(state: SelectionState, effects: Sequence[str]) -> SelectionState:

@@ -7,14 +7,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
-from scipy.special import ndtr
 
 from bayes_aero.diagnosis.screening.accuracy import Size, sizes
 from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
-from bayes_aero.diagnosis.screening.partialled_regression import as_normal, equivalent
+from bayes_aero.diagnosis.screening.partialled_regression import largest_p_value
 from bayes_aero.diagnosis.screening.refit_screening import RefitScore
-from bayes_aero.diagnosis.screening.regression import Fit, Products
+from bayes_aero.diagnosis.screening.regression import Fit
 from bayes_aero.diagnosis.screening.screening import (
     CandidateScore,
     ScreeningResult,
@@ -25,6 +23,7 @@ from bayes_aero.diagnosis.screening.screening import (
     uncertainty,
 )
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, noise_growth_of, refitted
+from bayes_aero.diagnosis.selection.cross_validation import truncated
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.inference.variance.variance_inflation import nats, typical
 from bayes_aero.physics.coefficient_names import NAMES
@@ -121,7 +120,7 @@ def _election(state: SelectionState, fit: Fit, seed: int, first: bool) -> Step:
             break
         if explained(state, standing) < settings.least_share or mixes_noise(state, standing):
             continue
-        gain = float(holdout_gain(state, columns_of(state, standing)).sum())
+        gain = holdout_deviance_gain(state, columns_of(state, standing))
         if not gain > 0.0:
             continue
         able.append((standing, gain))
@@ -155,15 +154,14 @@ def between_p_value(wider: SelectionState, fit: Fit, effect: str, among: int) ->
     It is in, and all is fitted again: a large effect that is out bends the first-order residuals, and the stretches
     then seem to disagree more than they do.
     """
-    columns = wider.full.columns(wider.full.parameters_of(effect))
+    columns = wider.full.own_columns(effect)
     if not np.all(np.isin(columns, fit.columns)):
         return 1.0
     away = wider.departure[columns]
     own, covariance = block_jackknife_covariance(wider, fit)
     at = [int(np.flatnonzero(own == c)[0]) for c in columns]
     freedom = int(np.max(wider.responses.stretch))  # pyright: ignore[reportArgumentType, reportCallIssue]
-    score = as_normal(equivalent(away, covariance[np.ix_(at, at)]), freedom)
-    return min(1.0, 2.0 * among * float(ndtr(-score)))
+    return largest_p_value(away, covariance[np.ix_(at, at)], freedom, among)
 
 
 def mixes_noise(state: SelectionState, standing: CandidateScore) -> bool:
@@ -183,40 +181,33 @@ def explained(state: SelectionState, standing: CandidateScore) -> float:
     return 1.0 - float(np.exp(-max(standing.gain, 0.0) / state.products.count.sum()))
 
 
-def holdout_gain(state: SelectionState, wide: np.ndarray, narrow: np.ndarray | None = None) -> Float[np.ndarray, " f"]:
-    """Deviance that columns `wide` gain over `narrow` (default: the active ones) on each fold, fitted on the others."""
+def holdout_deviance_gain(state: SelectionState, wide: np.ndarray, narrow: np.ndarray | None = None) -> float:
+    """Deviance that columns `wide` gain over `narrow` (default: the active ones) on folds that were left out.
+
+    From inner products alone, for thousands of fits; `cross_validation.LeftOut` has the residuals.
+    """
     narrow = state.columns() if narrow is None else narrow
     used = np.unique(np.concatenate([wide, narrow, state.offsets]))
-    small = _Folds(state.products.only(used), state.mean[used], state.precision[used])
+    products, mean, precision = state.products.only(used), state.mean[used], state.precision[used]
     wide, narrow, offsets = (np.searchsorted(used, columns) for columns in (wide, narrow, state.offsets))
-    folds = range(len(state.folds))
-    return np.array([small.left_out(fold, narrow, offsets) - small.left_out(fold, wide, offsets) for fold in folds])
 
-
-@dataclass(frozen=True)
-class _Folds:
-    """Inner products by fold, and the normal prior of the steps."""
-
-    products: Products
-    mean: Float[np.ndarray, " k"]
-    precision: Float[np.ndarray, " k"]
-
-    def left_out(self, fold: int, columns: np.ndarray, offsets: np.ndarray) -> float:
-        """n log(mean square) over outputs of a fold, at parameters fitted elsewhere; offsets are the fold's own."""
-        step = self.products.without(fold).fit(columns, self.mean, self.precision).step
+    def deviance(fold: int, columns: np.ndarray) -> float:
+        """n log(mean square) over outputs of the fold; offsets are its own."""
+        step = products.without(fold).fit(columns, mean, precision).step
         parameters = ~np.isin(columns, offsets)
-        left = self.products.over([fold]).shifted(columns[parameters], step[parameters])
-        nothing = np.zeros_like(self.mean)
-        n = float(left.count.sum())
+        left = products.over([fold]).shifted(columns[parameters], step[parameters])
         if len(offsets):
-            return left.fit(offsets, nothing, nothing).deviance
+            return left.fit(offsets, np.zeros_like(mean), np.zeros_like(mean)).deviance
+        n = float(left.count.sum())
         return float(n * np.sum(np.log(left.gram[0, :, 0, 0] / n)))
+
+    return float(np.sum([deviance(fold, narrow) - deviance(fold, wide) for fold in range(len(state.folds))]))
 
 
 def added(state: SelectionState, winner: CandidateScore) -> SelectionState:
     """The state with a candidate in, its parameters at their first-order estimate (or the scanned value)."""
     theta = state.theta.copy()
-    at = state.full.columns(state.full.parameters_of(winner.effect))
+    at = state.full.own_columns(winner.effect)
     if winner.value is not None:
         scan = next(s for s in state.scans if s.effect == winner.effect and s.value == winner.value)
         theta[state.full.columns([scan.parameter])[0]] = winner.value
@@ -228,8 +219,7 @@ def added(state: SelectionState, winner: CandidateScore) -> SelectionState:
 
 def removed(state: SelectionState, effect: str) -> SelectionState:
     """The state without one of its additions, that effect's parameters at neutral."""
-    left = tuple(e for e in state.active if e != effect)
-    return moved(state, state.full.at_neutral(state.theta, [effect]), left)
+    return truncated(state, [e for e in state.active if e != effect])
 
 
 def _reconsidered(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]:
@@ -250,7 +240,7 @@ def _reconsidered(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]
 
 def _bayes_within(state: SelectionState, fit: Fit, own: CandidateScore) -> float:
     """Log Bayes factor of an addition under the colour that is left with it in."""
-    columns = state.full.columns(state.full.parameters_of(own.effect))
+    columns = state.full.own_columns(own.effect)
     away = state.departure[columns]
     if not (np.all(np.isfinite(away)) and np.all(np.isin(columns, fit.columns))):
         return own.log_bayes

@@ -24,7 +24,7 @@ def open_errors(found: Extension) -> tuple[OpenError, ...]:
     """Each error of one parameter that is asked for and not confirmed, or imitated by others; the former first.
 
     Args:
-        found: the search along the flight path, ended by `stretches.borne_out`.
+        found: the search along the flight path, ended by `consistent_across_blocks`.
     """
     state = found.state
     effects = [e for e in state.full.candidates if _felt(state, e)]
@@ -65,7 +65,7 @@ def _felt(state: SelectionState, effect: Effect) -> bool:
     """Whether an effect has one parameter, no break point, and moves the flight path."""
     if len(effect.parameters) != 1 or effect.scan or not effect.sizes:
         return False
-    return bool(np.any(state.S[:, :, state.full.columns(state.full.parameters_of(effect.name))] != 0.0))
+    return bool(np.any(state.S[:, :, state.full.own_columns(effect.name)] != 0.0))
 
 
 def _information(found: Extension, effects: Sequence[Effect]) -> tuple[Float[np.ndarray, "k k"], np.ndarray]:

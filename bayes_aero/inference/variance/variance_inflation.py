@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-TINY = 1e-300
-
 
 def variance_inflation(variance: Float[np.ndarray, " k"], white: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
     """Of each estimate, its variance over the one that white residuals would leave; 1 where these leave none."""
-    return np.where(white > 0.0, variance / np.maximum(white, TINY), 1.0)
+    return np.divide(variance, white, out=np.ones_like(white), where=white > 0.0)
 
 
 def typical(inflation: Float[np.ndarray, " k"]) -> float:
