@@ -105,3 +105,12 @@ class Effect:
     scan: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     together: bool = False
     candidate: bool = True
+
+    @property
+    def neutral_values(self) -> dict[str, float]:
+        """The neutral value of each parameter, by name."""
+        return {p.name: p.neutral for p in self.parameters}
+
+    def absent_in(self, values: Values) -> bool:
+        """Whether `values` has every parameter at its neutral value; values of other parameters do not matter."""
+        return all(values.get(name) == x for name, x in self.neutral_values.items())

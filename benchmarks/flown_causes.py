@@ -43,7 +43,7 @@ class Watch:
     def __call__(self, contender, *rest):
         """As the function itself."""
         found = self.asked(contender, *rest)
-        self.before, self.after, self.cost = contender, found.contender, rest[-1].cost
+        self.before, self.after, self.inflation = contender, found.contender, rest[-1].variance_inflation
         return found
 
     def gain_on(self, record, card) -> float:
@@ -55,9 +55,9 @@ class Watch:
             values = dict(zip(fit.names, map(float, fit.estimate), strict=True))
             start = np.array([values[name] for name in dynamics.names])
             whole = segments(flights, dynamics, outputs=fit.flown.outputs, substeps=fit.flown.substeps)
-            own = fit_output_error(whole, start=start, held=values, prior_weight=self.cost)
+            own = fit_output_error(whole, start=start, held=values, prior_weight=self.inflation)
             flown.append(HoldoutScore((own.columns[0, ..., 0][whole.inside[0]],)))
-        return holdout_gain(*flown, self.cost)[0]
+        return holdout_gain(*flown, self.inflation)[0]
 
 
 def put_in(found, true: str, rng: np.random.Generator) -> str | None:

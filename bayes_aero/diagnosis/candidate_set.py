@@ -39,6 +39,21 @@ class CandidateModel:
         """Neutral value of every parameter, finite."""
         return {p.name: p.neutral if math.isfinite(p.neutral) else FAR for p in self.model.parameters}
 
+    @property
+    def neutral_vector(self) -> Float[np.ndarray, " k"]:
+        """Neutral value of every free parameter, finite."""
+        neutral = self.neutral
+        return np.array([neutral[name] for name in self.model.names], float)
+
+    def at_neutral(self, theta: Float[np.ndarray, " k"], effects: Sequence[str]) -> Float[np.ndarray, " k"]:
+        """`theta` with the free parameters of these effects at neutral."""
+        names = {p for effect in effects for p in self.parameters_of(effect)}
+        return np.where([name in names for name in self.model.names], self.neutral_vector, theta)
+
+    def card_only(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+        """`theta` with every effect at neutral that is not on the card."""
+        return self.at_neutral(theta, [e.name for e in self.model.effects if e.name not in self.base])
+
     def prior(
         self, index: Sequence[int] | Int[np.ndarray, " j"], theta: Float[np.ndarray, " k"]
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -51,6 +66,10 @@ class CandidateModel:
     def columns(self, names: Sequence[str]) -> np.ndarray:
         """Index of each parameter in the model's free vector."""
         return np.array([self.model.names.index(name) for name in names], int)
+
+    def own_columns(self, *effects: str) -> np.ndarray:
+        """Index of each parameter that these effects own."""
+        return self.columns([name for effect in effects for name in self.parameters_of(effect)])
 
     def parameters_of(self, effect: str) -> tuple[str, ...]:
         """Parameters that an effect owns."""
@@ -70,7 +89,7 @@ def candidate_model(
     An effect of the card that is fixed at neutral (tau1 = 0) is absent, and so a candidate.
     """
     fixed = dict(model.fixed)
-    absent = [e for e in model.effects if e.parameters and all(fixed.get(p.name) == p.neutral for p in e.parameters)]
+    absent = [e for e in model.effects if e.parameters and e.absent_in(fixed)]
     active = [e for e in model.effects if e not in absent]
     changed = {p.name: p for p in model.parameters}
     owned = {p.name for e in active for p in e.parameters}

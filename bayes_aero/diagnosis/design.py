@@ -110,10 +110,8 @@ def standard(state: SelectionState, effects: Sequence[str], *, amplitude: float 
     `amplitude` multiplies every input. What the record itself gets wrong (sensors, thrust) is flown as at neutral.
     """
     small = _narrowed(state, effects)
-    theta = {n: x for n, x in zip(state.full.model.names, state.theta, strict=True) if n in small.names}
-    for effect in small.effects:
-        if effect.stage is Stage.CHANNEL:
-            theta |= {p.name: state.full.neutral[p.name] for p in effect.parameters if p.name in theta}
+    true = state.full.at_neutral(state.theta, [e.name for e in small.effects if e.stage is Stage.CHANNEL])
+    theta = {n: x for n, x in zip(state.full.model.names, true, strict=True) if n in small.names}
     values, flights = dict(small.fixed) | theta, state.responses.flights
     begin = round(BEGINNING * 5 / state.responses.seconds)
     start = _start({name: float(np.mean(np.asarray(x)[:begin])) for name, x in flights.channels.items()})

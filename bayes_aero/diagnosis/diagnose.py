@@ -9,13 +9,12 @@ import numpy as np
 
 from bayes_aero.diagnosis.result import Cause, Diagnosis, Gain, Tested, UnexplainedStructure, verdict_of
 from bayes_aero.diagnosis.screening.screening import CandidateScore, screen
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
 from bayes_aero.diagnosis.search_result import SearchResult, lacking
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation, confirmation
 from bayes_aero.diagnosis.selection.collinear import CancellingPair, cancelling
 from bayes_aero.diagnosis.selection.cross_validation import (
     LeftOut,
-    gain,
     holdout_gain,
     measured_blocks,
     split_name,
@@ -31,6 +30,7 @@ from bayes_aero.errors import attempted
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.threads import blas_threads
+from bayes_aero.inference.variance.variance_inflation import nats
 from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.physics.coefficient_names import NAMES
@@ -166,9 +166,7 @@ def _excited(state: SelectionState, name: str) -> bool:
     """Whether every manoeuvre moves what the effect acts through: the spread of its sensitivities within each."""
     if len(state.responses.flights.lengths) == 1:
         return True
-    S = state.S[
-        :, :, state.full.columns(state.full.parameters_of(name))
-    ]  # without the noise_growth, which moves anything
+    S = state.S[:, :, state.full.own_columns(name)]  # without the noise growth, which moves anything
     noise = np.std(state.residual, axis=0)[:, None]
     spread = np.array([np.sqrt(np.sum((S[fold] / noise).var(axis=0))) for fold in state.folds])
     return bool(spread.min() >= state.settings.least_excitation * spread.max())
@@ -195,7 +193,10 @@ def _gains_of(
     if state.outputs != NAMES:
         return _sensor_gains(extension, aerodynamics, kept, pairs)
     measured = measured_blocks(state)
-    return {name: gain(base, *pair, state, measured) for name, pair in pairs.items()}
+    return {
+        name: Gain(*holdout_gain(*pair, state), split_name(state), base.scores(measured), pair[1].scores(measured))
+        for name, pair in pairs.items()
+    }
 
 
 def _sure(causes: Sequence[str], number: int, kept: Sequence[str]) -> list[str]:
@@ -210,14 +211,8 @@ def _sensor_gains(
     state, card = extension.state, aerodynamics.base
 
     def corrected(sensors: Sequence[str]) -> LeftOut:
-        theta = card.theta.copy()
-        for effect in state.active:
-            if effect not in sensors:
-                names = state.full.parameters_of(effect)
-                theta[state.full.columns(names)] = [state.full.neutral[name] for name in names]
-        return LeftOut.refitted(
-            linearised(card.full, card.responses, NAMES, theta, (), card.noise_growth, card.variance_inflation)
-        )
+        theta = state.full.at_neutral(card.theta, [e for e in state.active if e not in sensors])
+        return LeftOut.refitted(moved(card, theta, ()))
 
     measured, found = measured_blocks(card), {}
     base = corrected(()).scores(measured)
@@ -239,7 +234,7 @@ def _rivals(extension: Extension, name: str) -> tuple[float, tuple[str, ...]]:
     if own is None:
         return 1.0, ()
     weights = {effect: np.exp(min(0.0, -own.nats(s))) for effect, s in best.items()}
-    nothing = np.exp(-max(own.gain, 0.0) / (2.0 * max(own.inflation, 1.0)))
+    nothing = np.exp(-nats(max(own.gain, 0.0), own.variance_inflation))
     close = tuple(effect for effect, s in best.items() if effect != name and own.nats(s) < state.settings.ambiguous)
     return float(1.0 / (sum(weights.values()) + nothing)), close
 

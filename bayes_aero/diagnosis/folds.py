@@ -1,11 +1,18 @@
-"""The parts of the records that are predicted from the others: manoeuvres, or parts of a single one."""
+"""The parts of the records that are predicted from the others: manoeuvres, or parts of a single one.
+
+Fits to coefficients leave out these folds: the parameters again (`cross_validation.fold_fits`), or to first order from
+inner products (`Products.without`). Trajectories leave out segments, which are flown from their measured state
+(`trajectories.holdout_fits`); Gaussian processes are validated on samples, at random as published, too
+(`inference.splits`).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.errors import InputError
@@ -38,3 +45,11 @@ def folds_of(
     return tuple(
         slice(int(a) + (gap if a else 0), int(b) - (gap if b < len(manoeuvre) else 0)) for a, b in pairwise(cuts)
     )
+
+
+def blocks_of(folds: Sequence[slice], m: int) -> Bool[np.ndarray, " m"]:
+    """Which of m blocks belong to one of these folds."""
+    found = np.zeros(m, bool)
+    for fold in folds:
+        found[fold] = True
+    return found

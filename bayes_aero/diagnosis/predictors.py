@@ -6,7 +6,7 @@ and A. O'Hagan, Bayesian calibration of computer models, J. R. Stat. Soc. B 63, 
 other. How far it is believed is told in `discrepancy`.
 
 All densities here treat the residuals of neighbouring blocks as independent. They are not: a difference of `elpd` is
-worth as many times less as the colour multiplies variances (`SelectionState.variance_inflation`).
+worth as many times less as the variance inflation says (`SelectionState.variance_inflation`).
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, optimum
-from bayes_aero.diagnosis.selection.cross_validation import split_name
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
+from bayes_aero.diagnosis.selection.cross_validation import fold_fits, split_name
 from bayes_aero.diagnosis.selection.discrepancy import Processes
 from bayes_aero.errors import InputError
-from bayes_aero.inference.scores import score
+from bayes_aero.inference.scores import log_density, score
 from bayes_aero.inference.threads import blas_threads
 from bayes_aero.physics.coefficients import NAMES
 
@@ -101,96 +101,58 @@ def compare_states(
     """
     if extended.outputs != NAMES:
         raise InputError("predictors are compared on the coefficients, not on the flight path")
-    card = moved(extended, _bare(extended), ())
+    card = moved(extended, extended.full.card_only(extended.theta), ())
     signals = _blocks(card, card.theta)
     measured = signals["measured"]
     for name in inputs:
         if name not in signals:
             raise InputError(f"the Gaussian process needs the signal {name}; map it on the card or change [gp] inputs")
-    inside = np.zeros(len(measured), bool)
-    for fold in extended.folds:
-        inside[fold] = True
-    order = list(Predictor)
-    card_at, gp_at, extended_at, both_at = (order.index(p) for p in Predictor)
-    shape = (len(order), *measured.shape)
-    mean, sd = np.full(shape, np.nan), np.full(shape, np.nan)
-    trust = np.ones((len(order), len(extended.folds), len(NAMES)))
-    refused: dict[tuple[int, int], str] = {}
-    processes = {at: [Processes(extended, name, seed) for name in NAMES] for at in (gp_at, both_at)}
+    mean, sd = ({p: np.full(measured.shape, np.nan) for p in Predictor} for _ in range(2))
+    trust = {p: np.ones((len(extended.folds), len(NAMES))) for p in Predictor}
+    refused: dict[tuple[Predictor, str], str] = {}
+    processes = {p: [Processes(extended, name, seed) for name in NAMES] for p in (Predictor.GP, Predictor.DISCREPANCY)}
     X = np.stack([signals[name] for name in inputs], axis=1)
-    for number, fold in enumerate(extended.folds):
-        others = [f for f in range(len(extended.folds)) if f != number]
-        train = _training(extended, others)
-        _, residual, variance = _fitted(card, others, train)
-        mean[card_at, fold], sd[card_at, fold] = (
-            measured[fold] - residual[fold],
-            np.sqrt(variance) * card.noise_growth[fold],
-        )
-        theta, residual, variance = _fitted(extended, others, train)
-        mean[extended_at, fold] = measured[fold] - residual[fold]
-        sd[extended_at, fold] = np.sqrt(variance) * extended.noise_growth[fold]
-        known = _blocks(extended, theta)
+    for number, (plain, ours) in enumerate(zip(fold_fits(card), fold_fits(extended), strict=True)):
+        fold, train = ours.fold, ours.train
+        for predictor, state, fit in ((Predictor.CARD, card, plain), (Predictor.EXTENDED, extended, ours)):
+            variance = np.mean((fit.residual / state.noise_growth)[train] ** 2, axis=0)
+            mean[predictor][fold] = measured[fold] - fit.residual[fold]
+            sd[predictor][fold] = np.sqrt(variance) * state.noise_growth[fold]
+        known = _blocks(extended, ours.theta)
         Z = np.stack([known[name] for name in dict.fromkeys((*inputs, *BEYOND)) if name in known], axis=1)
-        for at, columns, target in ((gp_at, X, measured), (both_at, Z, residual)):
-            for c in range(len(NAMES)):
+        for predictor, columns, target in ((Predictor.GP, X, measured), (Predictor.DISCREPANCY, Z, ours.residual)):
+            beside = predictor is Predictor.DISCREPANCY
+            for c, name in enumerate(NAMES):
                 if progress:
-                    progress("predictors", (number + (at == both_at) / 2 + c / (2 * len(NAMES))) / len(extended.folds))
-                one = processes[at][c]
-                predict = one.discrepancy if at == both_at else one.smooth
-                found = predict(columns, target[:, c], train, fold)
+                    progress("predictors", (number + beside / 2 + c / (2 * len(NAMES))) / len(extended.folds))
+                one = processes[predictor][c]
+                found = (one.discrepancy if beside else one.smooth)(columns, target[:, c], train, fold)
                 if found.refused is not None:
-                    refused.setdefault((at, c), f"refused on {_label(extended, number)}: {found.refused}")
-                mean[at, fold, c] = found.mean + (mean[extended_at, fold, c] if at == both_at else 0.0)
-                sd[at, fold, c], trust[at, number, c] = found.sd, found.trust
+                    refused.setdefault((predictor, name), f"refused on {_label(extended, number)}: {found.refused}")
+                mean[predictor][fold, c] = found.mean + (mean[Predictor.EXTENDED][fold, c] if beside else 0.0)
+                sd[predictor][fold, c], trust[predictor][number, c] = found.sd, found.trust
     labels = tuple(_label(extended, k) for k in range(len(extended.folds)))
     fitted = f"each of {', '.join(labels)} predicted from fits to the others"
     predictions = {
-        predictor: {
+        p: {
             name: Prediction(
-                status=refused.get((at, c), fitted),
-                scores=None if (at, c) in refused else _scored(measured, mean[at], sd[at], inside, c),
-                mean=mean[at, :, c],
-                sd=sd[at, :, c],
-                trust=tuple(trust[at, :, c].tolist()),
+                status=refused.get((p, name), fitted),
+                scores=None if (p, name) in refused else _scored(measured, mean[p], sd[p], extended.inside, c),
+                mean=mean[p][:, c],
+                sd=sd[p][:, c],
+                trust=tuple(trust[p][:, c].tolist()),
             )
             for c, name in enumerate(NAMES)
         }
-        for at, predictor in enumerate(order)
+        for p in Predictor
     }
-    return Comparison(split_name(extended), labels, inside, measured, predictions)
-
-
-def _bare(state: SelectionState) -> Float[np.ndarray, " k"]:
-    """Parameters with every effect that is not on the card at neutral, corrections of sensors too."""
-    theta = state.theta.copy()
-    for effect in state.full.model.effects:
-        names = [name for name in state.full.parameters_of(effect.name) if name in state.full.model.names]
-        if effect.name not in state.full.base:
-            theta[state.full.columns(names)] = [state.full.neutral[name] for name in names]
-    return theta
+    return Comparison(split_name(extended), labels, extended.inside, measured, predictions)
 
 
 def _blocks(state: SelectionState, theta: Float[np.ndarray, " k"]) -> dict[str, np.ndarray]:
     """Signals, X and measured coefficients at parameters `theta`, averaged over blocks."""
     known = state.responses.evaluate(jnp.asarray(theta))[1]
     return {key: np.asarray(state.responses.block(x * 1.0)) for key, x in known.items() if jnp.ndim(x)}
-
-
-def _training(state: SelectionState, others: Sequence[int]) -> Bool[np.ndarray, " m"]:
-    train = np.zeros(len(state.residual), bool)
-    for f in others:
-        train[state.folds[f]] = True
-    return train
-
-
-def _fitted(
-    state: SelectionState, others: Sequence[int], train: Bool[np.ndarray, " m"]
-) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "m c"], Float[np.ndarray, " c"]]:
-    """Parameters fitted to the other folds, the residual of everything, and the variance of what they leave there."""
-    theta = optimum(state, others, state.settings.hold_out_steps)
-    keep = [state.responses.outputs.index(name) for name in state.outputs]
-    residual = np.asarray(state.responses.evaluate(jnp.asarray(theta))[0])[:, keep]
-    return theta, residual, np.mean((residual / state.noise_growth)[train] ** 2, axis=0)
 
 
 def _scored(
@@ -202,10 +164,8 @@ def _scored(
 ) -> HoldoutErrors:
     z, y, s = measured[inside, c], mean[inside, c], sd[inside, c]
     found = score(z, y)
-    standard = (z - y) / s
-    density = -0.5 * (standard**2 + np.log(2.0 * np.pi * s**2))
-    covered = float(np.mean(np.abs(standard) <= 1.959964))
-    return HoldoutErrors(found.r, found.rmse, found.r2, found.theil, covered, float(density.sum()))
+    covered = float(np.mean(np.abs(z - y) <= 1.959964 * s))
+    return HoldoutErrors(found.r, found.rmse, found.r2, found.theil, covered, float(log_density(z - y, s**2).sum()))
 
 
 def _label(state: SelectionState, fold: int) -> str:

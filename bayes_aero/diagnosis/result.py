@@ -33,7 +33,7 @@ class Verdict(StrEnum):
 class Gain:
     """What a cause gains on data that were not fitted; before: with all earlier causes that are confirmed.
 
-    `elpd` is the sum of log predictive densities gained, divided by what the colour costs (`variance_inflation`);
+    `elpd` is the sum of log predictive densities gained, divided by the variance inflation;
     `elpd_se` its deviation from sums over 10 s. `before` and `after` score each coefficient:
     card's model, and with all so far.
     """

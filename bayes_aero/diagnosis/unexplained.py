@@ -17,7 +17,7 @@ from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.regression import Fit, Products
 from bayes_aero.diagnosis.screening.screening import explained_shares, screen
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
-from bayes_aero.diagnosis.selection.forward_selection import Extension, holdout_gain, removed
+from bayes_aero.diagnosis.selection.forward_selection import Extension, holdout_deviance_gain, removed
 from bayes_aero.inference.variance.autoregression import ORDER
 from bayes_aero.physics.coefficients import NAMES
 
@@ -83,7 +83,7 @@ def _best(state: SelectionState, chosen: Sequence[Component], seed: int) -> tupl
         for standing in leaders:
             own = np.array(standing.columns, int)
             wide = np.concatenate([trial.columns(), own])
-            gained = float(holdout_gain(trial, wide).sum())
+            gained = holdout_deviance_gain(trial, wide)
             share = _share(trial, own)
             if gained <= 0.0 or share < least:
                 continue
@@ -119,23 +119,21 @@ def _proxies(extension: Extension) -> tuple[Component, float, tuple[str, ...]] |
     state = extension.state
     if not extension.causes:
         return None
-    names = [p for effect in state.active for p in state.full.parameters_of(effect)]
-    own = state.full.columns(names)
-    neutral = np.array([state.full.neutral[p] for p in names])
+    own = state.full.own_columns(*state.active)
     best = None
     for folds, components, least in _families(state):
         trial = with_components(state, components, (), folds)
         bare = trial.columns(())
-        products = trial.products.shifted(own, neutral - state.theta[own])
+        products = trial.products.shifted(own, -state.departure[own])
         taken_out = replace(trial, products=products, active=())
-        known = float(holdout_gain(taken_out, np.concatenate([bare, own]), bare).sum())
+        known = holdout_deviance_gain(taken_out, np.concatenate([bare, own]), bare)
         width = max(len(columns) for columns in trial.component_columns)
         dummy = trial.S.shape[2] - 1
         rows = [np.append(np.append(bare, c), np.full(width - len(c), dummy)) for c in trial.component_columns]
         deviance = products.fit_many(np.array(rows, int), trial.mean, trial.precision)[3]
         for i in np.argsort(deviance)[: state.settings.unnamed_tried]:
             columns = trial.component_columns[i]
-            gained = float(holdout_gain(taken_out, np.concatenate([bare, columns]), bare).sum())
+            gained = holdout_deviance_gain(taken_out, np.concatenate([bare, columns]), bare)
             margin, share = (
                 gained - state.settings.stand_in * max(known, 0.0) - 6.0 * state.variance_inflation,
                 _share(taken_out, columns),

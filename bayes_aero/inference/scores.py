@@ -1,6 +1,7 @@
-"""How well predictions follow measurements: the four numbers and the coverages of the validation table."""
+"""How well predictions follow measurements: the four numbers and the coverages of the validation table, log scores."""
 
 import enum
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,8 +9,9 @@ from jaxtyping import Float
 
 from bayes_aero.arrays import Array
 from bayes_aero.errors import InputError
+from bayes_aero.inference.variance.coloured_bounds import deviation_of_sum
 
-__all__ = ["ScoreStatus", "Scores", "interval_coverage", "score"]
+__all__ = ["ScoreStatus", "Scores", "interval_coverage", "log_density", "log_score_gain", "score"]
 
 Vector = Float[Array, " n"]
 Draws = Float[Array, "draws points"]
@@ -73,6 +75,26 @@ def score(measured: Vector, predicted: Prediction) -> Scores:
     elif not y_varies:
         status = ScoreStatus.constant_prediction
     return Scores(r, rmse, theil, r2, status)
+
+
+def log_density(error: Float[Array, "*n"], variance: Float[Array, "*#n"]) -> Float[np.ndarray, "*n"]:
+    """Log density of each error of a normal prediction with this variance."""
+    return -0.5 * (error**2 / variance + np.log(2.0 * np.pi * variance))
+
+
+def log_score_gain(
+    before: Float[np.ndarray, " m"], after: Float[np.ndarray, " m"], inflation: float, lengths: Sequence[int]
+) -> tuple[float, float]:
+    """Log score that one prediction gains on another by the same hold-out data, and its standard error, nats.
+
+    Args:
+        before: log density of each sample under the one.
+        after: under the other.
+        inflation: variance inflation, by which the gain is divided.
+        lengths: of the stretches, one after the other, that are independent.
+    """
+    difference = (after - before) / inflation
+    return float(difference.sum()), deviation_of_sum(difference, lengths)
 
 
 def interval_coverage(

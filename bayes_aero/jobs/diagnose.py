@@ -67,7 +67,7 @@ def hide_one(card: Card, seed: int, **options: Any) -> tuple[Hidden, list[Flight
 
 def _absent(card: Card, name: str) -> bool:
     """Whether the card's model lacks an effect, or holds it at neutral."""
-    return name not in card.effects or all(card.fixed.get(p.name) == p.neutral for p in CATALOGUE[name].parameters)
+    return name not in card.effects or CATALOGUE[name].absent_in(card.fixed)
 
 
 def run(

@@ -203,8 +203,7 @@ class Model:
 
     def _absent(self, effect: Effect) -> bool:
         """True for an effect all of whose parameters are fixed at neutral: it need not be computed at all."""
-        fixed = dict(self.fixed)
-        return bool(effect.parameters) and all(fixed.get(p.name) == p.neutral for p in effect.parameters)
+        return bool(effect.parameters) and effect.absent_in(dict(self.fixed))
 
 
 def _sum(old: Any, increment: Any) -> Any:

@@ -129,7 +129,7 @@ class FlightPathError(Blockwise):
 
     def _evaluated(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, "m c"]:
         f, values = self.flights, self.model.values(theta)
-        present = tuple(e for e in self._on_record if any(values[p.name] != p.neutral for p in e.parameters))
+        present = tuple(e for e in self._on_record if not e.absent_in(values))
         model = Model(present, tuple(p for e in present for p in e.parameters))
         signals = _plain(model.corrected(values, f.channels, f.aircraft))
         ends = [f.channels[name] for name in ("dt", "first", "last")]

@@ -56,7 +56,7 @@ def synthetic(request: Request, card: Card, known: Mapping[str, Effect], name: s
         refuse_unflown(effect)
     flown_model = Model.of([e for e in chosen if e.stage is not Stage.CHANNEL])
     faults = [e for e in chosen if e.stage is Stage.CHANNEL]
-    values = {p.name: p.neutral for e in chosen for p in e.parameters} | TRUTH
+    values = {name: x for e in chosen for name, x in e.neutral_values.items()} | TRUTH
     values |= {p: x for given in request.effects.values() for p, x in given.items()}
     values = {key: jnp.asarray(x, float) for key, x in values.items()}
     aircraft = flown_model.actual_aircraft(values, card.aircraft)

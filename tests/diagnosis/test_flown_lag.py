@@ -34,7 +34,9 @@ def asked(card, hidden, seed):
     start = np.array([TRUTH[name] for name in dynamics.names])
     first = fit_cascade([short, whole], [start], prior_weight=30.0)
     noise = Noise.of(first)
-    fit = fit_output_error(noise.on(whole), start=first.estimate, departure=first.departure, prior_weight=noise.cost)
+    fit = fit_output_error(
+        noise.on(whole), start=first.estimate, departure=first.departure, prior_weight=noise.variance_inflation
+    )
     plain, effect = CandidateFit("extended", fit), lag_of(full)
     wider = replace(model.extended(), fixed=())
     lagged, lag = with_lag(wider, effect, plain, noise, flights)
@@ -45,7 +47,7 @@ def asked(card, hidden, seed):
     for name, found in left_out((plain, lagged), silent, noise):
         fits[name].append(found)
     without, within = (holdout_fits(c, fits[c.name], {}) for c in (plain, lagged))
-    return confirmed(lag, without, within, OUTPUTS, fit.flown.growth, noise.cost), lagged
+    return confirmed(lag, without, within, OUTPUTS, fit.flown.growth, noise.variance_inflation), lagged
 
 
 @pytest.mark.recovery

@@ -36,7 +36,9 @@ def flown(card, hidden, added, seed):
     start = np.array([TRUTH.get(p.name, p.neutral) for p in model.free])
     first = fit_cascade([short, whole], [start], prior_weight=30.0)
     noise = Noise.of(first)
-    fit = fit_output_error(noise.on(whole), start=first.estimate, departure=first.departure, prior_weight=noise.cost)
+    fit = fit_output_error(
+        noise.on(whole), start=first.estimate, departure=first.departure, prior_weight=noise.variance_inflation
+    )
     contender = CandidateFit("extended", fit)
     return contender, fits_of(contender, noise), noise
 
@@ -65,7 +67,7 @@ def test_what_was_flown_stays_and_what_was_put_in_is_taken_out(stalls):
     values = dict(zip(names, found.contender.fit.estimate, strict=True))
     assert found.gone == {p.name for p in CATALOGUE[absent].parameters}
     assert all(values[p.name] == p.neutral for p in CATALOGUE[absent].parameters)
-    sd = dict(zip(names, np.sqrt(noise.cost) * found.contender.fit.sd, strict=True))
+    sd = dict(zip(names, np.sqrt(noise.variance_inflation) * found.contender.fit.sd, strict=True))
     near = max(0.06, 4.0 * sd["thrust_arm"])
     assert values["thrust_arm"] == pytest.approx(hidden[TRUE]["thrust_arm"], abs=near), SEED
     for fit in found.fits:  # those of the smaller model
@@ -80,7 +82,7 @@ def test_what_is_told_to_first_order_is_what_refitting_finds(stalls):
     outputs, noise_growth = contender.fit.flown.outputs, contender.fit.flown.growth
     within = HoldoutScore.of(holdout_fits(contender, fits, {}), outputs, noise_growth)
     without = HoldoutScore.of(holdout_fits(less, fits_of(less, noise), {}), outputs, noise_growth)
-    elpd, elpd_se = holdout_gain(without, within, noise.cost)
+    elpd, elpd_se = holdout_gain(without, within, noise.variance_inflation)
     assert told[0] == pytest.approx(elpd, rel=0.3), (SEED, hidden)
     assert told[1] == pytest.approx(elpd_se, rel=0.5), (SEED, hidden)
 

@@ -88,7 +88,7 @@ def test_the_coefficients_deny_a_correction_that_harms_them(silent, card, monkey
         sizes = {**found.sizes, name: Size(2.0, 0.1, "m/s")}
         return replace(found, state=state, fit=state.fit(), sizes=sizes, causes=(name,))
 
-    monkeypatch.setattr(module, "agreement", wrong)
+    monkeypatch.setattr(module, "check_sensors", wrong)
     found = diagnose(silent, card, gains_wanted=False)
     assert found.verdict is Verdict.NO_EFFECT, [c.name for c in found.causes]
     assert any("airspeed_bias" in note for note in found.notes)

@@ -59,8 +59,7 @@ def screen_sensor_errors(records: list[FlightRecord], card: Card, *, seed: int =
     sensors = tuple(e for e in whole.candidates if e.kind in SENSOR_KINDS)
     model = Model(sensors, tuple(p for e in sensors for p in e.parameters))
     full = CandidateModel(model, (), sensors, {})
-    theta = np.array([full.neutral[name] for name in model.names])
-    return check_sensors(full, FlightPathError.of(flights, model), theta, seed=seed)
+    return check_sensors(full, FlightPathError.of(flights, model), full.neutral_vector, seed=seed)
 
 
 def no_flight_path(records: Sequence[FlightRecord], card: Card) -> str:

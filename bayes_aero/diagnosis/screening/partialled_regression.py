@@ -7,11 +7,13 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.special import chdtrc, ndtri, stdtr
+from scipy.special import chdtrc, ndtr, ndtri, stdtr
 
 from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, Middle
 from bayes_aero.diagnosis.screening.regression import TINY, Fit, inverse
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
+from bayes_aero.inference.variance.block_jackknife import cluster_covariance
+from bayes_aero.inference.variance.variance_inflation import variance_inflation
 
 
 class PartialledRegression:
@@ -78,13 +80,13 @@ class PartialledRegression:
     ) -> list[np.ndarray]:
         """Covariance of each block's estimate from how far the stretches disagree about it, whatever the colour within.
 
-        Cluster-robust (Liang and Zeger 1986, Biometrika 73, 13), with the estimate itself taken out.
+        See `cluster_covariance`; the estimate itself is taken out.
         """
         found = []
         for place, bread, estimate in zip(self.place, self.bread, estimates, strict=True):
             P = self.P[:, :, place]
             rows = np.einsum("mci,c,mc->mi", P, self.weight, residual - P @ estimate, optimize=True)
-            found.append(bread @ disagreement(rows, stretch) @ bread)
+            found.append(bread @ cluster_covariance(rows, stretch) @ bread)
         return found
 
     def apart(
@@ -95,7 +97,7 @@ class PartialledRegression:
         colour: Autocorrelation,
         stretch: Int[np.ndarray, " m"] | None,
     ) -> Float[np.ndarray, " j"]:
-        """Inflation of the variance along the difference of what each block and block `own` explain (1 for `own`).
+        """Variance inflation along the difference of what each block and block `own` explain (1 for `own`).
 
         Under the colour, or by how far the stretches disagree where that is more.
         """
@@ -104,17 +106,9 @@ class PartialledRegression:
         variance, _ = Middle(D, 1.0 / self.weight, self.folds, []).under(colour, [])
         if stretch is not None:
             rows = np.einsum("mcj,c,mc->mj", D, self.weight, residual - explained[own], optimize=True)
-            variance = np.maximum(variance, np.diag(disagreement(rows, stretch)))
+            variance = np.maximum(variance, np.diag(cluster_covariance(rows, stretch)))
         white = np.einsum("mcj,c,mcj->j", D, self.weight, D, optimize=True)
-        return np.where(white > 0.0, variance / np.maximum(white, TINY), 1.0)
-
-
-def disagreement(rows: Float[np.ndarray, "m k"], stretch: Int[np.ndarray, " m"]) -> Float[np.ndarray, "k k"]:
-    """Sum over stretches of the outer products of what each contributes to the normal equations."""
-    count = int(stretch.max()) + 1
-    sums = np.zeros((count, rows.shape[1]))
-    np.add.at(sums, stretch, rows)
-    return sums.T @ sums * count / (count - 1.0)
+        return variance_inflation(variance, white)
 
 
 def score(estimate: np.ndarray, covariance: np.ndarray, freedom: int) -> float:
@@ -125,6 +119,11 @@ def score(estimate: np.ndarray, covariance: np.ndarray, freedom: int) -> float:
 def as_normal(score: float, freedom: int) -> float:
     """Student's score as the normal one of the same tail probability."""
     return -float(ndtri(max(stdtr(freedom, -score), 1e-300)))
+
+
+def largest_p_value(estimate: np.ndarray, covariance: np.ndarray, freedom: int, among: int) -> float:
+    """p-value of the largest of `among` estimates (Bonferroni), its covariance from `freedom` + 1 blocks."""
+    return min(1.0, 2.0 * among * float(ndtr(-as_normal(equivalent(estimate, covariance), freedom))))
 
 
 def equivalent(estimate: np.ndarray, covariance: np.ndarray) -> float:

@@ -46,6 +46,10 @@ class Products:
         chosen = list(folds)
         return Products(self.gram[chosen].sum(axis=0, keepdims=True), self.count[chosen].sum(keepdims=True))
 
+    def without(self, fold: int) -> Products:
+        """All folds but one summed into one."""
+        return self.over([f for f in range(len(self.count)) if f != fold])
+
     def only(self, columns: Int[np.ndarray, " k"]) -> Products:
         """These columns alone, numbered anew in their order."""
         at = np.append(0, np.asarray(columns) + 1)
@@ -113,6 +117,14 @@ class Products:
         full = np.concatenate([[0], columns + 1])
         v = np.concatenate([[1.0], -step])
         return np.einsum("k,fckl,l->fc", v, self.gram[:, :, full[:, None], full[None, :]], v, optimize=True)
+
+
+def partialled(
+    X: Float[np.ndarray, "m c j"], B: Float[np.ndarray, "m c b"], weight: Float[np.ndarray, " c"]
+) -> Float[np.ndarray, "m c j"]:
+    """What weighted least squares on the columns `B` leaves of each of the columns `X`."""
+    cross, own = (np.einsum("mci,c,mcj->ij", B, weight, other, optimize=True) for other in (X, B))
+    return X - B @ (inverse(own) @ cross)
 
 
 TINY = 1e-300

@@ -20,8 +20,10 @@ from bayes_aero.diagnosis.screening.autocorrelation import (
     unbiased,
 )
 from bayes_aero.diagnosis.screening.partialled_regression import PartialledRegression, equivalent, score
-from bayes_aero.diagnosis.screening.regression import Fit, Products, inverse
+from bayes_aero.diagnosis.screening.regression import Fit, Products, inverse, partialled
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
+from bayes_aero.inference.variance.block_jackknife import jackknife_covariance
+from bayes_aero.inference.variance.variance_inflation import nats, variance_inflation
 
 
 @dataclass(frozen=True)
@@ -30,9 +32,9 @@ class CandidateScore:
 
     `gain` is the deviance it takes away, `together` what it would take away if the outputs' noise were allowed to
     correlate; `score` its estimate in standard deviations that know the colour (for several
-    parameters the equivalent of one); `inflation` the variance over what white residuals would leave; `log_bayes` the
-    log Bayes factor of estimate and deviation under the effect's prior. `apart` is the inflation along the difference
-    between what it explains and what the addition explains that was taken out (see `screening`).
+    parameters the equivalent of one); `variance_inflation` that of its parameters, the largest; `log_bayes` the
+    log Bayes factor of estimate and deviation under the effect's prior. `variance_inflation_apart` is that along the
+    difference between what it explains and what the addition explains that was taken out (see `screening`).
     """
 
     effect: str
@@ -40,25 +42,20 @@ class CandidateScore:
     value: float | None
     gain: float
     score: float
-    inflation: float
+    variance_inflation: float
     log_bayes: float
     step: tuple[float, ...]
     sd: tuple[float, ...]
     together: float = math.nan
-    apart: float = math.nan
+    variance_inflation_apart: float = math.nan
 
     def nats(self, other: CandidateScore) -> float:
         """Log likelihood by which this addition, which was taken out, explains more than `other`.
 
         What tells the two from each other is the residual along the difference d of what they explain. Its variance
-        is d'Sd where white residuals would leave s2 d'd: the log likelihood ratio is the white one over that inflation.
+        is d'Sd where white residuals would leave s2 d'd: the log likelihood ratio is the white one over that of both.
         """
-        return (self.gain - other.gain) / other.cost_apart
-
-    @property
-    def cost_apart(self) -> float:
-        """Deviance that a nat costs where this is weighed against the addition that was taken out."""
-        return 2.0 * max(self.apart, 1.0)
+        return nats(self.gain - other.gain, other.variance_inflation_apart)
 
 
 @dataclass(frozen=True)
@@ -97,8 +94,7 @@ def screen(
         return ScreeningResult((), autocorrelation_of(residual, state.folds), np.zeros(0))
     projected = PartialledRegression(state, fit, [b[1] for b in blocks])
     colour = autocorrelation_of(residual, state.folds)
-    rng = np.random.default_rng(seed)
-    m = len(residual)
+    rng, m = np.random.default_rng(seed), len(residual)
     # Re-estimation from noise whose active columns were fitted shows how much faster the noise then looks.
     drawn = colour.simulate(state.settings.correction_replicates, state.folds, m, rng)
     colour = unbiased(colour, autocorrelations_of(without_active(state, fit, drawn), state.folds))
@@ -106,8 +102,7 @@ def screen(
     stretch = state.responses.stretch
     freedom = 0 if stretch is None else int(stretch.max())
     if stretch is not None:
-        wider = projected.between(residual, estimates, stretch)
-        pairs = zip(estimates, covariances, wider, strict=True)
+        pairs = zip(estimates, covariances, projected.between(residual, estimates, stretch), strict=True)
         covariances = [C if equivalent(b, C) < equivalent(b, W) else W for b, C, W in pairs]
     gains = _gains(state, standpoint, [b[1] for b in blocks])
     before = projected.deviance(residual)
@@ -116,7 +111,7 @@ def screen(
     found = []
     for j, (effect, own, value) in enumerate(blocks):
         variance = np.maximum(np.diag(covariances[j]), 0.0)
-        white = np.diag(projected.bread[j])
+        inflation = variance_inflation(variance, np.diag(projected.bread[j]))
         step = gains[1][j][: len(own)]
         possible = value is None or step[0] * (value - _present(state, effect)) > 0.0
         found.append(
@@ -126,14 +121,14 @@ def screen(
                 value=value,
                 gain=float(gains[0][j]) if possible else 0.0,
                 score=score(estimates[j], covariances[j], freedom) if possible else 0.0,
-                inflation=float(np.max(variance / white)),
+                variance_inflation=float(np.max(inflation)),
                 log_bayes=log_bayes(
                     estimates[j], covariances[j], mean[own], state.precision[own] / state.variance_inflation
                 ),
                 step=tuple(float(x) for x in step),
                 sd=tuple(float(x) for x in np.sqrt(variance)),
                 together=before - projected.deviance(residual, j, estimates[j]),
-                apart=math.nan if apart is None else float(apart[j]),
+                variance_inflation_apart=math.nan if apart is None else float(apart[j]),
             )
         )
     count = state.settings.replicates if replicates is None else replicates
@@ -189,9 +184,8 @@ class _Standpoint:
 
 def _taken_out(state: SelectionState, here: _Standpoint, effect: str, active: Sequence[str]) -> _Standpoint:
     """The same with one addition at neutral, to first order; `active` are the others."""
-    names = state.full.parameters_of(effect)
-    own = state.full.columns(names)
-    away = state.theta[own] - np.array([state.full.neutral[name] for name in names])
+    own = state.full.own_columns(effect)
+    away = state.departure[own]
     products, mean, columns = here.products.shifted(own, -away), here.mean.copy(), state.columns(active)
     mean[own] += away
     fit = products.fit(columns, mean, state.precision)
@@ -239,10 +233,7 @@ def block_jackknife_covariance(
     """Active columns that are no offsets, and the covariance of their estimates from how far these move when a stretch
     is left out.
 
-    The jackknife over clusters: a stretch that decides a parameter alone leaves no residual there to disagree with,
-    and `PartialledRegression.between` takes that for agreement.
-
-    Source: Bell and McCaffrey 2002, Survey Methodology 28, 169.
+    See `jackknife_covariance`.
     """
     stretch = state.responses.stretch
     assert stretch is not None
@@ -250,7 +241,7 @@ def block_jackknife_covariance(
     parts = [_without_offsets(state, fit, stretch == k, columns) for k in range(int(stretch.max()) + 1)]
     whole = sum(information for information, _ in parts) + np.diag(state.precision[columns])
     moves = np.array([inverse(whole - information) @ right for information, right in parts])
-    return columns, moves.T @ moves * (len(parts) - 1.0) / len(parts)
+    return columns, jackknife_covariance(moves)
 
 
 def _without_offsets(
@@ -259,9 +250,7 @@ def _without_offsets(
     """Information of one stretch on these columns, its offsets free, and what it adds to the right side."""
     here, weight = here & state.inside, 1.0 / fit.variance
     S, begin = state.scaled[here][:, :, columns], state.scaled[here][:, :, state.offsets]
-    begin = begin[:, :, np.any(begin != 0.0, axis=(0, 1))]
-    cross, own = (np.einsum("mci,c,mcj->ij", begin, weight, other) for other in (S, begin))
-    S = S - begin @ (inverse(own) @ cross)
+    S = partialled(S, begin[:, :, np.any(begin != 0.0, axis=(0, 1))], weight)
     return np.einsum("mci,c,mcj->ij", S, weight, S), np.einsum("mci,c,mc->i", S, weight, state.left(fit)[here])
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel
-from bayes_aero.diagnosis.folds import folds_of
+from bayes_aero.diagnosis.folds import blocks_of, folds_of
 from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.regression import Fit, Products
 from bayes_aero.diagnosis.settings import DiagnosisSettings
@@ -64,7 +64,7 @@ class SelectionState:
     active: tuple[str, ...]  # names of the effects that are in, beyond the card's
     scans: tuple[Scan, ...]
     nuisance: int = 0  # columns between the parameters and the scans
-    variance_inflation: float = 1.0  # what the colour costs: priors count so many times against the white likelihood
+    variance_inflation: float = 1.0  # priors count so many times against the white likelihood
     components: tuple[Component, ...] = ()  # they stand for election in place of effects
     chosen: tuple[Component, ...] = ()  # components that are in
 
@@ -73,13 +73,15 @@ class SelectionState:
         """Thresholds of the diagnosis."""
         return self.full.settings
 
+    @property
+    def departure(self) -> Float[np.ndarray, " k"]:
+        """How far each parameter is from neutral."""
+        return self.theta - self.full.neutral_vector
+
     @cached_property
     def inside(self) -> Bool[np.ndarray, " m"]:
         """Blocks that belong to a fold: neither products nor fits have seen the others."""
-        found = np.zeros(len(self.S), bool)
-        for fold in self.folds:
-            found[fold] = True
-        return found
+        return blocks_of(self.folds, len(self.S))
 
     @property
     def offsets(self) -> Int[np.ndarray, " o"]:
@@ -110,7 +112,7 @@ class SelectionState:
             found.append((scan.effect, np.array([begin + number]), scan.value))
         for effect in self.full.candidates:
             if effect.name not in scanned:
-                found.append((effect.name, self.full.columns(self.full.parameters_of(effect.name)), None))
+                found.append((effect.name, self.full.own_columns(effect.name), None))
         return [block for block in found if np.any(self.S[:, :, block[1]] != 0.0)]
 
     def columns(self, effects: Sequence[str] | None = None) -> Int[np.ndarray, " a"]:

@@ -41,7 +41,7 @@ class Predictions(Protocol[T]):
         ...
 
     def holdout_gain(self, before: T, after: T) -> tuple[float, float]:
-        """Log density that `after` has beyond `before`, the colour's cost counted, and its deviation."""
+        """Log density that `after` has beyond `before`, over the variance inflation, and its deviation."""
         ...
 
 

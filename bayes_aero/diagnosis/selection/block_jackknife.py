@@ -11,14 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.special import ndtr
 
 from bayes_aero.diagnosis.screening.accuracy import sizes
-from bayes_aero.diagnosis.screening.partialled_regression import as_normal, disagreement, equivalent
-from bayes_aero.diagnosis.screening.regression import Fit, inverse
+from bayes_aero.diagnosis.screening.partialled_regression import largest_p_value
+from bayes_aero.diagnosis.screening.regression import Fit, inverse, partialled
 from bayes_aero.diagnosis.screening.screening import screen
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, refitted
 from bayes_aero.diagnosis.selection.forward_selection import Extension, Step, removed, worth
+from bayes_aero.inference.variance.block_jackknife import cluster_covariance
 
 
 class Blocks:
@@ -48,21 +48,17 @@ class Blocks:
         """What the stretches add to an effect's parameters, the other additions free, and its covariance from how far
         they disagree; None where the effect moves nothing here."""
         state = self.state
-        own = state.full.columns(state.full.parameters_of(effect))
+        own = state.full.own_columns(effect)
         others = np.setdiff1d(state.columns([e for e in state.active if e != effect]), [*own, *state.offsets])
         S, B = (self._centred(state.scaled[:, :, columns]) for columns in (own, others))
         if not np.all(np.any(S != 0.0, axis=(0, 1))):
             return None
-        left = self.left
-        if len(others):
-            scale = np.einsum("mci,c,mcj->ij", B, self.weight, B, optimize=True)
-            bread = inverse(scale)
-            S = S - B @ (bread @ np.einsum("mci,c,mcj->ij", B, self.weight, S, optimize=True))
-            left = left - B @ (bread @ np.einsum("mci,c,mc->i", B, self.weight, left, optimize=True))
+        both = partialled(np.concatenate([S, self.left[:, :, None]], axis=2), B, self.weight)
+        S, left = both[:, :, :-1], both[:, :, -1]
         bread = inverse(np.einsum("mci,c,mcj->ij", S, self.weight, S, optimize=True))
         step = bread @ np.einsum("mci,c,mc->i", S, self.weight, left, optimize=True)
         rows = np.einsum("mci,c,mc->mi", S, self.weight, left - S @ step, optimize=True)
-        return step, bread @ disagreement(rows, self._own) @ bread
+        return step, bread @ cluster_covariance(rows, self._own) @ bread
 
     def p_value(self, effect: str) -> float:
         """Of an addition: the chance that stretches which disagree as they do show as much of it.
@@ -72,10 +68,8 @@ class Blocks:
         judged = self.judge(effect)
         if judged is None:
             return 1.0
-        names = self.state.full.parameters_of(effect)
-        away = self.state.theta[self.state.full.columns(names)] - [self.state.full.neutral[name] for name in names]
-        score = as_normal(equivalent(away + judged[0], judged[1]), self.freedom)
-        return min(1.0, 2.0 * len(self.state.blocks) * float(ndtr(-score)))
+        away = self.state.departure[self.state.full.own_columns(effect)]
+        return largest_p_value(away + judged[0], judged[1], self.freedom, len(self.state.blocks))
 
 
 def _numbers(state: SelectionState) -> Int[np.ndarray, " m"]:

@@ -53,15 +53,10 @@ def cancelling(extension: Extension, causes: Sequence[str]) -> tuple[CancellingP
     return tuple(found)
 
 
-def _away(state: SelectionState, column: int) -> float:
-    name = state.full.model.names[column]
-    return float(state.theta[column] - state.full.neutral[name])
-
-
 def _cancel(state: SelectionState, i: int, j: int) -> bool:
     """Whether what two parameters do to the outputs, means aside, is less together than either alone."""
     weight = 1.0 / np.mean(state.residual[state.inside] ** 2, axis=0)
-    moved = [state.scaled[state.inside][:, :, c] * _away(state, c) for c in (i, j)]
+    moved = [state.scaled[state.inside][:, :, c] * state.departure[c] for c in (i, j)]
     moved = [x - x.mean(axis=0) for x in moved]
     one, other, both = (float(np.sum(weight * x**2)) for x in (*moved, moved[0] + moved[1]))
     return both < min(one, other)
@@ -75,6 +70,6 @@ def _together(state: SelectionState, effects: tuple[str, str], names: tuple[str,
     if units[0] == units[1] and abs(abs(factor) - 1.0) < state.settings.near_one:
         factor = float(np.sign(factor))
     variance = float(C[0, 0] + 2.0 * factor * C[0, 1] + factor**2 * C[1, 1])
-    mean = _away(state, i) + factor * _away(state, j)
+    mean = float(state.departure[i] + factor * state.departure[j])
     correlation = float(C[0, 1] / np.sqrt(C[0, 0] * C[1, 1]))
     return CancellingPair(effects, names, factor, mean, float(np.sqrt(max(variance, 0.0))), units[0], correlation)

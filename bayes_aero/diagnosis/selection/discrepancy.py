@@ -149,7 +149,7 @@ def trust_of(
     That variance is of noise that grows as `noise_growth`. Each stretch is predicted from the others (`guard` blocks on
     either side left out) with the hyperparameters of all; trust is the regression of the output on those predictions,
     lowered by its standard error. Where there is nothing to predict a stretch from (a manoeuvre of some seconds, its
-    gaps taken out, is one stretch), nothing is trusted.
+    gaps taken out, is one stretch), nothing is trusted. Other than in a cross-validation nothing is fitted again.
     """
     nothing = 0.0, float(np.mean((y / noise_growth) ** 2))
     if len(stretches) < 2:

@@ -7,14 +7,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
-from scipy.special import ndtr
 
 from bayes_aero.diagnosis.screening.accuracy import Size, sizes
 from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
-from bayes_aero.diagnosis.screening.partialled_regression import as_normal, equivalent
+from bayes_aero.diagnosis.screening.partialled_regression import largest_p_value
 from bayes_aero.diagnosis.screening.refit_screening import RefitScore
-from bayes_aero.diagnosis.screening.regression import Fit, Products
+from bayes_aero.diagnosis.screening.regression import Fit
 from bayes_aero.diagnosis.screening.screening import (
     CandidateScore,
     ScreeningResult,
@@ -25,7 +23,9 @@ from bayes_aero.diagnosis.screening.screening import (
     uncertainty,
 )
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, noise_growth_of, refitted
+from bayes_aero.diagnosis.selection.cross_validation import truncated
 from bayes_aero.effect import Effect, Stage
+from bayes_aero.inference.variance.variance_inflation import nats, typical
 from bayes_aero.physics.coefficient_names import NAMES
 
 Progress = Callable[[str, float], None]
@@ -69,8 +69,8 @@ def forward_selection(
     """
     most = state.settings.max_effects if most is None else most
     state, fit = refitted(state)
-    noise_growth, cost = noise_growth_of(state, fit), _inflation(state, fit)
-    state, fit = refitted(moved(replace(state, noise_growth=noise_growth, variance_inflation=cost), state.theta))
+    noise_growth, inflation = noise_growth_of(state, fit), _inflation(state, fit)
+    state, fit = refitted(moved(replace(state, noise_growth=noise_growth, variance_inflation=inflation), state.theta))
     first, first_fit = state, fit
     steps: list[Step] = []
     for number in range(most):
@@ -98,9 +98,8 @@ def _between_sizes(state: SelectionState, fit: Fit) -> dict[str, Size]:
 
 
 def _inflation(state: SelectionState, fit: Fit) -> float:
-    """How many times the colour multiplies variances, in the median over the candidates."""
-    found = screen(state, fit, seed=0, replicates=0).candidate_scores
-    return max(1.0, float(np.median([s.inflation for s in found]))) if found else 1.0
+    """Variance inflation in the median over the candidates."""
+    return typical(np.array([s.variance_inflation for s in screen(state, fit, seed=0, replicates=0).candidate_scores]))
 
 
 def _election(state: SelectionState, fit: Fit, seed: int, first: bool) -> Step:
@@ -121,7 +120,7 @@ def _election(state: SelectionState, fit: Fit, seed: int, first: bool) -> Step:
             break
         if explained(state, standing) < settings.least_share or mixes_noise(state, standing):
             continue
-        gain = float(holdout_gain(state, columns_of(state, standing)).sum())
+        gain = holdout_deviance_gain(state, columns_of(state, standing))
         if not gain > 0.0:
             continue
         able.append((standing, gain))
@@ -155,16 +154,14 @@ def between_p_value(wider: SelectionState, fit: Fit, effect: str, among: int) ->
     It is in, and all is fitted again: a large effect that is out bends the first-order residuals, and the stretches
     then seem to disagree more than they do.
     """
-    names = wider.full.parameters_of(effect)
-    columns = wider.full.columns(names)
+    columns = wider.full.own_columns(effect)
     if not np.all(np.isin(columns, fit.columns)):
         return 1.0
-    away = wider.theta[columns] - np.array([wider.full.neutral[name] for name in names])
+    away = wider.departure[columns]
     own, covariance = block_jackknife_covariance(wider, fit)
     at = [int(np.flatnonzero(own == c)[0]) for c in columns]
     freedom = int(np.max(wider.responses.stretch))  # pyright: ignore[reportArgumentType, reportCallIssue]
-    score = as_normal(equivalent(away, covariance[np.ix_(at, at)]), freedom)
-    return min(1.0, 2.0 * among * float(ndtr(-score)))
+    return largest_p_value(away, covariance[np.ix_(at, at)], freedom, among)
 
 
 def mixes_noise(state: SelectionState, standing: CandidateScore) -> bool:
@@ -184,41 +181,33 @@ def explained(state: SelectionState, standing: CandidateScore) -> float:
     return 1.0 - float(np.exp(-max(standing.gain, 0.0) / state.products.count.sum()))
 
 
-def holdout_gain(state: SelectionState, wide: np.ndarray, narrow: np.ndarray | None = None) -> Float[np.ndarray, " f"]:
-    """Deviance that columns `wide` gain over `narrow` (default: the active ones) on each fold, fitted on the others."""
+def holdout_deviance_gain(state: SelectionState, wide: np.ndarray, narrow: np.ndarray | None = None) -> float:
+    """Deviance that columns `wide` gain over `narrow` (default: the active ones) on folds that were left out.
+
+    From inner products alone, for thousands of fits; `cross_validation.LeftOut` has the residuals.
+    """
     narrow = state.columns() if narrow is None else narrow
     used = np.unique(np.concatenate([wide, narrow, state.offsets]))
-    small = _Folds(state.products.only(used), state.mean[used], state.precision[used])
+    products, mean, precision = state.products.only(used), state.mean[used], state.precision[used]
     wide, narrow, offsets = (np.searchsorted(used, columns) for columns in (wide, narrow, state.offsets))
-    folds = range(len(state.folds))
-    return np.array([small.left_out(fold, narrow, offsets) - small.left_out(fold, wide, offsets) for fold in folds])
 
-
-@dataclass(frozen=True)
-class _Folds:
-    """Inner products by fold, and the normal prior of the steps."""
-
-    products: Products
-    mean: Float[np.ndarray, " k"]
-    precision: Float[np.ndarray, " k"]
-
-    def left_out(self, fold: int, columns: np.ndarray, offsets: np.ndarray) -> float:
-        """n log(mean square) over outputs of a fold, at parameters fitted elsewhere; offsets are the fold's own."""
-        others = [f for f in range(len(self.products.count)) if f != fold]
-        step = self.products.over(others).fit(columns, self.mean, self.precision).step
+    def deviance(fold: int, columns: np.ndarray) -> float:
+        """n log(mean square) over outputs of the fold; offsets are its own."""
+        step = products.without(fold).fit(columns, mean, precision).step
         parameters = ~np.isin(columns, offsets)
-        left = self.products.over([fold]).shifted(columns[parameters], step[parameters])
-        nothing = np.zeros_like(self.mean)
-        n = float(left.count.sum())
+        left = products.over([fold]).shifted(columns[parameters], step[parameters])
         if len(offsets):
-            return left.fit(offsets, nothing, nothing).deviance
+            return left.fit(offsets, np.zeros_like(mean), np.zeros_like(mean)).deviance
+        n = float(left.count.sum())
         return float(n * np.sum(np.log(left.gram[0, :, 0, 0] / n)))
+
+    return float(np.sum([deviance(fold, narrow) - deviance(fold, wide) for fold in range(len(state.folds))]))
 
 
 def added(state: SelectionState, winner: CandidateScore) -> SelectionState:
     """The state with a candidate in, its parameters at their first-order estimate (or the scanned value)."""
     theta = state.theta.copy()
-    at = state.full.columns(state.full.parameters_of(winner.effect))
+    at = state.full.own_columns(winner.effect)
     if winner.value is not None:
         scan = next(s for s in state.scans if s.effect == winner.effect and s.value == winner.value)
         theta[state.full.columns([scan.parameter])[0]] = winner.value
@@ -230,10 +219,7 @@ def added(state: SelectionState, winner: CandidateScore) -> SelectionState:
 
 def removed(state: SelectionState, effect: str) -> SelectionState:
     """The state without one of its additions, that effect's parameters at neutral."""
-    theta = state.theta.copy()
-    for name in state.full.parameters_of(effect):
-        theta[state.full.columns([name])[0]] = state.full.neutral[name]
-    return moved(state, theta, tuple(e for e in state.active if e != effect))
+    return truncated(state, [e for e in state.active if e != effect])
 
 
 def _reconsidered(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]:
@@ -245,16 +231,17 @@ def _reconsidered(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]
         faint = own is not None and own.log_bayes < 0.0 and _bayes_within(state, fit, own) < 0.0
         if own is None or faint or explained(state, own) < state.settings.least_share or mixes_noise(state, own):
             state, fit = refitted(removed(state, effect))
-        elif best.effect != effect and best.gain > (1.0 + state.settings.exchange_margin) * own.gain + best.cost_apart:
-            state, fit = refitted(added(removed(state, effect), best))
+        elif best.effect != effect:
+            more = best.gain - (1.0 + state.settings.exchange_margin) * own.gain
+            if nats(more, best.variance_inflation_apart) > 1.0:
+                state, fit = refitted(added(removed(state, effect), best))
     return state, fit
 
 
 def _bayes_within(state: SelectionState, fit: Fit, own: CandidateScore) -> float:
     """Log Bayes factor of an addition under the colour that is left with it in."""
-    names = state.full.parameters_of(own.effect)
-    columns = state.full.columns(names)
-    away = state.theta[columns] - np.array([state.full.neutral[name] for name in names])
+    columns = state.full.own_columns(own.effect)
+    away = state.departure[columns]
     if not (np.all(np.isfinite(away)) and np.all(np.isin(columns, fit.columns))):
         return own.log_bayes
     at = [int(np.flatnonzero(fit.columns == c)[0]) for c in columns]
@@ -286,10 +273,9 @@ def nats_gained(old: Extension, new: Extension) -> float:
     """Log likelihood that another extension gains, the colour counted, less what the choice of each addition costs."""
 
     def deviance(state: SelectionState, fit: Fit) -> float:
-        inside = np.concatenate([np.arange(fold.start, fold.stop) for fold in state.folds])
-        return fit.deviance + 2.0 * float(np.sum(np.log(state.noise_growth[inside])))
+        return fit.deviance + 2.0 * float(np.sum(np.log(state.noise_growth[state.inside])))
 
     additions = len(new.state.active) - len(old.state.active)
     gained = deviance(old.state, old.fit) - deviance(new.state, new.fit)
     choice = math.log(max(len(new.state.full.candidates), 1))
-    return gained / (2.0 * max(old.state.variance_inflation, new.state.variance_inflation)) - additions * choice
+    return nats(gained, max(old.state.variance_inflation, new.state.variance_inflation)) - additions * choice

@@ -34,7 +34,7 @@ def own_share(state: SelectionState, fit: Fit, effect: str) -> float:
     One over the variance inflation factor, the largest over its parameters; priors left out, for they are no data.
     Not a number where the effect is not in the fit.
     """
-    columns = state.full.columns(state.full.parameters_of(effect))
+    columns = state.full.own_columns(effect)
     at = [int(np.flatnonzero(fit.columns == c)[0]) for c in columns if c in fit.columns]
     if not at:
         return float("nan")
@@ -61,9 +61,8 @@ def as_structure(cause: Cause, extension: Extension, effect: Effect) -> Unexplai
     """What a cause that is none explained: the output of which it takes most, through which channel."""
     state, fit = extension.state, extension.fit
     standing = screen(state, fit, seed=0, replicates=0, without=cause.name).of(cause.name)
-    columns = state.full.columns(state.full.parameters_of(cause.name))
-    neutral = np.array([state.full.neutral[name] for name in state.full.parameters_of(cause.name)])
-    moved = (state.scaled[:, :, columns] @ (state.theta[columns] - neutral))[state.inside]
+    columns = state.full.own_columns(cause.name)
+    moved = (state.scaled[:, :, columns] @ state.departure[columns])[state.inside]
     output = int(np.argmax(np.mean((moved - moved.mean(axis=0)) ** 2, axis=0) / fit.variance))
     gain = 0.0 if standing is None else max(standing.gain, 0.0)
     share = 1.0 - float(np.exp(-gain / state.products.count.sum()))

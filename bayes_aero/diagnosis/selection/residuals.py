@@ -57,15 +57,17 @@ def details(state: SelectionState) -> Mapping[str, np.ndarray]:
     return {key: np.asarray(value) for key, value in state.responses.evaluate(state.theta)[1].items()}
 
 
-def profiles(residual: Float[np.ndarray, " n"], channels: Mapping[str, np.ndarray], cost: float) -> list[Profile]:
-    """How the residual depends on each channel, the clearest first; `cost` multiplies variances for the colour."""
+def profiles(
+    residual: Float[np.ndarray, " n"], channels: Mapping[str, np.ndarray], variance_inflation: float
+) -> list[Profile]:
+    """How the residual depends on each channel, the clearest first."""
     found, bins = [], max(1, min(BINS, len(residual) // 2))  # of two blocks at least, that they have a deviation
     for name, x in channels.items():
         if np.ptp(x) <= 1e-9 * max(1.0, float(np.abs(x).max())):
             continue
         parts = np.array_split(np.argsort(x, kind="stable"), bins)
         mean = np.array([residual[p].mean() for p in parts])
-        sd = np.array([residual[p].std() * np.sqrt(cost / len(p)) for p in parts])
+        sd = np.array([residual[p].std() * np.sqrt(variance_inflation / len(p)) for p in parts])
         found.append(Profile(name, np.array([x[p].mean() for p in parts]), mean, sd))
     return sorted(found, key=lambda p: -float(np.sum((p.mean / np.maximum(p.deviation, 1e-300)) ** 2)))
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.diagnosis.result import COEFFICIENTS, FLIGHT_PATH
 from bayes_aero.diagnosis.screening.accuracy import filtered_channels
@@ -44,7 +42,7 @@ def search_coefficients(
     flights, outliers = despiked(join(records, card))
     full = candidate_model(model, flights, extra, settings)
     mle = fit_mle(model, observe(records, card, model), seed=seed)
-    theta = np.array([full.neutral[name] for name in full.model.names])
+    theta = full.neutral_vector
     for name, value in zip(mle.names, mle.estimate, strict=True):
         if name in full.model.names:
             theta[full.columns([name])[0]] = value

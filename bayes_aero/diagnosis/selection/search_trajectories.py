@@ -33,6 +33,7 @@ from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.output_error import fit_cascade
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.inference.variance.variance_inflation import nats
 from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.residuals.output_error import OutputError
@@ -126,7 +127,7 @@ def _lagged(whole: CandidateModel, found: Extension, seed: int, progress: Progre
     assert isinstance(dynamics, AircraftDynamics)
     state, fit = refitted(_state(whole, responses.flights, dynamics.altitude, values, (lag.name,)))
     among = found.steps[0].screening
-    gain = (found.base_fit.deviance - fit.deviance) / (2.0 * found.base.variance_inflation)
+    gain = nats(found.base_fit.deviance - fit.deviance, found.base.variance_inflation)
     settings, chance = state.settings, between_p_value(state, fit, lag.name, len(among.candidate_scores) + 1)
     if not (gain > settings.decisive and chance <= settings.false_alarm_rate):
         return None  # a lag that is none leaves nothing to linearise
@@ -140,7 +141,7 @@ def _lagged(whole: CandidateModel, found: Extension, seed: int, progress: Progre
 def _without_lags(full: CandidateModel) -> CandidateModel:
     """Without effects that need a state of their own."""
     lags = [e for e in full.candidates if e.stage is Stage.LAG]
-    own = {p.name: p.neutral for e in lags for p in e.parameters}
+    own = {name: x for e in lags for name, x in e.neutral_values.items()}
     model = Model(full.model.effects, full.model.parameters, (*full.model.fixed, *own.items()))
     told = {
         e.name: "a lag is a state of its own, tried only where something is missing; give it on the card" for e in lags

@@ -19,6 +19,7 @@ from bayes_aero.diagnosis.screening.screening import screen
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised, local_fit, optimum, refitted
 from bayes_aero.diagnosis.selection.block_jackknife import widened
 from bayes_aero.diagnosis.selection.forward_selection import Extension, forward_selection, nats_gained, removed
+from bayes_aero.inference.variance.variance_inflation import nats
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.coefficient_names import NAMES
 from bayes_aero.residuals.equation_error import EquationError
@@ -49,7 +50,9 @@ def search_in_stages(
     def coefficients(sensors: Extension | None) -> Extension:
         if progress:
             progress("coefficients", 0.0)
-        begin = theta if sensors is None else _neutral(sensors.state, sensors.state.theta, sensors.state.full.base)
+        begin = theta
+        if sensors is not None:
+            begin = sensors.state.full.at_neutral(sensors.state.theta, sensors.state.full.base)
         state = linearised(_after(full, sensors), responses, NAMES, begin)
         return forward_selection(state, seed=seed + 1000, progress=progress)
 
@@ -124,9 +127,7 @@ def _denied(sensors: Extension, aerodynamics: Extension) -> str | None:
     """The sensor error whose correction costs the card's fit of the coefficients most, if it is more than it gains."""
     card = aerodynamics.base
     whole = _deviance(card, ())
-    losses = {
-        name: (whole - _deviance(card, (name,))) / (2.0 * card.variance_inflation) for name in sensors.state.active
-    }
+    losses = {e: nats(whole - _deviance(card, (e,)), card.variance_inflation) for e in sensors.state.active}
     worst = max(losses, key=lambda name: losses[name], default=None)
     return worst if worst and losses[worst] > _path_gain(sensors, worst) + card.settings.decisive else None
 
@@ -134,21 +135,12 @@ def _denied(sensors: Extension, aerodynamics: Extension) -> str | None:
 def _path_gain(sensors: Extension, name: str) -> float:
     """What the flight path gains by an error of a sensor, nats, its colour counted."""
     own = screen(sensors.state, sensors.fit, seed=0, replicates=0, without=name).of(name)
-    return math.inf if own is None else max(own.gain, 0.0) / (2.0 * max(own.inflation, 1.0))
+    return math.inf if own is None else nats(max(own.gain, 0.0), own.variance_inflation)
 
 
 def _deviance(card: SelectionState, without: Sequence[str]) -> float:
     """Of the coefficients under the card's effects alone, these corrections of sensors taken back."""
-    state = replace(card, theta=_neutral(card, card.theta, without))
+    state = replace(card, theta=card.full.at_neutral(card.theta, without))
     columns = state.columns()
     best, folds = optimum(state, range(len(state.folds))), range(len(state.folds))
     return local_fit(state, best, columns[columns < len(best)], folds)[1]
-
-
-def _neutral(state: SelectionState, theta: Float[np.ndarray, " k"], effects: Sequence[str]) -> Float[np.ndarray, " k"]:
-    """`theta` with the parameters of these effects at neutral."""
-    moved = theta.copy()
-    for effect in effects:
-        names = state.full.parameters_of(effect)
-        moved[state.full.columns(names)] = [state.full.neutral[name] for name in names]
-    return moved

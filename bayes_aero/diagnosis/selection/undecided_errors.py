@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.screening.regression import TINY, inverse
+from bayes_aero.diagnosis.screening.regression import TINY, inverse, partialled
 from bayes_aero.diagnosis.screening.screening import CandidateScore
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection.forward_selection import Extension, explained
@@ -24,7 +24,7 @@ def open_errors(found: Extension) -> tuple[OpenError, ...]:
     """Each error of one parameter that is asked for and not confirmed, or imitated by others; the former first.
 
     Args:
-        found: the search along the flight path, ended by `stretches.borne_out`.
+        found: the search along the flight path, ended by `consistent_across_blocks`.
     """
     state = found.state
     effects = [e for e in state.full.candidates if _felt(state, e)]
@@ -65,7 +65,7 @@ def _felt(state: SelectionState, effect: Effect) -> bool:
     """Whether an effect has one parameter, no break point, and moves the flight path."""
     if len(effect.parameters) != 1 or effect.scan or not effect.sizes:
         return False
-    return bool(np.any(state.S[:, :, state.full.columns(state.full.parameters_of(effect.name))] != 0.0))
+    return bool(np.any(state.S[:, :, state.full.own_columns(effect.name)] != 0.0))
 
 
 def _information(found: Extension, effects: Sequence[Effect]) -> tuple[Float[np.ndarray, "k k"], np.ndarray]:
@@ -74,8 +74,7 @@ def _information(found: Extension, effects: Sequence[Effect]) -> tuple[Float[np.
     columns = state.full.columns([e.parameters[0].name for e in effects])
     X, begin = (state.scaled[state.inside][:, :, own] for own in (columns, state.offsets))
     weight = 1.0 / found.fit.variance
-    cross, own = (np.einsum("mci,c,mcj->ij", begin, weight, other) for other in (X, begin))
-    X = X - begin @ (inverse(own) @ cross)
+    X = partialled(X, begin, weight)
     return np.einsum("mci,c,mcj->ij", X, weight, X), columns
 
 

@@ -51,7 +51,7 @@ def eliminate(
     A cause is not asked, and stays, if it has such parameters: flown with that value, the segment is not unseen.
     """
     unheard = {name for held in silent.values() for name in held}
-    neutral = {e.name: {p.name: p.neutral for p in e.parameters} for e in causes}
+    neutral = {e.name: e.neutral_values for e in causes}
     neutral = {name: values for name, values in neutral.items() if not unheard & set(values)}
     flight = _Flight(contender, neutral, silent, noise, {tuple(neutral): fits})
     if not flight.refitted(tuple(neutral)).inside:  # what cannot be flown is no measure of anything
@@ -62,7 +62,7 @@ def eliminate(
     if not gone:
         return Elimination(contender, fits, found)
     fit = contender.fit
-    again = fit_output_error(fit.flown, start=fit.estimate, held=less.held, prior_weight=noise.cost)
+    again = fit_output_error(fit.flown, start=fit.estimate, held=less.held, prior_weight=noise.variance_inflation)
     return Elimination(replace(less, fit=again), flight.fits[found.kept], found, gone)
 
 
@@ -124,4 +124,4 @@ class _Flight:
     def holdout_gain(self, before: HoldoutScore, after: HoldoutScore) -> tuple[float, float]:
         if not before.inside:  # without it the flight leaves its envelope
             return np.inf, 0.0
-        return holdout_gain(before, after, self.noise.cost)
+        return holdout_gain(before, after, self.noise.variance_inflation)

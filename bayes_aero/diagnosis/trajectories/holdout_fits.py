@@ -11,7 +11,7 @@ import equinox as eqx
 import numpy as np
 
 from bayes_aero.diagnosis.trajectories.time_histories import Path, paths_of
-from bayes_aero.diagnosis.trajectories.variance_inflation import variance_inflation
+from bayes_aero.diagnosis.trajectories.variance_inflation import trajectory_variance_inflation
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.likelihood.output_error import fit_output_error
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult
@@ -21,15 +21,15 @@ from bayes_aero.inference.variance.noise_growth import SeparatedFlow
 
 @dataclass(frozen=True)
 class Noise:
-    """What a first fit tells of residuals: how much their colour multiplies variances, how they grow in the stall."""
+    """What a first fit tells of residuals: their variance inflation, how they grow in the stall."""
 
-    cost: float
+    variance_inflation: float
     parts: SeparatedFlow | None
 
     @classmethod
     def of(cls, fit: OutputErrorResult) -> Noise:
         """From a fit to all."""
-        return cls(variance_inflation(fit)[0], SeparatedFlow.of(fit))
+        return cls(trajectory_variance_inflation(fit), SeparatedFlow.of(fit))
 
     def on(self, flown: SegmentTrajectories, without: int | None = None) -> SegmentTrajectories:
         """The same segments with their noise_growth; its size is read from all of them, or from all but one."""
@@ -88,7 +88,8 @@ def left_out(
         contender, k = job
         fit, held = contender.fit, {**contender.held, **silent[contender.name][k]}
         weighed = noise.on(fit.flown, without=k) if contender.weighed else fit.flown
-        rest, options = masked(weighed, k, keep=False), {"prior_weight": noise.cost, "stopped": stopped.is_set}
+        options = {"prior_weight": noise.variance_inflation, "stopped": stopped.is_set}
+        rest = masked(weighed, k, keep=False)
         return contender.name, fit_output_error(rest, start=fit.estimate, held=held, **options)
 
     with ThreadPoolExecutor(max(1, cores() // max(1, count - 1))) as pool:
@@ -103,13 +104,13 @@ def holdout_fits(
     contender: CandidateFit,
     fits: Sequence[OutputErrorResult],
     tolerances: Mapping[str, float],
-    cost: float = 1.0,
+    variance_inflation: float = 1.0,
     seed: int = 0,
 ) -> list[Path]:
     """Every segment flown from its measured initial state by the fit without it, in order; by draws from that fit's
     posterior, too, where there are tolerances to stay inside."""
     flown, still, name = contender.fit.flown, np.zeros_like(contender.fit.departure), contender.name
-    options = {"drawn": bool(tolerances), "cost": cost, "seed": seed}
+    options = {"drawn": bool(tolerances), "variance_inflation": variance_inflation, "seed": seed}
     alone = [masked(flown, k, keep=True) for k in range(len(fits))]
     found = [paths_of(f, one, name, "unseen", still, tolerances, **options) for f, one in zip(fits, alone, strict=True)]
     return [path for paths in found for path in paths]

@@ -80,23 +80,25 @@ def with_lag(
     fitted = dict(zip(extended.fit.names, map(float, extended.fit.estimate), strict=True))
     start = np.array([fitted.get(p.name, p.start) for p in dynamics.free])
     whole = replace(extended.fit.flown, dynamics=dynamics, substeps=dynamics.substeps(start, flights))
-    fit = fit_output_error(whole, start=start, prior_weight=noise.cost)
+    fit = fit_output_error(whole, start=start, prior_weight=noise.variance_inflation)
     found = dict(zip(fit.names, fit.estimate, strict=True))
     none = {n: x for n, x in _hysteresis(model).items() if n in fit.at_bound and found[n] == x}
     if none:
-        fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, held=none, prior_weight=noise.cost)
+        fit = fit_output_error(
+            whole, start=fit.estimate, departure=fit.departure, held=none, prior_weight=noise.variance_inflation
+        )
     gain = -np.inf
     if fit.status in SETTLED and extended.fit.status in SETTLED:
-        gain = (extended.fit.cost - fit.cost) / noise.cost
+        gain = (extended.fit.cost - fit.cost) / noise.variance_inflation
     own = extended.own | {p.name for p in effect.parameters}
-    slight = np.isfinite(gain) and not large(effect, _away(effect, fit, noise.cost), settings.least_score)
+    slight = np.isfinite(gain) and not large(effect, _away(effect, fit, noise.variance_inflation), settings.least_score)
     lag = LagTest(effect.name, float(gain), instead=tuple(none), slight=bool(slight), decisive=settings.decisive)
     return CandidateFit("lagged", fit, own, none), lag
 
 
-def _away(effect: Effect, fit: OutputErrorResult, cost: float) -> dict[str, tuple[float, float]]:
+def _away(effect: Effect, fit: OutputErrorResult, inflation: float) -> dict[str, tuple[float, float]]:
     """By parameter of which the effect says what is worth a name: how far from neutral it is, and the deviation."""
-    sd = np.sqrt(np.diag(posterior_covariance(fit, cost)))
+    sd = np.sqrt(np.diag(posterior_covariance(fit, inflation)))
     told = {n: (float(x), float(s)) for n, x, s in zip(fit.names, fit.estimate, sd, strict=True)}
     return {p.name: (told[p.name][0] - p.neutral, told[p.name][1]) for p in effect.parameters if p.name in effect.sizes}
 
@@ -107,18 +109,18 @@ def confirmed(
     lagged: Sequence[Path],
     outputs: Sequence[str],
     noise_growth: Sequence[Float[np.ndarray, "_ c"]],
-    cost: float,
+    variance_inflation: float,
     hold_out: float = DEFAULT.hold_out,
 ) -> LagTest:
     """Kept if hold-out prediction degrades without the lag, as for any cause; both predict the same manoeuvres."""
     before, after = (HoldoutScore.of(paths, outputs, noise_growth) for paths in (without, lagged))
-    told = holdout_gain(before, after, cost)
+    told = holdout_gain(before, after, variance_inflation)
     return replace(lag, unseen=told, kept=bool(after.inside and told[0] > hold_out * told[1]))
 
 
 def _hysteresis(model: Model) -> Mapping[str, float]:
     """Parameters of the quasi-steady flow's hysteresis and their neutral values."""
-    return {p.name: p.neutral for e in model.effects if e.stage is Stage.INCIDENCE for p in e.parameters}
+    return {name: x for e in model.effects if e.stage is Stage.INCIDENCE for name, x in e.neutral_values.items()}
 
 
 def _without_lead(model: Model) -> Model:

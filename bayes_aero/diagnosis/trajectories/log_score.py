@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.selection.cross_validation import deviation_of_sum
 from bayes_aero.diagnosis.trajectories.time_histories import Path
+from bayes_aero.inference.scores import log_density, log_score_gain
 
 
 @dataclass(frozen=True)
@@ -34,11 +34,9 @@ class HoldoutScore:
         """Log density of every sample but for what the noise_growth adds: normal, with the variance that the residuals
         themselves have, output by output."""
         r = np.concatenate(self.residual)
-        variance = np.mean(r**2, axis=0)
-        return -0.5 * (r**2 / variance + np.log(variance)).sum(axis=1)
+        return log_density(r, np.mean(r**2, axis=0)).sum(axis=1)
 
 
-def holdout_gain(before: HoldoutScore, after: HoldoutScore, cost: float) -> tuple[float, float]:
-    """Log density that `after` has beyond `before` on the same segments, divided by the colour's `cost`; deviation."""
-    difference = (after.density() - before.density()) / cost
-    return float(difference.sum()), deviation_of_sum(difference, [len(r) for r in before.residual])
+def holdout_gain(before: HoldoutScore, after: HoldoutScore, variance_inflation: float) -> tuple[float, float]:
+    """Log density that `after` has beyond `before` on the same segments, over the variance inflation; deviation."""
+    return log_score_gain(before.density(), after.density(), variance_inflation, [len(r) for r in before.residual])

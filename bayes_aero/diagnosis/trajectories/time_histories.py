@@ -69,14 +69,14 @@ def paths_of(
     tolerances: Mapping[str, float],
     *,
     drawn: bool = False,
-    cost: float = 1.0,
+    variance_inflation: float = 1.0,
     seed: int = 0,
 ) -> list[Path]:
     """Every segment of `flown` that counts, simulated with the parameters of `fit`; `drawn`: with its posterior, too,
-    under a likelihood that counts each sample for one in `cost`."""
+    under a likelihood that counts each sample for one in `variance_inflation`."""
     draws = None
     if drawn and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
-        draws = _draws(fit, cost, seed)
+        draws = _draws(fit, variance_inflation, seed)
     return simulated(fit.estimate, flown, model, split, departure, tolerances, draws)
 
 
@@ -130,15 +130,15 @@ def _error(measured: np.ndarray, residual: np.ndarray, tolerance: float | None, 
     )
 
 
-def posterior_covariance(fit: OutputErrorResult, cost: float) -> Float[np.ndarray, "k k"]:
-    """Of the parameters, under a likelihood that counts each sample for one in `cost`, and their priors."""
-    return cost * fit.covariance
+def posterior_covariance(fit: OutputErrorResult, inflation: float) -> Float[np.ndarray, "k k"]:
+    """Of the parameters, under a likelihood that counts each sample for one in `inflation`, and their priors."""
+    return inflation * fit.covariance
 
 
-def _draws(fit: OutputErrorResult, cost: float, seed: int) -> Float[np.ndarray, "m k"]:
+def _draws(fit: OutputErrorResult, variance_inflation: float, seed: int) -> Float[np.ndarray, "m k"]:
     """Parameters drawn from the posterior, within their bounds."""
     moving = np.flatnonzero(fit.sd > 0.0)
-    covariance = posterior_covariance(fit, cost)[np.ix_(moving, moving)]
+    covariance = posterior_covariance(fit, variance_inflation)[np.ix_(moving, moving)]
     scale = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     white = np.random.default_rng(seed).standard_normal((DRAWS, len(moving)))

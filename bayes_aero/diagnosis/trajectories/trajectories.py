@@ -31,7 +31,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.parameter import Prior
 
 WINDOW = 12.0  # s, of the first fits
-BEGIN_COST = 30.0  # taken for the colour's cost until it is measured
+FIRST_INFLATION = 30.0  # variance inflation that is assumed until it is measured
 LEFT = ("altitude",)  # reported, not fitted: it adds wind and pressure errors to what attitude and alpha tell already
 
 Progress = Callable[[str, float], None]
@@ -113,9 +113,9 @@ def compare_trajectories(
 
     tell("extended model", 0.0)
     ours = _side(model, flights, found, biases)
-    joint = fit_cascade([ours.window, ours.whole], [ours.start], prior_weight=BEGIN_COST)
+    joint = fit_cascade([ours.window, ours.whole], [ours.start], prior_weight=FIRST_INFLATION)
     noise = Noise.of(joint)
-    options = {"departure": joint.departure, "prior_weight": noise.cost}
+    options = {"departure": joint.departure, "prior_weight": noise.variance_inflation}
     joint = fit_output_error(noise.on(ours.whole), start=joint.estimate, **options)
     extended = CandidateFit("extended", joint, frozenset(p.name for e in added for p in e.parameters))
     lagged, lag, effect = None, None, open_lag(whole, diagnosis.aerodynamics, model)
@@ -132,22 +132,21 @@ def compare_trajectories(
     best = extended
     if lag is not None and lagged is not None:
         without, within = (holdout_fits(c, fits[c.name], {}) for c in (extended, lagged))
-        lag = confirmed(
-            lag, without, within, joint.flown.outputs, joint.flown.growth, noise.cost, whole.settings.hold_out
-        )
+        flown, hold_out = joint.flown, whole.settings.hold_out
+        lag = confirmed(lag, without, within, flown.outputs, flown.growth, noise.variance_inflation, hold_out)
         best = lagged if lag.kept else extended
     tell("causes that hold-out flights need", 0.8)
     flies = eliminate(best, fits[best.name], added, silent[best.name], noise, whole.settings)
     tell("errors", 0.9)
     paths = _paths({"card": card, "extended": flies.contender}, (fits["card"], flies.fits), noise, tolerances, seed)
     fit, gone = flies.contender.fit, flies.gone
-    sd = np.sqrt(np.diag(posterior_covariance(fit, noise.cost)))
+    sd = np.sqrt(np.diag(posterior_covariance(fit, noise.variance_inflation)))
     return Trajectories(
         paths=tuple(paths),
         card=Estimates.of(card.fit),
         extended=Estimates.of(fit, gone),
         deviation={n: float(x) for n, x in zip(fit.names, sd, strict=True) if n not in gone},
-        colour_cost=noise.cost,
+        colour_cost=noise.variance_inflation,
         held={label(fit.flown, k): tuple(n for n in names if n not in gone) for k, names in silent[best.name].items()},
         fitted=fit.flown.outputs,
         outputs=tuple(n for n in fit.flown.dynamics.outputs if n in flights.channels),
@@ -183,7 +182,7 @@ def _paths(
     for name, c in models.items():
         paths += paths_of(c.fit, c.fit.flown, name, "fitted", c.fit.departure, tolerances)
     for (name, c), fits in zip(models.items(), without, strict=True):
-        paths += [replace(p, model=name) for p in holdout_fits(c, fits, tolerances, noise.cost, seed)]
+        paths += [replace(p, model=name) for p in holdout_fits(c, fits, tolerances, noise.variance_inflation, seed)]
     return paths
 
 
@@ -211,7 +210,7 @@ def _card(
     fitted = dict(zip(extended.fit.names, extended.fit.estimate, strict=True))
     shared = np.array([fitted[name] for name in theirs.whole.dynamics.names])
     starts = [theirs.start, shared]  # a model with something missing may have several optima
-    fit = fit_cascade([theirs.window, theirs.whole], starts, held=held, prior_weight=noise.cost)
+    fit = fit_cascade([theirs.window, theirs.whole], starts, held=held, prior_weight=noise.variance_inflation)
     return CandidateFit("card", fit, held=held, weighed=False)
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from bayes_aero.diagnosis.trajectories.holdout_fits import Noise
 from bayes_aero.diagnosis.trajectories.time_histories import Path, label, paths_of
-from bayes_aero.diagnosis.trajectories.trajectories import BEGIN_COST, LEFT, WINDOW
+from bayes_aero.diagnosis.trajectories.trajectories import FIRST_INFLATION, LEFT, WINDOW
 from bayes_aero.dynamics.flight import AircraftDynamics, Dynamics
 from bayes_aero.dynamics.output_biases import biased_dynamics, unbiased
 from bayes_aero.dynamics.segments import segments
@@ -123,16 +123,16 @@ def fit_trajectories(
     stages = [whole] if len(short.index) == len(whole.index) else [short, whole]
     tell("windows, then whole manoeuvres", 0.0)
     without = () if setting.priors else unbiased(dynamics).names
-    fit = fit_cascade(stages, [first, *starts], prior_weight=BEGIN_COST, without=without)
+    fit = fit_cascade(stages, [first, *starts], prior_weight=FIRST_INFLATION, without=without)
     if len(stages) == 1 and fit.status is OutputErrorStatus.NOT_CONVERGED:  # a first stage stops early
-        again = {"departure": fit.departure, "prior_weight": BEGIN_COST, "without": without}
+        again = {"departure": fit.departure, "prior_weight": FIRST_INFLATION, "without": without}
         fit = fit_output_error(whole, start=fit.estimate, **again)
-    cost, noise_growth = math.nan, {}
+    inflation, noise_growth = math.nan, {}
     if math.isfinite(fit.cost) and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         tell("autocorrelation of the residuals", 0.7)
         noise = Noise.of(fit)
-        cost, whole, noise_growth = noise.cost, noise.on(whole), noise.told(whole.outputs)
-        weight = cost if setting.priors else 0.0
+        inflation, whole, noise_growth = noise.variance_inflation, noise.on(whole), noise.told(whole.outputs)
+        weight = inflation if setting.priors else 0.0
         fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, prior_weight=weight)
     tell("errors of the trajectories", 0.9)
     bands, still = tolerances or {}, np.zeros_like(fit.departure)
@@ -140,7 +140,7 @@ def fit_trajectories(
         paths = paths_of(replace(fit, estimate=first), whole, START, START, still, bands)
         paths += paths_of(fit, whole, FITTED, FITTED, fit.departure, bands)
     return TrajectoryFit(
-        fit, first, tuple(paths), _initial(fit, shown), cost, shown, dict(units), window, noise_growth, setting
+        fit, first, tuple(paths), _initial(fit, shown), inflation, shown, dict(units), window, noise_growth, setting
     )
 
 

@@ -1,16 +1,16 @@
-"""What the colour of a simulation's residuals costs: how many times it multiplies variances."""
+"""Variance inflation of a fit to trajectories."""
 
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
 
 from bayes_aero.inference.likelihood.output_error_result import THINNED, OutputErrorResult
 from bayes_aero.inference.variance.coloured_bounds import corrected_covariance
+from bayes_aero.inference.variance.variance_inflation import typical, variance_inflation
 
 
-def variance_inflation(fit: OutputErrorResult) -> tuple[float, Float[np.ndarray, " k"]]:
-    """How many times the residuals' colour multiplies the parameters' variances: median, and each.
+def trajectory_variance_inflation(fit: OutputErrorResult) -> float:
+    """Variance inflation in the median over the parameters.
 
     From Morelli and Klein's corrected covariance on means over `THINNED` samples (of white residuals a fifth of the
     variance is left there); the segments' states are among the parameters, unless they are fixed.
@@ -36,9 +36,5 @@ def variance_inflation(fit: OutputErrorResult) -> tuple[float, Float[np.ndarray,
     D = np.linalg.pinv(information[np.ix_(used, used)] / np.outer(scale, scale), rcond=1e-10, hermitian=True)
     D = D / np.outer(scale, scale)
     corrected = corrected_covariance(D, flat[:, :, used], fit.R, r, np.repeat(np.arange(w), n)[keep], start)
-    ratio = np.full(k, np.nan)
-    places = np.flatnonzero(used[:k])
-    ratio[places] = (np.diag(corrected) / np.diag(D))[: len(places)]
-    if not len(places):  # the flights say nothing of any parameter
-        return 1.0, ratio
-    return max(1.0, THINNED * float(np.nanmedian(ratio))), ratio * THINNED
+    parameters = int(np.sum(used[:k]))
+    return typical(THINNED * variance_inflation(np.diag(corrected), np.diag(D))[:parameters])

@@ -12,8 +12,10 @@ from jaxtyping import Bool, Float
 
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.likelihood.normal_equations import Point, Priors, reduced
+from bayes_aero.inference.variance.block_jackknife import jackknife_covariance
 from bayes_aero.inference.variance.coloured_bounds import corrected_covariance
 from bayes_aero.inference.variance.inseparable import Inseparable, inseparable
+from bayes_aero.inference.variance.variance_inflation import typical, variance_inflation
 from bayes_aero.parameter import Parameter
 
 THINNED = 5  # samples, for the colour of the residuals
@@ -22,7 +24,7 @@ SINGULAR, SHARE = 1e-13, 1e-3  # least eigenvalue of a regular scaled matrix; pa
 STRETCH, STRETCHES = 12.0, 10  # s of flight that the jackknife leaves out at a time, and how many it wants at least
 LEVERAGE = 0.9  # largest share of what is known in any direction that a stretch may take with it
 TRACE = 1e-13  # of a scaled information matrix: beyond rounding, within nothing that a record tells
-COLOURED = 2.0  # times the variances, in the median, from which the colour of residuals is beyond doubt
+COLOURED = 2.0  # variance inflation, in the median, from which the colour of residuals is beyond doubt
 HELD = 0.9  # posterior over prior deviation from which a parameter is said to be held by its prior
 
 
@@ -120,7 +122,7 @@ class OutputErrorResult:
         found = known + corrected_covariance(D, S[inside], self.R, self.columns[..., 0][inside], segment, start)
         own = np.diag(found)
         moving = own > 0.0
-        if not moving.any() or np.median(own[moving] / np.diag(D)[moving]) < COLOURED:
+        if typical(variance_inflation(own, np.diag(D))[moving]) < COLOURED:
             return found
         wider = np.ones(k)
         wider[moving] = np.sqrt(np.maximum(1.0, (self._left_out(S) + np.diag(known))[moving] / own[moving]))
@@ -131,7 +133,6 @@ class OutputErrorResult:
 
         A block with nearly all information on a direction (a constant error visible while a motion begins, the only
         step of a control) counts there as one with `LEVERAGE` of it, because the other blocks cannot test it.
-        Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), ch. 11, of blocks in place of samples.
         """
         moving = np.flatnonzero(np.diag(self.covariance) > 0.0)
         counts = self.flown.inside.sum(axis=1)
@@ -154,7 +155,7 @@ class OutputErrorResult:
             turned = back.T @ turned
             along = np.einsum("iab,ia->ib", turned, -np.array(g) * scale) / (1.0 - np.minimum(share, LEVERAGE))
             step = scale * np.einsum("iab,ib->ia", turned, along)
-            variance[moving] = (len(A) - 1.0) / len(A) * np.sum((step - step.mean(axis=0)) ** 2, axis=0)
+            variance[moving] = np.diag(jackknife_covariance(step - step.mean(axis=0)))
         return variance
 
     @property

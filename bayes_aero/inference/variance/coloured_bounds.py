@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.fft import next_fast_len
@@ -66,3 +68,15 @@ def _sandwich(W: Float[np.ndarray, "n c k"], covariance: Float[np.ndarray, "m c 
         np.einsum("fij,fjk->fik", np.fft.rfft(kernel, axis=0), np.fft.rfft(W, size, axis=0)), size, axis=0
     )[:n]
     return np.einsum("nci,ncj->ij", W, spread)
+
+
+def deviation_of_sum(values: Float[np.ndarray, " m"], lengths: Sequence[int]) -> float:
+    """Standard error of the sum of a coloured series of constant mean, its stretches taken as independent.
+
+    From the autocovariance up to `LAG_SHARE` of each stretch, tapered by Parzen's window as in
+    `corrected_covariance`: short of the truth where the colour is nearly as long as that.
+    """
+    away = (values - values.mean())[:, None]
+    parts = np.split(away, np.cumsum(lengths)[:-1])
+    variance = sum(len(part) * autocovariance(part, max(1, int(LAG_SHARE * len(part)))).sum() for part in parts)
+    return float(np.sqrt(variance * len(values) / (len(values) - 1)))
