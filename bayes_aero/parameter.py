@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 
 import numpy as np
 from jaxtyping import Float
@@ -12,6 +13,12 @@ from bayes_aero.arrays import Array
 from bayes_aero.errors import InputError
 
 FAMILIES = ("normal", "lognormal", "halfnormal", "uniform")
+
+
+class Role(StrEnum):
+    """What a parameter of any name is to the simulation and to the fit."""
+
+    LAG = "lag"  # time constant with which the separation point follows its static value, chords travelled; neutral 0
 
 
 @dataclass(frozen=True)
@@ -83,7 +90,7 @@ class Parameter:
 
     `neutral` is the value at which the effect that owns the parameter is absent. Estimation begins at `start`.
     `bounds` are (lower, upper), infinite where there is none. `per_rate`: it multiplies a nondimensional rate, q c/V,
-    so its start, bounds and prior depend on the length in it (see `per_length`).
+    so its start, bounds and prior depend on the length in it (see `per_length`). `role`: see `Role`.
     """
 
     name: str
@@ -94,6 +101,7 @@ class Parameter:
     prior: Prior
     bounds: tuple[float, float] = field(default=(-math.inf, math.inf))
     per_rate: bool = False
+    role: Role | None = None
 
     def __post_init__(self) -> None:
         lower, upper = self.bounds

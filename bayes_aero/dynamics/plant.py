@@ -131,7 +131,7 @@ class Plant(eqx.Module):
     @property
     def lag(self) -> Any:
         """Lag of the separation point, chords travelled."""
-        return self.values.get("tau1", 0.0)
+        return self.model.lag(self.values)
 
     def elevator(self, state: FlightState, inputs: Inputs) -> Float[Array, ""]:
         """Trim for the commanded alpha in attached flow, and feedback that leads alpha along it."""

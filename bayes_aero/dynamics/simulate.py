@@ -1,6 +1,6 @@
 """Fly a model: longitudinal equations of motion, with the same effects that the coefficient fit uses.
 
-States V, alpha, theta, q, h and, with a lag tau1 > 0, the separation point X; bank angle and sideslip are prescribed
+States V, alpha, theta, q, h and, with a lag, the separation point X; bank angle and sideslip are prescribed
 (see `plant`). Flat earth, no wind.
 """
 

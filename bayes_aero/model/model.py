@@ -17,7 +17,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card.card import Card
 from bayes_aero.model.own_effects import own_effects
-from bayes_aero.parameter import Parameter, per_length
+from bayes_aero.parameter import Parameter, Role, per_length
 
 Signals = Mapping[str, Float[Array, "*#n"]]
 
@@ -123,6 +123,14 @@ class Model:
     def acting(self) -> tuple[Effect, ...]:
         """Effects that are not fixed at neutral."""
         return tuple(e for e in self.effects if not self._absent(e))
+
+    def playing(self, role: Role) -> tuple[str, ...]:
+        """Names of the parameters with a role, of effects that act."""
+        return tuple(p.name for effect in self.acting for p in effect.parameters if p.role is role)
+
+    def lag(self, values: Mapping[str, Any]) -> Any:
+        """Time constant of the separation point, chords travelled: 0 without a lag; those of several lags add."""
+        return sum((values[name] for name in self.playing(Role.LAG)), 0.0)
 
     @property
     def channels(self) -> tuple[str, ...]:
