@@ -18,6 +18,8 @@ FAMILIES = ("normal", "lognormal", "halfnormal", "uniform")
 class Role(StrEnum):
     """What a parameter of any name is to the simulation and to the fit."""
 
+    BREAK_ANGLE = "break angle"  # rad, angle of attack at which the static separation point is half way
+    ABRUPTNESS = "abruptness"  # of the stall: how fast the static separation point moves there
     LAG = "lag"  # time constant with which the separation point follows its static value, chords travelled; neutral 0
 
 

@@ -112,7 +112,7 @@ def fly_standard(
     trim = trimmed(model, values, aircraft, airspeed, altitude)
     n, before = round(SECONDS / dt) + 1, round(RUN_IN / dt)
     time = (np.arange(n + before) - before) * dt
-    star = float(values.get("alpha_star", jnp.inf))
+    star = model.break_angle(values)
     stall = star + STALL_BEYOND - trim.alpha if star < GRID[-1] else STALL_RISE
     pressure = 0.5 * float(air(jnp.asarray(altitude))[0]) * airspeed**2
     lean = -pressure * aircraft.wing_area * SIDE_FORCE / (aircraft.mass * GRAVITY)

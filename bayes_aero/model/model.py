@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
@@ -127,6 +128,10 @@ class Model:
     def playing(self, role: Role) -> tuple[str, ...]:
         """Names of the parameters with a role, of effects that act."""
         return tuple(p.name for effect in self.acting for p in effect.parameters if p.role is role)
+
+    def break_angle(self, values: Mapping[str, Any]) -> float:
+        """Angle of attack at which the flow separates, rad: infinite where it never does; the least of several."""
+        return min((float(values[name]) for name in self.playing(Role.BREAK_ANGLE)), default=math.inf)
 
     def lag(self, values: Mapping[str, Any]) -> Any:
         """Time constant of the separation point, chords travelled: 0 without a lag; those of several lags add."""

@@ -23,14 +23,13 @@ from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air
-from bayes_aero.simulate.demo import DISTURBANCE, TRUTH
+from bayes_aero.simulate.demo import DISTURBANCE, SPREAD, TRUTH, USUAL_SPREAD
 from bayes_aero.simulate.manoeuvres import DT, LONGEST, MARGIN, SAMPLES, SURFACES, flight_time, random_pilot
 from bayes_aero.simulate.sensor_faults import corrected, misrecorded
 from bayes_aero.simulate.sensor_model import channels_flown, sensed
 
 NOISES = ("white", "ar1", "buffet", "outliers")
 ENVELOPE = {"alpha": (0.0, 0.4363), "airspeed": (50.0, 130.0)}  # 0 to 25 deg, m/s
-_SPREAD = {"alpha_star": 0.08, "e": 0.10}  # of the base parameters, relative, either way; all others 0.12
 
 
 @dataclass(frozen=True)
@@ -121,7 +120,7 @@ def _flights(
     pilots, starts = [], []
     for rng, length in zip(rngs, lengths, strict=True):
         increments, buffet = _disturbance(rng, setting.noise, setting.rho)
-        increments, stall = setting.disturbance * increments, float(values["alpha_star"])
+        increments, stall = setting.disturbance * increments, model.break_angle(values)
         pilots.append(random_pilot(rng, max(90.0, (length - 1) * DT), stall, increments, buffet, moved))
         alpha = float(pilots[-1].alpha[0])
         height = rng.uniform(5050.0, 5350.0)
@@ -182,7 +181,7 @@ def draw_hidden(rng: np.random.Generator, name: str, largest: float = 10.0) -> d
     """
     effect, values = _known(name), {}
     for parameter in effect.parameters:
-        if parameter.name in TRUTH and parameter.name != "tau1":
+        if TRUTH.get(parameter.name, parameter.neutral) != parameter.neutral:
             continue
         least, most = effect.sizes[parameter.name]
         size = least * np.exp(rng.uniform(0.0, np.log(min(most / least, largest))))
@@ -214,7 +213,7 @@ def _values(
 ) -> dict[str, Any]:
     """All parameters: neutral, the base aircraft's drawn around the demo's, then what is hidden."""
     values = {p.name: p.neutral for p in _models(() if beyond is None else beyond.effects)[0].parameters}
-    values |= {name: x * (1.0 + rng.uniform(-1.0, 1.0) * _SPREAD.get(name, 0.12)) for name, x in TRUTH.items()}
+    values |= {name: x * (1.0 + rng.uniform(-1.0, 1.0) * SPREAD.get(name, USUAL_SPREAD)) for name, x in TRUTH.items()}
     for name, given in effects.items():
         own = {p.name for p in _known(name).parameters}
         refuse_unflown(_known(name))

@@ -39,7 +39,7 @@ def piloted(
         needed = {channel for effect in chosen for channel in effect.channels}
         moved = [name for name in SURFACES if {name, f"{name}_left"} & needed]
         drawn = random_pilot(
-            rng, max(90.0, request.seconds), float(values["alpha_star"]), np.zeros((SAMPLES, 3)), buffet, moved
+            rng, max(90.0, request.seconds), model.break_angle(values), np.zeros((SAMPLES, 3)), buffet, moved
         )
         pilot = _sampled(drawn, grid, aircraft.mass / LOADED)
         alpha = float(pilot.alpha[0])
@@ -51,7 +51,7 @@ def piloted(
         alpha, trim = level.alpha, level.elevator
         pressure = 0.5 * float(air(jnp.asarray(request.altitude))[0]) * airspeed**2
         lean = -pressure * float(aircraft.wing_area) * SIDE_FORCE / (float(aircraft.mass) * GRAVITY)
-        listed = commands(grid.time, float(values["alpha_star"]) + STALL_BEYOND - alpha, lean)
+        listed = commands(grid.time, model.break_angle(values) + STALL_BEYOND - alpha, lean)
         command = listed[request.manoeuvre]
         rest, gains = jnp.zeros(grid.n), [jnp.asarray(x) for x in command.gains]
         pilot = Pilot(
