@@ -36,7 +36,8 @@ MEANS, SDS = 0.2, 0.15  # engines agree when means are this close in sd, and sds
 def verdict(identification: Identification) -> list[str]:
     """The findings of the run, one sentence or two each; missing parts of the run are omitted."""
     mle = identification.mle
-    signs = sign_sentences({n: (v, sd) for n, v, sd in zip(mle.names, mle.estimate, mle.crb_corrected, strict=True)})
+    estimates = {n: (v, sd) for n, v, sd in zip(mle.names, mle.estimate, mle.crb_corrected, strict=True)}
+    signs = sign_sentences(estimates, mle.parameters)
     if not (usable(mle) and np.all(np.isfinite([*mle.crb, *mle.crb_corrected]))):
         return [
             *signs,
