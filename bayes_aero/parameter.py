@@ -114,7 +114,8 @@ class Parameter:
     `neutral` is the value at which the effect that owns the parameter is absent. Estimation begins at `start`.
     `bounds` are (lower, upper), infinite where there is none. `per_rate`: it multiplies a nondimensional rate, q c/V,
     so its start, bounds and prior depend on the length in it (see `per_length`). `role`: see `Role`. `sign` and
-    `limits` are None where an estimate may have either sign or any size.
+    `limits` are None where an estimate may have either sign or any size. Tables list parameters by `place` (drag from
+    10, lift from 20, moments from 30, separation from 40), those without one behind.
     """
 
     name: str
@@ -128,6 +129,7 @@ class Parameter:
     role: Role | None = None
     sign: Sign | None = None
     limits: Limits | None = None
+    place: int | None = None
 
     def __post_init__(self) -> None:
         lower, upper = self.bounds

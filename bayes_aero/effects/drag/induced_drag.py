@@ -32,6 +32,7 @@ EFFECT = Effect(
             ),
             (0.05, 10.0),
             limits=Limits(0.0, 1.5, "no wing has so little induced drag"),
+            place=12,
         ),
     ),
     channels=("alpha",),

@@ -25,6 +25,7 @@ EFFECT = Effect(
             "zero-lift drag",
             Prior("normal", 0.04, 0.05),
             limits=Limits(0.0, inf, "drag without lift cannot be negative"),
+            place=11,
         ),
     ),
     channels=("alpha",),

@@ -17,7 +17,7 @@ EFFECT = Effect(
     stage=Stage.ATTACHED,
     claim="Lift grows linearly with the angle of attack while the flow is attached.",
     parameters=(
-        Parameter("CL0", "1", 0.0, 0.2, "lift at zero angle of attack", Prior("normal", 0.2, 0.5)),
+        Parameter("CL0", "1", 0.0, 0.2, "lift at zero angle of attack", Prior("normal", 0.2, 0.5), place=21),
         Parameter(
             "CLa",
             "1/rad",
@@ -27,6 +27,7 @@ EFFECT = Effect(
             Prior("normal", 4.5, 2.0, "2 pi AR/(AR + 2) for AR of 5 to 10; width our choice"),
             sign=Sign(1, "az or alpha", "lift would decrease with the angle of attack"),
             limits=Limits(-inf, 4.0 * pi, "it is more than twice the value of a thin aerofoil of infinite span, 2 pi"),
+            place=22,
         ),
     ),
     channels=("alpha",),

@@ -24,6 +24,7 @@ EFFECT = Effect(
             "elevator effectiveness",
             Prior("normal", -0.8, 1.0),
             sign=Sign(-1, "elevator", "a positive deflection (trailing edge down) would pitch the nose up"),
+            place=34,
         ),
     ),
     channels=("elevator",),

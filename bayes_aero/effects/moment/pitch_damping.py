@@ -27,6 +27,7 @@ EFFECT = Effect(
             Prior("normal", -8.0, 10.0),
             per_rate=True,
             limits=Limits(-inf, 0.0, "pitch rate would not be damped"),
+            place=33,
         ),
     ),
     channels=("q", "airspeed"),

@@ -34,6 +34,7 @@ EFFECT = Effect(
             ),
             (1.0, 200.0),
             role=Role.ABRUPTNESS,
+            place=41,
         ),
         Parameter(
             "alpha_star",
@@ -44,6 +45,7 @@ EFFECT = Effect(
             Prior("normal", 0.3, 0.1, "stall of a transport between 10 and 25 deg; our choice"),
             (0.0, 1.0),
             role=Role.BREAK_ANGLE,
+            place=42,
         ),
     ),
     channels=("alpha",),

@@ -26,6 +26,7 @@ EFFECT = Effect(
             Prior("halfnormal", 0.0, 15.0, "up to some thirty chords; our choice"),
             (0.0, 200.0),
             role=Role.LAG,
+            place=43,
         ),
     ),
     channels=("airspeed",),

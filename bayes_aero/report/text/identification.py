@@ -133,7 +133,7 @@ def disputed(identification: Identification) -> dict[str, float]:
     corrected, posterior = found["crb_corrected"].estimates, found[next(iter(engines))].estimates
     start = found["crb"].estimates
     apart = {n: abs(e.centre - start[n].centre) / np.hypot(e.sd, corrected[n].sd) for n, e in posterior.items()}
-    return {n: float(apart[n]) for n in ordered(apart) if apart[n] > LIMIT}
+    return {n: float(apart[n]) for n in ordered(apart, identification.mle.parameters) if apart[n] > LIMIT}
 
 
 def _noise_model(identification: Identification) -> list[str]:
