@@ -163,6 +163,10 @@ class Model:
         """The separation point that a steady flow would have: every stage before its lag."""
         return self._run((Stage.INCIDENCE, Stage.SEPARATION), self._neutral(signals), values, signals, aircraft)["X"]
 
+    def attached(self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft) -> dict[str, Any]:
+        """`CL_attached`, CD and Cm of the effects of stage ATTACHED alone."""
+        return self._run((Stage.ATTACHED,), self._neutral(signals), values, signals, aircraft)
+
     def flow(
         self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft, X: Float[Array, "*#n"] | None = None
     ) -> dict[str, Any]:
