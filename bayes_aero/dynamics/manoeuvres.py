@@ -163,7 +163,7 @@ def _channels(
     density, sound = (np.asarray(x) for x in air(jnp.asarray(state["h"])))
     turn = out["psi_dot"]
     both = {f"{name}_{side}": pilot[name] for name in ("spoiler", "dlc") for side in ("left", "right")}
-    return {key: out[key] for key in ("ax", "ay", "az", "p", "r", "elevator", "stabilizer", "X")} | {
+    return {key: out[key] for key in ("ax", "ay", "az", "p", "r", "elevator", "X")} | {
         "q": state["q"],
         "phi": pilot["phi"],
         "theta": state["theta"],
@@ -177,6 +177,7 @@ def _channels(
         "thrust": pilot["thrust"],
         "thrust_left": pilot["thrust"] / 2.0,
         "thrust_right": pilot["thrust"] / 2.0,
+        "stabilizer": out["stabilizer"],
         **{name: pilot[name] for name in ("rudder", "flap")},
         **both,
     }

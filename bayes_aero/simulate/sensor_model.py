@@ -38,7 +38,7 @@ def channels_flown(
     both = {
         f"{name}_{side}": np.asarray(getattr(pilot, name)) for name in ("spoiler", "dlc") for side in ("left", "right")
     }
-    return {key: np.asarray(flown[key]) for key in ("ax", "ay", "az", "p", "r", "elevator", "stabilizer")} | {
+    return {key: np.asarray(flown[key]) for key in ("ax", "ay", "az", "p", "r", "elevator")} | {
         "q": state["q"],
         "phi": np.asarray(pilot.phi),
         "theta": state["theta"],
@@ -47,6 +47,7 @@ def channels_flown(
         "beta": np.asarray(pilot.beta),
         "airspeed": state["V"],
         "altitude": state["h"],
+        "stabilizer": np.asarray(flown["stabilizer"]),
         "rudder": np.asarray(pilot.rudder),
         "flap": np.asarray(pilot.flap),
         **both,
