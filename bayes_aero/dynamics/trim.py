@@ -18,8 +18,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air
 
 GRID = np.deg2rad(np.linspace(-4.0, 20.0, 97))  # alpha tried for trim
-TRAVEL, NEAR = 0.2, 1e-5  # rad either side of the pilot's command over which its slope is taken, first and later
-CLOSE, MOST = 1e-9, 20  # rad, step at which the command is found, and steps at most
+TRAVEL = 0.2  # rad either side of the pilot's command over which the pitch acceleration is taken as linear
 
 Values = Mapping[str, Any]
 
@@ -107,18 +106,14 @@ def trimmed(model: Model, values: Values, aircraft: Aircraft, airspeed: float, a
     i = int(enough[0])
     alpha = float(np.interp(weight, lift[i - 1 : i + 1], GRID[i - 1 : i + 1]))
     thrust = pressure * float(np.interp(alpha, GRID, np.asarray(CD))) / np.cos(alpha)
-    command, width = 0.0, TRAVEL
-    for _ in range(MOST):
-        steps = np.linspace(-width, width, len(GRID))
-        rows = (alpha + nothing, thrust + nothing, command + steps)
-        moment = np.asarray(_balance(model, values, aircraft, airspeed, altitude, *rows)[2])
-        if np.ptp(moment) == 0.0:
-            raise InputError(f"the model cannot be trimmed: neither {' nor '.join(CONTROLS)} pitches it")
-        slope, offset = np.polyfit(steps, moment, 1)
-        command, width = command - float(offset / slope), NEAR
-        if abs(offset) < CLOSE * abs(slope):
-            break
-    return Trim(alpha, float(thrust), command)
+    tried = np.linspace(-TRAVEL, TRAVEL, len(GRID))
+    moment = np.asarray(
+        _balance(model, values, aircraft, airspeed, altitude, alpha + nothing, thrust + nothing, tried)[2]
+    )
+    if np.ptp(moment) == 0.0:
+        raise InputError(f"the model cannot be trimmed: neither {' nor '.join(CONTROLS)} pitches it")
+    slope, offset = np.polyfit(tried, moment, 1)
+    return Trim(alpha, float(thrust), float(-offset / slope))
 
 
 @eqx.filter_jit

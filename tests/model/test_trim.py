@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -89,23 +87,6 @@ def test_a_model_without_an_elevator_is_flown_by_its_stabilizer(card):
     begin = trimmed(model, values(), card.aircraft, AIRSPEED, ALTITUDE)
     assert doublet["alpha"][:25] == pytest.approx(begin.alpha, abs=np.deg2rad(0.1))
     assert np.ptp(doublet["alpha"]) > np.deg2rad(1.0)
-
-
-def test_a_control_that_is_not_linear_is_trimmed(card):
-    """With a power of 3 in the deflection x the trim is where x + 3000 x^3 is the deflection without it."""
-
-    def trim(bend):
-        def moment(v, s, _a, _known):
-            return {"Cm": -v["Cm_stick"] * (s["elevator"] + bend * s["elevator"] ** 3)}
-
-        model = pitched_by(card, replace(STICK, increments=moment))
-        found = trimmed(model, values(), card.aircraft, AIRSPEED, ALTITUDE)
-        ahead = lead(model, values(), card.aircraft, jnp.asarray(found.alpha), AIRSPEED, ALTITUDE).command
-        return float(ahead) + found.command
-
-    straight, bent = trim(0.0), trim(3000.0)
-    assert bent != pytest.approx(straight, rel=0.02)
-    assert bent + 3000.0 * bent**3 == pytest.approx(straight, abs=1e-6)
 
 
 def test_a_model_that_no_control_pitches_cannot_be_trimmed(card):
