@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 
 import numpy as np
 from jaxtyping import Float
@@ -12,6 +13,14 @@ from bayes_aero.arrays import Array
 from bayes_aero.errors import InputError
 
 FAMILIES = ("normal", "lognormal", "halfnormal", "uniform")
+
+
+class Role(StrEnum):
+    """What a parameter of any name is to the simulation and to the fit."""
+
+    BREAK_ANGLE = "break angle"  # rad, angle of attack at which the static separation point is half way
+    ABRUPTNESS = "abruptness"  # of the stall: how fast the static separation point moves there
+    LAG = "lag"  # time constant with which the separation point follows its static value, chords travelled; neutral 0
 
 
 @dataclass(frozen=True)
@@ -78,12 +87,35 @@ class Prior:
 
 
 @dataclass(frozen=True)
+class Sign:
+    """The `side` of zero, +1 or -1, on which a parameter lies in the axes of ISO 1151.
+
+    An estimate on the other side puts the sign of `channel` in doubt; `otherwise` says what it would mean.
+    """
+
+    side: int
+    channel: str
+    otherwise: str
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Lowest and highest value that an aircraft can have, and why there is none beyond."""
+
+    low: float
+    high: float
+    reason: str
+
+
+@dataclass(frozen=True)
 class Parameter:
     """One scalar of a model, in SI units and radians.
 
     `neutral` is the value at which the effect that owns the parameter is absent. Estimation begins at `start`.
     `bounds` are (lower, upper), infinite where there is none. `per_rate`: it multiplies a nondimensional rate, q c/V,
-    so its start, bounds and prior depend on the length in it (see `per_length`).
+    so its start, bounds and prior depend on the length in it (see `per_length`). `role`: see `Role`. `sign` and
+    `limits` are None where an estimate may have either sign or any size. Tables list parameters by `place` (drag from
+    10, lift from 20, moments from 30, separation from 40), those without one behind.
     """
 
     name: str
@@ -94,6 +126,10 @@ class Parameter:
     prior: Prior
     bounds: tuple[float, float] = field(default=(-math.inf, math.inf))
     per_rate: bool = False
+    role: Role | None = None
+    sign: Sign | None = None
+    limits: Limits | None = None
+    place: int | None = None
 
     def __post_init__(self) -> None:
         lower, upper = self.bounds
@@ -114,11 +150,12 @@ def per_length(parameter: Parameter, times: float) -> Parameter:
     """A parameter `per_rate` where the rate has another length than the chord, which is `times` as long."""
     if not parameter.per_rate or times == 1.0:
         return parameter
-    prior = parameter.prior
+    prior, limits = parameter.prior, parameter.limits
     return replace(
         parameter,
         start=times * parameter.start,
         bounds=(times * parameter.bounds[0], times * parameter.bounds[1]),
+        limits=limits and replace(limits, low=times * limits.low, high=times * limits.high),
         description=parameter.description.replace("c/V", "l/V, l the card's rate_length"),
         prior=replace(
             prior,

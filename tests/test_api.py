@@ -62,7 +62,7 @@ def test_a_composed_model_keeps_the_card_s_priors_and_finds_nothing_where_nothin
 def test_table_and_plot(fitted):
     table = fitted.table()
     assert isinstance(table, pd.DataFrame)
-    assert list(table.index) == list(ordered(fitted.mle.names))
+    assert list(table.index) == list(ordered(fitted.mle.names, fitted.mle.parameters))
     np.testing.assert_allclose(table.loc["Cmq", "crb"], fitted.mle.crb[fitted.mle.names.index("Cmq")])
     figure = ba.plot(fitted, width=10.0)
     assert isinstance(figure, matplotlib.figure.Figure)

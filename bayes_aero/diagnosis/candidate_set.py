@@ -15,11 +15,10 @@ from bayes_aero.effect import NEUTRAL_FLOW, Effect, Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.model.joined_records import Recorded
 from bayes_aero.model.model import Model
-from bayes_aero.parameter import Prior, per_length
+from bayes_aero.parameter import Prior, Role, per_length
 
 MOVES = 1e-6  # of what an effect makes, a change that is no rounding
 FAR = 1e9  # stands for a neutral value at infinity
-LAG = "tau1"  # the parameter of a lag that can be flown
 DERIVED = ("alpha_dot", "p_dot", "q_dot", "r_dot")
 
 
@@ -78,7 +77,8 @@ class CandidateModel:
 
 def lag_of(full: CandidateModel) -> Effect | None:
     """The candidate that lets the separation point lag and can be flown."""
-    return next((e for e in full.candidates if e.stage is Stage.LAG and LAG in {p.name for p in e.parameters}), None)
+    lags = (e for e in full.candidates if e.stage is Stage.LAG)
+    return next((e for e in lags if any(p.role is Role.LAG for p in e.parameters)), None)
 
 
 def candidate_model(

@@ -21,7 +21,7 @@ from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
 from bayes_aero.model.joined_channels import Flights, response_scales
 from bayes_aero.model.joined_records import Recorded
 from bayes_aero.model.model import Model
-from bayes_aero.parameter import Parameter
+from bayes_aero.parameter import Parameter, Role
 from bayes_aero.physics.filters import differentiate, smooth
 
 Values = Mapping[str, Any]
@@ -179,7 +179,7 @@ class AircraftDynamics(Dynamics):
         """Half the time constant of the separation point's lag at the highest airspeed."""
         if not self._pattern.lagged:
             return np.inf
-        lag = max(float(values["tau1"]), LEAST_LAG)
+        lag = max(float(self.model.lag(values)), LEAST_LAG)
         return 0.5 * lag * float(flights.aircraft.chord) / float(flights.channels["airspeed"].max())
 
 
@@ -205,9 +205,10 @@ def aircraft_dynamics(model: Model, flights: Flights, outputs: Sequence[str] = (
             "flown; map it on the card, or give its value under [constants]"
         )
     for effect in model.acting:
-        if effect.stage is Stage.LAG and "tau1" not in {p.name for p in effect.parameters}:
+        if effect.stage is Stage.LAG and not any(p.role is Role.LAG for p in effect.parameters):
             raise InputError(
-                f"effect {effect.name} is a lag of the separation point without tau1, which cannot be flown"
+                f"effect {effect.name} is a lag of the separation point that cannot be flown: none of its parameters "
+                "has the role lag"
             )
     return dynamics
 

@@ -99,7 +99,7 @@ class Longitudinal(System):
             derivative.append(moved["altitude"])
         if self.lagged:
             static = self.model.static_separation(self.values, s | {"alpha_dot": rate}, self.aircraft)
-            lag = jnp.maximum(self.values["tau1"], LEAST_LAG) * self.aircraft.chord / s["airspeed"]
+            lag = jnp.maximum(self.model.lag(self.values), LEAST_LAG) * self.aircraft.chord / s["airspeed"]
             derivative.append((static - state["X"]) / lag)
         outputs = state | {"ax": fx + arm_x, "az": fz + arm_z, "q_dot": q_dot, "alpha_dot": rate, "X": known["X"]}
         return jnp.stack(derivative), outputs | dict(zip(("CL", "CD", "Cm"), total, strict=True))

@@ -10,14 +10,13 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.dynamics.plant import SIDE_FORCE, FlightState, Inputs, Plant, Prescribed
+from bayes_aero.dynamics.plant import SIDE_FORCE, FlightState
 from bayes_aero.dynamics.simulate import Pilot, fly
-from bayes_aero.errors import InputError
+from bayes_aero.dynamics.trim import GRID, Trim, trimmed
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air
@@ -28,17 +27,8 @@ TIGHT, LOOSE = (0.7, 0.2, 0.15), (0.05, 0.0, 0.0)  # elevator gains on alpha, q 
 STALL_BEYOND, STALL_RISE = np.deg2rad(2.0), np.deg2rad(8.0)  # beyond alpha*, or beyond trim without separation
 ENVELOPE = {"alpha": (-0.1, 0.45), "airspeed": (45.0, 250.0)}  # rad, m/s: outside, the manoeuvre is refused
 MOVED = {"stabilizer_steps": "stabilizer", "sideslip": "beta", "bank_to_bank": "phi"}  # beside elevator and thrust
-GRID = np.deg2rad(np.linspace(-4.0, 20.0, 97))  # alpha tried for trim
 
 Series = Float[np.ndarray, " n"]
-
-
-class Trim(NamedTuple):
-    """Level flight: angle of attack in rad, thrust in N, elevator beyond the plant's own trim in rad."""
-
-    alpha: float
-    thrust: float
-    elevator: float
 
 
 class Command(NamedTuple):
@@ -112,15 +102,13 @@ def fly_standard(
     trim = trimmed(model, values, aircraft, airspeed, altitude)
     n, before = round(SECONDS / dt) + 1, round(RUN_IN / dt)
     time = (np.arange(n + before) - before) * dt
-    star = float(values.get("alpha_star", jnp.inf))
+    star = model.break_angle(values)
     stall = star + STALL_BEYOND - trim.alpha if star < GRID[-1] else STALL_RISE
     pressure = 0.5 * float(air(jnp.asarray(altitude))[0]) * airspeed**2
     lean = -pressure * aircraft.wing_area * SIDE_FORCE / (aircraft.mass * GRAVITY)
     listed = commands(time, float(stall), float(lean), amplitude)
     pilots = [_pilot(command, trim) for command in listed.values()]
-    start = FlightState(
-        *(jnp.asarray(x) for x in (airspeed, trim.alpha, trim.alpha, 0.0, altitude, 1.0, trim.elevator))
-    )
+    start = FlightState(*(jnp.asarray(x) for x in (airspeed, trim.alpha, trim.alpha, 0.0, altitude, 1.0, trim.command)))
     stacked = Pilot(*(jnp.stack(part) for part in zip(*pilots, strict=True)))
     states, outputs = _fly(model, values, aircraft, stacked, start, jnp.asarray(dt))
     flown, refused = {}, {}
@@ -137,41 +125,6 @@ def fly_standard(
 
 
 _fly = eqx.filter_jit(eqx.filter_vmap(fly, in_axes=(None, None, None, 0, None, None)))
-
-
-def trimmed(model: Model, values: Mapping[str, Any], aircraft: Aircraft, airspeed: float, altitude: float) -> Trim:
-    """Angle of attack, thrust and elevator of level flight; raises `InputError` where lift cannot carry the weight."""
-    values = {name: jnp.asarray(x, float) for name, x in values.items()}
-    pressure = 0.5 * float(air(jnp.asarray(altitude))[0]) * airspeed**2 * aircraft.wing_area
-    weight, nothing = float(aircraft.mass) * GRAVITY, np.zeros_like(GRID)
-    CL, CD, _ = _balance(model, values, aircraft, airspeed, altitude, GRID, nothing, nothing)
-    lift = pressure * (np.asarray(CL) + np.asarray(CD) * np.tan(GRID))
-    enough = np.flatnonzero(lift >= weight)
-    if not len(enough) or enough[0] == 0:
-        raise InputError(f"level flight at {airspeed:.0f} m/s and {altitude:.0f} m needs no angle of attack in range")
-    i = int(enough[0])
-    alpha = float(np.interp(weight, lift[i - 1 : i + 1], GRID[i - 1 : i + 1]))
-    thrust = pressure * float(np.interp(alpha, GRID, np.asarray(CD))) / np.cos(alpha)
-    tried = np.linspace(-0.2, 0.2, len(GRID))
-    moment = _balance(model, values, aircraft, airspeed, altitude, alpha + nothing, thrust + nothing, tried)[2]
-    slope, offset = np.polyfit(tried, np.asarray(moment), 1)
-    return Trim(alpha, float(thrust), float(-offset / slope))
-
-
-@eqx.filter_jit
-def _balance(model: Model, values: Any, aircraft: Aircraft, airspeed: Any, altitude: Any, *rows: Any):
-    """CL, CD and pitch acceleration in steady level flight at each alpha, thrust and elevator offset of `rows`."""
-    zero = jnp.asarray(0.0)
-    plant = Plant(model, dict(values), aircraft, (zero, zero, zero), zero)
-    prescribed = Prescribed(*(zero,) * len(Prescribed._fields))
-
-    def one(alpha, thrust, elevator):
-        state = FlightState(zero + airspeed, alpha, alpha, zero, zero + altitude, zero + 1.0, elevator)
-        inputs = Inputs(alpha, thrust, zero, jnp.zeros(3))
-        total, _ = plant.forces(state, inputs, prescribed, zero)
-        return total[0], total[1], plant.pitch_acceleration(state, inputs, zero, zero, total)
-
-    return jax.vmap(one)(*(jnp.asarray(row) for row in rows))
 
 
 def _pilot(command: Command, trim: Trim) -> Pilot:
@@ -224,6 +177,7 @@ def _channels(
         "thrust": pilot["thrust"],
         "thrust_left": pilot["thrust"] / 2.0,
         "thrust_right": pilot["thrust"] / 2.0,
-        **{name: pilot[name] for name in ("stabilizer", "rudder", "flap")},
+        "stabilizer": out["stabilizer"],
+        **{name: pilot[name] for name in ("rudder", "flap")},
         **both,
     }

@@ -27,6 +27,7 @@ RATE_LIMIT = 2.0  # rad/s, half-width of the bracket for alpha-dot
 BISECTIONS = 45  # 4 rad/s / 2^45 is rounding
 SIDE_FORCE = -0.7  # 1/rad, CY per sideslip of a transport; our choice, it only sets how much yaw goes with sideslip
 
+CONTROLS = ("elevator", "stabilizer")  # with which the pilot may pitch, the first that does
 SIGNALS = frozenset(
     [
         "time",
@@ -69,7 +70,7 @@ def refuse_unflown(effect: Effect) -> None:
 
 
 class FlightState(NamedTuple):
-    """V m/s, alpha rad, theta rad, q rad/s, h m, X, and the elevator that the pilot has trimmed to, rad."""
+    """V m/s, alpha rad, theta rad, q rad/s, h m, X, and the command that the pilot has trimmed to, rad."""
 
     V: Float[Array, "*n"]
     alpha: Float[Array, "*n"]
@@ -81,11 +82,11 @@ class FlightState(NamedTuple):
 
 
 class Inputs(NamedTuple):
-    """Command and disturbance at one instant: alpha rad, thrust N, elevator excitation rad, CL CD Cm."""
+    """What is asked for and what disturbs at one instant: alpha rad, thrust N, pitch command rad, CL CD Cm."""
 
     alpha: Float[Array, ""]
     thrust: Float[Array, ""]
-    excitation: Float[Array, ""]
+    command: Float[Array, ""]
     disturbance: Float[Array, " 3"]
 
 
@@ -118,8 +119,8 @@ class Turn(NamedTuple):
 class Plant(eqx.Module):
     """The aircraft with its model, ready to be evaluated at one instant.
 
-    `gains` are those of the elevator feedback on alpha, q and the integral of alpha; the disturbance grows by `buffet`
-    times 1 - X.
+    `gains` are those of the feedback on alpha, q and the integral of alpha; the disturbance grows by `buffet` times
+    1 - X. `shares` are those of the pilot's command in each of `CONTROLS`.
     """
 
     model: Model = eqx.field(static=True)
@@ -127,18 +128,21 @@ class Plant(eqx.Module):
     aircraft: Aircraft
     gains: tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]
     buffet: Float[Array, ""]
+    shares: Any = (1.0, 0.0)
 
     @property
     def lag(self) -> Any:
         """Lag of the separation point, chords travelled."""
-        return self.values.get("tau1", 0.0)
+        return self.model.lag(self.values)
 
-    def elevator(self, state: FlightState, inputs: Inputs) -> Float[Array, ""]:
-        """Trim for the commanded alpha in attached flow, and feedback that leads alpha along it."""
-        v = self.values
-        trim = -(v.get("Cm0", 0.0) + v.get("Cma", 0.0) * inputs.alpha) / v["Cmde"]
+    def controls(self, state: FlightState, inputs: Inputs, prescribed: Prescribed) -> dict[str, Float[Array, ""]]:
+        """Deflections of `CONTROLS`: the command, and feedback that leads alpha along the one asked for."""
         feedback = self.gains[0] * (state.alpha - inputs.alpha) + self.gains[1] * state.q
-        return trim + feedback + inputs.excitation + state.trim
+        command = inputs.command + feedback + state.trim
+        return {
+            "elevator": self.shares[0] * command,
+            "stabilizer": prescribed.stabilizer + self.shares[1] * command,
+        }
 
     def turn(self, state: FlightState, prescribed: Prescribed) -> Turn:
         """Rates of a flight with this bank angle and sideslip: Euler's equations and the side-force equation.
@@ -175,8 +179,7 @@ class Plant(eqx.Module):
             "phi": prescribed.phi,
             "theta": state.theta,
             "beta": prescribed.beta,
-            "elevator": self.elevator(state, inputs),
-            "stabilizer": prescribed.stabilizer,
+            **self.controls(state, inputs, prescribed),
             "rudder": prescribed.rudder,
             "spoiler_left": prescribed.spoiler,
             "spoiler_right": prescribed.spoiler,
@@ -275,7 +278,7 @@ class Plant(eqx.Module):
             "p": p,
             "r": r,
             "psi_dot": psi_dot,
-            "elevator": self.elevator(state, inputs),
+            **self.controls(state, inputs, prescribed),
             "alpha_dot": rate,
             "q_dot": q_dot,
             "X": jnp.where(self.lag > 0.0, state.X, static),

@@ -1,6 +1,6 @@
 """Fly a model: longitudinal equations of motion, with the same effects that the coefficient fit uses.
 
-States V, alpha, theta, q, h and, with a lag tau1 > 0, the separation point X; bank angle and sideslip are prescribed
+States V, alpha, theta, q, h and, with a lag, the separation point X; bank angle and sideslip are prescribed
 (see `plant`). Flat earth, no wind.
 """
 
@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_aero.dynamics.plant import FlightState, Inputs, Plant, Prescribed
+from bayes_aero.dynamics.trim import lead
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import differentiate
@@ -27,7 +28,7 @@ RUNGE_KUTTA = np.array([[0.0, 1.0], [0.5, 2.0], [0.5, 2.0], [1.0, 1.0]])  # shar
 
 
 class Pilot(NamedTuple):
-    """What is flown: alpha is led along `alpha` (rad) by elevator = trim + gains x errors, plus `excitation` (rad).
+    """What is flown: alpha is led along `alpha` (rad) by a command of trim + gains x errors + `excitation` (rad).
 
     `thrust` in N; `disturbance` is added to CL, CD, Cm, 1 + `buffet` (1 - X) times. Bank angle `phi` and sideslip
     `beta` (rad) are flown exactly, so they must be smooth: they are differentiated. `stabilizer`, `rudder`, `spoiler`,
@@ -68,7 +69,8 @@ def fly(
     """
     gains = (pilot.alpha_gain, pilot.rate_gain, jnp.asarray(pilot.trim_gain))
     start = jax.tree.map(jnp.asarray, start)
-    plant = Plant(model, dict(values), aircraft, gains, jnp.asarray(pilot.buffet))
+    shares, command = lead(model, values, aircraft, pilot.alpha, start.V, start.h)
+    plant = Plant(model, dict(values), aircraft, gains, jnp.asarray(pilot.buffet), shares)
 
     def stage(carry, tableau, state: FlightState, now: tuple[Inputs, Prescribed], then: tuple[Inputs, Prescribed]):
         slope, total = carry
@@ -83,7 +85,7 @@ def fly(
         following = jax.tree.map(lambda x, k: x + dt * k / 6.0, state, total)
         return following, (state, {key: value[0] for key, value in outputs.items()})
 
-    now = (Inputs(pilot.alpha, pilot.thrust, pilot.excitation, pilot.disturbance), _prescribed(pilot, dt))
+    now = (Inputs(pilot.alpha, pilot.thrust, command + pilot.excitation, pilot.disturbance), _prescribed(pilot, dt))
     then = jax.tree.map(lambda x: jnp.concatenate([x[1:], x[-1:]]), now)
     _, (states, outputs) = jax.lax.scan(step, start, (now, then))
     return states, outputs

@@ -24,7 +24,8 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.channel_units import channel_units
 from bayes_aero.flight.health import HealthFinding, channel_health
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.mle import MleResult, fit_mle
+from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
 from bayes_aero.inference.likelihood.normal_equations import departures
 from bayes_aero.jobs.io.consistency_json import consistency_results

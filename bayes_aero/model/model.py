@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
@@ -17,7 +18,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card.card import Card
 from bayes_aero.model.own_effects import own_effects
-from bayes_aero.parameter import Parameter, per_length
+from bayes_aero.parameter import Parameter, Role, per_length
 
 Signals = Mapping[str, Float[Array, "*#n"]]
 
@@ -124,6 +125,18 @@ class Model:
         """Effects that are not fixed at neutral."""
         return tuple(e for e in self.effects if not self._absent(e))
 
+    def playing(self, role: Role) -> tuple[str, ...]:
+        """Names of the parameters with a role, of effects that act."""
+        return tuple(p.name for effect in self.acting for p in effect.parameters if p.role is role)
+
+    def break_angle(self, values: Mapping[str, Any]) -> float:
+        """Angle of attack at which the flow separates, rad: infinite where it never does; the least of several."""
+        return min((float(values[name]) for name in self.playing(Role.BREAK_ANGLE)), default=math.inf)
+
+    def lag(self, values: Mapping[str, Any]) -> Any:
+        """Time constant of the separation point, chords travelled: 0 without a lag; those of several lags add."""
+        return sum((values[name] for name in self.playing(Role.LAG)), 0.0)
+
     @property
     def channels(self) -> tuple[str, ...]:
         """Channels that the effects need."""
@@ -149,6 +162,10 @@ class Model:
     def static_separation(self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft) -> Any:
         """The separation point that a steady flow would have: every stage before its lag."""
         return self._run((Stage.INCIDENCE, Stage.SEPARATION), self._neutral(signals), values, signals, aircraft)["X"]
+
+    def attached(self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft) -> dict[str, Any]:
+        """`CL_attached`, CD and Cm of the effects of stage ATTACHED alone."""
+        return self._run((Stage.ATTACHED,), self._neutral(signals), values, signals, aircraft)
 
     def flow(
         self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft, X: Float[Array, "*#n"] | None = None

@@ -39,6 +39,9 @@ TRUTH: dict[str, float] = {
 }
 """Parameters of the simulated aircraft: round numbers near those of a small transport."""
 
+SPREAD, USUAL_SPREAD = {"alpha_star": 0.08, "e": 0.10}, 0.12
+"""Of aircraft drawn near it: relative, either way; the usual one of parameters that are not listed."""
+
 DISTURBANCE = {
     "sigma_CL": 0.012,
     "sigma_CD": 0.003,

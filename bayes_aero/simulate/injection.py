@@ -15,22 +15,21 @@ from scipy.signal import lfilter
 
 from bayes_aero.dynamics.plant import flies, refuse_unflown
 from bayes_aero.dynamics.simulate import FlightState, fly
+from bayes_aero.dynamics.trim import level_speed
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
-from bayes_aero.physics.atmosphere import GRAVITY, air
-from bayes_aero.simulate.demo import DISTURBANCE, TRUTH
+from bayes_aero.simulate.demo import DISTURBANCE, SPREAD, TRUTH, USUAL_SPREAD
 from bayes_aero.simulate.manoeuvres import DT, LONGEST, MARGIN, SAMPLES, SURFACES, flight_time, random_pilot
 from bayes_aero.simulate.sensor_faults import corrected, misrecorded
 from bayes_aero.simulate.sensor_model import channels_flown, sensed
 
 NOISES = ("white", "ar1", "buffet", "outliers")
+BEGIN, MACH = (80.0, 110.0), 0.3  # m/s, range of the first airspeed, and the Mach number taken for it
 ENVELOPE = {"alpha": (0.0, 0.4363), "airspeed": (50.0, 130.0)}  # 0 to 25 deg, m/s
-_SPREAD = {"alpha_star": 0.08, "e": 0.10}  # of the base parameters, relative, either way; all others 0.12
 
 
 @dataclass(frozen=True)
@@ -121,11 +120,12 @@ def _flights(
     pilots, starts = [], []
     for rng, length in zip(rngs, lengths, strict=True):
         increments, buffet = _disturbance(rng, setting.noise, setting.rho)
-        increments, stall = setting.disturbance * increments, float(values["alpha_star"])
+        increments, stall = setting.disturbance * increments, model.break_angle(values)
         pilots.append(random_pilot(rng, max(90.0, (length - 1) * DT), stall, increments, buffet, moved))
         alpha = float(pilots[-1].alpha[0])
         height = rng.uniform(5050.0, 5350.0)
-        begin = (_level_speed(values, aircraft, alpha, height), alpha, alpha, 0.0, height, 1.0)
+        speed = float(np.clip(level_speed(model, values, aircraft, alpha, height, MACH), *BEGIN))
+        begin = (speed, alpha, alpha, 0.0, height, 1.0)
         starts.append(FlightState(*(jnp.asarray(x) for x in begin)))
     marks = _marks()
     commanded = [{"thrust": np.asarray(pilot.thrust)} for pilot in pilots]
@@ -182,7 +182,7 @@ def draw_hidden(rng: np.random.Generator, name: str, largest: float = 10.0) -> d
     """
     effect, values = _known(name), {}
     for parameter in effect.parameters:
-        if parameter.name in TRUTH and parameter.name != "tau1":
+        if TRUTH.get(parameter.name, parameter.neutral) != parameter.neutral:
             continue
         least, most = effect.sizes[parameter.name]
         size = least * np.exp(rng.uniform(0.0, np.log(min(most / least, largest))))
@@ -214,7 +214,7 @@ def _values(
 ) -> dict[str, Any]:
     """All parameters: neutral, the base aircraft's drawn around the demo's, then what is hidden."""
     values = {p.name: p.neutral for p in _models(() if beyond is None else beyond.effects)[0].parameters}
-    values |= {name: x * (1.0 + rng.uniform(-1.0, 1.0) * _SPREAD.get(name, 0.12)) for name, x in TRUTH.items()}
+    values |= {name: x * (1.0 + rng.uniform(-1.0, 1.0) * SPREAD.get(name, USUAL_SPREAD)) for name, x in TRUTH.items()}
     for name, given in effects.items():
         own = {p.name for p in _known(name).parameters}
         refuse_unflown(_known(name))
@@ -248,13 +248,6 @@ def _marks() -> dict[str, Array]:
     index = jnp.arange(SAMPLES)
     ends = {"first": jnp.zeros(SAMPLES, int), "last": jnp.full(SAMPLES, SAMPLES - 1)}
     return {"dt": jnp.full(SAMPLES, DT), "start": index == 0, "elapsed": jnp.asarray(flight_time())} | ends
-
-
-def _level_speed(values: Mapping[str, Any], aircraft: Aircraft, alpha: float, height: float) -> float:
-    """Airspeed at which the attached lift carries the weight, m/s; the Mach number taken as 0.3."""
-    CL = values["CL0"] + (values["CLa"] + 0.3 * values["CLaM"]) * alpha
-    density = float(air(jnp.asarray(height))[0])
-    return float(np.clip(np.sqrt(2.0 * aircraft.mass * GRAVITY / (density * aircraft.wing_area * CL)), 80.0, 110.0))
 
 
 _fly = eqx.filter_jit(eqx.filter_vmap(fly, in_axes=(None, None, None, 0, 0, None)))

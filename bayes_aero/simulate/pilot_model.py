@@ -10,9 +10,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
-from bayes_aero.dynamics.manoeuvres import STALL_BEYOND, commands, trimmed
+from bayes_aero.dynamics.manoeuvres import STALL_BEYOND, commands
 from bayes_aero.dynamics.plant import SIDE_FORCE
 from bayes_aero.dynamics.simulate import FlightState, Pilot
+from bayes_aero.dynamics.trim import level_speed, trimmed
 from bayes_aero.effect import Effect
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
@@ -39,19 +40,19 @@ def piloted(
         needed = {channel for effect in chosen for channel in effect.channels}
         moved = [name for name in SURFACES if {name, f"{name}_left"} & needed]
         drawn = random_pilot(
-            rng, max(90.0, request.seconds), float(values["alpha_star"]), np.zeros((SAMPLES, 3)), buffet, moved
+            rng, max(90.0, request.seconds), model.break_angle(values), np.zeros((SAMPLES, 3)), buffet, moved
         )
         pilot = _sampled(drawn, grid, aircraft.mass / LOADED)
         alpha = float(pilot.alpha[0])
-        airspeed = request.airspeed or _level_speed(values, aircraft, alpha, request.altitude)
+        airspeed = request.airspeed or level_speed(model, values, aircraft, alpha, request.altitude)
         trim = 0.0
     else:
-        airspeed = request.airspeed or _level_speed(values, aircraft, np.deg2rad(6.0), request.altitude)
+        airspeed = request.airspeed or level_speed(model, values, aircraft, np.deg2rad(6.0), request.altitude)
         level = trimmed(model, values, aircraft, airspeed, request.altitude)
-        alpha, trim = level.alpha, level.elevator
+        alpha, trim = level.alpha, level.command
         pressure = 0.5 * float(air(jnp.asarray(request.altitude))[0]) * airspeed**2
         lean = -pressure * float(aircraft.wing_area) * SIDE_FORCE / (float(aircraft.mass) * GRAVITY)
-        listed = commands(grid.time, float(values["alpha_star"]) + STALL_BEYOND - alpha, lean)
+        listed = commands(grid.time, model.break_angle(values) + STALL_BEYOND - alpha, lean)
         command = listed[request.manoeuvre]
         rest, gains = jnp.zeros(grid.n), [jnp.asarray(x) for x in command.gains]
         pilot = Pilot(
@@ -86,13 +87,3 @@ def _sampled(pilot: Pilot, grid: Grid, weight: Any) -> Pilot:
         key: at(x, key in ("phi", "beta")) for key, x in pilot._asdict().items() if key != "disturbance"
     }
     return Pilot(**found | {"thrust": weight * found["thrust"], "disturbance": pilot.disturbance})
-
-
-def _level_speed(values: Mapping[str, Any], aircraft: Aircraft, alpha: float, height: float) -> float:
-    """Airspeed at which the attached lift carries the weight, m/s."""
-    density, sound = (float(x) for x in air(jnp.asarray(height)))
-    speed = 60.0
-    for _ in range(20):
-        CL = float(values["CL0"] + (values["CLa"] + values["CLaM"] * speed / sound) * alpha)
-        speed = float(np.sqrt(2.0 * float(aircraft.mass) * GRAVITY / (density * float(aircraft.wing_area) * CL)))
-    return speed

@@ -47,7 +47,7 @@ def channels_flown(
         "beta": np.asarray(pilot.beta),
         "airspeed": state["V"],
         "altitude": state["h"],
-        "stabilizer": np.asarray(pilot.stabilizer),
+        "stabilizer": np.asarray(flown["stabilizer"]),
         "rudder": np.asarray(pilot.rudder),
         "flap": np.asarray(pilot.flap),
         **both,

@@ -13,11 +13,13 @@ from rich.console import Console
 
 from bayes_aero.diagnosis.selection.cross_validation import Compared
 from bayes_aero.diagnosis.settings import DEFAULT
-from bayes_aero.inference.likelihood.mle import MleStatus
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.inference.likelihood.mle_result import MleStatus
 from bayes_aero.inference.scores import Scores
 from bayes_aero.model.noise import Colour
+from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.report.pages.tables.diagnosis import by_manoeuvre
-from bayes_aero.report.tables.comparison import ORDER, ordered, scatter
+from bayes_aero.report.tables.comparison import ordered, scatter
 from bayes_aero.report.tables.holdout_scores import HoldoutScores
 from bayes_aero.report.tables.run_tables import (
     concise,
@@ -30,8 +32,16 @@ from bayes_aero.report.tables.run_tables import (
 
 
 def test_parameters_come_in_the_canonical_order_and_others_behind():
-    assert ordered(["zeta", "Cma", "CD0", "tau1", "e"]) == ["CD0", "e", "Cma", "tau1", "zeta"]
-    assert " ".join(ORDER) == "CD0 e CDX CL0 CLa CLaM Cm0 Cma Cmq Cmde CmX a1 alpha_star tau1 tau2"
+    known = [p for effect in CATALOGUE.values() for p in effect.parameters]
+    assert ordered(["zeta", "Cma", "CD0", "tau1", "e"], known) == ["CD0", "e", "Cma", "tau1", "zeta"]
+    canonical = "CD0 e CDX CL0 CLa CLaM Cm0 Cma Cmq Cmde CmX a1 alpha_star tau1 tau2"
+    assert " ".join(ordered([p.name for p in known], known)[:15]) == canonical
+
+
+def test_a_parameter_of_the_users_effect_comes_where_it_says():
+    own = Parameter("k", "1", 0.0, 0.0, "drag of the pod", Prior("normal", 0.0, 1.0), place=13)
+    known = [*CATALOGUE["induced_drag"].parameters, *CATALOGUE["attached_lift"].parameters, own]
+    assert ordered(["sigma", "CLa", "k", "e"], known) == ["e", "k", "CLa", "sigma"]
 
 
 @pytest.mark.parametrize("loses", [-1.5, -2.0])

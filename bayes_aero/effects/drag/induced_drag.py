@@ -4,7 +4,7 @@ import math
 
 from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
-from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.parameter import Limits, Parameter, Prior
 
 
 def increments(v, s, a, known):
@@ -31,6 +31,8 @@ EFFECT = Effect(
                 "around 0.8 for a transport; our choice",
             ),
             (0.05, 10.0),
+            limits=Limits(0.0, 1.5, "no wing has so little induced drag"),
+            place=12,
         ),
     ),
     channels=("alpha",),

@@ -14,7 +14,9 @@ EFFECT = Effect(
     kind=Kind.AERODYNAMICS,
     stage=Stage.ATTACHED,
     claim="The lift-curve slope changes with Mach number.",
-    parameters=(Parameter("CLaM", "1/rad", 0.0, 0.0, "lift-curve slope per Mach number", Prior("normal", 0.0, 15.0)),),
+    parameters=(
+        Parameter("CLaM", "1/rad", 0.0, 0.0, "lift-curve slope per Mach number", Prior("normal", 0.0, 15.0), place=23),
+    ),
     channels=("alpha", "mach"),
     increments=increments,
     example=Example({"CLaM": 9.0}, {"alpha": 0.1, "mach": 0.3}, {"CL_attached": 0.27}, "9 x 0.3 x 0.1, by hand"),

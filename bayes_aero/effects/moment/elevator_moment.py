@@ -1,7 +1,7 @@
 """The elevator: pitching moment, and the tail lift that goes with it by geometry."""
 
 from bayes_aero.effect import Effect, Example, Kind, Stage
-from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.parameter import Parameter, Prior, Sign
 
 
 def increments(v, s, a, known):
@@ -15,7 +15,18 @@ EFFECT = Effect(
     kind=Kind.AERODYNAMICS,
     stage=Stage.ATTACHED,
     claim="The elevator pitches the aircraft (trailing edge down is positive, so Cmde < 0).",
-    parameters=(Parameter("Cmde", "1/rad", 0.0, -0.8, "elevator effectiveness", Prior("normal", -0.8, 1.0)),),
+    parameters=(
+        Parameter(
+            "Cmde",
+            "1/rad",
+            0.0,
+            -0.8,
+            "elevator effectiveness",
+            Prior("normal", -0.8, 1.0),
+            sign=Sign(-1, "elevator", "a positive deflection (trailing edge down) would pitch the nose up"),
+            place=34,
+        ),
+    ),
     channels=("elevator",),
     increments=increments,
     example=Example(

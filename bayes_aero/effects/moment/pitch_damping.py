@@ -1,7 +1,9 @@
 """Pitch damping."""
 
+from math import inf
+
 from bayes_aero.effect import Effect, Example, Kind, Stage
-from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.parameter import Limits, Parameter, Prior
 from bayes_aero.physics.rates import reduced
 
 
@@ -16,7 +18,17 @@ EFFECT = Effect(
     stage=Stage.ATTACHED,
     claim="Pitch rate is damped by a pitching moment.",
     parameters=(
-        Parameter("Cmq", "1", 0.0, -8.0, "pitch damping, per q c/V", Prior("normal", -8.0, 10.0), per_rate=True),
+        Parameter(
+            "Cmq",
+            "1",
+            0.0,
+            -8.0,
+            "pitch damping, per q c/V",
+            Prior("normal", -8.0, 10.0),
+            per_rate=True,
+            limits=Limits(-inf, 0.0, "pitch rate would not be damped"),
+            place=33,
+        ),
     ),
     channels=("q", "airspeed"),
     increments=increments,

@@ -15,8 +15,10 @@ EFFECT = Effect(
     stage=Stage.ATTACHED,
     claim="The aircraft has a static pitching moment that changes linearly with the angle of attack.",
     parameters=(
-        Parameter("Cm0", "1", 0.0, 0.05, "pitching moment at zero angle of attack", Prior("normal", 0.0, 0.2)),
-        Parameter("Cma", "1/rad", 0.0, -0.5, "static stability", Prior("normal", -0.5, 1.0)),
+        Parameter(
+            "Cm0", "1", 0.0, 0.05, "pitching moment at zero angle of attack", Prior("normal", 0.0, 0.2), place=31
+        ),
+        Parameter("Cma", "1/rad", 0.0, -0.5, "static stability", Prior("normal", -0.5, 1.0), place=32),
     ),
     channels=("alpha",),
     increments=increments,

@@ -3,7 +3,7 @@
 import math
 
 from bayes_aero.effect import Effect, Example, Kind, Stage
-from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.parameter import Parameter, Prior, Role
 from bayes_aero.physics.separation import separation_point
 
 ATTACHED = 10.0  # rad; so far above any angle of attack that X is 1 to the last bit
@@ -33,6 +33,8 @@ EFFECT = Effect(
                 "a factor of four either way with 95 %; our choice",
             ),
             (1.0, 200.0),
+            role=Role.ABRUPTNESS,
+            place=41,
         ),
         Parameter(
             "alpha_star",
@@ -42,6 +44,8 @@ EFFECT = Effect(
             "angle of attack at which X = 1/2",
             Prior("normal", 0.3, 0.1, "stall of a transport between 10 and 25 deg; our choice"),
             (0.0, 1.0),
+            role=Role.BREAK_ANGLE,
+            place=42,
         ),
     ),
     channels=("alpha",),

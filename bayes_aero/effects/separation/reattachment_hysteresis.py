@@ -24,6 +24,7 @@ EFFECT = Effect(
             "quasi-steady hysteresis time, chords travelled",
             Prior("normal", 15.0, 15.0, "minus 15 to 45 chords with 95 %; our choice"),
             (-50.0, 200.0),
+            place=44,
         ),
     ),
     channels=("alpha_dot", "airspeed"),

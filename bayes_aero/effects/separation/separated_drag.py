@@ -14,7 +14,7 @@ EFFECT = Effect(
     kind=Kind.AERODYNAMICS,
     stage=Stage.TOTAL,
     claim="Separated flow adds drag.",
-    parameters=(Parameter("CDX", "1", 0.0, 0.05, "drag of fully separated flow", Prior("normal", 0.1, 0.2)),),
+    parameters=(Parameter("CDX", "1", 0.0, 0.05, "drag of fully separated flow", Prior("normal", 0.1, 0.2), place=13),),
     channels=("alpha",),
     increments=increments,
     example=Example({"CDX": 0.08}, {"alpha": 0.2}, {"CD": 0.06}, "0.08 x (1 - 1/4), by hand", known={"X": 0.25}),

@@ -15,7 +15,9 @@ EFFECT = Effect(
     stage=Stage.TOTAL,
     claim="Separated flow pitches the aircraft.",
     parameters=(
-        Parameter("CmX", "1", 0.0, -0.1, "pitching moment of fully separated flow", Prior("normal", -0.1, 0.3)),
+        Parameter(
+            "CmX", "1", 0.0, -0.1, "pitching moment of fully separated flow", Prior("normal", -0.1, 0.3), place=35
+        ),
     ),
     channels=("alpha",),
     increments=increments,

@@ -1,7 +1,7 @@
 """The separation point follows its static value with a lag."""
 
 from bayes_aero.effect import Effect, Example, Kind, Stage
-from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.parameter import Parameter, Prior, Role
 from bayes_aero.physics.separation import lagged
 
 
@@ -25,6 +25,8 @@ EFFECT = Effect(
             "lag of the separation point, chords travelled",
             Prior("halfnormal", 0.0, 15.0, "up to some thirty chords; our choice"),
             (0.0, 200.0),
+            role=Role.LAG,
+            place=43,
         ),
     ),
     channels=("airspeed",),

@@ -56,7 +56,7 @@ def significant(value: float, sd: float) -> str:
 @housed
 def forest(identification: Identification) -> Figure:
     """Every parameter by every method, with 95 % intervals and numbers; one panel per parameter, in its own unit."""
-    names = ordered(identification.mle.names)
+    names = ordered(identification.mle.names, identification.mle.parameters)
     table = {name: _rows(identification, name) for name in names}
     labels = list(dict.fromkeys(row.label for rows in table.values() for row in rows))
     columns = min(2, len(names))  # three would not be legible on a page
@@ -92,7 +92,7 @@ def _forest_panel(ax: Axes, rows: list[_Row], labels: list[str], *, first: bool)
 @housed
 def crb_vs_credible(identification: Identification) -> Figure:
     """Each method's standard deviation over the Cramer-Rao one, on a log axis, and the scatter between manoeuvres."""
-    names = ordered(identification.mle.names)
+    names = ordered(identification.mle.names, identification.mle.parameters)
     found = methods(identification)
     crb, others = found[0], found[1:]
     if not all(np.isfinite(e.sd) for e in crb.estimates.values()):

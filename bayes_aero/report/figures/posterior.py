@@ -65,7 +65,7 @@ def _title(identification: Identification, engine: str, what: str) -> str:
 
 def _trace(identification: Identification, engine: str) -> Figure:
     posterior = _posterior(identification, engine)
-    names = ordered(posterior.names)
+    names = ordered(posterior.names, identification.mle.parameters)
     tree = _thinned(posterior, names, TRACE_DRAWS)
     figure = _draw(
         "trace",
@@ -89,7 +89,7 @@ def _trace(identification: Identification, engine: str) -> Figure:
 
 def _rank(identification: Identification, engine: str) -> Figure:
     posterior = _posterior(identification, engine)
-    names = ordered(posterior.names)
+    names = ordered(posterior.names, identification.mle.parameters)
     independent = min(m.ess_bulk for m in posterior.marginals.values())
     chains = posterior.tree["posterior"].sizes["chain"]
     tree = _thinned(posterior, names, min(RANK_DRAWS, max(50, int(independent / chains))))
@@ -137,7 +137,7 @@ def pair(identification: Identification) -> Figure:
     if not engines:
         raise NotDrawn("this run has no posterior")
     engine, posterior = next(iter(engines.items()))
-    names = ordered(n for n in posterior.names if n in identification.mle.names)
+    names = ordered((n for n in posterior.names if n in identification.mle.names), identification.mle.parameters)
     if len(names) < 2:
         raise NotDrawn("a pair plot needs two parameters")
     tree = _thinned(posterior, names, PAIR_DRAWS)

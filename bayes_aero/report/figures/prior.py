@@ -42,7 +42,7 @@ def prior_posterior(identification: Identification) -> Figure:
         raise NotDrawn("this run has no posterior")
     parameters = {p.name: p for p in (*identification.model.free, *Noise(identification.noise).parameters)}
     first = next(iter(chosen_posteriors(identification).values()))
-    names = ordered(n for n in first.names if n in parameters)
+    names = ordered((n for n in first.names if n in parameters), parameters.values())
     figure, axes = grid_of(len(names), 4, (3.6, 2.15))
     for number, (ax, name) in enumerate(zip(axes, names, strict=True)):
         _prior_panel(ax, parameters[name], shown)

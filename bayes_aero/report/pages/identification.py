@@ -178,7 +178,7 @@ def _stall(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
 
 
 def _parameters(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
-    names = ordered(run.mle.names)
+    names = ordered(run.mle.names, run.mle.parameters)
     pictures = [*gallery("crb_vs_credible"), *gallery("forest")]  # the high one last: printed, it needs its own sheet
     single = page_tables.each_alone(run)
     return (

@@ -31,7 +31,7 @@ def left_out(identification: Identification) -> list[str]:
 
 def between_manoeuvres(identification: Identification, limit: float) -> list[str]:
     """Sentences on differences beyond `limit` standard errors; none if the intervals explain them."""
-    names = ordered(identification.mle.names)
+    names = ordered(identification.mle.names, identification.mle.parameters)
     compared = [n for n in names if len(alone(identification, n)) > 1]
     beyond = {
         label: {n: z for n in compared if (z := _largest(identification, n, kind)[0]) > limit}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import combinations
@@ -9,15 +10,11 @@ from itertools import combinations
 import numpy as np
 
 from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.likelihood.mle import MleResult, MleStatus
+from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.model.noise import Colour
+from bayes_aero.parameter import Parameter
 
-ORDER = (
-    *("CD0", "e", "CDX", "CL0", "CLa", "CLaM"),
-    *("Cm0", "Cma", "Cmq", "Cmde", "CmX"),
-    *("a1", "alpha_star", "tau1", "tau2"),
-)
 NORMAL95 = 1.959964
 ENGINES = {"emcee": "emcee", "nuts": "NUTS"}
 NOISES = {"ar1": "AR(1)", "buffet-ar1": "AR(1) with buffet"}
@@ -58,16 +55,16 @@ class Scatter:
     in_crb: float
 
 
-def ordered(names: Iterable[str]) -> list[str]:
-    """Names in the canonical order, unknown ones behind as they come."""
-    given = list(names)
-    return [n for n in ORDER if n in given] + [n for n in given if n not in ORDER]
+def ordered(names: Iterable[str], parameters: Iterable[Parameter]) -> list[str]:
+    """Names by the place that their parameters declare, those without one behind as they come."""
+    places = {p.name: p.place for p in parameters if p.place is not None}
+    return sorted(names, key=lambda name: places.get(name, math.inf))
 
 
 def flown(identification: Identification) -> list[str]:
     """Fitted parameters of which it is known with what value the records were simulated; none of real records."""
     truth = identification.truth or {}
-    return [name for name in ordered(identification.mle.names) if name in truth]
+    return [name for name in ordered(identification.mle.names, identification.mle.parameters) if name in truth]
 
 
 def unit_of(identification: Identification, name: str) -> str:

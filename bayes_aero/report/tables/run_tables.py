@@ -44,7 +44,7 @@ def parameter_table(identification: Identification) -> pd.DataFrame:
     """The model's parameters as rows; by every method, SI and radians. Methods not (yet) run have no columns."""
     mle = identification.mle
     rows = {}
-    for name in ordered(mle.names):
+    for name in ordered(mle.names, mle.parameters):
         i = mle.names.index(name)
         row: dict[str, Any] = {
             "unit": mle.units[i],
@@ -182,7 +182,7 @@ def terminal_table(identification: Identification) -> Table:
     table.add_column("unit", no_wrap=True)
     for head, _ in columns:
         table.add_column(head, justify="right", overflow="fold", max_width=12)
-    for name in ordered(mle.names):
+    for name in ordered(mle.names, mle.parameters):
         table.add_row(name, mle.units[mle.names.index(name)], *(cell(name) for _, cell in columns))
     return table
 

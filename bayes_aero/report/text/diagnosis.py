@@ -43,7 +43,10 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
     return [
         verdict_sentence(d),
         *tested_sentences(d),
-        *sign_sentences({name: (after, sd) for name, (_, after, sd) in d.base_moves.items()}),
+        *sign_sentences(
+            {name: (after, sd) for name, (_, after, sd) in d.base_moves.items()},
+            d.aerodynamics.state.full.model.parameters,
+        ),
         *(_cause(cause) for cause in d.causes),
         *_taken_over(d),
         *_together(d),

@@ -173,7 +173,7 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "") -> list[str]:
         told = several(f"{SYMBOLS.get(name, name)} {short(times)} times" for name, times in swollen.items())
         said.append(f"Residuals grow where the flow has separated ({told}): these samples have less weight.")
     estimates = zip(fit.names, fit.estimate, fit.sd_corrected, strict=True)
-    said += sign_sentences({name: (float(value), float(sd)) for name, value, sd in estimates})
+    said += sign_sentences({name: (float(value), float(sd)) for name, value, sd in estimates}, fit.parameters)
     if fit.held and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         said.append(f"The trajectories contain little information on {several(fit.held)}; the prior decides.")
     if fit.undetermined and flown.converged:

@@ -36,7 +36,8 @@ MEANS, SDS = 0.2, 0.15  # engines agree when means are this close in sd, and sds
 def verdict(identification: Identification) -> list[str]:
     """The findings of the run, one sentence or two each; missing parts of the run are omitted."""
     mle = identification.mle
-    signs = sign_sentences({n: (v, sd) for n, v, sd in zip(mle.names, mle.estimate, mle.crb_corrected, strict=True)})
+    estimates = {n: (v, sd) for n, v, sd in zip(mle.names, mle.estimate, mle.crb_corrected, strict=True)}
+    signs = sign_sentences(estimates, mle.parameters)
     if not (usable(mle) and np.all(np.isfinite([*mle.crb, *mle.crb_corrected]))):
         return [
             *signs,
@@ -132,7 +133,7 @@ def disputed(identification: Identification) -> dict[str, float]:
     corrected, posterior = found["crb_corrected"].estimates, found[next(iter(engines))].estimates
     start = found["crb"].estimates
     apart = {n: abs(e.centre - start[n].centre) / np.hypot(e.sd, corrected[n].sd) for n, e in posterior.items()}
-    return {n: float(apart[n]) for n in ordered(apart) if apart[n] > LIMIT}
+    return {n: float(apart[n]) for n in ordered(apart, identification.mle.parameters) if apart[n] > LIMIT}
 
 
 def _noise_model(identification: Identification) -> list[str]:

@@ -3,37 +3,34 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+
+from bayes_aero.parameter import Parameter
 
 SURE = 3.0  # standard errors from zero
-EXPECTED = {
-    "Cmde": (-1.0, "elevator", "a positive deflection (trailing edge down) would pitch the nose up"),
-    "CLa": (1.0, "az or alpha", "lift would decrease with the angle of attack"),
-}
-"""Sign by parameter, the channel to suspect, and what the other sign would mean (axes of ISO 1151)."""
-IMPOSSIBLE = {
-    "CD0": (0.0, math.inf, "drag without lift cannot be negative"),
-    "e": (0.0, 1.5, "no wing has so little induced drag"),
-    "CLa": (-math.inf, 4.0 * math.pi, "it is more than twice the value of a thin aerofoil of infinite span, 2 pi"),
-    "Cmq": (-math.inf, 0.0, "pitch rate would not be damped"),
-}
-"""Lowest and highest value by parameter, and why there is none beyond."""
 
 
-def sign_sentences(estimates: Mapping[str, tuple[float, float]]) -> list[str]:
-    """A sentence for every estimate (value, standard error) that is significantly on the wrong side of zero."""
+def sign_sentences(estimates: Mapping[str, tuple[float, float]], parameters: Iterable[Parameter]) -> list[str]:
+    """A sentence for every estimate that no aircraft has.
+
+    Args:
+        estimates: value and standard error by name, in SI.
+        parameters: what the effects declare of their sign and limits.
+    """
+    asked = [(p, *estimates[p.name]) for p in parameters if p.name in estimates]
     wrong = [
-        f"{name} = {estimates[name][0]:+.4g} has the wrong sign: {meaning}. If the sign of {channel} is reversed "
+        f"{p.name} = {value:+.4g} has the wrong sign: {p.sign.otherwise}. If the sign of {p.sign.channel} is reversed "
         f"in the file, "
         "write sign = -1 at that channel on the card."
-        for name, (sign, channel, meaning) in EXPECTED.items()
-        if name in estimates and sign * estimates[name][0] < -SURE * estimates[name][1]
+        for p, value, deviation in asked
+        if p.sign is not None and p.sign.side * value < -SURE * deviation
     ]
     return wrong + [
-        f"{name} = {estimates[name][0]:.4g} is impossible: {why}. Do not use these numbers. Look for a faulty channel "
+        f"{p.name} = {value:.4g} is impossible: {p.limits.reason}. Do not use these numbers. Look for a faulty channel "
         "(bayes-aero check), or for a record that is too short or contains too little excitation."
-        for name, (low, high, why) in IMPOSSIBLE.items()
-        if name in estimates and (_beyond(low, *estimates[name], -1.0) or _beyond(high, *estimates[name], 1.0))
+        for p, value, deviation in asked
+        if p.limits is not None
+        and (_beyond(p.limits.low, value, deviation, -1.0) or _beyond(p.limits.high, value, deviation, 1.0))
     ]
 
 

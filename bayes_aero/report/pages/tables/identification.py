@@ -41,7 +41,7 @@ def parameters(identification: Identification) -> Table:
         groups.append(("manoeuvres fitted alone", 2))
         head += ["scatter\n(sd)", "largest\ndifference"]
     rows = []
-    for name in ordered(mle.names):
+    for name in ordered(mle.names, mle.parameters):
         row = [_with_unit(identification, name)]
         if truth is not None:
             row.append(f"{truth[name]:.4g}" if name in truth else "–")
@@ -69,7 +69,7 @@ def each_alone(identification: Identification) -> Table | None:
     if not 1 < len(names) <= MANOEUVRES_SHOWN:
         return None
     rows = []
-    for name in ordered(identification.mle.names):
+    for name in ordered(identification.mle.names, identification.mle.parameters):
         own = alone(identification, name)
         cells = (_pm(Estimate.normal(own[m][0], own[m][1])) if m in own else "–" for m in names)
         rows.append((_with_unit(identification, name), *cells))
@@ -120,7 +120,7 @@ def samplers(identification: Identification) -> list[Table]:
         label = f"{engine_label(posterior.engine)}, {noise_label(posterior.noise)} noise"
         rows = [
             (n, f"{m.rhat:.4f}", f"{m.ess_bulk:.0f}", f"{m.ess_tail:.0f}")
-            for n, m in ((n, posterior.marginals[n]) for n in ordered(posterior.names))
+            for n, m in ((n, posterior.marginals[n]) for n in ordered(posterior.names, identification.mle.parameters))
         ]
         note = f"Status: {posterior.status.value}. Targets: R-hat at most 1.01, both sample sizes at least 400."
         if key == "nuts":
