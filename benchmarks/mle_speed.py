@@ -15,7 +15,8 @@ import numpy as np
 from reference import Reference, agree, load
 from scipy.optimize import least_squares
 
-from bayes_aero.inference.likelihood.mle import MleStatus, descend, fit_mle
+from bayes_aero.inference.likelihood.mle import descend, fit_mle
+from bayes_aero.inference.likelihood.mle_result import MleStatus
 
 SAME_OPTIMUM = 1e-2  # Cramer-Rao deviations: how near both must end
 SOLVERS = {"trf": {"method": "trf", "x_scale": "jac"}, "lm": {"method": "lm", "x_scale": "jac"}}

@@ -21,7 +21,8 @@ from bayes_aero.errors import InputError
 from bayes_aero.inference.gp import GPFit, Priors, fit_gp
 from bayes_aero.inference.gp.fit import MAX_SAMPLES, too_many
 from bayes_aero.inference.identification import GPReport, Validation
-from bayes_aero.inference.likelihood.mle import MleResult, fit_mle
+from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.inference.parent_watchdog import leave_with
 from bayes_aero.inference.scores import score
 from bayes_aero.inference.splits import BLOCK_SECONDS, Split, SplitKind, make_splits, too_short

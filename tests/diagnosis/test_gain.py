@@ -9,7 +9,8 @@ from scipy.signal import lfilter
 from test_mixing import part
 
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.selection.cross_validation import LeftOut, compared, deviation_of_sum
+from bayes_aero.diagnosis.selection.cross_validation import LeftOut, deviation_of_sum
+from bayes_aero.diagnosis.view.holdout import compared
 
 LENGTHS = (600, 400)
 

@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.inference.likelihood.mle import MleStatus, descend, fit_mle
+from bayes_aero.inference.likelihood.mle import descend, fit_mle
+from bayes_aero.inference.likelihood.mle_result import MleStatus
 from bayes_aero.inference.variance.coloured_bounds import corrected_covariance
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import bayes_aero as ba
-from bayes_aero.inference.likelihood.mle import MleStatus, fit_mle
+from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.likelihood.mle_result import MleStatus
 from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
 from bayes_aero.model.density import Density
 from bayes_aero.model.noise import Colour, Noise

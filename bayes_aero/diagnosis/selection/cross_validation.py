@@ -108,40 +108,6 @@ def holdout_gain(before: LeftOut, after: LeftOut, state: SelectionState) -> tupl
     return float(difference.sum()), deviation_of_sum(difference, lengths)
 
 
-@dataclass(frozen=True)
-class Compared:
-    """What one model gains on another in one coefficient of one manoeuvre, unseen; each with its deviation.
-
-    `elpd`: log density, nats, the colour's cost counted, where noise grows with separated flow as it was found to.
-    `r2`: difference of R2, which weighs every sample alike and so hangs on the few of the deepest stall.
-    """
-
-    elpd: float
-    elpd_sd: float
-    r2: float
-    r2_sd: float
-
-
-def compared(
-    before: LeftOut, after: LeftOut, state: SelectionState, measured: Float[np.ndarray, "m c"], manoeuvre: int
-) -> dict[str, Compared]:
-    """`after` against `before` on one manoeuvre, by coefficient; its blocks' order and colour are kept."""
-    here = (state.responses.manoeuvre == manoeuvre) & before.inside
-    density = (after.densities() - before.densities())[here[before.inside]] / state.variance_inflation
-    total = np.sum((measured[here] - measured[here].mean(axis=0)) ** 2, axis=0)
-    squares = (before.residual[here] ** 2 - after.residual[here] ** 2) / total
-    n = len(density)
-    return {
-        name: Compared(
-            float(density[:, c].sum()),
-            deviation_of_sum(density[:, c], [n]),
-            float(squares[:, c].sum()),
-            deviation_of_sum(squares[:, c], [n]),
-        )
-        for c, name in enumerate(NAMES)
-    }
-
-
 def deviation_of_sum(values: Float[np.ndarray, " m"], lengths: Sequence[int]) -> float:
     """Standard deviation of the sum of a coloured series of constant mean, its stretches taken as independent.
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.selection.cross_validation import deviation_of_sum
-from bayes_aero.diagnosis.trajectories.time_histories import Path
+from bayes_aero.diagnosis.trajectories.results import Path
 
 
 @dataclass(frozen=True)

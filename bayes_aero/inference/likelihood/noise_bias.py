@@ -15,7 +15,8 @@ from jaxtyping import Float
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health.signals import noise_of
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.mle import MleResult, MleStatus, descend
+from bayes_aero.inference.likelihood.mle import descend
+from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Forming, observe
 

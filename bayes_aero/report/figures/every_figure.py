@@ -8,9 +8,9 @@ from typing import TypeVar
 
 from matplotlib.figure import Figure
 
+from bayes_aero.diagnosis.view.results import View
 from bayes_aero.errors import failure
 from bayes_aero.inference.identification import Identification
-from bayes_aero.report.diagnosis_view import View
 from bayes_aero.report.figures import comparison as figures_comparison
 from bayes_aero.report.figures import diagnosis as figures_diagnosis
 from bayes_aero.report.figures import found as figures_found

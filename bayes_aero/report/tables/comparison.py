@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.likelihood.mle import MleResult, MleStatus
+from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.model.noise import Colour
 
