@@ -26,6 +26,7 @@ from bayes_aero.api_results import Diagnosed, Fit
 from bayes_aero.diagnosis.consistency.consistency import consistency
 from bayes_aero.diagnosis.diagnose import diagnose as run_diagnosis
 from bayes_aero.diagnosis.settings import DiagnosisSettings
+from bayes_aero.diagnosis.view.models import view_of
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card, read_card
@@ -38,6 +39,7 @@ from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
 from bayes_aero.inference.posterior.ensemble import sample_ensemble
 from bayes_aero.inference.posterior.laplace import density_start, other_modes, search_modes
 from bayes_aero.inference.posterior.nuts import sample_nuts
+from bayes_aero.inference.posterior.pit import pit_of
 from bayes_aero.inference.splits import SplitKind
 from bayes_aero.inference.validation import validate
 from bayes_aero.jobs.steps.spike_repair import repaired
@@ -46,7 +48,6 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.noise import DEFAULT as DEFAULT_NOISE
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Forming, observe
-from bayes_aero.report.diagnosis_view import view_of
 
 __all__ = ["Diagnosed", "Fit", "diagnose", "fit", "gpr", "plot", "read", "sample"]
 
@@ -170,7 +171,8 @@ def sample(fit: Fit, *, engine: Engine = "emcee", noise: NoiseName = "buffet-ar1
     posterior = ENGINES[engine](density, mode, seed=seed)
     posteriors = run.posteriors | {"white" if beside else engine: posterior}
     notes = (*run.notes, *other_modes(mode, f"{engine}, {colour.value} noise"))
-    return Fit(replace(run, noise=run.noise if beside else colour, posteriors=posteriors, notes=notes))
+    run = replace(run, noise=run.noise if beside else colour, posteriors=posteriors, notes=notes)
+    return Fit(replace(run, pit=pit_of(run)))
 
 
 def gpr(fit: Fit, *, split: SplitKind = "random", sample: bool = True, approximate: bool = False, seed: int = 0) -> Fit:

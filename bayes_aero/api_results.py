@@ -9,17 +9,17 @@ from typing import TypeVar
 import pandas as pd
 from matplotlib.figure import Figure
 
+from bayes_aero.diagnosis.view.holdout import holdout_scores
+from bayes_aero.diagnosis.view.results import DiagnosisView, View
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.jobs.steps.post_diagnosis import predictors
-from bayes_aero.report.diagnosis_view import DiagnosisView, View
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES
 from bayes_aero.report.style import NotDrawn
-from bayes_aero.report.tables.diagnosis_tables import causes_frame, screen_frame
-from bayes_aero.report.tables.holdout_scores import scores_frame
+from bayes_aero.report.tables.diagnosis_tables import causes_frame, scores_frame, screen_frame
 from bayes_aero.report.tables.run_tables import parameter_table, validation_table
 from bayes_aero.report.text.consistency import consistency_sentences
 from bayes_aero.report.text.diagnosis import sentences
@@ -132,7 +132,7 @@ class Diagnosed:
         Returns:
             A row per model, data (`fitted` or hold-out, `unseen`), manoeuvre and coefficient.
         """
-        return scores_frame(self._coefficients)
+        return scores_frame(holdout_scores(self._coefficients))
 
     def predictors(self) -> pd.DataFrame:
         """Hold-out scores of four predictors; takes half a minute.

@@ -18,9 +18,9 @@ import numpy as np
 from reference import WhitePosterior, agree, load
 
 from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.posterior.assembly import constrain_draws, diagnose
 from bayes_aero.inference.posterior.ensemble import sample_ensemble
 from bayes_aero.inference.posterior.laplace import density_start, find_mode
-from bayes_aero.inference.posterior.posterior import constrain_draws, diagnose
 from bayes_aero.model.density import Density
 from bayes_aero.model.noise import Colour, Noise
 

@@ -28,7 +28,8 @@ from bayes_aero.dynamics.segments import segments, simulate
 from bayes_aero.dynamics.system import integrate
 from bayes_aero.flight.card.card import parse_card, read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.output_error import OutputErrorStatus, fit_output_error, trajectories
+from bayes_aero.inference.likelihood.output_error import fit_output_error, trajectories
+from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Prior

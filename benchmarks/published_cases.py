@@ -17,7 +17,8 @@ import jax
 import numpy as np
 import scipy.io
 
-from bayes_aero.diagnosis.trajectories.trajectory_fit import Setting, fit_trajectories
+from bayes_aero.diagnosis.trajectories.results import Setting
+from bayes_aero.diagnosis.trajectories.trajectory_fit import fit_trajectories
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.linear import channel_units, linear_dynamics
 from bayes_aero.dynamics.longitudinal import FLIGHT

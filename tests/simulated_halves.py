@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from bayes_aero.diagnosis.selection.residuals import theil_parts
-from bayes_aero.diagnosis.trajectories.trajectories import Error, Estimates, Path, Trajectories
+from bayes_aero.diagnosis.trajectories.results import Error, Estimates, Path, Trajectories
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.output_error import OutputErrorStatus
+from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 
 
 def halves(record: FlightRecord) -> Trajectories:

@@ -20,6 +20,7 @@ from jaxtyping import Float, Int
 from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, autocorrelation_of
 from bayes_aero.diagnosis.screening.regression import inverse
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
+from bayes_aero.diagnosis.settings import ENOUGH
 from bayes_aero.dynamics.manoeuvres import MOVED, fly_standard
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
@@ -32,7 +33,6 @@ from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.residuals.equation_error import EquationError
 
 BEGINNING = 2.0  # s of the record whose means are the flight condition
-ENOUGH = 3.0  # deviations by which effects must differ for a manoeuvre to separate them
 
 Pair = tuple[str, str]
 

@@ -10,7 +10,6 @@ import numpy as np
 from bayes_aero.diagnosis.result import Cause, Diagnosis, Gain, Tested, UnexplainedStructure, verdict_of
 from bayes_aero.diagnosis.screening.screening import CandidateScore, screen
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
-from bayes_aero.diagnosis.search_result import SearchResult, lacking
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation, confirmation
 from bayes_aero.diagnosis.selection.collinear import CancellingPair, cancelling
 from bayes_aero.diagnosis.selection.cross_validation import (
@@ -23,6 +22,7 @@ from bayes_aero.diagnosis.selection.cross_validation import (
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, implausible, own_share
 from bayes_aero.diagnosis.selection.search_coefficients import search_coefficients
+from bayes_aero.diagnosis.selection.search_result import SearchResult, lacking
 from bayes_aero.diagnosis.selection.search_trajectories import search_trajectories
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.effect import Effect

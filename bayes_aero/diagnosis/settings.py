@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+ENOUGH = 3.0  # deviations by which effects must differ for a manoeuvre to separate them
+
 
 @dataclass(frozen=True)
 class DiagnosisSettings:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -16,7 +19,6 @@ from bayes_aero.inference.gp import GPFit
 from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.scores import Scores
-from bayes_aero.inference.stall import Stall
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour
 from bayes_aero.model.observations import Forming, Observations
@@ -60,12 +62,77 @@ class GPReport:
 
 
 @dataclass(frozen=True)
+class Interval:
+    """Median and equal-tailed 95 % interval."""
+
+    median: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Stall:
+    """The steady stall of one model. Angles in rad, rates in rad/s; bands are the 2.5, 50 and 97.5 % quantiles.
+
+    `CL_max` and `alpha_max` are over all draws. `at_edge` is the share of draws whose maximum is the first or last
+    angle flown: the true one lies beyond, so `CL_max` is then only a lower limit.
+    """
+
+    alpha: Float[np.ndarray, " g"]
+    CL: Float[np.ndarray, "3 g"]
+    CD: Float[np.ndarray, "3 g"]
+    rates: Float[np.ndarray, " r"]
+    X: Float[np.ndarray, "r 3 g"]  # over alpha, at each alpha-dot of `rates`
+    CL_max: Interval
+    alpha_max: Interval
+    at_edge: float
+    reference: Mapping[str, float]
+
+    def numbers(self) -> dict[str, Any]:
+        """CLmax, its angle (rad) and the share at the edge, for a file."""
+        pairs = (("CL_max", self.CL_max), ("alpha_max", self.alpha_max))
+        return {name: {"median": i.median, "ci95": [i.low, i.high]} for name, i in pairs} | {"at_edge": self.at_edge}
+
+    @property
+    def seen(self) -> bool:
+        """Whether the maximum lies inside the angles flown for (nearly) every draw."""
+        return self.at_edge < 0.025
+
+
+@dataclass(frozen=True)
+class Histogram:
+    """Bars of density 1 where values are uniform, and the band that all of them keep to if these are independent."""
+
+    edges: Float[np.ndarray, " b1"]
+    height: Float[np.ndarray, " b"]
+    lower: float
+    upper: float
+
+    @property
+    def outside(self) -> int:
+        """How many bars leave the band."""
+        return int(np.sum((self.height < self.lower) | (self.height > self.upper)))
+
+
+@dataclass(frozen=True)
+class PitResult:
+    """Probability integral transform (n,) of each coefficient by the first posterior: values, bars, correlation of
+    neighbours."""
+
+    engine: str
+    values: Float[np.ndarray, "n 3"]
+    bars: tuple[Histogram, ...]
+    correlation: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class Identification:
     """One run on one set of records.
 
     `alone` holds the maximum-likelihood fit of each manoeuvre by itself. `posteriors` has `emcee` and `nuts` under
-    the chosen noise model `noise`, and `white`, by emcee, where that is another one. `stall` is over the draws of the
-    first of them. `preparation` tells, in words, what the way the coefficients were formed does to the estimates.
+    the chosen noise model `noise`, and `white`, by emcee, where that is another one. `stall` and `pit` are over the
+    draws of the first of them. `preparation` tells, in words, what the way the coefficients were formed does to the
+    estimates.
     `forming` is how. `health` is what is wrong with the records' channels, and `consistency` whether the sensors agree.
     `failures` has a sentence on each part that failed unexpectedly. `truth` has the parameters (SI and radians) that
     simulated records were flown with.
@@ -81,6 +148,7 @@ class Identification:
     posteriors: dict[str, Posterior]
     gp: GPReport | None = None
     stall: Stall | None = None
+    pit: PitResult | None = None
     notes: tuple[str, ...] = ()
     failures: tuple[str, ...] = ()
     health: tuple[HealthFinding, ...] = ()
@@ -89,3 +157,9 @@ class Identification:
     truth: Mapping[str, float] | None = None
     seconds: dict[str, float] = field(default_factory=dict)
     forming: Forming = Forming.MATCHED
+
+    @cached_property
+    def fitted(self) -> Float[np.ndarray, "n 3"]:
+        """CL, CD, Cm of the maximum-likelihood fit at every sample."""
+        o = self.observations
+        return np.asarray(self.model.coefficients(jnp.asarray(self.mle.estimate), o.signals, o.aircraft))

@@ -7,7 +7,6 @@ sought over the angles that were flown; where it lies at their edge the record d
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
@@ -18,6 +17,7 @@ from jaxtyping import Array, Float
 
 from bayes_aero.dynamics.steady import conditions, steady_flow
 from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.inference.identification import Interval, Stall
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.model.model import Model
 
@@ -25,44 +25,6 @@ POINTS = 241  # angles: less than 0.1 deg apart over 20 deg, and the maximum is 
 DRAWS = 400
 LEVELS = (0.025, 0.5, 0.975)
 RATE_SHARES = (0.05, 0.95)  # quantiles of the recorded alpha-dot at which separation is shown beside the steady one
-
-
-@dataclass(frozen=True)
-class Interval:
-    """Median and equal-tailed 95 % interval."""
-
-    median: float
-    low: float
-    high: float
-
-
-@dataclass(frozen=True)
-class Stall:
-    """The steady stall of one model. Angles in rad, rates in rad/s; bands are the 2.5, 50 and 97.5 % quantiles.
-
-    `CL_max` and `alpha_max` are over all draws. `at_edge` is the share of draws whose maximum is the first or last
-    angle flown: the true one lies beyond, so `CL_max` is then only a lower limit.
-    """
-
-    alpha: Float[np.ndarray, " g"]
-    CL: Float[np.ndarray, "3 g"]
-    CD: Float[np.ndarray, "3 g"]
-    rates: Float[np.ndarray, " r"]
-    X: Float[np.ndarray, "r 3 g"]  # over alpha, at each alpha-dot of `rates`
-    CL_max: Interval
-    alpha_max: Interval
-    at_edge: float
-    reference: Mapping[str, float]
-
-    def numbers(self) -> dict[str, Any]:
-        """CLmax, its angle (rad) and the share at the edge, for a file."""
-        pairs = (("CL_max", self.CL_max), ("alpha_max", self.alpha_max))
-        return {name: {"median": i.median, "ci95": [i.low, i.high]} for name, i in pairs} | {"at_edge": self.at_edge}
-
-    @property
-    def seen(self) -> bool:
-        """Whether the maximum lies inside the angles flown for (nearly) every draw."""
-        return self.at_edge < 0.025
 
 
 def stall_of(model: Model, draws: Float[np.ndarray, "m k"], signals: Mapping[str, Any], aircraft: Aircraft) -> Stall:

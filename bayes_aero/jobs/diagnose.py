@@ -15,7 +15,9 @@ from bayes_aero.diagnosis.diagnose import diagnose, judged_on_held_out_flights
 from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.diagnosis.trajectories.noise_check import with_tested
-from bayes_aero.diagnosis.trajectories.trajectories import Trajectories
+from bayes_aero.diagnosis.trajectories.results import Trajectories
+from bayes_aero.diagnosis.view.models import view_of
+from bayes_aero.diagnosis.view.results import DiagnosisView
 from bayes_aero.dynamics.plant import flies
 from bayes_aero.effect import Kind
 from bayes_aero.effects import CATALOGUE
@@ -33,7 +35,6 @@ from bayes_aero.jobs.steps.background import in_background
 from bayes_aero.jobs.steps.post_processing import Predict, drawings, follow
 from bayes_aero.jobs.steps.sensors_first import sensors_agree
 from bayes_aero.model.model import Model
-from bayes_aero.report.diagnosis_view import DiagnosisView, view_of
 from bayes_aero.report.figures.every_figure import AFTER_TRAJECTORIES, DIAGNOSIS_FIGURES
 from bayes_aero.simulate.injection import draw_hidden, flyable
 

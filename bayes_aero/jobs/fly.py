@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.trajectories.fit_agreement import Disagreement, fit_disagreements
+from bayes_aero.diagnosis.trajectories.fit_agreement import fit_disagreements
+from bayes_aero.diagnosis.trajectories.results import FITTED, Disagreement, Setting, TrajectoryFit
 from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
-from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED, Setting, TrajectoryFit, fit_trajectories
+from bayes_aero.diagnosis.trajectories.trajectory_fit import fit_trajectories
 from bayes_aero.dynamics.flight import Dynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
@@ -27,7 +28,6 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
-from bayes_aero.inference.likelihood.normal_equations import departures
 from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.jobs.io.diagnosis_json import record_results
 from bayes_aero.jobs.io.health_json import health_results
@@ -188,7 +188,9 @@ def _written(
     if progress:
         progress("report", 0.95)
     shown = {path.stem: path for path in drawn}
-    told = FlyTold(card, records, source, found.sentences, found.notes, shown, found.consistency, found.failures)
+    told = FlyTold(
+        card, records, source, found.sentences, found.notes, shown, found.consistency, found.failures, found.health
+    )
     failed = put_page(lambda: fly_page(found.flown, told), out)
     return noted((), failed) if failed else found
 
@@ -266,8 +268,7 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
     fit = flown.fit
     states = fit.flown.dynamics.states
     units = {name: flown.units.get(name, "1") for name in states}
-    believed = flown.setting.priors and flown.setting.initial is None
-    beliefs = dict(zip(states, departures(fit.flown.dynamics), strict=True)) if believed else {}
+    beliefs = flown.departure_sd
     return {
         "schema": SCHEMA,
         "card": {"name": card.name, "title": card.title},

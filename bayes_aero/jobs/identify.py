@@ -14,23 +14,24 @@ from typing import Any
 import xarray as xr
 
 from bayes_aero.diagnosis.consistency.filter_mismatch import filter_mismatch_notes
-from bayes_aero.diagnosis.trajectories.time_histories import Path as Flown
+from bayes_aero.diagnosis.trajectories.results import Path as Flown
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.reading.common_rate import rate_notes
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.identification import Identification
+from bayes_aero.inference.identification import Identification, Stall
 from bayes_aero.inference.likelihood.mle import MOST_ALONE, fit_alone, fit_mle
 from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
 from bayes_aero.inference.posterior.checkpoint import Checkpoint
 from bayes_aero.inference.posterior.ensemble import sample_ensemble
 from bayes_aero.inference.posterior.laplace import density_start, other_modes, search_modes
 from bayes_aero.inference.posterior.nuts import sample_nuts
+from bayes_aero.inference.posterior.pit import pit_of
 from bayes_aero.inference.posterior.posterior import Posterior, PosteriorStatus
 from bayes_aero.inference.posterior.prior_sensitivity import prior_sensitivity
 from bayes_aero.inference.splits import SplitKind
-from bayes_aero.inference.stall import Stall, stall_of_posterior
+from bayes_aero.inference.stall import stall_of_posterior
 from bayes_aero.inference.validation import validate
 from bayes_aero.jobs.io.identification_json import results
 from bayes_aero.jobs.io.output_folder import writable
@@ -171,6 +172,8 @@ def identify(
     drawn: list[Path] = []
     if figures and out is not None:
         with _timed(seconds, "figures", progress):
+            pit, failed = trying("The probability integral transform was left out", partial(pit_of, run), None)
+            run = _with(replace(run, pit=pit), (), failed)
             drawn, failed = write_figures(run, out / "figures", progress=progress)
         run = _with(run, (), failed)
     writer.stage(run)

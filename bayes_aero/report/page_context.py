@@ -9,6 +9,7 @@ from typing import Any
 
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
 
 
@@ -26,3 +27,4 @@ class PageContext:
     notes: Sequence[str] = ()
     consistency: Consistency | None = None
     failures: Sequence[str] = ()  # parts that failed unexpectedly
+    health: Sequence[HealthFinding] = ()  # what is wrong with channels

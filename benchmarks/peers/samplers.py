@@ -121,7 +121,7 @@ def lmfit_emcee(problem: Problem, _: int, options: argparse.Namespace) -> Run:
 
 def worth(warm: list[tuple[float, Drawn]], names: tuple[str, ...]) -> dict:
     """Medians over the runs of the least ESS and of its rates; the worst R-hat; means, to see that they agree."""
-    from bayes_aero.inference.posterior.posterior import diagnose
+    from bayes_aero.inference.posterior.assembly import diagnose
 
     ess, rate, free, rhat = [], [], [], []
     for seconds, drawn in warm:

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import norm
 
 from bayes_aero.diagnosis.trajectories.log_score import HoldoutScore
-from bayes_aero.diagnosis.trajectories.time_histories import Path
+from bayes_aero.diagnosis.trajectories.results import Path
 from bayes_aero.report.figures.diagnosis import autocorrelation, spectrum
 
 LENGTHS = (90, 91)  # the halves of a manoeuvre with an odd number of samples

@@ -9,8 +9,8 @@ import pytest
 
 from bayes_aero.diagnosis.candidate_set import candidate_model, lag_of
 from bayes_aero.diagnosis.trajectories.holdout_fits import CandidateFit, Noise, holdout_fits, left_out
-from bayes_aero.diagnosis.trajectories.lag_test import LagTest, confirmed, with_lag
-from bayes_aero.diagnosis.trajectories.time_histories import Path
+from bayes_aero.diagnosis.trajectories.lag_test import confirmed, with_lag
+from bayes_aero.diagnosis.trajectories.results import LagTest, Path
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import segments

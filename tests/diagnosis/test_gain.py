@@ -9,7 +9,8 @@ from scipy.signal import lfilter
 from test_mixing import part
 
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.selection.cross_validation import LeftOut, compared
+from bayes_aero.diagnosis.selection.cross_validation import LeftOut
+from bayes_aero.diagnosis.view.holdout import compared
 from bayes_aero.inference.variance.coloured_bounds import deviation_of_sum
 
 LENGTHS = (600, 400)

@@ -14,7 +14,7 @@ from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, s
 from scipy.linalg import expm
 
 from bayes_aero.diagnosis.candidate_set import candidate_model
-from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED
+from bayes_aero.diagnosis.trajectories.results import FITTED
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments

@@ -11,7 +11,8 @@ import pytest
 from scipy.stats import kstest, norm
 
 from bayes_aero.flight.card.card import read_card
-from bayes_aero.inference.posterior.pit import BAND, Histogram, histogram, neighbours, pit
+from bayes_aero.inference.identification import Histogram
+from bayes_aero.inference.posterior.pit import BAND, histogram, neighbours, pit
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise

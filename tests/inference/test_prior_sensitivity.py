@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.inference.posterior.posterior import assemble
+from bayes_aero.inference.posterior.assembly import assemble
 from bayes_aero.inference.posterior.prior_sensitivity import Leaning, prior_sensitivity
 from bayes_aero.model.log_density import LogDensity
 from bayes_aero.parameter import Parameter, Prior

@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 from simulated_halves import halves
 
+from bayes_aero.diagnosis.view.models import with_stalls
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.gp import GPFit
 from bayes_aero.inference.identification import GPReport, Identification, Validation
 from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
+from bayes_aero.inference.posterior.pit import pit_of
 from bayes_aero.inference.posterior.posterior import Marginal, Posterior, PosteriorStatus
 from bayes_aero.inference.scores import score
 from bayes_aero.inference.splits import make_splits
@@ -24,7 +26,6 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Observations
 from bayes_aero.physics.coefficients import NAMES
-from bayes_aero.report.diagnosis_view import with_stalls
 
 EFFECTS = ("attached_lift", "elevator_moment", "pitching_moment", "profile_drag")
 TRUTH = {"CL0": 0.2, "CLa": 4.0, "Cmde": -0.8, "Cm0": 0.05, "Cma": -0.5, "CD0": 0.04}
@@ -209,7 +210,7 @@ def build(
         )
         for key in engines
     }
-    return Identification(
+    run = Identification(
         card=read_card("attas"),
         model=model,
         records=records_of(o),
@@ -221,6 +222,7 @@ def build(
         stall=stall_of_posterior(model, next(iter(posteriors.values())), o.signals, o.aircraft) if posteriors else None,
         gp=gaussian_process(o, gp_errors or {"random": 0.001, "block": 0.001, "manoeuvre": 0.001}) if gp else None,
     )
+    return replace(run, pit=pit_of(run))
 
 
 @pytest.fixture(scope="session")

@@ -10,8 +10,7 @@ import numpy as np
 from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, short_period_flight
 
 from bayes_aero.diagnosis.selection.residuals import theil_parts
-from bayes_aero.diagnosis.trajectories.time_histories import Error, Path
-from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED, START, TrajectoryFit
+from bayes_aero.diagnosis.trajectories.results import FITTED, START, Error, Path, TrajectoryFit
 from bayes_aero.jobs.fly import Flight, fly
 
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15}

@@ -10,8 +10,8 @@ from matplotlib.image import imread
 
 from bayes_aero.diagnosis.result import UnexplainedStructure, Verdict
 from bayes_aero.diagnosis.screening.accuracy import sizes
+from bayes_aero.diagnosis.view.models import with_stalls
 from bayes_aero.physics.coefficients import NAMES
-from bayes_aero.report.diagnosis_view import composition, with_stalls
 from bayes_aero.report.figures.diagnosis import autocorrelation
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, draw_all
 from bayes_aero.report.figures.found import telling
@@ -106,7 +106,7 @@ def test_measured_is_the_same_line_before_and_after(diagnosed):
 def test_shares_of_the_mean_square_error_add_up(diagnosed):
     view = diagnosed.view
     for fitted in (view.card, view.extended):
-        for numbers in composition(view, fitted).values():
+        for numbers in fitted.composition.values():
             shares = [numbers[f"theil_{part}"] for part in ("bias", "variance", "covariance")]
             assert sum(shares) == pytest.approx(1.0)
             levels = [numbers["calibration"][level] for level in ("0.5", "0.9", "0.95")]
@@ -115,7 +115,7 @@ def test_shares_of_the_mean_square_error_add_up(diagnosed):
 
 def test_the_extension_explains_more(diagnosed):
     view = diagnosed.view
-    before, after = composition(view, view.card), composition(view, view.extended)
+    before, after = view.card.composition, view.extended.composition
     assert after["Cm"]["r2"] > before["Cm"]["r2"]
 
 

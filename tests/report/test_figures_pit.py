@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bayes_aero.inference.posterior.pit import pit_of
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.model.noise import Colour
-from bayes_aero.report.figures.pit import pit_histogram, pit_words, transformed
+from bayes_aero.report.figures.pit import pit_histogram, pit_words
 from bayes_aero.report.html.page import Fold, Picture
 from bayes_aero.report.pages.identification import identification_page
 from bayes_aero.report.style import NotDrawn, save
@@ -31,7 +32,8 @@ def certain(posterior: Posterior, **values: float) -> Posterior:
 
 def run_of(make, noise: Colour, **values: float):
     run = make(manoeuvres=2, gp=False, noise=noise, engines=("emcee",), width=1e-3)
-    return replace(run, posteriors={"emcee": certain(run.posteriors["emcee"], sigma=SIGMA, **values)})
+    run = replace(run, posteriors={"emcee": certain(run.posteriors["emcee"], sigma=SIGMA, **values)})
+    return replace(run, pit=pit_of(run))
 
 
 def test_one_step_ahead_under_coloured_noise(make):
@@ -40,7 +42,7 @@ def test_one_step_ahead_under_coloured_noise(make):
     assert "innovation" in caption
     assert "one-step-ahead" in alt
     assert "near enough to independence" in caption
-    t = transformed(run)
+    t = run.pit
     assert t.values.shape[1] == 3
     assert all(bars.outside == 0 for bars in t.bars)
 
@@ -51,7 +53,7 @@ def test_colour_that_the_noise_model_does_not_have_is_told(make):
     caption, alt = pit_words(run)
     assert "residuals of CL, CD and Cm are coloured" in caption
     assert "the band takes samples as independent, so it is too narrow" in caption
-    assert np.mean(transformed(run).correlation) == pytest.approx(-0.9 / 1.81, abs=0.15)
+    assert np.mean(run.pit.correlation) == pytest.approx(-0.9 / 1.81, abs=0.15)
     assert "Lag-1 correlation of neighbours: CL -0." in alt
 
 

@@ -13,12 +13,11 @@ import pytest
 import xarray as xr
 from PIL import Image
 
+from bayes_aero.diagnosis.view.results import DiagnosisView
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.jobs.provenance.provenance import provenance
-from bayes_aero.report.diagnosis_view import DiagnosisView
 from bayes_aero.report.figures.every_figure import FIGURES
-from bayes_aero.report.html import parts as page_parts
 from bayes_aero.report.html.page import Fold, Page, Picture, Plot, Table, Text, put_page, render, section, write_page
 from bayes_aero.report.html.pictures import Gallery, embedded
 from bayes_aero.report.html.plots import Line, Panel, extremes, linked
@@ -276,12 +275,10 @@ def by_trajectories(view: DiagnosisView) -> DiagnosisView:
     )
 
 
-def test_a_unit_that_cannot_be_is_the_first_word(diagnosed, flown, card, monkeypatch):
-    def in_knots(records, _):
-        return (HealthFinding(records[0].name, "airspeed", "unit", None, None, f"{len(records)} in knots", True),)
-
-    monkeypatch.setattr(page_parts, "channel_health", in_knots)
-    told = PageContext(card, diagnosed.records, provenance(card, diagnosed.records, 0, {}))
+def test_a_unit_that_cannot_be_is_the_first_word(diagnosed, flown, card):
+    said = f"{len(diagnosed.records)} in knots"
+    health = (HealthFinding(diagnosed.records[0].name, "airspeed", "unit", None, None, said, True),)
+    told = PageContext(card, diagnosed.records, provenance(card, diagnosed.records, 0, {}), health=health)
     for page in (diagnosis_page(flown, told), diagnosis_page(by_trajectories(flown), told)):
         assert page.doubts[0] == Text(f"{len(diagnosed.records)} in knots.", "warning")
         html = render(page)

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 from rich.console import Console
 
-from bayes_aero.diagnosis.selection.cross_validation import Compared
 from bayes_aero.diagnosis.settings import DEFAULT
+from bayes_aero.diagnosis.view.results import Compared, HoldoutScores
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.inference.likelihood.mle_result import MleStatus
 from bayes_aero.inference.scores import Scores
@@ -20,7 +19,6 @@ from bayes_aero.model.noise import Colour
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.report.pages.tables.diagnosis import by_manoeuvre
 from bayes_aero.report.tables.comparison import ordered, scatter
-from bayes_aero.report.tables.holdout_scores import HoldoutScores
 from bayes_aero.report.tables.run_tables import (
     concise,
     paper_table,
@@ -48,13 +46,9 @@ def test_a_parameter_of_the_users_effect_comes_where_it_says():
 def test_manoeuvres_are_compared_one_by_one_and_a_loss_beyond_chance_is_said(loses):
     gains = {(m, c): Compared(2.0, 1.0, 0.1, 0.05) for m in ("a", "b") for c in ("CL", "CD", "Cm")}
     gains["b", "CD"] = Compared(loses, 1.0, -0.012, 0.015)
-    scores = {c: Scores(0.9, 0.1, 0.1, 0.8) for c in ("CL", "CD", "Cm")}
-    left = {model: SimpleNamespace(residual=None) for model in ("card", "extended")}
-    unseen = object.__new__(HoldoutScores)
-    extended = SimpleNamespace(state=SimpleNamespace(settings=DEFAULT))
-    view = SimpleNamespace(names=("a", "b"), extended=extended)
-    unseen.__dict__.update(view=view, gains=gains, left=left, scores=lambda *_: scores)
-    table = by_manoeuvre(unseen)
+    one = {c: Scores(0.9, 0.1, 0.1, 0.8) for c in ("CL", "CD", "Cm")}
+    scores = {(model, "unseen", k): one for model in ("card", "extended") for k in range(2)}
+    table = by_manoeuvre(HoldoutScores(("a", "b"), scores, gains, DEFAULT.hold_out))
     assert [row[:2] for row in table.rows] == [(m, c) for m in ("a", "b") for c in ("CL", "CD", "Cm")]
     assert table.rows[4][2:] == ("0.800", "0.800", "-0.012 ± 0.015", f"{loses:+.1f} ± 1.0")
     assert ("significantly (one-sided, 5 %) for CD of b." in table.note) == (loses < -1.645)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from flown_samples import flight, with_offsets
 
-from bayes_aero.diagnosis.trajectories.fit_agreement import Disagreement
+from bayes_aero.diagnosis.trajectories.results import Disagreement
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences, outside
 

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
-from bayes_aero.diagnosis.trajectories.lag_test import LagTest
+from bayes_aero.diagnosis.trajectories.results import LagTest
 from bayes_aero.report.text.trajectories import cause_sentences, lag_sentences, simulation_gain
 
 

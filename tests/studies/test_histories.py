@@ -10,11 +10,10 @@ import pytest
 import xarray as xr
 from simulated_halves import halves
 
-from bayes_aero.diagnosis.trajectories.lag_test import LagTest
+from bayes_aero.diagnosis.trajectories.results import LagTest
 from bayes_aero.inference.scores import score
 from bayes_aero.jobs.io import time_histories as histories
 from bayes_aero.jobs.io.trajectories_json import _lag, _lag_of
-from bayes_aero.report.diagnosis_view import composition
 
 
 @pytest.fixture
@@ -30,7 +29,7 @@ def test_coefficients_give_the_scores_that_are_told(groups, diagnosed):
     flight = histories.flight_of(groups["coefficients"], record.name)
     assert np.array_equal(flight["time"], record.time)
     for key, fitted in (("card", view.card), ("extended", view.extended)):
-        told = composition(view, fitted)
+        told = fitted.composition
         for name in ("CL", "CD", "Cm"):
             assert groups["coefficients"][f"{name}_{key}"].attrs["units"] == "1"
             again = score(flight[f"{name}_measured"], flight[f"{name}_{key}"])

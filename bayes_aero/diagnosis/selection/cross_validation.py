@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float
 from bayes_aero.diagnosis.folds import blocks_of
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, optimum
 from bayes_aero.inference.scores import Scores, log_density, log_score_gain, score
-from bayes_aero.inference.variance.coloured_bounds import deviation_of_sum
 from bayes_aero.physics.coefficients import NAMES
 
 
@@ -110,40 +109,6 @@ def holdout_gain(before: LeftOut, after: LeftOut, state: SelectionState) -> tupl
     if len(state.responses.flights.lengths) == 1:  # blocks of one flight, one after the other: their colour runs on
         lengths = [sum(lengths)]
     return log_score_gain(before.density(), after.density(), state.variance_inflation, lengths)
-
-
-@dataclass(frozen=True)
-class Compared:
-    """What one model gains on another in one coefficient of one manoeuvre, unseen; each with its deviation.
-
-    `elpd`: log density, nats, the colour's cost counted, where noise grows with separated flow as it was found to.
-    `r2`: difference of R2, which weighs every sample alike and so hangs on the few of the deepest stall.
-    """
-
-    elpd: float
-    elpd_sd: float
-    r2: float
-    r2_sd: float
-
-
-def compared(
-    before: LeftOut, after: LeftOut, state: SelectionState, measured: Float[np.ndarray, "m c"], manoeuvre: int
-) -> dict[str, Compared]:
-    """`after` against `before` on one manoeuvre, by coefficient; its blocks' order and colour are kept."""
-    here = (state.responses.manoeuvre == manoeuvre) & before.inside
-    density = (after.densities() - before.densities())[here[before.inside]] / state.variance_inflation
-    total = np.sum((measured[here] - measured[here].mean(axis=0)) ** 2, axis=0)
-    squares = (before.residual[here] ** 2 - after.residual[here] ** 2) / total
-    n = len(density)
-    return {
-        name: Compared(
-            float(density[:, c].sum()),
-            deviation_of_sum(density[:, c], [n]),
-            float(squares[:, c].sum()),
-            deviation_of_sum(squares[:, c], [n]),
-        )
-        for c, name in enumerate(NAMES)
-    }
 
 
 def truncated(state: SelectionState, effects: Sequence[str]) -> SelectionState:

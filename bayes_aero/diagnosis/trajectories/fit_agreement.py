@@ -2,26 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.trajectory_fit import TrajectoryFit
+from bayes_aero.diagnosis.trajectories.results import Disagreement, TrajectoryFit
 from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
 from bayes_aero.inference.likelihood.restraints import AGAINST
 
 WORTH = 0.03  # of an estimate, a difference that matters to a simulation; our choice
-
-
-@dataclass(frozen=True)
-class Disagreement:
-    """One parameter: estimate and standard error by either fit, `apart` combined standard errors, SI."""
-
-    name: str
-    unit: str
-    coefficients: tuple[float, float]
-    trajectories: tuple[float, float]
-    apart: float
 
 
 def fit_disagreements(coefficients: MleResult, flown: TrajectoryFit) -> tuple[Disagreement, ...]:

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.time_histories import Path, simulated
+from bayes_aero.diagnosis.trajectories.results import Path
+from bayes_aero.diagnosis.trajectories.time_histories import simulated
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.model.joined_channels import Flights

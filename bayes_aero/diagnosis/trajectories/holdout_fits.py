@@ -10,7 +10,8 @@ from threading import Event
 import equinox as eqx
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.time_histories import Path, paths_of
+from bayes_aero.diagnosis.trajectories.results import Path
+from bayes_aero.diagnosis.trajectories.time_histories import paths_of
 from bayes_aero.diagnosis.trajectories.variance_inflation import trajectory_variance_inflation
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.likelihood.output_error import fit_output_error

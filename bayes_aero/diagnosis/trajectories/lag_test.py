@@ -8,7 +8,7 @@ on what it does itself, and a lag does not.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -18,7 +18,8 @@ from bayes_aero.diagnosis.selection.forward_selection import Extension, large
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.diagnosis.trajectories.holdout_fits import CandidateFit, Noise
 from bayes_aero.diagnosis.trajectories.log_score import HoldoutScore, holdout_gain
-from bayes_aero.diagnosis.trajectories.time_histories import Path, posterior_covariance
+from bayes_aero.diagnosis.trajectories.results import LagTest, Path
+from bayes_aero.diagnosis.trajectories.time_histories import posterior_covariance
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_biases import with_biases_of
 from bayes_aero.effect import Effect, Stage
@@ -28,29 +29,6 @@ from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
 
 SETTLED = (OutputErrorStatus.CONVERGED, OutputErrorStatus.AT_BOUND)
-
-
-@dataclass(frozen=True)
-class LagTest:
-    """The lag tried beside the extended model: log density that the joint fit gains, and unseen flight, by it.
-
-    Both are divided by what the residuals' colour costs. `unseen` has its deviation, and is not a number where unseen
-    flight was not asked, the joint fit gaining too little. `kept`: unseen flight confirms it. `instead`: hysteresis
-    that the lag leaves nothing of. `slight`: less of it is found than is worth a name.
-    """
-
-    effect: str
-    gain: float
-    kept: bool = False
-    unseen: tuple[float, float] = (float("nan"), float("nan"))
-    instead: tuple[str, ...] = ()
-    slight: bool = False
-    decisive: float = DEFAULT.decisive  # nats that the joint fit must gain
-
-    @property
-    def gains(self) -> bool:
-        """Whether the joint fit gains enough by it that the hold-out test is worth running."""
-        return self.gain > self.decisive and not self.slight
 
 
 def open_lag(full: CandidateModel, found: Extension, model: Model) -> Effect | None:

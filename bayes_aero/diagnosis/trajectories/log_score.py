@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.trajectories.time_histories import Path
+from bayes_aero.diagnosis.trajectories.results import Path
 from bayes_aero.inference.scores import log_density, log_score_gain
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from bayes_aero.diagnosis.consistency.flight_path_noise import sensor_noise
 from bayes_aero.diagnosis.result import Diagnosis, OutputMiss, Tested, verdict_of
-from bayes_aero.diagnosis.trajectories.trajectories import Trajectories
+from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health.signals import channels_of
 from bayes_aero.flight.record import FlightRecord

@@ -4,52 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.selection.residuals import TheilParts, theil_parts
+from bayes_aero.diagnosis.selection.residuals import theil_parts
+from bayes_aero.diagnosis.trajectories.results import Error, Path
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.likelihood.output_error import trajectories
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
 from bayes_aero.inference.threads import cores
 
 DRAWS = 40  # of the posterior, for the probability of staying inside the tolerances
-
-
-@dataclass(frozen=True)
-class Error:
-    """One output of one manoeuvre: root mean square and largest error (SI), Theil's coefficient and its parts.
-
-    `within` is the share of samples inside the tolerance, `probability` the posterior's that all of them are.
-    """
-
-    rms: float
-    largest: float
-    theil: TheilParts
-    tolerance: float | None
-    within: float | None
-    probability: float | None
-
-
-@dataclass(frozen=True)
-class Path:
-    """One simulated manoeuvre. `split` is fitted (jointly, initial state too) or unseen (from the measured state).
-
-    A fit by itself (`flown_fit`) has the model `start` or `fitted`, and the split of the same name; parameters from
-    elsewhere (`flown_given`) have the model and the split `given`.
-    """
-
-    manoeuvre: str
-    model: str  # card or extended
-    split: str
-    inside: bool  # the flight envelope
-    errors: Mapping[str, Error]
-    time: Float[np.ndarray, " n"]
-    measured: Mapping[str, np.ndarray]
-    simulated: Mapping[str, np.ndarray]
 
 
 def label(flown: SegmentTrajectories, row: int) -> str:

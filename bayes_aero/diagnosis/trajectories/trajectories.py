@@ -6,25 +6,24 @@ extended model misses grows as the flow separates, and counts for less there (se
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.result import Diagnosis
-from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
 from bayes_aero.diagnosis.trajectories.elimination import eliminate
 from bayes_aero.diagnosis.trajectories.holdout_fits import CandidateFit, Noise, holdout_fits, left_out
-from bayes_aero.diagnosis.trajectories.lag_test import LagTest, confirmed, open_lag, with_lag
-from bayes_aero.diagnosis.trajectories.time_histories import Error as Error
-from bayes_aero.diagnosis.trajectories.time_histories import Path, label, paths_of, posterior_covariance
+from bayes_aero.diagnosis.trajectories.lag_test import confirmed, open_lag, with_lag
+from bayes_aero.diagnosis.trajectories.results import Estimates, Path, Trajectories
+from bayes_aero.diagnosis.trajectories.time_histories import label, paths_of, posterior_covariance
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_biases import biased_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.inference.likelihood.output_error import fit_cascade, fit_output_error
-from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult
 from bayes_aero.inference.threads import blas_threads
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
@@ -35,52 +34,6 @@ FIRST_INFLATION = 30.0  # variance inflation that is assumed until it is measure
 LEFT = ("altitude",)  # reported, not fitted: it adds wind and pressure errors to what attitude and alpha tell already
 
 Progress = Callable[[str, float], None]
-
-
-@dataclass(frozen=True)
-class Estimates:
-    """One model as fitted to all trajectories: its parameters (SI) by name, and how the fit ended."""
-
-    values: Mapping[str, float]
-    units: Mapping[str, str]
-    status: OutputErrorStatus
-    at_bound: tuple[str, ...]
-    held: tuple[str, ...]  # by their priors: the trajectories say next to nothing of them
-
-    @classmethod
-    def of(cls, fit: OutputErrorResult, gone: Collection[str] = ()) -> Estimates:
-        """What is told of a fit, but for parameters that are `gone`."""
-        values = {n: float(x) for n, x in zip(fit.names, fit.estimate, strict=True) if n not in gone}
-        units = {p.name: p.unit for p in fit.parameters if p.name in values}
-        return cls(values, units, fit.status, fit.at_bound, tuple(n for n in fit.held if n in values))
-
-
-@dataclass(frozen=True)
-class Trajectories:
-    """What simulations say of the card's model and of the extended one."""
-
-    paths: tuple[Path, ...]
-    card: Estimates
-    extended: Estimates
-    deviation: Mapping[str, float]  # of the extended model's parameters, the residuals' colour counted
-    colour_cost: float  # how many times the colour multiplies variances
-    held: Mapping[str, tuple[str, ...]]  # causes held at their joint estimate when a manoeuvre is fitted alone
-    fitted: tuple[str, ...]  # outputs
-    outputs: tuple[str, ...]  # all that were recorded
-    noise_growth: Mapping[str, float] = field(
-        default_factory=dict
-    )  # by fitted output: how many times more is missed in wholly separated flow
-    lag: LagTest | None = None  # of the separation point, if it was tried
-    asked: Confirmation = field(default_factory=lambda: Confirmation((), {}))  # of the causes: which flight misses
-
-    @property
-    def out(self) -> tuple[str, ...]:
-        """Causes that flight does not miss: the extended model flies without them."""
-        return tuple(e for e in self.asked.missed if e not in self.asked.kept)
-
-    def path(self, manoeuvre: str, model: str, split: str) -> Path | None:
-        """One of the paths."""
-        return next((p for p in self.paths if (p.manoeuvre, p.model, p.split) == (manoeuvre, model, split)), None)
 
 
 @blas_threads(0)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.trajectories.holdout_fits import Noise
-from bayes_aero.diagnosis.trajectories.time_histories import Path, label, paths_of
+from bayes_aero.diagnosis.trajectories.results import FITTED, START, Setting, TrajectoryFit
+from bayes_aero.diagnosis.trajectories.time_histories import label, paths_of
 from bayes_aero.diagnosis.trajectories.trajectories import FIRST_INFLATION, LEFT, WINDOW
 from bayes_aero.dynamics.flight import AircraftDynamics, Dynamics
 from bayes_aero.dynamics.output_biases import biased_dynamics, unbiased
@@ -22,67 +23,7 @@ from bayes_aero.inference.threads import blas_threads
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.parameter import Prior
 
-START, FITTED = "start", "fitted"
 Progress = Callable[[str, float], None]
-
-
-@dataclass(frozen=True)
-class Setting:
-    """How trajectories are fitted: the settings in which published programs differ.
-
-    `outputs` are those that are compared (default: all that are recorded and simulated, but for `LEFT`). `initial`: the
-    state in which every manoeuvre begins, SI, and where it names none the first sample; None: initial states are
-    fitted. Without `priors` the reported fit has none, of parameters and initial states alike. Inputs are linear
-    between samples, or `held`.
-    """
-
-    outputs: tuple[str, ...] | None = None
-    initial: Mapping[str, float] | None = None
-    priors: bool = True
-    held: bool = False
-
-
-@dataclass(frozen=True)
-class TrajectoryFit:
-    """A fit to whole manoeuvres, in SI and radians.
-
-    Attributes:
-        fit: estimates (k,), standard errors and status.
-        start: first values of the parameters, (k,).
-        paths: simulated manoeuvres of the model `start` (first values, measured initial state) or `fitted`.
-        initial: by manoeuvre and state, the value at the first sample and its departure from the measured one.
-        colour_cost: variance inflation of the residuals; NaN if the model left the envelope.
-        outputs: all recorded outputs; those fitted are in `fit`.
-        units: SI units by channel.
-        window: length of the windows of the first fits, s.
-        noise_growth: noise growth in fully separated flow, by fitted output.
-        setting: settings of the fit.
-    """
-
-    fit: OutputErrorResult
-    start: Float[np.ndarray, " k"]
-    paths: tuple[Path, ...]
-    initial: Mapping[str, Mapping[str, tuple[float, float]]]
-    colour_cost: float
-    outputs: tuple[str, ...]
-    units: Mapping[str, str]
-    window: float
-    noise_growth: Mapping[str, float] = field(default_factory=dict)
-    setting: Setting = field(default_factory=Setting)
-
-    @property
-    def converged(self) -> bool:
-        """Whether the fit converged; a parameter may be at its bound."""
-        return self.fit.status in (OutputErrorStatus.CONVERGED, OutputErrorStatus.AT_BOUND)
-
-    @property
-    def manoeuvres(self) -> tuple[str, ...]:
-        """Names of the manoeuvres."""
-        return tuple(dict.fromkeys(p.manoeuvre for p in self.paths))
-
-    def path(self, manoeuvre: str, model: str) -> Path:
-        """The path of one manoeuvre and model (`start` or `fitted`)."""
-        return next(p for p in self.paths if (p.manoeuvre, p.model) == (manoeuvre, model))
 
 
 @blas_threads(0)

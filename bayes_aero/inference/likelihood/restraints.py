@@ -11,6 +11,7 @@ from jaxtyping import Float
 from bayes_aero.parameter import Parameter
 
 AGAINST = 3.0  # combined standard errors between prior and likelihood, beyond which a conflict is named
+SENSITIVE = 0.05  # distance per log2 of the power above which a posterior leans on what was scaled (the paper's)
 PUSHED = 1.0  # corrected standard errors by which lifting a bound moves an estimate that is reported
 
 

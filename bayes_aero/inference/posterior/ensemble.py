@@ -13,9 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayes_aero.inference.posterior.assembly import assemble, constrain_draws, converged, diagnose
 from bayes_aero.inference.posterior.checkpoint import BurnIn, Checkpoint, Stretch
 from bayes_aero.inference.posterior.laplace import Mode
-from bayes_aero.inference.posterior.posterior import Posterior, assemble, constrain_draws, converged, diagnose
+from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.threads import cores
 from bayes_aero.model.log_density import LogDensity
 

@@ -14,15 +14,9 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpyro.infer.hmc import HMCState, hmc
 
+from bayes_aero.inference.posterior.assembly import assemble, constrain_draws, converged, diagnose
 from bayes_aero.inference.posterior.laplace import Mode
-from bayes_aero.inference.posterior.posterior import (
-    Posterior,
-    PosteriorStatus,
-    assemble,
-    constrain_draws,
-    converged,
-    diagnose,
-)
+from bayes_aero.inference.posterior.posterior import Posterior, PosteriorStatus
 from bayes_aero.inference.threads import cores
 from bayes_aero.model.log_density import LogDensity
 

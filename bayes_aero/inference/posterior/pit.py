@@ -7,8 +7,6 @@ Dawid 1984, J. R. Stat. Soc. A 147, 278; Diebold, Gunther and Tay 1998, Int. Eco
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -17,26 +15,27 @@ from jax.scipy.special import ndtr
 from jaxtyping import Array, Bool, Float
 from scipy.stats import binom, norm
 
+from bayes_aero.inference.identification import Histogram, Identification, PitResult
 from bayes_aero.model.density import Density
+from bayes_aero.model.noise import Colour, Noise
+from bayes_aero.physics.coefficients import NAMES
 
 DRAWS = 200  # of the posterior: a sample's probability hardly varies among them; our choice
 MOST_BINS, LEAST_IN_BIN = 20, 20
 BAND = 0.95  # that all bars of uniform values lie inside
 
 
-@dataclass(frozen=True)
-class Histogram:
-    """Bars of density 1 where values are uniform, and the band that all of them keep to if these are independent."""
-
-    edges: Float[np.ndarray, " b1"]
-    height: Float[np.ndarray, " b"]
-    lower: float
-    upper: float
-
-    @property
-    def outside(self) -> int:
-        """How many bars leave the band."""
-        return int(np.sum((self.height < self.lower) | (self.height > self.upper)))
+def pit_of(run: Identification) -> PitResult | None:
+    """The transform of a run's samples by its first posterior under the chosen noise; None without a posterior."""
+    engine = next((key for key in run.posteriors if key != "white"), None)
+    if engine is None:
+        return None
+    posterior = run.posteriors[engine]
+    density = Density.of(run.observations, run.model, Noise(Colour(posterior.noise)), run.mle.bias)
+    values = pit(density, posterior.draws()[:, [posterior.names.index(name) for name in density.names]])
+    columns, start = [values[:, c] for c in range(len(NAMES))], np.asarray(density.observations.start)
+    bars, correlation = tuple(map(histogram, columns)), tuple(neighbours(column, start) for column in columns)
+    return PitResult(engine, values, bars, correlation)
 
 
 def pit(density: Density, x: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "n 3"]:

@@ -17,10 +17,10 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Array, Float
 
+from bayes_aero.inference.likelihood.restraints import SENSITIVE
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.model.log_density import LogDensity
 
-SENSITIVE = 0.05  # distance per log2 of the power above which a posterior leans on what was scaled (the paper's)
 DRAWS = 4000
 
 

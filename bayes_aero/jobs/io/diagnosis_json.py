@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bayes_aero.diagnosis.result import Cause, Diagnosis, Gain, NoiseReport, Tested, UnexplainedStructure
+from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
@@ -15,8 +16,6 @@ from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.jobs.io.health_json import health_results
 from bayes_aero.jobs.io.trajectories_json import trajectory_results
 from bayes_aero.physics.coefficients import NAMES
-from bayes_aero.report.diagnosis_view import DiagnosisView, View, composition
-from bayes_aero.report.tables.rankings import Ranking
 
 SCHEMA = "bayes_aero/diagnosis/1"
 SCORES = ("r2", "rmse", "r", "theil")
@@ -84,7 +83,7 @@ def _residuals(view: DiagnosisView) -> dict[str, Any]:
     """Of the coefficients by either model; empty where only trajectories were compared."""
     if not isinstance(view, View):
         return {}
-    return {"before": composition(view, view.card), "after": composition(view, view.extended)}
+    return {"before": dict(view.card.composition), "after": dict(view.extended.composition)}
 
 
 def unknown_results(unknown: Sequence[UnexplainedStructure]) -> list[dict[str, Any]]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.time_histories import Path
+from bayes_aero.diagnosis.trajectories.results import Path
 from bayes_aero.inference.identification import GPReport, Identification, Validation
 from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.inference.posterior.posterior import Posterior

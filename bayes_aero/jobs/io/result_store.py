@@ -9,7 +9,8 @@ from threading import Lock
 from typing import Any
 
 from bayes_aero.diagnosis.result import Diagnosis
-from bayes_aero.diagnosis.trajectories.trajectories import Trajectories
+from bayes_aero.diagnosis.trajectories.results import Trajectories
+from bayes_aero.diagnosis.view.results import DiagnosisView, View
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
@@ -19,7 +20,6 @@ from bayes_aero.jobs.io.diagnosis_json import diagnosis_results
 from bayes_aero.jobs.io.resume import NOTHING, RESTS_ON, RESULTS, Earlier
 from bayes_aero.jobs.io.time_histories import diagnosed, flights, put_histories
 from bayes_aero.jobs.provenance.provenance import write_json
-from bayes_aero.report.diagnosis_view import DiagnosisView, View
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.page_context import PageContext
 from bayes_aero.report.pages.diagnosis import diagnosis_page
@@ -90,6 +90,10 @@ class ResultStore:
         """Keep the stalls of a view of the same diagnosis."""
         self._grow(stalls=view.stalls)
 
+    def holdout(self, view: View) -> None:
+        """Keep the scores by manoeuvre of a view of the same diagnosis."""
+        self._grow(holdout=view.holdout)
+
     def predictors(self, found: Mapping[str, Any]) -> None:
         """Keep a comparison of predictors."""
         self._predictors = found
@@ -137,6 +141,7 @@ class ResultStore:
             outcome.notes,
             outcome.consistency,
             outcome.failures,
+            outcome.health,
         )
         self.fail(() if self.path is None else put_page(lambda: diagnosis_page(outcome.view, told), self.path))
 

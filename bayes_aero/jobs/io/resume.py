@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from bayes_aero.diagnosis.result import Cause
-from bayes_aero.diagnosis.trajectories.trajectories import Trajectories
+from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.flight.card.card import Card
 from bayes_aero.jobs.io.time_histories import HISTORIES, read_histories
 from bayes_aero.jobs.io.trajectories_json import number, trajectories_of

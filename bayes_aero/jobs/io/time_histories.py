@@ -10,13 +10,12 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from bayes_aero.diagnosis.trajectories.trajectories import Path as FlightPath
+from bayes_aero.diagnosis.trajectories.results import Path as FlightPath
+from bayes_aero.diagnosis.view.results import View
 from bayes_aero.errors import failure, plain_line
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.identification import Identification
 from bayes_aero.physics.coefficients import NAMES
-from bayes_aero.report.diagnosis_view import View
-from bayes_aero.report.tables.predictions import fitted_coefficients
 
 HISTORIES = "histories.nc"
 SCHEMA = "bayes_aero/histories/1"
@@ -42,7 +41,7 @@ def diagnosed(view: View) -> Histories:
 
 def identified(run: Identification) -> Histories:
     """CL, CD, Cm as measured and by the maximum-likelihood fit to all manoeuvres."""
-    o, fitted = run.observations, fitted_coefficients(run)
+    o, fitted = run.observations, run.fitted
     measured, columns = np.asarray(o.measured), {}
     for c, name in enumerate(NAMES):
         columns |= {f"{name}_measured": measured[:, c], f"{name}_fitted": fitted[:, c]}

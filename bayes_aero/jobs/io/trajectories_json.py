@@ -7,8 +7,7 @@ from typing import Any
 
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
 from bayes_aero.diagnosis.selection.residuals import TheilParts
-from bayes_aero.diagnosis.trajectories.lag_test import LagTest
-from bayes_aero.diagnosis.trajectories.trajectories import Error, Estimates, Path, Trajectories
+from bayes_aero.diagnosis.trajectories.results import Error, Estimates, LagTest, Path, Trajectories
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus

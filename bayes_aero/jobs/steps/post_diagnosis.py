@@ -10,7 +10,8 @@ from bayes_aero.diagnosis.design import separating, standard
 from bayes_aero.diagnosis.predictors import compare_states
 from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.diagnosis.selection.cross_validation import truncated
-from bayes_aero.diagnosis.trajectories.trajectories import Progress, Trajectories, compare_trajectories
+from bayes_aero.diagnosis.trajectories.results import Trajectories
+from bayes_aero.diagnosis.trajectories.trajectories import Progress, compare_trajectories
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card

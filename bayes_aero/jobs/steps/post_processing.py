@@ -1,4 +1,4 @@
-"""What a diagnosis is followed by while trajectories are flown: predictors, separating manoeuvres, stalls, figures."""
+"""What follows a diagnosis while trajectories are flown: predictors, separating manoeuvres, stalls, scores, figures."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from bayes_aero.diagnosis.result import Diagnosis
+from bayes_aero.diagnosis.view.holdout import with_holdout_scores
+from bayes_aero.diagnosis.view.models import with_stalls
+from bayes_aero.diagnosis.view.results import View
 from bayes_aero.jobs.io.result_store import ResultStore
 from bayes_aero.jobs.steps.post_diagnosis import separations
-from bayes_aero.report.diagnosis_view import View, with_stalls
 from bayes_aero.report.figures.every_figure import ViewFigures, draw_all
 
 Progress = Callable[[str, float], None]
@@ -33,6 +35,8 @@ def follow(kept: ResultStore, predict: Predict | None, figures: ViewFigures, tel
     if isinstance(view, View):
         tell("stall", 0.0)
         kept.attempt("Stall left out", lambda: kept.stalls(with_stalls(view)))
+        what = "Manoeuvres were not scored one by one"
+        kept.attempt(what, lambda: kept.holdout(with_holdout_scores(view)))
     return drawings(kept, figures, tell)
 
 

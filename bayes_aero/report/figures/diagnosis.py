@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
@@ -10,18 +9,15 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from scipy.signal import welch
 
-from bayes_aero.diagnosis.selection.residuals import profiles
+from bayes_aero.diagnosis.view.results import Fitted, Ranking, View
 from bayes_aero.inference.scores import Scores, score
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.diagnosis_view import Fitted, View
 from bayes_aero.report.figures.time_histories import SYMBOLS, shown_in
 from bayes_aero.report.style import NotDrawn, column_width, housed, panels, refuse_many
-from bayes_aero.report.tables.rankings import Ranking
 from bayes_aero.report.text.diagnosis import SPLITS
 from bayes_aero.report.text.phrases import bracket, for_people, size_text
 
-RESPONSES = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot")  # what the forces make, not what makes them
 PROFILES = 3  # channels shown for each coefficient
 COPY = 0.95  # correlation beyond which two channels tell the same
 LONGEST_LAG = 10.0  # s
@@ -198,7 +194,7 @@ def residual_profiles(view: View) -> Figure:
     for row, c in zip(axes, range(len(NAMES)), strict=True):
         channels = _clearest(view, c)
         for label, colour, fitted in models:
-            found = {p.channel: p for p in _profiles(view, fitted, c)}
+            found = {p.channel: p for p in fitted.profiles[c]}
             for ax, channel in zip(row, channels, strict=False):
                 text, factor = channel_label(channel)
                 p = found[channel]
@@ -223,22 +219,11 @@ def residual_profiles(view: View) -> Figure:
 def _clearest(view: View, c: int) -> list[str]:
     """Channels on which the card's model leaves the clearest trace in a coefficient, none a near copy of another."""
     chosen: list[str] = []
-    signals = {**view.card.state.responses.flights.channels, **view.card.signals}
-    for p in _profiles(view, view.card, c):
-        copies = [abs(np.corrcoef(signals[p.channel], signals[name])[0, 1]) > COPY for name in chosen]
+    for p in view.card.profiles[c]:
+        copies = [abs(np.corrcoef(view.channels[p.channel], view.channels[name])[0, 1]) > COPY for name in chosen]
         if not any(copies):
             chosen.append(p.channel)
     return chosen[:PROFILES]
-
-
-def _profiles(view: View, fitted: Fitted, c: int):
-    state = fitted.state
-    block = state.responses.block
-    recorded = [*state.responses.flights.recorded, "alpha_dot", "elapsed", "X"]
-    source = {**state.responses.flights.channels, **view.card.signals}  # one abscissa for both models
-    names = [name for name in recorded if name in source and name not in RESPONSES]
-    channels = {name: np.asarray(block(jnp.asarray(source[name]))) for name in names}
-    return profiles(np.asarray(block(jnp.asarray(fitted.residual[:, c]))), channels, state.variance_inflation)
 
 
 @housed

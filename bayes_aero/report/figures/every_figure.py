@@ -1,6 +1,6 @@
 """Every figure of a report by the stem of its file, and one function that writes them all.
 
-A module of this folder declares its figures as `FIGURES` (of an identification) or `DIAGNOSIS_FIGURES`. None is listed here.
+A module of this folder declares its figures as `FIGURES` (of an identification) or `DIAGNOSIS_FIGURES`; no list is kept.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from typing import Any, TypeVar
 
 from matplotlib.figure import Figure
 
+from bayes_aero.diagnosis.view.results import View
 from bayes_aero.errors import failure
 from bayes_aero.inference.identification import Identification
 from bayes_aero.report import figures
-from bayes_aero.report.diagnosis_view import View
 from bayes_aero.report.style import Drawing, NotDrawn, save
 
 ViewFigures = Mapping[str, Callable[[View], Figure]]

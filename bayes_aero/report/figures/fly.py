@@ -8,7 +8,7 @@ from functools import partial
 
 from matplotlib.figure import Figure
 
-from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED, START, TrajectoryFit
+from bayes_aero.diagnosis.trajectories.results import FITTED, START, TrajectoryFit
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.trajectories import over_measured
 from bayes_aero.report.style import housed, refuse_many

@@ -10,15 +10,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bayes_aero.diagnosis.result import FLIGHT_PATH, Cause
-from bayes_aero.diagnosis.trajectories.trajectories import Trajectories
+from bayes_aero.diagnosis.trajectories.results import Trajectories
+from bayes_aero.diagnosis.view.results import Ranking, View
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.scores import score
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.diagnosis_view import View
 from bayes_aero.report.figures.diagnosis import NOTE, TIGHT, models_of
 from bayes_aero.report.style import PHONE, housed
-from bayes_aero.report.tables.rankings import Ranking
 from bayes_aero.report.text.phrases import for_people, short, size_text
 
 WIDTH = 0.021  # of a letter, in widths of the widest bar

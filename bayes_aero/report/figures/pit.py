@@ -2,57 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.posterior.pit import Histogram, histogram, neighbours, pit
-from bayes_aero.model.density import Density
-from bayes_aero.model.noise import Colour, Noise
+from bayes_aero.inference.identification import Identification, PitResult
+from bayes_aero.model.noise import Colour
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.style import NotDrawn, housed, panels
-from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label
+from bayes_aero.report.tables.comparison import engine_label
 from bayes_aero.report.text.phrases import several
 
 SLIGHT = 0.1  # correlation of neighbours up to which the band's independence is near enough; our choice
 CHANCE = 3.0  # deviations of the correlation of independent neighbours
 
 
-@dataclass(frozen=True)
-class Transformed:
-    """Each coefficient's values (n,) by the first posterior under the chosen noise, their bars and correlation."""
-
-    engine: str
-    values: Float[np.ndarray, "n 3"]
-    bars: tuple[Histogram, ...]
-    correlation: tuple[float, ...]
-
-
-def transformed(identification: Identification) -> Transformed:
-    """The transform of a run's samples; without a posterior there is nothing to draw."""
-    found = chosen_posteriors(identification)
-    if not found:
-        raise NotDrawn("no posterior was sampled")
-    engine, posterior = next(iter(found.items()))
-    noise = Noise(Colour(posterior.noise))
-    density = Density.of(identification.observations, identification.model, noise, identification.mle.bias)
-    order = [posterior.names.index(name) for name in density.names]
-    values = pit(density, posterior.draws()[:, order])
-    columns = [values[:, c] for c in range(len(NAMES))]
-    start = np.asarray(density.observations.start)
-    return Transformed(
-        engine, values, tuple(map(histogram, columns)), tuple(neighbours(column, start) for column in columns)
-    )
-
-
 @housed
 def pit_histogram(identification: Identification) -> Figure:
     """A panel for each coefficient: density of the values, and the band of independent uniform ones."""
-    t = transformed(identification)
+    t = identification.pit
+    if t is None:
+        raise NotDrawn("no posterior was sampled")
     figure, axes = panels(1, len(NAMES), (9.0, 3.2), sharex=True, sharey=True)
     for ax, name, bars, r in zip(axes[0], NAMES, t.bars, t.correlation, strict=True):
         ax.axhspan(bars.lower, bars.upper, color=COLOURS["prior"], alpha=0.5, lw=0.0, label="band of uniform values")
@@ -75,8 +45,9 @@ def what_predicts(identification: Identification) -> str:
 
 
 def pit_words(identification: Identification) -> tuple[str, str]:
-    """Caption and alternative text."""
-    t = transformed(identification)
+    """Caption and alternative text of `pit_histogram`."""
+    t = identification.pit
+    assert t is not None, "the figure was drawn"
     told = several(f"{n} {r:+.2f}" for n, r in zip(NAMES, t.correlation, strict=True))
     if identification.noise is Colour.WHITE:
         how = "White noise predicts each sample by itself"
@@ -93,7 +64,7 @@ def pit_words(identification: Identification) -> tuple[str, str]:
     )
 
 
-def _independence(t: Transformed) -> str:
+def _independence(t: PitResult) -> str:
     """Whether the band may be taken at its word."""
     limit = max(SLIGHT, CHANCE / np.sqrt(len(t.values)))
     coloured = [n for n, r in zip(NAMES, t.correlation, strict=True) if abs(r) > limit]

@@ -11,12 +11,10 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.stall import Stall
+from bayes_aero.diagnosis.view.results import Fitted, View
+from bayes_aero.inference.identification import Identification, Stall
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.diagnosis_view import Fitted, View
 from bayes_aero.report.style import PHONE, NotDrawn, housed, panels
-from bayes_aero.report.tables.predictions import fitted_coefficients
 
 BAND: dict[str, Any] = {"alpha": 0.25, "lw": 0.0}
 RATE_COLOURS = ("falling", "measured", "rising")
@@ -49,7 +47,7 @@ def of_identification(identification: Identification) -> list[StallData]:
             np.rad2deg(np.asarray(o.signals["alpha"])),
             np.asarray(o.signals["alpha_dot"]) > 0.0,
             np.asarray(o.measured),
-            fitted_coefficients(identification),
+            identification.fitted,
             o.manoeuvre,
             o.dt,
             identification.stall,

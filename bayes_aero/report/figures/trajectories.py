@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayes_aero.diagnosis.trajectories.trajectories import Path
+from bayes_aero.diagnosis.trajectories.results import Path
+from bayes_aero.diagnosis.view.results import View
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.diagnosis_view import View
 from bayes_aero.report.style import NotDrawn, column_width, housed, panels
 from bayes_aero.report.text.phrases import SYMBOLS, bracket, for_people, short
 

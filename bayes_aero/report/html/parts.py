@@ -11,7 +11,7 @@ from bayes_aero.flight.agreement import Agreement, Consistency
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.channel_units import channel_units
-from bayes_aero.flight.health import channel_health
+from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.parameter import Parameter
 from bayes_aero.report.html.page import Block, Facts, Fold, Plot, Points, Table, Text
@@ -63,15 +63,16 @@ def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...
     )
 
 
-def records_and_faults(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...]:
+def records_and_faults(
+    records: Sequence[FlightRecord], card: Card, health: Sequence[HealthFinding]
+) -> tuple[Block, ...]:
     """`at_a_glance`, and what is wrong with channels that no result rests on; the rest is among the `doubts`."""
-    minor = bullets([f"{finding.sentence}." for finding in channel_health(records, card) if not finding.grave])
+    minor = bullets([f"{finding.sentence}." for finding in health if not finding.grave])
     return (*minor, *at_a_glance(records, card))
 
 
 def doubts(
-    records: Sequence[FlightRecord],
-    card: Card,
+    health: Sequence[HealthFinding],
     agreement: Consistency | None,
     *,
     corrects: bool,
@@ -79,7 +80,7 @@ def doubts(
 ) -> tuple[Text, ...]:
     """Parts of the job that failed, that sensors disagree, and channels that results cannot rest on: it stands before
     all else of a page."""
-    faults = (Text(f"{finding.sentence}.", "warning") for finding in channel_health(records, card) if finding.grave)
+    faults = (Text(f"{finding.sentence}.", "warning") for finding in health if finding.grave)
     failed = (Text(sentence, "warning") for sentence in failures)
     return (*failed, *consistency_lead(agreement, corrects=corrects), *faults)
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.stall import Stall
+from bayes_aero.diagnosis.view.results import View
+from bayes_aero.inference.identification import Identification, Stall
 from bayes_aero.physics.coefficients import NAMES
-from bayes_aero.report.diagnosis_view import View, composition, unseen_scores
 from bayes_aero.report.figures.found import telling
 from bayes_aero.report.pages.stall import DEG, interval
 from bayes_aero.report.tables.comparison import engine_label, methods
@@ -21,7 +20,7 @@ OFF = (
 
 def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
     """Caption and alternative text by stem."""
-    before, after = composition(view, view.card), composition(view, view.extended)
+    before, after = view.card.composition, view.extended.composition
     lag = {name: (before[name]["lag1"], after[name]["lag1"]) for name in NAMES}
     best = telling(view)
     what = best.quantity.replace("_", " ")
@@ -89,7 +88,7 @@ def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
 
 
 def gained(view: View) -> str:
-    scores = unseen_scores(view.diagnosis)
+    scores = view.unseen_scores
     if scores is None:
         return ""
     first, last = scores

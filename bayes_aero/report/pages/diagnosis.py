@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayes_aero.diagnosis.result import Cause, Diagnosis
-from bayes_aero.diagnosis.trajectories.trajectories import Trajectories
+from bayes_aero.diagnosis.trajectories.results import Trajectories
+from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.diagnosis_view import DiagnosisView, View, unseen_scores
 from bayes_aero.report.figures.time_histories import SYMBOLS, shown_in
 from bayes_aero.report.html.folded_lists import not_testable_list, open_list
 from bayes_aero.report.html.glossary import WORDS
@@ -39,8 +39,6 @@ from bayes_aero.report.pages.tables.diagnosis import (
     separating,
 )
 from bayes_aero.report.pages.trajectories import trajectories
-from bayes_aero.report.tables.holdout_scores import HoldoutScores
-from bayes_aero.report.tables.rankings import Ranking
 from bayes_aero.report.text.consistency import open_sentences
 from bayes_aero.report.text.diagnosis import NAMED_IF, diagnosis_sentences, sentences
 from bayes_aero.report.text.phrases import bracket, several
@@ -61,9 +59,11 @@ def diagnosis_page(view: DiagnosisView, told: PageContext) -> Page:
         subtitle=f"The model error, its causes, and the gain of the extended model{from_what}",
         verdict=verdict,
         lead=_lead(view, told, gallery),
-        doubts=doubts(told.records, told.card, told.consistency, corrects=by_coefficients, failures=told.failures),
+        doubts=doubts(told.health, told.consistency, corrects=by_coefficients, failures=told.failures),
         sections=filled(
-            section("records", "The records at a glance", lambda: records_and_faults(told.records, told.card)),
+            section(
+                "records", "The records at a glance", lambda: records_and_faults(told.records, told.card, told.health)
+            ),
             section("causes", "Causes of the model error", lambda: _causes(d, view.rankings, gallery)),
             *(_of_coefficients(view, told, gallery, rest) if isinstance(view, View) else _findings(view, told, rest)),
             section("provenance", "Provenance", lambda: provenance_blocks(told.source, told.notes)),
@@ -156,7 +156,7 @@ def _leaders(ranking: Ranking, named: Sequence[Cause]) -> Table:
 
 
 def _gain(view: View, gallery: Gallery) -> tuple[Block, ...]:
-    scores = unseen_scores(view.diagnosis)
+    scores = view.unseen_scores
     if scores is None:
         return (Text("Nothing was added, so there is no gain to report."),)
     head, rows = ["coefficient"], []
@@ -185,10 +185,10 @@ def _gain(view: View, gallery: Gallery) -> tuple[Block, ...]:
 
 
 def _each(view: View) -> tuple[Block, ...]:
-    """The manoeuvres one by one, where there are several; many are folded."""
-    if len(view.names) == 1 or not view.extended.state.active:
+    """The manoeuvres one by one, where they were scored; many are folded."""
+    if view.holdout is None:
         return ()
-    table = by_manoeuvre(HoldoutScores(view))
+    table = by_manoeuvre(view.holdout)
     return (table,) if len(view.names) <= FEW else (Fold("The same, manoeuvre by manoeuvre", (table,)),)
 
 
@@ -220,7 +220,6 @@ def _coefficients(view: View) -> tuple[Block, ...]:
         *((label, colour, style) for label, colour, _, style in models),
         (f"error of the {models[-1][0]}", models[-1][1], "area"),
     )
-    channels = {**view.card.state.responses.flights.channels, **view.card.signals}
     shown, more = first(view.names)
     plots: list[Block] = [*more]
     for number, name in enumerate(shown):
@@ -232,9 +231,9 @@ def _coefficients(view: View) -> tuple[Block, ...]:
             lines += [Line(label, colour, z - f.residual[mine, c], style) for label, colour, f, style in models]
             panels.append(Panel(f"{coefficient} [-]", tuple(lines), shade=((0, len(models)),)))
         for channel in CONTEXT:
-            if channel in channels and np.ptp(np.asarray(channels[channel])[mine]) > 0.0:
+            if channel in view.channels and np.ptp(np.asarray(view.channels[channel])[mine]) > 0.0:
                 unit, factor = shown_in(channel)
-                values = factor * np.asarray(channels[channel], float)[mine]
+                values = factor * np.asarray(view.channels[channel], float)[mine]
                 label = f"{SYMBOLS.get(channel, channel)} {bracket(unit)}"
                 panels.append(Panel(label, (Line("measured", COLOURS["measured"], values),), height=LOW))
         what = "Coefficients measured and simulated by the card's and the extended model, and the controls,"
@@ -270,7 +269,7 @@ def _stall(view: View, gallery: Gallery) -> tuple[Block, ...]:
 def _parameters(view: View, gallery: Gallery) -> tuple[Block, ...]:
     if not view.moves:
         return ()
-    return (moved(view), symbols(view.card.state.full.model.parameters, view.moves, degrees=True), *gallery("moves"))
+    return (moved(view), symbols(view.parameters, view.moves, degrees=True), *gallery("moves"))
 
 
 def _predictors(told: PageContext) -> tuple[Block, ...]:

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED, START, TrajectoryFit
+from bayes_aero.diagnosis.trajectories.results import FITTED, START, TrajectoryFit
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.fly import stem_of
@@ -51,6 +52,7 @@ class FlyTold:
     figures: Mapping[str, Path] = field(default_factory=dict)  # those drawn, by stem
     consistency: Consistency | None = None
     failures: Sequence[str] = ()  # parts that failed unexpectedly
+    health: Sequence[HealthFinding] = ()  # what is wrong with channels
 
 
 def fly_page(flown: TrajectoryFit, told: FlyTold) -> Page:
@@ -60,11 +62,13 @@ def fly_page(flown: TrajectoryFit, told: FlyTold) -> Page:
         title=f"Trajectories: {told.card.title}",
         subtitle="A model fitted to trajectories by output error",
         verdict=verdict,
-        doubts=doubts(told.records, told.card, told.consistency, corrects=False, failures=told.failures),
+        doubts=doubts(told.health, told.consistency, corrects=False, failures=told.failures),
         lead=(*_lead(flown), *_opening(flown, told.figures)),
         sections=filled(
             section("findings", "Findings", lambda: (*bullets([*rest, *told.notes]), words(FLOWN))),
-            section("records", "The records at a glance", lambda: records_and_faults(told.records, told.card)),
+            section(
+                "records", "The records at a glance", lambda: records_and_faults(told.records, told.card, told.health)
+            ),
             section("fit", "Measured and simulated", lambda: _flights(flown)),
             section("errors", "Errors", lambda: _errors(flown, told.card)),
             section("parameters", "Parameters", lambda: _parameters(flown, told.card)),

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.time_histories import Path as Simulated
+from bayes_aero.diagnosis.trajectories.results import Path as Simulated
 from bayes_aero.effect import Stage
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
@@ -34,7 +34,6 @@ from bayes_aero.report.pages.simulated_identification import given_flights
 from bayes_aero.report.pages.stall import DEG, interval, stall_table
 from bayes_aero.report.pages.tables import identification as page_tables
 from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label, methods, noise_label, ordered, usable
-from bayes_aero.report.tables.predictions import fitted_coefficients
 from bayes_aero.report.text.identification import disputed, verdict
 from bayes_aero.report.text.phrases import bracket, several
 
@@ -68,10 +67,12 @@ def identification_page(
         subtitle="Aerodynamic model identified from flight data, with uncertainty",
         verdict=headline(run),
         lead=tuple(lead),
-        doubts=doubts(run.records, run.card, run.consistency, corrects=False, failures=run.failures),
+        doubts=doubts(run.health, run.consistency, corrects=False, failures=run.failures),
         sections=filled(
             section("findings", "Findings", lambda: (*bullets(said), WORDS)),
-            section("records", "The records at a glance", lambda: records_and_faults(run.records, run.card)),
+            section(
+                "records", "The records at a glance", lambda: records_and_faults(run.records, run.card, run.health)
+            ),
             section(
                 "fit",
                 "Measured and fitted",
@@ -131,7 +132,7 @@ def _warnings(run: Identification) -> list[str]:
 
 def _histories(run: Identification) -> list[Block]:
     o = run.observations
-    fitted, measured = fitted_coefficients(run), np.asarray(o.measured)
+    fitted, measured = run.fitted, np.asarray(o.measured)
     shown, told = first(o.names)
     plots: list[Block] = [*told]
     for number, name in enumerate(shown):

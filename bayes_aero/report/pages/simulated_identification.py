@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import islice
 
-from bayes_aero.diagnosis.trajectories.time_histories import Path
+from bayes_aero.diagnosis.trajectories.results import Path
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.report.colours import COLOURS

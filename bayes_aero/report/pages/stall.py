@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bayes_aero.inference.stall import Interval, Stall
+from bayes_aero.inference.identification import Interval, Stall
 from bayes_aero.report.html.page import Block, Table, Text
 from bayes_aero.report.html.parts import number
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.trajectories import Path, Trajectories
+from bayes_aero.diagnosis.trajectories.results import Path, Trajectories
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.report.colours import COLOURS

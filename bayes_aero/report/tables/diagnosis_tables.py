@@ -1,10 +1,10 @@
-"""A diagnosis as tables of numbers: its causes, and every candidate."""
+"""A diagnosis as tables of numbers: its causes, every candidate, and scores by manoeuvre."""
 
 from __future__ import annotations
 
 import pandas as pd
 
-from bayes_aero.report.diagnosis_view import DiagnosisView
+from bayes_aero.diagnosis.view.results import Compared, DiagnosisView, HoldoutScores
 
 
 def causes_frame(view: DiagnosisView) -> pd.DataFrame:
@@ -52,3 +52,28 @@ def screen_frame(view: DiagnosisView) -> pd.DataFrame:
         for s in r.candidate_scores
     ]
     return pd.DataFrame(rows, columns=["stage", "name", "kind", "score", "p_value"]).set_index("stage")
+
+
+def scores_frame(found: HoldoutScores) -> pd.DataFrame:
+    """A row for each model, fit, manoeuvre and coefficient: r, R2, RMSE [-] and Theil's coefficient of 5 Hz means.
+
+    `fitted`: parameters from all manoeuvres. `unseen`: from the others; of a single one, each block from the others.
+    Rows of the extended model on hold-out data have its gain over the card's: log density `elpd_gain` [nats] and
+    `r2_gain`, each with its standard error (see `Compared`).
+    """
+    rows = []
+    for model in ("card", "extended"):
+        for data in ("fitted", "unseen"):
+            for k, manoeuvre in enumerate(found.names):
+                for name, one in found.scores[model, data, k].items():
+                    row = {"model": model, "data": data, "manoeuvre": manoeuvre, "coefficient": name}
+                    row |= {"r": one.r, "r2": one.r2, "rmse": one.rmse, "theil": one.theil}
+                    if (model, data) == ("extended", "unseen"):
+                        row |= _gain_columns(found.gains[manoeuvre, name])
+                    rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _gain_columns(gain: Compared) -> dict[str, float]:
+    names = {"elpd_gain": gain.elpd, "elpd_gain_sd": gain.elpd_sd}
+    return names | {"r2_gain": gain.r2, "r2_gain_sd": gain.r2_sd}

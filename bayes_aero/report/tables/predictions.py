@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from bayes_aero.inference.identification import Identification, Validation
 from bayes_aero.physics.coefficients import NAMES
@@ -37,14 +35,7 @@ def predicted(identification: Identification, coefficient: str) -> Predicted:
     if identification.gp is not None:
         return _pooled([fold[coefficient] for fold in identification.gp.splits[identification.gp.chosen]])
     o, column = identification.observations, NAMES.index(coefficient)
-    fitted = fitted_coefficients(identification)
-    return Predicted(np.arange(o.n), np.asarray(o.measured)[:, column], fitted[:, column])
-
-
-def fitted_coefficients(identification: Identification) -> Float[np.ndarray, "n 3"]:
-    """CL, CD, Cm of the maximum-likelihood fit at every sample."""
-    o, theta = identification.observations, jnp.asarray(identification.mle.estimate)
-    return np.asarray(identification.model.coefficients(theta, o.signals, o.aircraft))
+    return Predicted(np.arange(o.n), np.asarray(o.measured)[:, column], identification.fitted[:, column])
 
 
 def _pooled(folds: list[Validation]) -> Predicted:

@@ -9,11 +9,11 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from bayes_aero.diagnosis.result import Cause, Diagnosis
-from bayes_aero.diagnosis.trajectories.trajectories import Trajectories
+from bayes_aero.diagnosis.trajectories.results import Trajectories
+from bayes_aero.diagnosis.view.results import DiagnosisView
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.physics.coefficients import NAMES
-from bayes_aero.report.diagnosis_view import DiagnosisView
 from bayes_aero.report.tables.not_testable import not_testable_sentences
 from bayes_aero.report.text.impossible_estimates import sign_sentences
 from bayes_aero.report.text.phrases import several, size_text

@@ -10,10 +10,7 @@ import pandas as pd
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from bayes_aero.diagnosis.trajectories.fit_agreement import Disagreement
-from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED, START, TrajectoryFit
-from bayes_aero.dynamics.flight import AircraftDynamics
-from bayes_aero.dynamics.output_biases import unbiased
+from bayes_aero.diagnosis.trajectories.results import FITTED, START, Disagreement, TrajectoryFit
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 from bayes_aero.parameter import Prior
 from bayes_aero.report.tables.run_tables import concise
@@ -248,9 +245,8 @@ def _wanting(flown: TrajectoryFit, hindered: str) -> list[str]:
     if not (shares and flown.converged):  # what has not converged may still come nearer
         return []
     told = several(f"{SYMBOLS.get(name, name)} {share:.0%} of the time" for name, share in shares.items())
-    aircraft = isinstance(unbiased(flown.fit.flown.dynamics), AircraftDynamics)
     looks = f", and diagnose cannot look for it: {hindered}" if hindered else "; bayes-aero diagnose looks for it"
-    where = looks if aircraft else ""
+    where = looks if flown.by_effects else ""
     return [f"The fitted model is outside its tolerances ({told}): the model lacks an effect{where}."]
 
 

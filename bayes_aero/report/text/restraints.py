@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from bayes_aero.inference.likelihood.restraints import Bounded, PriorConflict
-from bayes_aero.inference.posterior.prior_sensitivity import SENSITIVE
+from bayes_aero.inference.likelihood.restraints import SENSITIVE, Bounded, PriorConflict
 from bayes_aero.inference.variance.inseparable import Inseparable
 from bayes_aero.report.text.phrases import several
 

@@ -9,11 +9,11 @@ import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from bayes_aero.diagnosis.trajectories.trajectories import Estimates, Trajectories
+from bayes_aero.diagnosis.trajectories.results import Estimates, Trajectories
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.tolerances import TOLERANCES
-from bayes_aero.inference.likelihood.output_error import OutputErrorStatus
+from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 from bayes_aero.report.text.phrases import SYMBOLS, for_people, several, short, size_text
 
 MODELS = ("card", "extended")

@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.design import ENOUGH
 from bayes_aero.diagnosis.result import Cause, Diagnosis
+from bayes_aero.diagnosis.settings import ENOUGH
+from bayes_aero.diagnosis.view.results import LEVELS, HoldoutScores, View
 from bayes_aero.physics.coefficients import NAMES
-from bayes_aero.report.diagnosis_view import LEVELS, View, composition
 from bayes_aero.report.html.page import Block, Table, Text
 from bayes_aero.report.html.parts import number
 from bayes_aero.report.tables.comparison import decimals
-from bayes_aero.report.tables.holdout_scores import HoldoutScores
 from bayes_aero.report.text.diagnosis import probability
 from bayes_aero.report.text.phrases import bracket, for_people, several, size_text
 
@@ -90,8 +89,8 @@ def separating(found: Sequence[Mapping[str, Any]]) -> list[Block]:
 def by_manoeuvre(unseen: HoldoutScores) -> Table:
     """Both models on each hold-out manoeuvre, and whether the difference is significant."""
     rows = []
-    for k, manoeuvre in enumerate(unseen.view.names):
-        before, after = (unseen.scores(unseen.left[m].residual, k) for m in ("card", "extended"))
+    for k, manoeuvre in enumerate(unseen.names):
+        before, after = (unseen.scores[model, "unseen", k] for model in ("card", "extended"))
         for name in NAMES:
             gain = unseen.gains[manoeuvre, name]
             change = f"{gain.r2:+.3f} ± {gain.r2_sd:.3f}", f"{gain.elpd:+.1f} ± {gain.elpd_sd:.1f}"
@@ -154,7 +153,7 @@ def predictors(found: Mapping[str, Any]) -> Table:
 def residuals(view: View) -> Table:
     """Each coefficient's residuals before and after: scores, Theil's parts, autocorrelation."""
     models = [("card's", view.card)] + ([("extended", view.extended)] if view.changed else [])
-    found = {label: composition(view, fitted) for label, fitted in models}
+    found = {label: fitted.composition for label, fitted in models}
     rows = []
     for name in NAMES:
         for label, numbers in found.items():
@@ -181,7 +180,7 @@ def residuals(view: View) -> Table:
 def calibration(view: View) -> Table:
     """Share of residuals inside the noise model's bands."""
     models = [("card's", view.card)] + ([("extended", view.extended)] if view.changed else [])
-    found = {label: composition(view, fitted) for label, fitted in models}
+    found = {label: fitted.composition for label, fitted in models}
     rows = tuple(
         (f"{name}, {label}", *(f"{numbers[name]['calibration'][f'{level:g}']:.0%}" for level in LEVELS))
         for name in NAMES

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from bayes_aero.diagnosis.trajectories.trajectory_fit import FITTED, START, TrajectoryFit
-from bayes_aero.inference.likelihood.normal_equations import departures
+from bayes_aero.diagnosis.trajectories.results import FITTED, START, TrajectoryFit
 from bayes_aero.report.html.page import Table
 from bayes_aero.report.html.parts import number, plain_unit
 from bayes_aero.report.tables.comparison import decimals
@@ -103,8 +102,7 @@ def parameters(flown: TrajectoryFit) -> Table:
 
 def initial(flown: TrajectoryFit) -> Table:
     """The fitted state at each manoeuvre's first sample, how far it is from the measured one, and the prior of that."""
-    dynamics = flown.fit.flown.dynamics
-    own = dict(zip(dynamics.states, departures(dynamics), strict=True)) if flown.setting.priors else {}
+    own = flown.departure_sd
 
     def rows(name: str) -> list[Row]:
         found = []

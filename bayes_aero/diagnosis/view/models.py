@@ -1,11 +1,12 @@
-"""What tables and figures show of a diagnosis: the card's model and the extended one, side by side at every sample."""
+"""The card's model and the extended one of a diagnosis: fitted, evaluated at every sample, and their stalls."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 from scipy import stats
@@ -16,71 +17,17 @@ from bayes_aero.diagnosis.screening.regression import Fit
 from bayes_aero.diagnosis.screening.screening import uncertainty
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, refitted
 from bayes_aero.diagnosis.selection.cross_validation import truncated
-from bayes_aero.diagnosis.selection.residuals import details, theil_parts
-from bayes_aero.diagnosis.trajectories.trajectories import Trajectories
-from bayes_aero.inference.scores import Scores, score
-from bayes_aero.inference.stall import Stall, stall_of
+from bayes_aero.diagnosis.selection.residuals import Profile, details, profiles, theil_parts
+from bayes_aero.diagnosis.view.rankings import rankings_of
+from bayes_aero.diagnosis.view.results import LEVELS, DiagnosisView, Fitted, ParameterMove, View
+from bayes_aero.inference.identification import Stall
+from bayes_aero.inference.scores import score
+from bayes_aero.inference.stall import stall_of
 from bayes_aero.physics.coefficients import NAMES
-from bayes_aero.report.tables.rankings import Ranking, rankings_of
 
-LEVELS = (0.5, 0.9, 0.95)
 DRAWS = 400  # of a model's parameters, for the intervals of its stall
 NOT_SIGNALS = ("X", "measured", "modelled", "residual", *NAMES)
-
-
-@dataclass(frozen=True)
-class Fitted:
-    """One model fitted to all manoeuvres: residuals at the recorded rate (n, 3), and the regression behind it."""
-
-    state: SelectionState
-    fit: Fit
-    residual: Float[np.ndarray, "n 3"]
-    signals: Mapping[str, np.ndarray]
-
-
-@dataclass(frozen=True)
-class ParameterMove:
-    """A parameter of the card before and after the causes are added; standard errors count the autocorrelation."""
-
-    before: float
-    after: float
-    sd_before: float
-    sd_after: float
-    unit: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class DiagnosisView:
-    """A diagnosis with what is derived from it, by coefficients (see `View`) or by trajectories alone."""
-
-    diagnosis: Diagnosis
-    rankings: tuple[Ranking, ...]
-    moves: Mapping[str, ParameterMove]
-    trajectories: Trajectories | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class View(DiagnosisView):
-    """A diagnosis by coefficients; `measured` (n, 3) are those that the card reconstructs."""
-
-    card: Fitted
-    extended: Fitted
-    measured: Float[np.ndarray, "n 3"]
-    manoeuvre: Int[np.ndarray, " n"]
-    time: Float[np.ndarray, " n"]  # from the start of each manoeuvre, s
-    names: tuple[str, ...]
-    stalls: Mapping[str, Stall] = field(default_factory=dict)  # by model: card, and extended where it differs
-
-    @property
-    def changed(self) -> bool:
-        """Whether anything was added to the card's model."""
-        sensors = self.diagnosis.sensors
-        return bool(self.extended.state.active or (sensors is not None and sensors.state.active))
-
-    @property
-    def seconds(self) -> float:
-        """Sampling time, s."""
-        return float(np.median(np.diff(self.time[self.manoeuvre == 0])))
+RESPONSES = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot")  # what the forces make, not what makes them
 
 
 def view_of(diagnosis: Diagnosis) -> DiagnosisView:
@@ -99,20 +46,24 @@ def _trajectory_view(diagnosis: Diagnosis) -> DiagnosisView:
 
 def coefficient_view(diagnosis: Diagnosis) -> View:
     """Refit the card's model without any correction of the sensors, and evaluate both models at the recorded rate."""
-    last = diagnosis.aerodynamics
-    card, after = _fitted(*_card(diagnosis)), _fitted(*_extended(diagnosis))
-    flights = last.state.responses.flights
+    before, after = _card(diagnosis), _extended(diagnosis)
+    flights = diagnosis.aerodynamics.state.responses.flights
     begin = np.cumsum([0, *flights.lengths[:-1]])
+    signals = details(before[0])
+    channels = {**before[0].responses.flights.channels, **signals}  # one abscissa for both models
+    card, extended = (_fitted(*model, np.asarray(signals["measured"]), channels) for model in (before, after))
     return View(
         diagnosis=diagnosis,
         card=card,
-        extended=after,
-        measured=np.asarray(card.signals["measured"]),
+        extended=extended,
+        measured=np.asarray(signals["measured"]),
         manoeuvre=flights.manoeuvre,
         time=flights.time - flights.time[begin][flights.manoeuvre],
         names=flights.names,
+        channels=channels,
+        parameters=card.state.full.model.parameters,
         rankings=tuple(rankings_of(diagnosis)),
-        moves=_moves(card, after),
+        moves=_moves(card, extended),
     )
 
 
@@ -141,9 +92,30 @@ def _extended(diagnosis: Diagnosis) -> tuple[SelectionState, Fit]:
     return refitted(truncated(last.state, diagnosis.kept))
 
 
-def _fitted(state: SelectionState, fit: Fit) -> Fitted:
-    found = details(state)
-    return Fitted(state, fit, found["residual"][:, : len(NAMES)], found)
+def _fitted(state: SelectionState, fit: Fit, measured: Float[np.ndarray, "n 3"], channels: Mapping[str, Any]) -> Fitted:
+    signals = details(state)
+    residual = signals["residual"][:, : len(NAMES)]
+    return Fitted(
+        residual,
+        signals,
+        _composition(state, fit, measured, residual),
+        _profiles(state, residual, channels),
+        state,
+        fit,
+    )
+
+
+def _profiles(
+    state: SelectionState, residual: Float[np.ndarray, "n 3"], channels: Mapping[str, Any]
+) -> tuple[tuple[Profile, ...], ...]:
+    """By coefficient, the mean residual over each recorded channel that makes forces, and over what follows from it."""
+    block, recorded = state.responses.block, (*state.responses.flights.recorded, "alpha_dot", "elapsed", "X")
+    names = [name for name in recorded if name in channels and name not in RESPONSES]
+    blocks = {name: np.asarray(block(jnp.asarray(channels[name]))) for name in names}
+    return tuple(
+        tuple(profiles(np.asarray(block(jnp.asarray(residual[:, c]))), blocks, state.variance_inflation))
+        for c in range(len(NAMES))
+    )
 
 
 def _covariance(fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
@@ -191,17 +163,19 @@ def _moves(before: Fitted, after: Fitted) -> dict[str, ParameterMove]:
     return found
 
 
-def composition(view: View, fitted: Fitted) -> dict[str, dict[str, Any]]:
+def _composition(
+    state: SelectionState, fit: Fit, measured: Float[np.ndarray, "n 3"], residual: Float[np.ndarray, "n 3"]
+) -> dict[str, dict[str, Any]]:
     """Each coefficient's residuals, manoeuvres fitted jointly: scores, Theil's parts, autocorrelation, calibration.
 
     Scores, Theil's parts and lag 1 are at the recorded rate. `calibration` is the share of residuals (5 Hz means)
     within the central normal bands of the fitted noise, growth with separation included.
     """
-    standard = fitted.state.left(fitted.fit) / np.sqrt(fitted.fit.variance)
-    inside = np.concatenate([standard[fold] for fold in fitted.state.folds])
-    found = {}
+    standard = state.left(fit) / np.sqrt(fit.variance)
+    inside = np.concatenate([standard[fold] for fold in state.folds])
+    manoeuvre, found = state.responses.flights.manoeuvre, {}
     for c, name in enumerate(NAMES):
-        z, e = view.measured[:, c], fitted.residual[:, c]
+        z, e = measured[:, c], residual[:, c]
         scores, parts = score(z, z - e), theil_parts(z, z - e)
         found[name] = {
             "r": scores.r,
@@ -211,7 +185,7 @@ def composition(view: View, fitted: Fitted) -> dict[str, dict[str, Any]]:
             "theil_bias": parts.bias,
             "theil_variance": parts.variance,
             "theil_covariance": parts.covariance,
-            "lag1": _lag1(e, view.manoeuvre),
+            "lag1": _lag1(e, manoeuvre),
             "calibration": {
                 f"{level:g}": float(np.mean(np.abs(inside[:, c]) <= stats.norm.ppf(0.5 + level / 2)))
                 for level in LEVELS
@@ -224,12 +198,3 @@ def _lag1(residual: Float[np.ndarray, " n"], manoeuvre: Int[np.ndarray, " n"]) -
     """Correlation of neighbouring samples, within manoeuvres."""
     parts = [residual[manoeuvre == k] - residual[manoeuvre == k].mean() for k in range(int(manoeuvre[-1]) + 1)]
     return float(sum(np.sum(p[1:] * p[:-1]) for p in parts) / sum(np.sum(p**2) for p in parts))
-
-
-def unseen_scores(d: Diagnosis) -> tuple[Mapping[str, Scores], Mapping[str, Scores]] | None:
-    """Scores of each coefficient on hold-out data: the card's model, and with all causes that are confirmed."""
-    measured = [c.gain for c in d.causes if c.gain.before]
-    if not measured:
-        return None
-    confirmed = [c.gain for c in d.causes if c.gain.before and c.confirmed]
-    return measured[0].before, confirmed[-1].after if confirmed else measured[0].before

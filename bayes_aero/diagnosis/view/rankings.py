@@ -2,48 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-
 import numpy as np
 
 from bayes_aero.diagnosis.result import COEFFICIENTS, FLIGHT_PATH, TRAJECTORIES, Diagnosis
 from bayes_aero.diagnosis.screening.screening import ScreeningResult
 from bayes_aero.diagnosis.selection.forward_selection import Extension, explained
+from bayes_aero.diagnosis.view.results import RankedCandidate, Ranking
 
-LEADERS = 10  # candidates of a stage that are listed, by their scores
-CONSIDERED = 3  # and by the share of what is left that they explain
 FALSE_ALARMS = 0.05  # share of noise-only replicates whose best score is beyond the threshold
-
-
-@dataclass(frozen=True)
-class RankedCandidate:
-    """One candidate of a stage's first screening, at its best value: `estimate` and `sd` by parameter.
-
-    `explains` is the share of the remaining variance that it would take away, by which candidates are taken in turn.
-    """
-
-    effect: str
-    kind: str
-    score: float
-    p_value: float
-    explains: float
-    estimate: Mapping[str, tuple[float, float]]
-
-
-@dataclass(frozen=True)
-class Ranking:
-    """Candidates of one stage, the highest score first; `threshold` is what noise alone exceeds once in twenty."""
-
-    stage: str
-    candidate_scores: tuple[RankedCandidate, ...]
-    threshold: float
-
-    @property
-    def leaders(self) -> tuple[RankedCandidate, ...]:
-        """Those that tables and figures show: the `LEADERS` highest scores, and what is considered first."""
-        first = {s.effect for s in sorted(self.candidate_scores, key=lambda s: -s.explains)[:CONSIDERED]}
-        return tuple(s for k, s in enumerate(self.candidate_scores) if k < LEADERS or s.effect in first)
 
 
 def stages(diagnosis: Diagnosis) -> list[tuple[str, Extension]]:

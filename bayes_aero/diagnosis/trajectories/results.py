@@ -1,0 +1,204 @@
+"""What simulated trajectories show, as plain data: errors by flight, estimates, tests of effects, a fit by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
+from bayes_aero.diagnosis.selection.residuals import TheilParts
+from bayes_aero.diagnosis.settings import DEFAULT
+from bayes_aero.dynamics.flight import AircraftDynamics
+from bayes_aero.dynamics.output_biases import unbiased
+from bayes_aero.inference.likelihood.normal_equations import departures
+from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
+
+START, FITTED = "start", "fitted"
+
+
+@dataclass(frozen=True)
+class Error:
+    """One output of one manoeuvre: root mean square and largest error (SI), Theil's coefficient and its parts.
+
+    `within` is the share of samples inside the tolerance, `probability` the posterior's that all of them are.
+    """
+
+    rms: float
+    largest: float
+    theil: TheilParts
+    tolerance: float | None
+    within: float | None
+    probability: float | None
+
+
+@dataclass(frozen=True)
+class Path:
+    """One simulated manoeuvre. `split` is fitted (jointly, initial state too) or unseen (from the measured state).
+
+    A fit by itself (`flown_fit`) has the model `start` or `fitted`, and the split of the same name; parameters from
+    elsewhere (`flown_given`) have the model and the split `given`.
+    """
+
+    manoeuvre: str
+    model: str  # card or extended
+    split: str
+    inside: bool  # the flight envelope
+    errors: Mapping[str, Error]
+    time: Float[np.ndarray, " n"]
+    measured: Mapping[str, np.ndarray]
+    simulated: Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class LagTest:
+    """The lag tried beside the extended model: log density that the joint fit gains, and unseen flight, by it.
+
+    Both are divided by what the residuals' colour costs. `unseen` has its deviation, and is not a number where unseen
+    flight was not asked, the joint fit gaining too little. `kept`: unseen flight confirms it. `instead`: hysteresis
+    that the lag leaves nothing of. `slight`: less of it is found than is worth a name.
+    """
+
+    effect: str
+    gain: float
+    kept: bool = False
+    unseen: tuple[float, float] = (float("nan"), float("nan"))
+    instead: tuple[str, ...] = ()
+    slight: bool = False
+    decisive: float = DEFAULT.decisive  # nats that the joint fit must gain
+
+    @property
+    def gains(self) -> bool:
+        """Whether the joint fit gains enough by it that the hold-out test is worth running."""
+        return self.gain > self.decisive and not self.slight
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """One model as fitted to all trajectories: its parameters (SI) by name, and how the fit ended."""
+
+    values: Mapping[str, float]
+    units: Mapping[str, str]
+    status: OutputErrorStatus
+    at_bound: tuple[str, ...]
+    held: tuple[str, ...]  # by their priors: the trajectories say next to nothing of them
+
+    @classmethod
+    def of(cls, fit: OutputErrorResult, gone: Collection[str] = ()) -> Estimates:
+        """What is told of a fit, but for parameters that are `gone`."""
+        values = {n: float(x) for n, x in zip(fit.names, fit.estimate, strict=True) if n not in gone}
+        units = {p.name: p.unit for p in fit.parameters if p.name in values}
+        return cls(values, units, fit.status, fit.at_bound, tuple(n for n in fit.held if n in values))
+
+
+@dataclass(frozen=True)
+class Trajectories:
+    """What simulations say of the card's model and of the extended one."""
+
+    paths: tuple[Path, ...]
+    card: Estimates
+    extended: Estimates
+    deviation: Mapping[str, float]  # of the extended model's parameters, the residuals' colour counted
+    colour_cost: float  # how many times the colour multiplies variances
+    held: Mapping[str, tuple[str, ...]]  # causes held at their joint estimate when a manoeuvre is fitted alone
+    fitted: tuple[str, ...]  # outputs
+    outputs: tuple[str, ...]  # all that were recorded
+    noise_growth: Mapping[str, float] = field(
+        default_factory=dict
+    )  # by fitted output: how many times more is missed in wholly separated flow
+    lag: LagTest | None = None  # of the separation point, if it was tried
+    asked: Confirmation = field(default_factory=lambda: Confirmation((), {}))  # of the causes: which flight misses
+
+    @property
+    def out(self) -> tuple[str, ...]:
+        """Causes that flight does not miss: the extended model flies without them."""
+        return tuple(e for e in self.asked.missed if e not in self.asked.kept)
+
+    def path(self, manoeuvre: str, model: str, split: str) -> Path | None:
+        """One of the paths."""
+        return next((p for p in self.paths if (p.manoeuvre, p.model, p.split) == (manoeuvre, model, split)), None)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How trajectories are fitted: the settings in which published programs differ.
+
+    `outputs` are those that are compared (default: all that are recorded and simulated, but for `LEFT`). `initial`: the
+    state in which every manoeuvre begins, SI, and where it names none the first sample; None: initial states are
+    fitted. Without `priors` the reported fit has none, of parameters and initial states alike. Inputs are linear
+    between samples, or `held`.
+    """
+
+    outputs: tuple[str, ...] | None = None
+    initial: Mapping[str, float] | None = None
+    priors: bool = True
+    held: bool = False
+
+
+@dataclass(frozen=True)
+class TrajectoryFit:
+    """A fit to whole manoeuvres, in SI and radians.
+
+    Attributes:
+        fit: estimates (k,), standard errors and status.
+        start: first values of the parameters, (k,).
+        paths: simulated manoeuvres of the model `start` (first values, measured initial state) or `fitted`.
+        initial: by manoeuvre and state, the value at the first sample and its departure from the measured one.
+        colour_cost: variance inflation of the residuals; NaN if the model left the envelope.
+        outputs: all recorded outputs; those fitted are in `fit`.
+        units: SI units by channel.
+        window: length of the windows of the first fits, s.
+        noise_growth: noise growth in fully separated flow, by fitted output.
+        setting: settings of the fit.
+    """
+
+    fit: OutputErrorResult
+    start: Float[np.ndarray, " k"]
+    paths: tuple[Path, ...]
+    initial: Mapping[str, Mapping[str, tuple[float, float]]]
+    colour_cost: float
+    outputs: tuple[str, ...]
+    units: Mapping[str, str]
+    window: float
+    noise_growth: Mapping[str, float] = field(default_factory=dict)
+    setting: Setting = field(default_factory=Setting)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the fit converged; a parameter may be at its bound."""
+        return self.fit.status in (OutputErrorStatus.CONVERGED, OutputErrorStatus.AT_BOUND)
+
+    @property
+    def by_effects(self) -> bool:
+        """Whether the model is one of effects; otherwise it is a linear system."""
+        return isinstance(unbiased(self.fit.flown.dynamics), AircraftDynamics)
+
+    @property
+    def departure_sd(self) -> dict[str, float]:
+        """By state, the prior standard deviation of its departure from the measured one; empty without such priors."""
+        dynamics = self.fit.flown.dynamics
+        if not self.setting.priors or self.setting.initial is not None:
+            return {}
+        return dict(zip(dynamics.states, map(float, departures(dynamics)), strict=True))
+
+    @property
+    def manoeuvres(self) -> tuple[str, ...]:
+        """Names of the manoeuvres."""
+        return tuple(dict.fromkeys(p.manoeuvre for p in self.paths))
+
+    def path(self, manoeuvre: str, model: str) -> Path:
+        """The path of one manoeuvre and model (`start` or `fitted`)."""
+        return next(p for p in self.paths if (p.manoeuvre, p.model) == (manoeuvre, model))
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """One parameter: estimate and standard error by either fit, `apart` combined standard errors, SI."""
+
+    name: str
+    unit: str
+    coefficients: tuple[float, float]
+    trajectories: tuple[float, float]
+    apart: float

@@ -1,0 +1,170 @@
+"""What is shown of a diagnosis, as plain data: both models at every sample, rankings, scores on hold-out data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from bayes_aero.diagnosis.result import Diagnosis
+from bayes_aero.diagnosis.screening.regression import Fit
+from bayes_aero.diagnosis.screening.selection_state import SelectionState
+from bayes_aero.diagnosis.selection.residuals import Profile
+from bayes_aero.diagnosis.trajectories.results import Trajectories
+from bayes_aero.inference.identification import Stall
+from bayes_aero.inference.scores import Scores
+from bayes_aero.parameter import Parameter
+
+LEADERS = 10  # candidates of a stage that are listed, by their scores
+CONSIDERED = 3  # and by the share of what is left that they explain
+LEVELS = (0.5, 0.9, 0.95)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """One model fitted to all manoeuvres.
+
+    Attributes:
+        residual: of CL, CD, Cm at the recorded rate, (n, 3).
+        signals: what explains the coefficients, by name, (n,).
+        composition: by coefficient, scores, Theil's parts, autocorrelation at lag 1 and calibration of the residuals.
+        profiles: by coefficient, the mean residual over each channel, the clearest dependence first.
+        state: the regression problem at its optimum.
+        fit: the regression there.
+    """
+
+    residual: Float[np.ndarray, "n 3"]
+    signals: Mapping[str, np.ndarray]
+    composition: Mapping[str, Mapping[str, Any]]
+    profiles: tuple[tuple[Profile, ...], ...]
+    state: SelectionState
+    fit: Fit
+
+
+@dataclass(frozen=True)
+class ParameterMove:
+    """A parameter of the card before and after the causes are added; standard errors count the autocorrelation."""
+
+    before: float
+    after: float
+    sd_before: float
+    sd_after: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class RankedCandidate:
+    """One candidate of a stage's first screening, at its best value: `estimate` and `sd` by parameter.
+
+    `explains` is the share of the remaining variance that it would take away, by which candidates are taken in turn.
+    """
+
+    effect: str
+    kind: str
+    score: float
+    p_value: float
+    explains: float
+    estimate: Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Candidates of one stage, the highest score first; `threshold` is what noise alone exceeds once in twenty."""
+
+    stage: str
+    candidate_scores: tuple[RankedCandidate, ...]
+    threshold: float
+
+    @property
+    def leaders(self) -> tuple[RankedCandidate, ...]:
+        """Those that tables and figures show: the `LEADERS` highest scores, and what is considered first."""
+        first = {s.effect for s in sorted(self.candidate_scores, key=lambda s: -s.explains)[:CONSIDERED]}
+        return tuple(s for k, s in enumerate(self.candidate_scores) if k < LEADERS or s.effect in first)
+
+
+@dataclass(frozen=True)
+class Compared:
+    """What one model gains on another in one coefficient of one manoeuvre, unseen; each with its deviation.
+
+    `elpd`: log density, nats, the colour's cost counted, where noise grows with separated flow as it was found to.
+    `r2`: difference of R2, which weighs every sample alike and so hangs on the few of the deepest stall.
+    """
+
+    elpd: float
+    elpd_sd: float
+    r2: float
+    r2_sd: float
+
+
+@dataclass(frozen=True)
+class HoldoutScores:
+    """Both models on each manoeuvre, in the fit and on hold-out data (means over blocks of about 5 Hz).
+
+    Attributes:
+        names: of the manoeuvres.
+        scores: of each coefficient, by model (`card`, `extended`), data (`fitted`, `unseen`) and manoeuvre's number.
+        gains: of the extended model over the card's on hold-out data, by manoeuvre and coefficient.
+        hold_out: standard errors of a loss that is significant.
+    """
+
+    names: tuple[str, ...]
+    scores: Mapping[tuple[str, str, int], Mapping[str, Scores]]
+    gains: Mapping[tuple[str, str], Compared]
+    hold_out: float
+
+    def worse(self) -> list[tuple[str, str]]:
+        """Manoeuvres and coefficients for which the extended model loses log density significantly (one-sided, 5 %)."""
+        return [pair for pair, gain in self.gains.items() if gain.elpd < -self.hold_out * gain.elpd_sd]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiagnosisView:
+    """A diagnosis with what is derived from it, by coefficients (see `View`) or by trajectories alone."""
+
+    diagnosis: Diagnosis
+    rankings: tuple[Ranking, ...]
+    moves: Mapping[str, ParameterMove]
+    trajectories: Trajectories | None = None
+
+    @property
+    def unseen_scores(self) -> tuple[Mapping[str, Scores], Mapping[str, Scores]] | None:
+        """Scores of each coefficient on hold-out data: the card's model, and with all causes that are confirmed."""
+        measured = [c.gain for c in self.diagnosis.causes if c.gain.before]
+        if not measured:
+            return None
+        confirmed = [c.gain for c in self.diagnosis.causes if c.gain.before and c.confirmed]
+        return measured[0].before, confirmed[-1].after if confirmed else measured[0].before
+
+
+@dataclass(frozen=True, kw_only=True)
+class View(DiagnosisView):
+    """A diagnosis by coefficients; `measured` (n, 3) are those that the card reconstructs.
+
+    `channels` (n,) are all that was recorded or derived, as the card's model has them. `stalls` is by model: card, and
+    extended where it differs. `holdout` is None where it was not computed.
+    """
+
+    card: Fitted
+    extended: Fitted
+    measured: Float[np.ndarray, "n 3"]
+    manoeuvre: Int[np.ndarray, " n"]
+    time: Float[np.ndarray, " n"]  # from the start of each manoeuvre, s
+    names: tuple[str, ...]
+    channels: Mapping[str, Any]
+    parameters: tuple[Parameter, ...]
+    stalls: Mapping[str, Stall] = field(default_factory=dict)
+    holdout: HoldoutScores | None = None
+
+    @property
+    def changed(self) -> bool:
+        """Whether anything was added to the card's model."""
+        sensors = self.diagnosis.sensors
+        return bool(self.extended.state.active or (sensors is not None and sensors.state.active))
+
+    @property
+    def seconds(self) -> float:
+        """Sampling time, s."""
+        return float(np.median(np.diff(self.time[self.manoeuvre == 0])))
