@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Observations
+from bayes_aero.progress import Progress
 
 METHODS = ("CRB", "corrected CRB", "white posterior", "AR(1) posterior")
 Z95 = 1.959963984540054
@@ -52,7 +53,7 @@ def coverage_study(
     white: int | None = None,
     ensembles: int = 2,
     max_steps: int = 1000,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Coverage:
     """Simulate coefficients from `truth` with AR(1) noise, infer them in four ways, count covered parameters.
 

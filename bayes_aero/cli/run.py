@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,6 +17,7 @@ from rich.table import Table
 
 from bayes_aero.cli.terminal import FAILED, JsonOption, bar, interruptible, loading, print_failures, print_json, teller
 from bayes_aero.errors import InputError
+from bayes_aero.progress import Progress
 
 if TYPE_CHECKING:
     from bayes_aero.study.run import Doer, Planned
@@ -138,7 +139,7 @@ def _check(dry_run: bool, verify: bool, workers: int | None, memory: str | None,
 
 @contextmanager
 def _cluster(
-    workers: int | None, memory: str | None, scheduler: str | None, units: Path, show: Callable[[str, float], None]
+    workers: int | None, memory: str | None, scheduler: str | None, units: Path, show: Progress
 ) -> Iterator[Doer | None]:
     """What does the units: a Dask cluster where one is asked for."""
     if not workers and not scheduler:

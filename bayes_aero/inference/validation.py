@@ -7,7 +7,6 @@ import gc
 import os
 import sys
 import time
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -29,6 +28,7 @@ from bayes_aero.inference.threads import cores
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Observations
 from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.progress import Progress
 
 KINDS: tuple[SplitKind, ...] = ("random", "block", "manoeuvre")
 LEVEL = 0.95
@@ -54,7 +54,7 @@ def validate(
     kinds: tuple[SplitKind, ...] = KINDS,
     sample: bool = True,
     approximate: bool = False,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> GPReport:
     """Train on each split's training points and score on its test points, both models on the same ones.
 

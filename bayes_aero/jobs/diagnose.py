@@ -33,11 +33,11 @@ from bayes_aero.jobs.steps.background import in_background
 from bayes_aero.jobs.steps.post_processing import Predict, drawings, follow
 from bayes_aero.jobs.steps.sensors_first import sensors_agree
 from bayes_aero.model.model import Model
+from bayes_aero.progress import Progress
 from bayes_aero.report.diagnosis_view import DiagnosisView, view_of
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FLOWN_FIGURES
 from bayes_aero.simulate.injection import draw_hidden, flyable
 
-Progress = Callable[[str, float], None]
 Fly = Callable[[Diagnosis, Progress | None], Trajectories]
 
 

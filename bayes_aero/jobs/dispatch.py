@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from bayes_aero.flight.card.card import Card
@@ -11,8 +11,7 @@ from bayes_aero.jobs.diagnose import run
 from bayes_aero.jobs.io.result_store import Hidden, Outcome
 from bayes_aero.jobs.steps.post_diagnosis import predictors as compared
 from bayes_aero.jobs.steps.post_diagnosis import simulations
-
-Progress = Callable[[str, float], None]
+from bayes_aero.progress import Progress
 
 
 def diagnose_records(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -41,6 +41,7 @@ from bayes_aero.jobs.steps.usable_for import usable_for
 from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
+from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import draw_all
 from bayes_aero.report.figures.fly import fly_figures
 from bayes_aero.report.html.page import put_page
@@ -55,7 +56,6 @@ SHORTEST = 1.0  # s of a window: two ends of the straight line from which the in
 RESULTS = "trajectories.json"
 INITIAL_STATES = FREE, FIXED = "free", "fixed"
 INPUTS = LINEAR, HELD = "linear", "held"
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)

@@ -45,6 +45,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.noise import DEFAULT as DEFAULT_NOISE
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Forming, observe
+from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import FIGURES, write_figures
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.identification import identification_page
@@ -53,7 +54,6 @@ from bayes_aero.report.tables.run_tables import paper_table, parameter_table, va
 from bayes_aero.report.text.identification import verdict
 from bayes_aero.report.text.restraints import leaning_sentences
 
-Progress = Callable[[str, float], None]
 CHAINS = ".chains"
 
 

@@ -27,8 +27,8 @@ from bayes_aero.physics.filters import (
     smooth_joined,
 )
 from bayes_aero.physics.frames import lift_drag_from_body
-from bayes_aero.physics.incidence_rate import RATES, alpha_rate, lift_regression
-from bayes_aero.physics.kinematics import Rotation, lever_arm
+from bayes_aero.physics.incidence_rate import alpha_rate, lift_regression
+from bayes_aero.physics.kinematics import RATES, Rotation, lever_arm
 
 __all__ = [
     "NAMES",

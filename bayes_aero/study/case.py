@@ -19,12 +19,12 @@ from bayes_aero.flight.card.toml_tables import is_file
 from bayes_aero.jobs.io.atomic_write import beside, put_folder
 from bayes_aero.jobs.provenance.environment import environment_id
 from bayes_aero.jobs.provenance.provenance import provenance, write_json, write_text
+from bayes_aero.progress import Progress
 from bayes_aero.study.study import Unit, card_of
 
 SCHEMA = "bayes_aero/unit/1"
 MANIFEST = "unit.json"
 LEAST_FREE = 1 << 20  # bytes on the disk below which no unit is begun
-Progress = Callable[[str, float], None]
 Task = Callable[[Unit, Path, Progress | None], None]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,9 +25,8 @@ from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
+from bayes_aero.progress import Progress
 from bayes_aero.residuals.equation_error import EquationError
-
-Progress = Callable[[str, float], None]
 
 
 def search_coefficients(

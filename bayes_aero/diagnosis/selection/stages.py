@@ -7,7 +7,7 @@ not there; then the coefficients, which do not wander, lose far more by the corr
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,10 +21,9 @@ from bayes_aero.diagnosis.selection.block_jackknife import widened
 from bayes_aero.diagnosis.selection.forward_selection import Extension, forward_selection, nats_gained, removed
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.progress import Progress
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.residuals.flight_path import FlightPathError
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)

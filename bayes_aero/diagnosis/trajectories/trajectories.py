@@ -6,7 +6,7 @@ extended model misses grows as the flow separates, and counts for less there (se
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -29,12 +29,11 @@ from bayes_aero.inference.threads import blas_threads
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Prior
+from bayes_aero.progress import Progress
 
 WINDOW = 12.0  # s, of the first fits
 BEGIN_COST = 30.0  # taken for the colour's cost until it is measured
 LEFT = ("altitude",)  # reported, not fitted: it adds wind and pressure errors to what attitude and alpha tell already
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)

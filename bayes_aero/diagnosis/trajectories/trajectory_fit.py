@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import jax.numpy as jnp
@@ -21,9 +21,9 @@ from bayes_aero.inference.likelihood.output_error_result import OutputErrorResul
 from bayes_aero.inference.threads import blas_threads
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.parameter import Prior
+from bayes_aero.progress import Progress
 
 START, FITTED = "start", "fitted"
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import emcee
@@ -18,6 +17,7 @@ from bayes_aero.inference.posterior.laplace import Mode
 from bayes_aero.inference.posterior.posterior import Posterior, assemble, constrain_draws, converged, diagnose
 from bayes_aero.inference.threads import cores
 from bayes_aero.model.log_density import LogDensity
+from bayes_aero.progress import Progress
 
 ENSEMBLES = 4
 DEGREES = 5.0  # of freedom of the independence proposal: tails heavier than the posterior's
@@ -177,7 +177,7 @@ def sample_ensemble(
     seed: int = 0,
     ensembles: int = ENSEMBLES,
     max_steps: int = MAX_STEPS,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
     predictive: bool = True,
     checkpoint: Checkpoint | None = None,
 ) -> Posterior:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 
@@ -25,6 +24,7 @@ from bayes_aero.inference.posterior.posterior import (
 )
 from bayes_aero.inference.threads import cores
 from bayes_aero.model.log_density import LogDensity
+from bayes_aero.progress import Progress
 
 CHAINS = 4
 WARMUP = 500
@@ -78,7 +78,7 @@ def sample_nuts(
     chains: int = CHAINS,
     warmup: int = WARMUP,
     max_blocks: int = MAX_BLOCKS,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
     predictive: bool = True,
 ) -> Posterior:
     """Sample in blocks until every parameter reaches the targets of ESS and R-hat, at most `max_blocks` of them.

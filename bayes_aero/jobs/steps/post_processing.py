@@ -9,10 +9,10 @@ from typing import Any
 from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.jobs.io.result_store import ResultStore
 from bayes_aero.jobs.steps.post_diagnosis import separations
+from bayes_aero.progress import Progress
 from bayes_aero.report.diagnosis_view import View, with_stalls
 from bayes_aero.report.figures.every_figure import ViewFigures, draw_all
 
-Progress = Callable[[str, float], None]
 Predict = Callable[[Diagnosis, Progress], Mapping[str, Any]]
 
 

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from bayes_aero.errors import failure
 from bayes_aero.inference.identification import Identification
+from bayes_aero.progress import Progress
 from bayes_aero.report.diagnosis_view import View
 from bayes_aero.report.figures import comparison as figures_comparison
 from bayes_aero.report.figures import diagnosis as figures_diagnosis
@@ -70,7 +71,6 @@ FLOWN_FIGURES = ("found", "found_narrow", "trajectories_unseen", "trajectories_f
 """Those that need trajectories, or show them if they are there."""
 
 Shown = TypeVar("Shown")
-Progress = Callable[[str, float], None]
 
 
 def write_figures(
