@@ -30,8 +30,8 @@ def ours(engine: str) -> Callable[[Problem, int, argparse.Namespace], Callable[[
 
     def prepared(problem: Problem, _: int, options: argparse.Namespace) -> Callable[[int], Drawn]:
         from output_error_speed import problem as jet_problem
+        from trajectory_density import trajectory_density
 
-        from bayes_aero.inference.likelihood.trajectory_density import trajectory_density
         from bayes_aero.inference.posterior.ensemble import sample_ensemble
         from bayes_aero.inference.posterior.laplace import find_mode
         from bayes_aero.inference.posterior.nuts import sample_nuts
