@@ -39,7 +39,7 @@ from bayes_aero.inference.posterior.ensemble import sample_ensemble
 from bayes_aero.inference.posterior.laplace import density_start, other_modes, search_modes
 from bayes_aero.inference.posterior.nuts import sample_nuts
 from bayes_aero.inference.splits import SplitKind
-from bayes_aero.inference.validation import validate
+from bayes_aero.inference.validation import Training, validate
 from bayes_aero.jobs.steps.spike_repair import repaired
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
@@ -201,10 +201,7 @@ def gpr(fit: Fit, *, split: SplitKind = "random", sample: bool = True, approxima
         run.observations,
         run.mle,
         run.card.gp_inputs,
-        chosen=split,
-        sample=sample,
-        approximate=approximate,
-        seed=seed,
+        Training(split, seed, sample, approximate),
     )
     return Fit(replace(run, gp=report))
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
 from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.likelihood.mle import MleResult
+from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.jobs.steps.post_diagnosis import predictors
 from bayes_aero.report.diagnosis_view import DiagnosisView, View

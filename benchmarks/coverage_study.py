@@ -11,7 +11,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from bayes_aero.inference.likelihood.mle import fit_mle
-from bayes_aero.inference.posterior.ensemble import sample_ensemble
+from bayes_aero.inference.posterior.ensemble import EnsembleLength, sample_ensemble
 from bayes_aero.inference.posterior.laplace import density_start, find_mode
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
@@ -81,7 +81,7 @@ def coverage_study(
             density = Density(data, model, Noise(colour))
             mode = find_mode(density, density_start(density, mle))
             posterior = sample_ensemble(
-                density, mode, seed=replicate, ensembles=ensembles, max_steps=max_steps, predictive=False
+                density, mode, seed=replicate, length=EnsembleLength(ensembles, max_steps), predictive=False
             )
             ends = np.array([posterior.marginals[name].ci95 for name in model.names])
             low.append(ends[:, 0])

@@ -10,7 +10,7 @@ import pytest
 
 from bayes_aero.diagnosis.trajectories.fit_agreement import fit_disagreements
 from bayes_aero.diagnosis.trajectories.trajectory_fit import TrajectoryFit
-from bayes_aero.inference.likelihood.mle import MleResult, MleStatus
+from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
 from bayes_aero.report.text.fly import disagreement_sentences
 
 

@@ -15,7 +15,7 @@ from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.gp import GPFit
 from bayes_aero.inference.identification import GPReport, Identification, Validation
-from bayes_aero.inference.likelihood.mle import MleResult, MleStatus
+from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
 from bayes_aero.inference.posterior.posterior import Marginal, Posterior, PosteriorStatus
 from bayes_aero.inference.scores import score
 from bayes_aero.inference.splits import make_splits

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from bayes_aero.diagnosis.selection.cross_validation import Compared
 from bayes_aero.diagnosis.settings import DEFAULT
-from bayes_aero.inference.likelihood.mle import MleStatus
+from bayes_aero.inference.likelihood.mle_result import MleStatus
 from bayes_aero.inference.scores import Scores
 from bayes_aero.model.noise import Colour
 from bayes_aero.report.pages.tables.diagnosis import by_manoeuvre

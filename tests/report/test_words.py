@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from bayes_aero.inference.likelihood.mle import MleStatus
+from bayes_aero.inference.likelihood.mle_result import MleStatus
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.model.noise import Colour
 from bayes_aero.report.pages.identification import headline

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayes_aero.diagnosis.trajectories.trajectory_fit import TrajectoryFit
-from bayes_aero.inference.likelihood.mle import MleResult, MleStatus
+from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
 from bayes_aero.inference.likelihood.restraints import AGAINST
 
 WORTH = 0.03  # of an estimate, a difference that matters to a simulation; our choice

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy import optimize
 
-from bayes_aero.inference.likelihood.mle import MleResult
+from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.model.log_density import LogDensity
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.coefficients import NAMES

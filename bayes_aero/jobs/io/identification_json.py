@@ -10,7 +10,7 @@ import numpy as np
 
 from bayes_aero.diagnosis.trajectories.time_histories import Path
 from bayes_aero.inference.identification import GPReport, Identification, Validation
-from bayes_aero.inference.likelihood.mle import MleResult
+from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.scores import Scores, score
 from bayes_aero.inference.variance.inseparable import Inseparable

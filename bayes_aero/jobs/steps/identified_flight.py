@@ -11,7 +11,7 @@ from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.mle import MleResult
+from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.model import Model
 
