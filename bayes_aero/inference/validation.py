@@ -105,7 +105,7 @@ def validate(
 
 def _allowed(observations: Observations, chosen: SplitKind) -> tuple[tuple[SplitKind, ...], SplitKind, tuple[str, ...]]:
     """The splits that the records allow, the chosen one or what stands for it, and what is said of the others."""
-    kinds = KINDS
+    kinds: tuple[SplitKind, ...] = KINDS
     if len(observations.names) < 2:
         kinds = tuple(kind for kind in kinds if kind != "manoeuvre")
         chosen = "block" if chosen == "manoeuvre" else chosen

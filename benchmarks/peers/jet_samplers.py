@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import warnings
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from contender import Problem
@@ -40,7 +41,7 @@ def ours(engine: str) -> Callable[[Problem, int, argparse.Namespace], Callable[[
         density = trajectory_density(fit)
         mode = find_mode(density, density.start(fit))
         sample, of = (sample_ensemble, EnsembleLength) if engine == "emcee" else (sample_nuts, NutsLength)
-        length = of(*QUICK[engine]) if options.quick else of()
+        length: Any = of(*QUICK[engine]) if options.quick else of()
         names = common(problem)
 
         def run(seed: int) -> Drawn:

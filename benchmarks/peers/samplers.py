@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import statistics
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from contender import Problem, stall
@@ -47,7 +47,7 @@ def ours(engine: str) -> Callable[[Problem, int, argparse.Namespace], Run]:
         else:
             from bayes_aero.inference.posterior.nuts import NutsLength as Length
             from bayes_aero.inference.posterior.nuts import sample_nuts as sample
-        length = Length(*QUICK[engine]) if options.quick else Length()
+        length: Any = Length(*QUICK[engine]) if options.quick else Length()
 
         def run(seed: int) -> Drawn:
             found = sample(density, mode, seed=seed, predictive=False, length=length)
