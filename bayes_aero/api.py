@@ -41,7 +41,7 @@ from bayes_aero.inference.posterior.laplace import density_start, other_modes, s
 from bayes_aero.inference.posterior.nuts import sample_nuts
 from bayes_aero.inference.posterior.pit import pit_of
 from bayes_aero.inference.splits import SplitKind
-from bayes_aero.inference.validation import validate
+from bayes_aero.inference.validation import Training, validate
 from bayes_aero.jobs.steps.spike_repair import repaired
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
@@ -203,10 +203,7 @@ def gpr(fit: Fit, *, split: SplitKind = "random", sample: bool = True, approxima
         run.observations,
         run.mle,
         run.card.gp_inputs,
-        chosen=split,
-        sample=sample,
-        approximate=approximate,
-        seed=seed,
+        Training(split, seed, sample, approximate),
     )
     return Fit(replace(run, gp=report))
 

@@ -11,8 +11,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 Array = Any  # of either library; jaxtyping still checks its kind and shape
+Samples = Float[Array, "*#n"]  # some at one sample, or for many directions at once
 
 
 def namespace(*arrays: Any) -> Any:

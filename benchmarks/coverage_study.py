@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import jax.numpy as jnp
@@ -11,12 +11,13 @@ import pandas as pd
 from jaxtyping import Float
 
 from bayes_aero.inference.likelihood.mle import fit_mle
-from bayes_aero.inference.posterior.ensemble import sample_ensemble
+from bayes_aero.inference.posterior.ensemble import EnsembleLength, sample_ensemble
 from bayes_aero.inference.posterior.laplace import density_start, find_mode
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Observations
+from bayes_aero.progress import Progress
 
 METHODS = ("CRB", "corrected CRB", "white posterior", "AR(1) posterior")
 Z95 = 1.959963984540054
@@ -52,7 +53,7 @@ def coverage_study(
     white: int | None = None,
     ensembles: int = 2,
     max_steps: int = 1000,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Coverage:
     """Simulate coefficients from `truth` with AR(1) noise, infer them in four ways, count covered parameters.
 
@@ -80,7 +81,7 @@ def coverage_study(
             density = Density(data, model, Noise(colour))
             mode = find_mode(density, density_start(density, mle))
             posterior = sample_ensemble(
-                density, mode, seed=replicate, ensembles=ensembles, max_steps=max_steps, predictive=False
+                density, mode, seed=replicate, length=EnsembleLength(ensembles, max_steps), predictive=False
             )
             ends = np.array([posterior.marginals[name].ci95 for name in model.names])
             low.append(ends[:, 0])

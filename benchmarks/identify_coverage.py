@@ -26,7 +26,7 @@ from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
-from bayes_aero.inference.posterior.ensemble import sample_ensemble
+from bayes_aero.inference.posterior.ensemble import EnsembleLength, sample_ensemble
 from bayes_aero.inference.posterior.laplace import density_start, find_mode
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
@@ -73,7 +73,7 @@ def case(number: int, forming: Forming = Forming.MATCHED, noise: Colour = DEFAUL
     if sample:
         density = Density.of(observations, model, Noise(noise), mle.bias)
         mode = find_mode(density, density_start(density, mle))
-        posterior = sample_ensemble(density, mode, seed=number, ensembles=2, max_steps=1000, predictive=False)
+        posterior = sample_ensemble(density, mode, seed=number, length=EnsembleLength(2, 1000), predictive=False)
         ends[METHODS[1]] = [list(posterior.marginals[name].ci95) for name in model.names]
         status = posterior.status.name
     row = {"kind": kind, "dt": dt, "names": model.names, "estimate": mle.estimate.tolist(), "ends": ends}

@@ -17,7 +17,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks
-from bayes_aero.physics.coefficients import condition
+from bayes_aero.physics.coefficients import condition_joined
 from bayes_aero.simulate.sensor_faults import misrecorded
 
 POSSIBLE = "only sensors, thrust and moments can be injected into a record"
@@ -73,8 +73,10 @@ def _shared(parts: Mapping[str, float], total: np.ndarray, given: Mapping[str, n
 def _moment(
     effect: Effect, values: Mapping[str, float], channels: Mapping[str, np.ndarray], dt: float, card: Card
 ) -> np.ndarray:
-    signals = condition({name: jnp.asarray(x) for name, x in channels.items()}, dt)
-    ones = jnp.ones(len(channels["alpha"]))
+    n = len(channels["alpha"])
+    ends = jnp.full(n, dt), jnp.zeros(n, int), jnp.full(n, n - 1)
+    signals = condition_joined({name: jnp.asarray(x) for name, x in channels.items()}, *ends)
+    ones = jnp.ones(n)
 
     def increments(X: float) -> dict[str, Any]:
         known = {name: value * ones for name, value in NEUTRAL_FLOW.items()} | {"incidence": signals["alpha"]}

@@ -75,7 +75,7 @@ def samples(n: int) -> dict[str, float]:
     target = ensemble._Target(density, mode)
     walkers = 2 * (density.size + 2)
     proposal = ensemble._Independent(np.zeros(density.size), np.eye(density.size))
-    samplers = [ensemble._sampler(target, walkers, proposal, i) for i in range(ensemble.ENSEMBLES)]
+    samplers = [ensemble._sampler(target, walkers, proposal, i) for i in range(ensemble.EnsembleLength().ensembles)]
     begin = 0.5 * np.random.default_rng(0).standard_normal((len(samplers), walkers, density.size))
     ensemble._advance(samplers, 2, begin)
     clock("compile")
@@ -145,9 +145,10 @@ def page(n: int) -> dict[str, float]:
     """`identify` without Gaussian processes, of one record: seconds of every stage, and the size of what it writes."""
     from bayes_aero.flight.card.card import read_card
     from bayes_aero.jobs.identify import identify
+    from bayes_aero.jobs.options import IdentifyOptions
 
     with tempfile.TemporaryDirectory() as folder:
-        found = identify([long_record(n)], read_card("attas"), gp=False, out=Path(folder))
+        found = identify([long_record(n)], read_card("attas"), IdentifyOptions(gp=False), out=Path(folder))
         sizes = {f"{p.name} MB": p.stat().st_size / 1e6 for p in Path(folder).iterdir() if p.is_file()}
     return dict(found.seconds) | sizes
 
@@ -157,7 +158,7 @@ def checkpoint(steps: int) -> dict[str, float]:
     from bayes_aero.flight.card.card import read_card
     from bayes_aero.inference.likelihood.mle import fit_mle
     from bayes_aero.inference.posterior.checkpoint import Checkpoint
-    from bayes_aero.inference.posterior.ensemble import sample_ensemble
+    from bayes_aero.inference.posterior.ensemble import EnsembleLength, sample_ensemble
     from bayes_aero.inference.posterior.laplace import density_start, find_mode
     from bayes_aero.model.density import Density
     from bayes_aero.model.model import Model
@@ -180,10 +181,16 @@ def checkpoint(steps: int) -> dict[str, float]:
     mode = find_mode(density, density_start(density, fit_mle(model, observations, extra_starts=0)))
     times: dict[str, float] = {}
     clock = Clock(times)
-    sample_ensemble(density, mode, max_steps=100, predictive=False)
+    sample_ensemble(density, mode, length=EnsembleLength(max_steps=100), predictive=False)
     clock("first")
     with tempfile.TemporaryDirectory() as folder:
-        sample_ensemble(density, mode, max_steps=steps, predictive=False, checkpoint=Watched(Path(folder) / "c", {}))
+        sample_ensemble(
+            density,
+            mode,
+            length=EnsembleLength(max_steps=steps),
+            predictive=False,
+            checkpoint=Watched(Path(folder) / "c", {}),
+        )
         clock("emcee")
         times["MB"] = sum(p.stat().st_size for p in Path(folder).rglob("*") if p.is_file()) / 1e6
     return times | {"keeping": spent[0], "share": spent[0] / times["emcee"]}

@@ -14,7 +14,7 @@ import xarray as xr
 import bayes_aero as ba
 from bayes_aero.cli.identify import identify as command
 from bayes_aero.inference.posterior.posterior import Posterior, PosteriorStatus
-from bayes_aero.jobs.identify import identify
+from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.model.noise import DEFAULT, Colour
 from bayes_aero.report.tables.comparison import ordered
 
@@ -84,7 +84,7 @@ def test_posteriors_under_different_noise_models_are_kept_apart(fitted):
 
 
 def test_one_noise_model_is_the_default_everywhere():
-    for function in (ba.sample, identify, command):
+    for function in (ba.sample, IdentifyOptions, command):
         assert Colour(inspect.signature(function).parameters["noise"].default) is DEFAULT
 
 

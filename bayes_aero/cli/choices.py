@@ -19,14 +19,14 @@ class Coefficients(StrEnum):
 
 
 class InitialState(StrEnum):
-    """Where a manoeuvre begins: `jobs.fly.INITIAL_STATES`."""
+    """Where a manoeuvre begins: `jobs.options.INITIAL_STATES`."""
 
     FREE = "free"
     FIXED = "fixed"
 
 
 class Inputs(StrEnum):
-    """Inputs between samples: `jobs.fly.INPUTS`."""
+    """Inputs between samples: `jobs.options.INPUTS`."""
 
     LINEAR = "linear"
     HELD = "held"

@@ -28,7 +28,7 @@ from bayes_aero.cli.terminal import (
 )
 
 if TYPE_CHECKING:  # the real imports wait until the command needs them
-    from bayes_aero.jobs.io.result_store import Outcome
+    from bayes_aero.jobs.io.diagnosis_json import Outcome
 
 
 def diagnose(
@@ -57,26 +57,16 @@ def diagnose(
     """
     (card, flights), hidden = card_and_records(model, records or [], resample, split), None
     with loading():
-        from bayes_aero.jobs.diagnose import hide_one
-        from bayes_aero.jobs.dispatch import diagnose_records
+        from bayes_aero.jobs.diagnose import diagnose_records, hide_one
+        from bayes_aero.jobs.options import DiagnoseOptions
 
     console = teller(quiet=json, highlight=True)
     with interruptible(kept_stages(out, taken_up=True)), bar("reading" if records else "simulating") as tell:
         if not records:
             console.print("No record given: an effect is hidden in two simulated manoeuvres, then searched for.")
             hidden, flights = hide_one(card, seed)
-        found = diagnose_records(
-            flights,
-            card,
-            out=out,
-            seed=seed,
-            max_effects=max_effects,
-            predictors=predictors,
-            trajectories=trajectories,
-            figures=figures,
-            hidden=hidden,
-            progress=tell,
-        )
+        options = DiagnoseOptions(seed, max_effects, predictors, trajectories, figures)
+        found = diagnose_records(flights, card, options, out=out, hidden=hidden, progress=tell)
     corrects = found.diagnosis.by_coefficients  # trajectories alone are fitted to the record as it is
     if json:
         typer.echo((out / "diagnosis.json").read_text(encoding="utf-8"), nl=False)

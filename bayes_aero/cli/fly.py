@@ -77,25 +77,15 @@ def fly(
     """
     card, flights = card_and_records(model, records, resample, split)
     with loading():
-        from bayes_aero.jobs.fly import RESULTS
-        from bayes_aero.jobs.fly import fly as run
+        from bayes_aero.jobs.fly import fly_records
+        from bayes_aero.jobs.io.fly_json import RESULTS
+        from bayes_aero.jobs.options import FlyOptions
         from bayes_aero.report.text.fly import error_table, parameter_table
 
     console = teller(quiet=json, highlight=True)
     with interruptible(kept_stages(out)), bar("reading") as tell:
-        found = run(
-            flights,
-            card,
-            out=out,
-            windows=windows,
-            initial_state=initial_state.value,
-            priors=priors,
-            outputs=outputs,
-            inputs=inputs.value,
-            seed=seed,
-            figures=figures,
-            progress=tell,
-        )
+        options = FlyOptions(windows, initial_state.value, priors, outputs, inputs.value, seed, figures)
+        found = fly_records(flights, card, options, out=out, progress=tell)
     if json:
         typer.echo((out / RESULTS).read_text(encoding="utf-8"), nl=False)
     print_failures(console, found.failures)

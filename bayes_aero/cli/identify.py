@@ -67,7 +67,8 @@ def identify(
     # Imported here: --help, a mistyped option and a file that is not there need not wait for the numerical libraries.
     with loading():
         from bayes_aero.flight.card.card import read_card
-        from bayes_aero.jobs.identify import identify as run
+        from bayes_aero.jobs import identify as job
+        from bayes_aero.jobs.options import IdentifyOptions
         from bayes_aero.model.noise import Colour
         from bayes_aero.report.tables.run_tables import terminal_table
         from bayes_aero.report.text.identification import verdict
@@ -79,21 +80,17 @@ def identify(
         same = card.sha256 == read_card("attas").sha256  # with another card's constants the parameters are others
         flights, truth = demo_records(), TRUTH if same else None
     with interruptible(kept_stages(out)), bar("reading") as tell:
-        found = run(
-            flights,
-            card,
+        options = IdentifyOptions(
             noise=Colour(noise.value),
             coefficients=coefficients.value,
             split=gp_split.value,
             seed=seed,
-            out=out,
             sample=sample,
             gp=gp,
             approximate_gp=approximate_gp,
             figures=figures,
-            truth=truth,
-            progress=tell,
         )
+        found = job.identify(flights, card, options, out=out, truth=truth, progress=tell)
     if json:
         typer.echo((out / "results.json").read_text(encoding="utf-8"), nl=False)
         exit_if_failed(found.failures)

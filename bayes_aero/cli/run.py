@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,6 +17,7 @@ from rich.table import Table
 
 from bayes_aero.cli.terminal import FAILED, JsonOption, bar, interruptible, loading, print_failures, print_json, teller
 from bayes_aero.errors import InputError
+from bayes_aero.progress import Progress
 
 if TYPE_CHECKING:
     from bayes_aero.study.run import Doer, Planned
@@ -65,8 +66,7 @@ def run(
 
     asked = read_study(study, trust_effects=trust_effects)  # a mistake is told before the libraries are loaded
     with loading():
-        from bayes_aero.study.report import put_report
-        from bayes_aero.study.run import UNITS, StoppedError, leftovers, plan, run_study
+        from bayes_aero.study.run import leftovers, plan
 
     folder = out or Path(f"{study.stem}_results")
     if folder.exists() and not folder.is_dir():
@@ -78,24 +78,39 @@ def run(
         console.print(f"! not of this study, left as they are: {', '.join(rest)}", soft_wrap=True)
     if verify:
         _verify(console, asked, planned, folder, json)
-        return
-    if dry_run:
+    elif dry_run:
         _listed(console, planned)
         if json:
             print_json(_content(asked, folder, [_row(p) for p in planned]))
-        return
-    told: dict[str, Any] = {}
+    else:
+        told, verdict, unwritten = _done(asked, folder, planned, (workers, memory, scheduler))
+        rows = [_row(p) | dict(told.get(p.unit.name, {})) for p in planned]
+        failed = [row for row in rows if row["state"] != "done"]
+        _tell(console, folder, failed, (len(told), len(planned)), (verdict, unwritten))
+        if json:
+            print_json(_content(asked, folder, rows))
+        if failed or unwritten:
+            raise typer.Exit(FAILED)
+
+
+def _done(
+    asked: Study, folder: Path, planned: list[Planned], cluster: tuple[int | None, str | None, str | None]
+) -> tuple[Mapping[str, Mapping[str, Any]], str, tuple[str, ...]]:
+    """What every unit that was due said, the study's verdict, and what could not be written."""
+    from bayes_aero.study.report import put_report
+    from bayes_aero.study.run import UNITS, StoppedError, plan, run_study
 
     def resume() -> str:
         done = sum(p.state.word == "done" for p in plan(asked, folder))
         return f"{done} of {len(planned)} units are done and kept in {folder}; the same command does the rest"
 
-    due = sum(p.state.word != "done" for p in planned)
+    due = any(p.state.word != "done" for p in planned)
+    workers, memory, scheduler = cluster if due else (None, None, None)
     try:
         with (
             interruptible(resume),
             bar("reading", over=3600.0) as show,
-            _cluster(workers if due else None, memory, scheduler if due else None, folder / UNITS, show) as doer,
+            _cluster(workers, memory, scheduler, folder / UNITS, show) as doer,
         ):
             told = run_study(
                 asked,
@@ -105,23 +120,27 @@ def run(
                 doer=doer,
             )
             show("report", 1.0)
-            verdict, unwritten = put_report(asked, folder)
+            return told, *put_report(asked, folder)
     except StoppedError as reason:
         print(f"error: {reason}; {resume()}", file=sys.stderr)
         raise typer.Exit(FAILED) from None
-    rows = [_row(p) | dict(told.get(p.unit.name, {})) for p in planned]
-    failed = [row for row in rows if row["state"] != "done"]
+
+
+def _tell(
+    console: Console,
+    folder: Path,
+    failed: list[dict[str, Any]],
+    counts: tuple[int, int],
+    report: tuple[str, tuple[str, ...]],
+) -> None:
+    """Failures, how many of all units were done now, the verdict, and where the results are."""
+    (now, every), (verdict, unwritten) = counts, report
     for row in failed:
         console.print(f"✗ {row['name']}: {row['error']}", style="red", soft_wrap=True)
     print_failures(console, unwritten)
-    new = len(told) - len(failed)
-    console.print(f"{len(planned)} units: {new} done now, {len(planned) - len(told)} were done, {len(failed)} failed.")
+    console.print(f"{every} units: {now - len(failed)} done now, {every - now} were done, {len(failed)} failed.")
     console.print(verdict, soft_wrap=True)
     console.print(f"Results are in {folder}: report.html, units/, units.csv, summary.csv, environment/", soft_wrap=True)
-    if json:
-        print_json(_content(asked, folder, rows))
-    if failed or unwritten:
-        raise typer.Exit(FAILED)
 
 
 def _check(dry_run: bool, verify: bool, workers: int | None, memory: str | None, scheduler: str | None) -> None:
@@ -138,7 +157,7 @@ def _check(dry_run: bool, verify: bool, workers: int | None, memory: str | None,
 
 @contextmanager
 def _cluster(
-    workers: int | None, memory: str | None, scheduler: str | None, units: Path, show: Callable[[str, float], None]
+    workers: int | None, memory: str | None, scheduler: str | None, units: Path, show: Progress
 ) -> Iterator[Doer | None]:
     """What does the units: a Dask cluster where one is asked for."""
     if not workers and not scheduler:

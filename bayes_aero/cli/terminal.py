@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as ProgressBar
 
 from bayes_aero.cli.durations import Durations, TimeLeft
+from bayes_aero.progress import Progress
 from bayes_aero.study.jit_cache import cache_folder
 
 if TYPE_CHECKING:  # the real imports wait until a command needs them
@@ -48,7 +50,7 @@ def teller(*, quiet: bool = False, highlight: bool = False) -> Console:
 
 
 @contextmanager
-def bar(first: str, over: float = 30.0) -> Iterator[Callable[[str, float], None]]:
+def bar(first: str, over: float = 30.0) -> Iterator[Progress]:
     """A bar with the time left on the terminal, silence elsewhere; tell it a stage and the share of it that is done.
 
     Both times are the stage's; what is left is estimated from the last `over` seconds, and before it moves from how
@@ -58,7 +60,7 @@ def bar(first: str, over: float = 30.0) -> Iterator[Callable[[str, float], None]
     durations = Durations(cache_folder())
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn(), TimeLeft(durations))
     hidden = not console.is_terminal
-    with Progress(*columns, console=console, transient=True, disable=hidden, speed_estimate_period=over) as shown:
+    with ProgressBar(*columns, console=console, transient=True, disable=hidden, speed_estimate_period=over) as shown:
         task = shown.add_task(first, total=1.0)
         durations.stage(first)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -34,8 +34,7 @@ from bayes_aero.inference.variance.variance_inflation import nats
 from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.physics.coefficient_names import NAMES
-
-Progress = Callable[[str, float], None]
+from bayes_aero.progress import Progress
 
 
 @blas_threads(0)

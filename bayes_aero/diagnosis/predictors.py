@@ -11,7 +11,7 @@ worth as many times less as the variance inflation says (`SelectionState.varianc
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -26,12 +26,11 @@ from bayes_aero.errors import InputError
 from bayes_aero.inference.scores import log_density, score
 from bayes_aero.inference.threads import blas_threads
 from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.progress import Progress
 
 # What the discrepancy sees besides the card's inputs; not alpha-dot, whose fast part holds the accelerometer's noise:
 # that is the residual's own, and a process that sees it follows nothing else.
 BEYOND = ("X",)
-
-Progress = Callable[[str, float], None]
 
 
 class Predictor(StrEnum):

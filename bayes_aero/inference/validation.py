@@ -7,7 +7,7 @@ import gc
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -30,6 +30,7 @@ from bayes_aero.inference.threads import cores
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Observations
 from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.progress import Progress
 
 KINDS: tuple[SplitKind, ...] = ("random", "block", "manoeuvre")
 LEVEL = 0.95
@@ -44,96 +45,103 @@ def gp_inputs(observations: Observations, names: tuple[str, ...]) -> Float[np.nd
     return np.stack([np.asarray(observations.signals[name]) for name in names], axis=1)
 
 
+class Training(NamedTuple):
+    """How Gaussian processes are trained.
+
+    Hyperparameters are sampled, if `sample`, for the first fold of the split `chosen`; for the others, at their mode.
+    `approximate`: see `fit_gp`.
+    """
+
+    chosen: SplitKind
+    seed: int = 0
+    sample: bool = True
+    approximate: bool = False
+
+
 def validate(
     model: Model,
     observations: Observations,
     mle: MleResult,
     inputs: tuple[str, ...],
-    *,
-    chosen: SplitKind,
-    seed: int = 0,
-    kinds: tuple[SplitKind, ...] = KINDS,
-    sample: bool = True,
-    approximate: bool = False,
-    progress: Callable[[str, float], None] | None = None,
+    training: Training,
+    progress: Progress | None = None,
 ) -> GPReport:
     """Train on each split's training points and score on its test points, both models on the same ones.
 
-    Hyperparameters are sampled, if `sample`, for the first fold of the `chosen` split; for the others, at their mode.
-    A split that the records do not allow (`manoeuvre` with one record) is left out. `approximate`: see `fit_gp`.
+    A split that the records do not allow (`manoeuvre` with one record) is left out.
     """
     began = time.perf_counter()
-    if len(observations.names) < 2:
-        kinds = tuple(kind for kind in kinds if kind != "manoeuvre")
-        chosen = "block" if chosen == "manoeuvre" else chosen
-    if not kinds:
-        raise InputError("a manoeuvre split needs at least two records; add one or choose another split")
-    left_out: tuple[str, ...] = ()
-    if (
-        "block" in kinds
-        and len(kinds) > 1
-        and (short := too_short(observations.manoeuvre, observations.dt)) is not None
-    ):
-        kinds = tuple(kind for kind in kinds if kind != "block")
-        chosen = kinds[0] if chosen == "block" else chosen
-        left_out = (
-            f"The Gaussian process was not tested on hold-out blocks: {observations.names[short]} is shorter than two "
-            f"blocks of {BLOCK_SECONDS:g} s.",
-        )
+    kinds, chosen, left_out = _allowed(observations, training.chosen)
     splits: dict[SplitKind, list[Split]] = {
-        kind: make_splits(kind, observations.manoeuvre, observations.dt, seed) for kind in kinds
+        kind: make_splits(kind, observations.manoeuvre, observations.dt, training.seed) for kind in kinds
     }
-    X, z = gp_inputs(observations, inputs), np.asarray(observations.measured)
+    largest = max(len(f.train_idx) for folds in splits.values() for f in folds)
+    if largest > MAX_SAMPLES and not training.approximate:
+        raise InputError(too_many(largest))
+    largest = min(largest, MAX_SAMPLES)
     tasks = [
-        _Task(kind, number, i, sample and kind == chosen and number == 0)
+        _Task(kind, number, i, training.sample and kind == chosen and number == 0)
         for kind, folds in splits.items()
         for number in range(len(folds))
         for i in range(len(NAMES))
     ]
     tasks.sort(key=lambda task: not task.sampled)  # the long ones first
-    largest = max(len(f.train_idx) for folds in splits.values() for f in folds)
-    if largest > MAX_SAMPLES and not approximate:
-        raise InputError(too_many(largest))
-    largest = min(largest, MAX_SAMPLES)
+    X, z = gp_inputs(observations, inputs), np.asarray(observations.measured)
     tidy = largest >= WORTH_PROCESSES  # below, compiling anew for every fit costs more than memory is worth
-    work = (
-        delayed(_trained)(
-            X, z[:, t.column], inputs, splits[t.kind][t.fold], t.column, t.sampled, seed, tidy, approximate, os.getpid()
-        )
-        for t in tasks
+    work = [_Work(X, z[:, t.column], inputs, splits[t.kind][t.fold], t, training, tidy, os.getpid()) for t in tasks]
+    trained = _all_trained(work, largest, progress)
+    found: dict[str, list[dict[str, Validation]]] = {kind: [{} for _ in folds] for kind, folds in splits.items()}
+    for kind, folds in splits.items():
+        for number, fold in enumerate(folds):
+            predicted = _mle_prediction(model, observations, mle, fold)
+            for i, name in enumerate(NAMES):
+                measured, by_mle = z[fold.test_idx, i], predicted[:, i]
+                _, part = trained[kind, number, i]
+                found[kind][number][name] = Validation(
+                    test=fold.test_idx, measured=measured, mle=by_mle, mle_scores=score(measured, by_mle), **part
+                )
+    fits = {NAMES[i]: fit for (_, _, i), (fit, _) in trained.items() if fit is not None}
+    return GPReport(found, {n: fits[n] for n in NAMES if n in fits}, chosen, time.perf_counter() - began, left_out)
+
+
+def _allowed(observations: Observations, chosen: SplitKind) -> tuple[tuple[SplitKind, ...], SplitKind, tuple[str, ...]]:
+    """The splits that the records allow, the chosen one or what stands for it, and what is said of the others."""
+    kinds: tuple[SplitKind, ...] = KINDS
+    if len(observations.names) < 2:
+        kinds = tuple(kind for kind in kinds if kind != "manoeuvre")
+        chosen = "block" if chosen == "manoeuvre" else chosen
+    short = too_short(observations.manoeuvre, observations.dt)
+    if short is None:
+        return kinds, chosen, ()
+    kinds = tuple(kind for kind in kinds if kind != "block")
+    said = (
+        f"The Gaussian process was not tested on hold-out blocks: {observations.names[short]} is shorter than two "
+        f"blocks of {BLOCK_SECONDS:g} s."
     )
-    trained: dict[_Task, tuple[GPFit | None, dict[str, Any]]] = {}
-    jobs = _processes(len(tasks), largest)
-    if tidy:
+    return kinds, kinds[0] if chosen == "block" else chosen, (said,)
+
+
+def _all_trained(work: Sequence[_Work], largest: int, progress: Progress | None) -> dict[tuple[str, int, int], Any]:
+    """What `_trained` returns, by kind of split, fold and coefficient."""
+    trained: dict[tuple[str, int, int], Any] = {}
+    jobs = _processes(len(work), largest)
+    if work[0].tidy:
         give_back_memory()
     # LAPACK holds Python's lock and gains little from a second thread at these sizes: one process a core.
     with parallel_config(backend="loky", inner_max_num_threads=1):
-        results: Any = Parallel(n_jobs=jobs, return_as="generator")(work)
+        results: Any = Parallel(n_jobs=jobs, return_as="generator")(delayed(_trained)(one) for one in work)
         try:
-            for task, result in zip(tasks, results, strict=True):
-                trained[task] = result
+            for one, result in zip(work, results, strict=True):
+                task = one.task
+                trained[task.kind, task.fold, task.column] = result
                 if progress:
-                    progress(f"gp: {NAMES[task.column]}, {task.kind} split", len(trained) / len(tasks))
+                    progress(f"gp: {NAMES[task.column]}, {task.kind} split", len(trained) / len(work))
         except TerminatedWorkerError:
             raise InputError(
-                f"a process that trained on up to {len(z)} samples was killed, probably for lack of memory; thin the "
-                "records or free memory"
+                f"a process that trained on up to {len(work[0].z)} samples was killed, probably for lack of memory; "
+                "thin the records or free memory"
             ) from None
-    predicted = {
-        (kind, number): _mle_prediction(model, observations, mle, fold)
-        for kind, folds in splits.items()
-        for number, fold in enumerate(folds)
-    }
-    found: dict[str, list[dict[str, Validation]]] = {kind: [{} for _ in folds] for kind, folds in splits.items()}
-    for task in sorted(tasks, key=lambda t: t.column):
-        test = splits[task.kind][task.fold].test_idx
-        by_mle = predicted[task.kind, task.fold][:, task.column]
-        measured = z[test, task.column]
-        found[task.kind][task.fold][NAMES[task.column]] = Validation(
-            test=test, measured=measured, mle=by_mle, mle_scores=score(measured, by_mle), **trained[task][1]
-        )
-    fits = {NAMES[t.column]: fit for t, (fit, _) in trained.items() if fit is not None}
-    return GPReport(found, {n: fits[n] for n in NAMES if n in fits}, chosen, time.perf_counter() - began, left_out)
+    return trained
 
 
 def _processes(tasks: int, n: int) -> int:
@@ -165,6 +173,19 @@ class _Task(NamedTuple):
     sampled: bool
 
 
+class _Work(NamedTuple):
+    """A task with all that it needs, for it is done elsewhere; `z` is its coefficient, `parent` who waits for it."""
+
+    X: Float[np.ndarray, "n d"]
+    z: Float[np.ndarray, " n"]
+    inputs: tuple[str, ...]
+    fold: Split
+    task: _Task
+    training: Training
+    tidy: bool
+    parent: int
+
+
 def _mle_prediction(model: Model, observations: Observations, mle: MleResult, fold: Split) -> Float[np.ndarray, "m 3"]:
     """Maximum likelihood on the training points, evaluated at the test points."""
     trained = fit_mle(model, observations.subset(fold.train_idx), start=mle.estimate, extra_starts=0)
@@ -172,32 +193,22 @@ def _mle_prediction(model: Model, observations: Observations, mle: MleResult, fo
     return np.asarray(y)[fold.test_idx]
 
 
-def _trained(
-    X: Float[np.ndarray, "n d"],
-    z: Float[np.ndarray, " n"],
-    inputs: tuple[str, ...],
-    fold: Split,
-    column: int,
-    sampled: bool,
-    seed: int,
-    tidy: bool,
-    approximate: bool,
-    parent: int,
-) -> tuple[GPFit | None, dict[str, Any]]:
-    """The fit, if it was sampled, and the process's part of a `Validation`; self-contained, for it runs elsewhere."""
-    leave_with(parent)
+def _trained(work: _Work) -> tuple[GPFit | None, dict[str, Any]]:
+    """The fit, if it was sampled, and the process's part of a `Validation`."""
+    leave_with(work.parent)
+    X, z, fold, sampled = work.X, work.z, work.fold, work.task.sampled
     fit = fit_gp(
         X[fold.train_idx],
         z[fold.train_idx],
-        input_names=inputs,
-        output_name=NAMES[column],
+        input_names=work.inputs,
+        output_name=NAMES[work.task.column],
         priors=Priors.quasi_steady(),
         sample=sampled,
-        seed=seed,
-        approximate=approximate,
+        seed=work.training.seed,
+        approximate=work.training.approximate,
         progress=lambda _: None,
     )
-    if tidy:
+    if work.tidy:
         give_back_memory()
     measured = z[fold.test_idx]
     prediction = fit.predict(X[fold.test_idx])

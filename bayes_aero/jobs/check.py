@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -29,9 +29,9 @@ from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.joined_records import joined
 from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
+from bayes_aero.progress import Progress
 
 SCHEMA = "bayes_aero/check/1"
-Progress = Callable[[str, float], None]
 
 
 def check_records(

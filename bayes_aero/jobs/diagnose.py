@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,6 @@ from bayes_aero.diagnosis.diagnose import diagnose, judged_on_held_out_flights
 from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.diagnosis.trajectories.noise_check import with_tested
-from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.models import view_of
 from bayes_aero.diagnosis.view.results import DiagnosisView
 from bayes_aero.dynamics.plant import flies
@@ -26,20 +25,21 @@ from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.threads import blas_threads, cores
+from bayes_aero.jobs.io.diagnosis_json import Hidden, Outcome
 from bayes_aero.jobs.io.output_folder import writable
-from bayes_aero.jobs.io.result_store import Hidden, Outcome, ResultStore
+from bayes_aero.jobs.io.result_store import ResultStore
 from bayes_aero.jobs.io.resume import RESTS_ON, ResumeStore, digest
+from bayes_aero.jobs.options import DiagnoseOptions
 from bayes_aero.jobs.provenance.environment import rests_on
 from bayes_aero.jobs.provenance.provenance import provenance
 from bayes_aero.jobs.steps.background import in_background
-from bayes_aero.jobs.steps.post_processing import Predict, drawings, follow
+from bayes_aero.jobs.steps.post_diagnosis import predictors, simulations
+from bayes_aero.jobs.steps.post_processing import drawings, follow
 from bayes_aero.jobs.steps.sensors_first import sensors_agree
 from bayes_aero.model.model import Model
+from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import AFTER_TRAJECTORIES, DIAGNOSIS_FIGURES
 from bayes_aero.simulate.injection import draw_hidden, flyable
-
-Progress = Callable[[str, float], None]
-Fly = Callable[[Diagnosis, Progress | None], Trajectories]
 
 
 def hide_one(card: Card, seed: int, **options: Any) -> tuple[Hidden, list[FlightRecord]]:
@@ -71,71 +71,78 @@ def _absent(card: Card, name: str) -> bool:
     return name not in card.effects or CATALOGUE[name].absent_in(card.fixed)
 
 
-def run(
+def diagnose_records(
     records: Sequence[FlightRecord],
     card: Card,
+    options: DiagnoseOptions = DiagnoseOptions(),
     *,
     out: Path | None = None,
-    seed: int = 0,
-    most: int = 8,
     hidden: Hidden | None = None,
-    predict: Predict | None = None,
-    fly: Fly | None = None,
-    figures: bool = True,
     progress: Progress | None = None,
 ) -> Outcome:
     """Diagnose, as `bayes-aero diagnose` does, by coefficients or, where an accelerometer is missing, by trajectories
     alone; with `out` it writes diagnosis.json, causes.csv, screen.csv,
     histories.nc, figures and report.html. The same call after an interruption takes up the stages that are there.
 
-    `most` is the number of effects that each stage may add. `predict` adds the comparison of predictors, which may
-    fail (the reason is then a note), and the manoeuvres that would separate ambiguity sets. `fly` adds simulated
-    trajectories. `hidden` is what simulated records hide, for the comparison with what was found.
+    A stage that fails is left out, and the reason is a note. `hidden` is what simulated records hide, for the
+    comparison with what was found.
     """
     if out is not None:
         writable(out)
-    source = provenance(card, records, seed, {"max_effects": most})
+    source = provenance(card, records, options.seed, {"max_effects": options.max_effects})
     source[RESTS_ON] = digest(rests_on(source, records) | {"settings": source["settings"]})
     unfinished = ResumeStore(out, source[RESTS_ON])
     if progress:
         progress("do the sensors agree?", 0.0)
-    found = diagnose(records, card, settings=DiagnosisSettings(max_effects=most), seed=seed, progress=progress)
+    settings = DiagnosisSettings(max_effects=options.max_effects)
+    found = diagnose(records, card, settings=settings, seed=options.seed, progress=progress)
     alone = not found.by_coefficients
-    predict = None if alone else predict
-    agreement, failed = sensors_agree(records, card, seed, out, known=None if alone else errors_of_diagnosis(found))
+    options = replace(options, predictors=options.predictors and not alone)
+    known = None if alone else errors_of_diagnosis(found)
+    agreement, failed = sensors_agree(records, card, options.seed, out, known=known)
     view = view_of(found)
-    causes = view.diagnosis.causes
-    earlier = unfinished.earlier(
-        card, causes, predictors=predict is not None, trajectories=fly is not None and not alone
-    )
     named = {name: _found(view.diagnosis, name) for name in hidden} if hidden else {}
-    outcome = Outcome(view, hidden, named, (), channel_health(records, card), agreement)
-    kept = ResultStore(replace(outcome, failures=(*failed, *found.failures)), out, card, records, source, earlier)
+    outcome = Outcome(view, hidden, named, (), channel_health(records, card), agreement, (*failed, *found.failures))
+    earlier = unfinished.earlier(
+        card, view.diagnosis.causes, predictors=options.predictors, trajectories=options.trajectories and not alone
+    )
+    kept = ResultStore(outcome, out, card, records, source, earlier)
     unfinished.begin()
-    shown = DIAGNOSIS_FIGURES if figures else {}
+    _stages(kept, records, card, options, progress)
+    if not kept.outcome.failures:  # else the same command does again what failed
+        unfinished.end()
+    return kept.outcome
+
+
+def _stages(
+    kept: ResultStore, records: Sequence[FlightRecord], card: Card, options: DiagnoseOptions, progress: Progress | None
+) -> None:
+    """What follows the search for causes, the trajectories beside all the rest; then the page."""
+    diagnosis = kept.outcome.diagnosis
+    shown = DIAGNOSIS_FIGURES if options.figures else {}
     early, late = ({n: draw for n, draw in shown.items() if (n in AFTER_TRAJECTORIES) == x} for x in (False, True))
-    job = partial(follow, kept, predict, early)
+    predict = (lambda found, tell: predictors(found, card, tell)) if options.predictors else None
     with (
         blas_threads(0),
-        in_background(job, progress) as following,
+        in_background(partial(follow, kept, predict, early), progress) as following,
     ):  # one limit: of two, the first to end would lift both
         if cores() == 1:
             following.result()
-        if fly is not None and not kept.has("trajectories"):
-            kept.attempt("Trajectories were not simulated", lambda: kept.trajectories(fly(view.diagnosis, progress)))
-        if alone:
+        if options.trajectories and not kept.has("trajectories"):
+            kept.attempt(
+                "Trajectories were not simulated",
+                lambda: kept.trajectories(simulations(diagnosis, card, records, options.seed, progress)),
+            )
+        if not diagnosis.by_coefficients:
             kept.judged(_judged(kept.outcome.view, records, card))
-            if fly is None and causes:
+            if not options.trajectories and diagnosis.causes:
                 kept.note("Without trajectories no cause was tested on hold-out flights.")
         drawn = following.result()
-    if out is not None:
+    if kept.path is not None:
         drawn |= drawings(kept, late, progress)
         if progress:
             progress("report", 0.0)
         kept.put_page(drawn)
-    if not kept.outcome.failures:  # else the same command does again what failed
-        unfinished.end()
-    return kept.outcome
 
 
 def _judged(view: DiagnosisView, records: Sequence[FlightRecord], card: Card) -> Diagnosis:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,29 +11,25 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.trajectories.fit_agreement import fit_disagreements
-from bayes_aero.diagnosis.trajectories.results import FITTED, Disagreement, Setting, TrajectoryFit
+from bayes_aero.diagnosis.trajectories.results import FITTED, Setting
 from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
 from bayes_aero.diagnosis.trajectories.trajectory_fit import fit_trajectories
 from bayes_aero.dynamics.flight import Dynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.errors import InputError, attempted
-from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.channel_units import channel_units
-from bayes_aero.flight.health import HealthFinding, channel_health
+from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
-from bayes_aero.jobs.io.consistency_json import consistency_results
-from bayes_aero.jobs.io.diagnosis_json import record_results
-from bayes_aero.jobs.io.health_json import health_results
-from bayes_aero.jobs.io.identification_json import inseparable_results
+from bayes_aero.jobs.io.fly_json import RESULTS, Flight, fly_results
 from bayes_aero.jobs.io.output_folder import writable
 from bayes_aero.jobs.io.time_histories import flights, put_histories
-from bayes_aero.jobs.io.trajectories_json import open_loop
+from bayes_aero.jobs.options import FREE, LINEAR, FlyOptions
 from bayes_aero.jobs.provenance.provenance import provenance, write_json
 from bayes_aero.jobs.steps.sensors_first import sensors_agree
 from bayes_aero.jobs.steps.spike_repair import repaired, spike_notes
@@ -42,39 +37,15 @@ from bayes_aero.jobs.steps.usable_for import usable_for
 from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
+from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import draw_all
 from bayes_aero.report.figures.fly import fly_figures
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.fly import FlyTold, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.tables.run_tables import write_csv
-from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences, parameter_frame, parameter_rows
+from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences, parameter_frame
 from bayes_aero.report.text.phrases import several
-
-SCHEMA = "bayes_aero/trajectories/1"
-SHORTEST = 1.0  # s of a window: two ends of the straight line from which the initial state is read
-RESULTS = "trajectories.json"
-INITIAL_STATES = FREE, FIXED = "free", "fixed"
-INPUTS = LINEAR, HELD = "linear", "held"
-Progress = Callable[[str, float], None]
-
-
-@dataclass(frozen=True)
-class Flight:
-    """A fit to trajectories with its findings, in SI and radians.
-
-    `flown.fit` has estimates (k,), standard errors and `det_R`. `sentences` are the findings, `notes` remarks on the
-    input, `failures` parts that failed unexpectedly, `apart` parameters for which the coefficients of the same record
-    give other values.
-    """
-
-    flown: TrajectoryFit
-    sentences: tuple[str, ...]
-    notes: tuple[str, ...]
-    health: tuple[HealthFinding, ...] = ()
-    consistency: Consistency | None = None
-    failures: tuple[str, ...] = ()
-    apart: tuple[Disagreement, ...] = ()
 
 
 def fly(
@@ -119,13 +90,24 @@ def fly(
     Source:
         Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, ch. 4.
     """
-    if not (math.isfinite(windows) and windows >= SHORTEST):
-        raise InputError(f"windows of {windows:g} s cannot be flown; give at least {SHORTEST:g} s")
-    setting = _setting(card, initial_state, priors, outputs, inputs)
+    options = FlyOptions(windows, initial_state, priors, outputs, inputs, seed, figures)
+    return fly_records(records, card, options, out=out, progress=progress)
+
+
+def fly_records(
+    records: Sequence[FlightRecord],
+    card: Card,
+    options: FlyOptions = FlyOptions(),
+    *,
+    out: Path | None = None,
+    progress: Progress | None = None,
+) -> Flight:
+    """`fly` with its options in one."""
+    setting, seed = options.setting(card), options.seed
     flights, dynamics, notes = _flights(records, card, setting.outputs or ())
     if out is not None:
         writable(out)
-    source = provenance(card, records, seed, {"windows": windows} | _told(setting))
+    source = provenance(card, records, seed, _told(options, setting))
     if progress:
         progress("do the sensors agree?", 0.0)
     agreement, failures = sensors_agree(records, card, seed, out)
@@ -141,7 +123,7 @@ def fly(
         dynamics,
         {name: STANDARD_CHANNELS[name].unit for name in STANDARD_CHANNELS} | channel_units(card),
         starts=_starts(coefficients, dynamics),
-        window=windows,
+        window=options.windows,
         tolerances={name: tolerance.value for name, tolerance in card.tolerances.items()},
         biases=card.output_biases,
         setting=setting,
@@ -154,7 +136,14 @@ def fly(
     found = Flight(flown, said, tuple(notes), health, agreement, (*failures, *failed), apart)
     if out is None:
         return found
-    return _written(found, card, records, source, out, figures=figures, progress=progress)
+    return _written(found, card, records, source, out, figures=options.figures, progress=progress)
+
+
+def _told(options: FlyOptions, setting: Setting) -> dict[str, Any]:
+    """The settings by the names of the options; `outputs` only where they were chosen."""
+    chosen = {} if setting.outputs is None else {"outputs": list(setting.outputs)}
+    names = ("windows", "initial_state", "priors", "inputs")
+    return {name: getattr(options, name) for name in names} | chosen
 
 
 def _written(
@@ -193,28 +182,6 @@ def _written(
     )
     failed = put_page(lambda: fly_page(found.flown, told), out)
     return noted((), failed) if failed else found
-
-
-def _setting(card: Card, initial_state: str, priors: bool, outputs: str | Sequence[str] | None, inputs: str) -> Setting:
-    """The settings checked; what is not given is the card's."""
-    for name, given, known in (("initial state", initial_state, INITIAL_STATES), ("inputs", inputs, INPUTS)):
-        if given not in known:
-            raise InputError(f"the setting {name} is {given!r}; use {' or '.join(known)}")
-    named = outputs.split(",") if isinstance(outputs, str) else outputs
-    asked = card.fly.outputs if named is None else tuple(dict.fromkeys(name.strip() for name in named))
-    initial = card.fly.initial_state if initial_state == FIXED else None
-    return Setting(asked, initial, priors, inputs == HELD)
-
-
-def _told(setting: Setting) -> dict[str, Any]:
-    """The settings by the names of the options; `outputs` only where they were chosen."""
-    chosen = {} if setting.outputs is None else {"outputs": list(setting.outputs)}
-    return {
-        "initial_state": FREE if setting.initial is None else FIXED,
-        "priors": setting.priors,
-        "inputs": HELD if setting.held else LINEAR,
-        **chosen,
-    }
 
 
 def _flights(
@@ -260,50 +227,3 @@ def _starts(found: MleResult | None, dynamics: Dynamics) -> list[Float[np.ndarra
     lower, upper = (np.array([p.bounds[i] for p in dynamics.free], float) for i in (0, 1))
     start = np.array([near.get(p.name, p.start) for p in dynamics.free])
     return [np.clip(start, lower, upper)] if np.all(np.isfinite(start)) else []
-
-
-def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], source: dict[str, Any]) -> dict[str, Any]:
-    """trajectories.json: plain numbers and text, SI and radians (trajectories.schema.json beside this file)."""
-    flown = found.flown
-    fit = flown.fit
-    states = fit.flown.dynamics.states
-    units = {name: flown.units.get(name, "1") for name in states}
-    beliefs = flown.departure_sd
-    return {
-        "schema": SCHEMA,
-        "card": {"name": card.name, "title": card.title},
-        "records": record_results(records),
-        "consistency": {} if found.consistency is None else consistency_results(found.consistency),
-        "status": fit.status.name.lower(),
-        "converged": flown.converged,
-        "sentences": list(found.sentences),
-        "fitted_outputs": list(fit.flown.outputs),
-        "windows": flown.window,
-        "setting": {key: x for key, x in _told(flown.setting).items() if key != "outputs"},
-        "iterations": fit.iterations,
-        "cost": fit.cost,
-        "det_R": fit.det_R,
-        "colour_cost": flown.colour_cost,
-        "noise_growth": dict(flown.noise_growth),
-        "parameters": parameter_rows(flown),
-        "inseparable": inseparable_results(flown.fit.inseparable),
-        "disagreement": [asdict(d) for d in found.apart],
-        "initial_states": {
-            manoeuvre: {
-                n: {"value": x, "departure": d, "unit": units[n], "prior_sd": beliefs.get(n)}
-                for n, (x, d) in states.items()
-            }
-            for manoeuvre, states in flown.initial.items()
-        },
-        "residual_sd": dict(zip(fit.flown.outputs, np.sqrt(fit.R), strict=True)),
-        "tolerances": {
-            name: {"value": t.value, "unit": flown.units[name], "source": t.source}
-            for name, t in card.tolerances.items()
-            if name in flown.outputs
-        },
-        "paths": [open_loop(path, flown.units) for path in flown.paths],
-        "health": health_results(found.health),
-        "notes": list(found.notes),
-        "failures": list(found.failures),
-        "provenance": source,
-    }

@@ -11,10 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import xarray as xr
-
 from bayes_aero.diagnosis.consistency.filter_mismatch import filter_mismatch_notes
-from bayes_aero.diagnosis.trajectories.results import Path as Flown
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health import channel_health
@@ -30,168 +27,230 @@ from bayes_aero.inference.posterior.nuts import sample_nuts
 from bayes_aero.inference.posterior.pit import pit_of
 from bayes_aero.inference.posterior.posterior import Posterior, PosteriorStatus
 from bayes_aero.inference.posterior.prior_sensitivity import prior_sensitivity
-from bayes_aero.inference.splits import SplitKind
 from bayes_aero.inference.stall import stall_of_posterior
-from bayes_aero.inference.validation import validate
-from bayes_aero.jobs.io.identification_json import results
-from bayes_aero.jobs.io.output_folder import writable
+from bayes_aero.inference.validation import Training, validate
+from bayes_aero.jobs.io.identification_files import IdentificationFiles
 from bayes_aero.jobs.io.time_histories import identified, put_histories
+from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.jobs.provenance.environment import rests_on
-from bayes_aero.jobs.provenance.provenance import provenance, write_json
+from bayes_aero.jobs.provenance.provenance import provenance
 from bayes_aero.jobs.steps.identified_flight import fly_identified
 from bayes_aero.jobs.steps.sensors_first import sensors_agree
 from bayes_aero.jobs.steps.spike_repair import repaired
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import DEFAULT as DEFAULT_NOISE
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Forming, observe
-from bayes_aero.report.figures.every_figure import FIGURES, write_figures
+from bayes_aero.progress import Progress
+from bayes_aero.report.figures.every_figure import write_figures
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.identification import identification_page
 from bayes_aero.report.style import MOST_MANOEUVRES
-from bayes_aero.report.tables.run_tables import paper_table, parameter_table, validation_table, write_csv
-from bayes_aero.report.text.identification import verdict
 from bayes_aero.report.text.restraints import leaning_sentences
 
-Progress = Callable[[str, float], None]
 CHAINS = ".chains"
 
 
 def identify(
     records: Sequence[FlightRecord],
     card: Card,
+    options: IdentifyOptions = IdentifyOptions(),
     *,
-    noise: Colour = DEFAULT_NOISE,
-    coefficients: str = Forming.MATCHED,
-    split: SplitKind = "random",
-    seed: int = 0,
     out: Path | None = None,
-    sample: bool = True,
-    gp: bool = True,
-    approximate_gp: bool = False,
-    figures: bool = True,
-    resume: bool = True,
-    page: bool = True,
     truth: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> Identification:
     """Fit, sample and compare, as `bayes-aero identify` does; with `out` every stage is written as it ends.
 
-    With `out` and `resume` emcee's chains are on disk as they grow, in `out`/.chains until the run is complete: the
-    same call after a kill goes on with them, if records, card, settings and versions are the same.
-
-    `coefficients` are formed from signals all filtered alike (`matched`) or as the published ones (`published`).
-    Without `sample` maximum likelihood alone stands for the parameters; without `page` no report.html is made. `split`
-    chooses the split whose Gaussian-process hyperparameters are sampled; scores are given for all splits. `truth` has
-    the parameters that simulated records were flown with: they are shown beside the estimates.
+    With `out` and `options.resume` emcee's chains are on disk as they grow, in `out`/.chains until the run is complete:
+    the same call after a kill goes on with them, if records, card, settings and versions are the same. `truth` has the
+    parameters that simulated records were flown with: they are shown beside the estimates.
     """
-    model = Model.from_card(card)
-    forming = Forming(coefficients)
-    without_spikes, spikes = repaired(records)
-    observations = observe(without_spikes, card, model, forming)
-    seconds: dict[str, float] = {}
-    settings = {"noise": noise.value, "split": split, "coefficients": forming.value}
-    writer = _Writer(out, provenance(card, records, seed, settings))
-    trying = partial(attempted, folder=out, own=bool(card.effect_files))
-    with _timed(seconds, "do the sensors agree?", progress):
-        agreement, failures = sensors_agree(records, card, seed, out)
-    with _timed(seconds, "mle", progress):
-        mle = raw = fit_mle(model, observations, seed=seed)
-        if forming is Forming.MATCHED:
-            mle, failed = trying(
-                "The bias from sensor noise was not subtracted from the estimates",
-                lambda: without_noise_bias(raw, without_spikes, card, model, seed=seed),
-                raw,
+    job = _Job(records, card, options, out, progress)
+    job.fit(truth)
+    if out is not None:  # they are for the page and the file alone
+        job.fly()
+    if options.sample:
+        job.sample()
+    if options.gp:
+        job.train_gp()
+    job.find_stall()
+    job.show()
+    return job.run
+
+
+class _Job:
+    """An identification in work: every step adds to `run`, and puts on disk what it has found."""
+
+    run: Identification
+
+    def __init__(
+        self,
+        records: Sequence[FlightRecord],
+        card: Card,
+        options: IdentifyOptions,
+        out: Path | None,
+        progress: Progress | None,
+    ) -> None:
+        self.records, self.card, self.options, self.out, self.progress = records, card, options, out, progress
+        self.model = Model.from_card(card)
+        self.repaired, self.spikes = repaired(records)
+        self.observations = observe(self.repaired, card, self.model, options.forming)
+        self.seconds: dict[str, float] = {}
+        self.files = IdentificationFiles(out, provenance(card, records, options.seed, options.told))
+        self.chains = None if out is None else out / CHAINS
+
+    def attempt(self, what: str, do: Callable[[], Any], otherwise: Any) -> tuple[Any, tuple[str, ...]]:
+        """What `do` returns or, if it fails unexpectedly, `otherwise` and the reason."""
+        return attempted(what, do, otherwise, folder=self.out, own=bool(self.card.effect_files))
+
+    def add(self, notes: Sequence[str] = (), failures: Sequence[str] = (), **changes: Any) -> None:
+        """Put more into the run."""
+        run = self.run
+        self.run = replace(run, notes=(*run.notes, *notes), failures=(*run.failures, *failures), **changes)
+
+    @contextmanager
+    def timed(self, stage: str) -> Iterator[None]:
+        """Tell when a stage begins and ends, and keep how long it took."""
+        if self.progress:
+            self.progress(stage, 0.0)
+        began = time.perf_counter()
+        yield
+        self.seconds[stage] = time.perf_counter() - began
+        if self.progress:
+            self.progress(stage, 1.0)
+
+    def fit(self, truth: Mapping[str, float] | None) -> None:
+        """Maximum likelihood, of all manoeuvres and of each alone; the sensors are compared before."""
+        model, observations, seed, forming = self.model, self.observations, self.options.seed, self.options.forming
+        with self.timed("do the sensors agree?"):
+            agreement, failures = sensors_agree(self.records, self.card, seed, self.out)
+        matched = forming is Forming.MATCHED
+        with self.timed("mle"):
+            mle = raw = fit_mle(model, observations, seed=seed)
+            if matched:
+                mle, failed = self.attempt(
+                    "The bias from sensor noise was not subtracted from the estimates",
+                    lambda: without_noise_bias(raw, self.repaired, self.card, model, seed=seed),
+                    raw,
+                )
+                failures += failed
+            alone, failed = self.attempt(
+                "Manoeuvres were not fitted alone", lambda: fit_alone(model, observations, seed=seed), {}
             )
             failures += failed
-        alone, failed = trying(
-            "Manoeuvres were not fitted alone", lambda: fit_alone(model, observations, seed=seed), {}
+            preparation = () if matched else filter_mismatch_notes(self.repaired, self.card, model, mle)
+        rates = rate_notes(self.records) if matched else ()
+        self.run = Identification(
+            self.card,
+            model,
+            tuple(self.records),
+            observations,
+            self.options.noise,
+            mle,
+            alone,
+            {},
+            notes=(*self.spikes, *rates, *_many(len(self.records))),
+            failures=failures,
+            health=channel_health(self.records, self.card),
+            preparation=preparation,
+            consistency=agreement,
+            truth=truth,
+            seconds=self.seconds,
+            forming=forming,
         )
-        failures += failed
-        told = filter_mismatch_notes(without_spikes, card, model, mle) if forming is Forming.PUBLISHED else ()
-    run = Identification(
-        card,
-        model,
-        tuple(records),
-        observations,
-        noise,
-        mle,
-        alone,
-        {},
-        notes=(*spikes, *_rates(records, forming), *_many(len(records))),
-        failures=failures,
-        health=channel_health(records, card),
-        preparation=told,
-        consistency=agreement,
-        truth=truth,
-        seconds=seconds,
-        forming=forming,
-    )
-    writer.stage(run)
-    if out is not None:  # they are for the page and the file alone
-        with _timed(seconds, "flights", progress):
-            writer.flown, told, failed = fly_identified(records, card, model, mle, out)
-        run = _with(run, told, (*failed, *put_histories(lambda: identified(run), out)))
-        writer.stage(run)
-    chains = None if out is None else out / CHAINS
-    stores = None if chains is None or not resume else _stores(chains, card, records, seed, forming)
+        self.files.stage(self.run)
 
-    for key, colour, engine in _plan(noise) if sample else ():
-        with _timed(seconds, key, progress):
-            kept: dict[str, Any] = {}
-            if stores is not None and engine is sample_ensemble:
-                kept["checkpoint"] = stores(f"{key}_{colour.value}")
-            sampled, failed = trying(
-                f"The posterior by {key} under {colour.value} noise was not sampled",
-                partial(_sampled, run, key, colour, engine, seed=seed, progress=progress, **kept),
-                None,
-            )
-        run = _with(run, (), failed)
-        if sampled is not None:
-            posterior, told = sampled
-            run = _with(replace(run, posteriors=run.posteriors | {key: posterior}), told)
-            writer.stage(run, posterior_name=key)
+    def fly(self) -> None:
+        """Simulate the fitted model with the recorded inputs."""
+        assert self.out is not None
+        with self.timed("flights"):
+            self.files.flown, told, failed = fly_identified(self.records, self.card, self.model, self.run.mle, self.out)
+        self.add(told, (*failed, *put_histories(lambda: identified(self.run), self.out)))
+        self.files.stage(self.run)
 
-    if gp:
-        options = {"chosen": split, "seed": seed, "approximate": approximate_gp, "progress": progress}
-        try:
-            with _timed(seconds, "gp", progress):
-                report, failed = trying(
-                    "Gaussian process left out",
-                    lambda: validate(model, observations, mle, card.gp_inputs, **options),
+    def sample(self) -> None:
+        """The posteriors, one after the other."""
+        for key, colour, engine in _plan(self.options.noise):
+            with self.timed(key):
+                sampled, failed = self.attempt(
+                    f"The posterior by {key} under {colour.value} noise was not sampled",
+                    partial(self._sampled, key, colour, engine),
                     None,
                 )
-            run = _with(replace(run, gp=report), () if report is None else report.left_out, failed)
+            self.add((), failed)
+            if sampled is not None:
+                posterior, told = sampled
+                self.add(told, posteriors=self.run.posteriors | {key: posterior})
+                self.files.stage(self.run, posterior_name=key)
+
+    def _sampled(self, key: str, colour: Colour, engine: Any) -> tuple[Posterior, tuple[str, ...]]:
+        """A posterior, with what is said of its other modes and of the priors that it leans on."""
+        run, seed = self.run, self.options.seed
+        kept: dict[str, Any] = {}
+        if engine is sample_ensemble and self.chains is not None and self.options.resume:
+            kept["checkpoint"] = Checkpoint(self.chains / f"{key}_{colour.value}", self._rests_on(key, colour))
+        density = Density.of(run.observations, run.model, Noise(colour), run.mle.bias)
+        mode = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
+        posterior = engine(density, mode, seed=seed, progress=self.progress, **kept)
+        told = other_modes(mode, f"{key}, {colour.value} noise")
+        if run.mle.conflicts and key == "emcee":
+            told += leaning_sentences(prior_sensitivity(density, posterior), run.mle.conflicts)
+        return posterior, told
+
+    def _rests_on(self, key: str, colour: Colour) -> dict[str, Any]:
+        """All that the numbers of a chain rest on."""
+        source = provenance(self.card, self.records, self.options.seed, {})
+        more = {"coefficients": self.options.forming.value, "posterior": f"{key}_{colour.value}"}
+        return rests_on(source, self.records) | more
+
+    def train_gp(self) -> None:
+        """Gaussian processes beside maximum likelihood."""
+        o = self.options
+        training = Training(o.split, o.seed, approximate=o.approximate_gp)
+        try:
+            with self.timed("gp"):
+                report, failed = self.attempt(
+                    "Gaussian process left out",
+                    lambda: validate(
+                        self.model, self.observations, self.run.mle, self.card.gp_inputs, training, self.progress
+                    ),
+                    None,
+                )
+            self.add(() if report is None else report.left_out, failed, gp=report)
         except InputError as error:  # too large for the exact process: said, and the rest stands
-            run = _with(run, (f"Gaussian process left out: {error}",))
-        writer.stage(run, gp_done=True)
-    with _timed(seconds, "stall", progress):
-        stall, failed = trying("Stall left out", partial(_stall, run), None)
-        run = _with(replace(run, stall=stall), (), failed)
-    drawn: list[Path] = []
-    if figures and out is not None:
-        with _timed(seconds, "figures", progress):
-            pit, failed = trying("The probability integral transform was left out", partial(pit_of, run), None)
-            run = _with(replace(run, pit=pit), (), failed)
-            drawn, failed = write_figures(run, out / "figures", progress=progress)
-        run = _with(run, (), failed)
-    writer.stage(run)
-    if page and out is not None:
-        pictures = {p.stem: p for p in drawn}
-        with _timed(seconds, "report", progress):
-            failed = put_page(lambda: identification_page(run, writer.source, pictures, writer.flown), out)
-        if failed:
-            run = _with(run, (), failed)
-            writer.stage(run)
-    if chains is not None and not run.failures:
-        shutil.rmtree(chains, ignore_errors=True)
-    writer.remove_older(run, page=page, figures=figures)
-    return run
+            self.add((f"Gaussian process left out: {error}",))
+        self.files.stage(self.run, gp_done=True)
 
+    def find_stall(self) -> None:
+        """CLmax and its angle from the first posterior that converged."""
+        with self.timed("stall"):
+            stall, failed = self.attempt("Stall left out", partial(_stall, self.run), None)
+        self.add((), failed, stall=stall)
 
-def _rates(records: Sequence[FlightRecord], forming: Forming) -> tuple[str, ...]:
-    return rate_notes(records) if forming is Forming.MATCHED else ()
+    def show(self) -> None:
+        """Figures and the page; then nothing is left of the chains and of earlier runs."""
+        options, out, drawn = self.options, self.out, []
+        if options.figures and out is not None:
+            with self.timed("figures"):
+                left_out = "The probability integral transform was left out"
+                pit, failed = self.attempt(left_out, partial(pit_of, self.run), None)
+                self.add((), failed, pit=pit)
+                drawn, failed = write_figures(self.run, out / "figures", progress=self.progress)
+            self.add((), failed)
+        self.files.stage(self.run)
+        if options.page and out is not None:
+            pictures = {p.stem: p for p in drawn}
+            with self.timed("report"):
+                failed = put_page(
+                    lambda: identification_page(self.run, self.files.source, pictures, self.files.flown), out
+                )
+            if failed:
+                self.add((), failed)
+                self.files.stage(self.run)
+        if self.chains is not None and not self.run.failures:
+            shutil.rmtree(self.chains, ignore_errors=True)
+        self.files.remove_older(self.run, page=options.page, figures=options.figures)
 
 
 def _many(manoeuvres: int) -> tuple[str, ...]:
@@ -202,33 +261,6 @@ def _many(manoeuvres: int) -> tuple[str, ...]:
     if manoeuvres > MOST_MANOEUVRES:
         said.append(f"Figures with a panel for each manoeuvre are drawn for up to {MOST_MANOEUVRES} of them.")
     return tuple(said)
-
-
-def _stores(
-    folder: Path, card: Card, records: Sequence[FlightRecord], seed: int, forming: Forming
-) -> Callable[[str], Checkpoint]:
-    """Where the chain of each posterior is kept while it grows, and all that its numbers rest on."""
-    source = provenance(card, records, seed, {})
-    made_from = rests_on(source, records) | {"coefficients": forming.value}
-    return lambda key: Checkpoint(folder / key, made_from | {"posterior": key})
-
-
-def _with(run: Identification, notes: Sequence[str] = (), failures: Sequence[str] = ()) -> Identification:
-    """The run with more to be told."""
-    return replace(run, notes=(*run.notes, *notes), failures=(*run.failures, *failures))
-
-
-def _sampled(
-    run: Identification, key: str, colour: Colour, engine: Any, *, seed: int, progress: Progress | None, **kept: Any
-) -> tuple[Posterior, tuple[str, ...]]:
-    """A posterior, with what is said of its other modes and of the priors that it leans on."""
-    density = Density.of(run.observations, run.model, Noise(colour), run.mle.bias)
-    mode = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
-    posterior = engine(density, mode, seed=seed, progress=progress, **kept)
-    told = other_modes(mode, f"{key}, {colour.value} noise")
-    if run.mle.conflicts and key == "emcee":
-        told += leaning_sentences(prior_sensitivity(density, posterior), run.mle.conflicts)
-    return posterior, told
 
 
 def _stall(run: Identification) -> Stall | None:
@@ -244,70 +276,3 @@ def _plan(noise: Colour) -> list[tuple[str, Colour, Any]]:
     """Which posteriors are sampled, under which noise model and by which engine."""
     plan = [("emcee", noise, sample_ensemble), ("nuts", noise, sample_nuts)]
     return plan if noise is Colour.WHITE else [*plan, ("white", Colour.WHITE, sample_ensemble)]
-
-
-@contextmanager
-def _timed(seconds: dict[str, float], stage: str, progress: Progress | None) -> Iterator[None]:
-    if progress:
-        progress(stage, 0.0)
-    began = time.perf_counter()
-    yield
-    seconds[stage] = time.perf_counter() - began
-    if progress:
-        progress(stage, 1.0)
-
-
-class _Writer:
-    """Writes what a run has found so far; without a folder it writes nothing."""
-
-    def __init__(self, out: Path | None, source: dict[str, Any]) -> None:
-        self.out, self.source = out, source
-        self.flown: tuple[Flown, ...] = ()
-        if out is not None:
-            writable(out)
-
-    def stage(self, run: Identification, posterior_name: str | None = None, gp_done: bool = False) -> None:
-        if self.out is None:
-            return
-        if posterior_name is not None:
-            run.posteriors[posterior_name].save(self.out / f"posterior_{posterior_name}.nc")
-        if run.gp is not None and gp_done:
-            save_gp(run, self.out / "gpr.nc")
-        write_csv(parameter_table(run), self.out / "parameters.csv")
-        if run.gp is not None:
-            write_csv(validation_table(run), self.out / "validation.csv")
-            write_csv(paper_table(run), self.out / "table1.csv")
-        write_json(results(run, verdict(run), self.source, self.flown), self.out / "results.json")
-
-    def remove_older(self, run: Identification, *, page: bool, figures: bool) -> None:
-        """Take away what an earlier run has left in the folder and this one, now complete, has no successor for."""
-        if self.out is None:
-            return
-        older = {self.out / f"posterior_{key}.nc" for key in ("emcee", "nuts", "white") if key not in run.posteriors}
-        if run.gp is None:
-            older |= {self.out / name for name in ("gpr.nc", "validation.csv", "table1.csv")}
-        if not page:
-            older.add(self.out / "report.html")
-        if not figures:
-            older |= {self.out / "figures" / f"{stem}.png" for stem in FIGURES}
-        for path in older:
-            path.unlink(missing_ok=True)
-
-
-def save_gp(run: Identification, path: Path) -> None:
-    """gpr.nc: a group per coefficient with its hyperparameters' posterior, and the validation of every split."""
-    assert run.gp is not None
-    tree = xr.DataTree(name="gpr")
-    for name, fit in run.gp.fits.items():
-        if fit.posterior is not None:
-            tree[name] = fit.posterior.copy()
-    for split, folds in run.gp.splits.items():
-        for number, fold in enumerate(folds):
-            for name, v in fold.items():
-                columns = {k: ("test", getattr(v, k)) for k in ("measured", "gp", "gp_low", "gp_high", "mle")}
-                tree[f"validation/{split}_{number}/{name}"] = xr.DataTree(
-                    xr.Dataset(columns, coords={"index": ("test", v.test)})
-                )
-    partial = path.with_name(path.name + ".part")
-    tree.to_netcdf(partial, engine="h5netcdf")
-    partial.replace(path)

@@ -1,6 +1,6 @@
 """From recorded accelerations and rates to lift, drag and pitching-moment coefficients.
 
-Signals are conditioned in one of three ways. `condition`: exactly as the published ATTAS coefficients were formed:
+Signals are conditioned in one of three ways. `condition_joined`: as the published ATTAS coefficients were formed:
 alpha, beta, V smoothed; alpha-dot the derivative of smoothed alpha; p, q, r smoothed and differentiated for the angular
 accelerations, unsmoothed where they enter kinematics. `alike_joined`: every channel smoothed alike.
 `unsmoothed_joined`: none, for whoever smooths the difference of what is measured and modelled.
@@ -21,14 +21,12 @@ from bayes_aero.physics.coefficient_names import NAMES, REQUIRED
 from bayes_aero.physics.filters import (
     SMOOTHED_DERIVATIVE_GAIN,
     SMOOTHING_GAIN,
-    differentiate,
     differentiate_joined,
-    smooth,
     smooth_joined,
 )
 from bayes_aero.physics.frames import lift_drag_from_body
-from bayes_aero.physics.incidence_rate import RATES, alpha_rate, lift_regression
-from bayes_aero.physics.kinematics import Rotation, lever_arm
+from bayes_aero.physics.incidence_rate import alpha_rate, lift_regression
+from bayes_aero.physics.kinematics import RATES, Rotation, lever_arm
 
 __all__ = [
     "NAMES",
@@ -38,7 +36,6 @@ __all__ = [
     "alike_joined",
     "coefficient_noise",
     "coefficients",
-    "condition",
     "condition_joined",
     "unsmoothed_joined",
 ]
@@ -57,35 +54,25 @@ class Coefficients(NamedTuple):
     Cm: Float[Array, "*n"]
 
 
-def condition(channels: Mapping[str, Float[Array, " n"]], dt: float | Float[Array, ""] | Float[Array, " n"]) -> Signals:
-    """Smoothed and differentiated signals of one manoeuvre, SI and radians, beside the untouched ones.
-
-    Adds `alpha_dot`, `p_dot`, `q_dot`, `r_dot` (derivatives of the smoothed signals), replacing recorded ones.
-    """
-    return _conditioned(channels, smooth, lambda x: differentiate(x, dt))
-
-
 def condition_joined(
     channels: Mapping[str, Float[Array, " n"]],
     dt: Float[Array, " n"],
     first: Int[Array, " n"],
     last: Int[Array, " n"],
 ) -> Signals:
-    """`condition` of manoeuvres laid end to end, `first` and `last` being the ends of each sample's own."""
-    return _conditioned(
-        channels,
-        lambda x: smooth_joined(x, first, last),
-        lambda x: differentiate_joined(x, dt, first, last),
-    )
+    """Smoothed and differentiated signals, SI and radians, beside the untouched ones; manoeuvres laid end to end.
 
-
-def _conditioned(channels: Mapping[str, Any], smoothing: Filter, derivative: Filter) -> Signals:
+    `first` and `last` are the ends of each sample's own manoeuvre. Adds `alpha_dot`, `p_dot`, `q_dot`, `r_dot`
+    (derivatives of the smoothed signals), replacing recorded ones.
+    """
     signals = {name: jnp.asarray(values) for name, values in channels.items()}
     # One filter over all channels stacked compiles several times faster than one filter each.
     names = [name for name in SMOOTHED if name in signals]
-    smoothed = jax.vmap(smoothing)(jnp.stack([signals[name] for name in (*names, *RATES)]))
+    rows = jnp.stack([signals[name] for name in (*names, *RATES)])
+    smoothed = jax.vmap(lambda x: smooth_joined(x, first, last))(rows)
     signals |= dict(zip(names, smoothed, strict=False))
-    return signals | _slopes((signals["alpha"], *smoothed[len(names) :]), derivative)
+    slopes = [signals["alpha"], *smoothed[len(names) :]]
+    return signals | _slopes(slopes, lambda x: differentiate_joined(x, dt, first, last))
 
 
 def unsmoothed_joined(
@@ -96,7 +83,7 @@ def unsmoothed_joined(
     last: Int[Array, " n"],
     recorded: Mapping[str, Array] | None = None,
 ) -> dict[str, Array]:
-    """Channels as they are, manoeuvres laid end to end, and the derivatives that `condition` adds.
+    """Channels as they are, manoeuvres laid end to end, and the derivatives of `condition_joined`.
 
     For whoever smooths the difference of what is measured and modelled: what the filter takes from one it then takes
     from the other, whatever is not linear included. As published a smoothed pitch acceleration stands against an
@@ -122,7 +109,7 @@ def alike_joined(
     first: Int[Array, " n"],
     last: Int[Array, " n"],
 ) -> Signals:
-    """Every channel smoothed by the one filter, manoeuvres laid end to end, and the derivatives that `condition` adds.
+    """Every channel smoothed by the one filter, manoeuvres laid end to end, with the derivatives of `condition_joined`.
 
     The filter is linear, so a coefficient that is a sum of terms is, once filtered, the sum of its filtered terms:
     what is formed from these signals and what a model makes of them are treated alike. alpha-dot: `alpha_rate`.

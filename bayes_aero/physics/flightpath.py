@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from bayes_aero.arrays import Array, namespace, xp
+from bayes_aero.arrays import Array, Samples, namespace, xp
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.physics.atmosphere import GRAVITY
 from bayes_aero.physics.kinematics import Rotation, lever_arm
@@ -21,8 +21,6 @@ LATERAL = ("beta", "phi")  # flight-path outputs of records whose lateral motion
 PATH_CORE = ("ax", "az", "q", "theta", "alpha", "airspeed")  # without these there is no flight path
 STRAIGHT = ("ay", "p", "r", "phi", "beta")  # zero in symmetric flight, and taken as zero where not recorded
 PATH_NEEDS = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "alpha", "beta", "airspeed", "altitude")
-
-Samples = Float[Array, "*#n"]  # some at one sample, or for many directions at once
 
 
 def path_rates(s: Mapping[str, Samples], aircraft: Aircraft) -> dict[str, Samples]:

@@ -6,12 +6,10 @@ Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 3.
 from __future__ import annotations
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
+from bayes_aero.arrays import Samples
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.physics.frames import body_from_lift_drag
-
-Samples = Float[Array, "*#n"]  # some at one sample, or for many directions at once
 
 
 def thrust_components(thrust: Samples, aircraft: Aircraft) -> tuple[Samples, Samples]:

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from jaxtyping import Float
-
-from bayes_aero.arrays import Array, xp
-
-Samples = Float[Array, "*#n"]  # some at one sample, or for many directions at once
+from bayes_aero.arrays import Samples, xp
 
 
 def lift_drag_from_body(CX: Samples, CZ: Samples, alpha: Samples) -> tuple[Samples, Samples]:

@@ -13,9 +13,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from bayes_aero.physics.filters import LONG_REACH, differentiate_joined, inside_joined, smooth_joined, smooth_long
-from bayes_aero.physics.kinematics import Rotation, lever_arm
+from bayes_aero.physics.kinematics import RATES, Rotation, lever_arm
 
-RATES = ("p", "q", "r")
 KNOTS = (0.4, 0.6, 0.75, 0.85, 0.93)  # shares of the samples at lower alpha; dense where the flow separates
 CURVES = 2  # times the one-sided hysteresis is taken from the last alpha-dot
 RIDGE = 1e-6  # of the mean square of a column

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from jaxtyping import Float
-
-from bayes_aero.arrays import Array
+from bayes_aero.arrays import Samples
 from bayes_aero.flight.aircraft import Position
 
-Samples = Float[Array, "*#n"]  # some at one sample, or for many directions at once
+RATES = ("p", "q", "r")
 
 
 class Rotation(NamedTuple):

@@ -6,14 +6,10 @@ says which under [aircraft] as `rate_length` and `reference_speed`. Their defaul
 
 from __future__ import annotations
 
-from jaxtyping import Float
-
-from bayes_aero.arrays import Array
+from bayes_aero.arrays import Samples
 from bayes_aero.flight.aircraft import Aircraft
 
 USUAL_SPEED = 100.0  # m/s, where the card names no reference speed; only keeps the ratio near one
-
-Samples = Float[Array, "*#n"]  # some at one sample, or for many directions at once
 
 
 def reduced(rate: Samples, airspeed: Samples, aircraft: Aircraft) -> Samples:

@@ -7,11 +7,10 @@ from __future__ import annotations
 
 from jaxtyping import Bool, Float
 
-from bayes_aero.arrays import Array, xp
+from bayes_aero.arrays import Array, Samples, xp
 from bayes_aero.physics.filters import recurrence
 
 Scalar = Float[Array, ""]
-Samples = Float[Array, "*#n"]  # some at one sample, or for many directions at once
 
 
 def separation_point(a1: Scalar, alpha: Samples, alpha_star: Scalar) -> Samples:

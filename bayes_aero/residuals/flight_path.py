@@ -21,13 +21,13 @@ from bayes_aero.model.joined_records import Joined, Recorded
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import differentiate_joined, smooth_joined
 from bayes_aero.physics.flightpath import as_symmetric, integral, path_outputs, path_rates
+from bayes_aero.physics.kinematics import RATES
 from bayes_aero.residuals.base import Blockwise
 
 KEPT = 256  # residuals that are kept; a slope needs one for each direction
 LEVEL = np.radians(5.0)  # of bank: wings that move less count as level where bank was not recorded
 STEP = 1e-6  # of a parameter's prior deviation, and of a channel's largest value: differences are as good as slopes
 ON_RECORD = (Stage.CHANNEL, Stage.AIRCRAFT)  # stages that the flight path feels
-RATES = ("p", "q", "r")
 
 
 def flight_path(flights: Recorded) -> tuple[str, ...]:

@@ -79,7 +79,6 @@ def simulate_stall(
     number: int,
     *,
     card: Card | None = None,
-    truth: Mapping[str, float] = TRUTH,
     seed: int = SEED,
     sensor_noise: float = 1.0,
     disturbance: float = 1.0,
@@ -104,7 +103,7 @@ def simulate_stall(
         alpha_gain=jnp.asarray(0.7),
         rate_gain=jnp.asarray(0.2),
     )
-    values = {name: jnp.asarray(value) for name, value in truth.items()}
+    values = {name: jnp.asarray(value) for name, value in TRUTH.items()}
     alpha0 = float(pilot.alpha[0])
     start = FlightState(*(jnp.asarray(x) for x in (95.0, alpha0, alpha0, 0.0, 5200.0, 1.0)))
     states, outputs = fly(model, values, card.aircraft, pilot, start, DT)

@@ -19,12 +19,12 @@ from bayes_aero.flight.card.toml_tables import is_file
 from bayes_aero.jobs.io.atomic_write import beside, put_folder
 from bayes_aero.jobs.provenance.environment import environment_id
 from bayes_aero.jobs.provenance.provenance import provenance, write_json, write_text
+from bayes_aero.progress import Progress
 from bayes_aero.study.study import Unit, card_of
 
 SCHEMA = "bayes_aero/unit/1"
 MANIFEST = "unit.json"
 LEAST_FREE = 1 << 20  # bytes on the disk below which no unit is begun
-Progress = Callable[[str, float], None]
 Task = Callable[[Unit, Path, Progress | None], None]
 
 
@@ -139,9 +139,10 @@ def _full(target: Path) -> str:
 def perform(unit: Unit, out: Path, progress: Progress | None = None) -> None:
     """The unit's own work: everything that it writes lies in `out`."""
     from bayes_aero.flight.reading.read_record import read_records
-    from bayes_aero.jobs.dispatch import diagnose_records
-    from bayes_aero.jobs.fly import fly
+    from bayes_aero.jobs.diagnose import diagnose_records
+    from bayes_aero.jobs.fly import fly_records
     from bayes_aero.jobs.identify import identify
+    from bayes_aero.jobs.options import DiagnoseOptions, FlyOptions, IdentifyOptions
     from bayes_aero.model.noise import DEFAULT, Colour  # here, since whoever only hands units out needs none of these
 
     card = card_of(unit)
@@ -150,21 +151,16 @@ def perform(unit: Unit, out: Path, progress: Progress | None = None) -> None:
     records = read_records([Path(p) for p in unit.records], card.channels, segments=card.segments, **reading)
     settings = unit.settings | {"environment": environment_id()}
     write_json(provenance(card, records, unit.seed, settings), out / "provenance.json")
+    job: Any
     if unit.task == "identify":
-        identify(
-            records,
-            card,
-            noise=Colour(unit.noise or DEFAULT),
-            split=unit.split or "random",  # type: ignore[arg-type]
-            seed=unit.seed,
-            out=out,
-            resume=False,  # a unit is done anew: its folder is another one
-            progress=progress,
-            **options,
-        )
+        noise: Any = {"noise": Colour(unit.noise or DEFAULT), "split": unit.split or "random"}
+        # A unit is done anew: its folder is another one, so no chain is there to go on with.
+        job, asked = identify, IdentifyOptions(seed=unit.seed, resume=False, **noise, **options)
+    elif unit.task == "diagnose":
+        job, asked = diagnose_records, DiagnoseOptions(seed=unit.seed, **options)
     else:
-        job = {"diagnose": diagnose_records, "fly": fly}[unit.task]
-        job(records, card, seed=unit.seed, out=out, progress=progress, **options)
+        job, asked = fly_records, FlyOptions(seed=unit.seed, **options)
+    job(records, card, asked, out=out, progress=progress)
 
 
 def _attempt(unit: Unit, out: Path, task: Task, progress: Progress | None) -> str:

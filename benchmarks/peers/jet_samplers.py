@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import warnings
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from contender import Problem
@@ -30,21 +31,21 @@ def ours(engine: str) -> Callable[[Problem, int, argparse.Namespace], Callable[[
 
     def prepared(problem: Problem, _: int, options: argparse.Namespace) -> Callable[[int], Drawn]:
         from output_error_speed import problem as jet_problem
+        from trajectory_density import trajectory_density
 
-        from bayes_aero.inference.likelihood.trajectory_density import trajectory_density
-        from bayes_aero.inference.posterior.ensemble import sample_ensemble
+        from bayes_aero.inference.posterior.ensemble import EnsembleLength, sample_ensemble
         from bayes_aero.inference.posterior.laplace import find_mode
-        from bayes_aero.inference.posterior.nuts import sample_nuts
+        from bayes_aero.inference.posterior.nuts import NutsLength, sample_nuts
 
         fit = our_fit(jet_problem()[0])
         density = trajectory_density(fit)
         mode = find_mode(density, density.start(fit))
-        sample = sample_ensemble if engine == "emcee" else sample_nuts
-        limit = QUICK[engine] if options.quick else {}
+        sample, of = (sample_ensemble, EnsembleLength) if engine == "emcee" else (sample_nuts, NutsLength)
+        length: Any = of(*QUICK[engine]) if options.quick else of()
         names = common(problem)
 
         def run(seed: int) -> Drawn:
-            found = sample(density, mode, seed=seed, predictive=False, **limit)
+            found = sample(density, mode, seed=seed, predictive=False, length=length)
             posterior = found.tree["posterior"].to_dataset()
             return Drawn(np.stack([np.asarray(posterior[name]) for name in names], axis=-1))
 

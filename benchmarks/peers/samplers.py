@@ -10,13 +10,13 @@ from __future__ import annotations
 import argparse
 import statistics
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from contender import Problem, stall
 
 BALL = 0.5  # of the Laplace approximation's deviation, as in `sample_ensemble`
-QUICK = {"emcee": {"max_steps": 100, "ensembles": 2}, "NUTS": {"warmup": 100, "max_blocks": 1, "chains": 2}}
+QUICK = {"emcee": (2, 100), "NUTS": (2, 100, 1)}  # the length of a run
 BURN_IN = 5.0  # autocorrelation times that are left out, emcee's own advice
 
 
@@ -42,13 +42,15 @@ def ours(engine: str) -> Callable[[Problem, int, argparse.Namespace], Run]:
         density = Density(observations, model, Noise(Colour.WHITE))
         mode = Mode(problem.u, problem.factor, problem.posterior(problem.u), ModeStatus.CONVERGED)
         if engine == "emcee":
+            from bayes_aero.inference.posterior.ensemble import EnsembleLength as Length
             from bayes_aero.inference.posterior.ensemble import sample_ensemble as sample
         else:
+            from bayes_aero.inference.posterior.nuts import NutsLength as Length
             from bayes_aero.inference.posterior.nuts import sample_nuts as sample
-        limit = QUICK[engine] if options.quick else {}
+        length: Any = Length(*QUICK[engine]) if options.quick else Length()
 
         def run(seed: int) -> Drawn:
-            found = sample(density, mode, seed=seed, predictive=False, **limit)
+            found = sample(density, mode, seed=seed, predictive=False, length=length)
             posterior = found.tree["posterior"].to_dataset()
             return Drawn(np.stack([np.asarray(posterior[name]) for name in problem.names], axis=-1))
 

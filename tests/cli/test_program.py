@@ -20,8 +20,8 @@ from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.reading import read_record as reading
 from bayes_aero.inference.splits import SplitKind
 from bayes_aero.jobs import identify as job
-from bayes_aero.jobs.fly import INITIAL_STATES, INPUTS
 from bayes_aero.jobs.io.resume import ResumeStore
+from bayes_aero.jobs.options import INITIAL_STATES, INPUTS
 from bayes_aero.model.noise import Colour
 from bayes_aero.model.observations import Forming
 from bayes_aero.simulate import request

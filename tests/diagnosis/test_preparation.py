@@ -9,6 +9,7 @@ from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.jobs.identify import identify
+from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Forming, observe
 from bayes_aero.report.text.identification import verdict
@@ -50,6 +51,8 @@ def test_no_word_where_slow_stalls_were_flown(attas_paths, card, model):
 
 def test_identify_says_it_first(stranger):
     _, records, card, *_ = stranger
-    first, *_ = verdict(identify(records, card, coefficients="published", sample=False, gp=False))
+    first, *_ = verdict(identify(records, card, IdentifyOptions(coefficients="published", sample=False, gp=False)))
     assert "Cmde would be" in first
-    assert not any("would be" in said for said in verdict(identify(records, card, sample=False, gp=False)))
+    assert not any(
+        "would be" in said for said in verdict(identify(records, card, IdentifyOptions(sample=False, gp=False)))
+    )

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.inference.posterior.assembly import assemble
+from bayes_aero.inference.posterior.assembly import Drawn, assemble
 from bayes_aero.inference.posterior.prior_sensitivity import Leaning, prior_sensitivity
 from bayes_aero.model.log_density import LogDensity
 from bayes_aero.parameter import Parameter, Prior
@@ -36,6 +36,6 @@ def test_a_prior_is_told_by_its_width(width, says):
     precision = 25.0 + width**-2.0
     draws = 25.0 / precision + np.random.default_rng(1).standard_normal((4, 1000, 1)) / np.sqrt(precision)
     density = Mean(width)
-    posterior = assemble(density, draws, engine="closed form", seed=0, seconds=0.0)
+    posterior = assemble(density, Drawn("closed form", draws), seed=0, seconds=0.0)
     row = prior_sensitivity(density, posterior).loc["m"]
     assert row["says"] == says.value

@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 from bayes_aero.inference.likelihood.mle import fit_mle
-from bayes_aero.inference.posterior.ensemble import sample_ensemble
+from bayes_aero.inference.posterior.ensemble import EnsembleLength, sample_ensemble
 from bayes_aero.inference.posterior.laplace import ModeStatus, density_start, find_mode
 from bayes_aero.inference.posterior.nuts import sample_nuts
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
@@ -197,7 +197,7 @@ def test_a_chain_too_short_is_not_called_converged(clean, model):
     density = Density(data, model, Noise(Colour.WHITE))
     mode = find_mode(density, density_start(density, fit_mle(model, data, extra_starts=0)))
     wrong = replace(mode, u=mode.u + 30.0 * np.abs(np.diag(mode.factor)), factor=0.05 * mode.factor)
-    posterior = sample_ensemble(density, wrong, seed=1, ensembles=2, max_steps=100, predictive=False)
+    posterior = sample_ensemble(density, wrong, seed=1, length=EnsembleLength(2, 100), predictive=False)
     assert posterior.status is PosteriorStatus.NOT_CONVERGED
 
 
@@ -205,7 +205,7 @@ def test_saved_tree_loads_with_its_groups(linear, tmp_path):
     model, data, _, _ = linear
     density = Density(data, model, Noise(Colour.WHITE))
     mode = find_mode(density, density_start(density, fit_mle(model, data, extra_starts=0)))
-    posterior = sample_ensemble(density, mode, seed=2, ensembles=2)
+    posterior = sample_ensemble(density, mode, seed=2, length=EnsembleLength(2))
     posterior.save(tmp_path / "posterior.nc")
     with xr.open_datatree(tmp_path / "posterior.nc", engine="h5netcdf") as tree:
         groups = {"posterior", "prior", "log_likelihood", "posterior_predictive", "prior_predictive", "observed_data"}

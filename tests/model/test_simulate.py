@@ -13,7 +13,7 @@ from bayes_aero.dynamics.simulate import FlightState, Pilot, fly
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air
-from bayes_aero.physics.coefficients import coefficients, condition
+from bayes_aero.physics.coefficients import coefficients, condition_joined
 from bayes_aero.physics.filters import differentiate
 from bayes_aero.physics.kinematics import Rotation, lever_arm
 from bayes_aero.simulate.demo import PROFILES, TRUTH, _alpha_command
@@ -196,7 +196,9 @@ def test_recorded_signals_obey_rigid_body_kinematics(card, stall):
 def test_coefficients_come_back_with_lateral_motion(card, stall):
     """What `physics.coefficients` makes of the record is what was flown, to the error of its smoothing."""
     channels, out = stall
-    found = coefficients(condition(channels, DT), card.aircraft)
+    n = len(channels["alpha"])
+    ends = jnp.full(n, DT), jnp.zeros(n, int), jnp.full(n, n - 1)
+    found = coefficients(condition_joined(channels, *ends), card.aircraft)
     for name, limit in (("CL", 2e-3), ("CD", 1e-3), ("Cm", 1e-3)):
         error = np.asarray(getattr(found, name) - out[name])[INNER]
         assert np.sqrt(np.mean(error**2)) < limit, name

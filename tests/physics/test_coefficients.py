@@ -10,7 +10,6 @@ import pytest
 from bayes_aero.physics.coefficients import (
     coefficient_noise,
     coefficients,
-    condition,
     condition_joined,
     unsmoothed_joined,
 )
@@ -37,6 +36,12 @@ def test_lever_arm_is_omega_dot_cross_r_plus_omega_cross_omega_cross_r():
     np.testing.assert_allclose(found, np.cross(omega_dot, r) + np.cross(omega, np.cross(omega, r)), atol=1e-12)
 
 
+def _conditioned(channels, dt):
+    """One manoeuvre."""
+    n = len(channels["alpha"])
+    return condition_joined(channels, jnp.full(n, dt), jnp.zeros(n, int), jnp.full(n, n - 1))
+
+
 def test_coefficients_come_back_from_a_simulated_flight(clean, model):
     """The simulator writes accelerations from the model; reconstruction must give the model back."""
     from bayes_aero.simulate.demo import TRUTH
@@ -58,8 +63,8 @@ def test_propagated_noise_is_the_scatter_of_perturbed_records(card):
     }  # fmt: skip
     exact = {name: jnp.full(n, value) for name, value in steady.items()}
     noisy = {name: x + card.sensors[name] * rng.standard_normal(n) for name, x in exact.items()}
-    scatter = np.std(np.stack(coefficients(condition(noisy, dt), card.aircraft)), axis=1)
-    stated = coefficient_noise(condition(exact, dt), card.aircraft, card.sensors, dt)[n // 2]
+    scatter = np.std(np.stack(coefficients(_conditioned(noisy, dt), card.aircraft)), axis=1)
+    stated = coefficient_noise(_conditioned(exact, dt), card.aircraft, card.sensors, dt)[n // 2]
     np.testing.assert_allclose(scatter, stated, rtol=0.03)
 
 
@@ -69,7 +74,7 @@ def test_thrust_line_and_reference_point_enter_the_moment_with_the_right_sign(ca
     base = {k: jnp.zeros(n) for k in ("ax", "az", "p", "q", "r", "beta")} | {
         "alpha": jnp.full(n, 0.1), "airspeed": jnp.full(n, 70.0), "density": jnp.full(n, 0.8), "thrust": jnp.zeros(n)
     }  # fmt: skip
-    signals = condition(base, 0.04)
+    signals = _conditioned(base, 0.04)
     slope = jax.grad(lambda T: coefficients(signals | {"thrust": jnp.full(n, T)}, card.aircraft).Cm[20])(0.0)
     a = card.aircraft
     qbar_S = 0.5 * 0.8 * 70.0**2 * a.wing_area

@@ -11,7 +11,8 @@ from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, s
 
 from bayes_aero.diagnosis.selection.residuals import theil_parts
 from bayes_aero.diagnosis.trajectories.results import FITTED, START, Error, Path, TrajectoryFit
-from bayes_aero.jobs.fly import Flight, fly
+from bayes_aero.jobs.fly import fly
+from bayes_aero.jobs.io.fly_json import Flight
 
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15}
 CARD = card_of(SHORT_PERIOD.replace("[linear]", "[parameters]\nMde = { bounds = [-40.0, 0.0] }\n\n[linear]", 1))

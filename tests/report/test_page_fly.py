@@ -14,6 +14,7 @@ from PIL import Image
 from bayes_aero.diagnosis.selection.residuals import TheilParts
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 from bayes_aero.jobs import fly as job
+from bayes_aero.jobs.io.fly_json import RESULTS
 from bayes_aero.jobs.provenance.provenance import provenance
 from bayes_aero.report.figures.fly import stem_of
 from bayes_aero.report.html.page import Fold, Picture, Plot, Table, render
@@ -179,7 +180,7 @@ def test_a_page_that_fails_is_told_and_costs_no_number(tmp_path, monkeypatch):
     found = job.fly(records(), CARD, out=tmp_path, figures=False)
     said = "report.html was not written: ValueError: no such luck"
     assert found.failures[-1].startswith(said)
-    assert json.loads((tmp_path / job.RESULTS).read_text())["failures"] == list(found.failures)
+    assert json.loads((tmp_path / RESULTS).read_text())["failures"] == list(found.failures)
     assert not (tmp_path / "report.html").exists()
     monkeypatch.undo()
     monkeypatch.setattr(job, "fit_trajectories", lambda *_, **__: flown)

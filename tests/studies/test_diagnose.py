@@ -6,6 +6,7 @@ import json
 import time
 from dataclasses import replace
 from importlib import resources
+from unittest.mock import patch
 
 import jsonschema
 import numpy as np
@@ -16,13 +17,21 @@ from simulated_halves import halves
 from bayes_aero.diagnosis.diagnose import NO_GAIN
 from bayes_aero.errors import InputError
 from bayes_aero.jobs import diagnose as job
-from bayes_aero.jobs.diagnose import hide_one, run
+from bayes_aero.jobs.diagnose import diagnose_records, hide_one
 from bayes_aero.jobs.io import result_store as kept
-from bayes_aero.jobs.io.diagnosis_json import diagnosis_results
+from bayes_aero.jobs.io.diagnosis_json import Outcome, diagnosis_results
+from bayes_aero.jobs.options import DiagnoseOptions
 from bayes_aero.jobs.provenance.provenance import provenance, write_json
 from bayes_aero.jobs.steps import post_diagnosis as outlook
 from bayes_aero.jobs.steps import post_processing as follow
 from bayes_aero.report.figures import diagnosis as figures_diagnosis
+
+
+def run(records, card, *, out, hidden=None, predict=None, fly=None, **options):
+    """The job with these in place of what compares predictors and simulates trajectories; without one, not done."""
+    stages = {"predictors": predict is not None, "trajectories": fly is not None}
+    with patch.multiple(job, predictors=predict, simulations=fly):
+        return diagnose_records(records, card, DiagnoseOptions(**stages, **options), out=out, hidden=hidden)
 
 
 def validated(path) -> dict:
@@ -67,7 +76,7 @@ def test_numbers_that_do_not_exist_are_null(repeated, card, tmp_path):
     view = repeated.view
     cause = replace(view.diagnosis.causes[0], gain=NO_GAIN, p_value=float("nan"))
     view = replace(view, diagnosis=replace(view.diagnosis, causes=(cause,)))
-    content = diagnosis_results(view, card, repeated.records, provenance(card, repeated.records, 0, {}))
+    content = diagnosis_results(Outcome(view), card, repeated.records, provenance(card, repeated.records, 0, {}))
     write_json(content, tmp_path / "diagnosis.json")
     (one,) = validated(tmp_path / "diagnosis.json")["causes"]
     assert one["p_value"] is None
@@ -200,7 +209,7 @@ def test_nothing_is_taken_up_from_another_run(left, card, change):
     elif change == "seed":
         options = {"seed": 1}
     elif change == "settings":
-        options = {"most": 3}
+        options = {"max_effects": 3}
     elif change == "record":
         records = [replace(records[0], sha256="0" * 64), *records[1:]]
     elif change == "damaged":

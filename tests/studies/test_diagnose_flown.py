@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.dispatch import diagnose_records
+from bayes_aero.jobs.diagnose import diagnose_records
 from bayes_aero.jobs.io.resume import MARK
 from bayes_aero.jobs.io.time_histories import flight_of, read_histories
 from bayes_aero.simulate.injection import hidden_records

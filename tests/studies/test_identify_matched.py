@@ -7,6 +7,7 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.jobs.identify import identify
+from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.model.observations import Forming, observe
 from bayes_aero.simulate.demo import TRUTH
 from bayes_aero.simulate.request import Request
@@ -40,7 +41,7 @@ def test_the_truth_comes_back_whatever_the_rates(stalls, card, model, rates):
 
 
 def test_identify_tells_the_common_rate(stalls, card):
-    found = identify([stalls[0.04][0], stalls[0.01][1]], card, sample=False, gp=False)
+    found = identify([stalls[0.04][0], stalls[0.01][1]], card, IdentifyOptions(sample=False, gp=False))
     assert any("25 Hz" in note and "100 Hz" in note for note in found.notes)
     assert found.observations.dt == pytest.approx(0.04)
 

@@ -11,9 +11,9 @@ from jaxtyping import Float
 from bayes_aero.flight.aircraft import NO_AIRCRAFT, Position
 from bayes_aero.physics.filters import differentiate_joined
 from bayes_aero.physics.flightpath import PATH_NEEDS, integral, path_rates
+from bayes_aero.physics.kinematics import RATES
 
 TOGETHER = 8  # disturbed records at a time, so that they stay in the processor's cache
-RATES = ("p", "q", "r")
 
 
 def path_residuals(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,8 +27,7 @@ from bayes_aero.diagnosis.selection.cross_validation import truncated
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.inference.variance.variance_inflation import nats, typical
 from bayes_aero.physics.coefficient_names import NAMES
-
-Progress = Callable[[str, float], None]
+from bayes_aero.progress import Progress
 
 
 @dataclass(frozen=True)

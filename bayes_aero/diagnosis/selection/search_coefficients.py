@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from bayes_aero.diagnosis.candidate_set import candidate_model
@@ -23,9 +23,8 @@ from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
+from bayes_aero.progress import Progress
 from bayes_aero.residuals.equation_error import EquationError
-
-Progress = Callable[[str, float], None]
 
 
 def search_coefficients(

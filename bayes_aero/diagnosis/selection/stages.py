@@ -7,7 +7,7 @@ not there; then the coefficients, which do not wander, lose far more by the corr
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,10 +22,9 @@ from bayes_aero.diagnosis.selection.forward_selection import Extension, forward_
 from bayes_aero.inference.variance.variance_inflation import nats
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.progress import Progress
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.residuals.flight_path import FlightPathError
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ extended model misses grows as the flow separates, and counts for less there (se
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,12 +28,11 @@ from bayes_aero.inference.threads import blas_threads
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Prior
+from bayes_aero.progress import Progress
 
 WINDOW = 12.0  # s, of the first fits
 FIRST_INFLATION = 30.0  # variance inflation that is assumed until it is measured
 LEFT = ("altitude",)  # reported, not fitted: it adds wind and pressure errors to what attitude and alpha tell already
-
-Progress = Callable[[str, float], None]
 
 
 @blas_threads(0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -22,8 +22,7 @@ from bayes_aero.inference.likelihood.output_error_result import OutputErrorResul
 from bayes_aero.inference.threads import blas_threads
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.parameter import Prior
-
-Progress = Callable[[str, float], None]
+from bayes_aero.progress import Progress
 
 
 @blas_threads(0)

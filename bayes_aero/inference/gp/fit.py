@@ -74,11 +74,6 @@ class GPFit:
         return self.optima[0].status
 
     @property
-    def map_value(self) -> float:
-        """log q + log p(y) at the MAP, of the scaled output; log p of the raw output is n log(rms) less."""
-        return self.optima[0].value
-
-    @property
     def k_hat(self) -> float:
         """Pareto k of the re-weighting to the exact posterior; NaN where it was not reached."""
         weighted = self.sampled.weighted if self.sampled else None

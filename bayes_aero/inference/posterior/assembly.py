@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import NamedTuple
+
 import arviz_base as azb
 import arviz_stats as azs
 import equinox as eqx
@@ -19,6 +23,16 @@ TARGET_ESS = 400.0
 TARGET_RHAT = 1.01
 PREDICTIVE_DRAWS = 50  # per chain, for the groups with one value per sample
 PREDICTIVE_VALUES = 20_000_000  # of each of these groups; a record of 200,000 samples keeps fewer draws
+
+
+class Drawn(NamedTuple):
+    """What a sampler has drawn: x (chain, draw, k), its own statistics and, if known, the marginals."""
+
+    engine: str
+    x: Float[np.ndarray, "chain draw k"]
+    stats: Mapping[str, np.ndarray] = MappingProxyType({})
+    marginals: dict[str, Marginal] | None = None
+    divergent: bool = False
 
 
 def diagnose(draws: Float[np.ndarray, "chain draw k"], names: tuple[str, ...]) -> dict[str, Marginal]:
@@ -57,28 +71,17 @@ def _predictive(density: Density, x: Float[Array, "m k"], white: Float[Array, "m
     return jax.lax.map(lambda pair: (density.pointwise(pair[0]), density.replicate(*pair)), (x, white))
 
 
-def assemble(
-    density: LogDensity,
-    draws: Float[np.ndarray, "chain draw k"],
-    *,
-    engine: str,
-    seed: int,
-    seconds: float,
-    sample_stats: dict[str, np.ndarray] | None = None,
-    marginals: dict[str, Marginal] | None = None,
-    status: PosteriorStatus | None = None,
-    predictive: bool = True,
-) -> Posterior:
+def assemble(density: LogDensity, drawn: Drawn, *, seed: int, seconds: float, predictive: bool = True) -> Posterior:
     """Turn draws of x into a `Posterior`.
 
     The groups with one value per sample (log_likelihood, posterior_predictive, prior_predictive) hold an evenly
     thinned share of the draws, in single precision, to keep the file small. `log_likelihood` is conditional on the
     samples before: under coloured noise LOO on it measures one-step prediction, not interpolation.
     """
-    names = density.names
+    names, draws = density.names, drawn.x
     groups: dict[str, dict[str, np.ndarray]] = {"posterior": {name: draws[..., i] for i, name in enumerate(names)}}
-    if sample_stats:
-        groups["sample_stats"] = sample_stats
+    if drawn.stats:
+        groups["sample_stats"] = dict(drawn.stats)
     rng = np.random.default_rng(seed)
     prior = density.sample_prior(rng, 1000)
     groups["prior"] = {name: prior[None, :, i] for i, name in enumerate(names)}
@@ -87,14 +90,14 @@ def assemble(
         groups |= _sample_groups(density, draws, prior, rng)
         dims = {name: ["instant"] for name in NAMES}
     tree = azb.from_dict(groups, dims=dims)
-    tree.attrs |= {"engine": engine, "noise": density.noise_label, "seed": seed}
+    tree.attrs |= {"engine": drawn.engine, "noise": density.noise_label, "seed": seed}
     for parameter in density.parameters:
         for group in ("posterior", "prior"):
             tree[group][parameter.name].attrs["units"] = parameter.unit
-    marginals = marginals or diagnose(draws, names)
-    if status is None:
-        status = PosteriorStatus.CONVERGED if converged(marginals) else PosteriorStatus.NOT_CONVERGED
-    return Posterior(engine, density.noise_label, names, tree, marginals, status, seconds)
+    marginals = drawn.marginals or diagnose(draws, names)
+    status = PosteriorStatus.CONVERGED if converged(marginals) else PosteriorStatus.NOT_CONVERGED
+    status = PosteriorStatus.DIVERGENT if drawn.divergent else status
+    return Posterior(drawn.engine, density.noise_label, names, tree, marginals, status, seconds)
 
 
 def _sample_groups(

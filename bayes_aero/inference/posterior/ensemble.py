@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import emcee
 import equinox as eqx
@@ -13,21 +13,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_aero.inference.posterior.assembly import assemble, constrain_draws, converged, diagnose
+from bayes_aero.inference.posterior.assembly import Drawn, assemble, constrain_draws, converged, diagnose
 from bayes_aero.inference.posterior.checkpoint import BurnIn, Checkpoint, Stretch
 from bayes_aero.inference.posterior.laplace import Mode
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.threads import cores
 from bayes_aero.model.log_density import LogDensity
+from bayes_aero.progress import Progress
 
-ENSEMBLES = 4
 DEGREES = 5.0  # of freedom of the independence proposal: tails heavier than the posterior's
 INDEPENDENT = 0.7  # share of independence moves; the rest is differential evolution, which needs no good proposal
 BURN_IN = 150  # steps of one round
 ROUNDS = 4
 ENOUGH_GAINED = 1.1  # another round follows while the acceptance rises by this factor
 CHUNK = 100
-MAX_STEPS = 4000
 AUTOCORRELATION_TIMES = 30  # a run must be this long before its autocorrelation time is believed
 
 
@@ -171,14 +170,20 @@ def _chains(samplers: list[emcee.EnsembleSampler], thin: int) -> Float[np.ndarra
     return np.stack([np.swapaxes(chain, 0, 1).reshape(-1, chain.shape[2]) for chain in chains])
 
 
+class EnsembleLength(NamedTuple):
+    """Independent ensembles, and the most steps that each makes."""
+
+    ensembles: int = 4
+    max_steps: int = 4000
+
+
 def sample_ensemble(
     density: LogDensity,
     mode: Mode,
     *,
     seed: int = 0,
-    ensembles: int = ENSEMBLES,
-    max_steps: int = MAX_STEPS,
-    progress: Callable[[str, float], None] | None = None,
+    length: EnsembleLength = EnsembleLength(),
+    progress: Progress | None = None,
     predictive: bool = True,
     checkpoint: Checkpoint | None = None,
 ) -> Posterior:
@@ -192,10 +197,10 @@ def sample_ensemble(
     began = time.perf_counter()
     walkers = 2 * (density.size + 2)
     target = _Target(density, mode)
-    settings = np.array([seed, ensembles, walkers, CHUNK, BURN_IN, ROUNDS])
+    settings = np.array([seed, length.ensembles, walkers, CHUNK, BURN_IN, ROUNDS])
     known, steps_made = checkpoint.begin(mode.u, mode.factor, settings) if checkpoint else (None, None)
-    known = _burnt_in(target, walkers, ensembles, seed, checkpoint, known)
-    samplers = _continued(target, walkers, ensembles, seed, known, steps_made)
+    known = _burnt_in(target, walkers, length.ensembles, seed, checkpoint, known)
+    samplers = _continued(target, walkers, length.ensembles, seed, known, steps_made)
     kept = 0 if steps_made is None else samplers[0].iteration
     while True:
         if checkpoint:
@@ -204,28 +209,15 @@ def sample_ensemble(
         steps = samplers[0].iteration
         if progress:
             progress(f"emcee: {steps} steps", min(1.0, steps / (AUTOCORRELATION_TIMES * tau)))
-        if steps >= AUTOCORRELATION_TIMES * tau or steps >= max_steps:
+        if steps >= AUTOCORRELATION_TIMES * tau or steps >= length.max_steps:
             thin = max(1, int(tau / 2)) if np.isfinite(tau) else 1  # draws closer than that say nearly the same
             x = np.asarray(constrain_draws(density, jnp.asarray(mode.unwhiten(_chains(samplers, thin)))))
             marginals = diagnose(x, density.names)
-            if converged(marginals) or steps >= max_steps:
+            if converged(marginals) or steps >= length.max_steps:
                 break
         _advance(samplers, CHUNK)
-    length = np.asarray(samplers[0].get_chain(thin=thin)).shape[0]
-    stats = {
-        "lp": np.stack([np.asarray(s.get_log_prob(thin=thin)).T.ravel() for s in samplers]),
-        "walker": np.tile(np.repeat(np.arange(walkers), length), (ensembles, 1)),
-    }
-    posterior = assemble(
-        density,
-        x,
-        engine="emcee",
-        seed=seed,
-        seconds=time.perf_counter() - began,
-        sample_stats=stats,
-        marginals=marginals,
-        predictive=predictive,
-    )
+    drawn = Drawn("emcee", x, _stats(samplers, thin), marginals)
+    posterior = assemble(density, drawn, seed=seed, seconds=time.perf_counter() - began, predictive=predictive)
     posterior.tree.attrs |= {
         "steps": steps,
         "thinned_by": thin,
@@ -235,3 +227,13 @@ def sample_ensemble(
         "walkers": walkers,
     }
     return posterior
+
+
+def _stats(samplers: list[emcee.EnsembleSampler], thin: int) -> dict[str, np.ndarray]:
+    """Log-density and walker of every draw, in the order of `_chains`."""
+    lp = [np.asarray(s.get_log_prob(thin=thin)).T for s in samplers]
+    walkers, draws = lp[0].shape
+    return {
+        "lp": np.stack([one.ravel() for one in lp]),
+        "walker": np.tile(np.repeat(np.arange(walkers), draws), (len(samplers), 1)),
+    }

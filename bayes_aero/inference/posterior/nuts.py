@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import cache, partial
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,17 +14,15 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpyro.infer.hmc import HMCState, hmc
 
-from bayes_aero.inference.posterior.assembly import assemble, constrain_draws, converged, diagnose
+from bayes_aero.inference.posterior.assembly import Drawn, assemble, constrain_draws, converged, diagnose
 from bayes_aero.inference.posterior.laplace import Mode
-from bayes_aero.inference.posterior.posterior import Posterior, PosteriorStatus
+from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.threads import cores
 from bayes_aero.model.log_density import LogDensity
+from bayes_aero.progress import Progress
 
-CHAINS = 4
-WARMUP = 500
 STRETCH = 100  # draws of one compiled call; a warm-up or block that is no multiple runs on to the next one
 BLOCK = 300  # draws per chain between two looks at the diagnostics
-MAX_BLOCKS = 8
 DIVERGENT_SHARE = 0.005
 FIELDS = ("diverging", "num_steps", "accept_prob", "potential_energy")
 
@@ -64,15 +62,21 @@ def _stretch(
     return jax.lax.scan(step, state, None, length=STRETCH)
 
 
+class NutsLength(NamedTuple):
+    """Chains, steps of their warm-up, and the most blocks of draws that follow it."""
+
+    chains: int = 4
+    warmup: int = 500
+    max_blocks: int = 8
+
+
 def sample_nuts(
     density: LogDensity,
     mode: Mode,
     *,
     seed: int = 0,
-    chains: int = CHAINS,
-    warmup: int = WARMUP,
-    max_blocks: int = MAX_BLOCKS,
-    progress: Callable[[str, float], None] | None = None,
+    length: NutsLength = NutsLength(),
+    progress: Progress | None = None,
     predictive: bool = True,
 ) -> Posterior:
     """Sample in blocks until every parameter reaches the targets of ESS and R-hat, at most `max_blocks` of them.
@@ -81,50 +85,56 @@ def sample_nuts(
     chain its own, so that R-hat can see a second mode nearby. `progress(text, share)` is called after every block.
     """
     began = time.perf_counter()
-    start_key, run_key = jax.random.split(jax.random.PRNGKey(seed))
-    target = density, jnp.asarray(mode.u), jnp.asarray(mode.factor)
-    starts = jax.random.normal(start_key, (chains, density.size))
-    states = [_begin(target, warmup, key, v) for key, v in zip(jax.random.split(run_key, chains), starts, strict=True)]
-
-    def advance(states: list[HMCState]) -> list[tuple[HMCState, tuple[Array, dict[str, Array]]]]:
-        with ThreadPoolExecutor(min(len(states), cores())) as pool:
-            return list(pool.map(lambda state: jax.block_until_ready(_stretch(target, warmup, state)), states))
-
-    for number in range(-(-warmup // STRETCH)):  # the first chain begins alone: the others find what it compiled
-        ends = advance(states) if number else [*advance(states[:1]), *advance(states[1:])]
-        states = [state for state, _ in ends]
-    blocks, fields = [], []
+    chains = _Chains(density, mode, length, seed)
+    most = length.max_blocks * BLOCK
     while True:
-        for _ in range(BLOCK // STRETCH):
-            ends = advance(states)
-            states = [state for state, _ in ends]
-            v = np.stack([np.asarray(drawn) for _, (drawn, _) in ends])
-            blocks.append(np.asarray(constrain_draws(density, jnp.asarray(mode.unwhiten(v)))))
-            fields.append({name: np.stack([np.asarray(told[name]) for _, (_, told) in ends]) for name in FIELDS})
-        x = np.concatenate(blocks, axis=1)
+        chains.draw(BLOCK)
+        x = np.concatenate(chains.x, axis=1)
         marginals = diagnose(x, density.names)
-        done = converged(marginals) or x.shape[1] >= max_blocks * BLOCK
+        done = converged(marginals) or x.shape[1] >= most
         if progress:
             least = min(m.ess_bulk for m in marginals.values())
-            share = 1.0 if done else x.shape[1] / (max_blocks * BLOCK)
-            progress(f"NUTS: {x.shape[1]} draws a chain, ESS {least:.0f}", share)
+            progress(f"NUTS: {x.shape[1]} draws a chain, ESS {least:.0f}", 1.0 if done else x.shape[1] / most)
         if done:
             break
-    joined = {name: np.concatenate([f[name] for f in fields], axis=1) for name in FIELDS}
-    divergent = float(joined["diverging"].mean()) > DIVERGENT_SHARE
-    return assemble(
-        density,
-        x,
-        engine="nuts",
-        seed=seed,
-        seconds=time.perf_counter() - began,
-        sample_stats={
-            "diverging": joined["diverging"],
-            "n_steps": joined["num_steps"],
-            "acceptance_rate": joined["accept_prob"],
-            "lp": -joined["potential_energy"],
-        },
-        marginals=marginals,
-        status=PosteriorStatus.DIVERGENT if divergent else None,
-        predictive=predictive,
-    )
+    told = {name: np.concatenate([f[name] for f in chains.told], axis=1) for name in FIELDS}
+    stats = {
+        "diverging": told["diverging"],
+        "n_steps": told["num_steps"],
+        "acceptance_rate": told["accept_prob"],
+        "lp": -told["potential_energy"],
+    }
+    divergent = float(told["diverging"].mean()) > DIVERGENT_SHARE
+    drawn = Drawn("nuts", x, stats, marginals, divergent)
+    return assemble(density, drawn, seed=seed, seconds=time.perf_counter() - began, predictive=predictive)
+
+
+class _Chains:
+    """Chains that are warmed up, with what they have drawn: `x`, and what NUTS tells of each draw."""
+
+    def __init__(self, density: LogDensity, mode: Mode, length: NutsLength, seed: int) -> None:
+        self.density, self.mode, self.warmup = density, mode, length.warmup
+        self.x: list[np.ndarray] = []
+        self.told: list[dict[str, np.ndarray]] = []
+        self.target = density, jnp.asarray(mode.u), jnp.asarray(mode.factor)
+        start_key, run_key = jax.random.split(jax.random.PRNGKey(seed))
+        starts = jax.random.normal(start_key, (length.chains, density.size))
+        keys = jax.random.split(run_key, length.chains)
+        self.states = [_begin(self.target, self.warmup, key, v) for key, v in zip(keys, starts, strict=True)]
+        for number in range(-(-self.warmup // STRETCH)):  # the first chain begins alone: the others find its program
+            parts = [self.states] if number else [self.states[:1], self.states[1:]]
+            self.states = [state for part in parts for state, _ in self._advance(part)]
+
+    def draw(self, steps: int) -> None:
+        """`steps` draws of every chain more."""
+        for _ in range(steps // STRETCH):
+            ends = self._advance(self.states)
+            self.states = [state for state, _ in ends]
+            v = np.stack([np.asarray(drawn) for _, (drawn, _) in ends])
+            self.x.append(np.asarray(constrain_draws(self.density, jnp.asarray(self.mode.unwhiten(v)))))
+            self.told.append({name: np.stack([np.asarray(told[name]) for _, (_, told) in ends]) for name in FIELDS})
+
+    def _advance(self, states: list[HMCState]) -> list[tuple[HMCState, tuple[Array, dict[str, Array]]]]:
+        with ThreadPoolExecutor(max(1, min(len(states), cores()))) as pool:
+            step = partial(_stretch, self.target, self.warmup)
+            return list(pool.map(lambda state: jax.block_until_ready(step(state)), states))

@@ -22,21 +22,10 @@ from bayes_aero.jobs.card.column_inference import guessed
 from bayes_aero.jobs.card.column_statistics import Guess
 from bayes_aero.jobs.card.template_aircraft import aircraft_block
 from bayes_aero.jobs.card.template_check import read_back
+from bayes_aero.jobs.card.template_model import comment, model_block
 from bayes_aero.physics.coefficient_names import REQUIRED
 from bayes_aero.units import canonical, from_si
 
-ATTACHED = (
-    "attached_lift", "elevator_moment", "pitching_moment", "pitch_damping", "profile_drag", "induced_drag",
-)  # fmt: skip
-STALL = (
-    "reattachment_hysteresis", "flow_separation", "separation_lag", "kirchhoff_lift", "separated_drag",
-    "separated_moment", "separated_induced_drag",
-)  # fmt: skip
-REMARKS = {
-    "separated_induced_drag": " # induced_share 0: drag of the attached lift, as published; 1: of the lift that is left"
-}
-MACH_MOVES, SOUND = 0.05, 330.0  # a change of Mach number that tells its effect, and m/s
-STALLED = np.deg2rad(12.0)  # alpha beyond which the record is taken to hold a stall
 NEEDED = ("time", *REQUIRED, "elevator")
 ENGINE = ("n1_left", "n1_right", "engine_speed", "throttle", "throttle_left", "throttle_right")
 ACCELERATIONS = ("ax", "az")
@@ -115,7 +104,7 @@ def starter_card(path: Path) -> Starter:
         *_sums(found),
         *_constants(found),
         *_sensors(found),
-        *_model(found),
+        *model_block(found, "mach" in found or "mach" in _derivable(found)),
     ]
     open_lines = [line for line in lines if '"TODO' in line and not line.startswith("#")]
     todo = [(line.split(" =")[0].strip(), line.partition(" # ")[2]) for line in open_lines]
@@ -127,10 +116,6 @@ def starter_card(path: Path) -> Starter:
 def _text(words: str) -> str:
     """A TOML string on one line."""
     return json.dumps(words, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def _comment(words: str) -> str:
-    return "# " + " ".join("".join(c if c.isprintable() else " " for c in words).split())
 
 
 def _channels(found: Mapping[str, Guess], unknown: Sequence[RawColumn], columns: Sequence[RawColumn]) -> Iterator[str]:
@@ -147,12 +132,12 @@ def _channels(found: Mapping[str, Guess], unknown: Sequence[RawColumn], columns:
         entry = f"{name} = {{ {_place(guess.column)}, unit = {_text(guess.unit or 'TODO')}{sign}{optional} }}"
         doubt = _implausible(name, guess)
         if doubt:
-            yield _comment(f"NOT TAKEN, {doubt}; {guess.evidence}:")
+            yield comment(f"NOT TAKEN, {doubt}; {guess.evidence}:")
             yield f"# {entry}"
             if name in NEEDED:
                 yield from _absent(name, place)
             continue
-        yield f"{entry} {_comment(f'guess: {guess.evidence}; {_range(guess.values)}')}"
+        yield f"{entry} {comment(f'guess: {guess.evidence}; {_range(guess.values)}')}"
     if unknown:
         rest = [n for n in STANDARD_CHANNELS if n not in found]
         yield "# Columns that nothing was guessed for. Names that are still free:"
@@ -160,7 +145,7 @@ def _channels(found: Mapping[str, Guess], unknown: Sequence[RawColumn], columns:
             yield f"# {', '.join(rest[begin : begin + 10])}"
     for column in unknown:
         if column.values is None:
-            yield _comment(f"{column.place}: no numbers")
+            yield comment(f"{column.place}: no numbers")
             continue
         said = column.unit or (split_heading(column.label)[1] if column.label else None) or "?"
         unit = _text(canonical(said) or said)
@@ -182,12 +167,10 @@ def _absent(name: str, place: str) -> Iterator[str]:
     standard = STANDARD_CHANNELS.get(name)
     what, unit = (standard.description, standard.unit) if standard else ("total net thrust", "N")
     if name in ACCELERATIONS:
-        yield _comment(
-            f"{name} was not found: {what}. Without it diagnose works from trajectories alone, identify not:"
-        )
+        yield comment(f"{name} was not found: {what}. Without it diagnose works from trajectories alone, identify not:")
         yield f'# {name} = {{ {place} = "...", unit = "{unit}" }}'
         return
-    yield f'{name} = {{ {place} = "TODO", unit = "{unit}" }} {_comment(what + "; was not found in the file")}'
+    yield f'{name} = {{ {place} = "TODO", unit = "{unit}" }} {comment(what + "; was not found in the file")}'
 
 
 def _implausible(name: str, guess: Guess) -> str:
@@ -290,36 +273,3 @@ def _sensors(found: Mapping[str, Guess]) -> Iterator[str]:
                 size = abs(float(from_si(deviation, unit, name, source)))
                 yield f'{name} = "{size:.2g} {unit}" # guess: what is white in this record'
     yield ""
-
-
-def _mach_moves(found: Mapping[str, Guess]) -> bool:
-    """Whether a lift slope over Mach number can be told from one over nothing."""
-    if "mach" in found:
-        return float(np.ptp(found["mach"].si)) > MACH_MOVES
-    return "airspeed" in found and float(np.ptp(found["airspeed"].si)) / SOUND > MACH_MOVES
-
-
-def _model(found: Mapping[str, Guess]) -> Iterator[str]:
-    reached = float(found["alpha"].si.max()) if "alpha" in found else 0.0
-    stalled = reached > STALLED
-    yield "# bayes-aero effects lists all; diagnose looks for those that are missing."
-    yield "[model]"
-    yield "effects = ["
-    for name in ATTACHED[:1]:
-        yield f'  "{name}",'
-    mach = "mach" in found or "mach" in _derivable(found)
-    moves = mach and _mach_moves(found)
-    remark = "needs the Mach number" if not mach else "" if moves else "the Mach number hardly moves in this record"
-    yield ("" if moves else "# ") + '  "mach_lift",' + (f" # {remark}" if remark else "")
-    yield from (f'  "{name}",' for name in ATTACHED[1:])
-    said = "alpha was not found, so nobody knows whether a stall is in the record; if one is:"
-    yield _comment(
-        said
-        if "alpha" not in found
-        else f"guess: alpha reaches {np.rad2deg(reached):.3g} deg, {'beyond' if stalled else 'not'} "
-        f"{np.rad2deg(STALLED):.0f} deg, so {'a' if stalled else 'no'} stall is in the record:"
-    )
-    for name in STALL:
-        yield ("" if stalled else "# ") + f'  "{name}",' + REMARKS.get(name, "")
-    yield "]"
-    yield ("" if stalled else "# ") + "fixed = { tau1 = 0.0 } # quasi-steady"

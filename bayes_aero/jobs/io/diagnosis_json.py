@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from bayes_aero.diagnosis.result import Cause, Diagnosis, Gain, NoiseReport, Tested, UnexplainedStructure
@@ -16,36 +17,53 @@ from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.jobs.io.health_json import health_results
 from bayes_aero.jobs.io.trajectories_json import trajectory_results
 from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.text.diagnosis import sentences
 
 SCHEMA = "bayes_aero/diagnosis/1"
 SCORES = ("r2", "rmse", "r", "theil")
 
 
+Hidden = Mapping[str, Mapping[str, float]]
+"""True values of what simulated records hide, by effect."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A diagnosis with all that is shown of it.
+
+    `named`: each hidden effect is first, named, ambiguous, minor or missed. `predictors` are scores by predictor and
+    coefficient, `separating` the manoeuvres that would separate rivals, `failures` parts that failed unexpectedly.
+    """
+
+    view: DiagnosisView
+    hidden: Hidden | None = None
+    named: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    health: tuple[HealthFinding, ...] = ()
+    consistency: Consistency | None = None
+    failures: tuple[str, ...] = ()
+    predictors: Mapping[str, Any] = field(default_factory=dict)
+    separating: Sequence[Mapping[str, Any]] = ()
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """The finding itself."""
+        return self.view.diagnosis
+
+
 def diagnosis_results(
-    view: DiagnosisView,
-    card: Card,
-    records: Sequence[FlightRecord],
-    provenance: Mapping[str, Any],
-    *,
-    sentences: Sequence[str] = (),
-    predictors: Mapping[str, Any] | None = None,
-    separating: Sequence[Mapping[str, Any]] = (),
-    hidden: Mapping[str, Any] | None = None,
-    notes: Sequence[str] = (),
-    failures: Sequence[str] = (),
-    agreement: Consistency | None = None,
-    health: Sequence[HealthFinding] = (),
+    outcome: Outcome, card: Card, records: Sequence[FlightRecord], provenance: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Everything found, as plain numbers and text; `hidden` is the truth where the records are simulated."""
-    d = view.diagnosis
+    view, d = outcome.view, outcome.diagnosis
     found: dict[str, Any] = {
         "schema": SCHEMA,
         "card": {"name": card.name, "title": card.title},
         "records": record_results(records),
-        "consistency": {} if agreement is None else consistency_results(agreement),
+        "consistency": {} if outcome.consistency is None else consistency_results(outcome.consistency),
         "verdict": d.verdict.value,
         "tested": tested_results(d.tested),
-        "sentences": list(sentences),
+        "sentences": list(sentences(view)),
         "causes": [cause_results(cause) for cause in d.causes],
         "minor": list(d.minor),
         "unexplained": unknown_results(d.unknown),
@@ -65,17 +83,17 @@ def diagnosis_results(
             for name, m in view.moves.items()
         },
         "residuals": _residuals(view),
-        "predictors": dict(predictors or {}),
+        "predictors": dict(outcome.predictors),
         "trajectories": {} if view.trajectories is None else trajectory_results(view.trajectories, card),
         "stall": {n: stall.numbers() for n, stall in view.stalls.items()} if isinstance(view, View) else {},
-        "separating": [dict(one) for one in separating],
-        "health": health_results(health),
-        "notes": [*d.notes, *notes],
-        "failures": list(failures),
+        "separating": [dict(one) for one in outcome.separating],
+        "health": health_results(outcome.health),
+        "notes": [*d.notes, *outcome.notes],
+        "failures": list(outcome.failures),
         "provenance": dict(provenance),
     }
-    if hidden is not None:
-        found["hidden"] = dict(hidden)
+    if outcome.hidden is not None:
+        found["hidden"] = {"effects": outcome.hidden, "named": outcome.named}
     return found
 
 

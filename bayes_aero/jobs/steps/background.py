@@ -8,7 +8,8 @@ from contextlib import contextmanager
 from threading import Event
 from typing import Generic, TypeVar
 
-Progress = Callable[[str, float], None]
+from bayes_aero.progress import Progress
+
 Result = TypeVar("Result")
 
 

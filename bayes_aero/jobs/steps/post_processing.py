@@ -12,9 +12,9 @@ from bayes_aero.diagnosis.view.models import with_stalls
 from bayes_aero.diagnosis.view.results import View
 from bayes_aero.jobs.io.result_store import ResultStore
 from bayes_aero.jobs.steps.post_diagnosis import separations
+from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import ViewFigures, draw_all
 
-Progress = Callable[[str, float], None]
 Predict = Callable[[Diagnosis, Progress], Mapping[str, Any]]
 
 

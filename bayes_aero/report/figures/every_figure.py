@@ -1,6 +1,6 @@
 """Every figure of a report by the stem of its file, and one function that writes them all.
 
-A module of this folder declares its figures as `FIGURES` (of an identification) or `DIAGNOSIS_FIGURES`; no list is kept.
+A module of this folder declares its figures as `FIGURES` (of an identification) or `DIAGNOSIS_FIGURES`; no list exists.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from bayes_aero.diagnosis.view.results import View
 from bayes_aero.errors import failure
 from bayes_aero.inference.identification import Identification
+from bayes_aero.progress import Progress
 from bayes_aero.report import figures
 from bayes_aero.report.style import Drawing, NotDrawn, save
 
@@ -39,7 +40,6 @@ AFTER_TRAJECTORIES = tuple(stem for found in _declared("AFTER_TRAJECTORIES") for
 """Those of a diagnosis that need trajectories, or show them if they are there."""
 
 Shown = TypeVar("Shown")
-Progress = Callable[[str, float], None]
 
 
 def write_figures(

@@ -67,6 +67,16 @@ def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
             + several(f"{n} {a:.2f} and {b:.2f}" for n, (a, b) in lag.items())
             + ".",
         ),
+        **_stall_models(view),
+        "measured_simulated": (
+            "Coefficients measured and simulated by both models, the error shaded.",
+            f"Time histories of CL, CD and Cm. {what} of {best.manoeuvre}: {change}.",
+        ),
+    }
+
+
+def _stall_models(view: View) -> dict[str, tuple[str, str]]:
+    return {
         "stall_models": (
             "Lift over the angle of attack as measured (α rising and falling), as fitted, and in steady flow with "
             "its 95 % band; "
@@ -79,10 +89,6 @@ def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
             "attack, "
             "with 95 % bands. Ticks at the bottom: angles flown.",
             "Separation point over angle of attack. " + " ".join(_apart(label, s) for label, s in view.stalls.items()),
-        ),
-        "measured_simulated": (
-            "Coefficients measured and simulated by both models, the error shaded.",
-            f"Time histories of CL, CD and Cm. {what} of {best.manoeuvre}: {change}.",
         ),
     }
 
@@ -161,30 +167,46 @@ def identification_alternatives(run: Identification) -> dict[str, tuple[str, str
         ),
     }
     if run.stall is not None:
-        s = run.stall
-        what = (
-            f"The steady maximum is CL {interval(s.CL_max)} at {interval(s.alpha_max, DEG, 1)} deg."
-            if s.seen
-            else "The steady lift still rises at the edge of the angles flown."
+        texts |= _stall_alternatives(run.stall, flown)
+    texts |= _chain_alternatives(run)
+    for stem, c in (("fig4_correlation_CL", "CL"), ("fig7_correlation_CD", "CD"), ("fig9_correlation_Cm", "Cm")):
+        texts[stem] = (
+            f"{c} measured against predicted.",
+            f"Scatter plot of measured and predicted {c}; maximum likelihood on all samples correlates by "
+            f"{mle.fit[c].r:.4f}.",
         )
-        texts["stall"] = (
-            "Top left: lift over the angle of attack as measured (α rising and falling), as fitted, and in steady "
-            "flow with its "
-            "95 % band. Below: the time spent at each angle. Right: the drag polar with the data on it. " + OFF,
-            f"Lift coefficient over {flown}, a hysteresis loop of measured points beside the fitted model. {what} "
-            f"Right: CL over "
-            "CD.",
-        )
-        middle = s.X[1][1]
-        texts["separation"] = (
-            "Where the flow separates: X = 1 attached, 0 separated from the leading edge, at three rates of the "
-            "angle of attack, "
-            "with 95 % bands. Ticks at the bottom: angles flown.",
-            f"Separation point over angle of attack. In steady flow X falls from {middle[0]:.2f} at "
-            f"{s.alpha[0] * DEG:.1f} deg to "
-            f"{middle[-1]:.2f} at {s.alpha[-1] * DEG:.1f} deg; at {s.rates[0] * DEG:.1f} deg/s it ends at "
-            f"{s.X[0][1][-1]:.2f}.",
-        )
+    return texts
+
+
+def _stall_alternatives(s: Stall, flown: str) -> dict[str, tuple[str, str]]:
+    what = (
+        f"The steady maximum is CL {interval(s.CL_max)} at {interval(s.alpha_max, DEG, 1)} deg."
+        if s.seen
+        else "The steady lift still rises at the edge of the angles flown."
+    )
+    stall = (
+        "Top left: lift over the angle of attack as measured (α rising and falling), as fitted, and in steady "
+        "flow with its "
+        "95 % band. Below: the time spent at each angle. Right: the drag polar with the data on it. " + OFF,
+        f"Lift coefficient over {flown}, a hysteresis loop of measured points beside the fitted model. {what} "
+        f"Right: CL over "
+        "CD.",
+    )
+    middle = s.X[1][1]
+    separation = (
+        "Where the flow separates: X = 1 attached, 0 separated from the leading edge, at three rates of the "
+        "angle of attack, "
+        "with 95 % bands. Ticks at the bottom: angles flown.",
+        f"Separation point over angle of attack. In steady flow X falls from {middle[0]:.2f} at "
+        f"{s.alpha[0] * DEG:.1f} deg to "
+        f"{middle[-1]:.2f} at {s.alpha[-1] * DEG:.1f} deg; at {s.rates[0] * DEG:.1f} deg/s it ends at "
+        f"{s.X[0][1][-1]:.2f}.",
+    )
+    return {"stall": stall, "separation": separation}
+
+
+def _chain_alternatives(run: Identification) -> dict[str, tuple[str, str]]:
+    texts = {}
     for engine, posterior in run.posteriors.items():
         worst = max(m.rhat for m in posterior.marginals.values())
         ess = min(m.ess_bulk for m in posterior.marginals.values())
@@ -193,11 +215,5 @@ def identification_alternatives(run: Identification) -> dict[str, tuple[str, str
         texts[f"rank_{engine}"] = (
             f"Ranks of the draws by chain, {engine_label(engine)}: flat lines inside the band mean mixed chains.",
             f"Rank plots of every parameter by {name}.",
-        )
-    for stem, c in (("fig4_correlation_CL", "CL"), ("fig7_correlation_CD", "CD"), ("fig9_correlation_Cm", "Cm")):
-        texts[stem] = (
-            f"{c} measured against predicted.",
-            f"Scatter plot of measured and predicted {c}; maximum likelihood on all samples correlates by "
-            f"{mle.fit[c].r:.4f}.",
         )
     return texts

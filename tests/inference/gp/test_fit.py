@@ -95,7 +95,7 @@ def test_units_of_inputs_and_output_do_not_matter(at_map):
     np.testing.assert_allclose(there.mean, 100.0 * here.mean, rtol=1e-4)
     np.testing.assert_allclose(other.map["length_scale"], at_map.map["length_scale"] * [57.3, 3.6], rtol=1e-2)
     np.testing.assert_allclose(other.map["linear"], 100 * at_map.map["linear"] / [57.3, 3.6], rtol=1e-2)
-    assert other.map_value == pytest.approx(at_map.map_value, abs=1e-3)
+    assert other.optima[0].value == pytest.approx(at_map.optima[0].value, abs=1e-3)
 
 
 def test_the_tree_is_complete_and_arviz_reads_it_back(sampled, tmp_path):
@@ -123,7 +123,7 @@ def test_map_only_says_that_it_was_not_sampled(at_map):
 def test_jax_arrays_are_welcome(at_map):
     X, y = make(0)
     fit = fit_gp(jnp.asarray(X), jnp.asarray(y), starts=4, sample=False)
-    assert fit.map_value == at_map.map_value
+    assert fit.optima[0].value == at_map.optima[0].value
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""NUTS over all 2d + 3 hyperparameters, on the stand-in density or (small n) on the exact one."""
+"""NUTS over all 2d + 3 hyperparameters, on the stand-in density."""
 
 from functools import lru_cache, partial
 from typing import NamedTuple
@@ -13,10 +13,9 @@ from numpyro.infer.hmc import hmc
 from bayes_aero.inference.gp.emulator import Emulator
 from bayes_aero.inference.gp.kernel import length_slice
 from bayes_aero.inference.gp.priors import Priors
-from bayes_aero.inference.gp.reduced import ReducedData
-from bayes_aero.inference.gp.sampling.density import log_likelihood_device, small_posterior
+from bayes_aero.inference.gp.sampling.density import small_posterior
 
-__all__ = ["Chains", "Settings", "emulated_density", "join", "laplace_root", "sample_emulated", "sample_exact"]
+__all__ = ["Chains", "Settings", "emulated_density", "join", "laplace_root", "sample_emulated"]
 
 
 # The stand-in is sampled to this power: draws then reach a little further out than the posterior does, so the weights
@@ -66,27 +65,21 @@ def laplace_root(
     return vectors / np.sqrt(np.maximum(values, 1.0 / 1.5**2))
 
 
-def _potential(priors: Priors, exact: bool):
+def _potential(priors: Priors):
     """Of coordinates w, theta = optimum + root w: what differs between coefficients and rounds is an argument."""
 
-    def of(theta_map, root, n, target):
-        def potential(w):
-            theta = theta_map + root @ w
-            if exact:
-                return -log_likelihood_device(theta, *target) - priors.log_density(theta)
-            return -TEMPER * emulated_density(theta, target, n, priors)
-
-        return potential
+    def of(theta_map, root, n, emulator):
+        return lambda w: -TEMPER * emulated_density(theta_map + root @ w, emulator, n, priors)
 
     return of
 
 
 @lru_cache(maxsize=8)
-def _sampler(priors: Priors, settings: Settings, exact: bool):
+def _sampler(priors: Priors, settings: Settings):
     """numpyro's functional NUTS, compiled once for every shape of data: MCMC would compile anew for every run."""
 
     def chain(key, w, target):
-        begin, sample = hmc(potential_fn_gen=_potential(priors, exact), algo="NUTS")
+        begin, sample = hmc(potential_fn_gen=_potential(priors), algo="NUTS")
         state = begin(
             w,
             settings.warmup,
@@ -122,17 +115,6 @@ def join(first: Chains, then: Chains) -> Chains:
     return _summary(theta, density, first.divergences + then.divergences)
 
 
-def _run(priors: Priors, settings: Settings, exact: bool, seed: int, args: tuple, start: np.ndarray | None) -> Chains:
-    theta_map, root = np.asarray(args[0]), np.asarray(args[1])
-    keys = jax.random.split(jax.random.PRNGKey(seed))
-    w = jax.random.normal(keys[0], (settings.chains, theta_map.size))
-    if start is not None:
-        w = jnp.asarray(np.linalg.solve(root, (start - theta_map).T).T)
-    drawn = _sampler(priors, settings, exact)(jax.random.split(keys[1], settings.chains), w, args)
-    w, density, diverging = (np.asarray(x) for x in drawn)
-    return _summary(theta_map + w @ root.T, density, int(diverging.sum()))
-
-
 def sample_emulated(
     theta: Float[np.ndarray, " p"],
     emulator: Emulator,
@@ -145,18 +127,10 @@ def sample_emulated(
     """NUTS on the stand-in density to the power `TEMPER`, from `start` or from around the optimum theta."""
     root = laplace_root(theta, emulator, float(n), priors)
     args = (jnp.asarray(theta), jnp.asarray(root), jnp.asarray(float(n)), emulator)
-    return _run(priors, settings, False, seed, args, start)
-
-
-def sample_exact(
-    theta: Float[np.ndarray, " p"],
-    root: Float[np.ndarray, "p p"],
-    data: ReducedData,
-    priors: Priors,
-    settings: Settings,
-    seed: int,
-) -> Chains:
-    """NUTS on the exact density, n^3 at every leapfrog step: the yardstick for n of a few hundred."""
-    target = (jnp.asarray(data.x), jnp.asarray(data.fy))
-    args = (jnp.asarray(theta), jnp.asarray(root), jnp.asarray(float(data.n)), target)
-    return _run(priors, settings, True, seed, args, None)
+    keys = jax.random.split(jax.random.PRNGKey(seed))
+    w = jax.random.normal(keys[0], (settings.chains, theta.size))
+    if start is not None:
+        w = jnp.asarray(np.linalg.solve(root, (start - theta).T).T)
+    drawn = _sampler(priors, settings)(jax.random.split(keys[1], settings.chains), w, args)
+    w, density, diverging = (np.asarray(x) for x in drawn)
+    return _summary(theta + w @ root.T, density, int(diverging.sum()))

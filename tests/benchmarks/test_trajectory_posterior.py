@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, short_period_flight
+from trajectory_density import trajectory_density
 
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.inference.likelihood.output_error import fit_output_error
-from bayes_aero.inference.likelihood.trajectory_density import trajectory_density
 from bayes_aero.inference.posterior.ensemble import sample_ensemble
 from bayes_aero.inference.posterior.laplace import find_mode
 from bayes_aero.inference.posterior.nuts import sample_nuts
@@ -61,3 +63,15 @@ def test_a_sample_that_counts_less_widens_the_posterior(fitted):
     wide = [find_mode(d, d.start(fitted)) for d in (trajectory_density(fitted), trajectory_density(fitted, 4.0))]
     deviations = [np.sqrt(np.sum(mode.factor**2, axis=1))[: len(fitted.names)] for mode in wide]
     np.testing.assert_allclose(deviations[1] / deviations[0], 2.0, rtol=0.05)
+
+
+def test_a_steady_growth_of_noise_changes_nothing_but_the_scale(fitted):
+    """Twice the noise everywhere is half the level."""
+    flown = fitted.flown
+    twice = replace(flown, noise_growth=np.full_like(np.asarray(flown.noise_growth), 2.0))
+    scaled = fit_output_error(twice, start=fitted.estimate)
+    values = [
+        float(trajectory_density(fit).log_likelihood(jnp.asarray(trajectory_density(fit).start(fit))))
+        for fit in (fitted, scaled)
+    ]
+    assert values[0] == pytest.approx(values[1], rel=1e-9)

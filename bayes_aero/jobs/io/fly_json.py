@@ -1,0 +1,94 @@
+"""A fit to trajectories with its findings, and the file that holds it, trajectories.json."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from bayes_aero.diagnosis.trajectories.results import Disagreement, TrajectoryFit
+from bayes_aero.flight.agreement import Consistency
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.health import HealthFinding
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.jobs.io.consistency_json import consistency_results
+from bayes_aero.jobs.io.diagnosis_json import record_results
+from bayes_aero.jobs.io.health_json import health_results
+from bayes_aero.jobs.io.identification_json import inseparable_results
+from bayes_aero.jobs.io.trajectories_json import open_loop
+from bayes_aero.jobs.options import FIXED, FREE, HELD, LINEAR
+from bayes_aero.report.text.fly import parameter_rows
+
+SCHEMA = "bayes_aero/trajectories/1"
+RESULTS = "trajectories.json"
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A fit to trajectories with its findings, in SI and radians.
+
+    `flown.fit` has estimates (k,), standard errors and `det_R`. `sentences` are the findings, `notes` remarks on the
+    input, `failures` parts that failed unexpectedly, `apart` parameters for which the coefficients of the same record
+    give other values.
+    """
+
+    flown: TrajectoryFit
+    sentences: tuple[str, ...]
+    notes: tuple[str, ...]
+    health: tuple[HealthFinding, ...] = ()
+    consistency: Consistency | None = None
+    failures: tuple[str, ...] = ()
+    apart: tuple[Disagreement, ...] = ()
+
+
+def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], source: dict[str, Any]) -> dict[str, Any]:
+    """trajectories.json: plain numbers and text, SI and radians (schemas/trajectories.schema.json)."""
+    flown = found.flown
+    fit = flown.fit
+    states = fit.flown.dynamics.states
+    units = {name: flown.units.get(name, "1") for name in states}
+    beliefs = flown.departure_sd
+    return {
+        "schema": SCHEMA,
+        "card": {"name": card.name, "title": card.title},
+        "records": record_results(records),
+        "consistency": {} if found.consistency is None else consistency_results(found.consistency),
+        "status": fit.status.name.lower(),
+        "converged": flown.converged,
+        "sentences": list(found.sentences),
+        "fitted_outputs": list(fit.flown.outputs),
+        "windows": flown.window,
+        "setting": {
+            "initial_state": FREE if flown.setting.initial is None else FIXED,
+            "priors": flown.setting.priors,
+            "inputs": HELD if flown.setting.held else LINEAR,
+        },
+        "iterations": fit.iterations,
+        "cost": fit.cost,
+        "det_R": fit.det_R,
+        "colour_cost": flown.colour_cost,
+        "noise_growth": dict(flown.noise_growth),
+        "parameters": parameter_rows(flown),
+        "inseparable": inseparable_results(flown.fit.inseparable),
+        "disagreement": [asdict(d) for d in found.apart],
+        "initial_states": {
+            manoeuvre: {
+                n: {"value": x, "departure": d, "unit": units[n], "prior_sd": beliefs.get(n)}
+                for n, (x, d) in states.items()
+            }
+            for manoeuvre, states in flown.initial.items()
+        },
+        "residual_sd": dict(zip(fit.flown.outputs, np.sqrt(fit.R), strict=True)),
+        "tolerances": {
+            name: {"value": t.value, "unit": flown.units[name], "source": t.source}
+            for name, t in card.tolerances.items()
+            if name in flown.outputs
+        },
+        "paths": [open_loop(path, flown.units) for path in flown.paths],
+        "health": health_results(found.health),
+        "notes": list(found.notes),
+        "failures": list(found.failures),
+        "provenance": source,
+    }

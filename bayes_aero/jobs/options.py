@@ -1,0 +1,96 @@
+"""What the jobs may be told, checked: by the commands' options, by a study, by Python."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
+from bayes_aero.diagnosis.trajectories.trajectory_fit import Setting
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card.card import Card
+from bayes_aero.inference.splits import SplitKind
+from bayes_aero.model.noise import DEFAULT as DEFAULT_NOISE
+from bayes_aero.model.noise import Colour
+from bayes_aero.model.observations import Forming
+
+SHORTEST = 1.0  # s of a window: two ends of the straight line from which the initial state is read
+INITIAL_STATES = FREE, FIXED = "free", "fixed"
+INPUTS = LINEAR, HELD = "linear", "held"
+
+
+@dataclass(frozen=True)
+class IdentifyOptions:
+    """What an identification may be told.
+
+    `coefficients` are formed from signals all filtered alike (`matched`) or as the published ones (`published`).
+    Without `sample` maximum likelihood alone stands for the parameters; without `page` no report.html is made. `split`
+    chooses the split whose Gaussian-process hyperparameters are sampled; scores are given for all splits. With `resume`
+    the chains of an earlier call are continued.
+    """
+
+    noise: Colour = DEFAULT_NOISE
+    coefficients: str = Forming.MATCHED
+    split: SplitKind = "random"
+    seed: int = 0
+    sample: bool = True
+    gp: bool = True
+    approximate_gp: bool = False
+    figures: bool = True
+    resume: bool = True
+    page: bool = True
+
+    @property
+    def forming(self) -> Forming:
+        """How coefficients are formed."""
+        return Forming(self.coefficients)
+
+    @property
+    def told(self) -> dict[str, str]:
+        """Those that provenance names."""
+        return {"noise": self.noise.value, "split": self.split, "coefficients": self.forming.value}
+
+
+@dataclass(frozen=True)
+class DiagnoseOptions:
+    """What a diagnosis may be told.
+
+    `max_effects` is the number of effects that each stage may add. `predictors` adds the comparison of predictors and
+    the manoeuvres that would separate ambiguity sets, `trajectories` simulated ones.
+    """
+
+    seed: int = 0
+    max_effects: int = 8
+    predictors: bool = True
+    trajectories: bool = True
+    figures: bool = True
+
+
+@dataclass(frozen=True)
+class FlyOptions:
+    """What a fit to trajectories may be told; see `jobs.fly.fly`."""
+
+    windows: float = WINDOW
+    initial_state: str = FREE
+    priors: bool = True
+    outputs: str | Sequence[str] | None = None
+    inputs: str = LINEAR
+    seed: int = 0
+    figures: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be flown."""
+        if not (math.isfinite(self.windows) and self.windows >= SHORTEST):
+            raise InputError(f"windows of {self.windows:g} s cannot be flown; give at least {SHORTEST:g} s")
+        chosen = ("initial state", self.initial_state, INITIAL_STATES), ("inputs", self.inputs, INPUTS)
+        for name, given, known in chosen:
+            if given not in known:
+                raise InputError(f"the setting {name} is {given!r}; use {' or '.join(known)}")
+
+    def setting(self, card: Card) -> Setting:
+        """How trajectories are fitted; what is not given is the card's."""
+        named = self.outputs.split(",") if isinstance(self.outputs, str) else self.outputs
+        asked = card.fly.outputs if named is None else tuple(dict.fromkeys(name.strip() for name in named))
+        initial = card.fly.initial_state if self.initial_state == FIXED else None
+        return Setting(asked, initial, self.priors, self.inputs == HELD)
