@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from bayes_aero.dynamics.flight import Dynamics
-from bayes_aero.dynamics.system import Trajectory, integrate
+from bayes_aero.dynamics.system import System, Trajectory, integrate
 from bayes_aero.errors import InputError
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.windows import cuts_of
@@ -121,30 +121,49 @@ def segments(
     )
 
 
-def simulate(flown: SegmentTrajectories, theta: Float[Array, " k"], departure: Float[Array, "w s"]) -> Simulated:
-    """Fly every segment from its initial state, the measured or the fixed one, plus `departure`."""
+class Prepared(NamedTuple):
+    """What a simulation of the segments needs at one theta: initial states (w, s), inputs, outputs made true, as they
+    were recorded, and how much a unit of each became by that (w, n, c)."""
+
+    system: System
+    begin: Float[Array, "w s"]
+    drives: dict[str, Float[Array, "w n"]]
+    true: Float[Array, "w n c"]
+    measured: Float[Array, "w n c"]
+    scale: Float[Array, "w n c"]
+
+
+def prepared(flown: SegmentTrajectories, theta: Float[Array, " k"]) -> Prepared:
+    """The system at `theta`, and the record as it makes it true."""
     dynamics, flights = flown.dynamics, flown.flights
     values = dynamics.values(theta)
     channels = dynamics.corrected(values, flights.channels, flights.aircraft)
     system = dynamics.system(values, flights.aircraft)
     drives = {name: x[flown.index] for name, x in dynamics.drives(values, channels, flights).items()}
     begin = _measured_start(flown, channels)
-
-    def fly(start, away, inputs, dt):
-        first = {name: x[0] for name, x in inputs.items()}
-        wanted = (*flown.outputs, *dynamics.unmeasured)
-        begin = system.settled(start, first) + away
-        return integrate(system, begin, inputs, dt, flown.substeps, wanted, held=flown.held)
-
-    trajectory = jax.vmap(fly)(begin, departure, drives, jnp.asarray(flown.dt))
     true = jnp.stack([channels[name][flown.index] for name in flown.outputs], axis=2)
     measured = jnp.stack([flights.channels[name][flown.index] for name in flown.outputs], axis=2)
-    modelled = jnp.stack([trajectory.outputs[name] for name in flown.outputs], axis=2)
     scales = dynamics.scales(values, flights)
     scale = jnp.stack(
         [scales[n][flown.index] if n in scales else jnp.ones(flown.index.shape) for n in flown.outputs], axis=2
     )
-    return Simulated(trajectory, measured, jnp.where(flown.inside[:, :, None], (true - modelled) / scale, 0.0))
+    return Prepared(system, begin, drives, true, measured, scale)
+
+
+def simulate(flown: SegmentTrajectories, theta: Float[Array, " k"], departure: Float[Array, "w s"]) -> Simulated:
+    """Fly every segment from its initial state, the measured or the fixed one, plus `departure`."""
+    ready = prepared(flown, theta)
+
+    def fly(start, away, inputs, dt):
+        first = {name: x[0] for name, x in inputs.items()}
+        wanted = (*flown.outputs, *flown.dynamics.unmeasured)
+        begin = ready.system.settled(start, first) + away
+        return integrate(ready.system, begin, inputs, dt, flown.substeps, wanted, held=flown.held)
+
+    trajectory = jax.vmap(fly)(ready.begin, departure, ready.drives, jnp.asarray(flown.dt))
+    modelled = jnp.stack([trajectory.outputs[name] for name in flown.outputs], axis=2)
+    residual = (ready.true - modelled) / ready.scale
+    return Simulated(trajectory, ready.measured, jnp.where(flown.inside[:, :, None], residual, 0.0))
 
 
 def _measured_start(flown: SegmentTrajectories, channels) -> Float[Array, "w s"]:

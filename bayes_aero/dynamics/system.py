@@ -75,7 +75,7 @@ def integrate(
     return Trajectory(*_flight(system, start, now, dt=jnp.asarray(dt), substeps=substeps, outputs=wanted, held=held))
 
 
-def _advance(system: System, x: Any, now: Row, then: Row, dt: Any, substeps: int) -> Array:
+def advance(system: System, x: Any, now: Row, then: Row, dt: Any, substeps: int) -> Array:
     """The state a sample later; the stages are a loop, so that the motion is compiled once and not four times."""
     h = dt / substeps
 
@@ -98,7 +98,7 @@ def _flight(system, start, inputs, *, dt, substeps, outputs, held):
 
     def further(x, rows):
         now, then = rows
-        return _advance(system, x, now, then, dt, substeps), x
+        return advance(system, x, now, then, dt, substeps), x
 
     _, x = jax.lax.scan(further, start, (inputs, later(inputs, held)))
     sound = jnp.all(jnp.isfinite(x), axis=1)

@@ -1,0 +1,155 @@
+"""Innovations: measured minus predicted one step ahead. States are corrected at each sample.
+
+The gain is constant, from the steady state of the filter linearised at the segment's first sample, or the one of an
+extended Kalman filter at each sample. Source: Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, ch. 5.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from bayes_aero.dynamics.kalman import Filtered, kalman_filter, outputs_at
+from bayes_aero.dynamics.segments import Prepared, SegmentTrajectories, prepared
+from bayes_aero.dynamics.system import System, advance
+from bayes_aero.dynamics.tangent import later, motion
+
+DOUBLINGS, RELATIVE, TINY = 60, 1e-14, 1e-300  # of the Riccati iteration, each of which squares the error
+
+
+class Innovations(NamedTuple):
+    """Innovations (w, n, c), referred to the record as in `segments.simulate`; states (w, n, s) before each sample;
+    whether these are finite; the gain (w, s, c) and the share of each state's error that it takes away, diag(K C)."""
+
+    innovation: Float[Array, "w n c"]
+    states: Float[Array, "w n s"]
+    inside: Bool[Array, "w n"]
+    gain: Float[Array, "w s c"]
+    taken: Float[Array, "w s"]
+
+
+@jax.custom_jvp
+def riccati(A: Float[Array, "s s"], G: Float[Array, "s s"], Q: Float[Array, "s s"]) -> Float[Array, "s s"]:
+    """The stabilising P of A P + P A' - P G P + Q = 0, by doubling.
+
+    Args:
+        A: dynamics, (s, s), 1/s.
+        G: information of a second of measurements, (s, s), symmetric.
+        Q: spectral density of the process noise, (s, s), symmetric.
+
+    Source: Chu, Fan, Lin 2005, Linear Algebra Appl. 396, 55 (structure-preserving doubling algorithm).
+    """
+    one, shift = jnp.eye(len(A)), 1.0 + 2.0 * jnp.max(jnp.sum(jnp.abs(A), axis=1))
+    a = A.T - shift * one
+    inverse = jnp.linalg.inv(a)
+    W = jnp.linalg.inv(a.T + Q @ inverse @ G)
+    E = one + 2.0 * shift * W.T
+    first = (E, 2.0 * shift * inverse @ G @ W, 2.0 * shift * W @ Q @ inverse)
+
+    def going(carry):
+        *_, moved, count = carry
+        return (moved > RELATIVE) & (count < DOUBLINGS)
+
+    def doubled(carry):
+        E, G, H, _, count = carry
+        both = jnp.linalg.inv(one + G @ H)
+        added = E.T @ H @ both @ E
+        moved = jnp.max(jnp.abs(added)) / jnp.maximum(jnp.max(jnp.abs(H + added)), TINY)
+        return E @ both @ E, G + E @ both @ G @ E.T, H + added, moved, count + 1
+
+    P = jax.lax.while_loop(going, doubled, (*first, jnp.asarray(jnp.inf), 0))[2]
+    return 0.5 * (P + P.T)
+
+
+@riccati.defjvp
+def _riccati_jvp(primals, tangents):
+    A, G, Q = primals
+    dA, dG, dQ = tangents
+    P = riccati(A, G, Q)
+    closed, one = A - P @ G, jnp.eye(len(A))
+    right = dA @ P + P @ dA.T - P @ dG @ P + dQ
+    lyapunov = jnp.kron(one, closed) + jnp.kron(closed, one)
+    dP = -jnp.linalg.solve(lyapunov, right.reshape(-1)).reshape(P.shape)
+    return P, 0.5 * (dP + dP.T)
+
+
+def steady_gain(
+    system: System, x: Float[Array, " s"], u: Any, dt: Any, F: Float[Array, " s"], R: Float[Array, " c"], names: tuple
+) -> tuple[Float[Array, "s c"], Float[Array, "c s"]]:
+    """Gain P C' R^-1 at one instant, and C; P solves A P + P A' - P C' R^-1 C P / dt + F F' = 0."""
+    A = jax.jacfwd(lambda x: motion(system, x, u)[0])(x)
+    C = jax.jacfwd(lambda x: outputs_at(system, x, u, names))(x)
+    P = riccati(A, C.T @ (C / R[:, None]) / dt, jnp.diag(F**2))
+    return P @ C.T / R, C
+
+
+def steady_innovations(
+    flown: SegmentTrajectories,
+    theta: Float[Array, " k"],
+    departure: Float[Array, "w s"],
+    F: Float[Array, " s"],
+    R: Float[Array, " c"],
+) -> Innovations:
+    """One-step predictions of every segment with its steady gain; R (c,): variances of the innovations."""
+    ready = prepared(flown, theta)
+    names = flown.outputs
+
+    def predict(start, away, inputs, dt, true, scale):
+        first = {name: y[0] for name, y in inputs.items()}
+        begin = ready.system.settled(start, first) + away
+        K, C = steady_gain(ready.system, begin, first, dt, F, R, names)
+
+        def further(x, rows):
+            now, then, z, unit = rows
+            e = z - outputs_at(ready.system, x, now, names)
+            e = jnp.where(jnp.isfinite(z), e, 0.0)
+            ahead = advance(ready.system, x + K @ e, now, then, dt, flown.substeps)
+            return ahead, (x, e / unit)
+
+        _, (x, e) = jax.lax.scan(further, begin, (inputs, later(inputs, flown.held), true, scale))
+        return e, x, jnp.all(jnp.isfinite(x), axis=1), K, jnp.sum(K * C.T, axis=1)
+
+    return Innovations(*jax.vmap(predict)(*_rows(flown, ready, departure)))
+
+
+def filtered(
+    flown: SegmentTrajectories,
+    theta: Float[Array, " k"],
+    start_deviation: Float[Array, " s"],
+    F: Float[Array, " s"],
+    R: Float[Array, " c"],
+) -> Filtered:
+    """Every segment by the extended Kalman filter, from its measured initial state; (w, ...) in front of every array.
+
+    `start_deviation`: standard deviation of that state, SI; `R`: variances of the measurement noise in attached flow.
+    """
+    ready = prepared(flown, theta)
+
+    def one(start, _, inputs, dt, true, scale, growth):
+        first = {name: y[0] for name, y in inputs.items()}
+        begin = ready.system.settled(start, first)
+        noise = R * (scale * growth) ** 2
+        return kalman_filter(
+            ready.system, begin, jnp.diag(start_deviation**2), inputs, true, dt, F, noise, flown.outputs,
+            substeps=flown.substeps, held=flown.held,
+        )  # fmt: skip
+
+    rows = _rows(flown, ready, jnp.zeros((len(flown.index), len(start_deviation))))
+    return jax.vmap(one)(*rows, jnp.asarray(flown.noise_growth))
+
+
+def _rows(flown: SegmentTrajectories, ready: Prepared, departure: Float[Array, "w s"]) -> tuple:
+    """What each segment needs; samples that only fill it up are missing."""
+    true = jnp.where(jnp.asarray(flown.inside)[:, :, None], ready.true, jnp.nan)
+    return ready.begin, departure, ready.drives, jnp.asarray(flown.dt), true, ready.scale
+
+
+def measurement_matrix(flown: SegmentTrajectories, theta: Float[Array, " k"]) -> Float[Array, "c s"]:
+    """C = dg/dx (c, s) at the first sample of the first segment."""
+    ready = prepared(flown, theta)
+    first = {name: y[0, 0] for name, y in ready.drives.items()}
+    begin = ready.system.settled(ready.begin[0], first)
+    return jax.jacfwd(lambda x: outputs_at(ready.system, x, first, flown.outputs))(begin)

@@ -1,0 +1,139 @@
+"""Extended Kalman filter of a system that is disturbed: one-step predictions, their covariances, and the smoother.
+
+The state moves as dx = f(x, u) dt + F dw (w: independent Wiener processes, one a state) and outputs are measured at
+the samples, z = g(x, u) + v, with independent noise of variance R. Missing samples are NaN. Outputs are taken one after
+the other, which for a diagonal R is the same as all at once and needs no factorisation. Source: Bryson and Ho, *Applied
+Optimal Control*, 1975, ch. 12; Joseph's form of the update: Bucy and Joseph 1968; smoother: Rauch, Tung, Striebel 1965.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from bayes_aero.dynamics.system import Row, System, advance
+from bayes_aero.dynamics.tangent import later, motion
+
+
+class Filtered(NamedTuple):
+    """One segment of n samples, s states and c outputs.
+
+    `predicted`, `predicted_covariance`: the state before a sample was used; `state`, `covariance`: after it;
+    `transition` (s, s): from there to the next sample. `innovation` (c): measured minus predicted, given the
+    outputs before it in the same sample; `variance`: its variance; `used`: whether there was a measurement.
+    """
+
+    predicted: Float[Array, "n s"]
+    predicted_covariance: Float[Array, "n s s"]
+    state: Float[Array, "n s"]
+    covariance: Float[Array, "n s s"]
+    transition: Float[Array, "n s s"]
+    innovation: Float[Array, "n c"]
+    variance: Float[Array, "n c"]
+    used: Bool[Array, "n c"]
+
+
+def outputs_at(system: System, x: Float[Array, " s"], u: Row, names: Sequence[str]) -> Float[Array, " c"]:
+    """Outputs of these names at one instant."""
+    found = motion(system, x, u)[1] | dict(zip(system.states, x, strict=True))
+    return jnp.stack([found[name] for name in names])
+
+
+def kalman_filter(
+    system: System,
+    start: Float[Array, " s"],
+    start_covariance: Float[Array, "s s"],
+    inputs: Mapping[str, Float[Array, " n"]],
+    measured: Float[Array, "n c"],
+    dt: Any,
+    F: Float[Array, " s"],
+    R: Float[Array, "n c"],
+    names: tuple[str, ...],
+    *,
+    substeps: int = 1,
+    held: bool = False,
+) -> Filtered:
+    """Filter one segment.
+
+    Args:
+        system: what moves.
+        start: state before the first sample, (s,), SI; `start_covariance`: its covariance, (s, s).
+        inputs: recorded inputs by name, (n,), linear between samples or `held`.
+        measured: outputs, (n, c), SI; NaN: missing.
+        dt: sample time, s; `substeps` Runge-Kutta steps each.
+        F: process noise by state, unit of the state per square root of a second.
+        R: variance of the measurement noise, (n, c).
+        names: outputs in the order of `measured`.
+
+    Returns:
+        predictions, estimates, innovations and their variances.
+    """
+
+    def measure(x, P, row):
+        u, z, variance = row
+        y = outputs_at(system, x, u, names)
+        C = jax.jacfwd(lambda x: outputs_at(system, x, u, names))(x)
+        there = jnp.isfinite(z)
+
+        def one(carry, output):
+            moved, P = carry
+            h, away, r, use = output
+            e, Ph = away - h @ moved, P @ h
+            S = h @ Ph + r
+            K = jnp.where(use, Ph / S, 0.0)
+            IKh = jnp.eye(len(K)) - jnp.outer(K, h)
+            P = IKh @ P @ IKh.T + r * jnp.outer(K, K)
+            return (moved + K * e, P), (jnp.where(use, e, 0.0), jnp.where(use, S, 1.0))
+
+        away = jnp.where(there, z - y, 0.0)
+        (moved, P), (e, S) = jax.lax.scan(one, (jnp.zeros_like(x), P), (C, away, variance, there))
+        return x + moved, P, e, S, there
+
+    def further(carry, row):
+        x, P = carry
+        now, then, z, variance = row
+        estimate, P_estimate, e, S, used = measure(x, P, (now, z, variance))
+        step = lambda x: advance(system, x, now, then, dt, substeps)  # noqa: E731
+        ahead, transition = step(estimate), jax.jacfwd(step)(estimate)
+        W = jnp.diag(F**2)
+        noise = 0.5 * dt * (transition @ W @ transition.T + W)
+        P_ahead = transition @ P_estimate @ transition.T + noise
+        found = Filtered(x, P, estimate, P_estimate, transition, e, S, used)
+        return (ahead, 0.5 * (P_ahead + P_ahead.T)), found
+
+    now = {name: jnp.asarray(x) for name, x in inputs.items()}
+    rows = (now, later(now, held), measured, R)
+    return jax.lax.scan(further, (start, start_covariance), rows)[1]
+
+
+def log_likelihood(found: Filtered) -> Float[Array, ""]:
+    """Log density of all measured samples, each given those before it."""
+    terms = jnp.log(2.0 * jnp.pi * found.variance) + found.innovation**2 / found.variance
+    return -0.5 * jnp.sum(jnp.where(found.used, terms, 0.0))
+
+
+def smoothed(found: Filtered) -> tuple[Float[Array, "n s"], Float[Array, "n s s"]]:
+    """States given all samples, and their covariances (Rauch, Tung and Striebel)."""
+
+    def back(carry, row):
+        x, P = carry
+        estimate, covariance, transition, predicted, ahead = row
+        gain = jnp.linalg.solve(ahead, transition @ covariance).T
+        x = estimate + gain @ (x - predicted)
+        P = covariance + gain @ (P - ahead) @ gain.T
+        return (x, P), (x, P)
+
+    last = (found.state[-1], found.covariance[-1])
+    rows = (
+        found.state[:-1],
+        found.covariance[:-1],
+        found.transition[:-1],
+        found.predicted[1:],
+        found.predicted_covariance[1:],
+    )
+    _, (x, P) = jax.lax.scan(back, last, rows, reverse=True)
+    return jnp.concatenate([x, last[0][None]]), jnp.concatenate([P, last[1][None]])

@@ -1,0 +1,191 @@
+"""Parameters, process noise and measurement noise of a disturbed flight, jointly, by the likelihood of its innovations.
+
+The extended Kalman filter's gain varies with time, so that the initial state, missing samples and several sensor rates
+are counted for what they are. Fisher scoring on 1/2 sum (log S + e^2 / S) and the priors, with exact sensitivities of
+innovations and variances. Source: Åström 1980, Automatica 16, 551 (prediction-error likelihood); Mehra 1971,
+AIAA J. 9, 28 (in flight test).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.dynamics.innovations import filtered
+from bayes_aero.dynamics.kalman import Filtered, log_likelihood
+from bayes_aero.dynamics.segments import SegmentTrajectories
+from bayes_aero.inference.likelihood.mle import solve
+from bayes_aero.inference.likelihood.normal_equations import departures
+
+MAX_ITERATIONS = 60
+LAST = 1e-3  # expected gain in log likelihood of the last step
+LEAST, MOST = 1e-12, 2.0  # of F and R; of the change of their logarithms in a step
+
+
+class DisturbedStatus(Enum):
+    """How a fit ended."""
+
+    CONVERGED = "converged"
+    NOT_CONVERGED = "not converged"
+    DIVERGED = "the filter diverged"
+
+
+@dataclass(frozen=True)
+class DisturbedResult:
+    """Estimates with standard errors: parameters (k,), process noise F (s,) and standard deviations of the measurement
+    noise (c,); `covariance` (k + s + c) is of parameters, log F and log R, R the variances."""
+
+    names: tuple[str, ...]
+    states: tuple[str, ...]
+    outputs: tuple[str, ...]
+    estimate: Float[np.ndarray, " k"]
+    F: Float[np.ndarray, " s"]
+    R: Float[np.ndarray, " c"]
+    covariance: Float[np.ndarray, "j j"]
+    log_likelihood: float
+    found: Filtered
+    status: DisturbedStatus
+    iterations: int
+
+    @property
+    def sd(self) -> Float[np.ndarray, " k"]:
+        """Standard errors of the parameters."""
+        return np.sqrt(np.diag(self.covariance))[: len(self.names)]
+
+
+class _Seen(NamedTuple):
+    cost: float
+    gradient: np.ndarray
+    information: np.ndarray
+
+
+@eqx.filter_jit
+def _all(flown, point, start_deviation, k, s):
+    return filtered(flown, point[:k], start_deviation, jnp.exp(point[k : k + s]), jnp.exp(point[k + s :]))
+
+
+@eqx.filter_jit
+def _cost(flown, point, start_deviation, k, s):
+    return -jnp.sum(jax.vmap(log_likelihood)(_all(flown, point, start_deviation, k, s)))
+
+
+@eqx.filter_jit
+def _look(flown, point, start_deviation, k, s):
+    """Cost, gradient and expected information."""
+
+    def at(point):
+        found = _all(flown, point, start_deviation, k, s)
+        return (found.innovation, found.variance), found
+
+    directions = jnp.eye(len(point))
+    (e, S), (de, dS), found = jax.vmap(lambda t: jax.jvp(at, (point,), (t,), has_aux=True), out_axes=(None, -1, None))(
+        directions
+    )
+    used = found.used
+    weight = jnp.where(used, 1.0 / S, 0.0)
+    cost = 0.5 * jnp.sum(jnp.where(used, jnp.log(2.0 * jnp.pi * S) + e**2 / S, 0.0))
+    gradient = jnp.einsum("wncj,wnc->j", de, e * weight)
+    gradient += 0.5 * jnp.einsum("wncj,wnc->j", dS, weight * (1.0 - e**2 * weight))
+    information = jnp.einsum("wnci,wnc,wncj->ij", de, weight, de)
+    information += 0.5 * jnp.einsum("wnci,wnc,wncj->ij", dS, weight**2, dS)
+    return cost, gradient, information
+
+
+def fit_disturbed(
+    flown: SegmentTrajectories,
+    F: Float[np.ndarray, " s"],
+    R: Float[np.ndarray, " c"],
+    *,
+    start: Float[np.ndarray, " k"] | None = None,
+    start_deviation: Float[np.ndarray, " s"] | None = None,
+    held: Mapping[str, float] | None = None,
+    priors: bool = True,
+) -> DisturbedResult:
+    """Fit all segments together.
+
+    Args:
+        flown: segments of flights.
+        F: process noise by state to start from, (s,), unit of the state per square root of a second; 0: none, held.
+        R: variances of the measurement noise to start from, (c,), SI.
+        start: parameters, (k,), default: their own. Those `held` keep their value.
+        start_deviation: standard deviation of the measured initial state, (s,), SI; default: of flight-test sensors,
+            0 where the segments begin at a fixed state.
+        priors: whether the parameters' priors count.
+    """
+    flown, held = flown.nameless, held or {}
+    free = flown.dynamics.free
+    k, s = len(free), len(flown.dynamics.states)
+    theta = np.array([p.start for p in free]) if start is None else np.asarray(start, float)
+    theta = np.array([held.get(p.name, x) for p, x in zip(free, theta, strict=True)])
+    F = np.asarray(F, float)
+    moving = np.array([*(p.name not in held for p in free), *(F > 0.0), *([True] * len(R))])
+    if start_deviation is None:
+        start_deviation = np.zeros(s) if flown.fixed is not None else departures(flown.dynamics)
+    normals = np.array([p.prior.normal for p in free]).reshape(-1, 2)
+    mean, precision = np.zeros(len(moving)), np.zeros(len(moving))
+    if priors:
+        mean[:k], precision[:k] = normals[:, 0], np.where(moving[:k], normals[:, 1] ** -2.0, 0.0)
+    point = np.concatenate([theta, np.log(np.maximum(F, LEAST)), np.log(np.maximum(R, LEAST))])
+    bounds = np.array([*(p.bounds for p in free), *([(np.log(LEAST), np.inf)] * (len(point) - k))])
+    deviation = jnp.asarray(start_deviation)
+
+    def prior_cost(point):
+        return 0.5 * float(precision @ (point - mean) ** 2)
+
+    def look(point):
+        cost, gradient, information = (np.asarray(x) for x in _look(flown, jnp.asarray(point), deviation, k, s))
+        return _Seen(
+            float(cost) + prior_cost(point), gradient + precision * (point - mean), information + np.diag(precision)
+        )
+
+    here, damping, steps, status = look(point), 1e-3, 0, DisturbedStatus.NOT_CONVERGED
+    while steps < MAX_ITERATIONS and math.isfinite(here.cost) and np.all(np.isfinite(here.information)):
+        steps += 1
+        inner = moving & ~((point <= bounds[:, 0]) & (here.gradient > 0.0))
+        inner &= ~((point >= bounds[:, 1]) & (here.gradient < 0.0))
+        A, g = here.information[np.ix_(inner, inner)], -here.gradient[inner]
+        if 0.5 * float(solve(A, g, 0.0) @ g) < LAST:
+            status = DisturbedStatus.CONVERGED
+            break
+        better = None
+        for _ in range(12):
+            step = np.zeros(len(point))
+            step[inner] = solve(A, g, damping)
+            step[k:] = np.clip(step[k:], -MOST, MOST)
+            new = np.clip(point + step, bounds[:, 0], bounds[:, 1])
+            cost = float(_cost(flown, jnp.asarray(new), deviation, k, s)) + prior_cost(new)
+            if math.isfinite(cost) and cost < here.cost:
+                better = new
+                break
+            damping *= 10.0
+        if better is None:
+            break
+        point, damping = better, max(1e-8, 0.1 * damping)
+        here = look(point)
+    if not math.isfinite(here.cost):
+        status = DisturbedStatus.DIVERGED
+    covariance = np.zeros((len(point), len(point)))
+    covariance[np.ix_(moving, moving)] = np.linalg.pinv(here.information[np.ix_(moving, moving)], hermitian=True)
+    found = _all(flown, jnp.asarray(point), deviation, k, s)
+    return DisturbedResult(
+        tuple(p.name for p in free),
+        flown.dynamics.states,
+        flown.outputs,
+        point[:k],
+        np.where(F > 0.0, np.exp(point[k : k + s]), 0.0),
+        np.exp(point[k + s :]),
+        covariance,
+        prior_cost(point) - here.cost,
+        found,
+        status,
+        steps,
+    )

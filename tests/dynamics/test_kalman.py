@@ -1,0 +1,137 @@
+"""The extended Kalman filter against another library, finite differences and closed forms."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bayes_aero.dynamics.kalman import kalman_filter, log_likelihood, smoothed
+from bayes_aero.dynamics.linear import LinearSystem
+from bayes_aero.dynamics.system import advance, integrate
+
+DT, N = 0.04, 400
+F = np.array([0.3, 0.05])
+R = np.array([0.02, 0.004, 0.1]) ** 2
+MATRIX = np.array([[-1.4, 40.0, -6.0, 0.1], [-0.1, -3.7, -12.0, 0.0], [-1.4, -1.5, -6.0, 0.2]])
+NAMES = ("w", "q", "az")
+START, P0 = np.array([0.5, 0.02]), np.diag([0.2, 0.01]) ** 2
+
+
+@pytest.fixture(scope="module")
+def system():
+    return LinearSystem(jnp.asarray(MATRIX), ("w", "q"), ("de",), ("az",))
+
+
+@pytest.fixture(scope="module")
+def record(system):
+    """A disturbed flight with noise, an output at a fifth of the rate, and a gap."""
+    rng = np.random.default_rng(7)
+    ahead = eqx.filter_jit(advance)
+    de = 0.05 * np.sign(np.sin(2.0 * np.pi * np.arange(N) * DT / 3.0))
+    x, rows = START + np.sqrt(np.diag(P0)) * rng.standard_normal(2), []
+    for k in range(N):
+        rows.append([*x, MATRIX[2] @ [*x, de[k], 1.0]])
+        later = de[min(k + 1, N - 1)]
+        x = np.asarray(ahead(system, jnp.asarray(x), {"de": jnp.asarray(de[k])}, {"de": jnp.asarray(later)}, DT, 1))
+        x = x + np.sqrt(DT) * F * rng.standard_normal(2)
+    z = np.array(rows) + np.sqrt(R) * rng.standard_normal((N, 3))
+    z[np.arange(N) % 5 != 0, 2] = np.nan
+    z[120:160, 0] = np.nan
+    return {"de": de}, z
+
+
+@eqx.filter_jit
+def compiled(system, start, P0, inputs, z, F, R):
+    return kalman_filter(system, start, P0, inputs, z, DT, F, jnp.tile(jnp.asarray(R), (N, 1)), NAMES)
+
+
+def filtered(system, record, F=F, R=R, P0=P0, start=START):
+    inputs, z = record
+    return compiled(
+        system,
+        jnp.asarray(start),
+        jnp.asarray(P0),
+        {"de": jnp.asarray(inputs["de"])},
+        jnp.asarray(z),
+        jnp.asarray(F),
+        R,
+    )
+
+
+def discrete(system, inputs):
+    """Transition matrix, input of every step, noise of a step: by advancing unit states."""
+    de = inputs["de"]
+    later = np.append(de[1:], de[-1])
+    ahead = eqx.filter_jit(advance)
+
+    def step(x, k):
+        now, then = ({"de": jnp.asarray(y[k])} for y in (de, later))
+        return np.asarray(ahead(system, jnp.asarray(x), now, then, DT, 1))
+
+    offset = np.array([step(np.zeros(2), k) for k in range(N)])
+    transition = np.array([step(e, 0) - offset[0] for e in np.eye(2)]).T
+    noise = 0.5 * DT * (transition @ np.diag(F**2) @ transition.T + np.diag(F**2))
+    return transition, offset, noise
+
+
+def test_a_linear_system_agrees_with_statsmodels(system, record):
+    """Likelihood, predictions, estimates and smoothed states to 1e-8, missing samples included."""
+    mlemodel = pytest.importorskip("statsmodels.tsa.statespace.kalman_smoother")
+    inputs, z = record
+    transition, offset, noise = discrete(system, inputs)
+    other = mlemodel.KalmanSmoother(k_endog=3, k_states=2)
+    other.bind(z)
+    other["design"] = np.concatenate([np.eye(2), MATRIX[2:, :2]])
+    shift = MATRIX[2, 2] * inputs["de"] + MATRIX[2, 3]
+    other["obs_intercept"] = np.stack([np.zeros(N), np.zeros(N), shift])
+    other["obs_cov"], other["transition"], other["selection"] = np.diag(R), transition, np.eye(2)
+    other["state_intercept"], other["state_cov"] = offset.T, noise
+    other.initialize_known(START, P0)
+    theirs, ours = other.smooth(), filtered(system, record)
+    assert float(log_likelihood(ours)) == pytest.approx(theirs.llf, rel=1e-8)
+    np.testing.assert_allclose(ours.predicted, theirs.predicted_state.T[:-1], rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(ours.state, theirs.filtered_state.T, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(ours.covariance, np.moveaxis(theirs.filtered_state_cov, 2, 0), rtol=1e-8, atol=1e-12)
+    x, P = smoothed(ours)
+    np.testing.assert_allclose(x, theirs.smoothed_state.T, rtol=1e-7, atol=1e-8)
+    np.testing.assert_allclose(P, np.moveaxis(theirs.smoothed_state_cov, 2, 0), rtol=1e-7, atol=1e-10)
+
+
+def test_innovations_are_white_and_of_their_variance(system, record):
+    """Of a record that was made by the same model."""
+    found = filtered(system, record)
+    used = np.asarray(found.used)
+    scaled = np.asarray(found.innovation / np.sqrt(found.variance))
+    assert used.sum() == np.isfinite(record[1]).sum()
+    for c in range(2):
+        e = scaled[used[:, c], c]
+        assert np.mean(e**2) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / len(e)))
+        assert abs(np.corrcoef(e[1:], e[:-1])[0, 1]) < 4.0 / np.sqrt(len(e))
+
+
+def test_without_process_noise_and_with_a_known_start_it_is_output_error(system, record):
+    """Innovations are the residuals of the simulation, their variance that of the measurement."""
+    inputs, z = record
+    found = filtered(system, record, F=np.zeros(2), P0=np.zeros((2, 2)))
+    flown = integrate(system, jnp.asarray(START), {"de": jnp.asarray(inputs["de"])}, DT)
+    residual = z - np.stack([flown.outputs[name] for name in NAMES], axis=1)
+    used = np.asarray(found.used)
+    np.testing.assert_allclose(np.asarray(found.innovation)[used], residual[used], rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(found.variance[used], np.tile(R, (N, 1))[used], rtol=1e-12)
+
+
+def test_the_gradient_is_that_of_finite_differences(record):
+    def density(theta):
+        matrix = jnp.asarray(MATRIX).at[1, 0].set(theta[0]).at[1, 1].set(theta[1])
+        moved = LinearSystem(matrix, ("w", "q"), ("de",), ("az",))
+        return log_likelihood(filtered(moved, record, F=jnp.exp(theta[2:])))
+
+    theta = jnp.asarray([-0.1, -3.7, *np.log(F)])
+    gradient = jax.jacfwd(density)(theta)
+    for i in range(4):
+        h = 1e-5 * (np.arange(4) == i)
+        difference = (density(theta + h) - density(theta - h)) / 2e-5
+        assert float(gradient[i]) == pytest.approx(float(difference), rel=1e-5, abs=1e-4)
