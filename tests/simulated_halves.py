@@ -23,7 +23,7 @@ def halves(record: FlightRecord) -> Trajectories:
             }
             paths += [
                 Path(name, model, split, True, errors, np.array(record.time[half]), measured, simulated)
-                for split in ("fitted", "unseen")
+                for split in ("fitted", "hold_out")
             ]
     fit = Estimates({}, {}, OutputErrorStatus.CONVERGED, (), ())
     outputs = ("airspeed", "alpha")

@@ -141,7 +141,7 @@ def filtered(
     return jax.vmap(one)(*rows, jnp.asarray(flown.noise_growth))
 
 
-def _rows(flown: SegmentTrajectories, ready: Prepared, departure: Float[Array, "w s"]) -> tuple:
+def _rows(flown: SegmentTrajectories, ready: Prepared, departure: Float[Array, "w s"]) -> tuple[Any, ...]:
     """What each segment needs; samples that only fill it up are missing."""
     true = jnp.where(jnp.asarray(flown.inside)[:, :, None], ready.true, jnp.nan)
     return ready.begin, departure, ready.drives, jnp.asarray(flown.dt), true, ready.scale

@@ -17,7 +17,7 @@ def test_halves_that_differ_by_a_sample():
     rng = np.random.default_rng(1)
     missed, noise_growth = [rng.standard_normal((n, 1)) for n in LENGTHS], [np.full((n, 1), 2.0) for n in LENGTHS]
     paths = [
-        Path("run", "extended", "unseen", True, {}, 0.1 * np.arange(len(x)), {"q": x[:, 0]}, {"q": np.zeros(len(x))})
+        Path("run", "extended", "hold_out", True, {}, 0.1 * np.arange(len(x)), {"q": x[:, 0]}, {"q": np.zeros(len(x))})
         for x in missed
     ]
     expected = np.concatenate(missed)[:, 0] / 2.0

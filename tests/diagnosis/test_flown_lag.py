@@ -70,7 +70,7 @@ def test_a_lag_is_not_wanted_where_the_hysteresis_is_quasi_steady(card):
 def path(errors, name="a"):
     n = len(next(iter(errors.values())))
     zero = {key: np.zeros(n) for key in errors}
-    return Path(name, "extended", "unseen", True, {}, np.arange(n) * 0.04, zero, {k: -x for k, x in errors.items()})
+    return Path(name, "extended", "hold_out", True, {}, np.arange(n) * 0.04, zero, {k: -x for k, x in errors.items()})
 
 
 def test_the_gain_on_unseen_flight_is_that_of_normal_densities():

@@ -36,9 +36,9 @@ def flown(card):
 def test_the_simulation_gains_on_flights_it_was_not_fitted_to(flown):
     found, paths = flown
     assert "thrust_moment" in [c.name for c in found.causes], SEED
-    assert {p.split for p in paths.paths} == {"fitted", "unseen"}
+    assert {p.split for p in paths.paths} == {"fitted", "hold_out"}
     for manoeuvre in {p.manoeuvre for p in paths.paths}:
-        before, after = (paths.path(manoeuvre, model, "unseen") for model in ("card", "extended"))
+        before, after = (paths.path(manoeuvre, model, "hold_out") for model in ("card", "extended"))
         assert after.inside
         for name in ("airspeed", "theta"):
             assert after.errors[name].rms < 0.6 * before.errors[name].rms, (manoeuvre, name, SEED)
@@ -58,7 +58,7 @@ def test_trajectories_give_the_arm_back(flown):
     near = max(0.06, 4.0 * paths.deviation["thrust_arm"])
     assert paths.extended.values["thrust_arm"] == pytest.approx(0.6, abs=near), SEED
     assert paths.card.values["thrust_arm"] == 0.0
-    assert paths.colour_cost >= 1.0
+    assert paths.variance_inflation >= 1.0
 
 
 @pytest.mark.recovery
@@ -77,7 +77,7 @@ def test_an_attitude_off_in_one_flight_is_fitted_and_leaves_the_arm_alone(flown,
     near = max(0.06, 4.0 * free.deviation["thrust_arm"])
     assert free.extended.values["thrust_arm"] == pytest.approx(plain.extended.values["thrust_arm"], abs=near), SEED
     assert "bias_theta_2" not in plain.extended.values
-    unseen = free.path(flights.names[1], "extended", "unseen").errors["theta"]
+    unseen = free.path(flights.names[1], "extended", "hold_out").errors["theta"]
     assert unseen.rms > 0.7 * abs(off)  # compared with the record as it is
 
 

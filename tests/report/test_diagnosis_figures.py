@@ -39,7 +39,7 @@ def nothing(diagnosed):
     return with_stalls(replace(view, diagnosis=empty, extended=replace(view.card, state=state)))
 
 
-@pytest.mark.parametrize("split", ["fitted", "unseen"])
+@pytest.mark.parametrize("split", ["fitted", "hold_out"])
 def test_simulated_trajectories_are_told_in_numbers(flown, split):
     figure = DIAGNOSIS_FIGURES[f"trajectories_{split}"](flown)
     texts = [text.get_text() for text in figure.axes[2].texts]

@@ -237,7 +237,7 @@ def test_pictures_are_small_and_keep_their_look(tmp_path):
 def test_a_diagnosis_tells_causes_gain_and_what_is_open(diagnosed, flown, card):
     d = flown.diagnosis
     separating = [
-        {"effects": ["a", "b"], "status": "s", "manoeuvres": [{"manoeuvre": "slow_stall", "deviations": 3.2}]}
+        {"effects": ["a", "b"], "status": "s", "manoeuvres": [{"manoeuvre": "slow_stall", "standard_errors": 3.2}]}
     ]
     told = PageContext(
         card,

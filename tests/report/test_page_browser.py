@@ -53,7 +53,7 @@ def report(full, simulated, card, tmp_path_factory):
     drawn, failed = draw_all(DRAWN, run, folder / "figures")
     assert not failed
     source = provenance(run.card, run.records, 0, {"noise": "ar1"})
-    given = [path for path in simulated.paths if (path.model, path.split) == ("card", "unseen")]
+    given = [path for path in simulated.paths if (path.model, path.split) == ("card", "hold_out")]
     page = identification_page(run, source, {path.stem: path for path in drawn}, given)
     flights = section("trajectories", "Trajectories", lambda: trajectories(simulated, card))
     return write_page(replace(page, sections=(*page.sections, flights)), folder / "report.html")

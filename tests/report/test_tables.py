@@ -47,7 +47,7 @@ def test_manoeuvres_are_compared_one_by_one_and_a_loss_beyond_chance_is_said(los
     gains = {(m, c): Compared(2.0, 1.0, 0.1, 0.05) for m in ("a", "b") for c in ("CL", "CD", "Cm")}
     gains["b", "CD"] = Compared(loses, 1.0, -0.012, 0.015)
     one = {c: Scores(0.9, 0.1, 0.1, 0.8) for c in ("CL", "CD", "Cm")}
-    scores = {(model, "unseen", k): one for model in ("card", "extended") for k in range(2)}
+    scores = {(model, "hold_out", k): one for model in ("card", "extended") for k in range(2)}
     table = by_manoeuvre(HoldoutScores(("a", "b"), scores, gains, DEFAULT.hold_out))
     assert [row[:2] for row in table.rows] == [(m, c) for m in ("a", "b") for c in ("CL", "CD", "Cm")]
     assert table.rows[4][2:] == ("0.800", "0.800", "-0.012 ± 0.015", f"{loses:+.1f} ± 1.0")

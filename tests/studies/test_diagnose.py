@@ -59,7 +59,7 @@ def test_files_are_complete_and_follow_the_schema(repeated, card, tmp_path):
     assert set(found.named) == set(repeated.hidden)
     assert "first" in found.named.values()
     assert content["provenance"]["settings"] == {"max_effects": 8}
-    assert len(pd.read_csv(tmp_path / "screen.csv")) == len(content["screen"])
+    assert len(pd.read_csv(tmp_path / "screen.csv")) == len(content["screening"])
     assert set(pd.read_csv(tmp_path / "causes.csv")["cause"]) == {c["name"] for c in content["causes"]}
     assert not list(tmp_path.glob("*.part"))
 
@@ -162,7 +162,7 @@ def left(repeated, card, tmp_path, monkeypatch):
 
 def separated(*_):
     deviations = {"sideslip": 1.2, "level": float("nan")}
-    manoeuvres = [{"manoeuvre": name, "deviations": x} for name, x in deviations.items()]
+    manoeuvres = [{"manoeuvre": name, "standard_errors": x} for name, x in deviations.items()]
     return [{"effects": ["a", "b"], "status": "settled", "manoeuvres": manoeuvres}]
 
 

@@ -113,5 +113,7 @@ def holdout_fits(
     flown, still, name = contender.fit.flown, np.zeros_like(contender.fit.departure), contender.name
     options = {"drawn": bool(tolerances), "variance_inflation": variance_inflation, "seed": seed}
     alone = [masked(flown, k, keep=True) for k in range(len(fits))]
-    found = [paths_of(f, one, name, "unseen", still, tolerances, **options) for f, one in zip(fits, alone, strict=True)]
+    found = [
+        paths_of(f, one, name, "hold_out", still, tolerances, **options) for f, one in zip(fits, alone, strict=True)
+    ]
     return [path for paths in found for path in paths]

@@ -40,7 +40,7 @@ def beyond_noise(flown: Trajectories, records: Sequence[FlightRecord], card: Car
         name: OutputMiss(
             noise=float(np.sqrt(np.average([n.get(name, 0.0) ** 2 for n in noises], weights=lengths))),
             fitted=_rms(flown, name, "fitted"),
-            unseen=_rms(flown, name, "unseen"),
+            unseen=_rms(flown, name, "hold_out"),
         )
         for name in flown.fitted
     }

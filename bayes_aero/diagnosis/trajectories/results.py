@@ -101,7 +101,7 @@ class Trajectories:
     card: Estimates
     extended: Estimates
     deviation: Mapping[str, float]  # of the extended model's parameters, the residuals' colour counted
-    colour_cost: float  # how many times the colour multiplies variances
+    variance_inflation: float  # how many times the colour multiplies variances
     held: Mapping[str, tuple[str, ...]]  # causes held at their joint estimate when a manoeuvre is fitted alone
     fitted: tuple[str, ...]  # outputs
     outputs: tuple[str, ...]  # all that were recorded
@@ -146,7 +146,7 @@ class TrajectoryFit:
         start: first values of the parameters, (k,).
         paths: simulated manoeuvres of the model `start` (first values, measured initial state) or `fitted`.
         initial: by manoeuvre and state, the value at the first sample and its departure from the measured one.
-        colour_cost: variance inflation of the residuals; NaN if the model left the envelope.
+        variance_inflation: variance inflation of the residuals; NaN if the model left the envelope.
         outputs: all recorded outputs; those fitted are in `fit`.
         units: SI units by channel.
         window: length of the windows of the first fits, s.
@@ -158,7 +158,7 @@ class TrajectoryFit:
     start: Float[np.ndarray, " k"]
     paths: tuple[Path, ...]
     initial: Mapping[str, Mapping[str, tuple[float, float]]]
-    colour_cost: float
+    variance_inflation: float
     outputs: tuple[str, ...]
     units: Mapping[str, str]
     window: float

@@ -98,7 +98,7 @@ def compare_trajectories(
         card=Estimates.of(card.fit),
         extended=Estimates.of(fit, gone),
         deviation={n: float(x) for n, x in zip(fit.names, sd, strict=True) if n not in gone},
-        colour_cost=noise.variance_inflation,
+        variance_inflation=noise.variance_inflation,
         held={label(fit.flown, k): tuple(n for n in names if n not in gone) for k, names in silent[best.name].items()},
         fitted=fit.flown.outputs,
         outputs=tuple(n for n in fit.flown.dynamics.outputs if n in flights.channels),

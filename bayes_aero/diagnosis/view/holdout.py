@@ -25,7 +25,7 @@ def holdout_scores(view: View) -> HoldoutScores:
         here = (state.responses.manoeuvre == k) & left["extended"].inside
         for model, fitted in models.items():
             scores[model, "fitted", k] = _scores(measured[here], fitted.state.residual[here])
-            scores[model, "unseen", k] = _scores(measured[here], left[model].residual[here])
+            scores[model, "hold_out", k] = _scores(measured[here], left[model].residual[here])
         found = compared(left["card"], left["extended"], state, measured, k)
         gains |= {(manoeuvre, name): gain for name, gain in found.items()}
     return HoldoutScores(view.names, scores, gains, state.settings.hold_out)

@@ -19,7 +19,7 @@ from bayes_aero.jobs.io.trajectories_json import trajectory_results
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.text.diagnosis import sentences
 
-SCHEMA = "bayes_aero/diagnosis/1"
+SCHEMA = "bayes_aero/diagnosis/2"
 SCORES = ("r2", "rmse", "r", "theil")
 
 
@@ -67,10 +67,10 @@ def diagnosis_results(
         "causes": [cause_results(cause) for cause in d.causes],
         "minor": list(d.minor),
         "unexplained": unknown_results(d.unknown),
-        "together": together_results(d),
+        "cancelling": cancelling_results(d),
         "noise": noise_results(d.noise),
         "not_testable": dict(d.not_testable),
-        "screen": screen(d, view.rankings),
+        "screening": screen(d, view.rankings),
         "split": d.split,
         "base_parameters": {
             name: {
@@ -118,7 +118,7 @@ def unknown_results(unknown: Sequence[UnexplainedStructure]) -> list[dict[str, A
     ]
 
 
-def together_results(d: Diagnosis) -> list[dict[str, Any]]:
+def cancelling_results(d: Diagnosis) -> list[dict[str, Any]]:
     """Pairs of causes that cancel, and the combination that the record knows."""
     return [
         {
@@ -137,17 +137,17 @@ def together_results(d: Diagnosis) -> list[dict[str, Any]]:
 def tested_results(tested: Tested | None) -> dict[str, Any]:
     """What a diagnosis by trajectories alone has tested; of one by coefficients, that it sought structure, too."""
     if tested is None:
-        return {"rests_on": "coefficients", "unnamed_structure": True, "within_noise": None, "missed": {}}
+        return {"rests_on": "coefficients", "unnamed_structure": True, "within_noise": None, "outputs": {}}
     return {
         "rests_on": "trajectories",
         "unnamed_structure": False,
         "within_noise": tested.within_noise if tested.outputs else None,
-        "missed": {
+        "outputs": {
             name: {
                 "unit": STANDARD_CHANNELS[name].unit,
                 "noise": one.noise,
                 "fitted": one.fitted,
-                "unseen": one.unseen,
+                "hold_out": one.unseen,
                 "beyond_noise": one.beyond,
             }
             for name, one in tested.outputs.items()
@@ -160,7 +160,7 @@ def noise_results(noise: NoiseReport) -> dict[str, Any]:
     return {
         "labels": list(noise.labels),
         "lag1": dict(noise.lag1),
-        "deviation": dict(noise.deviation),
+        "sd": dict(noise.deviation),
         "noise_growth": dict(noise.noise_growth),
         "outliers": dict(noise.outliers),
     }
@@ -201,7 +201,7 @@ def cause_results(cause: Cause) -> dict[str, Any]:
         "p_value": cause.p_value,
         "excited": cause.excited,
         "confirmed": cause.confirmed,
-        "missed": {"elpd": cause.missed[0], "elpd_se": cause.missed[1]},
+        "loss_without": {"elpd": cause.missed[0], "elpd_se": cause.missed[1]},
         "sure": cause.sure,
         "implausible": dict(cause.implausible),
         "own_share": cause.own_share,

@@ -21,7 +21,7 @@ from bayes_aero.jobs.io.trajectories_json import open_loop
 from bayes_aero.jobs.options import FIXED, FREE, HELD, LINEAR
 from bayes_aero.report.text.fly import parameter_rows
 
-SCHEMA = "bayes_aero/trajectories/1"
+SCHEMA = "bayes_aero/trajectories/2"
 RESULTS = "trajectories.json"
 
 
@@ -68,7 +68,7 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
         "iterations": fit.iterations,
         "cost": fit.cost,
         "det_R": fit.det_R,
-        "colour_cost": flown.colour_cost,
+        "variance_inflation": flown.variance_inflation,
         "noise_growth": dict(flown.noise_growth),
         "parameters": parameter_rows(flown),
         "inseparable": inseparable_results(flown.fit.inseparable),

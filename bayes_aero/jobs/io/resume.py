@@ -84,5 +84,5 @@ def _scores(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _judged(one: Mapping[str, Any]) -> dict[str, Any]:
-    manoeuvres = [{**m, "deviations": number(m["deviations"])} for m in one["manoeuvres"]]
+    manoeuvres = [{**m, "standard_errors": number(m["standard_errors"])} for m in one["manoeuvres"]]
     return {**one, "manoeuvres": manoeuvres}

@@ -23,7 +23,7 @@ def trajectory_results(flown: Trajectories, card: Card) -> dict[str, Any]:
         "fitted_outputs": list(flown.fitted),
         "status": {"card": before.status.name, "extended": after.status.name},
         "at_bound": {"card": list(before.at_bound), "extended": list(after.at_bound)},
-        "colour_cost": flown.colour_cost,
+        "variance_inflation": flown.variance_inflation,
         "noise_growth": dict(flown.noise_growth),
         "lag": None if flown.lag is None else _lag(flown.lag),
         "causes": {
@@ -105,7 +105,7 @@ def trajectories_of(told: Mapping[str, Any], histories: Histories, card: Card) -
         card=estimates("card", ()),
         extended=estimates("extended", tuple(name for name, p in parameters.items() if p["held_by_prior"])),
         deviation={name: number(p["sd"]) for name, p in parameters.items()},
-        colour_cost=number(told["colour_cost"]),
+        variance_inflation=number(told["variance_inflation"]),
         held={name: tuple(held) for name, held in told["held_without"].items()},
         fitted=tuple(told["fitted_outputs"]),
         outputs=tuple(paths[0].errors),
@@ -123,12 +123,12 @@ def _asked_of(told: Mapping[str, Any]) -> Confirmation:
 def _lag(lag: LagTest) -> dict[str, Any]:
     elpd, elpd_se = lag.unseen
     unseen = {"elpd": elpd, "elpd_se": elpd_se}
-    told = {"effect": lag.effect, "gain": lag.gain, "unseen": unseen, "kept": lag.kept}
+    told = {"effect": lag.effect, "gain": lag.gain, "hold_out": unseen, "kept": lag.kept}
     return told | {"instead_of": list(lag.instead), "slight": lag.slight}
 
 
 def _lag_of(told: Mapping[str, Any]) -> LagTest:
-    unseen = number(told["unseen"]["elpd"]), number(told["unseen"]["elpd_se"])
+    unseen = number(told["hold_out"]["elpd"]), number(told["hold_out"]["elpd_se"])
     instead, slight = tuple(told["instead_of"]), bool(told["slight"])
     return LagTest(told["effect"], number(told["gain"]), bool(told["kept"]), unseen, instead, slight)
 

@@ -62,7 +62,7 @@ def separations(diagnosis: Diagnosis, progress: Progress | None = None) -> list[
         except InputError as error:
             found[members]["status"] = str(error)
             continue
-        ranked = [{"manoeuvre": m.manoeuvre, "deviations": m.weakest} for m in design.manoeuvres]
+        ranked = [{"manoeuvre": m.manoeuvre, "standard_errors": m.weakest} for m in design.manoeuvres]
         found[members] |= {"status": design.status, "manoeuvres": ranked}
     return list(found.values())
 

@@ -31,7 +31,7 @@ def _shown(view: View, split: str) -> Figure:
         for name in names
     }
     told = {
-        "unseen": "Simulated from the measured initial state, with parameters fitted without this flight",
+        "hold_out": "Simulated from the measured initial state, with parameters fitted without this flight",
         "fitted": "Simulated with parameters fitted to all of it",
     }
     return over_measured(columns, {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}, told[split])
@@ -79,7 +79,7 @@ def _panel(ax: Axes, paths: Sequence[Curve], output: str, unit: str) -> None:
 @housed
 def trajectories_unseen(view: View) -> Figure:
     """Every manoeuvre simulated with the fit to the others, from its measured initial state."""
-    return _shown(view, "unseen")
+    return _shown(view, "hold_out")
 
 
 @housed

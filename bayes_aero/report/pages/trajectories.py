@@ -23,7 +23,7 @@ MODELS = (
     ("extended", "extended model", COLOURS["after"], "solid"),
 )
 SPLITS = {
-    "unseen": "Hold-out: simulated from the measured initial state with the fit to the other flights",
+    "hold_out": "Hold-out: simulated from the measured initial state with the fit to the other flights",
     "fitted": "Fitted: parameters and initial states fitted to all flights",
 }
 
@@ -49,7 +49,7 @@ def trajectories(flown: Trajectories, card: Card) -> tuple[Block, ...]:
         _errors(flown),
         _kept(flown),
     ]
-    unseen, fitted = (_flights(flown, split) for split in ("unseen", "fitted"))
+    unseen, fitted = (_flights(flown, split) for split in ("hold_out", "fitted"))
     blocks += unseen
     if fitted:
         blocks.append(Fold("The same, fitted to all flights", fitted))
@@ -80,7 +80,7 @@ def _errors(flown: Trajectories) -> Table:
     for output in flown.outputs:
         groups.append((_label(output), 2))
         head += ["before", "after"]
-    for split in ("fitted", "unseen"):
+    for split in ("fitted", "hold_out"):
         for name in _names(flown, split):
             cells = [f"{name}, {SPLIT_NAMES[split]}"]
             for output in flown.outputs:
@@ -100,7 +100,7 @@ def _errors(flown: Trajectories) -> Table:
 def _kept(flown: Trajectories) -> Table:
     banded = [n for n in flown.outputs if any(p.errors[n].within is not None for p in flown.paths)]
     rows = []
-    for split in ("fitted", "unseen"):
+    for split in ("fitted", "hold_out"):
         for name in _names(flown, split):
             cells = [f"{name}, {SPLIT_NAMES[split]}"]
             for output in banded:

@@ -63,12 +63,12 @@ def scores_frame(found: HoldoutScores) -> pd.DataFrame:
     """
     rows = []
     for model in ("card", "extended"):
-        for data in ("fitted", "unseen"):
+        for data in ("fitted", "hold_out"):
             for k, manoeuvre in enumerate(found.names):
                 for name, one in found.scores[model, data, k].items():
                     row = {"model": model, "data": data, "manoeuvre": manoeuvre, "coefficient": name}
                     row |= {"r": one.r, "r2": one.r2, "rmse": one.rmse, "theil": one.theil}
-                    if (model, data) == ("extended", "unseen"):
+                    if (model, data) == ("extended", "hold_out"):
                         row |= _gain_columns(found.gains[manoeuvre, name])
                     rows.append(row)
     return pd.DataFrame(rows)

@@ -159,9 +159,9 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "") -> list[str]:
         said = [f"The fit failed: {fit.status.value}."]
     said += _settings(flown)
     said += _wanting(flown, hindered)
-    if flown.colour_cost >= COLOURED and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
+    if flown.variance_inflation >= COLOURED and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         said.append(
-            f"The residuals are autocorrelated. The variance inflation is {short(flown.colour_cost)} in the "
+            f"The residuals are autocorrelated. The variance inflation is {short(flown.variance_inflation)} in the "
             f"median, and the "
             "Cramér-Rao bound is too small; use the corrected standard error."
         )

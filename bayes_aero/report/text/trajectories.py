@@ -19,7 +19,7 @@ from bayes_aero.report.text.phrases import SYMBOLS, for_people, several, short, 
 MODELS = ("card", "extended")
 STOPPED = "stopped before the optimum, so its errors may be too large"
 TAIL = 6  # characters of a manoeuvre's name
-SPLIT_NAMES = {"fitted": "fitted", "unseen": "hold-out"}
+SPLIT_NAMES = {"fitted": "fitted", "hold_out": "hold-out"}
 """What people read, by the split of a simulated path."""
 
 
@@ -46,7 +46,7 @@ def trajectory_table(flown: Trajectories) -> Table:
     for name in flown.outputs:
         unit, _ = for_people(STANDARD_CHANNELS[name].unit)
         table.add_column(f"{SYMBOLS.get(name, name)} [{unit}]", justify="right")
-    for split in ("fitted", "unseen"):
+    for split in ("fitted", "hold_out"):
         for name in dict.fromkeys(p.manoeuvre for p in flown.paths if p.split == split):
             cells = []
             for output in flown.outputs:
@@ -62,11 +62,11 @@ def simulation_gain(flown: Trajectories) -> str:
 
     A fit that did not converge is reported with it.
     """
-    if not all(p.inside for p in flown.paths if p.split == "unseen"):
+    if not all(p.inside for p in flown.paths if p.split == "hold_out"):
         return ""
     told = []
     for output in flown.outputs:
-        rms = {m: [p.errors[output].rms for p in flown.paths if (p.model, p.split) == (m, "unseen")] for m in MODELS}
+        rms = {m: [p.errors[output].rms for p in flown.paths if (p.model, p.split) == (m, "hold_out")] for m in MODELS}
         if not all(rms.values()) or not np.isfinite([x for values in rms.values() for x in values]).all():
             return ""
         unit, factor = for_people(STANDARD_CHANNELS[output].unit)
@@ -109,7 +109,7 @@ def trajectory_sentences(flown: Trajectories) -> list[str]:
 
 def _tolerance_sentences(flown: Trajectories) -> list[str]:
     """The share of time of the hold-out flights within tolerance: one sentence for all, the worst flight named."""
-    unseen = [p for p in flown.paths if (p.model, p.split) == ("extended", "unseen")]
+    unseen = [p for p in flown.paths if (p.model, p.split) == ("extended", "hold_out")]
     outside = [p.manoeuvre for p in unseen if not p.inside]
     leaves = "leaves" if len(outside) == 1 else "leave"
     said = [f"In the hold-out simulation {several(outside)} {leaves} the flight envelope."] if outside else []

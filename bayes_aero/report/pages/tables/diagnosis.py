@@ -73,7 +73,9 @@ def separating(found: Sequence[Mapping[str, Any]]) -> list[Block]:
         if not one["manoeuvres"]:
             blocks.append(Text(f"{str(one['status'])[:1].upper()}{str(one['status'])[1:]}."))
             continue
-        rows = tuple((str(m["manoeuvre"]).replace("_", " "), f"{m['deviations']:.1f}") for m in one["manoeuvres"][:5])
+        rows = tuple(
+            (str(m["manoeuvre"]).replace("_", " "), f"{m['standard_errors']:.1f}") for m in one["manoeuvres"][:5]
+        )
         blocks += [
             Table(
                 f"Manoeuvres that would separate {several(one['effects'])}",
@@ -90,7 +92,7 @@ def by_manoeuvre(unseen: HoldoutScores) -> Table:
     """Both models on each hold-out manoeuvre, and whether the difference is significant."""
     rows = []
     for k, manoeuvre in enumerate(unseen.names):
-        before, after = (unseen.scores[model, "unseen", k] for model in ("card", "extended"))
+        before, after = (unseen.scores[model, "hold_out", k] for model in ("card", "extended"))
         for name in NAMES:
             gain = unseen.gains[manoeuvre, name]
             change = f"{gain.r2:+.3f} ± {gain.r2_sd:.3f}", f"{gain.elpd:+.1f} ± {gain.elpd_sd:.1f}"
