@@ -13,6 +13,7 @@ from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.selection.collinear import CancellingPair
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.inference.scores import Scores
+from bayes_aero.parameter import Parameter
 
 FLIGHT_PATH = "flight path"  # the stage of sensors and winds
 COEFFICIENTS, TRAJECTORIES = "coefficients", "trajectories"  # stages of the model itself
@@ -194,6 +195,11 @@ class Diagnosis:
     def by_coefficients(self) -> bool:
         """Whether the model was compared with coefficients; otherwise with trajectories alone."""
         return self.tested is None
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All parameters of the card's model and of every candidate."""
+        return self.aerodynamics.state.full.model.parameters
 
 
 def verdict_of(

@@ -128,7 +128,8 @@ def filtered(
     """
     ready = prepared(flown, theta)
 
-    def one(start, _, inputs, dt, true, scale, growth):
+    def one(*row):
+        start, _, inputs, dt, true, scale, growth = row
         first = {name: y[0] for name, y in inputs.items()}
         begin = ready.system.settled(start, first)
         noise = R * (scale * growth) ** 2
@@ -137,8 +138,8 @@ def filtered(
             substeps=flown.substeps, held=flown.held,
         )  # fmt: skip
 
-    rows = _rows(flown, ready, jnp.zeros((len(flown.index), len(start_deviation))))
-    return jax.vmap(one)(*rows, jnp.asarray(flown.noise_growth))
+    rows = (*_rows(flown, ready, jnp.zeros((len(flown.index), len(start_deviation)))), jnp.asarray(flown.noise_growth))
+    return jax.vmap(one)(*rows)
 
 
 def _rows(flown: SegmentTrajectories, ready: Prepared, departure: Float[Array, "w s"]) -> tuple[Any, ...]:

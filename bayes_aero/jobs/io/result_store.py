@@ -74,7 +74,7 @@ class ResultStore:
 
     def holdout(self, view: View) -> None:
         """Keep the scores by manoeuvre of a view of the same diagnosis."""
-        self._grow(holdout=view.holdout)
+        self._grow(view={"holdout": view.holdout})
 
     def predictors(self, found: Mapping[str, Any]) -> None:
         """Keep a comparison of predictors."""

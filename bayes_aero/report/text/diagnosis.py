@@ -45,7 +45,7 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
         *tested_sentences(d),
         *sign_sentences(
             {name: (after, sd) for name, (_, after, sd) in d.base_moves.items()},
-            d.aerodynamics.state.full.model.parameters,
+            d.parameters,
         ),
         *(_cause(cause) for cause in d.causes),
         *_taken_over(d),
