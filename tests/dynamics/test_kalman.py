@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.dynamics.kalman import kalman_filter, log_likelihood, smoothed
+from bayes_aero.dynamics.filtering.kalman import Begin, Measured, Sampling, kalman_filter, log_likelihood, smoothed
 from bayes_aero.dynamics.linear import LinearSystem
 from bayes_aero.dynamics.system import advance, integrate
 
@@ -45,7 +45,8 @@ def record(system):
 
 @eqx.filter_jit
 def compiled(system, start, P0, inputs, z, F, R):
-    return kalman_filter(system, start, P0, inputs, z, DT, F, jnp.tile(jnp.asarray(R), (N, 1)), NAMES)
+    measured = Measured(z, jnp.tile(jnp.asarray(R), (N, 1)))
+    return kalman_filter(system, Begin(start, P0), inputs, measured, F, NAMES, Sampling(DT))
 
 
 def filtered(system, record, F=F, R=R, P0=P0, start=START):

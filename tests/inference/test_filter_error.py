@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import scipy.linalg
 
+from bayes_aero.dynamics.filtering.innovations import filtered, riccati, steady_innovations
 from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.innovations import filtered, riccati, steady_innovations
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.output_biases import biased_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT

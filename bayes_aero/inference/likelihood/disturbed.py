@@ -18,10 +18,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Bool, Float
 
-from bayes_aero.dynamics.innovations import filtered
-from bayes_aero.dynamics.kalman import Filtered, log_likelihood
+from bayes_aero.dynamics.filtering.innovations import filtered
+from bayes_aero.dynamics.filtering.kalman import Filtered, log_likelihood
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.likelihood.mle import solve
 from bayes_aero.inference.likelihood.normal_equations import departures
@@ -121,61 +121,16 @@ def fit_disturbed(
             0 where the segments begin at a fixed state.
         priors: whether the parameters' priors count.
     """
-    flown, held = flown.nameless, held or {}
-    free = flown.dynamics.free
-    k, s = len(free), len(flown.dynamics.states)
-    theta = np.array([p.start for p in free]) if start is None else np.asarray(start, float)
-    theta = np.array([held.get(p.name, x) for p, x in zip(free, theta, strict=True)])
     F = np.asarray(F, float)
-    moving = np.array([*(p.name not in held for p in free), *(F > 0.0), *([True] * len(R))])
-    if start_deviation is None:
-        start_deviation = np.zeros(s) if flown.fixed is not None else departures(flown.dynamics)
-    normals = np.array([p.prior.normal for p in free]).reshape(-1, 2)
-    mean, precision = np.zeros(len(moving)), np.zeros(len(moving))
-    if priors:
-        mean[:k], precision[:k] = normals[:, 0], np.where(moving[:k], normals[:, 1] ** -2.0, 0.0)
+    problem = _Problem.of(flown.nameless, start_deviation, held or {}, F > 0.0, priors)
+    free = flown.dynamics.free
+    theta = np.array([p.start for p in free]) if start is None else np.asarray(start, float)
+    theta = np.array([(held or {}).get(p.name, x) for p, x in zip(free, theta, strict=True)])
     point = np.concatenate([theta, np.log(np.maximum(F, LEAST)), np.log(np.maximum(R, LEAST))])
-    bounds = np.array([*(p.bounds for p in free), *([(np.log(LEAST), np.inf)] * (len(point) - k))])
-    deviation = jnp.asarray(start_deviation)
-
-    def prior_cost(point):
-        return 0.5 * float(precision @ (point - mean) ** 2)
-
-    def look(point):
-        cost, gradient, information = (np.asarray(x) for x in _look(flown, jnp.asarray(point), deviation, k, s))
-        return _Seen(
-            float(cost) + prior_cost(point), gradient + precision * (point - mean), information + np.diag(precision)
-        )
-
-    here, damping, steps, status = look(point), 1e-3, 0, DisturbedStatus.NOT_CONVERGED
-    while steps < MAX_ITERATIONS and math.isfinite(here.cost) and np.all(np.isfinite(here.information)):
-        steps += 1
-        inner = moving & ~((point <= bounds[:, 0]) & (here.gradient > 0.0))
-        inner &= ~((point >= bounds[:, 1]) & (here.gradient < 0.0))
-        A, g = here.information[np.ix_(inner, inner)], -here.gradient[inner]
-        if 0.5 * float(solve(A, g, 0.0) @ g) < LAST:
-            status = DisturbedStatus.CONVERGED
-            break
-        better = None
-        for _ in range(12):
-            step = np.zeros(len(point))
-            step[inner] = solve(A, g, damping)
-            step[k:] = np.clip(step[k:], -MOST, MOST)
-            new = np.clip(point + step, bounds[:, 0], bounds[:, 1])
-            cost = float(_cost(flown, jnp.asarray(new), deviation, k, s)) + prior_cost(new)
-            if math.isfinite(cost) and cost < here.cost:
-                better = new
-                break
-            damping *= 10.0
-        if better is None:
-            break
-        point, damping = better, max(1e-8, 0.1 * damping)
-        here = look(point)
-    if not math.isfinite(here.cost):
-        status = DisturbedStatus.DIVERGED
+    point, here, status, steps = _scored(problem, point)
+    k, s, moving = problem.k, problem.s, problem.moving
     covariance = np.zeros((len(point), len(point)))
     covariance[np.ix_(moving, moving)] = np.linalg.pinv(here.information[np.ix_(moving, moving)], hermitian=True)
-    found = _all(flown, jnp.asarray(point), deviation, k, s)
     return DisturbedResult(
         tuple(p.name for p in free),
         flown.dynamics.states,
@@ -184,8 +139,101 @@ def fit_disturbed(
         np.where(F > 0.0, np.exp(point[k : k + s]), 0.0),
         np.exp(point[k + s :]),
         covariance,
-        prior_cost(point) - here.cost,
-        found,
+        problem.prior_cost(point) - here.cost,
+        _all(problem.flown, jnp.asarray(point), problem.deviation, k, s),
         status,
         steps,
     )
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """What is fitted, and the priors: parameters (k), log F (s), log R (c)."""
+
+    flown: SegmentTrajectories
+    deviation: Float[Array, " s"]
+    moving: Bool[np.ndarray, " j"]
+    mean: Float[np.ndarray, " j"]
+    precision: Float[np.ndarray, " j"]
+    bounds: Float[np.ndarray, "j 2"]
+
+    @classmethod
+    def of(
+        cls,
+        flown: SegmentTrajectories,
+        deviation: Float[np.ndarray, " s"] | None,
+        held: Mapping[str, float],
+        disturbed: Bool[np.ndarray, " s"],
+        priors: bool,
+    ) -> _Problem:
+        """Of all parameters but those `held`, the process noise of the states that are `disturbed`, and R."""
+        free, k = flown.dynamics.free, len(flown.dynamics.free)
+        if deviation is None:
+            deviation = np.zeros(len(disturbed)) if flown.fixed is not None else departures(flown.dynamics)
+        moving = np.array([*(p.name not in held for p in free), *disturbed, *([True] * len(flown.outputs))])
+        mean, precision = np.zeros(len(moving)), np.zeros(len(moving))
+        if priors:
+            normals = np.array([p.prior.normal for p in free]).reshape(-1, 2)
+            mean[:k], precision[:k] = normals[:, 0], np.where(moving[:k], normals[:, 1] ** -2.0, 0.0)
+        bounds = np.array([*(p.bounds for p in free), *([(np.log(LEAST), np.inf)] * (len(moving) - k))])
+        return cls(flown, jnp.asarray(deviation), moving, mean, precision, bounds)
+
+    @property
+    def k(self) -> int:
+        """Parameters."""
+        return len(self.flown.dynamics.free)
+
+    @property
+    def s(self) -> int:
+        """States."""
+        return len(self.flown.dynamics.states)
+
+    def prior_cost(self, point: Float[np.ndarray, " j"]) -> float:
+        """Minus the log of the priors, but for a constant."""
+        return 0.5 * float(self.precision @ (point - self.mean) ** 2)
+
+    def cost(self, point: Float[np.ndarray, " j"]) -> float:
+        """Minus the log posterior density."""
+        return float(_cost(self.flown, jnp.asarray(point), self.deviation, self.k, self.s)) + self.prior_cost(point)
+
+    def look(self, point: Float[np.ndarray, " j"]) -> _Seen:
+        """Cost, gradient and information."""
+        seen = _look(self.flown, jnp.asarray(point), self.deviation, self.k, self.s)
+        cost, gradient, information = (np.asarray(x) for x in seen)
+        gradient, information = gradient + self.precision * (point - self.mean), information + np.diag(self.precision)
+        return _Seen(float(cost) + self.prior_cost(point), gradient, information)
+
+    def inner(self, point: Float[np.ndarray, " j"], gradient: Float[np.ndarray, " j"]) -> Bool[np.ndarray, " j"]:
+        """What may move: all but what is at a bound and would leave it."""
+        low = (point <= self.bounds[:, 0]) & (gradient > 0.0)
+        return self.moving & ~low & ~((point >= self.bounds[:, 1]) & (gradient < 0.0))
+
+
+def _scored(problem: _Problem, point: Float[np.ndarray, " j"]) -> tuple[np.ndarray, _Seen, DisturbedStatus, int]:
+    """Fisher scoring with Levenberg and Marquardt's damping: last point, what is seen there, status, steps."""
+    here, damping, steps, status = problem.look(point), 1e-3, 0, DisturbedStatus.NOT_CONVERGED
+    while steps < MAX_ITERATIONS and math.isfinite(here.cost) and np.all(np.isfinite(here.information)):
+        steps += 1
+        inner = problem.inner(point, here.gradient)
+        A, g = here.information[np.ix_(inner, inner)], -here.gradient[inner]
+        if 0.5 * float(solve(A, g, 0.0) @ g) < LAST:
+            status = DisturbedStatus.CONVERGED
+            break
+        better = None
+        for _ in range(12):
+            step = np.zeros(len(point))
+            step[inner] = solve(A, g, damping)
+            step[problem.k :] = np.clip(step[problem.k :], -MOST, MOST)
+            new = np.clip(point + step, problem.bounds[:, 0], problem.bounds[:, 1])
+            cost = problem.cost(new)
+            if math.isfinite(cost) and cost < here.cost:
+                better = new
+                break
+            damping *= 10.0
+        if better is None:
+            break
+        point, damping = better, max(1e-8, 0.1 * damping)
+        here = problem.look(point)
+    if not math.isfinite(here.cost):
+        status = DisturbedStatus.DIVERGED
+    return point, here, status, steps

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bayes_aero.dynamics.innovations import Innovations, measurement_matrix, steady_innovations
+from bayes_aero.dynamics.filtering.innovations import Innovations, measurement_matrix, steady_innovations
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.likelihood.mle import solve
 

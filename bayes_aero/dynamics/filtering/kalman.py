@@ -43,71 +43,88 @@ def outputs_at(system: System, x: Float[Array, " s"], u: Row, names: Sequence[st
     return jnp.stack([found[name] for name in names])
 
 
+class Begin(NamedTuple):
+    """State before the first sample, (s,), SI, and its covariance, (s, s)."""
+
+    mean: Float[Array, " s"]
+    covariance: Float[Array, "s s"]
+
+
+class Measured(NamedTuple):
+    """Outputs (n, c), SI, NaN where missing, and the variances of their noise."""
+
+    values: Float[Array, "n c"]
+    variance: Float[Array, "n c"]
+
+
+class Sampling(NamedTuple):
+    """Sample time, s; Runge-Kutta steps a sample; whether inputs are held between samples or linear."""
+
+    dt: Any
+    substeps: int = 1
+    held: bool = False
+
+
 def kalman_filter(
     system: System,
-    start: Float[Array, " s"],
-    start_covariance: Float[Array, "s s"],
+    begin: Begin,
     inputs: Mapping[str, Float[Array, " n"]],
-    measured: Float[Array, "n c"],
-    dt: Any,
+    measured: Measured,
     F: Float[Array, " s"],
-    R: Float[Array, "n c"],
     names: tuple[str, ...],
-    *,
-    substeps: int = 1,
-    held: bool = False,
+    sampling: Sampling,
 ) -> Filtered:
     """Filter one segment.
 
     Args:
         system: what moves.
-        start: state before the first sample, (s,), SI; `start_covariance`: its covariance, (s, s).
-        inputs: recorded inputs by name, (n,), linear between samples or `held`.
-        measured: outputs, (n, c), SI; NaN: missing.
-        dt: sample time, s; `substeps` Runge-Kutta steps each.
-        F: process noise by state, unit of the state per square root of a second.
-        R: variance of the measurement noise, (n, c).
+        begin: the state before the first sample.
+        inputs: recorded inputs by name, (n,).
+        measured: outputs with their noise.
+        F: process noise by state, (s,), unit of the state per square root of a second.
         names: outputs in the order of `measured`.
+        sampling: of inputs and outputs.
 
     Returns:
         predictions, estimates, innovations and their variances.
     """
-
-    def measure(x, P, row):
-        u, z, variance = row
-        y = outputs_at(system, x, u, names)
-        C = jax.jacfwd(lambda x: outputs_at(system, x, u, names))(x)
-        there = jnp.isfinite(z)
-
-        def one(carry, output):
-            moved, P = carry
-            h, away, r, use = output
-            e, Ph = away - h @ moved, P @ h
-            S = h @ Ph + r
-            K = jnp.where(use, Ph / S, 0.0)
-            IKh = jnp.eye(len(K)) - jnp.outer(K, h)
-            P = IKh @ P @ IKh.T + r * jnp.outer(K, K)
-            return (moved + K * e, P), (jnp.where(use, e, 0.0), jnp.where(use, S, 1.0))
-
-        away = jnp.where(there, z - y, 0.0)
-        (moved, P), (e, S) = jax.lax.scan(one, (jnp.zeros_like(x), P), (C, away, variance, there))
-        return x + moved, P, e, S, there
+    W = jnp.diag(F**2)
 
     def further(carry, row):
         x, P = carry
         now, then, z, variance = row
-        estimate, P_estimate, e, S, used = measure(x, P, (now, z, variance))
-        step = lambda x: advance(system, x, now, then, dt, substeps)  # noqa: E731
+        estimate, P_estimate, e, S, used = _updated(system, x, P, now, z, variance, names)
+        step = lambda x: advance(system, x, now, then, sampling.dt, sampling.substeps)  # noqa: E731
         ahead, transition = step(estimate), jax.jacfwd(step)(estimate)
-        W = jnp.diag(F**2)
-        noise = 0.5 * dt * (transition @ W @ transition.T + W)
+        noise = 0.5 * sampling.dt * (transition @ W @ transition.T + W)
         P_ahead = transition @ P_estimate @ transition.T + noise
         found = Filtered(x, P, estimate, P_estimate, transition, e, S, used)
         return (ahead, 0.5 * (P_ahead + P_ahead.T)), found
 
     now = {name: jnp.asarray(x) for name, x in inputs.items()}
-    rows = (now, later(now, held), measured, R)
-    return jax.lax.scan(further, (start, start_covariance), rows)[1]
+    rows = (now, later(now, sampling.held), measured.values, measured.variance)
+    return jax.lax.scan(further, (begin.mean, begin.covariance), rows)[1]
+
+
+def _updated(system: System, x: Array, P: Array, u: Row, z: Array, variance: Array, names: tuple[str, ...]):
+    """State and covariance after one sample's outputs; innovations, their variances, and which were there."""
+    y = outputs_at(system, x, u, names)
+    C = jax.jacfwd(lambda x: outputs_at(system, x, u, names))(x)
+    there = jnp.isfinite(z)
+
+    def one(carry, output):
+        moved, P = carry
+        h, away, r, use = output
+        e, Ph = away - h @ moved, P @ h
+        S = h @ Ph + r
+        K = jnp.where(use, Ph / S, 0.0)
+        rest = jnp.eye(len(K)) - jnp.outer(K, h)
+        P = rest @ P @ rest.T + r * jnp.outer(K, K)
+        return (moved + K * e, P), (jnp.where(use, e, 0.0), jnp.where(use, S, 1.0))
+
+    away = jnp.where(there, z - y, 0.0)
+    (moved, P), (e, S) = jax.lax.scan(one, (jnp.zeros_like(x), P), (C, away, variance, there))
+    return x + moved, P, e, S, there
 
 
 def log_likelihood(found: Filtered) -> Float[Array, ""]:

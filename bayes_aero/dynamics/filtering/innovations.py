@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from bayes_aero.dynamics.kalman import Filtered, kalman_filter, outputs_at
+from bayes_aero.dynamics.filtering.kalman import Begin, Filtered, Measured, Sampling, kalman_filter, outputs_at
 from bayes_aero.dynamics.segments import Prepared, SegmentTrajectories, prepared
 from bayes_aero.dynamics.system import System, advance
 from bayes_aero.dynamics.tangent import later, motion
@@ -134,9 +134,14 @@ def filtered(
         begin = ready.system.settled(start, first)
         noise = R * (scale * growth) ** 2
         return kalman_filter(
-            ready.system, begin, jnp.diag(start_deviation**2), inputs, true, dt, F, noise, flown.outputs,
-            substeps=flown.substeps, held=flown.held,
-        )  # fmt: skip
+            ready.system,
+            Begin(begin, jnp.diag(start_deviation**2)),
+            inputs,
+            Measured(true, noise),
+            F,
+            flown.outputs,
+            Sampling(dt, flown.substeps, flown.held),
+        )
 
     rows = (*_rows(flown, ready, jnp.zeros((len(flown.index), len(start_deviation)))), jnp.asarray(flown.noise_growth))
     return jax.vmap(one)(*rows)

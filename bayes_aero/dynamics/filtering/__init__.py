@@ -1,0 +1,1 @@
+"""Disturbed systems: the extended Kalman filter and innovations of segments of flight."""
