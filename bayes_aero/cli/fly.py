@@ -61,6 +61,13 @@ def fly(
             "sample."
         ),
     ] = Inputs.LINEAR,
+    process_noise: Annotated[
+        bool,
+        typer.Option(
+            "--process-noise",
+            help="Fit the same model with process noise, too: an extended Kalman filter, for flight in disturbed air.",
+        ),
+    ] = False,
     seed: SeedOption = 0,
     resample: ResampleOption = None,
     split: SplitOption = False,
@@ -81,16 +88,19 @@ def fly(
         from bayes_aero.jobs.io.fly_json import RESULTS
         from bayes_aero.jobs.options import FlyOptions
         from bayes_aero.report.text.fly import error_table, parameter_table
+        from bayes_aero.report.text.process_noise import process_noise_table
 
     console = teller(quiet=json, highlight=True)
     with interruptible(kept_stages(out)), bar("reading") as tell:
-        options = FlyOptions(windows, initial_state.value, priors, outputs, inputs.value, seed, figures)
+        options = FlyOptions(windows, initial_state.value, priors, outputs, inputs.value, seed, figures, process_noise)
         found = fly_records(flights, card, options, out=out, progress=tell)
     if json:
         typer.echo((out / RESULTS).read_text(encoding="utf-8"), nl=False)
     print_failures(console, found.failures)
     print_doubts(console, found.consistency, found.health, corrects=False)
     console.print(parameter_table(found.flown))
+    if found.process_noise is not None and found.process_noise.converged:
+        console.print(process_noise_table(found.process_noise, found.flown))
     console.print(error_table(found.flown))
     for sentence in found.sentences:
         console.print(f"• {sentence}", highlight=False)

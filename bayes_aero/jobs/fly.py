@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.trajectories.fit_agreement import fit_disagreements
-from bayes_aero.diagnosis.trajectories.results import FITTED, Setting
+from bayes_aero.diagnosis.trajectories.process_noise import with_process_noise
+from bayes_aero.diagnosis.trajectories.results import FITTED, ProcessNoise, Setting, TrajectoryFit
 from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
 from bayes_aero.diagnosis.trajectories.trajectory_fit import fit_trajectories
 from bayes_aero.dynamics.flight import Dynamics, aircraft_dynamics, taken_as_zero
@@ -46,6 +47,7 @@ from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.tables.run_tables import write_csv
 from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences, parameter_frame
 from bayes_aero.report.text.phrases import several
+from bayes_aero.report.text.process_noise import process_noise_sentences
 
 
 def fly(
@@ -60,6 +62,7 @@ def fly(
     inputs: str = LINEAR,
     seed: int = 0,
     figures: bool = True,
+    process_noise: bool = False,
     progress: Progress | None = None,
 ) -> Flight:
     """Fit the card's model to the trajectories of the records (output error), as `bayes-aero fly` does.
@@ -79,6 +82,7 @@ def fly(
         inputs: "linear" between samples, or "held" until the next one.
         seed: of the fit of the coefficients.
         figures: False draws none.
+        process_noise: True fits the same model with process noise, too, by an extended Kalman filter.
         progress: called with a stage and the share of it that is done.
 
     Returns:
@@ -90,7 +94,7 @@ def fly(
     Source:
         Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, ch. 4.
     """
-    options = FlyOptions(windows, initial_state, priors, outputs, inputs, seed, figures)
+    options = FlyOptions(windows, initial_state, priors, outputs, inputs, seed, figures, process_noise)
     return fly_records(records, card, options, out=out, progress=progress)
 
 
@@ -129,20 +133,34 @@ def fly_records(
         setting=setting,
         progress=progress,
     )
+    disturbed, more = _disturbed(flown, options, card, out, progress)
     apart = () if coefficients is None else fit_disagreements(coefficients, flown)
     hindered = usable_for(records, card).get("diagnose", "")
-    said = (*fly_sentences(flown, hindered), *disagreement_sentences(apart, hindered))
+    beside = () if disturbed is None else process_noise_sentences(disturbed, flown)
+    said = (*beside, *fly_sentences(flown, hindered), *disagreement_sentences(apart, hindered))
     health = channel_health(records, card)
-    found = Flight(flown, said, tuple(notes), health, agreement, (*failures, *failed), apart)
+    found = Flight(flown, said, tuple(notes), health, agreement, (*failures, *failed, *more), apart, disturbed)
     if out is None:
         return found
     return _written(found, card, records, source, out, figures=options.figures, progress=progress)
 
 
+def _disturbed(
+    flown: TrajectoryFit, options: FlyOptions, card: Card, out: Path | None, progress: Progress | None
+) -> tuple[ProcessNoise | None, tuple[str, ...]]:
+    """The fit with process noise where it was asked for and output error has a result to start from."""
+    if not (options.process_noise and flown.converged):
+        return None, ()
+    if progress:
+        progress("process noise", 0.9)
+    own = bool(card.effect_files)
+    return attempted("Process noise was not fitted", lambda: with_process_noise(flown), None, out, own=own)
+
+
 def _told(options: FlyOptions, setting: Setting) -> dict[str, Any]:
     """The settings by the names of the options; `outputs` only where they were chosen."""
     chosen = {} if setting.outputs is None else {"outputs": list(setting.outputs)}
-    names = ("windows", "initial_state", "priors", "inputs")
+    names = ("windows", "initial_state", "priors", "inputs", "process_noise")
     return {name: getattr(options, name) for name in names} | chosen
 
 

@@ -78,6 +78,7 @@ class FlyOptions:
     inputs: str = LINEAR
     seed: int = 0
     figures: bool = True
+    process_noise: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what cannot be flown."""

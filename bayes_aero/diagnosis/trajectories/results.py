@@ -202,3 +202,26 @@ class Disagreement:
     coefficients: tuple[float, float]
     trajectories: tuple[float, float]
     apart: float
+
+
+@dataclass(frozen=True)
+class ProcessNoise:
+    """A fit with process noise, SI and radians, standard errors for white innovations.
+
+    Attributes:
+        status: how the fit ended.
+        converged: whether its numbers mean something.
+        gain: log likelihood beyond that of output error, nats.
+        estimates: parameters by name, each with its standard error.
+        F: process noise by state, unit of the state per square root of a second.
+        noise_sd: standard deviation of the measurement noise by output.
+        autocorrelation: of neighbouring innovations by output; 0 if the disturbance is as modelled.
+    """
+
+    status: str
+    converged: bool
+    gain: float
+    estimates: Mapping[str, tuple[float, float]]
+    F: Mapping[str, float]
+    noise_sd: Mapping[str, float]
+    autocorrelation: Mapping[str, float]

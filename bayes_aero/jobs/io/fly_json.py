@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.results import Disagreement, TrajectoryFit
+from bayes_aero.diagnosis.trajectories.results import Disagreement, ProcessNoise, TrajectoryFit
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health import HealthFinding
@@ -41,6 +41,7 @@ class Flight:
     consistency: Consistency | None = None
     failures: tuple[str, ...] = ()
     apart: tuple[Disagreement, ...] = ()
+    process_noise: ProcessNoise | None = None
 
 
 def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], source: dict[str, Any]) -> dict[str, Any]:
@@ -73,6 +74,7 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
         "parameters": parameter_rows(flown),
         "inseparable": inseparable_results(flown.fit.inseparable),
         "disagreement": [asdict(d) for d in found.apart],
+        **({} if found.process_noise is None else {"process_noise": asdict(found.process_noise)}),
         "initial_states": {
             manoeuvre: {
                 n: {"value": x, "departure": d, "unit": units[n], "prior_sd": beliefs.get(n)}

@@ -1,0 +1,55 @@
+"""A fit with process noise beside output error: a table and sentences."""
+
+from __future__ import annotations
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from bayes_aero.diagnosis.trajectories.results import ProcessNoise, TrajectoryFit
+from bayes_aero.report.tables.run_tables import concise
+from bayes_aero.report.text.phrases import several
+
+APART = 3.0  # combined standard errors between the two estimates from which a sentence names a parameter; our choice
+COLOURED = 0.3  # autocorrelation of neighbouring innovations from which a sentence is written; our choice
+
+
+def process_noise_table(found: ProcessNoise, flown: TrajectoryFit) -> Table:
+    """Every parameter by both fits."""
+    table = Table(
+        box=SIMPLE_HEAD,
+        title="Parameters with and without process noise",
+        caption="SI and radians; standard errors in brackets in units of the last digit, with process noise for white "
+        "innovations.",
+    )
+    for head in ("", "output error", "with process noise"):
+        table.add_column(head, justify="right" if head else "left", no_wrap=True)
+    fit = flown.fit
+    for name, estimate, sd in zip(fit.names, fit.estimate, fit.sd_corrected, strict=True):
+        if name in found.estimates:
+            table.add_row(name, concise(float(estimate), float(sd)), concise(*found.estimates[name]))
+    return table
+
+
+def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[str]:
+    """What the process noise changes, and on which assumption its standard errors rest."""
+    if not found.converged:
+        return [f"The fit with process noise is not usable: {found.status}."]
+    gain = f"With process noise the log likelihood of the trajectories is {found.gain:.0f} nats higher."
+    if found.gain <= 0.0:
+        return ["Process noise does not improve the likelihood of the trajectories: output error is adequate."]
+    said = [f"{gain} Where it is far higher the aircraft was disturbed, and output error's estimates are biased."]
+    fit = flown.fit
+    moved = []
+    for name, estimate, sd in zip(fit.names, fit.estimate, fit.sd_corrected, strict=True):
+        other, other_sd = found.estimates.get(name, (float(estimate), float(sd)))
+        if abs(other - estimate) > APART * float((sd**2 + other_sd**2) ** 0.5):
+            moved.append(f"{name} {other:.4g} ± {other_sd:.2g} (output error {estimate:.4g} ± {sd:.2g})")
+    if moved:
+        said.append(f"These parameters differ by more than {APART:g} combined standard errors: {several(moved)}.")
+    coloured = [f"{name} ({r:.2f})" for name, r in found.autocorrelation.items() if abs(r) > COLOURED]
+    if coloured:
+        said.append(
+            f"Neighbouring innovations of {several(coloured)} are correlated: the disturbance is not white, and "
+            "standard errors with process noise are too small."
+        )
+    return said
