@@ -130,7 +130,7 @@ class Diagnosed:
         """Scores of the card's and the extended model.
 
         Returns:
-            A row per model, data (`fitted` or hold-out, `unseen`), manoeuvre and coefficient.
+            A row per model, data (`fitted` or `hold_out`), manoeuvre and coefficient.
         """
         return scores_frame(holdout_scores(self._coefficients))
 

@@ -27,7 +27,7 @@ from bayes_aero.report.text.diagnosis import (
 )
 from bayes_aero.report.text.phrases import size_text
 
-DOES_NOT_APPLY = {"gain", "moves", "trajectories_unseen", "trajectories_fitted"}  # nothing was added or flown
+DOES_NOT_APPLY = {"gain", "moves", "trajectories_hold_out", "trajectories_fitted"}  # nothing was added or flown
 
 
 @pytest.fixture(scope="module")

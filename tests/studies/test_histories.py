@@ -45,13 +45,13 @@ def test_trajectories_give_the_errors_that_are_told(groups, diagnosed):
         for name, error in path.errors.items():
             residual = flight[f"{name}_measured"] - flight[f"{name}_{path.model}"]
             assert np.sqrt(np.mean(residual**2)) == pytest.approx(error.rms, rel=1e-9)
-    units = {name: groups["trajectories_unseen"][f"{name}_card"].attrs["units"] for name in ("airspeed", "alpha")}
+    units = {name: groups["trajectories_hold_out"][f"{name}_card"].attrs["units"] for name in ("airspeed", "alpha")}
     assert units == {"airspeed": "m/s", "alpha": "rad"}
 
 
 def test_a_flight_that_is_not_there_is_named(groups):
     with pytest.raises(ValueError, match="nowhere"):
-        histories.flight_of(groups["trajectories_unseen"], "nowhere")
+        histories.flight_of(groups["trajectories_hold_out"], "nowhere")
 
 
 @pytest.mark.parametrize("name", ["run/1", "Flug 7 \u00fc", "undecodable \udcff", "end\0", "~", ""])

@@ -49,7 +49,7 @@ def identified(run: Identification) -> Histories:
 
 
 def flights(paths: Iterable[FlightPath], units: Mapping[str, str] | None = None) -> Histories:
-    """Outputs as measured and by each model: groups trajectories_fitted and trajectories_unseen, by the paths' split.
+    """Outputs as measured and by each model: groups trajectories_fitted and trajectories_hold_out, by the paths' split.
 
     `units` of outputs (SI), for channels that the program does not know by name.
     """

@@ -77,7 +77,7 @@ def _panel(ax: Axes, paths: Sequence[Curve], output: str, unit: str) -> None:
 
 
 @housed
-def trajectories_unseen(view: View) -> Figure:
+def trajectories_hold_out(view: View) -> Figure:
     """Every manoeuvre simulated with the fit to the others, from its measured initial state."""
     return _shown(view, "hold_out")
 
@@ -88,5 +88,5 @@ def trajectories_fitted(view: View) -> Figure:
     return _shown(view, "fitted")
 
 
-DIAGNOSIS_FIGURES = {"trajectories_unseen": trajectories_unseen, "trajectories_fitted": trajectories_fitted}
-AFTER_TRAJECTORIES = ("trajectories_unseen", "trajectories_fitted")
+DIAGNOSIS_FIGURES = {"trajectories_hold_out": trajectories_hold_out, "trajectories_fitted": trajectories_fitted}
+AFTER_TRAJECTORIES = ("trajectories_hold_out", "trajectories_fitted")
