@@ -35,10 +35,10 @@ from bayes_aero.simulate.injection import flyable
 
 
 class Watch:
-    """`needed`, and what it was given and gave last."""
+    """`eliminate`, and what it was given and gave last."""
 
     def __init__(self):
-        self.asked, trajectory.needed = trajectory.needed, self
+        self.asked, trajectory.eliminate = trajectory.eliminate, self
 
     def __call__(self, contender, *rest):
         """As the function itself."""
