@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -32,6 +31,8 @@ class FoldFit:
 
 def fold_fits(state: SelectionState) -> Iterator[FoldFit]:
     """Fits of the effects that are in, each fold left out in turn and every fit brought to its own optimum."""
+    import jax.numpy as jnp  # not before: `check` does not load JAX
+
     keep = [state.responses.outputs.index(name) for name in state.outputs]
     for number, fold in enumerate(state.folds):
         others = [f for f in range(len(state.folds)) if f != number]
