@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from bayes_aero.diagnosis.folds import blocks_of
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, optimum
 from bayes_aero.inference.scores import Scores, log_density, log_score_gain, score
-from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.physics.coefficient_names import NAMES
 
 
 def split_name(state: SelectionState) -> str:
