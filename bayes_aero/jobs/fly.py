@@ -133,19 +133,21 @@ def fly_records(
         setting=setting,
         progress=progress,
     )
-    disturbed, more = _disturbed(flown, options, card, out, progress)
+    beside, more = _process_noise(flown, options, card, out, progress)
+    if options.process_noise and not flown.converged:
+        notes.append("Process noise was not fitted, because output error did not converge.")
     apart = () if coefficients is None else fit_disagreements(coefficients, flown)
     hindered = usable_for(records, card).get("diagnose", "")
-    beside = () if disturbed is None else process_noise_sentences(disturbed, flown)
-    said = (*beside, *fly_sentences(flown, hindered), *disagreement_sentences(apart, hindered))
+    filtered = () if beside is None else process_noise_sentences(beside, flown)
+    said = (*filtered, *fly_sentences(flown, hindered), *disagreement_sentences(apart, hindered))
     health = channel_health(records, card)
-    found = Flight(flown, said, tuple(notes), health, agreement, (*failures, *failed, *more), apart, disturbed)
+    found = Flight(flown, said, tuple(notes), health, agreement, (*failures, *failed, *more), apart, beside)
     if out is None:
         return found
     return _written(found, card, records, source, out, figures=options.figures, progress=progress)
 
 
-def _disturbed(
+def _process_noise(
     flown: TrajectoryFit, options: FlyOptions, card: Card, out: Path | None, progress: Progress | None
 ) -> tuple[ProcessNoise | None, tuple[str, ...]]:
     """The fit with process noise where it was asked for and output error has a result to start from."""
@@ -196,7 +198,16 @@ def _written(
         progress("report", 0.95)
     shown = {path.stem: path for path in drawn}
     told = FlyTold(
-        card, records, source, found.sentences, found.notes, shown, found.consistency, found.failures, found.health
+        card,
+        records,
+        source,
+        found.sentences,
+        found.notes,
+        shown,
+        found.consistency,
+        found.failures,
+        found.health,
+        found.process_noise,
     )
     failed = put_page(lambda: fly_page(found.flown, told), out)
     return noted((), failed) if failed else found

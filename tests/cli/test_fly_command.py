@@ -209,3 +209,22 @@ def test_check_says_that_a_linear_card_can_be_flown(program, tmp_path):
     done = program("check", record, "--model", card, "--json")
     assert done.code == 0, done.err
     assert json.loads(done.out)["uses"] == {"fly": {"possible": True, "why_not": None}}
+
+
+def test_in_calm_air_process_noise_changes_nothing(program, tmp_path):
+    """The same estimates within the errors, measurement noise as it was made, and next to no process noise."""
+    card, record = written(tmp_path, SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH))
+    done = program("fly", record, "--model", card, "--process-noise", "--no-figures", "--out", "out", "--json")
+    assert done.code == 0, done.err
+    found = told(done)
+    filtered = found["process_noise"]
+    assert filtered["converged"]
+    for name, (estimate, sd) in filtered["estimates"].items():
+        assert abs(estimate - found["parameters"][name]["estimate"]) < sd, name
+        assert abs(estimate - SHORT_PERIOD_TRUTH[name]) < 3.5 * sd, name
+    for name, sd in filtered["noise_sd"].items():
+        assert sd == pytest.approx(NOISE[name], rel=0.1)
+    assert filtered["F"]["alpha"] < 0.2 * NOISE["alpha"] / 0.04**0.5  # of what noise adds to a step
+    assert abs(filtered["gain"]) < 10.0
+    assert max(map(abs, filtered["autocorrelation"].values())) < 0.2
+    assert "with process noise" in page_of(tmp_path / "out")

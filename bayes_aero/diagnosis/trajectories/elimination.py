@@ -45,10 +45,11 @@ def eliminate(
     noise: Noise,
     settings: DiagnosisSettings = DEFAULT,
 ) -> Elimination:
-    """Ask unseen flight of every one of `causes`; `fits` are those to all segments but one each, `silent` parameters
-    held at their joint values there.
+    """Test every one of `causes` on hold-out flights.
 
-    A cause is not asked, and stays, if it has such parameters: flown with that value, the segment is not unseen.
+    `fits` are those to all segments but one each, `silent` the parameters held at their joint values there.
+
+    A cause with such parameters is not tested and stays: with a joint value the segment is not held out.
     """
     unheard = {name for held in silent.values() for name in held}
     neutral = {e.name: e.neutral_values for e in causes}

@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from bayes_aero.diagnosis.trajectories.results import ProcessNoise, TrajectoryFit
-from bayes_aero.inference.likelihood.disturbed import DisturbedResult, DisturbedStatus, fit_disturbed
+from bayes_aero.inference.likelihood.prediction_error import (
+    PredictionErrorResult,
+    PredictionErrorStatus,
+    fit_prediction_error,
+)
 from bayes_aero.inference.threads import blas_threads
 
 FIRST_F, FIRST_R = 0.3, 0.1  # of output error's residuals: process noise in a second, share that is measurement noise
@@ -21,7 +25,7 @@ def with_process_noise(flown: TrajectoryFit) -> ProcessNoise:
     segments, sd = fit.flown, np.sqrt(fit.R)
     outputs = segments.outputs
     F = np.array([FIRST_F * sd[outputs.index(name)] if name in outputs else 0.0 for name in segments.dynamics.states])
-    found = fit_disturbed(segments, F, FIRST_R * fit.R, start=fit.estimate, priors=flown.setting.priors)
+    found = fit_prediction_error(segments, F, FIRST_R * fit.R, start=fit.estimate, priors=flown.setting.priors)
     inside = segments.inside
     count = int(inside.sum())
     still = -0.5 * count * float(np.sum(np.log(2.0 * np.pi * fit.R) + 1.0)) - float(
@@ -29,7 +33,7 @@ def with_process_noise(flown: TrajectoryFit) -> ProcessNoise:
     )
     return ProcessNoise(
         found.status.value,
-        found.status is DisturbedStatus.CONVERGED,
+        found.status is PredictionErrorStatus.CONVERGED,
         found.log_likelihood - still,
         {n: (float(x), float(s)) for n, x, s in zip(found.names, found.estimate, found.sd, strict=True)},
         dict(zip(found.states, map(float, found.F), strict=True)),
@@ -38,7 +42,7 @@ def with_process_noise(flown: TrajectoryFit) -> ProcessNoise:
     )
 
 
-def _autocorrelation(found: DisturbedResult) -> dict[str, float]:
+def _autocorrelation(found: PredictionErrorResult) -> dict[str, float]:
     """Correlation of neighbouring innovations by output, over all segments; 0 where there are too few."""
     scaled = np.asarray(found.found.innovation / np.sqrt(found.found.variance))
     used, result = np.asarray(found.found.used), {}

@@ -54,11 +54,11 @@ class Path:
 
 @dataclass(frozen=True)
 class LagTest:
-    """The lag tried beside the extended model: log density that the joint fit gains, and unseen flight, by it.
+    """The test of a separation lag: the gain in log density of the joint fit, and on hold-out flights.
 
-    Both are divided by what the residuals' colour costs. `unseen` has its deviation, and is not a number where unseen
-    flight was not asked, the joint fit gaining too little. `kept`: unseen flight confirms it. `instead`: hysteresis
-    that the lag leaves nothing of. `slight`: less of it is found than is worth a name.
+    Both are divided by the variance inflation. `unseen` is the hold-out gain with its standard error, NaN where the
+    joint fit gains too little for the test. `kept`: hold-out flights confirm the lag. `instead`: parameters of
+    hysteresis that it replaces. `slight`: the lag is too small to be named.
     """
 
     effect: str
@@ -87,7 +87,7 @@ class Estimates:
 
     @classmethod
     def of(cls, fit: OutputErrorResult, gone: Collection[str] = ()) -> Estimates:
-        """What is told of a fit, but for parameters that are `gone`."""
+        """The estimates of a fit without the parameters that are `gone`."""
         values = {n: float(x) for n, x in zip(fit.names, fit.estimate, strict=True) if n not in gone}
         units = {p.name: p.unit for p in fit.parameters if p.name in values}
         return cls(values, units, fit.status, fit.at_bound, tuple(n for n in fit.held if n in values))

@@ -42,7 +42,10 @@ class FilterErrorStatus(Enum):
 
 @dataclass(frozen=True)
 class FilterErrorResult:
-    """Estimates and Cramér-Rao bounds of parameters (k,) and process noise F (s,); innovations' variances R (c,)."""
+    """Estimates and Cramér-Rao bounds of parameters (k,) and process noise F (s,); innovations' variances R (c,).
+
+    Standard errors do not count the limit on the gain, where it is reached, nor autocorrelation of the innovations.
+    """
 
     names: tuple[str, ...]
     states: tuple[str, ...]

@@ -68,7 +68,7 @@ def open_loop(path: Path, units: Mapping[str, str] | None = None) -> dict[str, A
     told = path_results(path, units)
     del told["split"]
     for error in told["outputs"].values():
-        del error["probability_within"]  # of unseen flight only
+        del error["probability_within"]  # of hold-out flights only
     return told
 
 

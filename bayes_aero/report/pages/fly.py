@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.results import FITTED, START, TrajectoryFit
+from bayes_aero.diagnosis.trajectories.results import FITTED, START, ProcessNoise, TrajectoryFit
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health import HealthFinding
@@ -53,6 +53,7 @@ class FlyTold:
     consistency: Consistency | None = None
     failures: Sequence[str] = ()  # parts that failed unexpectedly
     health: Sequence[HealthFinding] = ()  # what is wrong with channels
+    process_noise: ProcessNoise | None = None  # the same parameters by a filter
 
 
 def fly_page(flown: TrajectoryFit, told: FlyTold) -> Page:
@@ -71,7 +72,7 @@ def fly_page(flown: TrajectoryFit, told: FlyTold) -> Page:
             ),
             section("fit", "Measured and simulated", lambda: _flights(flown)),
             section("errors", "Errors", lambda: _errors(flown, told.card)),
-            section("parameters", "Parameters", lambda: _parameters(flown, told.card)),
+            section("parameters", "Parameters", lambda: _parameters(flown, told)),
             section("provenance", "Provenance", lambda: _provenance(told.source)),
         ),
     )
@@ -146,11 +147,12 @@ def _errors(flown: TrajectoryFit, card: Card) -> tuple[Block, ...]:
     return (tables.errors(flown), *(() if kept is None else (kept, *sources(card, units))))
 
 
-def _parameters(flown: TrajectoryFit, card: Card) -> tuple[Block, ...]:
-    parameters = flown.fit.parameters
+def _parameters(flown: TrajectoryFit, told: FlyTold) -> tuple[Block, ...]:
+    parameters, found = flown.fit.parameters, told.process_noise
     return (
         tables.parameters(flown),
-        symbols(parameters, [p.name for p in parameters], conventions(card)),
+        *(() if found is None or not found.converged else (tables.process_noise(flown, found),)),
+        symbols(parameters, [p.name for p in parameters], conventions(told.card)),
         tables.initial(flown),
     )
 

@@ -34,10 +34,12 @@ def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[s
     """What the process noise changes, and on which assumption its standard errors rest."""
     if not found.converged:
         return [f"The fit with process noise is not usable: {found.status}."]
-    gain = f"With process noise the log likelihood of the trajectories is {found.gain:.0f} nats higher."
     if found.gain <= 0.0:
-        return ["Process noise does not improve the likelihood of the trajectories: output error is adequate."]
-    said = [f"{gain} Where it is far higher the aircraft was disturbed, and output error's estimates are biased."]
+        return ["Process noise does not increase the likelihood of the trajectories: output error is adequate."]
+    said = [
+        f"With process noise the log likelihood is {found.gain:.0f} nats higher than by output error, both for white "
+        "residuals. Turbulence causes this, and so do errors of the model."
+    ]
     fit = flown.fit
     moved = []
     for name, estimate, sd in zip(fit.names, fit.estimate, fit.sd_corrected, strict=True):
@@ -45,11 +47,11 @@ def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[s
         if abs(other - estimate) > APART * float((sd**2 + other_sd**2) ** 0.5):
             moved.append(f"{name} {other:.4g} ± {other_sd:.2g} (output error {estimate:.4g} ± {sd:.2g})")
     if moved:
-        said.append(f"These parameters differ by more than {APART:g} combined standard errors: {several(moved)}.")
+        said.append(f"Parameters that process noise moves by more than {APART:g} standard errors: {several(moved)}.")
     coloured = [f"{name} ({r:.2f})" for name, r in found.autocorrelation.items() if abs(r) > COLOURED]
     if coloured:
         said.append(
-            f"Neighbouring innovations of {several(coloured)} are correlated: the disturbance is not white, and "
-            "standard errors with process noise are too small."
+            f"Innovations are autocorrelated (neighbouring samples of {several(coloured)}): the process noise is not "
+            "white, and its standard errors are too small."
         )
     return said

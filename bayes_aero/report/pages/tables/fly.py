@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from bayes_aero.diagnosis.trajectories.results import FITTED, START, TrajectoryFit
+from bayes_aero.diagnosis.trajectories.results import FITTED, START, ProcessNoise, TrajectoryFit
 from bayes_aero.report.html.page import Table
 from bayes_aero.report.html.parts import number, plain_unit
 from bayes_aero.report.tables.comparison import decimals
+from bayes_aero.report.tables.run_tables import concise
 from bayes_aero.report.text.fly import parameter_rows, prior_words, remarks
 from bayes_aero.report.text.phrases import axis_label, bracket, for_people, short
 
@@ -157,3 +158,20 @@ def _bounds(lower: float, upper: float) -> str:
     if math.isinf(lower) or math.isinf(upper):
         return f"≥ {number(lower)}" if math.isinf(upper) else f"≤ {number(upper)}"
     return f"{number(lower)} to {number(upper)}"
+
+
+def process_noise(flown: TrajectoryFit, found: ProcessNoise) -> Table:
+    """Every parameter by output error and with process noise."""
+    fit = flown.fit
+    rows = [
+        (name, plain_unit(p.unit), concise(float(x), float(sd)), concise(*found.estimates[name]))
+        for name, p, x, sd in zip(fit.names, fit.parameters, fit.estimate, fit.sd_corrected, strict=True)
+        if name in found.estimates
+    ]
+    return Table(
+        "Parameters with and without process noise",
+        ("parameter", "unit", "output error", "with process noise"),
+        tuple(rows),
+        note="In brackets: the standard error in units of the last digit; for output error with autocorrelated "
+        "residuals, with process noise for white innovations.",
+    )

@@ -12,8 +12,8 @@ from bayes_aero.dynamics.segments import segments
 from bayes_aero.dynamics.system import advance
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood import disturbed
-from bayes_aero.inference.likelihood.disturbed import DisturbedStatus, fit_disturbed
+from bayes_aero.inference.likelihood import prediction_error
+from bayes_aero.inference.likelihood.prediction_error import PredictionErrorStatus, fit_prediction_error
 from bayes_aero.model.joined_channels import join
 
 TRUTH = {"Zw": -1.4249, "Zde": -6.2632, "Mw": -0.05, "Mq": -3.7067, "Mde": -12.78}  # as the unstable card, made stable
@@ -44,8 +44,8 @@ def flown():
 
 def test_the_truth_is_recovered(flown):
     """Every parameter within 3.5 standard errors; process and measurement noise within 3.5 of their own."""
-    found = fit_disturbed(flown, np.full(2, 0.2), 4.0 * R[[0, 1, 2]], priors=False)
-    assert found.status is DisturbedStatus.CONVERGED
+    found = fit_prediction_error(flown, np.full(2, 0.2), 4.0 * R[[0, 1, 2]], priors=False)
+    assert found.status is PredictionErrorStatus.CONVERGED
     order = [found.outputs.index(name) for name in ("w", "q", "az")]
     sd = np.sqrt(np.diag(found.covariance))
     for name, estimate, error in zip(found.names, found.estimate, found.sd, strict=True):
@@ -63,7 +63,7 @@ def test_the_truth_is_recovered(flown):
 
 def test_the_gradient_is_that_of_finite_differences(flown):
     point = np.array([*(0.9 * TRUTH[n] for n in flown.dynamics.names), *np.log(F), *np.log(R)])
-    problem = disturbed._Problem.of(flown.nameless, None, {}, F > 0.0, True)
+    problem = prediction_error._Problem.of(flown.nameless, None, {}, F > 0.0, True)
     gradient = problem.look(point).gradient
     for i, g in enumerate(gradient):
         h = 1e-5 * max(1.0, abs(point[i])) * (np.arange(len(point)) == i)
@@ -73,7 +73,7 @@ def test_the_gradient_is_that_of_finite_differences(flown):
 
 def test_without_process_noise_the_fit_says_so(flown):
     """F of 0 is held; the likelihood of a disturbed flight is far lower without it."""
-    still = fit_disturbed(flown, np.zeros(2), 20.0 * R, priors=False)
-    free = fit_disturbed(flown, F, R, priors=False)
+    still = fit_prediction_error(flown, np.zeros(2), 20.0 * R, priors=False)
+    free = fit_prediction_error(flown, F, R, priors=False)
     np.testing.assert_array_equal(still.F, 0.0)
     assert free.log_likelihood - still.log_likelihood > 100.0

@@ -1,4 +1,4 @@
-"""Parameters, process noise and measurement noise of a disturbed flight, jointly, by the likelihood of its innovations.
+"""Prediction error: parameters, process noise and measurement noise, jointly, by the likelihood of the innovations.
 
 The extended Kalman filter's gain varies with time, so that the initial state, missing samples and several sensor rates
 are counted for what they are. Fisher scoring on 1/2 sum (log S + e^2 / S) and the priors, with exact sensitivities of
@@ -31,7 +31,7 @@ LAST = 1e-3  # expected gain in log likelihood of the last step
 LEAST, MOST = 1e-12, 2.0  # of F and R; of the change of their logarithms in a step
 
 
-class DisturbedStatus(Enum):
+class PredictionErrorStatus(Enum):
     """How a fit ended."""
 
     CONVERGED = "converged"
@@ -40,7 +40,7 @@ class DisturbedStatus(Enum):
 
 
 @dataclass(frozen=True)
-class DisturbedResult:
+class PredictionErrorResult:
     """Estimates with standard errors: parameters (k,), process noise F (s,) and standard deviations of the measurement
     noise (c,); `covariance` (k + s + c) is of parameters, log F and log R, R the variances."""
 
@@ -53,7 +53,7 @@ class DisturbedResult:
     covariance: Float[np.ndarray, "j j"]
     log_likelihood: float
     found: Filtered
-    status: DisturbedStatus
+    status: PredictionErrorStatus
     iterations: int
 
     @property
@@ -100,7 +100,7 @@ def _look(flown, point, start_deviation, k, s):
     return cost, gradient, information
 
 
-def fit_disturbed(
+def fit_prediction_error(
     flown: SegmentTrajectories,
     F: Float[np.ndarray, " s"],
     R: Float[np.ndarray, " c"],
@@ -109,7 +109,7 @@ def fit_disturbed(
     start_deviation: Float[np.ndarray, " s"] | None = None,
     held: Mapping[str, float] | None = None,
     priors: bool = True,
-) -> DisturbedResult:
+) -> PredictionErrorResult:
     """Fit all segments together.
 
     Args:
@@ -131,7 +131,7 @@ def fit_disturbed(
     k, s, moving = problem.k, problem.s, problem.moving
     covariance = np.zeros((len(point), len(point)))
     covariance[np.ix_(moving, moving)] = np.linalg.pinv(here.information[np.ix_(moving, moving)], hermitian=True)
-    return DisturbedResult(
+    return PredictionErrorResult(
         tuple(p.name for p in free),
         flown.dynamics.states,
         flown.outputs,
@@ -209,15 +209,15 @@ class _Problem:
         return self.moving & ~low & ~((point >= self.bounds[:, 1]) & (gradient < 0.0))
 
 
-def _scored(problem: _Problem, point: Float[np.ndarray, " j"]) -> tuple[np.ndarray, _Seen, DisturbedStatus, int]:
+def _scored(problem: _Problem, point: Float[np.ndarray, " j"]) -> tuple[np.ndarray, _Seen, PredictionErrorStatus, int]:
     """Fisher scoring with Levenberg and Marquardt's damping: last point, what is seen there, status, steps."""
-    here, damping, steps, status = problem.look(point), 1e-3, 0, DisturbedStatus.NOT_CONVERGED
+    here, damping, steps, status = problem.look(point), 1e-3, 0, PredictionErrorStatus.NOT_CONVERGED
     while steps < MAX_ITERATIONS and math.isfinite(here.cost) and np.all(np.isfinite(here.information)):
         steps += 1
         inner = problem.inner(point, here.gradient)
         A, g = here.information[np.ix_(inner, inner)], -here.gradient[inner]
         if 0.5 * float(solve(A, g, 0.0) @ g) < LAST:
-            status = DisturbedStatus.CONVERGED
+            status = PredictionErrorStatus.CONVERGED
             break
         better = None
         for _ in range(12):
@@ -235,5 +235,5 @@ def _scored(problem: _Problem, point: Float[np.ndarray, " j"]) -> tuple[np.ndarr
         point, damping = better, max(1e-8, 0.1 * damping)
         here = problem.look(point)
     if not math.isfinite(here.cost):
-        status = DisturbedStatus.DIVERGED
+        status = PredictionErrorStatus.DIVERGED
     return point, here, status, steps
