@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +81,10 @@ def _verdict(unit: Unit, found: dict[str, Any]) -> str:
 
 def _results(unit: Unit, found: dict[str, Any]) -> Iterator[dict[str, Any]]:
     if unit.task == "fly":
-        return _estimates(found, {"output_error": "crb", "output_error_corrected": "sd_corrected"})
+        return chain(
+            _estimates(found, {"output_error": "crb", "output_error_corrected": "sd_corrected"}),
+            _estimates(_filtered(found), {"process_noise": "sd"}),
+        )
     return _causes(found) if unit.task == "diagnose" else _parameters(found)
 
 
@@ -100,6 +104,14 @@ def _estimates(found: dict[str, Any], methods: dict[str, str]) -> Iterator[dict[
                 "high95": value + 1.96 * sd if known else None,
                 "status": found.get("status"),
             }
+
+
+def _filtered(found: dict[str, Any]) -> dict[str, Any]:
+    """The estimates with process noise in the form of the others; nothing where they were not asked for."""
+    told = found.get("process_noise") or {}
+    units = {name: p["unit"] for name, p in found.get("parameters", {}).items()}
+    rows = {n: {"unit": units[n], "estimate": x, "sd": sd} for n, (x, sd) in told.get("estimates", {}).items()}
+    return {"parameters": rows, "status": told.get("status")}
 
 
 def _parameters(found: dict[str, Any]) -> Iterator[dict[str, Any]]:

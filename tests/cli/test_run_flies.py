@@ -53,6 +53,16 @@ def test_options_are_the_command_s():
     }  # a study has its own of these
 
 
+def test_process_noise_has_rows_of_its_own(program, folder):
+    (folder / "study.toml").write_text(STUDY.replace('"*.csv"', '"one.csv"') + "options.process_noise = true\n")
+    done = program("run", "study.toml")
+    assert done.code == 0, done.out + done.err
+    table = pd.read_csv(folder / "study_results" / "summary.csv")
+    rows = table[table["method"] == "process_noise"].set_index("parameter")
+    assert set(rows.index) == set(SHORT_PERIOD_TRUTH)
+    assert all(abs(rows["value"] - pd.Series(SHORT_PERIOD_TRUTH)) < 4.0 * rows["sd"])
+
+
 def test_linear_cards_fly_and_are_verified(program, folder):
     done = program("run", "study.toml")
     assert done.code == 0, done.out + done.err

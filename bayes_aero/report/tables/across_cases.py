@@ -17,6 +17,7 @@ from bayes_aero.report.text.phrases import bracket, for_people
 METHODS = {
     "mle_corrected": ("maximum likelihood, corrected bound", "crb_corrected"),
     "output_error_corrected": ("output error, corrected bound", "crb_corrected"),
+    "process_noise": ("prediction error with process noise, white innovations", "nuts"),
     "emcee": ("emcee", "emcee"),
     "nuts": ("NUTS", "nuts"),
     "mle": ("maximum likelihood, Cramér–Rao bound", "crb"),
