@@ -14,6 +14,7 @@ from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.diagnosis.view.models import view_of
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.inference.compiled_programs import full_of_programs, give_back_memory
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Forming, observe
 from bayes_aero.simulate.demo import simulate_stall
@@ -47,6 +48,12 @@ def _group(item) -> str:
         return "diagnosed"
     place = item.path.relative_to(TESTS).parts
     return place[0].removesuffix(".py")
+
+
+def pytest_runtest_teardown(nextitem):  # noqa: ARG001
+    """A worker that runs a third of the tests would compile more programs than Linux lets one process map."""
+    if full_of_programs():
+        give_back_memory()
 
 
 @pytest.fixture(scope="session")

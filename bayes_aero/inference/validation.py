@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import ctypes
-import gc
 import os
 import sys
 import time
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -18,6 +15,7 @@ from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from bayes_aero.errors import InputError
+from bayes_aero.inference.compiled_programs import give_back_memory
 from bayes_aero.inference.gp import GPFit, Priors, fit_gp
 from bayes_aero.inference.gp.fit import MAX_SAMPLES, too_many
 from bayes_aero.inference.identification import GPReport, Validation
@@ -151,17 +149,6 @@ def _processes(tasks: int, n: int) -> int:
     each = 8 * 8 * n**2 + 2**30
     free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") if sys.platform == "linux" else 2 * each
     return max(1, min(tasks, cores(), free // each))
-
-
-def give_back_memory() -> None:
-    """Return to the system what compilers and samplers have left: compiled programs that nobody calls again, and
-    glibc's free lists, over half a GB."""
-    jax.clear_caches()
-    gc.collect()
-    if sys.platform == "linux":
-        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # other C libraries have none
-        if trim is not None:
-            trim(0)
 
 
 class _Task(NamedTuple):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+import sys
 import time
 import traceback
 from collections.abc import Callable, Mapping
@@ -91,7 +92,13 @@ def run_unit(
     A pure function of its description and the files it names, fit to be sent to another process. Returns name, state,
     seconds and error. A disk on which nothing can be written is no failure of the unit: it is told, and nothing stays.
     """
-    return _made(Unit.of_json(given), Path(folder), lambda unit, out: _attempt(unit, out, task or perform, progress))
+    found = _made(Unit.of_json(given), Path(folder), lambda unit, out: _attempt(unit, out, task or perform, progress))
+    if "jax" in sys.modules:
+        from bayes_aero.inference.compiled_programs import full_of_programs, give_back_memory
+
+        if full_of_programs():  # units of many shapes compile many programs
+            give_back_memory()
+    return found
 
 
 def fail_unit(given: Mapping[str, Any], folder: str, error: str) -> dict[str, Any]:

@@ -19,6 +19,7 @@ import psutil
 from jax.experimental.compilation_cache import compilation_cache
 
 from bayes_aero.errors import InputError
+from bayes_aero.inference import compiled_programs
 from bayes_aero.inference.threads import VARIABLE as CORES
 from bayes_aero.jobs.io.atomic_write import beside, host, sweep
 from bayes_aero.jobs.provenance.environment import environment
@@ -86,13 +87,7 @@ def work(given: Mapping[str, Any], folder: str, driver: Driver, memory: int | No
         finally:
             sys.argv = before
             if memory and psutil.Process().memory_info().rss > FULL_SHARE * memory:
-                _forget()
-
-
-def _forget() -> None:
-    from bayes_aero.inference.validation import give_back_memory  # here, since it is slow to import
-
-    give_back_memory()
+                compiled_programs.give_back_memory()
 
 
 @cache

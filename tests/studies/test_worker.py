@@ -52,7 +52,7 @@ def test_a_folder_that_is_not_shared_is_told(driver):
 
 def test_what_is_compiled_is_forgotten_when_memory_runs_short(driver, monkeypatch):
     forgot = []
-    monkeypatch.setattr("bayes_aero.inference.validation.give_back_memory", lambda: forgot.append(True))
+    monkeypatch.setattr("bayes_aero.inference.compiled_programs.give_back_memory", lambda: forgot.append(True))
     work({"name": "one"}, "", driver, 1 << 50)
     work({"name": "one"}, "", driver, None)
     assert not forgot
@@ -79,7 +79,7 @@ def test_a_worker_keeps_to_the_cores_that_it_is_given(monkeypatch):
     assert 1 <= cores() <= (os.cpu_count() or 1)
 
 
-WORKER = "from bayes_aero.jobs import worker; worker._settled()\n"
+WORKER = "from bayes_aero.study import worker; worker._settled()\n"
 COMMAND = """import sys; from bayes_aero.cli import main; sys.argv[1:] = ["--version"]
 try: main()
 except SystemExit: pass

@@ -8,7 +8,7 @@ from arviz_stats.base import array_stats
 from jax.scipy.stats import multivariate_normal
 from numpyro.infer import MCMC, NUTS
 
-from bayes_aero.inference import validation
+from bayes_aero.inference.compiled_programs import give_back_memory
 from bayes_aero.inference.gp import posterior as course
 from bayes_aero.inference.gp.optimum import find_map
 from bayes_aero.inference.gp.posterior import Budget, sample_posterior
@@ -101,7 +101,7 @@ def test_it_samples_as_before_after_compiled_programs_were_given_back():
     best = find_map(data, Priors(), starts=2, polish=1)[0]
     tiny = Budget(design=20, exact=20, rounds=1, extensions=0, nuts=Settings(10, 10, 2))
     before = sample_posterior(best, data, Priors(), budget=tiny, seed=1)
-    validation.give_back_memory()
+    give_back_memory()
     after = sample_posterior(best, data, Priors(), budget=tiny, seed=1)
     np.testing.assert_array_equal(after.chains.theta, before.chains.theta)
 
