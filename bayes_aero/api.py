@@ -217,6 +217,7 @@ def diagnose(
     settings: DiagnosisSettings | None = None,
     seed: int = 0,
     max_effects: int | None = None,
+    process_noise: bool = False,
 ) -> Diagnosed:
     """Find the effects that a model lacks.
 
@@ -230,6 +231,7 @@ def diagnose(
         settings: every threshold of the diagnosis; None: the defaults.
         seed: of the noise replicates.
         max_effects: most effects that each stage adds; None: as the settings say.
+        process_noise: True estimates gusts and compares the model with innovations.
 
     Returns:
         The diagnosis; sizes in SI and radians.
@@ -241,7 +243,8 @@ def diagnose(
     if max_effects is not None:
         settings = replace(settings, max_effects=max_effects)
     own = _card(card)
-    found = run_diagnosis(records, own, model=model, extra=candidates, settings=settings, seed=seed)
+    asked = {"settings": settings, "seed": seed, "process_noise": process_noise}
+    found = run_diagnosis(records, own, model=model, extra=candidates, **asked)
     return Diagnosed(view_of(found), own)
 
 

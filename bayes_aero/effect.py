@@ -44,16 +44,19 @@ class Stage(IntEnum):
     CHANNEL effects get whole recorded channels (all manoeuvres end to end) as `signals` and return what to add to
     them to correct the record. `signals` also has `dt`, `start`, `elapsed` (s since the start of
     the manoeuvre) and `first`, `last` (index of its first and last sample). AIRCRAFT effects return what to add to
-    fields of the aircraft. All other stages build `Known`, sample by sample.
+    fields of the aircraft. INFLOW effects return what moving air adds to `alpha` and `airspeed` of the flight over
+    ground; a simulation alone asks them, for a record holds the flow itself. All other stages build `Known`, sample by
+    sample.
     """
 
     CHANNEL = -1  # sensors, winds, thrust: errors of the record
     AIRCRAFT = 0  # mass properties: errors of the card
-    INCIDENCE = 1  # the angle of attack that acts on the separation point
-    SEPARATION = 2  # the static separation point
-    LAG = 3  # its dynamics
-    ATTACHED = 4  # forces and moments of the attached flow
-    TOTAL = 5  # what depends on separation or on the attached lift
+    INFLOW = 1  # motion of the air
+    INCIDENCE = 2  # the angle of attack that acts on the separation point
+    SEPARATION = 3  # the static separation point
+    LAG = 4  # its dynamics
+    ATTACHED = 5  # forces and moments of the attached flow
+    TOTAL = 6  # what depends on separation or on the attached lift
 
 
 NEUTRAL_FLOW = {"X": 1.0, "CL_attached": 0.0, "CL": 0.0, "CD": 0.0, "Cm": 0.0}
@@ -74,6 +77,20 @@ class Example:
     known: Mapping[str, float] | None = None
 
 
+@dataclass(frozen=True)
+class Disturbance:
+    """A random process of first order that disturbs the flight, x-dot = -rate x + white noise; a state of the filter.
+
+    `state` names it and `unit` is its unit; the parameter `intensity` is its standard deviation. `rate(values, signals,
+    aircraft)` is one over its correlation time, 1/s. The effect that it belongs to reads x among its signals.
+    """
+
+    state: str
+    unit: str
+    intensity: str
+    rate: Callable[[Values, Mapping[str, Any], Aircraft], Any]
+
+
 @dataclass(frozen=True, eq=False)
 class Effect:
     """One physical cause. Two effects are equal only if they are the same object, so a model is hashable.
@@ -89,6 +106,7 @@ class Effect:
     `together` states that the channels enter as one product or sum only, so the effect is testable wherever this
     product or sum moves: thrust over dynamic pressure, the mean of two spoilers.
     `candidate` states whether diagnosis may propose it; terms that replace others at one trim are for cards only.
+    `disturbance`: the random process that it consists of, for a filter to follow; None for what is no noise.
     """
 
     name: str
@@ -105,6 +123,7 @@ class Effect:
     scan: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     together: bool = False
     candidate: bool = True
+    disturbance: Disturbance | None = None
 
     @property
     def neutral_values(self) -> dict[str, float]:

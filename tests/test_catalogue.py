@@ -29,7 +29,8 @@ def signals(n=64, seed=0):
         "beta": rng.normal(0, 0.05, n), "density": rng.uniform(0.6, 1.2, n), "thrust": rng.uniform(2e3, 2e4, n),
         "altitude": rng.uniform(4900, 5100, n), "az": rng.normal(-9.8, 1.0, n),
     }  # fmt: skip
-    s = {name: rng.normal(0, 0.1, n) for name in STANDARD_CHANNELS} | s
+    gusts = {d.state: rng.normal(0, 1.0, n) for e in CATALOGUE.values() if (d := e.disturbance) is not None}
+    s = {name: rng.normal(0, 0.1, n) for name in STANDARD_CHANNELS} | gusts | s
     s = {key: jnp.asarray(value) for key, value in s.items()}
     index = np.arange(n)
     return s | {
@@ -80,7 +81,7 @@ def test_derivatives_are_finite(effect, which):
 
     gradient = jax.grad(total)(values(effect, which))
     assert all(np.isfinite(float(g)) for g in gradient.values())
-    if which == "start":
+    if which == "start" and effect.disturbance is None:  # whose parameters act through its process
         assert all(float(gradient[p.name]) != 0.0 for p in effect.parameters)
 
 
@@ -153,7 +154,11 @@ def test_it_reads_only_the_channels_it_names(effect):
 def test_increments_fit_what_they_are_added_to(effect):
     s = signals()
     found = effect.increments(values(effect, "start"), s, AIRCRAFT, known(s))
-    shape = {Stage.CHANNEL: lambda k: s[k].shape, Stage.AIRCRAFT: lambda k: np.shape(getattr(AIRCRAFT, k))}
+    shape = {
+        Stage.CHANNEL: lambda k: s[k].shape,
+        Stage.INFLOW: lambda k: s[k].shape,
+        Stage.AIRCRAFT: lambda k: np.shape(getattr(AIRCRAFT, k)),
+    }
     for key, increment in found.items():
         expected = shape.get(effect.stage, lambda k: known(s)[k].shape)(key)
         assert np.shape(jnp.asarray(increment)) == expected

@@ -49,6 +49,9 @@ def diagnose(
         bool, typer.Option(help="Simulate the card's and the extended model with the recorded inputs.")
     ] = True,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
+    process_noise: Annotated[
+        bool, typer.Option("--process-noise", help="Estimate gusts, and search in what a filter does not foresee.")
+    ] = False,
     json: JsonOption = False,
 ) -> None:
     """Find the effects that a model lacks: size, uncertainty, rivals, and the gain on hold-out data.
@@ -65,7 +68,7 @@ def diagnose(
         if not records:
             console.print("No record given: an effect is hidden in two simulated manoeuvres, then searched for.")
             hidden, flights = hide_one(card, seed)
-        options = DiagnoseOptions(seed, max_effects, predictors, trajectories, figures)
+        options = DiagnoseOptions(seed, max_effects, predictors, trajectories, figures, process_noise)
         found = diagnose_records(flights, card, options, out=out, hidden=hidden, progress=tell)
     corrects = found.diagnosis.by_coefficients  # trajectories alone are fitted to the record as it is
     if json:

@@ -105,7 +105,7 @@ def candidate_model(
             continue
         if missing:
             not_testable[effect.name] = f"channel {', '.join(missing)} was not recorded"
-        elif still and effect.stage >= 1:
+        elif still and effect.stage > Stage.AIRCRAFT:
             not_testable[effect.name] = f"channel {', '.join(still)} does not move in this record"
             if not lacking and effect.parameters and effect not in absent:
                 idle.append(effect)  # it stays in the compiled model, so that records do not differ by it

@@ -22,6 +22,7 @@ from bayes_aero.diagnosis.selection.cross_validation import (
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, implausible, own_share
 from bayes_aero.diagnosis.selection.search_coefficients import search_coefficients
+from bayes_aero.diagnosis.selection.search_innovations import search_innovations
 from bayes_aero.diagnosis.selection.search_result import SearchResult, lacking
 from bayes_aero.diagnosis.selection.search_trajectories import search_trajectories
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
@@ -47,14 +48,17 @@ def diagnose(
     seed: int = 0,
     extra: Sequence[Effect] = (),
     gains_wanted: bool = True,
+    process_noise: bool = False,
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Find what the card's model gets wrong on `records`; `settings` hold every threshold.
 
-    The model is compared with coefficients, or with trajectories where no accelerometer gives those. `gains_wanted`
-    False leaves out the refits on left-out data (for studies of naming alone).
+    The model is compared with coefficients, or with trajectories where no accelerometer gives those; with
+    `process_noise` it is compared with innovations, in gusts. `gains_wanted` False leaves out the refits on left-out
+    data (for studies of naming alone).
     """
     search = search_trajectories if lacking(records, card) else search_coefficients
+    search = search_innovations if process_noise else search
     known = (*own_effects(card.effect_files).values(), *extra)
     found = search(records, card, model or Model.from_card(card), known, settings, seed=seed, progress=progress)
     ask = gains_wanted and found.testable_now
@@ -81,6 +85,7 @@ def diagnose(
         together=together_of(found.stages, causes),
         beyond=beyond,
         tested=tested,
+        compared=found.stages[-1][0],
     )
 
 
@@ -189,6 +194,8 @@ def _gains_of(
         after = LeftOut.refitted(truncated(state, (*nuisances, *_sure(causes, number, kept), name)))
         pairs[name] = before, after
         before = after if name in kept else before
+    if extension is aerodynamics and state.outputs != NAMES:  # no coefficients to score
+        return {n: Gain(*holdout_gain(*pair, state), split_name(state), {}, {}) for n, pair in pairs.items()}
     if state.outputs != NAMES:
         return _sensor_gains(extension, aerodynamics, kept, pairs)
     measured = measured_blocks(state)

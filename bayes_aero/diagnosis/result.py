@@ -16,7 +16,7 @@ from bayes_aero.inference.scores import Scores
 from bayes_aero.parameter import Parameter
 
 FLIGHT_PATH = "flight path"  # the stage of sensors and winds
-COEFFICIENTS, TRAJECTORIES = "coefficients", "trajectories"  # stages of the model itself
+COEFFICIENTS, TRAJECTORIES, INNOVATIONS = "coefficients", "trajectories", "innovations"  # stages of the model itself
 LIKELY = 0.5  # probability beyond which a cause is likelier than all else together
 
 
@@ -190,11 +190,12 @@ class Diagnosis:
     together: tuple[CancellingPair, ...] = ()  # pairs of causes of which the record knows one combination alone
     beyond: tuple[Cause, ...] = ()  # errors larger than any sensor has: no causes, but in the model where confirmed
     tested: Tested | None = None  # of a diagnosis by trajectories alone
+    compared: str = COEFFICIENTS  # with what the model was compared: the name of its stage
 
     @property
     def by_coefficients(self) -> bool:
-        """Whether the model was compared with coefficients; otherwise with trajectories alone."""
-        return self.tested is None
+        """Whether the model was compared with coefficients; otherwise with trajectories alone or innovations."""
+        return self.compared == COEFFICIENTS
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -41,6 +41,11 @@ class Dynamics(ABC):
         """The free parameters, in the order of every parameter vector."""
 
     @property
+    def of_disturbances(self) -> frozenset[str]:
+        """Names of the free parameters that belong to disturbances."""
+        return frozenset()
+
+    @property
     @abstractmethod
     def states(self) -> tuple[str, ...]:
         """Names of the states."""
@@ -116,20 +121,25 @@ class AircraftDynamics(Dynamics):
         """The model's."""
         return self.model.free
 
+    @property
+    def of_disturbances(self) -> frozenset[str]:
+        """Those of gusts."""
+        return frozenset(p.name for e in self.model.acting if e.disturbance is not None for p in e.parameters)
+
     @cached_property
     def _pattern(self) -> Longitudinal:
         return Longitudinal(self.model, {}, NO_AIRCRAFT, self.altitude)
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Flight states, and X where it lags."""
+        """Flight states, gusts, and X where it lags."""
         return self._pattern.states
 
     @property
     def inputs(self) -> tuple[str, ...]:
         """What the effects ask for and the simulation does not make itself."""
         made = {*self.states, *DERIVED, *LATERAL, "dt", "start", "elapsed", "first", "last"}
-        acting = [e for e in self.model.acting if e.stage > Stage.AIRCRAFT]
+        acting = [e for e in self.model.acting if e.stage > Stage.INFLOW]
         return tuple(dict.fromkeys(c for e in acting for c in e.channels if c not in made))
 
     @property
@@ -196,7 +206,7 @@ def aircraft_dynamics(model: Model, flights: Flights, outputs: Sequence[str] = (
         *(f"{name}_dot" for name in ("p", "r") if name in flights.channels),
     }
     have |= {"density", "mach"} if "altitude" in have else set()
-    asked = [c for e in model.acting for c in e.channels]
+    asked = [c for e in model.acting if e.disturbance is None for c in e.channels]
     missing = [name for name in (*FLIGHT, "thrust", "density", *asked) if name not in have]
     if missing:
         other = ", or altitude" if missing[0] in ("density", "mach") else ""

@@ -1,8 +1,9 @@
 """The aircraft flown through recorded inputs: longitudinal equations of motion with the effects of any model.
 
-States airspeed, alpha, theta, q, altitude and, where the separation point lags, X. What the aircraft does laterally is
-prescribed as recorded: p, r, beta, phi and the lateral specific force, which follows from the others where no
-accelerometer gives it. Flat earth, air mass at rest.
+States airspeed, alpha, theta, q, altitude, the gusts of the model and, where the separation point lags, X. What the
+aircraft does laterally is prescribed as recorded: p, r, beta, phi and the lateral specific force, which follows from
+the others where no accelerometer gives it. Flat earth. In gusts airspeed and alpha are states over ground; vane, pitot
+tube and aerodynamics have those of the flow. A gust is the same over the whole aircraft, and does not turn it.
 """
 
 from __future__ import annotations
@@ -51,8 +52,14 @@ class Longitudinal(System):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Flight states, and X where it lags."""
-        return (*FLIGHT, *(("altitude",) if self.altitude else ()), *(("X",) if self.lagged else ()))
+        """Flight states, gusts, and X where it lags."""
+        gusts = tuple(d.state for d in self.model.disturbances)
+        return (*FLIGHT, *(("altitude",) if self.altitude else ()), *gusts, *(("X",) if self.lagged else ()))
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """All, but in gusts vane and pitot tube show the flow."""
+        return tuple(name for name in self.states if not (self.model.disturbances and name in ("airspeed", "alpha")))
 
     @property
     def envelope(self) -> Mapping[str, tuple[float, float]]:
@@ -69,6 +76,8 @@ class Longitudinal(System):
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
         """Derivative of the state, and everything that can be measured."""
         state, s = self._signals(x, u)
+        over_ground = {name: state[name] for name in ("airspeed", "alpha")}
+        decay, gust_rate = self._gusts(state, s)
         pressure = 0.5 * s["density"] * jnp.square(s["airspeed"])
         nothing = jnp.zeros_like(s["alpha"])
         lateral = {name: u.get(name, nothing) for name in LATERAL}
@@ -78,9 +87,9 @@ class Longitudinal(System):
 
         def path(rate):
             """Flow at this alpha-dot, the specific force at the CG and the flight path's motion that follows."""
-            known = self._flow(state, s | {"alpha_dot": rate})
+            known = self._flow(state, s | {"alpha_dot": rate + gust_rate})
             fx, fz = specific_force(known["CL"], known["CD"], s["alpha"], pressure, s["thrust"], self.aircraft)
-            moving, side = lateral | s, nothing
+            moving, side = lateral | s | over_ground, nothing
             if "ay" in u:
                 side = lateral["ay"] - side_arm
             elif "beta_dot" in u:
@@ -97,11 +106,13 @@ class Longitudinal(System):
         derivative = [moved["airspeed"], rate, moved["theta"], q_dot]
         if self.altitude:
             derivative.append(moved["altitude"])
+        derivative += decay
         if self.lagged:
-            static = self.model.static_separation(self.values, s | {"alpha_dot": rate}, self.aircraft)
+            static = self.model.static_separation(self.values, s | {"alpha_dot": rate + gust_rate}, self.aircraft)
             lag = jnp.maximum(self.model.lag(self.values), LEAST_LAG) * self.aircraft.chord / s["airspeed"]
             derivative.append((static - state["X"]) / lag)
-        outputs = state | {"ax": fx + arm_x, "az": fz + arm_z, "q_dot": q_dot, "alpha_dot": rate, "X": known["X"]}
+        outputs = state | {name: s[name] for name in ("airspeed", "alpha")}
+        outputs |= {"ax": fx + arm_x, "az": fz + arm_z, "q_dot": q_dot, "alpha_dot": rate + gust_rate, "X": known["X"]}
         return jnp.stack(derivative), outputs | dict(zip(("CL", "CD", "Cm"), total, strict=True))
 
     def settled(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
@@ -112,10 +123,43 @@ class Longitudinal(System):
         static = self.model.static_separation(self.values, s | {"alpha_dot": jnp.zeros_like(s["alpha"])}, self.aircraft)
         return x.at[-1].set(static)
 
+    def noise_density(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
+        """Of the gusts: twice their variance over their correlation time."""
+        power = {d.state: 2.0 * jnp.square(self.values[d.intensity]) for d in self.model.disturbances}
+        return self.decay(x, u) * jnp.stack([jnp.asarray(power.get(name, 0.0)) for name in self.states])
+
+    def decay(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
+        """Of the gusts: one over their correlation time."""
+        _, s = self._signals(x, u)
+        rate = {d.state: d.rate(self.values, s, self.aircraft) for d in self.model.disturbances}
+        return jnp.stack([rate.get(name, jnp.zeros_like(x[0])) for name in self.states])
+
+    def start_covariance(self, x: Float[Array, " s"], u: Row, deviation: Float[Array, " s"]) -> Float[Array, "s s"]:
+        """Gusts begin anywhere in their stationary distribution; the flow was measured, the motion over ground not."""
+        intensity = {d.state: self.values[d.intensity] for d in self.model.disturbances}
+        spread = jnp.stack([intensity.get(name, y) for name, y in zip(self.states, deviation, strict=True)])
+        places = jnp.array([self.states.index(name) for name in ("airspeed", "alpha")])
+
+        def flow(x):
+            _, s = self._signals(x, u)
+            return x.at[places].set(jnp.stack([s["airspeed"], s["alpha"]]))
+
+        factor = jnp.linalg.solve(jax.jacfwd(flow)(x), jnp.diag(spread))
+        return factor @ factor.T
+
+    def _gusts(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> tuple[list[Any], Any]:
+        """Mean rates of the gust states, and that of alpha which they bring; their white noise has no rate."""
+        gusts = {d.state: state[d.state] for d in self.model.disturbances}
+        decay = {d.state: -d.rate(self.values, s, self.aircraft) * state[d.state] for d in self.model.disturbances}
+        over_ground = dict(s) | {name: state[name] for name in ("airspeed", "alpha")}
+        alpha = lambda g: self.model.inflow(self.values, over_ground | g, self.aircraft)["alpha"]  # noqa: E731
+        return list(decay.values()), jax.jvp(alpha, (gusts,), (decay,))[1] if gusts else jnp.zeros_like(s["alpha"])
+
     def _signals(self, x: Float[Array, " s"], u: Row) -> tuple[dict[str, Any], dict[str, Any]]:
-        """The state by name, and what effects may depend on by the names of the recorded channels."""
+        """The state by name, and what effects may depend on, of the flow, by the names of the recorded channels."""
         state = dict(zip(self.states, x, strict=True))
         s = dict(u) | {name: value for name, value in state.items() if name != "X"}
+        s |= self.model.inflow(self.values, s, self.aircraft)
         if "density" not in s:
             s["density"] = air(s["altitude"])[0]
         if "sound" in u or "altitude" in s:

@@ -32,13 +32,30 @@ class System(eqx.Module):
         """States that must stay within bounds; beyond them a simulation stops."""
         return {}
 
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """States that are outputs as they are."""
+        return self.states
+
     @abstractmethod
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
-        """Derivative of the state, and outputs by name, from state and inputs; one named as a state is that state."""
+        """Derivative of the state, and outputs by name, from state and inputs; those `shown` need not be among them."""
 
     def settled(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:  # noqa: ARG002
         """The state in which a manoeuvre begins, given what was measured; states without a sensor are filled in."""
         return x
+
+    def noise_density(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:  # noqa: ARG002
+        """Spectral density of the white noise that drives each state, (s,): unit of the state squared, per second."""
+        return jnp.zeros_like(x)
+
+    def decay(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:  # noqa: ARG002
+        """Rate (s,), 1/s, of states that are random processes of their own; 0 of the others."""
+        return jnp.zeros_like(x)
+
+    def start_covariance(self, x: Float[Array, " s"], u: Row, deviation: Float[Array, " s"]) -> Float[Array, "s s"]:  # noqa: ARG002
+        """Covariance of the state in which a manoeuvre begins; `deviation` (s,): of what was measured of it."""
+        return jnp.diag(jnp.square(deviation))
 
 
 class Trajectory(NamedTuple):
@@ -107,7 +124,7 @@ def _flight(system, start, inputs, *, dt, substeps, outputs, held):
     last = x[jnp.maximum(jnp.sum(inside) - 1, 0)]
     x = jnp.where(inside[:, None], x, last)
     found = jax.vmap(lambda x, u: motion(system, x, u)[1])(x, inputs)
-    found |= {name: x[:, i] for i, name in enumerate(system.states)}
+    found |= {name: x[:, i] for i, name in enumerate(system.states) if name in system.shown}
     return x, {name: found[name] for name in outputs}, inside
 
 

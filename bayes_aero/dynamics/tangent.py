@@ -119,7 +119,7 @@ def _along(
     t_first = {name: jnp.moveaxis(t, -1, 0) for name, t in t_inputs.items()}
     t_u = {name: jnp.moveaxis(t, 1, -1) for name, t in at(t_first, later(t_first, held)).items()}  # m w n d
     points = _stage_points(system, x, u, h, table)
-    read = tuple(name for name in outputs if name not in system.states)
+    read = tuple(name for name in outputs if name not in system.shown)
     moving, still = eqx.partition(system, jax.tree.map(lambda t: t is not None, t_system, is_leaf=lambda t: t is None))
 
     def own(x, u):

@@ -12,7 +12,7 @@ import numpy as np
 
 from bayes_aero.diagnosis.consistency.consistency import errors_of_diagnosis
 from bayes_aero.diagnosis.diagnose import diagnose, judged_on_held_out_flights
-from bayes_aero.diagnosis.result import Diagnosis
+from bayes_aero.diagnosis.result import TRAJECTORIES, Diagnosis
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.diagnosis.trajectories.noise_check import with_tested
 from bayes_aero.diagnosis.view.models import view_of
@@ -89,13 +89,13 @@ def diagnose_records(
     """
     if out is not None:
         writable(out)
-    source = provenance(card, records, options.seed, {"max_effects": options.max_effects})
+    source = provenance(card, records, options.seed, _told(options))
     source[RESTS_ON] = digest(rests_on(source, records) | {"settings": source["settings"]})
     unfinished = ResumeStore(out, source[RESTS_ON])
     if progress:
         progress("do the sensors agree?", 0.0)
-    settings = DiagnosisSettings(max_effects=options.max_effects)
-    found = diagnose(records, card, settings=settings, seed=options.seed, progress=progress)
+    settings, noise = DiagnosisSettings(max_effects=options.max_effects), options.process_noise
+    found = diagnose(records, card, settings=settings, seed=options.seed, process_noise=noise, progress=progress)
     alone = not found.by_coefficients
     options = replace(options, predictors=options.predictors and not alone)
     known = None if alone else errors_of_diagnosis(found)
@@ -112,6 +112,11 @@ def diagnose_records(
     if not kept.outcome.failures:  # else the same command does again what failed
         unfinished.end()
     return kept.outcome
+
+
+def _told(options: DiagnoseOptions) -> dict[str, Any]:
+    """The settings on which the search rests."""
+    return {"max_effects": options.max_effects} | ({"process_noise": True} if options.process_noise else {})
 
 
 def _stages(
@@ -133,7 +138,7 @@ def _stages(
                 "Trajectories were not simulated",
                 lambda: kept.trajectories(simulations(diagnosis, card, records, options.seed, progress)),
             )
-        if not diagnosis.by_coefficients:
+        if diagnosis.compared == TRAJECTORIES:
             kept.judged(_judged(kept.outcome.view, records, card))
             if not options.trajectories and diagnosis.causes:
                 kept.note("Without trajectories no cause was tested on hold-out flights.")

@@ -27,7 +27,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
-from bayes_aero.jobs.io.fly_json import RESULTS, Flight, fly_results
+from bayes_aero.jobs.io.fly_json import RESULTS, Flight, fly_results, gust_frame
 from bayes_aero.jobs.io.output_folder import writable
 from bayes_aero.jobs.io.time_histories import flights, put_histories
 from bayes_aero.jobs.options import FREE, LINEAR, FlyOptions
@@ -41,6 +41,7 @@ from bayes_aero.model.observations import observe
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import draw_all
 from bayes_aero.report.figures.fly import fly_figures
+from bayes_aero.report.figures.gusts import gusts
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.fly import FlyTold, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES
@@ -184,6 +185,8 @@ def _written(
         return more
 
     write_csv(parameter_frame(found.flown), out / "parameters.csv")
+    if found.process_noise is not None and found.process_noise.histories:
+        write_csv(gust_frame(found.process_noise), out / "gusts.csv")
     together = [replace(path, split=FITTED) for path in found.flown.paths]  # first values and fit side by side
     found = noted((), ())
     failed = put_histories(lambda: flights(together, found.flown.units), out)
@@ -191,6 +194,9 @@ def _written(
     drawn: list[Path] = []
     if figures:
         drawn, failed = draw_all(fly_figures(found.flown), found.flown, out / "figures", progress)
+        if found.process_noise is not None:
+            met, more = draw_all({"gusts": gusts}, found.process_noise, out / "figures")
+            drawn, failed = [*drawn, *met], (*failed, *more)
         many = len(records) > MOST_MANOEUVRES
         said = [f"Figures are drawn for up to {MOST_MANOEUVRES} manoeuvres."] if many else []
         found = noted(said, failed) if said or failed else found

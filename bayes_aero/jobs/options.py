@@ -57,7 +57,8 @@ class DiagnoseOptions:
     """What a diagnosis may be told.
 
     `max_effects` is the number of effects that each stage may add. `predictors` adds the comparison of predictors and
-    the manoeuvres that would separate ambiguity sets, `trajectories` simulated ones.
+    the manoeuvres that would separate ambiguity sets, `trajectories` simulated ones. With `process_noise`
+    the model is compared with innovations, in gusts, instead of coefficients.
     """
 
     seed: int = 0
@@ -65,6 +66,7 @@ class DiagnoseOptions:
     predictors: bool = True
     trajectories: bool = True
     figures: bool = True
+    process_noise: bool = False
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Any
 from jaxtyping import Float
 
 from bayes_aero.arrays import Array, namespace, xp
-from bayes_aero.effect import NEUTRAL_FLOW, Effect, Known, Stage
+from bayes_aero.effect import NEUTRAL_FLOW, Disturbance, Effect, Known, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
@@ -129,6 +129,11 @@ class Model:
         """Names of the parameters with a role, of effects that act."""
         return tuple(p.name for effect in self.acting for p in effect.parameters if p.role is role)
 
+    @cached_property
+    def disturbances(self) -> tuple[Disturbance, ...]:
+        """Random processes of the effects that act."""
+        return tuple(e.disturbance for e in self.acting if e.disturbance is not None)
+
     def break_angle(self, values: Mapping[str, Any]) -> float:
         """Angle of attack at which the flow separates, rad: infinite where it never does; the least of several."""
         return min((float(values[name]) for name in self.playing(Role.BREAK_ANGLE)), default=math.inf)
@@ -158,6 +163,11 @@ class Model:
         """The card's aircraft with the increments of all effects of stage AIRCRAFT; positions add by coordinates."""
         card = {f.name: getattr(aircraft, f.name) for f in fields(aircraft)}
         return Aircraft(**self._run((Stage.AIRCRAFT,), card, values, {}, aircraft))
+
+    def inflow(self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft) -> dict[str, Any]:
+        """`alpha` and `airspeed` of the flow, from those over ground and the gusts among `signals`: stage INFLOW."""
+        over_ground = {name: signals[name] for name in ("alpha", "airspeed")}
+        return self._run((Stage.INFLOW,), over_ground, values, signals, aircraft)
 
     def static_separation(self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft) -> Any:
         """The separation point that a steady flow would have: every stage before its lag."""

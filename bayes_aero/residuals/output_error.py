@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Self
 
 import equinox as eqx
 import jax
@@ -49,7 +49,7 @@ class OutputError(ResidualModel, eqx.Module):
         return eqx.tree_at(lambda f: f.flights, self.windows, self.flights)
 
     @property
-    def _nameless(self) -> OutputError:
+    def _nameless(self) -> Self:
         return replace(self, flights=self.flights.nameless, windows=self.windows.nameless)
 
     @property
@@ -105,26 +105,26 @@ class OutputError(ResidualModel, eqx.Module):
             S[mine, :, w * s : (w + 1) * s] = np.moveaxis(slope[:, mine], 0, 2)
         return S
 
-
-def _residual(responses: OutputError, theta: Any, shared: Any) -> Float[Array, "m c"]:
-    found = simulate(responses.flown, theta, jnp.zeros((len(responses.windows.index), 1)) + shared)
-    return responses._mean(found.residual)
+    def residual(self, theta: Any, shared: Any) -> Float[Array, "m c"]:
+        """At these parameters; every window's initial state departs by `shared` (s,)."""
+        found = simulate(self.flown, theta, jnp.zeros((len(self.windows.index), 1)) + shared)
+        return self._mean(found.residual)
 
 
 @eqx.filter_jit
 def _evaluate(responses: OutputError, theta):
-    return _residual(responses, theta, jnp.zeros(len(responses.windows.dynamics.states)))
+    return responses.residual(theta, jnp.zeros(len(responses.windows.dynamics.states)))
 
 
 @eqx.filter_jit
 def _slopes(responses: OutputError, theta, directions):
     rest = jnp.zeros(len(responses.windows.dynamics.states))
-    one = lambda d: jax.jvp(lambda t: _residual(responses, t, rest), (theta,), (d,))  # noqa: E731
+    one = lambda d: jax.jvp(lambda t: responses.residual(t, rest), (theta,), (d,))  # noqa: E731
     return jax.vmap(one, out_axes=(None, 0))(directions)
 
 
 @eqx.filter_jit
 def _state_slopes(responses: OutputError, theta):
     rest = jnp.zeros(len(responses.windows.dynamics.states))
-    one = lambda d: jax.jvp(lambda x: _residual(responses, theta, x), (rest,), (d,))[1]  # noqa: E731
+    one = lambda d: jax.jvp(lambda x: responses.residual(theta, x), (rest,), (d,))[1]  # noqa: E731
     return jax.vmap(one)(jnp.eye(len(rest)))

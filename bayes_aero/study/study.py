@@ -40,8 +40,8 @@ OPTIONS: dict[str, dict[str, type]] = {
         "coefficients": str,
     },
     "diagnose": {
-        "max_effects": int, "predictors": bool, "trajectories": bool, "figures": bool, "resample": float,
-        "split": bool,
+        "max_effects": int, "predictors": bool, "trajectories": bool, "figures": bool,
+        "process_noise": bool, "resample": float, "split": bool,
     },
     "fly": {
         "windows": float, "initial_state": str, "priors": bool, "outputs": str, "inputs": str, "figures": bool,

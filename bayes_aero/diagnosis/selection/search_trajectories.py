@@ -65,7 +65,7 @@ def search_trajectories(
     if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
         raise InputError(f"card {card.name}: {fit.status.value}")
     whole = candidate_model(model, flights, extra, settings)
-    state = _state(_without_lags(whole), flights, base.altitude, dict(zip(fit.names, fit.estimate, strict=True)))
+    state = _state(without_lags(whole), flights, base.altitude, dict(zip(fit.names, fit.estimate, strict=True)))
     found = forward_selection(state, seed=seed, progress=progress)
     if found.state.active:
         found = _with_lag(whole, found, seed, progress) or found
@@ -78,7 +78,7 @@ def search_trajectories(
     if still := taken_as_zero(flights):
         notes.append(f"Not recorded, and taken as zero: {', '.join(still)}.")
     stages = ((TRAJECTORIES, found),)
-    return SearchResult(found.state.full, stages, (), _noise(found, outliers), tuple(notes), testable_now=False)
+    return SearchResult(found.state.full, stages, (), noise_of(found, outliers), tuple(notes), testable_now=False)
 
 
 def in_windows(flights: Flights, dynamics: AircraftDynamics) -> OutputErrorResult:
@@ -138,7 +138,7 @@ def _lagged(whole: CandidateModel, found: Extension, seed: int, progress: Progre
     return replace(other, base=base, base_fit=found.base_fit, steps=(Step(lag.name, p, among, np.nan), *other.steps))
 
 
-def _without_lags(full: CandidateModel) -> CandidateModel:
+def without_lags(full: CandidateModel) -> CandidateModel:
     """Without effects that need a state of their own."""
     lags = [e for e in full.candidates if e.stage is Stage.LAG]
     own = {name: x for e in lags for name, x in e.neutral_values.items()}
@@ -154,7 +154,7 @@ def _without_lags(full: CandidateModel) -> CandidateModel:
     )
 
 
-def _noise(found: Extension, outliers: Mapping[str, int]) -> NoiseReport:
+def noise_of(found: Extension, outliers: Mapping[str, int]) -> NoiseReport:
     """Of the blocks that are left, by output."""
     left = found.state.left(found.fit)
     lag1 = {

@@ -1,45 +1,69 @@
-"""The same parameters by a filter: process noise and measurement noise estimated with them, beside output error."""
+"""The same parameters by a filter that estimates gusts, process noise and measurement noise with them."""
 
 from __future__ import annotations
 
+import equinox as eqx
+import jax
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.results import ProcessNoise, TrajectoryFit
-from bayes_aero.inference.likelihood.prediction_error import (
-    PredictionErrorResult,
-    PredictionErrorStatus,
-    fit_prediction_error,
-)
+from bayes_aero.diagnosis.trajectories.results import GustHistory, ProcessNoise, TrajectoryFit
+from bayes_aero.dynamics.filtering.kalman import smoothed
+from bayes_aero.dynamics.flight import AircraftDynamics
+from bayes_aero.dynamics.segments import SegmentTrajectories
+from bayes_aero.inference.likelihood.disturbed import fit_disturbed
+from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult, PredictionErrorStatus
 from bayes_aero.inference.threads import blas_threads
-
-FIRST_F, FIRST_R = 0.3, 0.1  # of output error's residuals: process noise in a second, share that is measurement noise
 
 
 @blas_threads(0)
 def with_process_noise(flown: TrajectoryFit) -> ProcessNoise:
-    """Fit again, from the estimates of output error, with process noise on every state that is compared.
-
-    States without a sensor (a lagging separation point) follow the motion without noise of their own.
-    """
+    """Fit again, from the estimates of output error, in gusts and with noise of every state that is compared."""
     fit = flown.fit
-    segments, sd = fit.flown, np.sqrt(fit.R)
-    outputs = segments.outputs
-    F = np.array([FIRST_F * sd[outputs.index(name)] if name in outputs else 0.0 for name in segments.dynamics.states])
-    found = fit_prediction_error(segments, F, FIRST_R * fit.R, start=fit.estimate, priors=flown.setting.priors)
-    inside = segments.inside
+    gusty, found = fit_disturbed(fit.flown, fit.estimate, fit.R, priors=flown.setting.priors)
+    inside = fit.flown.inside
     count = int(inside.sum())
     still = -0.5 * count * float(np.sum(np.log(2.0 * np.pi * fit.R) + 1.0)) - float(
-        np.log(segments.noise_growth[inside]).sum()
+        np.log(fit.flown.noise_growth[inside]).sum()
     )
+    estimates = {n: (float(x), float(s)) for n, x, s in zip(found.names, found.estimate, found.sd, strict=True)}
+    own = fit.flown.dynamics.names
     return ProcessNoise(
         found.status.value,
         found.status is PredictionErrorStatus.CONVERGED,
         found.log_likelihood - still,
-        {n: (float(x), float(s)) for n, x, s in zip(found.names, found.estimate, found.sd, strict=True)},
-        dict(zip(found.states, map(float, found.F), strict=True)),
+        {name: value for name, value in estimates.items() if name in own},
+        {n: float(x) for n, x in zip(found.states, found.F, strict=True) if n in fit.flown.dynamics.states},
         dict(zip(found.outputs, map(float, np.sqrt(found.R)), strict=True)),
         _autocorrelation(found),
+        {name: value for name, value in estimates.items() if name not in own},
+        _histories(gusty, found),
     )
+
+
+_smoothed = eqx.filter_jit(jax.vmap(smoothed))
+
+
+def _histories(gusty: SegmentTrajectories, found: PredictionErrorResult) -> tuple[GustHistory, ...]:
+    """By manoeuvre, by the smoother; only gusts that have an intensity."""
+    dynamics, known = gusty.dynamics, dict(zip(found.names, found.estimate, strict=True))
+    processes = dynamics.model.disturbances if isinstance(dynamics, AircraftDynamics) else ()
+    met = {d.state: dynamics.states.index(d.state) for d in processes if known.get(d.intensity, 0.0) > 0.0}
+    if not met:
+        return ()
+    x, P = (np.asarray(y) for y in _smoothed(found.found))
+    flights, histories = gusty.flights, []
+    for number in np.unique(gusty.manoeuvre):
+        parts = [(k, gusty.inside[k]) for k in np.flatnonzero(gusty.manoeuvre == number)]
+        time = np.concatenate([np.asarray(flights.time)[gusty.index[k][real]] for k, real in parts])
+        gusts = {
+            name: (
+                np.concatenate([x[k, real, i] for k, real in parts]),
+                np.sqrt(np.maximum(np.concatenate([P[k, real, i, i] for k, real in parts]), 0.0)),
+            )
+            for name, i in met.items()
+        }
+        histories.append(GustHistory(flights.names[number], time - time[0], gusts))
+    return tuple(histories)
 
 
 def _autocorrelation(found: PredictionErrorResult) -> dict[str, float]:

@@ -205,6 +205,16 @@ class Disagreement:
 
 
 @dataclass(frozen=True)
+class GustHistory:
+    """The gusts that one manoeuvre met, given all of its samples: time in s from its start (n,), and of every gust its
+    mean and standard deviation (n,), m/s."""
+
+    manoeuvre: str
+    time: Float[np.ndarray, " n"]
+    gusts: Mapping[str, tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]]
+
+
+@dataclass(frozen=True)
 class ProcessNoise:
     """A fit with process noise, SI and radians, standard errors for white innovations.
 
@@ -216,6 +226,8 @@ class ProcessNoise:
         F: process noise by state, unit of the state per square root of a second.
         noise_sd: standard deviation of the measurement noise by output.
         autocorrelation: of neighbouring innovations by output; 0 if the disturbance is as modelled.
+        gusts: intensity (m/s) and scale length (m) of each gust by name of the parameter, with standard errors.
+        histories: what was met, by manoeuvre; empty where no gust has an intensity.
     """
 
     status: str
@@ -225,3 +237,5 @@ class ProcessNoise:
     F: Mapping[str, float]
     noise_sd: Mapping[str, float]
     autocorrelation: Mapping[str, float]
+    gusts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    histories: tuple[GustHistory, ...] = ()

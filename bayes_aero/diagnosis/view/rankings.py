@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayes_aero.diagnosis.result import COEFFICIENTS, FLIGHT_PATH, TRAJECTORIES, Diagnosis
+from bayes_aero.diagnosis.result import FLIGHT_PATH, Diagnosis
 from bayes_aero.diagnosis.screening.screening import ScreeningResult
 from bayes_aero.diagnosis.selection.forward_selection import Extension, explained
 from bayes_aero.diagnosis.view.results import RankedCandidate, Ranking
@@ -15,7 +15,7 @@ FALSE_ALARMS = 0.05  # share of noise-only replicates whose best score is beyond
 def stages(diagnosis: Diagnosis) -> list[tuple[str, Extension]]:
     """Stages of the diagnosis by the names that its causes carry."""
     found = [(FLIGHT_PATH, diagnosis.sensors)] if diagnosis.sensors is not None else []
-    return [*found, (COEFFICIENTS if diagnosis.by_coefficients else TRAJECTORIES, diagnosis.aerodynamics)]
+    return [*found, (diagnosis.compared, diagnosis.aerodynamics)]
 
 
 def rankings_of(diagnosis: Diagnosis) -> list[Ranking]:

@@ -82,7 +82,7 @@ def steady_gain(
     """Gain P C' R^-1 at one instant, and C; P solves A P + P A' - P C' R^-1 C P / dt + F F' = 0."""
     A = jax.jacfwd(lambda x: motion(system, x, u)[0])(x)
     C = jax.jacfwd(lambda x: outputs_at(system, x, u, names))(x)
-    P = riccati(A, C.T @ (C / R[:, None]) / dt, jnp.diag(F**2))
+    P = riccati(A, C.T @ (C / R[:, None]) / dt, jnp.diag(F**2 + system.noise_density(x, u)))
     return P @ C.T / R, C
 
 
@@ -112,7 +112,7 @@ def steady_innovations(
         _, (x, e) = jax.lax.scan(further, begin, (inputs, later(inputs, flown.held), true, scale))
         return e, x, jnp.all(jnp.isfinite(x), axis=1), K, jnp.sum(K * C.T, axis=1)
 
-    return Innovations(*jax.vmap(predict)(*_rows(flown, ready, departure)))
+    return Innovations(*jax.vmap(predict)(*rows_of(flown, ready, departure)))
 
 
 def filtered(
@@ -135,7 +135,7 @@ def filtered(
         noise = R * (scale * growth) ** 2
         return kalman_filter(
             ready.system,
-            Begin(begin, jnp.diag(start_deviation**2)),
+            Begin(begin, ready.system.start_covariance(begin, first, start_deviation)),
             inputs,
             Measured(true, noise),
             F,
@@ -143,11 +143,65 @@ def filtered(
             Sampling(dt, flown.substeps, flown.held),
         )
 
-    rows = (*_rows(flown, ready, jnp.zeros((len(flown.index), len(start_deviation)))), jnp.asarray(flown.noise_growth))
+    nothing = jnp.zeros((len(flown.index), len(start_deviation)))
+    rows = (*rows_of(flown, ready, nothing), jnp.asarray(flown.noise_growth))
     return jax.vmap(one)(*rows)
 
 
-def _rows(flown: SegmentTrajectories, ready: Prepared, departure: Float[Array, "w s"]) -> tuple[Any, ...]:
+class Observer(NamedTuple):
+    """Gains (w, n, s, c) by which each sample's innovations correct the state, and `whitening` (w, n, c, c): it times
+    the innovations are uncorrelated, each its output's innovation less what those before it tell of it."""
+
+    gain: Float[Array, "w n s c"]
+    whitening: Float[Array, "w n c c"]
+
+
+def observer(flown: SegmentTrajectories, theta: Float[Array, " k"], R: Float[Array, " c"], found: Filtered) -> Observer:
+    """The gains that `filtered` used at `theta` and `R`, to be held while parameters vary; `found` is its result."""
+    ready = prepared(flown, theta)
+
+    def one(x, P, u, noise, used):
+        C = jax.jacfwd(lambda x: outputs_at(ready.system, x, u, flown.outputs))(x) * used[:, None]
+        S = C @ P @ C.T + jnp.diag(jnp.where(used, noise, 1.0))
+        factor = jnp.linalg.cholesky(S)
+        return jnp.linalg.solve(S, C @ P).T, jnp.linalg.inv(factor / jnp.diag(factor))
+
+    noise = R * (ready.scale * jnp.asarray(flown.noise_growth)) ** 2
+    each = jax.vmap(jax.vmap(one))
+    return Observer(*each(found.predicted, found.predicted_covariance, ready.drives, noise, found.used))
+
+
+class Observed(NamedTuple):
+    """Innovations (w, n, c), SI, and the states (w, n, s) before and after each sample's correction."""
+
+    innovation: Float[Array, "w n c"]
+    before: Float[Array, "w n s"]
+    after: Float[Array, "w n s"]
+
+
+def observed(flown: SegmentTrajectories, theta: Float[Array, " k"], by: Observer) -> Observed:
+    """Every segment followed by an observer whose gains are held."""
+    ready = prepared(flown, theta)
+    names = flown.outputs
+
+    def predict(start, _, inputs, dt, true, __, gain):
+        first = {name: y[0] for name, y in inputs.items()}
+
+        def further(x, rows):
+            now, then, z, K = rows
+            e = z - outputs_at(ready.system, x, now, names)
+            e = jnp.where(jnp.isfinite(z), e, 0.0)
+            corrected = x + K @ e
+            return advance(ready.system, corrected, now, then, dt, flown.substeps), Observed(e, x, corrected)
+
+        rows = (inputs, later(inputs, flown.held), true, gain)
+        return jax.lax.scan(further, ready.system.settled(start, first), rows)[1]
+
+    segments = (*rows_of(flown, ready, jnp.zeros((len(flown.index), 1))), by.gain)
+    return jax.vmap(predict)(*segments)
+
+
+def rows_of(flown: SegmentTrajectories, ready: Prepared, departure: Float[Array, "w s"]) -> tuple[Any, ...]:
     """What each segment needs; samples that only fill it up are missing."""
     true = jnp.where(jnp.asarray(flown.inside)[:, :, None], ready.true, jnp.nan)
     return ready.begin, departure, ready.drives, jnp.asarray(flown.dt), true, ready.scale

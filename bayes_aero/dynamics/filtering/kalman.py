@@ -39,7 +39,8 @@ class Filtered(NamedTuple):
 
 def outputs_at(system: System, x: Float[Array, " s"], u: Row, names: Sequence[str]) -> Float[Array, " c"]:
     """Outputs of these names at one instant."""
-    found = motion(system, x, u)[1] | dict(zip(system.states, x, strict=True))
+    state = zip(system.states, x, strict=True)
+    found = motion(system, x, u)[1] | {name: value for name, value in state if name in system.shown}
     return jnp.stack([found[name] for name in names])
 
 
@@ -81,14 +82,13 @@ def kalman_filter(
         begin: the state before the first sample.
         inputs: recorded inputs by name, (n,).
         measured: outputs with their noise.
-        F: process noise by state, (s,), unit of the state per square root of a second.
+        F: process noise by state beside the system's own, (s,), unit of the state per square root of a second.
         names: outputs in the order of `measured`.
         sampling: of inputs and outputs.
 
     Returns:
         predictions, estimates, innovations and their variances.
     """
-    W = jnp.diag(F**2)
 
     def further(carry, row):
         x, P = carry
@@ -96,6 +96,7 @@ def kalman_filter(
         estimate, P_estimate, e, S, used = _updated(system, x, P, now, z, variance, names)
         step = lambda x: advance(system, x, now, then, sampling.dt, sampling.substeps)  # noqa: E731
         ahead, transition = step(estimate), jax.jacfwd(step)(estimate)
+        W = jnp.diag(F**2 + system.noise_density(estimate, now))
         noise = 0.5 * sampling.dt * (transition @ W @ transition.T + W)
         P_ahead = transition @ P_estimate @ transition.T + noise
         found = Filtered(x, P, estimate, P_estimate, transition, e, S, used)

@@ -9,7 +9,7 @@ AIAA J. 9, 28 (in flight test).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
@@ -22,12 +22,13 @@ from jaxtyping import Array, Bool, Float
 
 from bayes_aero.dynamics.filtering.innovations import filtered
 from bayes_aero.dynamics.filtering.kalman import Filtered, log_likelihood
+from bayes_aero.dynamics.filtering.linearised import disturbances, linear_innovations, linearised
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.likelihood.mle import solve
 from bayes_aero.inference.likelihood.normal_equations import departures
 
 MAX_ITERATIONS = 60
-LAST = 1e-3  # expected gain in log likelihood of the last step
+LAST, NEAR = 1e-3, 0.3  # expected gain in log likelihood of the last step, and of the last with gains held
 LEAST, MOST = 1e-12, 2.0  # of F and R; of the change of their logarithms in a step
 
 
@@ -79,7 +80,7 @@ def _cost(flown, point, start_deviation, k, s):
 
 
 @eqx.filter_jit
-def _look(flown, point, start_deviation, k, s):
+def _look(flown, point, start_deviation, k, s, _):
     """Cost, gradient and expected information."""
 
     def at(point):
@@ -90,7 +91,32 @@ def _look(flown, point, start_deviation, k, s):
     (e, S), (de, dS), found = jax.vmap(lambda t: jax.jvp(at, (point,), (t,), has_aux=True), out_axes=(None, -1, None))(
         directions
     )
-    used = found.used
+    return _scores(e, S, de, dS, found.used)
+
+
+@eqx.filter_jit
+def _near_look(flown, point, start_deviation, k, s, means):
+    """The same for a fraction of the time: gains are held while the parameters `means` (indices) vary, the others, of
+    disturbances and noise, vary in the filter linearised along its path."""
+    path, unit = _all(flown, point, start_deviation, k, s), jnp.eye(len(point))
+    means, others = np.array(means, int), np.setdiff1d(np.arange(len(point)), means)
+    lin = linearised(flown, point[:k], path.predicted, path.state, unit[means, :k])
+    bare = lin._replace(drive=lin.drive[..., :0], direct=lin.direct[..., :0], begin_drive=lin.begin_drive[..., :0])
+
+    def at(point, lin):
+        F, R = jnp.exp(point[k : k + s]), jnp.exp(point[k + s :])
+        noise = disturbances(flown, point[:k], path.state, start_deviation, F, R)
+        return linear_innovations(lin, noise, jnp.asarray(flown.dt))
+
+    both, S = at(point, lin)
+    by_others = jax.vmap(lambda t: jax.jvp(lambda p: at(p, bare), (point,), (t,))[1], out_axes=-1)(unit[others])
+    de = jnp.zeros((*S.shape, len(point))).at[..., means].set(both[..., 1:])
+    de, dS = de.at[..., others].set(by_others[0][..., 0, :]), jnp.zeros_like(de).at[..., others].set(by_others[1])
+    return _scores(both[..., 0], S, de, dS, path.used)
+
+
+def _scores(e, S, de, dS, used):
+    """Cost, gradient and expected information from innovations, their variances, and the derivatives of both."""
     weight = jnp.where(used, 1.0 / S, 0.0)
     cost = 0.5 * jnp.sum(jnp.where(used, jnp.log(2.0 * jnp.pi * S) + e**2 / S, 0.0))
     gradient = jnp.einsum("wncj,wnc->j", de, e * weight)
@@ -109,8 +135,11 @@ def fit_prediction_error(
     start_deviation: Float[np.ndarray, " s"] | None = None,
     held: Mapping[str, float] | None = None,
     priors: bool = True,
+    exact: bool = True,
 ) -> PredictionErrorResult:
     """Fit all segments together.
+
+    The first steps hold the filter's gains while the parameters of the motion vary; the last do not.
 
     Args:
         flown: segments of flights.
@@ -120,6 +149,7 @@ def fit_prediction_error(
         start_deviation: standard deviation of the measured initial state, (s,), SI; default: of flight-test sensors,
             0 where the segments begin at a fixed state.
         priors: whether the parameters' priors count.
+        exact: False ends with the first steps: the estimates are consistent and no maximum of the likelihood.
     """
     F = np.asarray(F, float)
     problem = _Problem.of(flown.nameless, start_deviation, held or {}, F > 0.0, priors)
@@ -127,7 +157,10 @@ def fit_prediction_error(
     theta = np.array([p.start for p in free]) if start is None else np.asarray(start, float)
     theta = np.array([(held or {}).get(p.name, x) for p, x in zip(free, theta, strict=True)])
     point = np.concatenate([theta, np.log(np.maximum(F, LEAST)), np.log(np.maximum(R, LEAST))])
-    point, here, status, steps = _scored(problem, point)
+    point, here, status, near = _scored(problem, point, problem.near_look, NEAR)
+    steps = 0
+    if exact:
+        point, here, status, steps = _scored(problem, point, problem.look, LAST)
     k, s, moving = problem.k, problem.s, problem.moving
     covariance = np.zeros((len(point), len(point)))
     covariance[np.ix_(moving, moving)] = np.linalg.pinv(here.information[np.ix_(moving, moving)], hermitian=True)
@@ -142,7 +175,7 @@ def fit_prediction_error(
         problem.prior_cost(point) - here.cost,
         _all(problem.flown, jnp.asarray(point), problem.deviation, k, s),
         status,
-        steps,
+        near + steps,
     )
 
 
@@ -198,7 +231,16 @@ class _Problem:
 
     def look(self, point: Float[np.ndarray, " j"]) -> _Seen:
         """Cost, gradient and information."""
-        seen = _look(self.flown, jnp.asarray(point), self.deviation, self.k, self.s)
+        return self._seen(_look, point, ())
+
+    def near_look(self, point: Float[np.ndarray, " j"]) -> _Seen:
+        """The same but for the gradient of the gains by parameters of the motion."""
+        dynamics = self.flown.dynamics
+        names = dynamics.of_disturbances
+        return self._seen(_near_look, point, tuple(i for i, p in enumerate(dynamics.free) if p.name not in names))
+
+    def _seen(self, looked, point: Float[np.ndarray, " j"], means: tuple[int, ...]) -> _Seen:
+        seen = looked(self.flown, jnp.asarray(point), self.deviation, self.k, self.s, means)
         cost, gradient, information = (np.asarray(x) for x in seen)
         gradient, information = gradient + self.precision * (point - self.mean), information + np.diag(self.precision)
         return _Seen(float(cost) + self.prior_cost(point), gradient, information)
@@ -209,14 +251,16 @@ class _Problem:
         return self.moving & ~low & ~((point >= self.bounds[:, 1]) & (gradient < 0.0))
 
 
-def _scored(problem: _Problem, point: Float[np.ndarray, " j"]) -> tuple[np.ndarray, _Seen, PredictionErrorStatus, int]:
+def _scored(
+    problem: _Problem, point: Float[np.ndarray, " j"], look: Callable[[np.ndarray], _Seen], last: float
+) -> tuple[np.ndarray, _Seen, PredictionErrorStatus, int]:
     """Fisher scoring with Levenberg and Marquardt's damping: last point, what is seen there, status, steps."""
-    here, damping, steps, status = problem.look(point), 1e-3, 0, PredictionErrorStatus.NOT_CONVERGED
+    here, damping, steps, status = look(point), 1e-3, 0, PredictionErrorStatus.NOT_CONVERGED
     while steps < MAX_ITERATIONS and math.isfinite(here.cost) and np.all(np.isfinite(here.information)):
         steps += 1
         inner = problem.inner(point, here.gradient)
         A, g = here.information[np.ix_(inner, inner)], -here.gradient[inner]
-        if 0.5 * float(solve(A, g, 0.0) @ g) < LAST:
+        if 0.5 * float(solve(A, g, 0.0) @ g) < last:
             status = PredictionErrorStatus.CONVERGED
             break
         better = None
@@ -233,7 +277,7 @@ def _scored(problem: _Problem, point: Float[np.ndarray, " j"]) -> tuple[np.ndarr
         if better is None:
             break
         point, damping = better, max(1e-8, 0.1 * damping)
-        here = problem.look(point)
+        here = look(point)
     if not math.isfinite(here.cost):
         status = PredictionErrorStatus.DIVERGED
     return point, here, status, steps

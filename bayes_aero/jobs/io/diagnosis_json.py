@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from bayes_aero.diagnosis.result import Cause, Diagnosis, Gain, NoiseReport, Tested, UnexplainedStructure
+from bayes_aero.diagnosis.result import COEFFICIENTS, Cause, Diagnosis, Gain, NoiseReport, Tested, UnexplainedStructure
 from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
@@ -62,7 +62,7 @@ def diagnosis_results(
         "records": record_results(records),
         "consistency": {} if outcome.consistency is None else consistency_results(outcome.consistency),
         "verdict": d.verdict.value,
-        "tested": tested_results(d.tested),
+        "tested": tested_results(d.tested, d.compared),
         "sentences": list(sentences(view)),
         "causes": [cause_results(cause) for cause in d.causes],
         "minor": list(d.minor),
@@ -134,10 +134,11 @@ def cancelling_results(d: Diagnosis) -> list[dict[str, Any]]:
     ]
 
 
-def tested_results(tested: Tested | None) -> dict[str, Any]:
+def tested_results(tested: Tested | None, compared: str) -> dict[str, Any]:
     """What a diagnosis by trajectories alone has tested; of one by coefficients, that it sought structure, too."""
     if tested is None:
-        return {"rests_on": "coefficients", "unnamed_structure": True, "within_noise": None, "outputs": {}}
+        sought = compared == COEFFICIENTS
+        return {"rests_on": compared, "unnamed_structure": sought, "within_noise": None, "outputs": {}}
     return {
         "rests_on": "trajectories",
         "unnamed_structure": False,

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from bayes_aero.diagnosis.trajectories.results import Disagreement, ProcessNoise, TrajectoryFit
 from bayes_aero.flight.agreement import Consistency
@@ -74,7 +75,7 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
         "parameters": parameter_rows(flown),
         "inseparable": inseparable_results(flown.fit.inseparable),
         "disagreement": [asdict(d) for d in found.apart],
-        **({} if found.process_noise is None else {"process_noise": asdict(found.process_noise)}),
+        **({} if found.process_noise is None else {"process_noise": _process_noise(found.process_noise)}),
         "initial_states": {
             manoeuvre: {
                 n: {"value": x, "departure": d, "unit": units[n], "prior_sd": beliefs.get(n)}
@@ -94,3 +95,19 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
         "failures": list(found.failures),
         "provenance": source,
     }
+
+
+def _process_noise(found: ProcessNoise) -> dict[str, Any]:
+    """All but the histories, which gusts.csv has."""
+    return {name: value for name, value in asdict(found).items() if name != "histories"}
+
+
+def gust_frame(found: ProcessNoise) -> pd.DataFrame:
+    """gusts.csv: manoeuvre, time (s), mean and standard deviation of each gust (m/s)."""
+    frames = []
+    for one in found.histories:
+        columns: dict[str, Any] = {"manoeuvre": one.manoeuvre, "time": one.time}
+        for name, (mean, sd) in one.gusts.items():
+            columns |= {name: mean, f"{name}_sd": sd}
+        frames.append(pd.DataFrame(columns))
+    return pd.concat(frames, ignore_index=True)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayes_aero.diagnosis.result import Cause, Diagnosis
+from bayes_aero.diagnosis.result import COEFFICIENTS, INNOVATIONS, TRAJECTORIES, Cause, Diagnosis
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
 from bayes_aero.physics.coefficients import NAMES
@@ -45,6 +45,11 @@ from bayes_aero.report.text.phrases import bracket, several
 from bayes_aero.report.text.trajectories import simulation_gain, trajectory_sentences
 
 CONTEXT = ("alpha", "elevator", "stabilizer", "thrust", "airspeed")
+FROM_WHAT = {
+    COEFFICIENTS: "",
+    TRAJECTORIES: ", from trajectories alone: the record has no coefficients",
+    INNOVATIONS: ", from innovations: process noise and gusts are estimated",
+}
 FEW = 4  # manoeuvres that are listed one by one in the open
 
 
@@ -53,7 +58,7 @@ def diagnosis_page(view: DiagnosisView, told: PageContext) -> Page:
     d, by_coefficients = view.diagnosis, isinstance(view, View)
     gallery = Gallery(told.figures, diagnosis_alternatives(view) if isinstance(view, View) else {})
     verdict, *rest = diagnosis_sentences(d) if by_coefficients else sentences(view)
-    from_what = "" if by_coefficients else ", from trajectories alone: the record has no coefficients"
+    from_what = FROM_WHAT[d.compared]
     return Page(
         title=f"Diagnosis: {told.card.title}",
         subtitle=f"The model error, its causes, and the gain of the extended model{from_what}",

@@ -152,9 +152,24 @@ def _parameters(flown: TrajectoryFit, told: FlyTold) -> tuple[Block, ...]:
     return (
         tables.parameters(flown),
         *(() if found is None or not found.converged else (tables.process_noise(flown, found),)),
+        *_gusts(told),
         symbols(parameters, [p.name for p in parameters], conventions(told.card)),
         tables.initial(flown),
     )
+
+
+def _gusts(told: FlyTold) -> tuple[Block, ...]:
+    """What was met, where any gust has an intensity."""
+    if told.process_noise is None or "gusts" not in told.figures:
+        return ()
+    most = {
+        name: float(np.max(np.abs(mean))) for h in told.process_noise.histories for name, (mean, _) in h.gusts.items()
+    }
+    largest = several([f"{name} {value:.2g} m/s" for name, value in most.items()])
+    caption = "Gusts met by each manoeuvre: mean and 95 % band, from all samples (Rauch-Tung-Striebel smoother)."
+    return Gallery(
+        told.figures, {"gusts": (caption, f"Time histories of the gusts; largest in magnitude: {largest}.")}
+    )("gusts")
 
 
 def _provenance(source: Mapping[str, Any]) -> tuple[Block, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from bayes_aero.diagnosis.result import Cause, Diagnosis
+from bayes_aero.diagnosis.result import INNOVATIONS, Cause, Diagnosis
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView
 from bayes_aero.effect import Stage
@@ -203,15 +203,16 @@ def cause_table(view: DiagnosisView) -> Table | None:
 
 
 def _trajectory_causes(d: Diagnosis) -> Table:
-    """Causes named from trajectories alone: size with standard error, probability, rivals."""
-    table = Table(title="Causes, from trajectories alone", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    """Causes named without coefficients: size with standard error, probability, rivals."""
+    title = "Causes, from innovations" if d.compared == INNOVATIONS else "Causes, from trajectories alone"
+    table = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     for head in ("cause", "size", "prob.", "rivals"):
         table.add_column(head)
     for cause in d.causes:
         sizes = "\n".join(size_text(s.mean, s.sd, s.unit) for s in cause.parameters.values())
         table.add_row(_marked(cause), sizes, probability(cause.probability), several(cause.ambiguous_with))
     if not all(cause.sure for cause in d.causes):
-        table.caption = "*: not confirmed on hold-out flights. †: the verdict does not rest on it, see below."
+        table.caption = "*: not confirmed on hold-out data. †: the verdict does not rest on it, see below."
     return table
 
 

@@ -10,6 +10,7 @@ from bayes_aero.report.tables.run_tables import concise
 from bayes_aero.report.text.phrases import several
 
 APART = 3.0  # combined standard errors between the two estimates from which a sentence names a parameter; our choice
+SEEN = 2.0  # standard errors from which an intensity is one
 COLOURED = 0.3  # autocorrelation of neighbouring innovations from which a sentence is written; our choice
 
 
@@ -46,12 +47,29 @@ def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[s
         other, other_sd = found.estimates.get(name, (float(estimate), float(sd)))
         if abs(other - estimate) > APART * float((sd**2 + other_sd**2) ** 0.5):
             moved.append(f"{name} {other:.4g} ± {other_sd:.2g} (output error {estimate:.4g} ± {sd:.2g})")
+    said += _gusts_met(found)
     if moved:
         said.append(f"Parameters that process noise moves by more than {APART:g} standard errors: {several(moved)}.")
     coloured = [f"{name} ({r:.2f})" for name, r in found.autocorrelation.items() if abs(r) > COLOURED]
     if coloured:
         said.append(
-            f"Innovations are autocorrelated (neighbouring samples of {several(coloured)}): the process noise is not "
-            "white, and its standard errors are too small."
+            f"Innovations are autocorrelated (neighbouring samples of {several(coloured)}): a disturbance, or an error "
+            "of the model or of a sensor, is not modelled, and these standard errors are too small."
         )
+    return said
+
+
+def _gusts_met(found: ProcessNoise) -> list[str]:
+    """Intensities, and scale lengths where there is an intensity."""
+    met, calm = [], []
+    for name in (n for n in found.gusts if f"{n}_length" in found.gusts):
+        (intensity, sd), (length, length_sd) = found.gusts[name], found.gusts[f"{name}_length"]
+        word = name.removesuffix("_gust").replace("_", " ")
+        if intensity > SEEN * sd:
+            met.append(f"{word} {intensity:.2f} ± {sd:.2g} m/s (scale length {length:.0f} ± {length_sd:.0f} m)")
+        else:
+            calm.append(word)
+    said = [f"Gusts met, standard deviation: {several(met)}."] if met else []
+    if calm:
+        said.append(f"No {' and no '.join(calm)} gusts are distinguishable from noise of the states.")
     return said

@@ -1,0 +1,182 @@
+"""A filter made linear along its own path: all samples' derivatives at once, then products of small matrices.
+
+The extended Kalman filter follows a flight sample by sample. Along that path the motion is linear in small changes of
+state and parameters, and the filter of the linear system has the same innovations. Changes of parameters, of process
+noise and of measurement noise are followed by it for a fraction of the time. Source: Jazwinski, *Stochastic Processes
+and Filtering Theory*, 1970, ch. 8.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from bayes_aero.dynamics.filtering.innovations import Observer, rows_of
+from bayes_aero.dynamics.filtering.kalman import outputs_at
+from bayes_aero.dynamics.segments import SegmentTrajectories, prepared
+from bayes_aero.dynamics.system import advance
+from bayes_aero.dynamics.tangent import later
+
+
+class Linearised(NamedTuple):
+    """Segments along a path, in d directions of the parameters.
+
+    `before`, `after`: the states at which outputs and motion are linear; `ahead`: a sample after `after`; `residual`:
+    measured minus outputs at `before`, NaN where missing; `begin`: the state in which the segments begin.
+    """
+
+    before: Float[Array, "w n s"]
+    after: Float[Array, "w n s"]
+    ahead: Float[Array, "w n s"]
+    transition: Float[Array, "w n s s"]
+    drive: Float[Array, "w n s d"]
+    residual: Float[Array, "w n c"]
+    matrix: Float[Array, "w n c s"]
+    direct: Float[Array, "w n c d"]
+    begin: Float[Array, "w s"]
+    begin_drive: Float[Array, "w s d"]
+    scale: Float[Array, "w n c"]
+
+
+def linearised(
+    flown: SegmentTrajectories,
+    theta: Float[Array, " k"],
+    before: Float[Array, "w n s"],
+    after: Float[Array, "w n s"],
+    directions: Float[Array, "d k"],
+) -> Linearised:
+    """Derivatives at the states `before` (of outputs) and `after` (of motion), at parameters `theta`."""
+
+    def move(theta, after):
+        ready = prepared(flown, theta)
+        one = lambda x, now, then, dt: advance(ready.system, x, now, then, dt, flown.substeps)  # noqa: E731
+        dt = jnp.broadcast_to(jnp.asarray(flown.dt)[:, None], after.shape[:2])
+        return jax.vmap(jax.vmap(one))(after, ready.drives, later(ready.drives, flown.held), dt)
+
+    def differ(theta, before):
+        ready = prepared(flown, theta)
+        *_, true, _ = rows_of(flown, ready, jnp.zeros((len(flown.index), 1)))
+        outputs = jax.vmap(jax.vmap(lambda x, u: outputs_at(ready.system, x, u, flown.outputs)))
+        return true - outputs(before, ready.drives)
+
+    def start(theta):
+        ready = prepared(flown, theta)
+        first = {name: y[:, 0] for name, y in ready.drives.items()}
+        return jax.vmap(ready.system.settled)(ready.begin, first)
+
+    def by_state(f, x):
+        states = jnp.eye(x.shape[-1])
+        return jax.vmap(lambda e: jax.jvp(f, (x,), (jnp.broadcast_to(e, x.shape),))[1], out_axes=-1)(states)
+
+    by_theta = lambda f: jax.vmap(lambda t: jax.jvp(f, (theta,), (t,))[1], out_axes=-1)(directions)  # noqa: E731
+    finite = lambda y: jnp.where(jnp.isfinite(y), y, 0.0)  # noqa: E731
+    return Linearised(
+        before,
+        after,
+        move(theta, after),
+        by_state(lambda x: move(theta, x), after),
+        by_theta(lambda t: move(t, after)),
+        differ(theta, before),
+        -finite(by_state(lambda x: differ(theta, x), before)),
+        -finite(by_theta(lambda t: differ(t, before))),
+        start(theta),
+        by_theta(start),
+        prepared(flown, theta).scale,
+    )
+
+
+def observer_slopes(lin: Linearised, by: Observer) -> Float[Array, "w n c d"]:
+    """Derivatives of the innovations of an observer, of which `lin` is linear along the path, in its d directions."""
+
+    def one(begin, *rows):
+        def further(dx, row):
+            Phi, drive, C, direct, there, K = row
+            de = jnp.where(there[:, None], -direct - C @ dx, 0.0)
+            return Phi @ (dx + K @ de) + drive, de
+
+        return jax.lax.scan(further, begin, rows)[1]
+
+    there = jnp.isfinite(lin.residual)
+    return jax.vmap(one)(lin.begin_drive, lin.transition, lin.drive, lin.matrix, lin.direct, there, by.gain)
+
+
+class Disturbances(NamedTuple):
+    """What drives and blurs linearised segments.
+
+    Spectral densities by state (w, n, s), variances of the outputs (w, n, c), covariance of the begin (w, s, s), and
+    decay (w, n, s), 1/s, of states that are processes of their own.
+    """
+
+    density: Float[Array, "w n s"]
+    variance: Float[Array, "w n c"]
+    begin: Float[Array, "w s s"]
+    decay: Float[Array, "w n s"]
+
+
+def disturbances(
+    flown: SegmentTrajectories,
+    theta: Float[Array, " k"],
+    path: Float[Array, "w n s"],
+    start_deviation: Float[Array, " s"],
+    F: Float[Array, " s"],
+    R: Float[Array, " c"],
+) -> Disturbances:
+    """As `filtered` has them, at the states of `path`."""
+    ready = prepared(flown, theta)
+    each = jax.vmap(jax.vmap(lambda x, u: (ready.system.noise_density(x, u), ready.system.decay(x, u))))
+    density, decay = each(path, ready.drives)
+    first = {name: y[:, 0] for name, y in ready.drives.items()}
+    begins = jax.vmap(ready.system.settled)(ready.begin, first)
+    begin = jax.vmap(lambda x, u: ready.system.start_covariance(x, u, start_deviation))(begins, first)
+    noise = R * (ready.scale * jnp.asarray(flown.noise_growth)) ** 2
+    return Disturbances(F**2 + density, noise, begin, decay)
+
+
+def linear_innovations(
+    lin: Linearised, noise: Disturbances, dt: Float[Array, " w"]
+) -> tuple[Float[Array, "w n c m"], Float[Array, "w n c"]]:
+    """Innovations (w, n, c, 1 + d) and their variances (w, n, c), each output given those before it in its sample.
+
+    The first column are the innovations, the others their derivatives by the d directions, at gains that these do not
+    move. Missing samples have innovation 0 and variance 1.
+    """
+    return jax.vmap(_one_segment)(lin, noise, dt)
+
+
+def _one_segment(lin: Linearised, noise: Disturbances, dt: Any):
+    s = lin.before.shape[-1]
+    still = jnp.eye(s)
+
+    def further(carry, row):
+        mean, P = carry  # (s, 1 + d): the predicted state and its derivatives
+        before, after, ahead, Phi, drive, residual, C, direct, density, variance, decay = row
+        use = jnp.isfinite(residual)
+        away = mean.at[:, 0].add(-before)
+        e = jnp.concatenate([jnp.where(use, residual, 0.0)[:, None], -direct], axis=1) - C @ away
+
+        def one(carry, output):
+            moved, P = carry
+            h, y, r, there = output
+            y, Ph = y - h @ moved, P @ h
+            S = h @ Ph + r
+            K = jnp.where(there, Ph / S, 0.0)
+            rest = still - jnp.outer(K, h)
+            P = rest @ P @ rest.T + r * jnp.outer(K, K)
+            return (moved + jnp.outer(K, y), P), (jnp.where(there, y, 0.0), jnp.where(there, S, 1.0))
+
+        (moved, P), (found, S) = jax.lax.scan(one, (jnp.zeros_like(mean), P), (C, e, variance, use))
+        alone, kept = decay > 0.0, jnp.exp(-decay * dt)
+        Phi, ahead = jnp.where((still > 0.0) & alone, jnp.diag(kept), Phi), jnp.where(alone, kept * after, ahead)
+        mean = Phi @ (mean + moved).at[:, 0].add(-after)
+        mean = mean + jnp.concatenate([ahead[:, None], drive], axis=1)
+        W = jnp.diag(density)
+        P = Phi @ P @ Phi.T + 0.5 * dt * (Phi @ W @ Phi.T + W)
+        return (mean, 0.5 * (P + P.T)), (found, S)
+
+    begin = jnp.concatenate([lin.begin[:, None], lin.begin_drive], axis=1)
+    rows = (lin.before, lin.after, lin.ahead, lin.transition, lin.drive, lin.residual, lin.matrix, lin.direct)
+    rows = (*rows, noise.density, noise.variance, noise.decay)
+    return jax.lax.scan(further, (begin, noise.begin), rows)[1]

@@ -1,0 +1,54 @@
+"""A fit with all that may disturb a flight: gusts, and noise of the states for what gusts do not explain."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.dynamics.flight import AircraftDynamics
+from bayes_aero.dynamics.segments import SegmentTrajectories
+from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult, fit_prediction_error
+
+GUSTS = ("vertical_gust", "longitudinal_gust")
+FIRST_F, FIRST_R = 0.3, 0.1  # of output error's residuals: process noise in a second, share that is measurement noise
+
+
+def disturbed(flown: SegmentTrajectories) -> SegmentTrajectories:
+    """The same segments in gusts; linear systems have none of their own."""
+    dynamics = flown.dynamics
+    if not isinstance(dynamics, AircraftDynamics):
+        return flown
+    absent = [name for name in GUSTS if name not in {e.name for e in dynamics.model.acting}]
+    return replace(flown, dynamics=replace(dynamics, model=dynamics.model.extended(*absent)))
+
+
+def fit_disturbed(
+    flown: SegmentTrajectories,
+    estimate: Float[np.ndarray, " k"],
+    R: Float[np.ndarray, " c"],
+    *,
+    priors: bool = True,
+    exact: bool = True,
+) -> tuple[SegmentTrajectories, PredictionErrorResult]:
+    """Fit with process noise, from what output error found.
+
+    States that are compared with a sensor have noise of their own; gusts are driven by theirs; others follow.
+
+    Args:
+        flown: segments of flights.
+        estimate: parameters of output error, (k,).
+        R: variances of its residuals, (c,), SI.
+        priors: whether the parameters' priors count.
+        exact: as of `fit_prediction_error`.
+
+    Returns:
+        The segments in gusts, and the fit.
+    """
+    gusty, outputs = disturbed(flown), flown.outputs
+    known = dict(zip(flown.dynamics.names, estimate, strict=True))
+    start = np.array([known.get(p.name, p.start) for p in gusty.dynamics.free])
+    sd = np.sqrt(R)
+    F = np.array([FIRST_F * sd[outputs.index(n)] if n in outputs else 0.0 for n in gusty.dynamics.states])
+    return gusty, fit_prediction_error(gusty, F, FIRST_R * R, start=start, priors=priors, exact=exact)

@@ -1,0 +1,95 @@
+"""Filter error: innovations of whole manoeuvres, what a filter did not foresee one sample ahead.
+
+The gains are those of an extended Kalman filter at one set of parameters, and stay while parameters vary. Innovations
+of a model without error are white, whatever the air does; an effect that it lacks makes them follow their cause.
+Source: Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, ch. 5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_aero.dynamics.filtering.innovations import Observer, observed, observer
+from bayes_aero.dynamics.filtering.kalman import Filtered
+from bayes_aero.dynamics.filtering.linearised import linearised, observer_slopes
+from bayes_aero.dynamics.flight import AircraftDynamics
+from bayes_aero.dynamics.segments import SegmentTrajectories, prepared
+from bayes_aero.physics.filters import FILTER_STEP
+from bayes_aero.residuals.output_error import OutputError
+
+
+class FilterError(OutputError):
+    """Whitened innovations, averaged over blocks of `FILTER_STEP` samples: m of them."""
+
+    by: Observer
+
+    @classmethod
+    def after(
+        cls,
+        cut: SegmentTrajectories,
+        theta: Float[np.ndarray, " k"],
+        R: Float[np.ndarray, " c"],
+        found: Filtered,
+        dynamics: AircraftDynamics,
+    ) -> FilterError:
+        """Of a filter that followed segments `cut` at `theta` and `R` and gave `found`, under wider `dynamics`.
+
+        These have the states of the filter, but perhaps not all: gusts of no intensity are none.
+        """
+        by = _observer(cut.nameless, jnp.asarray(theta), jnp.asarray(R), found)
+        rows = np.array([cut.dynamics.states.index(name) for name in dynamics.states])
+        whole = cut.index.shape[1] // FILTER_STEP * FILTER_STEP
+        index, inside, noise_growth = (x[:, :whole] for x in (cut.index, cut.inside, cut.noise_growth))
+        by = Observer(by.gain[:, :whole, rows], by.whitening[:, :whole])
+        cut = replace(cut, index=index, inside=inside, noise_growth=noise_growth, dynamics=dynamics)
+        place = np.flatnonzero(inside.reshape(-1, FILTER_STEP).all(axis=1))
+        return cls(flights=cut.flights, windows=cut, place=place, model=dynamics.model, by=by)
+
+    @property
+    def stretch(self) -> None:
+        """None: innovations do not gather."""
+        return
+
+    def residual(self, theta: Any, shared: Any) -> Float[Array, "m c"]:  # noqa: ARG002
+        """Whitened innovations at these parameters."""
+        flown = self.flown
+        return self._whitened(observed(flown, theta, self.by).innovation[..., None], prepared(flown, theta).scale)[
+            ..., 0
+        ]
+
+    def _whitened(self, e: Float[Array, "w n c d"], scale: Float[Array, "w n c"]) -> Float[Array, "m c d"]:
+        """Referred to the record."""
+        return self._mean(jnp.einsum("wnij,wnjd->wnid", self.by.whitening, e) / scale[..., None])
+
+    def slopes(
+        self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
+    ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
+        """Residuals and minus their derivatives in these directions, along the path of the observer."""
+        residual, slope = _slopes(self._nameless, jnp.asarray(theta), jnp.asarray(directions))
+        return np.asarray(residual), -np.moveaxis(np.asarray(slope), -1, 0)
+
+    def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:  # noqa: ARG002
+        """None: the filter finds where a manoeuvre began."""
+        return np.zeros((len(self.place), len(outputs), 0))
+
+
+@eqx.filter_jit
+def _observer(flown, theta, R, found):
+    return observer(flown, theta, R, found)
+
+
+@eqx.filter_jit
+def _slopes(responses: FilterError, theta, directions):
+    flown = responses.flown
+    path = observed(flown, theta, responses.by)
+    lin = linearised(flown, theta, path.before, path.after, directions)
+    both = jnp.concatenate([path.innovation[..., None], observer_slopes(lin, responses.by)], axis=-1)
+    found = responses._whitened(both, lin.scale)
+    return found[..., 0], found[..., 1:]
