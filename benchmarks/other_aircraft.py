@@ -1,6 +1,7 @@
 """Diagnose aircraft that nobody here has seen: drawn at random and flown by a simulator that shares no code.
 
-    python benchmarks/other_aircraft.py 29 [--first 0] [--gusts 0.5] [--poor] [--single] [--silent] [--out strangers]
+    python benchmarks/other_aircraft.py 29 [--first 0] [--gusts 0.5] [--poor] [--single] [--silent] [--process-noise]
+        [--out strangers]
 
 Every 29th (with --silent all) has nothing hidden, the others one effect each (`tests/stranger_records.py`): two stalls
 (or one) at 20, 25 or 50 Hz with white noise, in knots, degrees, feet and g; in gusts of that deviation, m/s; by poor
@@ -24,9 +25,10 @@ from stranger_records import HIDDEN, Recorder, flown
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.inference.compiled_programs import give_back_memory
 
 
-def case(seed: int, gusts: float, poor: bool, manoeuvres: int, silent: bool) -> dict:
+def case(seed: int, gusts: float, poor: bool, manoeuvres: int, silent: bool, process_noise: bool = False) -> dict:
     """Draw, fly, read and diagnose."""
     name = None if silent else [None, *HIDDEN][seed % (len(HIDDEN) + 1)]
     recorder = Recorder.poor(np.random.default_rng([seed, 13])) if poor else Recorder()
@@ -35,7 +37,7 @@ def case(seed: int, gusts: float, poor: bool, manoeuvres: int, silent: bool) -> 
         card = read_card(str(Path(folder) / "card.toml"))
         records = [read_record(path, card.channels) for path in files]
         began = time.perf_counter()
-        found = diagnose(records, card, seed=seed, gains_wanted=False)
+        found = diagnose(records, card, seed=seed, gains_wanted=False, process_noise=process_noise)
     return {
         "seed": seed,
         "hidden": name,
@@ -85,6 +87,7 @@ if __name__ == "__main__":
     parser.add_argument("--poor", action="store_true", help="by recorders that colour, filter and round")
     parser.add_argument("--single", action="store_true", help="one manoeuvre instead of two")
     parser.add_argument("--silent", action="store_true", help="nothing hidden in any of them")
+    parser.add_argument("--process-noise", action="store_true", help="search in innovations, with gusts estimated")
     parser.add_argument("--out", type=Path, default=Path("strangers"))
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
@@ -93,7 +96,9 @@ if __name__ == "__main__":
     with path.open("a") as file:
         for seed in range(given.first, given.first + given.count):
             if seed not in {row["seed"] for row in done}:
-                done.append(case(seed, given.gusts, given.poor, 1 if given.single else 2, given.silent))
+                flights = 1 if given.single else 2
+                done.append(case(seed, given.gusts, given.poor, flights, given.silent, given.process_noise))
+                give_back_memory()
                 file.write(json.dumps(done[-1]) + "\n")
                 file.flush()
     report(done)

@@ -72,7 +72,9 @@ class FilterError(OutputError):
         self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
         """Residuals and minus their derivatives in these directions, along the path of the observer."""
-        residual, slope = _slopes(self._nameless, jnp.asarray(theta), jnp.asarray(directions))
+        nameless = self._nameless
+        assert isinstance(nameless, FilterError)
+        residual, slope = _slopes(nameless, jnp.asarray(theta), jnp.asarray(directions))
         return np.asarray(residual), -np.moveaxis(np.asarray(slope), -1, 0)
 
     def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:  # noqa: ARG002

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -49,7 +49,7 @@ class OutputError(ResidualModel, eqx.Module):
         return eqx.tree_at(lambda f: f.flights, self.windows, self.flights)
 
     @property
-    def _nameless(self) -> Self:
+    def _nameless(self) -> OutputError:
         return replace(self, flights=self.flights.nameless, windows=self.windows.nameless)
 
     @property

@@ -197,8 +197,8 @@ def observed(flown: SegmentTrajectories, theta: Float[Array, " k"], by: Observer
         rows = (inputs, later(inputs, flown.held), true, gain)
         return jax.lax.scan(further, ready.system.settled(start, first), rows)[1]
 
-    segments = (*rows_of(flown, ready, jnp.zeros((len(flown.index), 1))), by.gain)
-    return jax.vmap(predict)(*segments)
+    start, nothing, inputs, dt, true, scale = rows_of(flown, ready, jnp.zeros((len(flown.index), 1)))
+    return jax.vmap(predict)(start, nothing, inputs, dt, true, scale, by.gain)
 
 
 def rows_of(flown: SegmentTrajectories, ready: Prepared, departure: Float[Array, "w s"]) -> tuple[Any, ...]:

@@ -13,6 +13,7 @@ from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResu
 
 GUSTS = ("vertical_gust", "longitudinal_gust")
 FIRST_F, FIRST_R = 0.3, 0.1  # of output error's residuals: process noise in a second, share that is measurement noise
+BESIDE_GUSTS = 0.03  # the first of these in gusts: begun larger, noise of the states takes the place of a gust
 
 
 def disturbed(flown: SegmentTrajectories) -> SegmentTrajectories:
@@ -50,5 +51,6 @@ def fit_disturbed(
     known = dict(zip(flown.dynamics.names, estimate, strict=True))
     start = np.array([known.get(p.name, p.start) for p in gusty.dynamics.free])
     sd = np.sqrt(R)
-    F = np.array([FIRST_F * sd[outputs.index(n)] if n in outputs else 0.0 for n in gusty.dynamics.states])
+    first = FIRST_F if gusty.dynamics.names == flown.dynamics.names else BESIDE_GUSTS
+    F = np.array([first * sd[outputs.index(n)] if n in outputs else 0.0 for n in gusty.dynamics.states])
     return gusty, fit_prediction_error(gusty, F, FIRST_R * R, start=start, priors=priors, exact=exact)
