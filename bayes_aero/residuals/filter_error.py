@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -66,7 +67,7 @@ class FilterError(OutputError):
 
     def _whitened(self, e: Float[Array, "w n c d"], scale: Float[Array, "w n c"]) -> Float[Array, "m c d"]:
         """Referred to the record."""
-        return self._mean(jnp.einsum("wnij,wnjd->wnid", self.by.whitening, e) / scale[..., None])
+        return self._mean(jnp.einsum("wnij,wnjd->wnid", self.by.whitening, e / scale[..., None]))
 
     def slopes(
         self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
@@ -92,6 +93,9 @@ def _slopes(responses: FilterError, theta, directions):
     flown = responses.flown
     path = observed(flown, theta, responses.by)
     lin = linearised(flown, theta, path.before, path.after, directions)
-    both = jnp.concatenate([path.innovation[..., None], observer_slopes(lin, responses.by)], axis=-1)
-    found = responses._whitened(both, lin.scale)
+    e = path.innovation[..., None]
+    scaled = jax.vmap(lambda t: jax.jvp(lambda x: prepared(flown, x).scale, (theta,), (t,))[1], out_axes=-1)(directions)
+    # An error of scale makes the record's noise larger with its signal: without this term it would explain noise.
+    grown = e * scaled / lin.scale[..., None]
+    found = responses._whitened(jnp.concatenate([e, observer_slopes(lin, responses.by) - grown], axis=-1), lin.scale)
     return found[..., 0], found[..., 1:]

@@ -49,7 +49,7 @@ def _rates(x, gust, elevator, thrust):
 def record():
     """Elevator steps and a slow sweep of alpha from trimmed level flight, in first-order gusts; Heun's method."""
     rng, h = np.random.default_rng(SEED), DT / FINER
-    trim = lambda y: _rates([104.0, y[0], y[0], 0.0], (0.0, 0.0), y[1], 1e3 * y[2])[[0, 1, 3]]  # noqa: E731
+    trim = lambda y: _rates([104.0, y[0], y[0], 0.0], (0.0, 0.0), y[1], 1e3 * y[2])[[0, 1, 3]]
     alpha, still, thrust = fsolve(trim, [0.11, 0.0, 9.0])
     n = round(SECONDS / DT)
     x, gust, rows = np.array([104.0, alpha, alpha, 0.0]), np.array([rng.normal(0.0, s) for s in GUST.values()]), []
@@ -112,3 +112,18 @@ def test_the_parameters_are_those_of_the_aircraft(found):
     for name in ("CLa", "CDa", "Cmq", "Cmde"):
         size = result.model.sizes[name]
         assert abs(size.mean - TRUTH[name]) < 4.0 * size.sd, name
+
+
+@pytest.mark.parametrize(
+    "name", ["airspeed_scale", "alpha_scale", "pitch_attitude_bias", "CLa", "Cma2", "thrust_scale"]
+)
+def test_sensitivities_of_innovations_match_finite_differences(found, name):
+    """An error of scale makes the sensor's noise larger, too, which its sensitivity must hold."""
+    state = found[0].model.base
+    at, step = state.full.columns([name])[0], 1e-5
+    directions = np.zeros((16, len(state.theta)))
+    directions[0, at] = 1.0
+    _, slope = state.responses.slopes(state.theta, directions)
+    up, down = (state.responses.evaluate(state.theta + sign * step * directions[0])[0] for sign in (1, -1))
+    difference = (np.asarray(down) - np.asarray(up)) / (2.0 * step)
+    np.testing.assert_allclose(slope[0], difference, rtol=1e-5, atol=1e-5 * np.abs(difference).max())
