@@ -37,5 +37,5 @@ def gusts(found: ProcessNoise) -> Figure:
             axis.set_title(history.manoeuvre, loc="left")
             axis.set_ylabel(f"{NAMES.get(name, name)} gust, m/s")
             axis.set_xlabel("time, s")
-    figure.suptitle("Gusts met, as the filter and its smoother reconstruct them, with 95 % bands")
+    figure.suptitle("Gusts met, with 95 % bands", fontsize=10.0)
     return figure
