@@ -11,8 +11,9 @@ import pytest
 from flown_samples import flight
 from rich.console import Console
 
+from bayes_aero.diagnosis.trajectories.results import GustHistory, ProcessNoise
 from bayes_aero.report.html.page_table import page_table
-from bayes_aero.report.tables.fly import error_table
+from bayes_aero.report.tables.fly import error_table, gust_table
 from bayes_aero.report.tables.table import Change, Column, Estimate, Table, columns_of, told, write_csv
 from bayes_aero.report.text.phrases import plus_minus
 
@@ -111,3 +112,14 @@ def test_a_terminal_shows_the_units_of_outputs():
 )
 def test_numbers_with_standard_errors(value, sd, text):
     assert plus_minus(value, sd) == text
+
+
+def test_gusts_of_all_manoeuvres_stand_in_one_file(tmp_path):
+    times = {"one": np.array([0.0, 0.5]), "two": np.array([0.0, 0.25, 0.5])}
+    met = [GustHistory(m, t, {"vertical_gust": (2.0 * t, 0.1 + t)}) for m, t in times.items()]
+    found = ProcessNoise("converged", True, 1.0, {}, {}, {}, {}, histories=tuple(met))
+    back = pd.read_csv(write_csv(gust_table(found), tmp_path / "gusts.csv"))
+    assert list(back.columns) == ["manoeuvre", "time", "vertical_gust", "vertical_gust_sd"]
+    assert list(back["manoeuvre"]) == ["one"] * 2 + ["two"] * 3
+    assert back["vertical_gust"].tolist() == [0.0, 1.0, 0.0, 0.5, 1.0]
+    assert back["vertical_gust_sd"].tolist() == [0.1, 0.6, 0.1, 0.35, 0.6]
