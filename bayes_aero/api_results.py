@@ -19,7 +19,7 @@ from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.jobs.steps.post_diagnosis import predictors
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES
 from bayes_aero.report.style import NotDrawn
-from bayes_aero.report.tables.diagnosis_tables import causes_frame, scores_frame, screen_frame
+from bayes_aero.report.tables.diagnosis_tables import causes_table, scores_frame, screen_table
 from bayes_aero.report.tables.run_tables import parameter_table, validation_table
 from bayes_aero.report.text.consistency import consistency_sentences
 from bayes_aero.report.text.diagnosis import sentences
@@ -63,7 +63,7 @@ class Fit:
         Returns:
             A row per parameter; columns for the unit, the estimate, both bounds, each posterior and each manoeuvre.
         """
-        return parameter_table(self.run)
+        return parameter_table(self.run).frame()
 
     def validation(self) -> pd.DataFrame:
         """Scores of the Gaussian processes (`gpr`) and of maximum likelihood on hold-out data.
@@ -76,7 +76,7 @@ class Fit:
         """
         if self.run.gp is None:
             raise InputError("this fit has no Gaussian processes yet; add them with bayes_aero.gpr(fit)")
-        return validation_table(self.run)
+        return validation_table(self.run).frame()
 
     def plot(self, figure: str = "forest") -> Figure:
         """Draw a figure of `identify`.
@@ -118,7 +118,7 @@ class Diagnosed:
         Returns:
             A row per parameter of each cause; columns for size, interval, probability, rivals and hold-out gain.
         """
-        return causes_frame(self.view)
+        return causes_table(self.view.diagnosis).frame()
 
     @property
     def _coefficients(self) -> View:
@@ -153,7 +153,7 @@ class Diagnosed:
         Returns:
             A row per candidate; columns for deviance, score and family-wise p-value.
         """
-        return screen_frame(self.view)
+        return screen_table(self.view.rankings, self.view.diagnosis).frame()
 
     def plot(self, figure: str = "measured_simulated") -> Figure:
         """Draw a figure of `diagnose`.

@@ -6,9 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.table import Table
 
 from bayes_aero.cli.terminal import (
     FAILED,
@@ -100,20 +98,14 @@ def _tell(console: Console, report: CheckReport) -> None:
 
 
 def _tell_record(console: Console, r: RecordReport) -> None:
-    from bayes_aero.report.text.check import part_sentences, taken
+    from bayes_aero.report.tables.channels import channel_table, sampling
+    from bayes_aero.report.text.check import part_sentences
 
-    rate = f"{1.0 / r.dt:.4g} Hz" if r.dt > 0.0 else "no sampling rate"
     console.print(r.path, style="bold", end="", soft_wrap=True)
-    console.print(f": {r.samples} samples, {r.duration:.6g} s, {rate}", soft_wrap=True)
+    console.print(f": {sampling(r)}", soft_wrap=True)
     if r.gaps or r.uneven:
         console.print(f"{r.gaps} gaps, {r.uneven} uneven steps")
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
-    for heading in ("channel", "taken from", "unit → inside", "range in the file"):
-        table.add_column(heading, no_wrap=heading != "taken from")
-    table.add_column("")
-    for c in r.channels:
-        table.add_row(c.name, *taken(c))
-    console.print(table)
+    console.print(channel_table(r).terminal())
     if r.missing:
         console.print(f"on the card, not in the file (not required): {', '.join(r.missing)}")
     if r.unused:

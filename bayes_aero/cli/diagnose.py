@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -29,6 +30,8 @@ from bayes_aero.cli.terminal import (
 
 if TYPE_CHECKING:  # the real imports wait until the command needs them
     from bayes_aero.jobs.io.diagnosis_json import Outcome
+
+MOST = 5  # candidates of each stage on a terminal, where there is no cause
 
 
 def diagnose(
@@ -85,16 +88,18 @@ def diagnose(
 
 
 def _tell(console: Console, found: Outcome) -> None:
-    from bayes_aero.report.text.diagnosis import cause_table, ranking_table, revealed, sentences
-    from bayes_aero.report.text.trajectories import trajectory_table
+    from bayes_aero.report.tables.diagnosis_tables import causes_table, screen_table
+    from bayes_aero.report.tables.trajectories import error_table
+    from bayes_aero.report.text.diagnosis import revealed, sentences
 
     verdict, *rest = sentences(found.view)
+    d, rankings = found.diagnosis, found.view.rankings
     console.print(verdict, highlight=False, style="bold")
-    table = cause_table(found.view) or ranking_table(found.view)
-    if table is not None:
-        console.print(table)
+    if d.causes or rankings:
+        first = [replace(ranking, candidate_scores=ranking.candidate_scores[:MOST]) for ranking in rankings]
+        console.print((causes_table(d) if d.causes else screen_table(first, d)).terminal())
     if found.view.trajectories is not None:
-        console.print(trajectory_table(found.view.trajectories))
+        console.print(error_table(found.view.trajectories).terminal())
     for sentence in rest:
         console.print(f"• {sentence}", highlight=False)
     for note in found.notes:

@@ -87,8 +87,7 @@ def fly(
         from bayes_aero.jobs.fly import fly_records
         from bayes_aero.jobs.io.fly_json import RESULTS
         from bayes_aero.jobs.options import FlyOptions
-        from bayes_aero.report.text.fly import error_table, parameter_table
-        from bayes_aero.report.text.process_noise import process_noise_table
+        from bayes_aero.report.tables.fly import error_table, parameter_table, process_noise_table
 
     console = teller(quiet=json, highlight=True)
     with interruptible(kept_stages(out)), bar("reading") as tell:
@@ -98,10 +97,10 @@ def fly(
         typer.echo((out / RESULTS).read_text(encoding="utf-8"), nl=False)
     print_failures(console, found.failures)
     print_doubts(console, found.consistency, found.health, corrects=False)
-    console.print(parameter_table(found.flown))
+    console.print(parameter_table(found.flown).terminal())
     if found.process_noise is not None and found.process_noise.converged:
-        console.print(process_noise_table(found.process_noise, found.flown))
-    console.print(error_table(found.flown))
+        console.print(process_noise_table(found.process_noise, found.flown).terminal())
+    console.print(error_table(found.flown).terminal())
     for sentence in found.sentences:
         console.print(f"• {sentence}", highlight=False)
     for note in found.notes:

@@ -70,7 +70,7 @@ def identify(
         from bayes_aero.jobs import identify as job
         from bayes_aero.jobs.options import IdentifyOptions
         from bayes_aero.model.noise import Colour
-        from bayes_aero.report.tables.run_tables import terminal_table
+        from bayes_aero.report.tables.run_tables import parameter_table
         from bayes_aero.report.text.identification import verdict
         from bayes_aero.simulate.demo import TRUTH, demo_records
 
@@ -98,7 +98,7 @@ def identify(
         return
     print_failures(console, found.failures)
     print_doubts(console, found.consistency, found.health, corrects=False)
-    console.print(terminal_table(found))
+    console.print(parameter_table(found).terminal())
     for sentence in verdict(found):
         console.print(f"• {sentence}", highlight=False)
     for note in found.notes:

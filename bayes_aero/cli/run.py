@@ -11,9 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.table import Table
 
 from bayes_aero.cli.terminal import FAILED, JsonOption, bar, interruptible, loading, print_failures, print_json, teller
 from bayes_aero.errors import InputError
@@ -202,12 +200,11 @@ def _content(study: Study, out: Path, rows: list[dict[str, Any]]) -> dict[str, A
 
 
 def _listed(console: Console, planned: list[Planned]) -> None:
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
-    for heading in ("unit", "state", "why"):
-        table.add_column(heading, overflow="fold")
-    for p in planned:
-        table.add_row(p.unit.name, p.state.word, p.state.why)
-    console.print(table)
+    from bayes_aero.report.tables.table import Table, columns_of
+
+    of = columns_of(planned)
+    unit, state = of(lambda p: p.unit.name, terminal="unit", words=True), of(lambda p: p.state.word, terminal="state")
+    console.print(Table([unit, state, of(lambda p: p.state.why, terminal="why", words=True)]).terminal())
     counts = Counter(p.state.word for p in planned)
     console.print(f"{len(planned)} units: {', '.join(f'{n} {word}' for word, n in counts.items())}")
 

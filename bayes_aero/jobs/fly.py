@@ -27,7 +27,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
-from bayes_aero.jobs.io.fly_json import RESULTS, Flight, fly_results, gust_frame
+from bayes_aero.jobs.io.fly_json import RESULTS, Flight, fly_results
 from bayes_aero.jobs.io.output_folder import writable
 from bayes_aero.jobs.io.time_histories import flights, put_histories
 from bayes_aero.jobs.options import FREE, LINEAR, FlyOptions
@@ -45,8 +45,9 @@ from bayes_aero.report.figures.gusts import gusts
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.fly import FlyTold, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES
-from bayes_aero.report.tables.run_tables import write_csv
-from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences, parameter_frame
+from bayes_aero.report.tables.fly import gust_table, parameter_table
+from bayes_aero.report.tables.table import write_csv
+from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences
 from bayes_aero.report.text.phrases import several
 from bayes_aero.report.text.process_noise import process_noise_sentences
 
@@ -184,9 +185,9 @@ def _written(
         write_json(fly_results(more, card, records, source), out / RESULTS)
         return more
 
-    write_csv(parameter_frame(found.flown), out / "parameters.csv")
+    write_csv(parameter_table(found.flown), out / "parameters.csv")
     if found.process_noise is not None and found.process_noise.histories:
-        write_csv(gust_frame(found.process_noise), out / "gusts.csv")
+        write_csv(gust_table(found.process_noise), out / "gusts.csv")
     together = [replace(path, split=FITTED) for path in found.flown.paths]  # first values and fit side by side
     found = noted((), ())
     failed = put_histories(lambda: flights(together, found.flown.units), out)

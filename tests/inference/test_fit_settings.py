@@ -29,7 +29,8 @@ from bayes_aero.jobs.provenance.provenance import as_json
 from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import differentiate
-from bayes_aero.report.text.fly import fly_sentences, parameter_rows
+from bayes_aero.report.tables.fly import parameter_rows
+from bayes_aero.report.text.fly import fly_sentences
 
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15}
 BEGIN = (0.04, 0.01)

@@ -15,16 +15,11 @@ from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.figures.diagnosis import autocorrelation
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, draw_all
 from bayes_aero.report.figures.found import telling
+from bayes_aero.report.html.page_table import page_table
 from bayes_aero.report.pages.captions import diagnosis_alternatives
 from bayes_aero.report.style import NotDrawn, close, save
-from bayes_aero.report.tables.diagnosis_tables import causes_frame, screen_frame
-from bayes_aero.report.text.diagnosis import (
-    cause_table,
-    probability,
-    ranking_table,
-    revealed,
-    sentences,
-)
+from bayes_aero.report.tables.diagnosis_tables import causes_table, probability, screen_table
+from bayes_aero.report.text.diagnosis import revealed, sentences
 from bayes_aero.report.text.phrases import size_text
 
 DOES_NOT_APPLY = {"gain", "moves", "trajectories_hold_out", "trajectories_fitted"}  # nothing was added or flown
@@ -128,19 +123,27 @@ def test_candidates_are_ranked_once_each(diagnosed):
 
 
 def test_tables_hold_every_cause_and_candidate(diagnosed):
-    view = diagnosed.view
-    assert set(causes_frame(view)["cause"]) == {c.name for c in view.diagnosis.causes}
-    assert len(screen_frame(view)) == sum(len(r.candidate_scores) for r in view.rankings)
-    table = cause_table(view)
-    assert table is not None
-    assert table.row_count == len(view.diagnosis.causes)
-    assert ranking_table(view) is None
+    d, rankings = diagnosed.view.diagnosis, diagnosed.view.rankings
+    assert set(causes_table(d).frame()["cause"]) == {c.name for c in d.causes}
+    assert causes_table(d).terminal().row_count == len(d.causes)
+    assert len(screen_table(rankings, d).frame()) == sum(len(r.candidate_scores) for r in rankings)
 
 
-def test_without_a_cause_the_closest_candidates_are_told(nothing):
-    assert cause_table(nothing) is None
-    assert ranking_table(nothing) is not None
-    assert causes_frame(nothing).empty
+def test_a_cause_of_two_parameters_has_a_row_for_each_in_a_file_and_one_for_people(diagnosed):
+    cause = diagnosed.view.diagnosis.causes[0]
+    (size,) = cause.parameters.values()
+    both = replace(cause, parameters={"one": size, "other": replace(size, mean=3.0 * size.mean)})
+    table = causes_table(replace(diagnosed.view.diagnosis, causes=(both,)))
+    rows = table.frame()
+    assert list(rows["parameter"]) == ["one", "other"]
+    assert list(rows["mean"]) == [size.mean, 3.0 * size.mean]
+    assert list(rows["probability"]) == [cause.probability] * 2
+    (row,) = page_table(table).rows
+    assert row[2].split("; ")[1] == f"other {size_text(3.0 * size.mean, size.sd, size.unit)}"
+
+
+def test_without_a_cause_sentences_say_so(nothing):
+    assert causes_table(nothing.diagnosis).frame().empty
     assert sentences(nothing)[0].startswith("No significant model error")
 
 
@@ -195,7 +198,7 @@ def test_sizes_as_people_read_them(given, text):
 
 
 def test_probability_is_never_rounded_to_certainty():
-    assert [probability(x) for x in (1.0, 0.646, float("nan"))] == ["> 0.99", "0.65", "-"]
+    assert [probability(x) for x in (1.0, 0.646)] == ["> 0.99", "0.65"]
 
 
 def test_what_was_hidden_is_revealed_with_its_size():

@@ -19,14 +19,15 @@ from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.jobs.provenance.provenance import provenance
 from bayes_aero.report.figures.every_figure import FIGURES
 from bayes_aero.report.html.page import Fold, Page, Picture, Plot, Table, Text, put_page, render, section, write_page
+from bayes_aero.report.html.page_table import page_table
 from bayes_aero.report.html.pictures import Gallery, embedded
 from bayes_aero.report.html.plots import Line, Panel, extremes, linked
 from bayes_aero.report.page_context import PageContext
 from bayes_aero.report.pages.diagnosis import diagnosis_page
 from bayes_aero.report.pages.identification import headline, identification_page
 from bayes_aero.report.pages.stall import stall_table
-from bayes_aero.report.pages.tables.identification import coverage, parameters
 from bayes_aero.report.style import NotDrawn
+from bayes_aero.report.tables.run_tables import coverage_table, parameter_table
 
 HOSTILE = """<script>alert(1)</script>"'&$$x$$</title>"""
 
@@ -127,7 +128,7 @@ def test_the_identified_model_is_flown_on_the_page(full, simulated):
 
 
 def test_parameters_are_those_of_every_method(full):
-    table = parameters(full)
+    table = page_table(parameter_table(full))
     row = next(cells for cells in table.rows if cells[0].startswith("Cmde "))
     assert row[0] == "Cmde [1/rad]"
     assert row[1:3] == ("-0.800 ± 0.010", "-0.800 ± 0.040")  # the bound and four times it
@@ -158,16 +159,16 @@ def test_draws_that_did_not_converge_are_warned_of_first(full):
 
 
 def test_coverage_of_a_calibrated_posterior(full):
-    assert coverage(full) is None  # these draws have no predictions
+    assert coverage_table(full) is None  # these draws have no predictions
     rng = np.random.default_rng(0)
     posterior = full.posteriors["emcee"]
     tree = posterior.tree.copy()
     names = {n: (("chain", "draw", "instant"), rng.standard_normal((2, 100, 400))) for n in ("CL", "CD", "Cm")}
     tree["posterior_predictive"] = xr.DataTree(xr.Dataset(names))
     tree["observed_data"] = xr.DataTree(xr.Dataset({n: ("instant", rng.standard_normal(400)) for n in names}))
-    table = coverage(replace(full, posteriors={"emcee": replace(posterior, tree=tree)}))
+    table = coverage_table(replace(full, posteriors={"emcee": replace(posterior, tree=tree)}))
     assert table is not None
-    shares = np.array([[float(cell.rstrip("%")) for cell in row[1:]] for row in table.rows])
+    shares = np.array([[float(cell.rstrip("%")) for cell in row[1:]] for row in page_table(table).rows])
     assert shares == pytest.approx(np.tile([50.0, 90.0, 95.0], (3, 1)), abs=8.0)
 
 

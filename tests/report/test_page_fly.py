@@ -18,10 +18,11 @@ from bayes_aero.jobs.io.fly_json import RESULTS
 from bayes_aero.jobs.provenance.provenance import provenance
 from bayes_aero.report.figures.fly import stem_of
 from bayes_aero.report.html.page import Fold, Picture, Plot, Table, render
+from bayes_aero.report.html.page_table import page_table
 from bayes_aero.report.html.parts import at_a_glance
 from bayes_aero.report.html.plots import AXIS, HIGHEST, LOW, Line, Panel, linked
 from bayes_aero.report.pages.fly import FlyTold, fly_page
-from bayes_aero.report.pages.tables.fly import errors, initial, kept, parameters
+from bayes_aero.report.tables.fly import error_table, initial_table, parameter_table, tolerance_table
 from bayes_aero.report.text.fly import errors_of_all
 
 DEGREE = np.deg2rad(1.0)
@@ -50,7 +51,7 @@ def test_every_part_is_made_and_nothing_else():
 
 def test_parameters_stand_with_both_deviations_and_their_bounds():
     flown = flight().flown
-    table = parameters(flown)
+    table = page_table(parameter_table(flown))
     assert {row[0].split()[0] for row in table.rows} == set(SHORT_PERIOD_TRUTH)
     for row in table.rows:
         name, first, fit, crb, corrected, prior, bounds, remark = row
@@ -66,7 +67,7 @@ def test_parameters_stand_with_both_deviations_and_their_bounds():
         "Mq [1/s]",
         "Mde [1/s²]",
     ]
-    still = parameters(replace(flown, fit=replace(flown.fit, at_bound=("Mde",))))
+    still = page_table(parameter_table(replace(flown, fit=replace(flown.fit, at_bound=("Mde",)))))
     assert [row[0] for row in still.rows if row[-1] == "at its bound"] == ["Mde [1/s²]"]
 
 
@@ -84,7 +85,7 @@ def test_numbers_of_a_fit_that_failed_are_warned_of_first():
 def test_errors_of_a_known_offset():
     """Simulated is measured plus a constant: that is the RMS, the largest error, and all of it is bias."""
     flown = with_offsets(flight().flown, {"one": 100, "two": 300}, {"one": 2.0 * DEGREE, "two": -1.5 * DEGREE})
-    rows = errors(flown).rows
+    rows = page_table(error_table(flown)).rows
     assert [row[0] for row in rows] == ["one", "α [deg]", "two", "α [deg]"]
     assert rows[1][1:4] == ("4.0", "2.0", "2.0")
     assert rows[1][5:] == ("100%", "0%", "0%")
@@ -92,11 +93,11 @@ def test_errors_of_a_known_offset():
     (before, after) = errors_of_all(flown)["alpha"]
     assert after / DEGREE == pytest.approx(np.sqrt((100 * 2.0**2 + 300 * 1.5**2) / 400))
     assert before == pytest.approx(2.0 * after)
-    assert [row[1:] for row in kept(flown).rows if row[0].startswith("α")] == [
+    assert [row[1:] for row in page_table(tolerance_table(flown)).rows if row[0].startswith("α")] == [
         ("± 2 deg", "0%", "100%"),
         ("± 2 deg", "0%", "100%"),
     ]
-    alone = errors(with_offsets(flight().flown, {"one": 200}, {"one": DEGREE}))
+    alone = page_table(error_table(with_offsets(flight().flown, {"one": 200}, {"one": DEGREE})))
     assert [row[0] for row in alone.rows] == ["α [deg]"]  # no heading above a single manoeuvre
 
 
@@ -108,7 +109,7 @@ def test_without_tolerances_there_is_no_band():
         for p in flown.paths
     )
     page = fly_page(replace(flown, paths=free), told())
-    assert kept(replace(flown, paths=free)) is None
+    assert tolerance_table(replace(flown, paths=free)) is None
     assert "tolerance" not in str([b for b in blocks_of(page, "fit") if not isinstance(b, Plot)])
     assert "tolerance" not in str([b.legend for b in blocks_of(page, "fit") if isinstance(b, Plot)])
 
@@ -126,14 +127,14 @@ def test_a_simulation_that_is_lost_leaves_the_page_whole():
         for p in flown.paths
     )
     lost = replace(flown, paths=paths)
-    assert errors(lost).rows[0][1:] == ("–",) * 7
+    assert page_table(error_table(lost)).rows[0][1:] == ("–",) * 7
     page = fly_page(lost, told())
     assert not [b for s in page.sections for b in s.blocks if "was not made" in getattr(b, "text", "")]
     assert "first values → fit: α\u00a0–" in page.lead[0].text
 
 
 def test_the_state_at_the_first_sample_is_the_flown_one():
-    rows = {row[0]: row[1:] for row in initial(flight().flown).rows[:3]}
+    rows = {row[0]: row[1:] for row in page_table(initial_table(flight().flown)).rows[:3]}
     assert list(rows) == ["one", "α [deg]", "q [deg/s]"]
     assert float(rows["α [deg]"][0]) * DEGREE == pytest.approx(0.04, abs=0.002)
     assert float(rows["q [deg/s]"][0]) * DEGREE == pytest.approx(0.0, abs=0.003)

@@ -17,16 +17,12 @@ from bayes_aero.inference.likelihood.mle_result import MleStatus
 from bayes_aero.inference.scores import Scores
 from bayes_aero.model.noise import Colour
 from bayes_aero.parameter import Parameter, Prior
-from bayes_aero.report.pages.tables.diagnosis import by_manoeuvre
+from bayes_aero.report.html.page_table import page_table
 from bayes_aero.report.tables.comparison import ordered, scatter
-from bayes_aero.report.tables.run_tables import (
-    concise,
-    paper_table,
-    parameter_table,
-    terminal_table,
-    validation_table,
-    write_csv,
-)
+from bayes_aero.report.tables.models import holdout_table
+from bayes_aero.report.tables.run_tables import paper_table, parameter_table, validation_table
+from bayes_aero.report.tables.table import write_csv
+from bayes_aero.report.text.phrases import concise
 
 
 def test_parameters_come_in_the_canonical_order_and_others_behind():
@@ -48,14 +44,14 @@ def test_manoeuvres_are_compared_one_by_one_and_a_loss_beyond_chance_is_said(los
     gains["b", "CD"] = Compared(loses, 1.0, -0.012, 0.015)
     one = {c: Scores(0.9, 0.1, 0.1, 0.8) for c in ("CL", "CD", "Cm")}
     scores = {(model, "hold_out", k): one for model in ("card", "extended") for k in range(2)}
-    table = by_manoeuvre(HoldoutScores(("a", "b"), scores, gains, DEFAULT.hold_out))
+    table = page_table(holdout_table(HoldoutScores(("a", "b"), scores, gains, DEFAULT.hold_out)))
     assert [row[:2] for row in table.rows] == [(m, c) for m in ("a", "b") for c in ("CL", "CD", "Cm")]
     assert table.rows[4][2:] == ("0.800", "0.800", "-0.012 ± 0.015", f"{loses:+.1f} ± 1.0")
     assert ("significantly (one-sided, 5 %) for CD of b." in table.note) == (loses < -1.645)
 
 
 def test_parameter_table(full):
-    table = parameter_table(full)
+    table = parameter_table(full).frame()
     assert list(table.index) == ["CD0", "CL0", "CLa", "Cm0", "Cma", "Cmde"]
     row = table.loc["Cma"]
     assert row["unit"] == "1/rad"
@@ -80,7 +76,7 @@ def test_parameter_table(full):
 
 
 def test_scatter_between_manoeuvres_by_hand(full):
-    row = parameter_table(full).loc["Cmde"]
+    row = parameter_table(full).frame().loc["Cmde"]
     assert row["flight1_estimate"] == pytest.approx(-0.8)
     assert row["flight2_estimate"] == pytest.approx(-1.4)  # 60 bounds of 0.01 below
     assert row["between_manoeuvres_sd"] == pytest.approx(0.6 / np.sqrt(2.0))
@@ -88,18 +84,18 @@ def test_scatter_between_manoeuvres_by_hand(full):
 
 
 def test_a_stage_that_has_not_run_has_no_columns(make):
-    table = parameter_table(make(manoeuvres=1, engines=(), gp=False))
+    table = parameter_table(make(manoeuvres=1, engines=(), gp=False)).frame()
     assert list(table.columns) == ["unit", "estimate", "crb", "crb_corrected"]
-    assert len(parameter_table(make(engines=("emcee",), gp=False)).filter(like="nuts").columns) == 0
+    assert len(parameter_table(make(engines=("emcee",), gp=False)).frame().filter(like="nuts").columns) == 0
 
 
 def test_where_white_noise_is_chosen_its_posterior_fills_both_places(make):
-    row = parameter_table(make(noise=Colour.WHITE, engines=("emcee", "nuts"), width=1.1)).loc["CL0"]
+    row = parameter_table(make(noise=Colour.WHITE, engines=("emcee", "nuts"), width=1.1)).frame().loc["CL0"]
     assert row["white_sd"] == row["emcee_sd"] == pytest.approx(0.011)
 
 
 def test_validation_table(full):
-    table = validation_table(full)
+    table = validation_table(full).frame()
     folds = {"random": {"all"}, "block": {"all"}, "manoeuvre": {"1", "2", "all"}}
     for split, names in folds.items():
         assert set(table.loc[split].index.get_level_values("fold")) == names
@@ -119,21 +115,21 @@ def test_validation_table(full):
 def test_the_papers_numbers_stand_beside_ours_on_its_card_only(full, make):
     from dataclasses import replace
 
-    table = paper_table(full)
+    table = paper_table(full).frame()
     assert table.loc["Cm", "gpr_r_paper"] == 0.902741
     assert table.loc["CD", "mle_rmse_paper"] == 0.009290
     v = full.gp.splits["random"][0]["CL"]
     assert table.loc["CL", "gpr_r_ours"] == pytest.approx(v.gp_scores.r)
-    other = paper_table(replace(full, card=replace(full.card, name="other")))
+    other = paper_table(replace(full, card=replace(full.card, name="other"))).frame()
     assert list(other.columns) == ["mle_r_ours", "mle_rmse_ours", "gpr_r_ours", "gpr_rmse_ours"]
-    assert paper_table(make(gp=False)).empty
-    assert validation_table(make(gp=False)).empty
+    assert paper_table(make(gp=False)).frame().empty
+    assert validation_table(make(gp=False)).frame().empty
 
 
 def test_csv_comes_back_and_is_written_whole_or_not_at_all(full, tmp_path, monkeypatch):
     path = write_csv(parameter_table(full), tmp_path / "parameters.csv")
     back = pd.read_csv(path, index_col="parameter")
-    pd.testing.assert_frame_equal(back, parameter_table(full), check_dtype=False, rtol=1e-15)
+    pd.testing.assert_frame_equal(back, parameter_table(full).frame(), check_dtype=False, rtol=1e-15)
     before = path.read_bytes()
 
     def fails(_self, partial, **_):
@@ -150,7 +146,7 @@ def test_csv_comes_back_and_is_written_whole_or_not_at_all(full, tmp_path, monke
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_the_terminal_table_fits_80_columns(count, make):
     text = io.StringIO()
-    Console(file=text, width=80).print(terminal_table(make(manoeuvres=count, corrected=4.0)))
+    Console(file=text, width=80).print(parameter_table(make(manoeuvres=count, corrected=4.0)).terminal())
     lines = text.getvalue().splitlines()
     assert max(map(len, lines)) <= 80
     row = next(line for line in lines if line.startswith("Cma"))
@@ -162,24 +158,24 @@ def test_the_terminal_table_fits_80_columns(count, make):
 def test_a_simulated_run_shows_what_was_flown(make):
     run = replace(make(corrected=4.0), truth={"Cma": -0.512})
     text = io.StringIO()
-    Console(file=text, width=80).print(terminal_table(run))
+    Console(file=text, width=80).print(parameter_table(run).terminal())
     row = next(line for line in text.getvalue().splitlines() if line.startswith("Cma"))
     assert "-0.512 -0.500(10)" in row
     assert max(map(len, text.getvalue().splitlines())) <= 80
-    table = parameter_table(run)
+    table = parameter_table(run).frame()
     assert table.loc["Cma", "flown"] == -0.512
     assert np.isnan(table.loc["CLa", "flown"])
-    assert "flown" not in parameter_table(make())
+    assert "flown" not in parameter_table(make()).frame()
 
 
 def test_a_manoeuvre_that_identifies_nothing_alone_shows_no_numbers(make):
     run = make()
     run.alone["flight2"] = replace(run.alone["flight2"], status=MleStatus.STALL_NOT_IDENTIFIED)
     text = io.StringIO()
-    Console(file=text, width=80).print(terminal_table(run))
+    Console(file=text, width=80).print(parameter_table(run).terminal())
     assert text.getvalue().count("-0.500(10)") == 3  # maximum likelihood, emcee, flight1
     assert scatter(run, "Cma") is None
-    assert np.isnan(parameter_table(run).loc["Cma", "between_manoeuvres_sd"])
+    assert np.isnan(parameter_table(run).frame().loc["Cma", "between_manoeuvres_sd"])
 
 
 @pytest.mark.parametrize(

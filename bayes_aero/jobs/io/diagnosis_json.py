@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from bayes_aero.diagnosis.result import COEFFICIENTS, Cause, Diagnosis, Gain, NoiseReport, Tested, UnexplainedStructure
@@ -17,6 +17,7 @@ from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.jobs.io.health_json import health_results
 from bayes_aero.jobs.io.trajectories_json import trajectory_results
 from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.tables.diagnosis_tables import screen_table
 from bayes_aero.report.text.diagnosis import sentences
 
 SCHEMA = "bayes_aero/diagnosis/2"
@@ -72,16 +73,7 @@ def diagnosis_results(
         "not_testable": dict(d.not_testable),
         "screening": screen(d, view.rankings),
         "split": d.split,
-        "base_parameters": {
-            name: {
-                "before": m.before,
-                "after": m.after,
-                "sd_before": m.sd_before,
-                "sd_after": m.sd_after,
-                "unit": m.unit,
-            }
-            for name, m in view.moves.items()
-        },
+        "base_parameters": {name: asdict(move) for name, move in view.moves.items()},
         "residuals": _residuals(view),
         "predictors": dict(outcome.predictors),
         "trajectories": {} if view.trajectories is None else trajectory_results(view.trajectories, card),
@@ -175,19 +167,15 @@ def record_results(records: Sequence[FlightRecord]) -> list[dict[str, Any]]:
 def screen(d: Diagnosis, rankings: Sequence[Ranking]) -> list[dict[str, Any]]:
     """Every candidate in the first election of each stage, the highest score first."""
     causes = {(c.stage, c.name) for c in d.causes}
+    found = [(ranking, s) for ranking in rankings for s in ranking.candidate_scores]
     return [
-        {
-            "stage": ranking.stage,
-            "name": s.effect,
-            "kind": s.kind,
-            "score": s.score,
-            "p_value": s.p_value,
+        row
+        | {
             "threshold": ranking.threshold,
             "parameters": {name: {"estimate": x, "sd": sd} for name, (x, sd) in s.estimate.items()},
             "cause": (ranking.stage, s.effect) in causes,
         }
-        for ranking in rankings
-        for s in ranking.candidate_scores
+        for row, (ranking, s) in zip(screen_table(rankings, d).records(), found, strict=True)
     ]
 
 

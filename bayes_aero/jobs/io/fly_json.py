@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from bayes_aero.diagnosis.trajectories.results import Disagreement, ProcessNoise, TrajectoryFit
 from bayes_aero.flight.agreement import Consistency
@@ -20,7 +19,7 @@ from bayes_aero.jobs.io.health_json import health_results
 from bayes_aero.jobs.io.identification_json import inseparable_results
 from bayes_aero.jobs.io.trajectories_json import open_loop
 from bayes_aero.jobs.options import FIXED, FREE, HELD, LINEAR
-from bayes_aero.report.text.fly import parameter_rows
+from bayes_aero.report.tables.fly import parameter_rows
 
 SCHEMA = "bayes_aero/trajectories/2"
 RESULTS = "trajectories.json"
@@ -100,14 +99,3 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
 def _process_noise(found: ProcessNoise) -> dict[str, Any]:
     """All but the histories, which gusts.csv has."""
     return {name: value for name, value in asdict(found).items() if name != "histories"}
-
-
-def gust_frame(found: ProcessNoise) -> pd.DataFrame:
-    """gusts.csv: manoeuvre, time (s), mean and standard deviation of each gust (m/s)."""
-    frames = []
-    for one in found.histories:
-        columns: dict[str, Any] = {"manoeuvre": one.manoeuvre, "time": one.time}
-        for name, (mean, sd) in one.gusts.items():
-            columns |= {name: mean, f"{name}_sd": sd}
-        frames.append(pd.DataFrame(columns))
-    return pd.concat(frames, ignore_index=True)

@@ -6,19 +6,19 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-import numpy as np
-
 from bayes_aero.diagnosis.trajectories.results import Path
 from bayes_aero.inference.identification import GPReport, Identification, Validation
 from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.inference.posterior.posterior import Posterior
-from bayes_aero.inference.scores import Scores, score
+from bayes_aero.inference.scores import Scores
 from bayes_aero.inference.variance.inseparable import Inseparable
 from bayes_aero.jobs.io.consistency_json import consistency_results
+from bayes_aero.jobs.io.diagnosis_json import record_results
 from bayes_aero.jobs.io.health_json import health_results
 from bayes_aero.jobs.io.trajectories_json import open_loop
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.tables.comparison import flown
+from bayes_aero.report.tables.run_tables import Pooled
 
 SCHEMA = "bayes_aero/results/1"
 
@@ -33,10 +33,7 @@ def results(
     found: dict[str, Any] = {
         "schema": SCHEMA,
         "card": {"name": identification.card.name, "title": identification.card.title},
-        "records": [
-            {"name": r.name, "samples": r.n, "dt": r.dt, "duration": float(r.time[-1] - r.time[0])}
-            for r in identification.records
-        ],
+        "records": record_results(identification.records),
         "coefficients": identification.forming.value,
         "mle": _mle(identification.mle) | {"alone": {k: _mle(v) for k, v in identification.alone.items()}},
     }
@@ -113,22 +110,12 @@ def _gpr(report: GPReport) -> dict[str, Any]:
 
 def _pooled(folds: list[Validation]) -> dict[str, Any]:
     """Scores over the test points of all folds together, and each fold's own."""
-    measured = np.concatenate([v.measured for v in folds])
-    scores = score(measured, np.concatenate([v.gp for v in folds]))
-    mle = score(measured, np.concatenate([v.mle for v in folds]))
-    weights = [len(v.measured) for v in folds]
-    coverage = {
-        f"coverage{round(100 * level)}": float(np.average([v.coverage[level] for v in folds], weights=weights))
-        for level in folds[0].coverage
+    all_folds = Pooled.of(folds)
+    return {
+        **_scores(all_folds.gp),
+        **{f"coverage{round(100 * level)}": share for level, share in all_folds.coverage.items()},
+        "k_hat": all_folds.k_hat,
+        "status": all_folds.status,
+        "mle": _scores(all_folds.mle),
+        "folds": [{"gpr": _scores(v.gp_scores), "mle": _scores(v.mle_scores)} for v in folds],
     }
-    sampled = [v.k_hat for v in folds if v.k_hat is not None]
-    return (
-        _scores(scores)
-        | coverage
-        | {
-            "k_hat": max(sampled) if sampled else None,
-            "status": "; ".join(dict.fromkeys(v.status for v in folds)),
-            "mle": _scores(mle),
-            "folds": [{"gpr": _scores(v.gp_scores), "mle": _scores(v.mle_scores)} for v in folds],
-        }
-    )

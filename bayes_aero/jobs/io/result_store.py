@@ -21,8 +21,8 @@ from bayes_aero.jobs.provenance.provenance import write_json
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.page_context import PageContext
 from bayes_aero.report.pages.diagnosis import diagnosis_page
-from bayes_aero.report.tables.diagnosis_tables import causes_frame, screen_frame
-from bayes_aero.report.tables.run_tables import write_csv
+from bayes_aero.report.tables.diagnosis_tables import causes_table, screen_table
+from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.diagnosis import revealed
 
 
@@ -141,8 +141,9 @@ class ResultStore:
 
     def _put_tables(self) -> None:
         if self.path is not None:
-            write_csv(causes_frame(self.outcome.view), self.path / "causes.csv")
-            write_csv(screen_frame(self.outcome.view), self.path / "screen.csv")
+            found = self.outcome.diagnosis
+            write_csv(causes_table(found), self.path / "causes.csv")
+            write_csv(screen_table(self.outcome.view.rankings, found), self.path / "screen.csv")
 
     def _put_histories(self) -> None:
         if self.path is None:

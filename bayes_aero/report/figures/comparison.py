@@ -12,8 +12,9 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 from bayes_aero.inference.identification import Identification
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.style import NotDrawn, grid_of, housed, panels
-from bayes_aero.report.tables.comparison import NORMAL95, Method, alone, decimals, methods, ordered, scatter, unit_of
-from bayes_aero.report.text.phrases import bracket
+from bayes_aero.report.tables.comparison import Method, alone, methods, ordered, scatter, unit_of
+from bayes_aero.report.tables.table import NORMAL95
+from bayes_aero.report.text.phrases import bracket, plus_minus
 
 MARKERS = {"crb": "|", "crb_corrected": "s", "white": "D", "emcee": "o", "nuts": "^", "scatter": "*"}
 
@@ -45,14 +46,6 @@ def _rows(identification: Identification, name: str) -> list[_Row]:
     return rows
 
 
-def significant(value: float, sd: float) -> str:
-    """`value ± sd` with two digits of sd."""
-    if not (np.isfinite(sd) and sd > 0.0):
-        return f"{value:.4g}"
-    places = decimals(sd)
-    return f"{value:.{places}f} ± {sd:.{places}f}"
-
-
 @housed
 def forest(identification: Identification) -> Figure:
     """Every parameter by every method, with 95 % intervals and numbers; one panel per parameter, in its own unit."""
@@ -78,7 +71,7 @@ def _forest_panel(ax: Axes, rows: list[_Row], labels: list[str], *, first: bool)
         if row.inner is not None:
             ax.plot([row.centre - row.inner, row.centre + row.inner], [y, y], color=row.colour, lw=4.0, alpha=0.6)
         ax.plot(row.centre, y, "o", ms=4.0, color=row.colour, mec="white", mew=0.5)
-        text = significant(row.centre, row.sd)
+        text = plus_minus(row.centre, row.sd)
         ax.text(1.02, y, text, transform=ax.get_yaxis_transform(), va="center", fontsize=7.5, color="#333333")
     if rows:
         ax.axvline(rows[0].centre, color=COLOURS["crb"], lw=0.8, zorder=0)

@@ -15,7 +15,7 @@ from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.time_histories import SYMBOLS, shown_in
 from bayes_aero.report.style import NotDrawn, column_width, housed, panels, refuse_many
-from bayes_aero.report.text.diagnosis import SPLITS
+from bayes_aero.report.tables.diagnosis_tables import SPLITS
 from bayes_aero.report.text.phrases import bracket, for_people, size_text
 
 PROFILES = 3  # channels shown for each coefficient

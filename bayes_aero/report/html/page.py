@@ -60,7 +60,8 @@ class Facts:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows under headings; the first cell of a row is its heading. `groups` span several headings each.
+    """Rows of text under headings (of numbers: `page_table`); the first cell of a row is its heading. `groups` span
+    several headings each.
 
     `words` are the columns that hold text (left-aligned) beside the first. `links` are relative addresses that the
     first cells lead to, one a row, empty for none.

@@ -17,20 +17,10 @@ from bayes_aero.parameter import Parameter
 from bayes_aero.report.html.page import Block, Facts, Fold, Plot, Points, Table, Text
 from bayes_aero.report.html.plots import MOST, TIME, Over, Panel, linked
 from bayes_aero.report.text.consistency import consistency_sentences
-from bayes_aero.report.text.phrases import SYMBOLS, bracket, for_people, several
+from bayes_aero.report.text.phrases import SYMBOLS, bracket, for_people, number, plain_unit, several
 
 GLANCE = ("airspeed", "alpha", "altitude", "elevator", "q")
 MOST_SHOWN = 6  # manoeuvres whose time histories are on the page: each costs a browser a second on a phone
-
-
-def number(value: float, digits: int = 3) -> str:
-    """Significant digits without an exponent where people read numbers; a dash where there is none."""
-    if not np.isfinite(value):
-        return "–"
-    value += 0.0  # no minus before zero
-    if value != 0.0 and not 1e-4 <= abs(value) < 1e6:
-        return f"{value:.{digits - 1}e}"
-    return f"{value:.{digits}g}" if abs(value) < 10.0**digits else f"{value:.0f}"
 
 
 def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...]:
@@ -146,11 +136,6 @@ def symbols(
     units = {name: for_people(p.unit)[0] if degrees else p.unit for name, p in known.items()}
     facts = [(f"{n} [{plain_unit(units[n])}]", known[n].description) for n in names if n in known]
     return Fold("What the parameters mean", (Facts(tuple(facts)), Text(said)))
-
-
-def plain_unit(unit: str) -> str:
-    """A parameter's unit as people read it."""
-    return {"1": "-", "c/V": "chords"}.get(unit, unit).replace("^2", "²").replace("^3", "³")
 
 
 def first(names: Sequence[str]) -> tuple[Sequence[str], tuple[Block, ...]]:

@@ -10,9 +10,9 @@ import numpy as np
 
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.html.page import Block, Page, Plot, Points, Table, Text, filled, section
-from bayes_aero.report.html.parts import histories, number, provenance_blocks
+from bayes_aero.report.html.parts import histories, provenance_blocks
 from bayes_aero.report.html.plots import SAMPLE, TIME, Line, Panel
-from bayes_aero.report.text.phrases import bracket
+from bayes_aero.report.text.phrases import bracket, number
 
 MOST_PANELS = 16
 TAKEN = "recorded, with the sign and in the unit that were guessed"

@@ -12,15 +12,16 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.html.folded_lists import not_testable_list, open_list
 from bayes_aero.report.html.page import Block, Fold, Page, Plot, Table, Text, filled, section
+from bayes_aero.report.html.page_table import page_table
 from bayes_aero.report.html.parts import at_a_glance, bullets, consistency_lead, first, histories, provenance_blocks
 from bayes_aero.report.html.plots import Line, Panel
+from bayes_aero.report.tables.channels import channel_table
 from bayes_aero.report.text.check import (
     card_sentences,
     headline,
     left_over,
     part_sentences,
     sensor_sentences,
-    taken,
     use_sentences,
 )
 from bayes_aero.report.text.consistency import sizes
@@ -98,13 +99,6 @@ def _channels(report: CheckReport) -> tuple[Block, ...]:
 
 
 def _table(r: RecordReport) -> Fold:
-    rate = f"{1.0 / r.dt:.4g} Hz" if r.dt > 0.0 else "no sampling rate"
-    table = Table(
-        f"{r.samples} samples, {r.duration:.6g} s, {rate}; {r.gaps} gaps, {r.uneven} uneven steps",
-        ("channel", "taken from", "unit → inside", "range in the file", "remark"),
-        tuple((c.name, *taken(c)) for c in r.channels),
-        words=(1, 4),
-    ).lean()
     absent = [f"On the card, not in the file (not required): {', '.join(r.missing)}."] if r.missing else []
     unused = [f"In the file, not on the card: {', '.join(r.unused)}."] if r.unused else []
-    return Fold(r.path, (table, *bullets([*absent, *unused, *r.remarks])))
+    return Fold(r.path, (page_table(channel_table(r)).lean(), *bullets([*absent, *unused, *r.remarks])))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.result import COEFFICIENTS, INNOVATIONS, TRAJECTORIES, Cause, Diagnosis
+from bayes_aero.diagnosis.result import COEFFICIENTS, INNOVATIONS, TRAJECTORIES, Diagnosis
+from bayes_aero.diagnosis.settings import ENOUGH
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
 from bayes_aero.physics.coefficients import NAMES
@@ -15,6 +18,7 @@ from bayes_aero.report.figures.time_histories import SYMBOLS, shown_in
 from bayes_aero.report.html.folded_lists import not_testable_list, open_list
 from bayes_aero.report.html.glossary import WORDS
 from bayes_aero.report.html.page import Block, Fold, Page, Section, Table, Text, filled, section
+from bayes_aero.report.html.page_table import page_table
 from bayes_aero.report.html.parts import (
     bullets,
     doubts,
@@ -29,18 +33,11 @@ from bayes_aero.report.html.plots import LOW, Line, Panel
 from bayes_aero.report.page_context import PageContext
 from bayes_aero.report.pages.captions import diagnosis_alternatives, gained
 from bayes_aero.report.pages.stall import stall_table
-from bayes_aero.report.pages.tables.diagnosis import (
-    by_manoeuvre,
-    calibration,
-    causes,
-    moved,
-    predictors,
-    residuals,
-    separating,
-)
 from bayes_aero.report.pages.trajectories import trajectories
+from bayes_aero.report.tables.diagnosis_tables import causes_table, screen_table
+from bayes_aero.report.tables.models import gain_table, holdout_table, moves_table, predictor_table, residual_tables
 from bayes_aero.report.text.consistency import open_sentences
-from bayes_aero.report.text.diagnosis import NAMED_IF, diagnosis_sentences, sentences
+from bayes_aero.report.text.diagnosis import diagnosis_sentences, sentences
 from bayes_aero.report.text.phrases import bracket, several
 from bayes_aero.report.text.trajectories import simulation_gain, trajectory_sentences
 
@@ -130,7 +127,7 @@ def _causes(d: Diagnosis, rankings: Sequence[Ranking], gallery: Gallery) -> tupl
                 "standard error. The probability is that of the effect being present"
                 + ("; rivals (last column) share it." if shared else ".")
             ),
-            causes(d),
+            page_table(causes_table(d)),
         ]
     else:
         blocks.append(Text("No cause is named. The leading candidates:"))
@@ -138,52 +135,18 @@ def _causes(d: Diagnosis, rankings: Sequence[Ranking], gallery: Gallery) -> tupl
         verb = "were" if len(d.minor) > 1 else "was"
         said = f"{several(d.minor)} {verb} in the model during the selection"
         blocks.append(Text(f"Too small to be named: {said}."))
-    listed = [_leaders(ranking, d.causes) for ranking in rankings]
+    leaders = [replace(ranking, candidate_scores=ranking.leaders) for ranking in rankings]
+    listed = [page_table(screen_table([ranking], d)) for ranking in leaders]
     blocks += [WORDS, Fold("Every candidate's score before anything was added", (*listed, *gallery.folded("ranking")))]
     return tuple(blocks)
 
 
-def _leaders(ranking: Ranking, named: Sequence[Cause]) -> Table:
-    names = {c.name for c in named if c.stage == ranking.stage}
-    rows = tuple(
-        (s.effect, s.kind, f"{s.score:.1f}", f"{s.p_value:.3f}", "yes" if s.effect in names else "")
-        for s in ranking.leaders
-    )
-    beyond = f" Noise alone exceeds {ranking.threshold:.1f} once in twenty." if np.isfinite(ranking.threshold) else ""
-    return Table(
-        f"Leading candidates of the stage “{ranking.stage}”",
-        ("effect", "kind", "score", "p", "named"),
-        rows,
-        words=(1,),
-        note=f"Score: estimate over its standard error, autocorrelation included.{beyond} p is family-wise over all "
-        f"candidates, 0.005 at the least. {NAMED_IF} screen.csv lists all candidates.",
-    )
-
-
 def _gain(view: View, gallery: Gallery) -> tuple[Block, ...]:
-    scores = view.unseen_scores
-    if scores is None:
+    table = gain_table(view)
+    if table is None:
         return (Text("Nothing was added, so there is no gain to report."),)
-    head, rows = ["coefficient"], []
-    for when in ("before", "after"):
-        head += [f"R² {when}", f"RMSE {when} [-]"]
-    for name in NAMES:
-        if name not in scores[1]:
-            continue
-        a, b = scores[0][name], scores[1][name]
-        rows.append((name, f"{a.r2:.3f}", f"{a.rmse:.4f}", f"{b.r2:.3f}", f"{b.rmse:.4f}"))
-    what = (
-        "each manoeuvre predicted from the others"
-        if view.diagnosis.split == "manoeuvre"
-        else "each block from the others"
-    )
     return (
-        Table(
-            f"Hold-out data ({what}): the card's model before, with all confirmed causes after",
-            tuple(head),
-            tuple(rows),
-            note="5 Hz means. R² below zero: worse than a constant.",
-        ),
+        page_table(table),
         *_each(view),
         *gallery("gain"),
     )
@@ -193,7 +156,7 @@ def _each(view: View) -> tuple[Block, ...]:
     """The manoeuvres one by one, where they were scored; many are folded."""
     if view.holdout is None:
         return ()
-    table = by_manoeuvre(view.holdout)
+    table = page_table(holdout_table(view.holdout))
     return (table,) if len(view.names) <= FEW else (Fold("The same, manoeuvre by manoeuvre", (table,)),)
 
 
@@ -205,7 +168,7 @@ def _open(d: Diagnosis, told: PageContext, rest: Sequence[str]) -> tuple[Block, 
     else:
         blocks.append(Text("No named cause has a rival on this record."))
     pairs = [one for one in rest if " cancel each other " in one]
-    blocks += [*bullets(pairs), *separating(told.separating)]
+    blocks += [*bullets(pairs), *_separating(told.separating)]
     if told.consistency is not None:
         blocks += [*bullets(open_sentences(told.consistency)), *open_list(told.consistency)]
     unknown = [one for one in rest if one.startswith(("Unexplained", "The estimate of"))]
@@ -214,6 +177,22 @@ def _open(d: Diagnosis, told: PageContext, rest: Sequence[str]) -> tuple[Block, 
     blocks.append(Fold("Noise, and effects that this record cannot test", bullets(others) or (Text("None."),)))
     blocks += not_testable_list(d.not_testable)
     return tuple(blocks)
+
+
+def _separating(found: Sequence[Mapping[str, Any]]) -> Iterator[Block]:
+    """Which standard manoeuvres would separate rivals."""
+    for one in found:
+        status = f"{str(one['status'])[:1].upper()}{str(one['status'])[1:]}."
+        if not one["manoeuvres"]:
+            yield Text(status)
+            continue
+        rows = [(str(m["manoeuvre"]).replace("_", " "), f"{m['standard_errors']:.1f}") for m in one["manoeuvres"][:5]]
+        yield Table(
+            f"Manoeuvres that would separate {several(one['effects'])}",
+            ("manoeuvre", "separation\n[standard errors]"),
+            tuple(rows),
+            note=f"{ENOUGH:.0f} standard errors or more would be sufficient. {status}",
+        )
 
 
 def _coefficients(view: View) -> tuple[Block, ...]:
@@ -274,19 +253,19 @@ def _stall(view: View, gallery: Gallery) -> tuple[Block, ...]:
 def _parameters(view: View, gallery: Gallery) -> tuple[Block, ...]:
     if not view.moves:
         return ()
-    return (moved(view), symbols(view.parameters, view.moves, degrees=True), *gallery("moves"))
+    return (page_table(moves_table(view)), symbols(view.parameters, view.moves, degrees=True), *gallery("moves"))
 
 
 def _predictors(told: PageContext) -> tuple[Block, ...]:
     if not told.predictors:
         return (Text("Predictors were not compared in this run."),)
-    return (predictors(told.predictors),)
+    return (page_table(predictor_table(told.predictors)),)
 
 
 def _diagnostics(view: View, gallery: Gallery) -> tuple[Block, ...]:
     return (
         Fold(
             "Residuals: size, composition, autocorrelation, calibration",
-            (residuals(view), calibration(view), *gallery.folded("residual_profiles", "residual_colour")),
+            (*map(page_table, residual_tables(view)), *gallery.folded("residual_profiles", "residual_colour")),
         ),
     )

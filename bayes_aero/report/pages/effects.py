@@ -8,9 +8,9 @@ from typing import Any
 
 from bayes_aero.report.figures.effects import needed
 from bayes_aero.report.html.page import Block, Facts, Fold, Page, Picture, Section, Table, filled, section
-from bayes_aero.report.html.parts import plain_unit, provenance_blocks
+from bayes_aero.report.html.parts import provenance_blocks
 from bayes_aero.report.text.effects import facts, shown, worked
-from bayes_aero.report.text.phrases import bracket, several
+from bayes_aero.report.text.phrases import bracket, plain_unit, several
 
 Described = Mapping[str, Any]
 

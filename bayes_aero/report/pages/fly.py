@@ -18,6 +18,7 @@ from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.fly import stem_of
 from bayes_aero.report.html.glossary import FLOWN, words
 from bayes_aero.report.html.page import Block, Fold, Page, Text, filled, section
+from bayes_aero.report.html.page_table import page_table
 from bayes_aero.report.html.parts import (
     bullets,
     conventions,
@@ -29,8 +30,8 @@ from bayes_aero.report.html.parts import (
 )
 from bayes_aero.report.html.pictures import Gallery
 from bayes_aero.report.html.plots import LOW, Line, Panel
-from bayes_aero.report.pages.tables import fly as tables
 from bayes_aero.report.pages.trajectories import Curve, axis_label, over_measured, sources
+from bayes_aero.report.tables import fly as tables
 from bayes_aero.report.text.fly import errors_of_all
 from bayes_aero.report.text.phrases import SYMBOLS, for_people, several, short
 
@@ -142,19 +143,20 @@ def _inputs(flown: TrajectoryFit, order: int) -> list[Panel]:
 
 
 def _errors(flown: TrajectoryFit, card: Card) -> tuple[Block, ...]:
-    kept = tables.kept(flown)
+    kept = tables.tolerance_table(flown)
     units = {name: flown.units[name] for name in flown.outputs}
-    return (tables.errors(flown), *(() if kept is None else (kept, *sources(card, units))))
+    errors = page_table(tables.error_table(flown))
+    return (errors, *(() if kept is None else (page_table(kept), *sources(card, units))))
 
 
 def _parameters(flown: TrajectoryFit, told: FlyTold) -> tuple[Block, ...]:
     parameters, found = flown.fit.parameters, told.process_noise
     return (
-        tables.parameters(flown),
-        *(() if found is None or not found.converged else (tables.process_noise(flown, found),)),
+        page_table(tables.parameter_table(flown)),
+        *(() if found is None or not found.converged else (page_table(tables.process_noise_table(found, flown)),)),
         *_gusts(told),
         symbols(parameters, [p.name for p in parameters], conventions(told.card)),
-        tables.initial(flown),
+        page_table(tables.initial_table(flown)),
     )
 
 

@@ -18,6 +18,7 @@ from bayes_aero.report.figures.pit import pit_words
 from bayes_aero.report.figures.time_histories import SYMBOLS, shown_in
 from bayes_aero.report.html.glossary import WORDS
 from bayes_aero.report.html.page import Block, Fold, Page, Text, filled, section
+from bayes_aero.report.html.page_table import page_table
 from bayes_aero.report.html.parts import (
     bullets,
     doubts,
@@ -32,8 +33,15 @@ from bayes_aero.report.html.plots import LOW, Line, Panel
 from bayes_aero.report.pages.captions import identification_alternatives
 from bayes_aero.report.pages.simulated_identification import given_flights
 from bayes_aero.report.pages.stall import DEG, interval, stall_table
-from bayes_aero.report.pages.tables import identification as page_tables
 from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label, methods, noise_label, ordered, usable
+from bayes_aero.report.tables.run_tables import (
+    alone_table,
+    coverage_table,
+    fit_table,
+    parameter_table,
+    sampler_table,
+    validation_table,
+)
 from bayes_aero.report.text.identification import disputed, verdict
 from bayes_aero.report.text.phrases import bracket, several
 
@@ -83,7 +91,7 @@ def identification_page(
                         "the fitted model. The shaded area between the curves is the error."
                     ),
                     *_histories(run),
-                    page_tables.fit(run),
+                    page_table(fit_table(run)),
                 ),
             ),
             section("simulated", "Measured and simulated", lambda: given_flights(flown, run.card)),
@@ -181,21 +189,20 @@ def _stall(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
 def _parameters(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
     names = ordered(run.mle.names, run.mle.parameters)
     pictures = [*gallery("crb_vs_credible"), *gallery("forest")]  # the high one last: printed, it needs its own sheet
-    single = page_tables.each_alone(run)
+    single = alone_table(run)
     return (
-        page_tables.parameters(run),
-        *(() if single is None else (Fold("Each manoeuvre fitted alone", (single,)),)),
+        page_table(parameter_table(run)),
+        *(() if single is None else (Fold("Each manoeuvre fitted alone", (page_table(single),)),)),
         symbols(run.model.parameters, names),
         *pictures,
     )
 
 
 def _validation(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
-    table = page_tables.validation(run)
-    if table is None:
+    if run.gp is None:
         return (Text("There are no hold-out data: this run trained no Gaussian process."),)
     return (
-        table,
+        page_table(validation_table(run, each_fold=False)),
         *gallery("gpr_fit", "fig2_gpr_fit"),
         Fold(
             "Measured against predicted",
@@ -206,12 +213,12 @@ def _validation(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
 
 def _diagnostics(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
     blocks: list[Block] = []
-    calibrated = page_tables.coverage(run)
+    calibrated = coverage_table(run)
     bars = Gallery(gallery.paths, {"pit": pit_words(run)}).folded("pit") if "pit" in gallery.paths else ()
     if calibrated is not None or bars:
         title = "Calibration of the posterior's predictions"
-        blocks.append(Fold(title, (*([] if calibrated is None else [calibrated]), *bars)))
-    tables = page_tables.samplers(run)
+        blocks.append(Fold(title, (*([] if calibrated is None else [page_table(calibrated)]), *bars)))
+    tables = [page_table(sampler_table(run, key)) for key in run.posteriors]
     if tables:
         pictures = gallery.folded("rank_emcee", "rank_nuts", "trace_emcee", "trace_nuts")
         blocks.append(

@@ -9,10 +9,11 @@ from bayes_aero.diagnosis.trajectories.results import Path
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.html.page import Block, Table, Text
+from bayes_aero.report.html.page import Block, Text
+from bayes_aero.report.html.page_table import page_table
 from bayes_aero.report.html.parts import MOST_SHOWN, first
 from bayes_aero.report.pages.trajectories import Curve, over_measured, sources
-from bayes_aero.report.text.phrases import axis_label, for_people, short
+from bayes_aero.report.tables.trajectories import given_table
 
 
 def given_flights(paths: Sequence[Path], card: Card) -> tuple[Block, ...]:
@@ -41,23 +42,4 @@ def given_flights(paths: Sequence[Path], card: Card) -> tuple[Block, ...]:
         for path in paths
         if not path.inside
     ]
-    return (Text(said), *lost, *told, *plots, _errors(paths), *sources(card, units))
-
-
-def _errors(paths: Sequence[Path]) -> Table:
-    names = list(paths[0].errors)
-    rows = []
-    for path in paths:
-        cells = [path.manoeuvre]
-        for name in names:
-            error = path.errors[name]
-            cells.append(short(for_people(STANDARD_CHANNELS[name].unit)[1] * error.rms))
-            cells.append("–" if error.within is None else f"{error.within:.0%}")
-        rows.append(tuple(cells))
-    return Table(
-        "Error of the simulated trajectories",
-        ("flight", *(["RMS", "inside"] * len(names))),
-        tuple(rows),
-        (("", 1), *((axis_label(n, STANDARD_CHANNELS[n].unit), 2) for n in names)),
-        note="RMS: root mean square. Inside: share of the time within the tolerance, where the card has one.",
-    )
+    return (Text(said), *lost, *told, *plots, page_table(given_table(paths)), *sources(card, units))

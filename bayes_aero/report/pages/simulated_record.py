@@ -10,9 +10,9 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.parameter import Parameter
 from bayes_aero.report.html.page import Page, Table, Text, filled, section
-from bayes_aero.report.html.parts import at_a_glance, number, plain_unit, provenance_blocks, symbols
+from bayes_aero.report.html.parts import at_a_glance, provenance_blocks, symbols
 from bayes_aero.report.pages.check import recorded
-from bayes_aero.report.text.phrases import bracket, several
+from bayes_aero.report.text.phrases import bracket, number, plain_unit, several
 
 
 def simulated_page(

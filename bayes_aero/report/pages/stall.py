@@ -8,7 +8,7 @@ import numpy as np
 
 from bayes_aero.inference.identification import Interval, Stall
 from bayes_aero.report.html.page import Block, Table, Text
-from bayes_aero.report.html.parts import number
+from bayes_aero.report.text.phrases import number
 
 DEG = 180.0 / np.pi
 MOST_PLACES = 6  # digits behind the point

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote
 
 import numpy as np
 import pandas as pd
 
-from bayes_aero.report.html.page import Block, Facts, Page, Picture, Table, Text, filled, section
-from bayes_aero.report.html.parts import bullets, number, plain_unit
+from bayes_aero.report.html.page import Block, Facts, Page, Picture, Text, filled, section
+from bayes_aero.report.html.page_table import page_table
+from bayes_aero.report.html.parts import bullets
 from bayes_aero.report.html.pictures import embedded
 from bayes_aero.report.style import NotDrawn, save
 from bayes_aero.report.tables.across_cases import MOST_BARS, MOST_PANELS, Estimates, across, estimates, panels_of
-from bayes_aero.report.text.phrases import several
+from bayes_aero.report.tables.table import Table, columns_of
+from bayes_aero.report.text.phrases import number, plain_unit, several
 
 MOST_UNITS, MOST_ROWS = 200, 300  # of a table on the page; the files have all
 APART = 1.5  # times the units' own deviation, from which their scatter is told
@@ -140,60 +141,44 @@ def _lead(found: list[Estimates], folder: Path) -> tuple[Block, ...]:
 def _across(found: list[Estimates]) -> tuple[Block, ...]:
     if not found:
         return ()
-    rows = tuple(
-        (
-            e.label,
-            e.method,
-            str(len(e.value)),
-            number(float(np.mean(e.value)), 4),
-            plain_unit(e.si),
-            number(e.scatter, 2),
-            number(e.claimed, 2),
-            number(e.scatter / e.claimed, 2) if e.claimed > 0.0 else "–",
-        )
-        for e in found[:MOST_ROWS]
-    )
+    of = columns_of(found[:MOST_ROWS])
     table = Table(
+        [
+            of(lambda e: e.label, page="parameter"),
+            of(lambda e: e.method, page="method", words=True),
+            of(lambda e: len(e.value), page="units"),
+            of(lambda e: float(np.mean(e.value)), page="mean", form=4),
+            of(lambda e: plain_unit(e.si), page="unit", words=True),
+            of(lambda e: e.scatter, page="scatter", form=2),
+            of(lambda e: e.claimed, page="standard error", form=2),
+            of(lambda e: e.scatter / e.claimed if e.claimed > 0.0 else None, page="ratio", form=2),
+        ],
         "Estimates of all units by parameter and method",
-        ("parameter", "method", "units", "mean", "unit", "scatter", "standard error", "ratio"),
-        rows,
-        words=(1, 4),
-        note="Scatter: standard deviation between units. Standard error: root mean square of those of the units. A "
+        "Scatter: standard deviation between units. Standard error: root mean square of those of the units. A "
         "ratio well above one: the standard errors do not cover the differences between these units.",
     )
-    left = len(found) - len(rows)
-    return (table, *((Text(f"{left} more are in summary.csv."),) if left else ()))
+    left = len(found) - MOST_ROWS
+    return (page_table(table), *((Text(f"{left} more are in summary.csv."),) if left > 0 else ()))
 
 
-def _units(units: pd.DataFrame, folder: Path) -> Table:
+def _units(units: pd.DataFrame, folder: Path) -> Block:
     """Those that are not done first, as many as a page bears; a name leads to the unit's own report."""
     shown = units.assign(number=np.arange(1, len(units) + 1))
     shown = shown.sort_values("state", key=lambda s: s == "done", kind="stable").head(MOST_UNITS)
-    records = shown.to_dict("records")
-    rows = tuple(
-        (
-            str(row["unit"]),
-            str(row["number"]),
-            str(row["state"]),
-            _time(row["seconds"]),
-            str(row["verdict"] or "–"),
-            str(row["error"] or "–"),
-        )
-        for row in records
-    )
-    left = len(units) - len(rows)
-    return Table(
+    of, left = columns_of(shown.to_dict("records")), len(units) - len(shown)
+    table = Table(
+        [
+            of(lambda row: row["unit"], page="unit"),
+            of(lambda row: row["number"], page="number"),
+            of(lambda row: row["state"], page="state", words=True),
+            of(lambda row: row["seconds"], page="time", form=lambda seconds: f"{seconds:.0f} s"),
+            of(lambda row: row["verdict"] or None, page="verdict", words=True),
+            of(lambda row: row["error"] or None, page="error", words=True),
+        ],
         "Units of the study",
-        ("unit", "number", "state", "time", "verdict", "error"),
-        rows,
-        words=(2, 4, 5),
-        note=f"{left} more are in units.csv." if left else "",
-        links=tuple(_report(folder, str(row["unit"])) for row in records),
+        f"{left} more are in units.csv." if left else "",
     )
-
-
-def _time(seconds: Any) -> str:
-    return "–" if seconds is None or not np.isfinite(seconds) else f"{seconds:.0f} s"
+    return replace(page_table(table), links=tuple(_report(folder, str(name)) for name in shown["unit"]))
 
 
 def _report(folder: Path, unit: str) -> str:

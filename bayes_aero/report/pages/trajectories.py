@@ -12,11 +12,13 @@ from bayes_aero.diagnosis.trajectories.results import Path, Trajectories
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.html.page import Block, Facts, Fold, Plot, Table, Text
-from bayes_aero.report.html.parts import first, histories, number
+from bayes_aero.report.html.page import Block, Facts, Fold, Plot, Text
+from bayes_aero.report.html.page_table import page_table
+from bayes_aero.report.html.parts import first, histories
 from bayes_aero.report.html.plots import Line, Panel
-from bayes_aero.report.text.phrases import SYMBOLS, axis_label, for_people, short
-from bayes_aero.report.text.trajectories import SPLIT_NAMES, tolerance_origin
+from bayes_aero.report.tables.trajectories import SPLIT_NAMES, error_table, tolerance_table
+from bayes_aero.report.text.phrases import SYMBOLS, axis_label, for_people, number
+from bayes_aero.report.text.trajectories import tolerance_origin
 
 MODELS = (
     ("card", "card's model", COLOURS["before"], "dashed"),
@@ -46,8 +48,8 @@ def trajectories(flown: Trajectories, card: Card) -> tuple[Block, ...]:
             "not used in the fit. The grey band is the tolerance about the measurement. "
             + tolerance_origin({name: t.value for name, t in card.tolerances.items()})
         ),
-        _errors(flown),
-        _kept(flown),
+        page_table(error_table(flown)),
+        page_table(tolerance_table(flown)),
     ]
     unseen, fitted = (_flights(flown, split) for split in ("hold_out", "fitted"))
     blocks += unseen
@@ -67,61 +69,8 @@ def sources(card: Card, units: Mapping[str, str]) -> tuple[Block, ...]:
     return (Fold("Origin of the tolerances", (Facts(facts),)),) if facts else ()
 
 
-def _label(output: str) -> str:
-    return axis_label(output, STANDARD_CHANNELS[output].unit)
-
-
 def _names(flown: Trajectories, split: str) -> list[str]:
     return list(dict.fromkeys(p.manoeuvre for p in flown.paths if p.split == split))
-
-
-def _errors(flown: Trajectories) -> Table:
-    head, groups, rows = ["flight"], [("", 1)], []
-    for output in flown.outputs:
-        groups.append((_label(output), 2))
-        head += ["before", "after"]
-    for split in ("fitted", "hold_out"):
-        for name in _names(flown, split):
-            cells = [f"{name}, {SPLIT_NAMES[split]}"]
-            for output in flown.outputs:
-                factor = for_people(STANDARD_CHANNELS[output].unit)[1]
-                for key, *_ in MODELS:
-                    path = flown.path(name, key, split)
-                    cells.append("–" if path is None else short(factor * path.errors[output].rms))
-            rows.append(tuple(cells))
-    return Table(
-        "Root-mean-square error of the simulated trajectory: card's model before, extended model after",
-        tuple(head),
-        tuple(rows),
-        tuple(groups),
-    )
-
-
-def _kept(flown: Trajectories) -> Table:
-    banded = [n for n in flown.outputs if any(p.errors[n].within is not None for p in flown.paths)]
-    rows = []
-    for split in ("fitted", "hold_out"):
-        for name in _names(flown, split):
-            cells = [f"{name}, {SPLIT_NAMES[split]}"]
-            for output in banded:
-                for key, *_ in MODELS:
-                    path = flown.path(name, key, split)
-                    within = None if path is None else path.errors[output].within
-                    cells.append("–" if within is None else f"{within:.0%}")
-            path = flown.path(name, "extended", split)
-            chances = [] if path is None else [path.errors[n].probability for n in banded]
-            known = [c for c in chances if c is not None]
-            rows.append((*cells, f"{min(known):.0%}" if known else "–"))
-    head = ["flight", *(["before", "after"] * len(banded)), "whole flight inside,\nweakest output"]
-    return Table(
-        "Share of the time inside the tolerance",
-        tuple(head),
-        tuple(rows),
-        (("", 1), *((_label(n), 2) for n in banded), ("probability", 1)),
-        note="The last column is the posterior probability that the whole flight of the extended model stays "
-        "inside, for "
-        "the output with the lowest probability.",
-    )
 
 
 def _flights(flown: Trajectories, split: str) -> tuple[Block, ...]:

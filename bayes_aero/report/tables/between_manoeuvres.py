@@ -11,13 +11,12 @@ from bayes_aero.report.tables.comparison import (
     alone,
     apart,
     chosen_posteriors,
-    decimals,
     methods,
     noise_label,
     ordered,
     usable,
 )
-from bayes_aero.report.text.phrases import several
+from bayes_aero.report.text.phrases import decimals, several
 
 
 def left_out(identification: Identification) -> list[str]:

@@ -14,25 +14,10 @@ from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.model.noise import Colour
 from bayes_aero.parameter import Parameter
+from bayes_aero.report.tables.table import Estimate
 
-NORMAL95 = 1.959964
 ENGINES = {"emcee": "emcee", "nuts": "NUTS"}
 NOISES = {"ar1": "AR(1)", "buffet-ar1": "AR(1) with buffet"}
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A parameter by one method: centre, standard deviation and 95 % interval."""
-
-    centre: float
-    sd: float
-    low: float
-    high: float
-
-    @classmethod
-    def normal(cls, centre: float, sd: float) -> Estimate:
-        """Interval of a normal distribution."""
-        return cls(centre, sd, centre - NORMAL95 * sd, centre + NORMAL95 * sd)
 
 
 @dataclass(frozen=True)
@@ -42,6 +27,10 @@ class Method:
     key: str
     label: str
     estimates: dict[str, Estimate]
+
+    def of(self, names: Iterable[str]) -> list[Estimate | None]:
+        """Estimates of the parameters `names`, None where it has none."""
+        return [self.estimates.get(name) for name in names]
 
 
 @dataclass(frozen=True)
@@ -99,8 +88,8 @@ def methods(identification: Identification) -> list[Method]:
     """Bounds, then posteriors, each with the estimates it has of the model's parameters."""
     mle = identification.mle
     found = [
-        Method("crb", "ML, Cramér-Rao bound", _bounds(mle, mle.crb)),
-        Method("crb_corrected", "ML, corrected bound", _bounds(mle, mle.crb_corrected)),
+        Method("crb", "ML, Cramér-Rao bound", bounds(mle, mle.crb)),
+        Method("crb_corrected", "ML, corrected bound", bounds(mle, mle.crb_corrected)),
     ]
     if "white" in identification.posteriors:
         found.append(Method("white", "emcee, white noise", _marginals(identification.posteriors["white"], mle)))
@@ -110,8 +99,9 @@ def methods(identification: Identification) -> list[Method]:
     return found
 
 
-def _bounds(mle: MleResult, sd: np.ndarray) -> dict[str, Estimate]:
-    return {n: Estimate.normal(float(x), float(s)) for n, x, s in zip(mle.names, mle.estimate, sd, strict=True)}
+def bounds(mle: MleResult, sd: np.ndarray) -> dict[str, Estimate]:
+    """Estimates of a fit with the standard deviations `sd`."""
+    return {n: Estimate.normal(x, s) for n, x, s in zip(mle.names, mle.estimate, sd, strict=True)}
 
 
 def _marginals(posterior: Posterior, mle: MleResult) -> dict[str, Estimate]:
@@ -150,8 +140,3 @@ def scatter(identification: Identification, name: str) -> Scatter | None:
 def apart(a: float, b: float, sd_a: float, sd_b: float) -> float:
     """|a - b| in units of the standard deviation of the difference of independent estimates."""
     return abs(a - b) / float(np.hypot(sd_a, sd_b))
-
-
-def decimals(sd: float) -> int:
-    """Decimal places that show two digits of a standard error."""
-    return int(np.clip(1 - np.floor(np.log10(sd)), 0, 8))

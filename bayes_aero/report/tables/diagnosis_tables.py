@@ -2,56 +2,142 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
 import pandas as pd
 
-from bayes_aero.diagnosis.view.results import Compared, DiagnosisView, HoldoutScores
+from bayes_aero.diagnosis.result import INNOVATIONS, Cause, Diagnosis
+from bayes_aero.diagnosis.view.results import Compared, HoldoutScores, Ranking
+from bayes_aero.report.tables.table import NONE, Change, Column, Estimate, Table, columns_of, or_dash
+from bayes_aero.report.text.phrases import for_people, from_to, several, size_text
+
+SPLITS = {
+    "manoeuvre": "each manoeuvre predicted from the others",
+    "block": "each block of the manoeuvre predicted from the others",
+}
+NAMED_IF = (
+    "A small p-value alone is not sufficient. A cause must also explain a share of the remaining variance, improve the "
+    "prediction of hold-out data and be worth modelling. Significant but small effects are in the model without a name."
+)
 
 
-def causes_frame(view: DiagnosisView) -> pd.DataFrame:
-    """A row per parameter of every cause, SI and radians, with scores on hold-out data."""
-    rows = []
-    for order, cause in enumerate(view.diagnosis.causes, 1):
-        for name, size in cause.parameters.items():
-            row = {
-                "order": order,
-                "cause": cause.name,
-                "kind": cause.kind,
-                "stage": cause.stage,
-                "confirmed": cause.confirmed,
-                "sure": cause.sure,
-                "parameter": name,
-                "mean": size.mean,
-                "sd": size.sd,
-                "ci95_low": size.ci95[0],
-                "ci95_high": size.ci95[1],
-                "unit": size.unit,
-                "probability": cause.probability,
-                "p_value": cause.p_value,
-                "ambiguous_with": " ".join(cause.ambiguous_with),
-                "elpd": cause.gain.elpd,
-                "elpd_se": cause.gain.elpd_se,
-                "taken_out_elpd": -cause.missed[0],
-                "taken_out_elpd_se": cause.missed[1],
-            }
-            for coefficient in cause.gain.before:
-                for when, scores in (("before", cause.gain.before), ("after", cause.gain.after)):
-                    row[f"{coefficient}_r2_{when}"] = scores[coefficient].r2
-                    row[f"{coefficient}_rmse_{when}"] = scores[coefficient].rmse
-            rows.append(row)
-    columns = ["order", "cause", "kind", "stage", "parameter", "mean", "sd", "ci95_low", "ci95_high", "unit"]
-    columns += ["probability", "p_value", "ambiguous_with", "elpd", "elpd_se", "taken_out_elpd", "taken_out_elpd_se"]
-    frame = pd.DataFrame(rows) if rows else pd.DataFrame(columns=columns)
-    return frame.set_index("order")
+def causes_table(d: Diagnosis) -> Table:
+    """A row for each cause, in files for each of its parameters, SI and radians, with scores on hold-out data."""
+    of = columns_of(d.causes)
+
+    def each(get: Callable[[Any], Any], *heads: Any, **how: Any) -> Column:
+        return of(lambda c: [get(size) for size in c.parameters.values()], *heads, **how)
+
+    def score(name: str, kind: str) -> Column:
+        files = tuple(f"{name}_{kind}_{when}" for when in ("before", "after"))
+        head = f"R² {name}" if d.by_coefficients and kind == "r2" else None
+        return of(lambda c: _change(c, name, kind), files, None, head, ".2f")
+
+    names = dict.fromkeys(name for c in d.causes for name in c.gain.before)
+    if_removed = "hold-out data\nif removed" if any(np.isfinite(c.missed[0]) for c in d.causes) else None
+    rivals = None if d.by_coefficients else "rivals"
+    terminal_title, terminal_note = _on_a_terminal(d)
+    return Table(
+        [
+            Column(range(1, len(d.causes) + 1), "order"),
+            of(_marked, terminal="cause"),
+            of(lambda c: c.name, "cause", "cause"),
+            *(of(lambda c, key=key: getattr(c, key), key) for key in ("kind", "stage", "confirmed", "sure")),
+            of(lambda c: c.claim, page="what it means", words=True),
+            of(lambda c: list(c.parameters), "parameter"),
+            of(_sizes, page="size"),
+            each(lambda s: size_text(s.mean, s.sd, s.unit), terminal="size", words=True),
+            each(lambda s: Estimate(s.mean, s.sd, *s.ci95), ("mean", "sd", "ci95_low", "ci95_high")),
+            each(_interval, page="95 % interval"),
+            each(lambda s: s.unit, "unit"),
+            of(lambda c: c.probability, "probability", "probability", "prob.", probability),
+            of(lambda c: c.p_value, "p_value", "p", form=2),
+            of(lambda c: " ".join(c.ambiguous_with), "ambiguous_with"),
+            of(lambda c: c.gain.elpd, "elpd"),
+            of(lambda c: c.gain.elpd_se, "elpd_se"),
+            of(lambda c: Estimate(-c.missed[0], c.missed[1]), ("taken_out_elpd", "taken_out_elpd_se")),
+            of(lambda c: c, page=if_removed, form=_if_removed),
+            of(lambda c: several(c.ambiguous_with), "", "rivals", rivals, or_dash, str),
+            *(score(name, kind) for name in names for kind in ("r2", "rmse")),
+        ],
+        "Causes, in the order of selection",
+        "Hold-out data if removed: the change of their log density. *: no significant loss (one-sided, 5 %), so not "
+        "confirmed: named, but not in the extended model.",
+        terminal_title,
+        terminal_note,
+    )
 
 
-def screen_frame(view: DiagnosisView) -> pd.DataFrame:
-    """Every candidate in the first screening of each stage."""
-    rows = [
-        {"stage": r.stage, "name": s.effect, "kind": s.kind, "score": s.score, "p_value": s.p_value}
-        for r in view.rankings
-        for s in r.candidate_scores
-    ]
-    return pd.DataFrame(rows, columns=["stage", "name", "kind", "score", "p_value"]).set_index("stage")
+def _on_a_terminal(d: Diagnosis) -> tuple[str, str]:
+    """Title and note of the causes."""
+    mark = "†: the verdict does not rest on it, see below."
+    if d.by_coefficients:
+        return (
+            f"Causes; R² on hold-out data ({SPLITS[d.split]}), before → after",
+            "Before: the card's model, with corrected sensors where sensor errors were found. ±: one standard error. "
+            f"*: not confirmed on hold-out data, not in the extended model. {mark}",
+        )
+    sure = all(cause.sure for cause in d.causes)
+    title = "Causes, from innovations" if d.compared == INNOVATIONS else "Causes, from trajectories alone"
+    return title, "" if sure else f"*: not confirmed on hold-out data. {mark}"
+
+
+def _marked(c: Cause) -> str:
+    return c.name if c.sure else f"{c.name}*" if not c.confirmed else f"{c.name}†"
+
+
+def _sizes(c: Cause) -> list[str]:
+    """Sizes, with names where there are several."""
+    texts = {name: size_text(s.mean, s.sd, s.unit).replace("c/V", "chords") for name, s in c.parameters.items()}
+    return [f"{name} {text}" for name, text in texts.items()] if len(texts) > 1 else list(texts.values())
+
+
+def _interval(s: Any) -> str:
+    factor = for_people(s.unit)[1]
+    return from_to(factor * s.ci95[0], factor * s.ci95[1], factor * s.sd)
+
+
+def probability(value: float) -> str:
+    """Two digits, never rounded to certainty."""
+    return "> 0.99" if value > 0.99 else f"{value:.2f}"
+
+
+def _if_removed(c: Cause) -> str:
+    said = f"{-c.missed[0]:+.1f} ± {c.missed[1]:.1f}" if np.isfinite(c.missed[0]) else NONE
+    return said if c.confirmed else f"{said} *"
+
+
+def _change(c: Cause, name: str, kind: str) -> Change | None:
+    """A score of a coefficient on hold-out data without and with a cause."""
+    if name not in c.gain.before:
+        return None
+    return Change(getattr(c.gain.before[name], kind), getattr(c.gain.after[name], kind))
+
+
+def screen_table(rankings: Sequence[Ranking], d: Diagnosis) -> Table:
+    """Every candidate of `rankings`: those of the first screening of each stage, the highest score first."""
+    causes = {(c.stage, c.name) for c in d.causes}
+    rows = [(r, s) for r in rankings for s in r.candidate_scores]
+    limits = [r.threshold for r in rankings[:1] if np.isfinite(r.threshold)]
+    beyond = "".join(f" Noise alone exceeds {x:.1f} once in twenty." for x in limits)
+    of = columns_of([s for _, s in rows])
+    return Table(
+        [
+            Column([r.stage for r, _ in rows], "stage", terminal="stage"),
+            of(lambda s: s.effect, "name", "effect", "candidate"),
+            of(lambda s: s.kind, "kind", "kind", words=True),
+            of(lambda s: s.score, "score", "score", "score", ".1f"),
+            of(lambda s: s.p_value, "p_value", "p", "p", ".3f"),
+            Column(["yes" if (r.stage, s.effect) in causes else "" for r, s in rows], page="named"),
+        ],
+        f"Leading candidates of the stage “{rankings[0].stage if rankings else ''}”",
+        f"Score: estimate over its standard error, autocorrelation included.{beyond} p is family-wise over all "
+        f"candidates, 0.005 at the least. {NAMED_IF} screen.csv lists all candidates.",
+        "Leading candidates",
+        f"p is family-wise, 0.005 at the least. {NAMED_IF}",
+    )
 
 
 def scores_frame(found: HoldoutScores) -> pd.DataFrame:

@@ -2,32 +2,29 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-import pandas as pd
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
 from bayes_aero.inference.identification import Identification, Validation
 from bayes_aero.inference.posterior.posterior import Posterior
-from bayes_aero.inference.scores import score
+from bayes_aero.inference.scores import Scores, interval_coverage, score
+from bayes_aero.model.noise import Colour
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.tables.comparison import (
-    Estimate,
     alone,
+    bounds,
     chosen_posteriors,
-    decimals,
     engine_label,
     methods,
     noise_label,
     ordered,
     scatter,
-    white_posterior,
+    unit_of,
 )
+from bayes_aero.report.tables.table import Column, Estimate, Table, columns_of, in_brackets, parameter_columns
+from bayes_aero.report.text.phrases import from_to, number, plus_minus
 
 # Table 1 of the seed paper: r and RMSE on 30 % of the samples, drawn at random.
 PAPER_CARD, PAPER_SPLIT = "attas", "random"
@@ -37,207 +34,228 @@ PAPER = {
     "Cm": (0.466906, 0.011350, 0.902741, 0.00552),
 }
 PAPER_COLUMNS = ("mle_r", "mle_rmse", "gpr_r", "gpr_rmse")
-MANOEUVRES_SHOWN = 3  # in the terminal's table; of more only the scatter
+ON_TERMINAL, ON_PAGE = 3, 4  # manoeuvres fitted alone that are shown one by one; of more only the scatter
+ML = "maximum likelihood\n± standard error"
+SAMPLED = "posterior\nmean ± standard deviation, 95 % interval"
 
 
-def parameter_table(identification: Identification) -> pd.DataFrame:
-    """The model's parameters as rows; by every method, SI and radians. Methods not (yet) run have no columns."""
-    mle = identification.mle
-    rows = {}
-    for name in ordered(mle.names, mle.parameters):
-        i = mle.names.index(name)
-        row: dict[str, Any] = {
-            "unit": mle.units[i],
-            "estimate": float(mle.estimate[i]),
-            "crb": float(mle.crb[i]),
-            "crb_corrected": float(mle.crb_corrected[i]),
+def parameter_table(run: Identification) -> Table:
+    """The model's parameters by every method, SI and radians. Methods not (yet) run have no columns."""
+    mle, (bound, corrected, *sampled) = run.mle, methods(run)
+    names = ordered(mle.names, mle.parameters)
+    truth = [] if run.truth is None else [run.truth.get(n) for n in names]
+    columns = [
+        *parameter_columns(names, [unit_of(run, n) for n in names]),
+        *([Column(truth, page="true", terminal="flown", form=".4g")] if truth else []),
+        Column(bound.of(names), ("estimate", "crb"), "Cramér–Rao", "ML (CRB)", group=ML),
+        Column(corrected.of(names), ("", "crb_corrected"), "corrected", "sd\ncorr.", terminal_form=_sd, group=ML),
+        *([Column(truth, "flown")] if truth else []),
+    ]
+    if run.noise is Colour.WHITE and sampled:
+        columns.append(Column(sampled[0].of(names), ("white_mean", "white_sd")))
+    posterior = next(iter(chosen_posteriors(run)), None)  # a terminal has the first; sentences tell where others differ
+    for m in sampled:
+        white, label = m.key == "white", m.label.replace(", ", "\n", 1)
+        files = tuple(f"{m.key}_{part}" for part in ("mean", "sd", *(() if white else ("ci95_low", "ci95_high"))))
+        head = f"{engine_label(m.key)}\n{noise_label(run.noise)}" if m.key == posterior else None
+        column = Column(m.of(names), files, label, "sd\nwhite" if white else head, _interval, group=SAMPLED)
+        columns.append(replace(column, terminal_form=_sd if white else in_brackets))
+    if run.alone:
+        columns += _alone_columns(run, names)
+    return Table(
+        columns,
+        "Parameters by every method",
+        "SI units and radians. “Corrected” is the Cramér–Rao bound with the autocorrelation of the residuals. "
+        "“Largest difference” compares manoeuvres, in Cramér–Rao "
+        "standard errors of the difference; above 3 the bound does not explain it."
+        + (" “True” are the values with which the records were simulated." if truth else ""),
+        f"{run.card.title}; maximum likelihood {mle.status.name.lower().replace('_', ' ')}",
+        "In brackets: standard deviation in units of the last digit. SI and radians.",
+        dense=True,
+    )
+
+
+def _alone_columns(run: Identification, names: Sequence[str]) -> Iterator[Column]:
+    """Manoeuvres fitted alone: files have every fit, people those that are usable, or their scatter."""
+    few = len(run.alone) <= ON_TERMINAL
+    for (manoeuvre, fit), usable in zip(run.alone.items(), _usable(run, names), strict=True):
+        own = bounds(fit, fit.crb)
+        yield Column([own.get(n) for n in names], (f"{manoeuvre}_estimate", f"{manoeuvre}_crb"))
+        yield Column(usable, terminal=f"{manoeuvre}\nalone" if few else None)
+    found = [scatter(run, n) for n in names]
+    head = None if few else f"sd of {len(run.alone)}\nalone"
+    group = "manoeuvres fitted alone"
+    yield Column([s and s.sd for s in found], "between_manoeuvres_sd", "scatter\n(sd)", head, 2, group=group)
+    largest = [s and s.in_crb for s in found]
+    yield Column(largest, "largest_difference_in_crb", "largest\ndifference", form=".1f", group=group)
+
+
+def _usable(run: Identification, names: Sequence[str]) -> list[list[Estimate | None]]:
+    """By manoeuvre, its own estimates with Cramer-Rao bounds, where they are usable."""
+    own = [alone(run, n) for n in names]
+    return [[Estimate.normal(*one[m][:2]) if m in one else None for one in own] for m in run.alone]
+
+
+def alone_table(run: Identification) -> Table | None:
+    """Every parameter as each manoeuvre by itself has it; nothing where there is one, or too many for a page."""
+    if not 1 < len(run.alone) <= ON_PAGE:
+        return None
+    names = ordered(run.mle.names, run.mle.parameters)
+    own = [Column(values, page=m) for m, values in zip(run.alone, _usable(run, names), strict=True)]
+    columns = [*parameter_columns(names, [unit_of(run, n) for n in names]), *own]
+    return Table(columns, "Each manoeuvre fitted alone (± Cramér–Rao)")
+
+
+def _sd(e: Estimate) -> str:
+    return number(e.sd, 2)
+
+
+def _interval(e: Estimate) -> str:
+    return f"{plus_minus(e.centre, e.sd)}\n{from_to(e.low, e.high, e.sd)}"
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """Validation of one coefficient over the test points of several folds together."""
+
+    points: int
+    gp: Scores
+    mle: Scores
+    coverage: dict[float, float]
+    k_hat: float | None
+    status: str
+
+    @classmethod
+    def of(cls, folds: Sequence[Validation]) -> Pooled:
+        """Scores over all points; coverage is weighted by points, and `k_hat` is the largest."""
+        measured, gp, mle = (np.concatenate([getattr(v, key) for v in folds]) for key in ("measured", "gp", "mle"))
+        weights = [len(v.measured) for v in folds]
+        coverage = {
+            level: float(np.average([v.coverage[level] for v in folds], weights=weights)) for level in folds[0].coverage
         }
-        if identification.truth is not None:
-            row["flown"] = identification.truth.get(name, np.nan)
-        row |= _posterior_columns(identification, name)
-        for manoeuvre, fit in identification.alone.items():
-            at = fit.names.index(name) if name in fit.names else None
-            row[f"{manoeuvre}_estimate"] = np.nan if at is None else float(fit.estimate[at])
-            row[f"{manoeuvre}_crb"] = np.nan if at is None else float(fit.crb[at])
-        if identification.alone:
-            row |= _scatter_columns(identification, name)
-        rows[name] = row
-    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("parameter")
+        k_hat = max((v.k_hat for v in folds if v.k_hat is not None), default=None)
+        status = "; ".join(dict.fromkeys(v.status for v in folds))
+        return cls(len(measured), score(measured, gp), score(measured, mle), coverage, k_hat, status)
 
 
-def _posterior_columns(identification: Identification, name: str) -> dict[str, float]:
-    columns: dict[str, float] = {}
-    white = white_posterior(identification)
-    if white is not None:
-        columns |= _summary(white, name, "white", interval=False)
-    for key, posterior in chosen_posteriors(identification).items():
-        columns |= _summary(posterior, name, key, interval=True)
-    return columns
+def validation_table(run: Identification, *, each_fold: bool = True) -> Table:
+    """Scores of GPR and of maximum likelihood on the same test points, a row for each split, fold and coefficient.
 
-
-def _summary(posterior: Posterior, name: str, key: str, *, interval: bool) -> dict[str, float]:
-    m = posterior.marginals.get(name)
-    columns = {f"{key}_mean": m.mean if m else np.nan, f"{key}_sd": m.sd if m else np.nan}
-    if interval:
-        low, high = m.ci95 if m else (np.nan, np.nan)
-        columns |= {f"{key}_ci95_low": low, f"{key}_ci95_high": high}
-    return columns
-
-
-def _scatter_columns(identification: Identification, name: str) -> dict[str, float]:
-    found = scatter(identification, name)
-    return {
-        "between_manoeuvres_sd": found.sd if found else np.nan,
-        "largest_difference_in_crb": found.in_crb if found else np.nan,
-    }
-
-
-def validation_table(identification: Identification) -> pd.DataFrame:
-    """A row per split, fold and coefficient: scores of GPR and of maximum likelihood on the same test points.
-
-    A split of several folds has a row for each (`fold` 1, 2, ...) and one over all their test points (`fold` all).
+    A split of several folds has a row for each (`fold` 1, 2, ...; not without `each_fold`) and one over all their test
+    points (`fold` all).
     """
-    rows = []
-    for split, folds in (identification.gp.splits if identification.gp else {}).items():
+    rows: list[tuple[str, str, str, Pooled]] = []
+    for split, folds in (run.gp.splits if run.gp else {}).items():
         for name in NAMES:
-            if len(folds) > 1:
-                rows += [_scores_row(split, str(k), name, [fold[name]]) for k, fold in enumerate(folds, start=1)]
-            rows.append(_scores_row(split, "all", name, [fold[name] for fold in folds]))
-    columns = ["split", "fold", "coefficient", "points", *_SCORES, *_COVERAGE, "gpr_k_hat", *_MLE_SCORES, "gpr_status"]
-    return pd.DataFrame(rows, columns=columns).set_index(["split", "fold", "coefficient"])
+            if each_fold and len(folds) > 1:
+                rows += [(split, str(k), name, Pooled.of([fold[name]])) for k, fold in enumerate(folds, start=1)]
+            rows.append((split, "all", name, Pooled.of([fold[name] for fold in folds])))
+    of = columns_of([row[-1] for row in rows])
+    ml, gpr = {"group": "maximum likelihood"}, {"group": "GPR"}
+    return Table(
+        [
+            *(Column([row[k] for row in rows], name) for k, name in enumerate(("split", "fold", "coefficient"))),
+            Column([f"{split}, {name}" for split, _, name, _ in rows], page="split, coefficient"),
+            of(lambda p: p.points, "points", "points"),
+            of(lambda p: p.mle.r, page="r", form=".4f", **ml),
+            of(lambda p: p.mle.rmse, page="RMSE [-]", form=3, **ml),
+            of(lambda p: p.gp.r, "gpr_r", "r", form=".4f", **gpr),
+            of(lambda p: p.gp.rmse, "gpr_rmse", "RMSE [-]", form=3, **gpr),
+            of(lambda p: p.gp.theil, "gpr_theil"),
+            of(lambda p: p.gp.r2, "gpr_r2"),
+            of(lambda p: p.coverage.get(0.5), "gpr_coverage50"),
+            of(lambda p: p.coverage.get(0.9), "gpr_coverage90"),
+            of(lambda p: p.coverage.get(0.95), "gpr_coverage95", "inside 95 %", form=".0%", **gpr),
+            of(lambda p: p.k_hat, "gpr_k_hat", "Pareto k", form=2, **gpr),
+            of(lambda p: p.mle.r, "mle_r"),
+            of(lambda p: p.mle.rmse, "mle_rmse"),
+            of(lambda p: p.status, "gpr_status"),
+        ],
+        "Hold-out samples: the stall model (maximum likelihood) and a Gaussian process (GPR)",
+        "A random split leaves neighbours of every sample in the training set and flatters the GPR; read the block and "
+        "manoeuvre splits. Pareto k above 0.7 means that the sampled hyperparameters are not reliable.",
+        index=3,
+    )
 
 
-_SCORES = ("gpr_r", "gpr_rmse", "gpr_theil", "gpr_r2")
-_COVERAGE = ("gpr_coverage50", "gpr_coverage90", "gpr_coverage95")
-_MLE_SCORES = ("mle_r", "mle_rmse")
-
-
-def _scores_row(split: str, fold: str, name: str, folds: list[Validation]) -> dict[str, Any]:
-    measured = np.concatenate([v.measured for v in folds])
-    gp = score(measured, np.concatenate([v.gp for v in folds]))
-    mle = score(measured, np.concatenate([v.mle for v in folds]))
-    weights = [len(v.measured) for v in folds]
-    k_hats = [v.k_hat for v in folds if v.k_hat is not None]
-    row: dict[str, Any] = {"split": split, "fold": fold, "coefficient": name, "points": len(measured)}
-    row |= dict(zip(_SCORES, (gp.r, gp.rmse, gp.theil, gp.r2), strict=True))
-    for column, level in zip(_COVERAGE, (0.5, 0.9, 0.95), strict=True):
-        shares = [v.coverage.get(level, np.nan) for v in folds]
-        row[column] = float(np.average(shares, weights=weights))
-    row["gpr_k_hat"] = max(k_hats) if k_hats else np.nan
-    row |= dict(zip(_MLE_SCORES, (mle.r, mle.rmse), strict=True))
-    return row | {"gpr_status": "; ".join(dict.fromkeys(v.status for v in folds))}
-
-
-def paper_table(identification: Identification) -> pd.DataFrame:
+def paper_table(run: Identification) -> Table:
     """The seed paper's Table 1 (r and RMSE on held-back samples) from this run, the printed numbers beside ours.
 
     The printed ones are there where they compare: the ATTAS card and the random split. Another run shows its own chosen
     split alone; without a Gaussian process there are no held-back samples and the table is empty.
     """
-    ours = [f"{column}_ours" for column in PAPER_COLUMNS]
-    gp = identification.gp
-    if gp is None:
-        return pd.DataFrame(columns=ours).rename_axis("coefficient")
-    compares = identification.card.name == PAPER_CARD and PAPER_SPLIT in gp.splits
-    split = PAPER_SPLIT if compares else gp.chosen
-    rows = {}
-    for name in NAMES:
-        folds = [fold[name] for fold in gp.splits[split]]
-        row = _scores_row(split, "all", name, folds)
-        rows[name] = {f"{column}_ours": row[column] for column in PAPER_COLUMNS}
-        if compares:
-            rows[name] |= {f"{c}_paper": x for c, x in zip(PAPER_COLUMNS, PAPER[name], strict=True)}
-    table = pd.DataFrame.from_dict(rows, orient="index").rename_axis("coefficient")
-    if not compares:
-        return table
-    return table.reindex(columns=[f"{c}_{who}" for c in PAPER_COLUMNS for who in ("paper", "ours")])
+    splits = {} if run.gp is None else run.gp.splits
+    compares = run.card.name == PAPER_CARD and PAPER_SPLIT in splits
+    folds = [] if run.gp is None else splits[PAPER_SPLIT if compares else run.gp.chosen]
+    ours = {name: Pooled.of([fold[name] for fold in folds]) for name in NAMES if folds}
+    columns = [Column(list(ours), "coefficient")]
+    for k, key in enumerate(PAPER_COLUMNS):
+        method, kind = key.replace("gpr", "gp").split("_")
+        columns += [Column([PAPER[name][k] for name in ours], f"{key}_paper")] if compares else []
+        columns.append(Column([getattr(getattr(p, method), kind) for p in ours.values()], f"{key}_ours"))
+    return Table(columns)
 
 
-def write_csv(table: pd.DataFrame, path: Path) -> Path:
-    """Write a table with its index, whole or not at all; floats keep every digit."""
-    partial = path.with_name(path.name + ".part")
-    try:
-        table.to_csv(partial, lineterminator="\n")
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
-    return path
-
-
-def terminal_table(identification: Identification) -> Table:
-    """The parameters for a terminal of 80 columns: estimate, both bounds, the posteriors, each manoeuvre alone."""
-    mle = identification.mle
-    status = mle.status.name.lower().replace("_", " ")
-    caption = "In brackets: standard deviation in units of the last digit. SI and radians."
-    table = Table(
-        title=f"{identification.card.title}; maximum likelihood {status}",
-        caption=caption,
-        box=SIMPLE_HEAD,
-        padding=0,
-        pad_edge=False,
-        show_edge=False,
+def fit_table(run: Identification) -> Table:
+    """How well the fitted model follows each coefficient."""
+    of = columns_of([(name, run.mle.fit[name], run.mle.lag1[name]) for name in NAMES])
+    return Table(
+        [
+            of(lambda r: r[0], page=""),
+            of(lambda r: r[1].r, page="correlation r", form=".4f"),
+            of(lambda r: r[1].r2, page="R²", form=".3f"),
+            of(lambda r: r[1].rmse, page="RMSE [-]", form=3),
+            of(lambda r: r[1].theil, page="Theil U", form=".3f"),
+            of(lambda r: r[2], page="lag-1 correlation\nof residuals", form="+.2f"),
+        ],
+        "Fit of the maximum-likelihood model to all samples",
+        "R² is the share of the variance that is explained; Theil's U is 0 for a perfect fit and 1 for none. A lag-1 "
+        "correlation near 0 means independent residuals.",
     )
-    columns = _terminal_columns(identification)
-    table.add_column("", no_wrap=True)
-    table.add_column("unit", no_wrap=True)
-    for head, _ in columns:
-        table.add_column(head, justify="right", overflow="fold", max_width=12)
-    for name in ordered(mle.names, mle.parameters):
-        table.add_row(name, mle.units[mle.names.index(name)], *(cell(name) for _, cell in columns))
-    return table
 
 
-def _terminal_columns(identification: Identification) -> list[tuple[str, Callable[[str], str]]]:
-    """Heading, and the cell of a parameter, for every column behind the unit."""
-    found = {method.key: method.estimates for method in methods(identification)}
-    columns: list[tuple[str, Callable[[str], str]]] = []
-    if identification.truth is not None:
-        truth = identification.truth
-        columns.append(("flown", lambda name: f"{truth[name]:.4g}" if name in truth else "-"))
-    columns += [
-        ("ML (CRB)", lambda name: _concise(found["crb"].get(name))),
-        ("sd\ncorr.", lambda name: _deviation(found["crb_corrected"].get(name))),
-    ]
-    if "white" in found:
-        columns.append(("sd\nwhite", lambda name: _deviation(found["white"].get(name))))
-    if chosen_posteriors(identification):  # the first engine; the others agree or the verdict says so
-        engine = next(iter(chosen_posteriors(identification)))
-        head = f"{engine_label(engine)}\n{noise_label(identification.noise)}"
-        columns.append((head, lambda name: _concise(found[engine].get(name))))
-    if len(identification.alone) <= MANOEUVRES_SHOWN:
-        columns += [(f"{m}\nalone", _alone_cell(identification, m)) for m in identification.alone]
-    else:
-        columns.append((f"sd of {len(identification.alone)}\nalone", _scatter_cell(identification)))
-    return columns
+def sampler_table(run: Identification, key: str) -> Table:
+    """R-hat and effective sample sizes of one posterior."""
+    posterior = run.posteriors[key]
+    of = columns_of([(n, posterior.marginals[n]) for n in ordered(posterior.names, run.mle.parameters)])
+    divergent = f" Divergent transitions: {_divergences(posterior)}." if key == "nuts" else ""
+    return Table(
+        [
+            of(lambda r: r[0], page=""),
+            of(lambda r: r[1].rhat, page="R-hat", form=".4f"),
+            of(lambda r: r[1].ess_bulk, page="bulk ESS", form=".0f"),
+            of(lambda r: r[1].ess_tail, page="tail ESS", form=".0f"),
+        ],
+        f"Convergence: {engine_label(posterior.engine)}, {noise_label(posterior.noise)} noise",
+        f"Status: {posterior.status.value}. Targets: R-hat at most 1.01, both sample sizes at least 400.{divergent}",
+    )
 
 
-def _alone_cell(identification: Identification, manoeuvre: str) -> Callable[[str], str]:
-    def cell(name: str) -> str:
-        single = alone(identification, name).get(manoeuvre)
-        return concise(single[0], single[1]) if single else "-"
-
-    return cell
-
-
-def _scatter_cell(identification: Identification) -> Callable[[str], str]:
-    def cell(name: str) -> str:
-        found = scatter(identification, name)
-        return f"{found.sd:.2g}" if found else "-"
-
-    return cell
+def _divergences(posterior: Posterior) -> str:
+    if "sample_stats" not in posterior.tree.children:
+        return "not recorded"
+    stats = posterior.tree["sample_stats"].to_dataset()
+    return str(int(np.sum(np.asarray(stats["diverging"])))) if "diverging" in stats else "not recorded"
 
 
-def _concise(estimate: Estimate | None) -> str:
-    return concise(estimate.centre, estimate.sd) if estimate else "-"
-
-
-def _deviation(estimate: Estimate | None) -> str:
-    return f"{estimate.sd:.2g}" if estimate else "-"
-
-
-def concise(value: float, sd: float) -> str:
-    """`value(sd)` with two digits of sd, counted in the last digits of the value: -0.391(16)."""
-    if not (np.isfinite(sd) and sd > 0.0):
-        return f"{value:.4g}"
-    places = decimals(sd)
-    return f"{value:.{places}f}({round(sd * 10.0**places)})"
+def coverage_table(run: Identification) -> Table | None:
+    """Share of the measured samples inside the posterior's predictive intervals."""
+    rows = []
+    for key, posterior in chosen_posteriors(run).items():
+        if not {"posterior_predictive", "observed_data"} <= set(posterior.tree.children):
+            continue
+        predicted, observed = (posterior.tree[g].to_dataset() for g in ("posterior_predictive", "observed_data"))
+        for name in NAMES:
+            draws = np.asarray(predicted[name], float).reshape(-1, observed[name].size)
+            shares = interval_coverage(np.asarray(observed[name], float), draws)
+            rows.append((f"{engine_label(key)}, {name}", *shares.values()))
+    if not rows:
+        return None
+    first, *columns = zip(*rows, strict=True)
+    heads = ("50 %", "90 %", "95 %")
+    return Table(
+        [Column(first, page=""), *(Column(c, page=h, form=".0%") for c, h in zip(columns, heads, strict=True))],
+        "Calibration: share of measured samples inside the predictive intervals",
+        "A calibrated model shows the heading's share in each column. More means that intervals are too wide, less "
+        "that they are too narrow.",
+    )

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from bayes_aero.inference.identification import GPReport, Identification
-from bayes_aero.inference.scores import score
 from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.tables.run_tables import Pooled
 from bayes_aero.report.text.phrases import several
 
 LEAK = 0.02  # a correlation that falls by more from the random split to another one was leaked; our choice
@@ -16,9 +14,7 @@ SAYS = {"random": "the random split", "block": "hold-out blocks", "manoeuvre": "
 
 def pooled_r(report: GPReport, split: str, name: str, engine: str) -> float:
     """Correlation over the test points of all folds; `engine` is gp or mle."""
-    folds = [fold[name] for fold in report.splits[split]]
-    predicted = np.concatenate([getattr(v, engine) for v in folds])
-    return score(np.concatenate([v.measured for v in folds]), predicted).r
+    return getattr(Pooled.of([fold[name] for fold in report.splits[split]]), engine).r
 
 
 def split_verdict(identification: Identification) -> list[str]:

@@ -7,20 +7,12 @@ from collections.abc import Mapping
 from bayes_aero.diagnosis.consistency.check_result import CheckReport
 from bayes_aero.flight.agreement import Agreement
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.reading.inspection import ChannelReport, RecordReport
+from bayes_aero.flight.reading.inspection import RecordReport
 from bayes_aero.report.tables.not_testable import not_testable_sentences
 from bayes_aero.report.text.consistency import consistency_sentences
 from bayes_aero.report.text.phrases import for_people, several
 
 MOST_PARTS = 12  # of a file that are listed in words; the JSON has all
-
-
-def taken(channel: ChannelReport) -> tuple[str, str, str, str]:
-    """A channel's place, unit, range in the file and remarks."""
-    c = channel
-    unit = c.unit if c.unit == c.si else f"{c.unit} → {c.si}"
-    remarks = [*(["sign reversed"] if c.sign < 0 else []), *([] if c.moves else ["does not move"])]
-    return c.place, unit, f"{c.lowest:.5g} to {c.highest:.5g}", ", ".join(remarks)
 
 
 def part_sentences(record: RecordReport) -> list[str]:

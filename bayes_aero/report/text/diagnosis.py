@@ -1,19 +1,16 @@
-"""A diagnosis as sentences and tables: verdict, causes, unexplained structure, what is not testable."""
+"""A diagnosis as sentences: verdict, causes, unexplained structure, what is not testable."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
-from bayes_aero.diagnosis.result import INNOVATIONS, Cause, Diagnosis
+from bayes_aero.diagnosis.result import Cause, Diagnosis
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.tables.not_testable import not_testable_sentences
 from bayes_aero.report.text.impossible_estimates import sign_sentences
 from bayes_aero.report.text.phrases import several, size_text
@@ -21,16 +18,6 @@ from bayes_aero.report.text.trajectories import trajectory_sentences
 from bayes_aero.report.text.verdict import tested_sentences, verdict_sentence
 
 LITTLE = 0.02  # own share of an effect below which the record hardly excites it
-SPLITS = {
-    "manoeuvre": "each manoeuvre predicted from the others",
-    "block": "each block of the manoeuvre predicted from the others",
-}
-
-
-NAMED_IF = (
-    "A small p-value alone is not sufficient. A cause must also explain a share of the remaining variance, improve the "
-    "prediction of hold-out data and be worth modelling. Significant but small effects are in the model without a name."
-)
 
 
 def sentences(view: DiagnosisView) -> list[str]:
@@ -172,85 +159,6 @@ def _noise(d: Diagnosis) -> list[str]:
         count = ", ".join(f"{name} {n}" for name, n in d.noise.outliers.items() if n)
         said.append(f"Noise: outliers were replaced ({count}).")
     return said
-
-
-def cause_table(view: DiagnosisView) -> Table | None:
-    """Causes for a terminal of 80 columns: size, standard error, probability, R2 on hold-out data before and after."""
-    d = view.diagnosis
-    if not d.causes:
-        return None
-    if not d.by_coefficients:
-        return _trajectory_causes(d)
-    table = Table(
-        title=f"Causes; R² on hold-out data ({SPLITS[d.split]}), before → after",
-        caption="Before: the card's model, with corrected sensors where sensor errors were found. ±: one standard "
-        "error. "
-        "*: not confirmed on hold-out data, not in the extended model. †: the verdict does not rest on it, see below.",
-        box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-        pad_edge=False,
-        show_edge=False,
-    )
-    table.add_column("cause", no_wrap=True)
-    table.add_column("size")
-    table.add_column("prob.", justify="right")
-    for name in NAMES:
-        table.add_column(f"R² {name}", justify="right", no_wrap=True)
-    for cause in d.causes:
-        sizes = "\n".join(size_text(s.mean, s.sd, s.unit) for s in cause.parameters.values())
-        table.add_row(_marked(cause), sizes, probability(cause.probability), *(_r2(cause, c) for c in NAMES))
-    return table
-
-
-def _trajectory_causes(d: Diagnosis) -> Table:
-    """Causes named without coefficients: size with standard error, probability, rivals."""
-    title = "Causes, from innovations" if d.compared == INNOVATIONS else "Causes, from trajectories alone"
-    table = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    for head in ("cause", "size", "prob.", "rivals"):
-        table.add_column(head)
-    for cause in d.causes:
-        sizes = "\n".join(size_text(s.mean, s.sd, s.unit) for s in cause.parameters.values())
-        table.add_row(_marked(cause), sizes, probability(cause.probability), several(cause.ambiguous_with))
-    if not all(cause.sure for cause in d.causes):
-        table.caption = "*: not confirmed on hold-out data. †: the verdict does not rest on it, see below."
-    return table
-
-
-def _marked(cause: Cause) -> str:
-    return cause.name if cause.sure else f"{cause.name}*" if not cause.confirmed else f"{cause.name}†"
-
-
-def probability(value: float) -> str:
-    """Two digits, never rounded to certainty."""
-    if not np.isfinite(value):
-        return "-"
-    return "> 0.99" if value > 0.99 else f"{value:.2f}"
-
-
-def _r2(cause: Cause, name: str) -> str:
-    if name not in cause.gain.before:
-        return "-"
-    return f"{cause.gain.before[name].r2:.2f} → {cause.gain.after[name].r2:.2f}"
-
-
-def ranking_table(view: DiagnosisView, most: int = 5) -> Table | None:
-    """The leading candidates of each stage, if no cause was found."""
-    if view.diagnosis.causes or not view.rankings:
-        return None
-    table = Table(
-        title="Leading candidates",
-        caption=f"p is family-wise, 0.005 at the least. {NAMED_IF}",
-        box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-        pad_edge=False,
-        show_edge=False,
-    )
-    for head in ("stage", "candidate", "score", "p"):
-        table.add_column(head, justify="right" if head in ("score", "p") else "left")
-    for ranking in view.rankings:
-        for s in ranking.candidate_scores[:most]:
-            table.add_row(ranking.stage, s.effect, f"{s.score:.1f}", f"{s.p_value:.3f}")
-    return table
 
 
 def revealed(effects: Mapping[str, Mapping[str, float]], named: Mapping[str, str]) -> list[str]:

@@ -1,138 +1,20 @@
-"""A fit to trajectories: tables for a terminal and for files, and sentences."""
+"""A fit to trajectories in sentences."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
-import pandas as pd
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
 from bayes_aero.diagnosis.trajectories.results import FITTED, START, Disagreement, TrajectoryFit
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
-from bayes_aero.parameter import Prior
-from bayes_aero.report.tables.run_tables import concise
 from bayes_aero.report.text.impossible_estimates import sign_sentences
 from bayes_aero.report.text.phrases import SYMBOLS, for_people, several, short
 from bayes_aero.report.text.restraints import inseparable_sentences
 
-MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound", "undetermined": "not determined"}
-_WEIGHED = " Priors are mean ± standard deviation, weighted with the variance inflation of the residuals."
 COLOURED = 1.5  # variance inflation from which a sentence is written; our choice
 OFTEN = 0.5  # share of the time outside a tolerance from which a sentence is written; our choice
 SWOLLEN = 2.0  # noise growth in fully separated flow from which a sentence is written; our choice
-
-
-def parameter_rows(flown: TrajectoryFit) -> dict[str, dict[str, Any]]:
-    """By parameter, SI and radians; `crb` is infinite where the data alone do not determine it.
-
-    `prior` is None where the fit had none.
-    """
-    fit = flown.fit
-    return {
-        name: {
-            "unit": fit.parameters[i].unit,
-            "start": float(flown.start[i]),
-            "estimate": float(fit.estimate[i]),
-            "crb": float(crb),
-            "sd_corrected": float(sd),
-            "prior": _prior(fit.parameters[i].prior) if flown.setting.priors else None,
-            "held_by_prior": name in fit.held,
-            "at_bound": name in fit.at_bound,
-            "undetermined": name in fit.undetermined,
-        }
-        for i, (name, crb, sd) in enumerate(zip(fit.names, fit.crb, fit.sd_corrected, strict=True))
-    }
-
-
-def _prior(prior: Prior) -> dict[str, Any]:
-    told = {key: getattr(prior, key) for key in ("family", "location", "scale", "source")}
-    return told | {"default": not prior.by_card}
-
-
-def prior_words(row: Mapping[str, Any]) -> str:
-    """The prior of one of `parameter_rows`, and whether it is the default or the card's."""
-    prior = row["prior"]
-    if prior is None:
-        return "none"
-    location, scale = prior["location"], prior["scale"]
-    told = {
-        "normal": f"{location:.4g} ± {scale:.4g}",
-        "lognormal": f"{location:.4g} × e^±{scale:.4g}",
-        "halfnormal": f"{location:.4g} + |{scale:.4g}|",
-        "uniform": f"{location:.4g} to {location + scale:.4g}",
-    }[prior["family"]]
-    return f"{told}, {'default' if prior['default'] else 'card'}"
-
-
-def remarks(row: Mapping[str, Any]) -> str:
-    """Remarks on one of `parameter_rows`; usually none."""
-    return ", ".join(words for key, words in MARKS.items() if row[key])
-
-
-def parameter_frame(flown: TrajectoryFit) -> pd.DataFrame:
-    """The same as a table."""
-    rows = {name: row | {"prior": prior_words(row)} for name, row in parameter_rows(flown).items()}
-    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("parameter")
-
-
-def parameter_table(flown: TrajectoryFit) -> Table:
-    """Estimate, both standard errors, prior and remarks."""
-    table = _table(
-        f"Parameters fitted to trajectories: {flown.fit.status.name.lower().replace('_', ' ')}",
-        "SI and radians. CRB: Cramér-Rao bound of the data alone, for white residuals. sd corr.: with their "
-        "autocorrelation and the priors; in brackets after the estimate in units of its last digit."
-        + (_WEIGHED if flown.setting.priors else " There are no priors."),
-    )
-    for head in ("", "unit"):
-        table.add_column(head, no_wrap=True)
-    for head in ("estimate", "CRB", "sd corr."):
-        table.add_column(head, justify="right", no_wrap=True)
-    table.add_column("prior", no_wrap=True)
-    table.add_column("")
-    for name, row in parameter_rows(flown).items():
-        crb = f"{row['crb']:.2g}" if np.isfinite(row["crb"]) else "-"
-        sd = row["sd_corrected"]
-        table.add_row(name, row["unit"], _estimate(row), crb, _sd(sd), prior_words(row), remarks(row))
-    return table
-
-
-def _estimate(row: Mapping[str, Any]) -> str:
-    return "-" if row["undetermined"] else concise(row["estimate"], row["sd_corrected"])
-
-
-def _sd(sd: float) -> str:
-    return f"{sd:.2g}" if np.isfinite(sd) else "-"
-
-
-def error_table(flown: TrajectoryFit) -> Table:
-    """Every manoeuvre and output: error at the first values and of the fit, Theil's coefficient and its parts."""
-    table = _table(
-        "Error of the simulated trajectory",
-        f"Start: first values of the parameters, {'measured' if flown.setting.initial is None else 'fixed'} initial "
-        "state. Theil's U, and the shares of bias, variance and covariance in the mean square error.",
-    )
-    for head in ("manoeuvre", "output"):
-        table.add_column(head)
-    for head in ("RMS: start → fitted", "largest", "U", "bias", "var.", "cov."):
-        table.add_column(head, justify="right")
-    for name in flown.manoeuvres:
-        before, after = flown.path(name, START), flown.path(name, FITTED)
-        for output, error in after.errors.items():
-            unit, factor = for_people(flown.units[output])
-            theil = error.theil
-            left = "" if output in flown.fit.flown.outputs else ", not fitted"
-            table.add_row(
-                name,
-                f"{SYMBOLS.get(output, output)} [{unit}]{left}",
-                f"{short(factor * before.errors[output].rms)} → {short(factor * error.rms)}",
-                short(factor * error.largest),
-                f"{theil.theil:.3f}",
-                *(f"{share:.0%}" for share in (theil.bias, theil.variance, theil.covariance)),
-            )
-    return table
 
 
 def errors_of_all(flown: TrajectoryFit) -> dict[str, tuple[float, float]]:
@@ -259,7 +141,3 @@ def _off(flown: TrajectoryFit) -> str:
         unit, factor = for_people(flown.units[output])
         told.append(f"{SYMBOLS.get(output, output)} {short(factor * rms)}{'' if unit == '1' else ' ' + unit}")
     return f"; the RMS error of the trajectories is {several(told)}"
-
-
-def _table(title: str, caption: str) -> Table:
-    return Table(title=title, caption=caption, box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False)

@@ -39,6 +39,50 @@ def bracket(unit: str) -> str:
     return "[-]" if unit in ("1", "", "-") else f"[{unit}]"
 
 
+def plain_unit(unit: str) -> str:
+    """A parameter's unit as people read it."""
+    return {"1": "-", "c/V": "chords"}.get(unit, unit).replace("^2", "²").replace("^3", "³")
+
+
+def number(value: float, digits: int = 3) -> str:
+    """Significant digits without an exponent where people read numbers; a dash where there is none."""
+    if not np.isfinite(value):
+        return "–"
+    value += 0.0  # no minus before zero
+    if value != 0.0 and not 1e-4 <= abs(value) < 1e6:
+        return f"{value:.{digits - 1}e}"
+    return f"{value:.{digits}g}" if abs(value) < 10.0**digits else f"{value:.0f}"
+
+
+def decimals(sd: float) -> int:
+    """Decimal places that show two digits of a standard error."""
+    return int(np.clip(1 - np.floor(np.log10(sd)), 0, 8))
+
+
+def plus_minus(value: float, sd: float) -> str:
+    """`value ± sd` with two digits of sd: -0.391 ± 0.016."""
+    if not (np.isfinite(sd) and sd > 0.0):
+        return f"{value:.4g}"
+    places = decimals(sd)
+    return f"{value:.{places}f} ± {sd:.{places}f}"
+
+
+def concise(value: float, sd: float) -> str:
+    """`value(sd)` with two digits of sd, counted in the last digits of the value: -0.391(16)."""
+    if not (np.isfinite(sd) and sd > 0.0):
+        return f"{value:.4g}"
+    places = decimals(sd)
+    return f"{value:.{places}f}({round(sd * 10.0**places)})"
+
+
+def from_to(low: float, high: float, sd: float) -> str:
+    """The ends of an interval with as many digits as its standard error allows."""
+    if not np.isfinite([low, high]).all():
+        return "–"
+    places = decimals(sd) if sd > 0.0 else 4
+    return f"{low:.{places}f} to {high:.{places}f}"
+
+
 def several(items: Iterable[str]) -> str:
     """Items as they are read out: a, b and c."""
     given = list(items)

@@ -1,34 +1,13 @@
-"""A fit with process noise beside output error: a table and sentences."""
+"""A fit with process noise beside output error, in sentences."""
 
 from __future__ import annotations
 
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-
 from bayes_aero.diagnosis.trajectories.results import ProcessNoise, TrajectoryFit
-from bayes_aero.report.tables.run_tables import concise
 from bayes_aero.report.text.phrases import several
 
 APART = 3.0  # combined standard errors between the two estimates from which a sentence names a parameter; our choice
 SEEN = 2.0  # standard errors from which an intensity is one
 COLOURED = 0.3  # autocorrelation of neighbouring innovations from which a sentence is written; our choice
-
-
-def process_noise_table(found: ProcessNoise, flown: TrajectoryFit) -> Table:
-    """Every parameter by both fits."""
-    table = Table(
-        box=SIMPLE_HEAD,
-        title="Parameters with and without process noise",
-        caption="SI and radians; standard errors in brackets in units of the last digit, with process noise for white "
-        "innovations.",
-    )
-    for head in ("", "output error", "with process noise"):
-        table.add_column(head, justify="right" if head else "left", no_wrap=True)
-    fit = flown.fit
-    for name, estimate, sd in zip(fit.names, fit.estimate, fit.sd_corrected, strict=True):
-        if name in found.estimates:
-            table.add_row(name, concise(float(estimate), float(sd)), concise(*found.estimates[name]))
-    return table
 
 
 def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[str]:

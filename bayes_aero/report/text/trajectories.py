@@ -1,4 +1,4 @@
-"""Simulated trajectories, as a table and as sentences."""
+"""Simulated trajectories in sentences."""
 
 from __future__ import annotations
 
@@ -6,10 +6,8 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
-from bayes_aero.diagnosis.trajectories.results import Estimates, Trajectories
+from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.tolerances import TOLERANCES
@@ -18,43 +16,6 @@ from bayes_aero.report.text.phrases import SYMBOLS, for_people, several, short, 
 
 MODELS = ("card", "extended")
 STOPPED = "stopped before the optimum, so its errors may be too large"
-TAIL = 6  # characters of a manoeuvre's name
-SPLIT_NAMES = {"fitted": "fitted", "hold_out": "hold-out"}
-"""What people read, by the split of a simulated path."""
-
-
-def trajectory_table(flown: Trajectories) -> Table:
-    """Root mean square error of every output, fitted jointly and on hold-out flights: card's model → extended model."""
-    table = Table(
-        title="Error of the simulated trajectory (RMS), card's model → extended model",
-        caption=" ".join(
-            [
-                "Fitted: parameters and initial states fitted to all flights. Hold-out: fitted without this "
-                "flight, simulated "
-                "from its measured initial state.",
-                *_status("The card's model", flown.card),
-                *_status("The extended model", flown.extended),
-            ]
-        ),
-        box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-        pad_edge=False,
-        show_edge=False,
-    )
-    table.add_column("manoeuvre")
-    table.add_column("")
-    for name in flown.outputs:
-        unit, _ = for_people(STANDARD_CHANNELS[name].unit)
-        table.add_column(f"{SYMBOLS.get(name, name)} [{unit}]", justify="right")
-    for split in ("fitted", "hold_out"):
-        for name in dict.fromkeys(p.manoeuvre for p in flown.paths if p.split == split):
-            cells = []
-            for output in flown.outputs:
-                _, factor = for_people(STANDARD_CHANNELS[output].unit)
-                pair = [flown.path(name, model, split) for model in MODELS]
-                cells.append(" → ".join("-" if p is None else short(factor * p.errors[output].rms) for p in pair))
-            table.add_row(_tail(name), SPLIT_NAMES[split], *cells)
-    return table
 
 
 def simulation_gain(flown: Trajectories) -> str:
@@ -75,23 +36,16 @@ def simulation_gain(flown: Trajectories) -> str:
             told.append(f"{SYMBOLS.get(output, output)} from {before} to {after} {unit}")
     if not told:
         return ""
-    failed = [*_status("The card's model", flown.card), *_status("The extended model", flown.extended)]
     besides = [f"with {flown.lag.effect}"] if flown.lag is not None and flown.lag.kept else []
     besides += [f"without {several(flown.out)}"] if flown.out else []
     model = f" ({several(besides)})" if besides else ""
     said = f"On hold-out flights the extended model{model} changes the RMS error of the simulation: {several(told)}."
-    return " ".join([said, *failed])
-
-
-def _tail(name: str) -> str:
-    """What tells records apart is mostly the end of their names, and a terminal has little room."""
-    return name if len(name) <= TAIL + 1 else f"…{name[-TAIL:]}"
+    return " ".join([said, *status_sentences(flown)])
 
 
 def trajectory_sentences(flown: Trajectories) -> list[str]:
     """How the fits ended, what was held, and the share of time within the tolerances."""
-    said = [*_status("The card's model", flown.card), *_status("The extended model", flown.extended)]
-    said += [*lag_sentences(flown), *cause_sentences(flown)]
+    said = [*status_sentences(flown), *lag_sentences(flown), *cause_sentences(flown)]
     for name, held in flown.held.items():
         if held:
             are = (
@@ -182,10 +136,12 @@ def cause_sentences(flown: Trajectories) -> list[str]:
     return said
 
 
-def _status(who: str, fit: Estimates) -> list[str]:
-    """How the fit of one model ended, if it did not converge."""
-    if fit.status is OutputErrorStatus.CONVERGED:
-        return []
-    names = f" ({several(fit.at_bound)})" if fit.at_bound else ""
-    said = STOPPED if fit.status is OutputErrorStatus.NOT_CONVERGED else fit.status.value
-    return [f"{who}, fitted to the trajectories: {said}{names}."]
+def status_sentences(flown: Trajectories) -> list[str]:
+    """How the fits of both models ended, where one did not converge."""
+    said = []
+    for who, fit in (("The card's model", flown.card), ("The extended model", flown.extended)):
+        if fit.status is not OutputErrorStatus.CONVERGED:
+            names = f" ({several(fit.at_bound)})" if fit.at_bound else ""
+            how = STOPPED if fit.status is OutputErrorStatus.NOT_CONVERGED else fit.status.value
+            said.append(f"{who}, fitted to the trajectories: {how}{names}.")
+    return said

@@ -1,0 +1,209 @@
+"""One table of numbers, from which a terminal, a file and a page (`html.page_table`) show what they have room for."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from rich import table as rich
+from rich.box import SIMPLE_HEAD
+from rich.markup import escape
+
+from bayes_aero.report.text.phrases import bracket, concise, number, plain_unit, plus_minus
+
+if TYPE_CHECKING:  # check shows tables, and does not wait for pandas
+    import pandas as pd
+
+NONE = "–"
+NORMAL95 = 1.959964
+Form = str | int | Callable[[Any], str]
+"""How a value is written: a format specification, how many significant digits, or a function."""
+Heads = str | tuple[str, ...] | None
+
+
+class Estimate(NamedTuple):
+    """A parameter by one method: centre, standard deviation and 95 % interval."""
+
+    centre: float
+    sd: float
+    low: float = math.nan
+    high: float = math.nan
+
+    @classmethod
+    def normal(cls, centre: float, sd: float) -> Estimate:
+        """Interval of a normal distribution."""
+        return cls(float(centre), float(sd), float(centre - NORMAL95 * sd), float(centre + NORMAL95 * sd))
+
+
+class Change(NamedTuple):
+    """A number before and after."""
+
+    before: float | None
+    after: float | None
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column, and where it is shown: an empty or missing name keeps it out.
+
+    Of estimates and changes, a tuple of names shows the parts, each in a column of its own; one name shows both in one.
+
+    Attributes:
+        values: one a row: a number, text, an `Estimate`, a `Change`, or None for no value. A list is several values:
+            they share a cell for people, and a file has a row for each.
+        files: name in files, and key in JSON.
+        page: heading on a page.
+        terminal: heading on a terminal.
+        form: how people read a value.
+        terminal_form: how it is written on a terminal, if differently there.
+        group: heading above that on a page.
+        words: whether it is text that may be folded.
+    """
+
+    values: Sequence[Any]
+    files: str | tuple[str, ...] = ""
+    page: Heads = None
+    terminal: str | None = None
+    form: Form = ""
+    terminal_form: Form = ""
+    group: str = ""
+    words: bool = False
+
+    def under(self, heads: Heads) -> Iterator[tuple[str, list[Any]]]:
+        """Each name with its values."""
+        if isinstance(heads, str):
+            yield heads, list(self.values)
+        for part, head in enumerate(heads if isinstance(heads, tuple) else ()):
+            if head:
+                yield head, [_part(value, part) for value in self.values]
+
+
+def _part(value: Any, part: int) -> Any:
+    if isinstance(value, list):
+        return [_part(one, part) for one in value]
+    return None if value is None else value[part]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of one length, with what is said of them.
+
+    Attributes:
+        columns: columns in the order in which they are shown.
+        title: what it shows.
+        note: explanation on a page.
+        terminal_title: title on a terminal, if another or (empty) none.
+        terminal_note: explanation on a terminal.
+        index: how many columns of a file name the row.
+        below: on a page each row stands below this name, if there are several names.
+        dense: whether the terminal has one space between columns.
+    """
+
+    columns: Sequence[Column]
+    title: str = ""
+    note: str = ""
+    terminal_title: str | None = None
+    terminal_note: str = ""
+    index: int = 1
+    below: Sequence[str] = ()
+    dense: bool = False
+
+    def _filed(self) -> dict[str, list[Any]]:
+        return {name: values for c in self.columns for name, values in c.under(c.files) if name}
+
+    def records(self) -> list[dict[str, Any]]:
+        """Rows by the names of a file, as JSON has them."""
+        filed = self._filed()
+        return [dict(zip(filed, row, strict=True)) for row in zip(*filed.values(), strict=True)]
+
+    def frame(self) -> pd.DataFrame:
+        """The table of a file: numbers with every digit, NaN for none."""
+        import pandas as pd
+
+        filed = {name: [math.nan if x is None else x for x in values] for name, values in self._filed().items()}
+        found, names = pd.DataFrame(filed), list(filed)
+        several = [name for name in names if any(isinstance(x, list) for x in filed[name])]
+        found = found.explode(several).infer_objects() if several else found
+        return found.set_index(names[: self.index]) if self.index else found
+
+    def terminal(self) -> rich.Table:
+        """The table of a terminal."""
+        space = (0, 0 if self.dense else 1, 0, 0)
+        title = self.title if self.terminal_title is None else self.terminal_title
+        shown = rich.Table(
+            title=escape(title) or None,
+            caption=escape(self.terminal_note) or None,
+            box=SIMPLE_HEAD,
+            padding=space,
+            pad_edge=False,
+            show_edge=False,
+        )
+        columns = [c for c in self.columns if c.terminal is not None]
+        for k, c in enumerate(columns):
+            left = k == 0 or c.words or any(isinstance(x, str) for x in c.values)
+            most = 12 if self.dense and not left else None
+            folds = bool(most) or c.words or any(isinstance(x, Change) for x in c.values)
+            shown.add_column(
+                escape(c.terminal or ""),
+                justify="left" if left else "right",
+                overflow="fold" if folds else "ellipsis",
+                max_width=most,
+                no_wrap=not folds,
+            )
+        cells = ([told(x, c.terminal_form or c.form, concise, "\n") for x in c.values] for c in columns)
+        for row in zip(*cells, strict=True):
+            shown.add_row(*map(escape, row))
+        return shown
+
+
+def told(value: Any, form: Form, estimate: Callable[[float, float], str] = plus_minus, between: str = "; ") -> str:
+    """A value as people read it, a dash where there is none; several of them with `between` between them."""
+    if isinstance(value, list):
+        return between.join(told(one, form, estimate, between) for one in value)
+    if isinstance(value, Change):
+        return " → ".join(told(part, form) for part in value)
+    size = value.centre if isinstance(value, Estimate) else value
+    if size is None or (isinstance(size, float) and not math.isfinite(size)):
+        return NONE
+    if callable(form):
+        return form(value)
+    if isinstance(value, Estimate):
+        return estimate(value.centre, value.sd)
+    return number(value, form) if isinstance(form, int) else format(value, form)
+
+
+def in_brackets(e: Estimate) -> str:
+    """An estimate with its standard error in units of the last digit, also where a page has no room for ±."""
+    return concise(e.centre, e.sd)
+
+
+def columns_of(rows: Sequence[Any]) -> Callable[..., Column]:
+    """What makes a `Column` of a function, which gets the value of a row, and the other arguments of `Column`."""
+    return lambda get, *heads, **how: Column([get(row) for row in rows], *heads, **how)
+
+
+def or_dash(text: str) -> str:
+    """Text, and a dash where there is none."""
+    return text or NONE
+
+
+def parameter_columns(names: Sequence[str], units: Sequence[str]) -> list[Column]:
+    """Parameters with their units, which stand behind the names on a page."""
+    both = [f"{name} {bracket(plain_unit(unit))}" for name, unit in zip(names, units, strict=True)]
+    apart = Column(names, "parameter", terminal=""), Column(units, "unit", terminal="unit")
+    return [*apart, Column(both, page="parameter")]
+
+
+def write_csv(table: Table, path: Path) -> Path:
+    """Write a table, whole or not at all; floats keep every digit."""
+    partial = path.with_name(path.name + ".part")
+    try:
+        table.frame().to_csv(partial, lineterminator="\n")
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+    return path
