@@ -68,8 +68,8 @@ def motion_of_aircraft(
 
     rate = alpha_dot(lambda rate: follow(rate)[2]["alpha"]) if implicit else follow(nothing)[2]["alpha"]
     known, force, rates = follow(rate)
-    coefficients, p, r = (known[name] for name in ("CL", "CD", "Cm")), path["p"], path["r"]
-    q_dot = pitch_acceleration(*coefficients, air["alpha"], pressure, air["thrust"], p, r, aircraft)
+    CL, CD, Cm = (known[name] for name in ("CL", "CD", "Cm"))
+    q_dot = pitch_acceleration(CL, CD, Cm, air["alpha"], pressure, air["thrust"], path["p"], path["r"], aircraft)
     return Motion(known, force, rates | {"alpha": rate}, q_dot)
 
 
