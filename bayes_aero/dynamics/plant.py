@@ -57,7 +57,7 @@ SIGNALS = frozenset(
 
 def flies(effect: Effect) -> bool:
     """Whether the simulated aircraft has what an effect acts through."""
-    return effect.stage < Stage.INCIDENCE or set(effect.channels) <= SIGNALS
+    return effect.stage <= Stage.AIRCRAFT or set(effect.channels) <= SIGNALS
 
 
 def refuse_unflown(effect: Effect) -> None:
