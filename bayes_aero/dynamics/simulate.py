@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_aero.dynamics.plant import FlightState, Plant
-from bayes_aero.dynamics.system import integrate
+from bayes_aero.dynamics.system import step
+from bayes_aero.dynamics.tangent import later
 from bayes_aero.dynamics.trim import lead
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
@@ -56,7 +57,7 @@ def fly(
     """Every signal of the flight by the names of recorded channels, and CL, CD, Cm, X; (n,), SI.
 
     Whatever comes from outside is linear between samples. Held over a step it would lag its own record by half a step,
-    which a critic of the flight finds as a delay of the elevator. From where the flight is none any more, NaN.
+    which a critic of the flight finds as a delay of the elevator.
     """
     numbers, pilot, start = jax.tree.map(lambda x: jnp.asarray(x, float), (dict(values), pilot, start))
     return _alone(model, numbers, aircraft, pilot, start, jnp.asarray(dt))
@@ -81,8 +82,8 @@ def _flown(model: Model, values: dict[str, Any], aircraft: Aircraft, pilot: Pilo
     shares, command = lead(model, values, aircraft, pilot.alpha, start.airspeed, start.altitude)
     gains = (pilot.alpha_gain, pilot.rate_gain, pilot.trim_gain)
     plant = Plant(model, values, aircraft, gains, pilot.buffet, shares)  # type: ignore[arg-type]
-    flight = integrate(plant, jnp.stack(start), _inputs(pilot, command, dt), dt)
-    found = {name: jnp.where(flight.inside, x, jnp.nan) for name, x in flight.outputs.items()}
+    inputs = _inputs(pilot, command, dt)
+    _, found = jax.lax.scan(lambda x, row: step(plant, x, *row, dt), jnp.stack(start), (inputs, later(inputs)))
     turn = found["psi_dot"]
     return found | {"psi": jnp.cumsum(jnp.pad(0.5 * dt * (turn[1:] + turn[:-1]), (1, 0)))}
 

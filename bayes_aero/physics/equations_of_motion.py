@@ -100,23 +100,23 @@ def alpha_dot(rate_of: Callable[[Any], Any]) -> Float[Array, ""]:
             return (jnp.abs(step) > TOLERANCE) & (count < MOST)
 
         def closer(state):
-            low, high, rate, _, _, count = state
+            low, high, rate, _, least, count = state
             value, slope = jax.jvp(excess, (rate,), (jnp.ones_like(rate),))
             low, high = jnp.where(value < 0.0, rate, low), jnp.where(value > 0.0, rate, high)
             newton = rate - value / jnp.where(slope > 0.0, slope, 1.0)
             outside = (newton < low) | (newton > high) | ~(slope > 0.0)
             new = jnp.where(outside, 0.5 * (low + high), newton)
-            return low, high, new, new - rate, slope, count + 1
+            return low, high, new, new - rate, jnp.minimum(slope, least), count + 1
 
-        endless, one = jnp.full_like(first, jnp.inf), jnp.ones_like(first)
+        endless = jnp.full_like(first, jnp.inf)
         farthest = first / UNIQUE  # of a slope that is nowhere less
-        begin = (jnp.minimum(farthest, 0.0), jnp.maximum(farthest, 0.0), 0.5 * first, endless, one, 0)
-        _, _, rate, _, slope, _ = jax.lax.while_loop(going, closer, begin)
-        return rate, slope
+        begin = (jnp.minimum(farthest, 0.0), jnp.maximum(farthest, 0.0), 0.5 * first, endless, endless, 0)
+        _, _, rate, _, least, _ = jax.lax.while_loop(going, closer, begin)
+        return rate, least
 
     first = rate_of(jnp.zeros(()))
     root = jax.lax.custom_root(
         lambda rate: rate - rate_of(rate), first, bracketed, lambda g, y: y / g(1.0), has_aux=True
     )
-    rate, slope = root  # type: ignore[misc]
-    return jnp.where(slope > UNIQUE, rate, jnp.nan)
+    rate, least = root  # type: ignore[misc]
+    return jnp.where(least > UNIQUE, rate, jnp.nan)
