@@ -23,7 +23,7 @@ def test_a_3_2_1_1_lasts_as_many_samples_as_its_name_says(begin):
 
 def test_a_later_pulse_replaces_an_earlier_one_while_it_lasts():
     signal = pulses(TIME, [(1.0, 10.0, 1.0), (3.0, 5.0, -2.0), *steps((20.0, 4.0))])
-    at = lambda t: signal[np.searchsorted(TIME, t)]  # noqa: E731
+    at = lambda t: signal[np.searchsorted(TIME, t)]
     assert [at(t) for t in (0.5, 2.0, 4.0, 7.0, 15.0, 59.0)] == [0.0, 1.0, -2.0, 1.0, 0.0, 4.0]
 
 
