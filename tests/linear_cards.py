@@ -8,6 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.linalg import expm
 
+from bayes_aero.dynamics.manoeuvres import pulses, three_two_one_one
 from bayes_aero.flight.card.card import Card, parse_card
 from bayes_aero.flight.record import FlightRecord
 
@@ -99,13 +100,9 @@ def first_order_hold(A, B, x0, u, dt):
     return np.array(x)
 
 
-def multistep(n, dt, begin, unit, size, pattern=(3, -2, 1, -1)):
+def multistep(n, dt, begin, unit, size):
     """A 3-2-1-1 with edges a sample long, `unit` s a step."""
-    t, u = np.arange(n) * dt, np.zeros(n)
-    for length in pattern:
-        u[(t >= begin - 1e-9) & (t < begin + abs(length) * unit - 1e-9)] = np.sign(length) * size
-        begin += abs(length) * unit
-    return u
+    return pulses(np.arange(n) * dt, three_two_one_one(begin, unit, size))
 
 
 def short_period_flight(truth, n=500, dt=0.04, x0=(0.04, 0.01)):

@@ -22,16 +22,11 @@ from bayes_aero.effect import Stage
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import air
-from bayes_aero.physics.flightpath import motion_of_path, side_force
-from bayes_aero.physics.forces import pitch_acceleration, specific_force
-from bayes_aero.physics.kinematics import Rotation, lever_arm
+from bayes_aero.physics.equations_of_motion import accelerometers, motion_of_aircraft
 
 ENVELOPE = {"airspeed": (5.0, 1500.0), "alpha": (-1.0, 1.2), "theta": (-1.5, 1.5), "q": (-4.0, 4.0), "X": (-0.5, 1.5)}
 LATERAL = ("p", "r", "p_dot", "r_dot", "beta", "phi", "ay")  # at rest where they were not recorded
 LEAST_LAG = 0.2  # chords: some hundredth of a second, and slow enough for the finest step; less is no lag
-TOLERANCE = 1e-12  # rad/s, of alpha-dot
-UNIQUE = 0.1  # least slope of the equation of alpha-dot; at zero two motions meet
-MOST = 60  # iterations: bisection alone would need 45
 
 
 class Longitudinal(System):
@@ -76,44 +71,29 @@ class Longitudinal(System):
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
         """Derivative of the state, and everything that can be measured."""
         state, s = self._signals(x, u)
-        over_ground = {name: state[name] for name in ("airspeed", "alpha")}
         decay, gust_rate = self._gusts(state, s)
-        pressure = 0.5 * s["density"] * jnp.square(s["airspeed"])
-        nothing = jnp.zeros_like(s["alpha"])
-        lateral = {name: u.get(name, nothing) for name in LATERAL}
-
-        still = Rotation(lateral["p"], s["q"], lateral["r"], lateral["p_dot"], nothing, lateral["r_dot"])
-        side_arm = lever_arm(still, self.aircraft.accelerometer)[1]  # q-dot does not enter it
-
-        def path(rate):
-            """Flow at this alpha-dot, the specific force at the CG and the flight path's motion that follows."""
-            known = self._flow(state, s | {"alpha_dot": rate + gust_rate})
-            fx, fz = specific_force(known["CL"], known["CD"], s["alpha"], pressure, s["thrust"], self.aircraft)
-            moving, side = lateral | s | over_ground, nothing
-            if "ay" in u:
-                side = lateral["ay"] - side_arm
-            elif "beta_dot" in u:
-                side = side_force(moving, fx, fz)
-            return known, (fx, fz), motion_of_path(moving, (fx, side, fz))
-
-        rate = self._alpha_dot(lambda a: path(a)[2]["alpha"]) if self.implicit else path(nothing)[2]["alpha"]
-        known, (fx, fz), moved = path(rate)
-        total = (known["CL"], known["CD"], known["Cm"])
-        p, r = lateral["p"], lateral["r"]
-        q_dot = pitch_acceleration(*total, s["alpha"], pressure, s["thrust"], p, r, self.aircraft)
-        rotation = Rotation(p, s["q"], r, lateral["p_dot"], q_dot, lateral["r_dot"])
-        arm_x, _, arm_z = lever_arm(rotation, self.aircraft.accelerometer)
-        derivative = [moved["airspeed"], rate, moved["theta"], q_dot]
+        path = dict.fromkeys((name for name in LATERAL if name != "ay"), jnp.zeros_like(s["alpha"])) | s
+        path |= {name: state[name] for name in ("airspeed", "alpha")}
+        now = motion_of_aircraft(
+            lambda rate: self._flow(state, s | {"alpha_dot": rate + gust_rate}),
+            s,
+            path,
+            self.aircraft,
+            implicit=self.implicit,
+        )
+        known, rates, rate = now.flow, now.rates, now.rates["alpha"] + gust_rate
+        derivative = [rates["airspeed"], rates["alpha"], rates["theta"], now.q_dot]
         if self.altitude:
-            derivative.append(moved["altitude"])
+            derivative.append(rates["altitude"])
         derivative += decay
         if self.lagged:
-            static = self.model.static_separation(self.values, s | {"alpha_dot": rate + gust_rate}, self.aircraft)
+            static = self.model.static_separation(self.values, s | {"alpha_dot": rate}, self.aircraft)
             lag = jnp.maximum(self.model.lag(self.values), LEAST_LAG) * self.aircraft.chord / s["airspeed"]
             derivative.append((static - state["X"]) / lag)
         outputs = state | {name: s[name] for name in ("airspeed", "alpha")}
-        outputs |= {"ax": fx + arm_x, "az": fz + arm_z, "q_dot": q_dot, "alpha_dot": rate + gust_rate, "X": known["X"]}
-        return jnp.stack(derivative), outputs | dict(zip(("CL", "CD", "Cm"), total, strict=True))
+        felt = accelerometers(now, path, self.aircraft)
+        outputs |= {"ax": felt["ax"], "az": felt["az"], "q_dot": now.q_dot, "alpha_dot": rate}
+        return jnp.stack(derivative), outputs | {name: known[name] for name in ("X", "CL", "CD", "Cm")}
 
     def settled(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
         """Begins with the separation point at its static value."""
@@ -171,38 +151,3 @@ class Longitudinal(System):
         if self.lagged:
             return self.model.flow(self.values, s, self.aircraft, X=state["X"])
         return self.model.flow(self.values, s, self.aircraft)
-
-    def _alpha_dot(self, rate_of) -> Float[Array, ""]:
-        """Solve rate = rate_of(rate): through the separation point lift depends on alpha-dot itself.
-
-        The right side falls as alpha-dot rises (more separation costs lift while alpha falls), so the root lies between
-        zero and rate_of(0); Newton's steps that leave the shrinking bracket are replaced by its middle. A fixed-point
-        iteration, of gain 0.9 to 2.7, would not do. Derivatives are those of the implicit function. Where the right
-        side rises (a negative hysteresis time) the motion is soon not unique any more: then the result is not a number.
-        """
-
-        def bracketed(excess, first):
-            def going(state):
-                _, _, _, step, _, count = state
-                return (jnp.abs(step) > TOLERANCE) & (count < MOST)
-
-            def closer(state):
-                low, high, rate, _, _, count = state
-                value, slope = jax.jvp(excess, (rate,), (jnp.ones_like(rate),))
-                low, high = jnp.where(value < 0.0, rate, low), jnp.where(value > 0.0, rate, high)
-                newton = rate - value / jnp.where(slope > 0.0, slope, 1.0)
-                outside = (newton < low) | (newton > high) | ~(slope > 0.0)
-                new = jnp.where(outside, 0.5 * (low + high), newton)
-                return low, high, new, new - rate, slope, count + 1
-
-            endless, one = jnp.full_like(first, jnp.inf), jnp.ones_like(first)
-            begin = (jnp.minimum(first, 0.0), jnp.maximum(first, 0.0), 0.5 * first, endless, one, 0)
-            _, _, rate, _, slope, _ = jax.lax.while_loop(going, closer, begin)
-            return rate, slope
-
-        first = rate_of(jnp.zeros(()))
-        root = jax.lax.custom_root(
-            lambda rate: rate - rate_of(rate), first, bracketed, lambda g, y: y / g(1.0), has_aux=True
-        )
-        rate, slope = root  # type: ignore[misc]
-        return jnp.where(slope > UNIQUE, rate, jnp.nan)

@@ -1,12 +1,11 @@
 """Fly a model: longitudinal equations of motion, with the same effects that the coefficient fit uses.
 
-States V, alpha, theta, q, h and, with a lag, the separation point X; bank angle and sideslip are prescribed
-(see `plant`). Flat earth, no wind.
+Bank angle and sideslip are prescribed (see `plant`). Flat earth, no wind.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -15,88 +14,103 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_aero.dynamics.plant import FlightState, Inputs, Plant, Prescribed
+from bayes_aero.dynamics.plant import FlightState, Plant
+from bayes_aero.dynamics.system import step
+from bayes_aero.dynamics.tangent import later
 from bayes_aero.dynamics.trim import lead
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import differentiate
 
-__all__ = ["FlightState", "Pilot", "fly"]
-
-RUNGE_KUTTA = np.array([[0.0, 1.0], [0.5, 2.0], [0.5, 2.0], [1.0, 1.0]])  # share of the step, weight x 6
-"""The classical fourth-order method: each stage starts from the one before it."""
+__all__ = ["FlightState", "Pilot", "fly", "fly_together", "outside"]
 
 
 class Pilot(NamedTuple):
     """What is flown: alpha is led along `alpha` (rad) by a command of trim + gains x errors + `excitation` (rad).
 
-    `thrust` in N; `disturbance` is added to CL, CD, Cm, 1 + `buffet` (1 - X) times. Bank angle `phi` and sideslip
+    `thrust` in N; `disturbance` (n, 3) is added to CL, CD, Cm, 1 + `buffet` (1 - X) times. Bank `phi` and sideslip
     `beta` (rad) are flown exactly, so they must be smooth: they are differentiated. `stabilizer`, `rudder`, `spoiler`,
     `dlc`, `flap` (rad) only reach the effects. `trim_gain` (1/s) leads alpha by its integral too, as a pilot who trims.
     Arrays have one row per sample.
     """
 
-    alpha: Float[Array, " n"]
-    thrust: Float[Array, " n"]
-    excitation: Float[Array, " n"]
-    disturbance: Float[Array, "n 3"]
-    alpha_gain: Float[Array, ""]
-    rate_gain: Float[Array, ""]
-    phi: Float[Array, " n"] | float = 0.0
-    beta: Float[Array, " n"] | float = 0.0
-    stabilizer: Float[Array, " n"] | float = 0.0
-    rudder: Float[Array, " n"] | float = 0.0
-    spoiler: Float[Array, " n"] | float = 0.0
-    dlc: Float[Array, " n"] | float = 0.0
-    flap: Float[Array, " n"] | float = 0.0
-    buffet: Float[Array, ""] | float = 0.0
-    trim_gain: Float[Array, ""] | float = 0.0
+    alpha: Float[Any, " n"]
+    thrust: Float[Any, " n"]
+    excitation: Float[Any, " n"] | float = 0.0
+    disturbance: Float[Any, "n 3"] | float = 0.0
+    alpha_gain: Float[Any, ""] | float = 0.7
+    rate_gain: Float[Any, ""] | float = 0.2
+    phi: Float[Any, " n"] | float = 0.0
+    beta: Float[Any, " n"] | float = 0.0
+    stabilizer: Float[Any, " n"] | float = 0.0
+    rudder: Float[Any, " n"] | float = 0.0
+    spoiler: Float[Any, " n"] | float = 0.0
+    dlc: Float[Any, " n"] | float = 0.0
+    flap: Float[Any, " n"] | float = 0.0
+    buffet: Float[Any, ""] | float = 0.0
+    trim_gain: Float[Any, ""] | float = 0.0
 
 
-@eqx.filter_jit
 def fly(
-    model: Model,
-    values: Mapping[str, Float[Array, ""]],
-    aircraft: Aircraft,
-    pilot: Pilot,
-    start: FlightState,
-    dt: float | Float[Array, ""],
-) -> tuple[FlightState, dict[str, Float[Array, " n"]]]:
-    """States and outputs at every sample; fourth-order Runge-Kutta at the sample time.
+    model: Model, values: Mapping[str, Any], aircraft: Aircraft, pilot: Pilot, start: FlightState, dt: float
+) -> dict[str, Float[Array, " n"]]:
+    """Every signal of the flight by the names of recorded channels, and CL, CD, Cm, X; (n,), SI.
 
     Whatever comes from outside is linear between samples. Held over a step it would lag its own record by half a step,
     which a critic of the flight finds as a delay of the elevator.
     """
-    gains = (pilot.alpha_gain, pilot.rate_gain, jnp.asarray(pilot.trim_gain))
-    start = jax.tree.map(jnp.asarray, start)
-    shares, command = lead(model, values, aircraft, pilot.alpha, start.V, start.h)
-    plant = Plant(model, dict(values), aircraft, gains, jnp.asarray(pilot.buffet), shares)
-
-    def stage(carry, tableau, state: FlightState, now: tuple[Inputs, Prescribed], then: tuple[Inputs, Prescribed]):
-        slope, total = carry
-        share, weight = tableau
-        here = jax.tree.map(lambda x, k: x + share * dt * k, state, slope)
-        slope, outputs = plant.motion(here, *jax.tree.map(lambda a, b: (1.0 - share) * a + share * b, now, then))
-        return (slope, jax.tree.map(lambda s, k: s + weight * k, total, slope)), outputs
-
-    def step(state: FlightState, row):
-        rest = jax.tree.map(jnp.zeros_like, state)
-        (_, total), outputs = jax.lax.scan(lambda c, t: stage(c, t, state, *row), (rest, rest), RUNGE_KUTTA)
-        following = jax.tree.map(lambda x, k: x + dt * k / 6.0, state, total)
-        return following, (state, {key: value[0] for key, value in outputs.items()})
-
-    now = (Inputs(pilot.alpha, pilot.thrust, command + pilot.excitation, pilot.disturbance), _prescribed(pilot, dt))
-    then = jax.tree.map(lambda x: jnp.concatenate([x[1:], x[-1:]]), now)
-    _, (states, outputs) = jax.lax.scan(step, start, (now, then))
-    return states, outputs
+    numbers, pilot, start = jax.tree.map(lambda x: jnp.asarray(x, float), (dict(values), pilot, start))
+    return _alone(model, numbers, aircraft, pilot, start, jnp.asarray(dt))
 
 
-def _prescribed(pilot: Pilot, dt: Any) -> Prescribed:
-    def row(x: Any) -> Float[Array, " n"]:
-        return jnp.broadcast_to(jnp.asarray(x, dtype=pilot.alpha.dtype), pilot.alpha.shape)
+def fly_together(
+    model: Model,
+    values: Mapping[str, Any],
+    aircraft: Aircraft,
+    pilots: Sequence[Pilot],
+    starts: Sequence[FlightState],
+    dt: float,
+) -> list[dict[str, np.ndarray]]:
+    """As `fly`, several flights of one length side by side."""
+    numbers = {name: jnp.asarray(x, float) for name, x in values.items()}
+    rows = [jax.tree.map(lambda *x: np.stack([np.asarray(y, float) for y in x]), *row) for row in (pilots, starts)]
+    flights = {name: np.asarray(x) for name, x in _together(model, numbers, aircraft, *rows, jnp.asarray(dt)).items()}
+    return [{name: x[k] for name, x in flights.items()} for k in range(len(pilots))]
 
-    phi, beta, time = row(pilot.phi), row(pilot.beta), jnp.arange(pilot.alpha.shape[0]) * dt
-    phi_rate, beta_rate = differentiate(phi, dt), differentiate(beta, dt)
-    motion = (phi, phi_rate, differentiate(phi_rate, dt), beta, beta_rate, differentiate(beta_rate, dt))
-    surfaces = (row(x) for x in (pilot.stabilizer, pilot.rudder, pilot.spoiler, pilot.dlc, pilot.flap))
-    return Prescribed(time, *motion, *surfaces)
+
+def _flown(model: Model, values: dict[str, Any], aircraft: Aircraft, pilot: Pilot, start: FlightState, dt: Any):
+    shares, command = lead(model, values, aircraft, pilot.alpha, start.airspeed, start.altitude)
+    gains = (pilot.alpha_gain, pilot.rate_gain, pilot.trim_gain)
+    plant = Plant(model, values, aircraft, gains, pilot.buffet, shares)  # type: ignore[arg-type]
+    inputs = _inputs(pilot, command, dt)
+    _, found = jax.lax.scan(lambda x, row: step(plant, x, *row, dt), jnp.stack(start), (inputs, later(inputs)))
+    turn = found["psi_dot"]
+    return found | {"psi": jnp.cumsum(jnp.pad(0.5 * dt * (turn[1:] + turn[:-1]), (1, 0)))}
+
+
+_alone = eqx.filter_jit(_flown)
+_together = eqx.filter_jit(eqx.filter_vmap(_flown, in_axes=(None, None, None, 0, 0, None)))
+
+
+def outside(flight: Mapping[str, np.ndarray], envelope: Mapping[str, tuple[float, float]]) -> str | None:
+    """Which channel leaves its range, in words; None where all stay inside."""
+    for name, (lower, upper) in envelope.items():
+        x = flight[name]
+        if not (np.all(np.isfinite(x)) and x.min() >= lower and x.max() <= upper):
+            return f"{name} {x.min():.3g} to {x.max():.3g} (allowed {lower:.3g} to {upper:.3g})"
+    return None
+
+
+def _inputs(pilot: Pilot, command: Float[Array, " n"], dt: Any) -> dict[str, Float[Array, " n"]]:
+    """Those of `Plant`."""
+    n = pilot.alpha.shape[0]
+    disturbance = jnp.broadcast_to(pilot.disturbance, (n, 3)).T
+    pilot = Pilot(*(jnp.broadcast_to(x, n) if jnp.ndim(x) == 0 else x for x in pilot))
+    phi_rate, beta_dot = differentiate(pilot.phi, dt), differentiate(pilot.beta, dt)
+    angles = {"phi": pilot.phi, "phi_rate": phi_rate, "phi_acceleration": differentiate(phi_rate, dt)}
+    angles |= {"beta": pilot.beta, "beta_dot": beta_dot, "beta_acceleration": differentiate(beta_dot, dt)}
+    surfaces = {name: getattr(pilot, name) for name in ("stabilizer", "rudder", "flap")}
+    surfaces |= {f"{name}_{side}": getattr(pilot, name) for name in ("spoiler", "dlc") for side in ("left", "right")}
+    disturbed = dict(zip(("dCL", "dCD", "dCm"), disturbance, strict=True))
+    led = {"alpha_led": pilot.alpha, "command": command + pilot.excitation, "thrust": pilot.thrust}
+    return {"time": jnp.arange(n) * dt} | angles | surfaces | disturbed | led

@@ -93,18 +93,34 @@ def integrate(
 
 
 def advance(system: System, x: Any, now: Row, then: Row, dt: Any, substeps: int) -> Array:
-    """The state a sample later; the stages are a loop, so that the motion is compiled once and not four times."""
+    """The state a sample later."""
+    return _stages(system, x, now, then, dt, substeps, lambda _: None)[0]
+
+
+def step(system: System, x: Any, now: Row, then: Row, dt: Any) -> tuple[Array, dict[str, Any]]:
+    """The state a sample later, and the outputs now."""
+    after, found = _stages(system, x, now, then, dt, 1, lambda outputs: outputs)
+    return after, {name: y[0] for name, y in found.items()}
+
+
+def _stages(system: System, x: Any, now: Row, then: Row, dt: Any, substeps: int, read: Any) -> tuple[Array, Any]:
+    """The state a sample later, and what is `read` of the outputs at every stage.
+
+    The stages are a loop, so that the motion is compiled once and not four times.
+    """
     h = dt / substeps
 
     def further(carry, stage):
         begin, gathered, point = carry
         share, ahead, weight, last = stage
-        k = motion(system, point, between(now, then, share))[0]
+        k, outputs = motion(system, point, between(now, then, share))
         gathered = gathered + weight * k
         begin = jnp.where(last, begin + h / 6.0 * gathered, begin)
-        return (begin, jnp.where(last, 0.0, gathered), begin + jnp.where(last, 0.0, ahead) * h * k), None
+        ahead = jnp.where(last, 0.0, ahead)
+        return (begin, jnp.where(last, 0.0, gathered), begin + ahead * h * k), read(outputs)
 
-    return jax.lax.scan(further, (x, jnp.zeros_like(x), x), stage_table(substeps))[0][0]
+    (after, _, _), found = jax.lax.scan(further, (x, jnp.zeros_like(x), x), stage_table(substeps))
+    return after, found
 
 
 @eqx.filter_custom_jvp

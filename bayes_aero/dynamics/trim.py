@@ -11,11 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_aero.dynamics.plant import CONTROLS, SIGNALS, FlightState, Inputs, Plant, Prescribed
+from bayes_aero.dynamics.plant import CONTROLS, SIGNALS
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air
+from bayes_aero.physics.forces import pitch_acceleration
 
 GRID = np.deg2rad(np.linspace(-4.0, 20.0, 97))  # alpha tried for trim
 TRAVEL = 0.2  # rad either side of the pilot's command over which the pitch acceleration is taken as linear
@@ -119,16 +120,12 @@ def trimmed(model: Model, values: Values, aircraft: Aircraft, airspeed: float, a
 @eqx.filter_jit
 def _balance(model: Model, values: Any, aircraft: Aircraft, airspeed: Any, altitude: Any, *rows: Any):
     """CL, CD and pitch acceleration in steady level flight at each alpha, thrust and further command of `rows`."""
-    zero = jnp.asarray(0.0)
-    alphas, thrusts, further = (jnp.asarray(row) for row in rows)
-    shares, commands = lead(model, values, aircraft, alphas, airspeed, altitude)
-    plant = Plant(model, dict(values), aircraft, (zero, zero, zero), zero, shares)
-    prescribed = Prescribed(*(zero,) * len(Prescribed._fields))
-
-    def one(alpha, thrust, command, more):
-        state = FlightState(zero + airspeed, alpha, alpha, zero, zero + altitude, zero + 1.0, more)
-        inputs = Inputs(alpha, thrust, command, jnp.zeros(3))
-        total, _ = plant.forces(state, inputs, prescribed, zero)
-        return total[0], total[1], plant.pitch_acceleration(state, inputs, zero, zero, total)
-
-    return jax.vmap(one)(alphas, thrusts, commands, further)
+    alpha, thrust, further = (jnp.asarray(row) for row in rows)
+    shares, command = lead(model, values, aircraft, alpha, airspeed, altitude)
+    controls = {name: share * (command + further) for name, share in zip(CONTROLS, shares, strict=True)}
+    s = at_rest(alpha, airspeed, altitude) | {"thrust": thrust} | controls
+    static = model.static_separation(values, s, aircraft)
+    known = model.flow(values, s, aircraft, X=jnp.where(model.lag(values) > 0.0, 1.0, static))
+    CL, CD, Cm = (known[name] for name in ("CL", "CD", "Cm"))
+    pressure = 0.5 * s["density"] * jnp.square(s["airspeed"])
+    return CL, CD, pitch_acceleration(CL, CD, Cm, alpha, pressure, thrust, s["p"], s["r"], aircraft)

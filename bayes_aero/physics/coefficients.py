@@ -24,6 +24,7 @@ from bayes_aero.physics.filters import (
     differentiate_joined,
     smooth_joined,
 )
+from bayes_aero.physics.forces import thrust_components
 from bayes_aero.physics.frames import lift_drag_from_body
 from bayes_aero.physics.incidence_rate import alpha_rate, lift_regression
 from bayes_aero.physics.kinematics import RATES, Rotation, lever_arm
@@ -136,8 +137,7 @@ def coefficients(signals: Mapping[str, Float[Array, "*n"]], aircraft: Aircraft) 
     s, a = signals, aircraft
     rotation = Rotation(s["p"], s["q"], s["r"], s["p_dot"], s["q_dot"], s["r_dot"])
     arm_x, _, arm_z = lever_arm(rotation, a.accelerometer)
-    thrust_x = s["thrust"] * jnp.cos(a.engine_inclination)
-    thrust_z = -s["thrust"] * jnp.sin(a.engine_inclination)
+    thrust_x, thrust_z = thrust_components(s["thrust"], a)
     qbar_S = 0.5 * s["density"] * jnp.square(s["airspeed"]) * a.wing_area
     CX = (a.mass * (s["ax"] - arm_x) - thrust_x) / qbar_S
     CZ = (a.mass * (s["az"] - arm_z) - thrust_z) / qbar_S

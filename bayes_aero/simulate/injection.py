@@ -7,25 +7,31 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
-from scipy.signal import lfilter
 
 from bayes_aero.dynamics.plant import flies, refuse_unflown
-from bayes_aero.dynamics.simulate import FlightState, fly
+from bayes_aero.dynamics.simulate import FlightState, fly_together, outside
 from bayes_aero.dynamics.trim import level_speed
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.joined_records import plain_marks
 from bayes_aero.model.model import Model
 from bayes_aero.simulate.demo import DISTURBANCE, SPREAD, TRUTH, USUAL_SPREAD
-from bayes_aero.simulate.manoeuvres import DT, LONGEST, MARGIN, SAMPLES, SURFACES, flight_time, random_pilot
+from bayes_aero.simulate.manoeuvres import (
+    DT,
+    LONGEST,
+    MARGIN,
+    SAMPLES,
+    autoregressive,
+    flight_time,
+    moved_by,
+    random_pilot,
+)
 from bayes_aero.simulate.sensor_faults import corrected, misrecorded
-from bayes_aero.simulate.sensor_model import channels_flown, sensed
+from bayes_aero.simulate.sensor_model import FLOWN, sensed
 
 NOISES = ("white", "ar1", "buffet", "outliers")
 BEGIN, MACH = (80.0, 110.0), 0.3  # m/s, range of the first airspeed, and the Mach number taken for it
@@ -112,44 +118,42 @@ def _flights(
     card = setting.card
     model, misrecording, propulsion = _models(setting.beyond)
     aircraft = model.actual_aircraft(values, card.aircraft)
-    needed = {channel for name in effects for channel in _known(name).channels}
-    moved = [name for name in SURFACES if {name, f"{name}_left"} & needed]
+    moved = moved_by(_known(name) for name in effects)
     rngs = [np.random.default_rng([*seed, number]) for number in range(setting.manoeuvres)]
     drawn = [rng.uniform(90.0, LONGEST) for rng in rngs]
     lengths = [round((setting.seconds or length) / DT) + 1 for length in drawn]
     pilots, starts = [], []
     for rng, length in zip(rngs, lengths, strict=True):
-        increments, buffet = _disturbance(rng, setting.noise, setting.rho)
-        increments, stall = setting.disturbance * increments, model.break_angle(values)
-        pilots.append(random_pilot(rng, max(90.0, (length - 1) * DT), stall, increments, buffet, moved))
-        alpha = float(pilots[-1].alpha[0])
-        height = rng.uniform(5050.0, 5350.0)
+        disturbance, buffet = _disturbance(rng, setting.noise, setting.rho)
+        pilot = random_pilot(rng, max(90.0, (length - 1) * DT), model.break_angle(values), moved)
+        pilots.append(pilot._replace(disturbance=setting.disturbance * disturbance, buffet=buffet))
+        alpha, height = float(pilot.alpha[0]), rng.uniform(5050.0, 5350.0)
         speed = float(np.clip(level_speed(model, values, aircraft, alpha, height, MACH), *BEGIN))
-        begin = (speed, alpha, alpha, 0.0, height, 1.0)
-        starts.append(FlightState(*(jnp.asarray(x) for x in begin)))
-    marks = _marks()
-    commanded = [{"thrust": np.asarray(pilot.thrust)} for pilot in pilots]
+        starts.append(FlightState(speed, alpha, alpha, 0.0, height))
+    time = flight_time()
+    marks = plain_marks(SAMPLES, DT, 0) | {"elapsed": time}  # from the first sample of the record
+    commanded = [{"thrust": pilot.thrust} for pilot in pilots]
     thrust = [corrected(propulsion, values, x, marks, card.aircraft)["thrust"] for x in commanded]
-    flying = [pilot._replace(thrust=jnp.asarray(x)) for pilot, x in zip(pilots, thrust, strict=True)]
-    states, outputs = _fly(model, values, aircraft, _stack(flying), _stack(starts), jnp.asarray(DT))
+    flying = [pilot._replace(thrust=x) for pilot, x in zip(pilots, thrust, strict=True)]
     flights = []
-    for number, (rng, length) in enumerate(zip(rngs, lengths, strict=True)):
-        state = {key: np.asarray(x[number]) for key, x in states._asdict().items()}
-        flown = {key: np.asarray(x[number]) for key, x in outputs.items()}
-        kept = slice(MARGIN, MARGIN + length)
-        _check(state, kept, effects)
-        true = channels_flown(state, flown, pilots[number], thrust[number])
+    for number, everything in enumerate(fly_together(model, values, aircraft, flying, starts, DT)):
+        kept = slice(MARGIN, MARGIN + lengths[number])
+        flown = {key: x[kept] for key, x in everything.items()}
+        if left := outside(flown, ENVELOPE):
+            raise InputError(
+                f"with {', '.join(effects) or 'nothing hidden'} at these sizes the flight leaves its envelope: {left}; "
+                "make them smaller"
+            )
+        true = {key: everything[key] for key in FLOWN}
         rec = misrecorded(misrecording, values, true | commanded[number], marks, card.aircraft)
-        channels = sensed(
-            rng, {key: x[kept] for key, x in rec.items()}, card, setting.sensor_noise, setting.noise == "outliers"
-        )
+        rec = {key: x[kept] for key, x in rec.items()}
+        channels = sensed(rngs[number], rec, card, setting.sensor_noise, setting.noise == "outliers")
         name = f"hidden_{setting.seed}_{number + 1}"
-        record = FlightRecord.from_arrays(name, flight_time()[kept], channels, "simulated with hidden effects")
         flights.append(
             HiddenFlight(
-                record,
-                {key: x[kept] for key, x in true.items()},
-                {key: flown[key][kept] for key in ("CL", "CD", "Cm", "X", "alpha_dot")},
+                FlightRecord.from_arrays(name, time[kept], channels, "simulated with hidden effects"),
+                {key: flown[key] for key in FLOWN},
+                {key: flown[key] for key in ("CL", "CD", "Cm", "X", "alpha_dot")},
                 {key: float(x) for key, x in values.items()},
             )
         )
@@ -235,34 +239,4 @@ def _disturbance(rng: np.random.Generator, noise: str, rho: float | None) -> tup
     buffet = rng.uniform(1.0, 3.0)
     if noise not in ("ar1", "buffet"):
         return np.zeros((SAMPLES, 3)), 0.0
-    increments = np.empty_like(white)
-    for i, (x, r, s) in enumerate(zip(white.T, rhos, sigma, strict=True)):
-        drive = np.concatenate([x[:1], np.sqrt(1.0 - r**2) * x[1:]])
-        increments[:, i] = s * lfilter([1.0], [1.0, -r], drive)
-    return increments, buffet if noise == "buffet" else 0.0
-
-
-@cache
-def _marks() -> dict[str, Array]:
-    """What CHANNEL effects read, over the margins too: time counts from the first sample of the record."""
-    index = jnp.arange(SAMPLES)
-    ends = {"first": jnp.zeros(SAMPLES, int), "last": jnp.full(SAMPLES, SAMPLES - 1)}
-    return {"dt": jnp.full(SAMPLES, DT), "start": index == 0, "elapsed": jnp.asarray(flight_time())} | ends
-
-
-_fly = eqx.filter_jit(eqx.filter_vmap(fly, in_axes=(None, None, None, 0, 0, None)))
-
-
-def _stack(rows: list[Any]) -> Any:
-    return type(rows[0])(*(np.stack([np.asarray(x) for x in part]) for part in zip(*rows, strict=True)))
-
-
-def _check(state: Mapping[str, np.ndarray], kept: slice, effects: Mapping[str, Any]) -> None:
-    for name, series in (("alpha", state["alpha"]), ("airspeed", state["V"])):
-        lower, upper = ENVELOPE[name]
-        inside = series[kept]
-        if not (np.all(np.isfinite(inside)) and inside.min() >= lower and inside.max() <= upper):
-            raise InputError(
-                f"with {', '.join(effects) or 'nothing hidden'} at these sizes the flight leaves its envelope: {name} "
-                f"{inside.min():.3g} to {inside.max():.3g} (allowed {lower:.3g} to {upper:.3g}); make them smaller"
-            )
+    return autoregressive(white, rhos, sigma), buffet if noise == "buffet" else 0.0

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from scipy.interpolate import CubicSpline
+from scipy.signal import lfilter
 
+from bayes_aero.dynamics.manoeuvres import Series, pulses, ramps, rounded, three_two_one_one
 from bayes_aero.dynamics.simulate import Pilot
+from bayes_aero.effect import Effect
 
 DT = 0.04  # s
 LONGEST = 100.0  # s
@@ -17,42 +20,53 @@ SAMPLES = round(LONGEST / DT) + 1 + 2 * MARGIN
 IDLE, CRUISE = 5_000.0, 22_000.0  # N
 SURFACES = ("rudder", "spoiler", "dlc", "flap")
 
-Series = Float[np.ndarray, " n"]
-
 
 def flight_time() -> Series:
     """Time of every sample flown in s; the record begins at 0."""
     return (np.arange(SAMPLES) - MARGIN) * DT
 
 
-def random_pilot(
-    rng: np.random.Generator,
-    duration: float,
-    stall: float,
-    disturbance: Float[np.ndarray, "n 3"],
-    buffet: float,
-    moved: Collection[str],
-) -> Pilot:
-    """One manoeuvre of `duration` s at random, into a stall at alpha `stall` (rad).
+def random_pilot(rng: np.random.Generator, duration: float, stall: float, moved: Collection[str]) -> Pilot:
+    """One manoeuvre of `duration` s at random, into a stall at alpha `stall` (rad), at the samples of `flight_time`.
 
     Of `SURFACES` only those in `moved` are deflected.
     """
     time = flight_time()
     surfaces = {name: _pulses(time, rng, duration, 3, *DEFLECTIONS[name]) for name in SURFACES}  # drawn in any case
     return Pilot(
-        alpha=jnp.asarray(_alpha(time, rng, duration, np.rad2deg(stall))),
-        thrust=jnp.asarray(_thrust(time, rng, duration)),
-        excitation=jnp.asarray(_three_two_one_one(time, rng, duration)),
-        disturbance=jnp.asarray(disturbance),
-        alpha_gain=jnp.asarray(0.7),
-        rate_gain=jnp.asarray(0.2),
-        phi=jnp.asarray(_banks(time, rng, duration)),
-        beta=jnp.asarray(_sideslips(time, rng, duration)),
-        stabilizer=jnp.asarray(_stabilizer(time, rng, duration)),
-        buffet=jnp.asarray(buffet),
-        trim_gain=jnp.asarray(0.15),
-        **{name: jnp.asarray(x if name in moved else np.zeros_like(time)) for name, x in surfaces.items()},
+        alpha=_alpha(time, rng, duration, np.rad2deg(stall)),
+        thrust=_thrust(time, rng, duration),
+        excitation=_excitation(time, rng, duration),
+        phi=_banks(time, rng, duration),
+        beta=_sideslips(time, rng, duration),
+        stabilizer=_stabilizer(time, rng, duration),
+        trim_gain=0.15,
+        **{name: x if name in moved else np.zeros_like(time) for name, x in surfaces.items()},
     )
+
+
+def resampled(pilot: Pilot, time: Series) -> Pilot:
+    """A pilot of `random_pilot` at other samples; what is differentiated stays smooth."""
+    own = flight_time()
+    smooth = {name: CubicSpline(own, getattr(pilot, name))(time) for name in ("phi", "beta")}
+    rows = {name: np.interp(time, own, x) for name, x in pilot._asdict().items() if np.ndim(x) and name not in smooth}
+    return pilot._replace(**smooth, **rows)
+
+
+def moved_by(effects: Iterable[Effect]) -> list[str]:
+    """`SURFACES` through which any of the effects acts."""
+    needed = {channel for effect in effects for channel in effect.channels}
+    return [name for name in SURFACES if {name, f"{name}_left"} & needed]
+
+
+def autoregressive(white: Float[np.ndarray, "n 3"], rho: Iterable[float], sigma: Iterable[float]) -> np.ndarray:
+    """Disturbances of CL, CD, Cm (n, 3) with lag-1 correlations `rho`, stationary from the first sample."""
+
+    def series(x: Series, r: float, s: float) -> Series:
+        drive = np.concatenate([x[:1], np.sqrt(1.0 - r**2) * x[1:]])
+        return s * np.asarray(lfilter([1.0], [1.0, -r], drive))
+
+    return np.stack([series(*row) for row in zip(white.T, rho, sigma, strict=True)], axis=1)
 
 
 DEFLECTIONS = {
@@ -61,13 +75,6 @@ DEFLECTIONS = {
     "dlc": (10.0, True),
     "flap": (14.0, False),
 }
-
-
-def _smooth(signal: Series, seconds: float) -> Series:
-    """Convolved with a Hann window of this length; held constant beyond the ends."""
-    window = np.hanning(round(seconds / DT) | 1)
-    padded = np.pad(signal, len(window) // 2, mode="edge")
-    return np.convolve(padded, window / window.sum(), mode="valid")
 
 
 def _alpha(time: Series, rng: np.random.Generator, duration: float, stall: float) -> Series:
@@ -84,7 +91,7 @@ def _alpha(time: Series, rng: np.random.Generator, duration: float, stall: float
         points.append((t, stall + rng.uniform(-1.0, 1.0)))
     t += rng.uniform(8.0, 14.0)
     points += [(t, rng.uniform(7.5, 9.0)), (max(t + 8.0, duration), rng.uniform(5.5, 7.5))]
-    return np.deg2rad(np.interp(time, *np.array(points).T))
+    return np.deg2rad(ramps(time, points))
 
 
 def _thrust(time: Series, rng: np.random.Generator, duration: float) -> Series:
@@ -99,17 +106,16 @@ def _thrust(time: Series, rng: np.random.Generator, duration: float) -> Series:
         t += rise + hold + fall + rng.uniform(8.0, 22.0)
     t = duration - rng.uniform(14.0, 20.0)
     points += [(t, IDLE), (t + rng.uniform(1.0, 3.0), CRUISE)]
-    return np.interp(time, *np.array(points).T)
+    return ramps(time, points)
 
 
-def _three_two_one_one(time: Series, rng: np.random.Generator, duration: float) -> Series:
-    """Four elevator 3-2-1-1 sequences, rounded as by an actuator; rad."""
-    signal = np.zeros_like(time)
+def _excitation(time: Series, rng: np.random.Generator, duration: float) -> Series:
+    """Four elevator 3-2-1-1 sequences; rad."""
+    parts = []
     for begin in np.sort(rng.uniform(4.0, duration - 10.0, 4)):
         unit, size = rng.uniform(0.6, 1.0), np.deg2rad(rng.uniform(1.0, 2.0)) * rng.choice([-1.0, 1.0])
-        for sign, first, last in ((1, 0, 3), (-1, 3, 5), (1, 5, 6), (-1, 6, 7)):
-            signal[(time >= begin + first * unit) & (time < begin + last * unit)] = sign * size
-    return _smooth(signal, 0.4)
+        parts += three_two_one_one(begin, unit, size)
+    return rounded(pulses(time, parts), 0.4, DT)
 
 
 def _banks(time: Series, rng: np.random.Generator, duration: float) -> Series:
@@ -122,12 +128,12 @@ def _banks(time: Series, rng: np.random.Generator, duration: float) -> Series:
             t += rng.uniform(5.0, 9.0)
         points += [(t, points[-1][1]), (t + 0.1, 0.0)]
         t += rng.uniform(6.0, 18.0)
-    return _smooth(np.deg2rad(np.interp(time, *np.array(points).T)), 5.0)
+    return rounded(np.deg2rad(ramps(time, points)), 5.0, DT)
 
 
 def _sideslips(time: Series, rng: np.random.Generator, duration: float) -> Series:
     """Two or three excursions to one side and the other, up to 5 deg; rad."""
-    return _smooth(_pulses(time, rng, duration, int(rng.integers(2, 4)), 5.0, True), 2.0)
+    return rounded(_pulses(time, rng, duration, int(rng.integers(2, 4)), 5.0, True), 2.0, DT)
 
 
 def _stabilizer(time: Series, rng: np.random.Generator, duration: float) -> Series:
@@ -135,20 +141,20 @@ def _stabilizer(time: Series, rng: np.random.Generator, duration: float) -> Seri
     signal = np.full_like(time, rng.uniform(-1.0, 1.0))
     for begin in rng.uniform(6.0, duration - 10.0, rng.integers(2, 4)):
         signal[time >= begin] += rng.choice([-1.0, 1.0]) * rng.uniform(0.4, 1.0)
-    return _smooth(np.deg2rad(signal), 2.0)
+    return rounded(np.deg2rad(signal), 2.0, DT)
 
 
 def _pulses(
     time: Series, rng: np.random.Generator, duration: float, count: int, degrees: float, either: bool
 ) -> Series:
     """Deflections held for some seconds at random times, `either` side in turn or one side only; rad."""
-    signal = np.zeros_like(time)
+    parts = []
     for slot in range(count):  # one to each share of the record, so that none hides another
         share = (duration - 20.0) / count
         begin = 6.0 + slot * share + rng.uniform(0.0, 0.4) * share
         hold, size = rng.uniform(2.5, 4.0), np.deg2rad(degrees) * rng.uniform(0.6, 1.0)
         sign = rng.choice([-1.0, 1.0]) if either else 1.0
-        signal[(time >= begin) & (time < begin + hold)] = sign * size
+        parts.append((begin, begin + hold, sign * size))
         if either:
-            signal[(time >= begin + hold) & (time < begin + 2.0 * hold)] = -sign * size
-    return _smooth(signal, 1.0)
+            parts.append((begin + hold, begin + 2.0 * hold, -sign * size))
+    return rounded(pulses(time, parts), 1.0, DT)

@@ -25,7 +25,7 @@ class _Correction(eqx.Module):
     model: Model = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
     values: dict[str, Any]
-    marks: dict[str, Array]
+    marks: dict[str, Any]
     aircraft: Aircraft
     scale: Float[Array, " k"]
 

@@ -5,13 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-import jax.numpy as jnp
 import numpy as np
 
-from bayes_aero.dynamics.simulate import Pilot
 from bayes_aero.flight.card.card import Card
-from bayes_aero.physics.atmosphere import air
-from bayes_aero.simulate.manoeuvres import DT
 
 OTHER_SENSORS = {
     "ay": 0.02,
@@ -26,35 +22,14 @@ OTHER_SENSORS = {
 }
 """White noise of channels of which a card says nothing, SI: platform, vane, potentiometers; our choice."""
 
+FLOWN = (
+    "ax", "ay", "az", "p", "r", "elevator", "q", "phi", "theta", "psi", "alpha", "beta", "airspeed", "altitude",
+    "stabilizer", "rudder", "flap", "spoiler_left", "spoiler_right", "dlc_left", "dlc_right", "mach", "density",
+    "thrust",
+)  # fmt: skip
+"""Channels of a flight that a recorder may store, in the order in which their noise is drawn."""
+
 OUTLIER_SHARE, OUTLIER_SIZE, SPIKED = 0.005, 10.0, ("ax", "ay", "az", "q")
-
-
-def channels_flown(
-    state: Mapping[str, np.ndarray], flown: Mapping[str, np.ndarray], pilot: Pilot, thrust: np.ndarray
-) -> dict[str, np.ndarray]:
-    """True channels by the card's names, and total thrust."""
-    density, sound = (np.asarray(x) for x in air(jnp.asarray(state["h"])))
-    turn = flown["psi_dot"]
-    both = {
-        f"{name}_{side}": np.asarray(getattr(pilot, name)) for name in ("spoiler", "dlc") for side in ("left", "right")
-    }
-    return {key: np.asarray(flown[key]) for key in ("ax", "ay", "az", "p", "r", "elevator")} | {
-        "q": state["q"],
-        "phi": np.asarray(pilot.phi),
-        "theta": state["theta"],
-        "psi": np.concatenate([[0.0], np.cumsum(0.5 * DT * (turn[1:] + turn[:-1]))]),
-        "alpha": state["alpha"],
-        "beta": np.asarray(pilot.beta),
-        "airspeed": state["V"],
-        "altitude": state["h"],
-        "stabilizer": np.asarray(flown["stabilizer"]),
-        "rudder": np.asarray(pilot.rudder),
-        "flap": np.asarray(pilot.flap),
-        **both,
-        "mach": state["V"] / sound,
-        "density": density,
-        "thrust": thrust,
-    }
 
 
 def sensed(

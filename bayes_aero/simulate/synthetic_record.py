@@ -6,32 +6,35 @@ Geometry, mass, sensors and recorded channels are the card's; the aerodynamics a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
-from scipy.signal import lfilter
 
+from bayes_aero.dynamics.manoeuvres import standard_pilots
 from bayes_aero.dynamics.plant import refuse_unflown
-from bayes_aero.dynamics.simulate import fly
+from bayes_aero.dynamics.simulate import FlightState, Pilot, fly, outside
+from bayes_aero.dynamics.trim import level_speed
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.errors import InputError
+from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.joined_records import plain_marks
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import air
+from bayes_aero.physics.coefficient_names import NAMES
 from bayes_aero.simulate.demo import DISTURBANCE, TRUTH
-from bayes_aero.simulate.manoeuvres import DT
-from bayes_aero.simulate.pilot_model import piloted
-from bayes_aero.simulate.request import Grid, Request, grid_of, refuse
+from bayes_aero.simulate.manoeuvres import DT, autoregressive, moved_by, random_pilot, resampled
+from bayes_aero.simulate.request import RANDOM_STALL, Grid, Request, grid_of, refuse
 from bayes_aero.simulate.sensor_faults import corrected, misrecorded
-from bayes_aero.simulate.sensor_model import OTHER_SENSORS, channels_flown, sensed
+from bayes_aero.simulate.sensor_model import FLOWN, OTHER_SENSORS, sensed
 
 BUFFET = 2.0  # growth of the disturbance with 1 - X
-ALPHA, AIRSPEED = (-0.1, 0.45), (15.0, 300.0)  # rad, m/s: outside, no truth is claimed
+ENVELOPE = {"alpha": (-0.1, 0.45), "airspeed": (15.0, 300.0)}  # rad, m/s: outside, no truth is claimed
+LOADED = 17631.0  # kg, of the aircraft that the random pilot's thrust was chosen for
 GAS, GAMMA = 287.05287, 1.4
 
 
@@ -61,20 +64,19 @@ def synthetic(request: Request, card: Card, known: Mapping[str, Effect], name: s
     values = {key: jnp.asarray(x, float) for key, x in values.items()}
     aircraft = flown_model.actual_aircraft(values, card.aircraft)
     grid = grid_of(request)
-    increments, buffet = _disturbance(rng, request, grid)
-    pilot, start = piloted(rng, request, grid, flown_model, values, aircraft, increments, buffet, chosen)
-    marks = _marks(grid)
+    pilot, start = _piloted(rng, request, grid, flown_model, values, aircraft, chosen)
+    marks = plain_marks(grid.n, grid.dt, 0) | {"elapsed": grid.time}  # from the first sample of the record
     commanded = {"thrust": np.asarray(pilot.thrust)}
     engines = Model.of([e for e in faults if e.kind is Kind.PROPULSION])
-    thrust = corrected(engines, values, commanded, marks, card.aircraft)["thrust"] if engines.effects else None
-    thrust = commanded["thrust"] if thrust is None else thrust
-    states, outputs = fly(
-        flown_model, values, aircraft, pilot._replace(thrust=jnp.asarray(thrust)), start, jnp.asarray(grid.dt)
-    )
-    state = {key: np.asarray(x) for key, x in states._asdict().items()}
-    flown = {key: np.asarray(x) for key, x in outputs.items()}
-    _inside(state, grid.kept, request)
-    true = channels_flown(state, flown, pilot, thrust) | _more(state, flown, grid.dt)
+    thrust = corrected(engines, values, commanded, marks, card.aircraft)["thrust"] if engines.effects else pilot.thrust
+    flight = fly(flown_model, values, aircraft, pilot._replace(thrust=thrust), start, grid.dt)
+    flight = {key: np.asarray(x) for key, x in flight.items()}
+    if left := outside({key: x[grid.kept] for key, x in flight.items()}, ENVELOPE):
+        raise InputError(
+            f"{request.manoeuvre} with {', '.join(request.effects) or 'no effect'} leaves the envelope: {left}; make "
+            "the effects smaller, or change the manoeuvre, --airspeed or --duration"
+        )
+    true = {key: flight[key] for key in FLOWN} | _air_data(flight)
     sensors = Model.of([e for e in faults if e.kind is not Kind.PROPULSION])
     recorded = true | commanded
     if sensors.effects:
@@ -93,7 +95,8 @@ def synthetic(request: Request, card: Card, known: Mapping[str, Effect], name: s
     return Synthetic(
         record,
         {key: float(x) for key, x in values.items()},
-        {"buffet": buffet} | {k: x * (k[:5] != "sigma" or _strength(request)) for k, x in DISTURBANCE.items()},
+        {"buffet": _buffet(request)}
+        | {k: x * (k[:5] != "sigma" or _strength(request)) for k, x in DISTURBANCE.items()},
         {key: scale * x for key, x in deviations.items() if key in (*channels, "thrust")},
         _notes(request, known, {key: x[grid.kept] for key, x in true.items()}),
     )
@@ -103,54 +106,53 @@ def _strength(request: Request) -> float:
     return request.noise_scale if request.noise in ("ar1", "buffet") else 0.0
 
 
-def _disturbance(rng: np.random.Generator, request: Request, grid: Grid) -> tuple[Float[np.ndarray, "n 3"], float]:
-    """Coloured increments of CL, CD, Cm as in the demo, their correlation time kept at any sampling interval."""
+def _piloted(
+    rng: np.random.Generator,
+    request: Request,
+    grid: Grid,
+    model: Model,
+    values: Mapping[str, Any],
+    aircraft: Aircraft,
+    chosen: Sequence[Effect],
+) -> tuple[Pilot, FlightState]:
+    """What the pilot does and what disturbs him, and the state in which the flight begins."""
     white = rng.standard_normal((grid.n, 3))
-    columns = []
-    for x, name in zip(white.T, ("CL", "CD", "Cm"), strict=True):
-        rho = DISTURBANCE[f"rho_{name}"] ** (grid.dt / DT)
-        drive = np.concatenate([x[:1], np.sqrt(1.0 - rho**2) * x[1:]])
-        columns.append(
-            _strength(request) * DISTURBANCE[f"sigma_{name}"] * np.asarray(lfilter([1.0], [1.0, -rho], drive))
-        )
-    return np.stack(columns, axis=1), BUFFET if request.noise == "buffet" else 0.0
+    rho = [DISTURBANCE[f"rho_{name}"] ** (grid.dt / DT) for name in NAMES]  # their correlation time is the demo's
+    increments = autoregressive(white, rho, [_strength(request) * DISTURBANCE[f"sigma_{name}"] for name in NAMES])
+    if request.manoeuvre == RANDOM_STALL:
+        drawn = random_pilot(rng, max(90.0, request.seconds), model.break_angle(values), moved_by(chosen))
+        pilot = resampled(drawn, grid.time)
+        pilot = pilot._replace(thrust=pilot.thrust * (float(aircraft.mass) / LOADED))
+        alpha = float(pilot.alpha[0])
+        airspeed = request.airspeed or level_speed(model, values, aircraft, alpha, request.altitude)
+        start = FlightState(airspeed, alpha, alpha, 0.0, request.altitude)
+    else:
+        airspeed = request.airspeed or level_speed(model, values, aircraft, np.deg2rad(6.0), request.altitude)
+        pilots, start = standard_pilots(model, values, aircraft, grid.time, airspeed, request.altitude)
+        pilot = pilots[request.manoeuvre]
+    return pilot._replace(disturbance=increments, buffet=_buffet(request)), start
 
 
-def _marks(grid: Grid) -> dict[str, Any]:
-    """What CHANNEL effects read, beyond the ends too: time counts from the first sample of the record."""
-    index = jnp.arange(grid.n)
-    ends = {"first": jnp.zeros(grid.n, int), "last": jnp.full(grid.n, grid.n - 1)}
-    return {"dt": jnp.full(grid.n, grid.dt), "start": index == 0, "elapsed": jnp.asarray(grid.time)} | ends
+def _buffet(request: Request) -> float:
+    """Growth of the disturbance with 1 - X."""
+    return BUFFET if request.noise == "buffet" else 0.0
 
 
-def _more(state: Mapping[str, np.ndarray], flown: Mapping[str, np.ndarray], dt: float) -> dict[str, np.ndarray]:
-    """Heading at any sampling interval, and air data that follow from height and airspeed in a standard atmosphere."""
-    turn = flown["psi_dot"]
-    density, sound = (np.asarray(x) for x in air(jnp.asarray(state["h"])))
+def _air_data(flight: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What follows from height and airspeed in a standard atmosphere."""
+    density, sound = (np.asarray(x) for x in air(jnp.asarray(flight["altitude"])))
     temperature = sound**2 / (GAMMA * GAS)
     pressure = density * GAS * temperature
     sea_density, sea_sound = (float(x) for x in air(jnp.asarray(0.0)))
-    impact = pressure * ((1.0 + 0.2 * (state["V"] / sound) ** 2) ** 3.5 - 1.0)
+    impact = pressure * ((1.0 + 0.2 * flight["mach"] ** 2) ** 3.5 - 1.0)
     sea_pressure = sea_density * sea_sound**2 / GAMMA
     calibrated = sea_sound * np.sqrt(5.0 * ((impact / sea_pressure + 1.0) ** (2.0 / 7.0) - 1.0))
     return {
-        "psi": np.concatenate([[0.0], np.cumsum(0.5 * dt * (turn[1:] + turn[:-1]))]),
         "static_temperature": temperature,
         "static_pressure": pressure,
         "calibrated_airspeed": calibrated,
-        "radio_altitude": state["h"],
+        "radio_altitude": flight["altitude"],
     }
-
-
-def _inside(state: Mapping[str, np.ndarray], kept: slice, request: Request) -> None:
-    for name, series, (lower, upper) in (("alpha", state["alpha"], ALPHA), ("airspeed", state["V"], AIRSPEED)):
-        x = series[kept]
-        if not (np.all(np.isfinite(x)) and x.min() >= lower and x.max() <= upper):
-            raise InputError(
-                f"{request.manoeuvre} with {', '.join(request.effects) or 'no effect'} leaves the envelope: {name} "
-                f"{x.min():.3g} to {x.max():.3g} (allowed {lower:g} to {upper:g}); make the effects smaller, or change "
-                "the manoeuvre, --airspeed or --duration"
-            )
 
 
 def _notes(request: Request, known: Mapping[str, Effect], true: Mapping[str, np.ndarray]) -> tuple[str, ...]:

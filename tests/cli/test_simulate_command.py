@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 from bayes_aero.dynamics.manoeuvres import commands
+from bayes_aero.dynamics.trim import Trim
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.simulate import request
@@ -60,7 +61,7 @@ def test_noise_is_that_of_the_sensors_and_of_the_seed(program, flights):
 
 def test_every_standard_manoeuvre_can_be_chosen():
     time = np.arange(0.0, 60.0, 0.04)
-    assert set(commands(time, 0.1, 0.0)) | {request.RANDOM_STALL} == set(request.MANOEUVRES)
+    assert set(commands(time, Trim(0.1, 2e4, 0.0), 0.1, 0.0)) | {request.RANDOM_STALL} == set(request.MANOEUVRES)
 
 
 @pytest.mark.parametrize(

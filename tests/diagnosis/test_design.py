@@ -12,7 +12,7 @@ from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.design import separating, standard
 from bayes_aero.diagnosis.screening.selection_state import linearised
 from bayes_aero.dynamics.manoeuvres import commands
-from bayes_aero.dynamics.trim import trimmed
+from bayes_aero.dynamics.trim import Trim, trimmed
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.model.joined_channels import join
@@ -124,11 +124,20 @@ def test_trim_is_level_flight(state):
 
 def test_commands_begin_at_trim_and_scale():
     time = np.arange(-5.0, 60.02, 0.04)
-    whole, half = commands(time, 0.15, 0.9), commands(time, 0.15, 0.9, 0.5)
-    for name, command in whole.items():
-        moving = [np.abs(x).max() for x in command[1:]]
-        assert max(moving) > 0.0, name
-        for x, y in zip(command[1:], half[name][1:], strict=True):
+    trim = Trim(0.1, 2e4, -0.02)
+
+    def departures(amplitude):
+        pilots = commands(time, trim, 0.15, 0.9, amplitude)
+        beside = ("excitation", "phi", "beta", "stabilizer")
+        return {
+            name: [pilot.alpha - 0.1, pilot.thrust / 2e4 - 1.0, *(getattr(pilot, x) for x in beside)]
+            for name, pilot in pilots.items()
+        }
+
+    whole, half = departures(1.0), departures(0.5)
+    for name, moving in whole.items():
+        assert max(np.abs(x).max() for x in moving) > 0.0, name
+        for x, y in zip(moving, half[name], strict=True):
             assert x[0] == 0.0
             assert np.allclose(0.5 * x, y)
 

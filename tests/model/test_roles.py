@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.manoeuvres import fly_standard
-from bayes_aero.dynamics.plant import Inputs, Plant, Prescribed
-from bayes_aero.dynamics.simulate import FlightState
+from bayes_aero.dynamics.plant import INPUTS, FlightState, Plant
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
@@ -79,14 +79,14 @@ def rates(model, card, v, X=0.4):
     zero = jnp.asarray(0.0)
     plant = Plant(model, v, card.aircraft, (jnp.asarray(0.7), jnp.asarray(0.2), zero), zero)
     state = FlightState(*(jnp.asarray(x) for x in (80.0, 0.26, 0.2, 0.01, 5000.0, X)))
-    inputs = Inputs(jnp.asarray(0.25), jnp.asarray(9e3), jnp.asarray(0.01), jnp.zeros(3))
-    return plant.motion(state, inputs, Prescribed(*(zero for _ in Prescribed._fields)))[0]
+    inputs = dict.fromkeys(INPUTS, zero) | {"alpha_led": zero + 0.25, "thrust": zero + 9e3, "command": zero + 0.01}
+    return FlightState(*plant.motion(jnp.stack(jax.tree.map(jnp.asarray, state)), inputs)[0])
 
 
 def test_a_lag_of_any_name_is_flown(card):
     usual, own = models(card, "separation_lag")
     lagging = rates(usual, card, values(tau1=10.0))
-    assert lagging.X != 0.0
+    assert lagging.lagged_X != 0.0
     np.testing.assert_array_equal(rates(own, card, values(tau1=10.0)), lagging)
     flights = join(demo_records()[:1], card)
     steps = [aircraft_dynamics(m, flights).slowest_step(values(tau1=10.0), flights) for m in (usual, own)]

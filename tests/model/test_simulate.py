@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.dynamics.plant import Inputs, Plant, Prescribed
-from bayes_aero.dynamics.simulate import FlightState, Pilot, fly
+from bayes_aero.dynamics.manoeuvres import ramps
+from bayes_aero.dynamics.plant import INPUTS, FlightState, Plant
+from bayes_aero.dynamics.simulate import Pilot, fly
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air
 from bayes_aero.physics.coefficients import coefficients, condition_joined
 from bayes_aero.physics.filters import differentiate
 from bayes_aero.physics.kinematics import Rotation, lever_arm
-from bayes_aero.simulate.demo import PROFILES, TRUTH, _alpha_command
+from bayes_aero.simulate.demo import PROFILES, TRUTH
 
 DT = 0.04
 N = 2001
@@ -24,15 +26,7 @@ INNER = slice(20, -20)
 
 
 def pilot(n: int = N, **changes) -> Pilot:
-    zero = jnp.zeros(n)
-    return Pilot(
-        alpha=zero,
-        thrust=zero,
-        excitation=zero,
-        disturbance=jnp.zeros((n, 3)),
-        alpha_gain=jnp.asarray(0.7),
-        rate_gain=jnp.asarray(0.2),
-    )._replace(**changes)
+    return Pilot(alpha=jnp.zeros(n), thrust=jnp.zeros(n))._replace(**changes)
 
 
 def state(V, alpha, theta, q=0.0, h=3000.0, X=1.0) -> FlightState:
@@ -69,29 +63,17 @@ def bare(CL=0.0, CD=0.0, Cm=0.0) -> dict:
 
 @pytest.fixture(scope="module")
 def stall(card):
-    """A stall with banks and sideslip, noise-free: channels of the record, and what was simulated."""
+    """A stall with banks and sideslip, noise-free."""
     model = Model.of(card.effects)
     phi, beta = weave()
     time = np.arange(N) * DT
     p = pilot(
-        alpha=jnp.asarray(_alpha_command(time, PROFILES[0])),
+        alpha=jnp.asarray(np.deg2rad(ramps(time, PROFILES[0]))),
         thrust=jnp.asarray(np.interp(time, [0, 5, 8], [22e3, 22e3, 5e3])),
         phi=jnp.asarray(phi),
         beta=jnp.asarray(beta),
     )
-    states, out = fly(model, constants(), card.aircraft, p, state(95, np.deg2rad(6), np.deg2rad(6), h=5200), DT)
-    channels = {key: out[key] for key in ("ax", "ay", "az", "p", "r", "elevator")} | {
-        "q": states.q,
-        "theta": states.theta,
-        "phi": jnp.asarray(phi),
-        "beta": jnp.asarray(beta),
-        "alpha": states.alpha,
-        "airspeed": states.V,
-        "altitude": states.h,
-        "density": air(states.h)[0],
-        "thrust": p.thrust,
-    }
-    return channels, out
+    return fly(model, constants(), card.aircraft, p, state(95, np.deg2rad(6), np.deg2rad(6), h=5200), DT)
 
 
 def test_wings_level_equations_are_the_symmetric_ones(card):
@@ -100,18 +82,20 @@ def test_wings_level_equations_are_the_symmetric_ones(card):
     rng = np.random.default_rng(1)
     for _ in range(5):
         V, alpha, gamma, q = rng.uniform(60, 110), rng.uniform(0.05, 0.3), rng.uniform(-0.1, 0.1), rng.normal(0, 0.05)
-        inputs = Inputs(jnp.asarray(alpha), jnp.asarray(9e3), jnp.asarray(0.01), jnp.zeros(3))
+        inputs = {"alpha_led": jnp.asarray(alpha), "thrust": jnp.asarray(9e3), "command": jnp.asarray(0.01)}
         plant = Plant(model, constants(), a, (jnp.asarray(0.7), jnp.asarray(0.2), jnp.asarray(0.0)), jnp.asarray(0.0))
-        rest = Prescribed(*(jnp.asarray(0.0) for _ in Prescribed._fields))
-        rates, out = plant.motion(state(V, alpha, alpha + gamma, q), inputs, rest)
+        rest = dict.fromkeys(INPUTS, jnp.asarray(0.0))
+        x = jnp.stack(jax.tree.map(jnp.asarray, state(V, alpha, alpha + gamma, q)))
+        derivative, out = plant.motion(x, rest | inputs)
+        rates = FlightState(*derivative)
         qS = 0.5 * float(air(jnp.asarray(3000.0))[0]) * V**2 * a.wing_area
         lift, drag = qS * float(out["CL"]), qS * float(out["CD"])
         along = (9e3 * np.cos(alpha) - drag) / a.mass - GRAVITY * np.sin(gamma)
-        assert pytest.approx(along, rel=1e-10) == rates.V
+        assert pytest.approx(along, rel=1e-10) == rates.airspeed
         level = q - (lift + 9e3 * np.sin(alpha)) / (a.mass * V) + GRAVITY * np.cos(gamma) / V
         assert rates.alpha == pytest.approx(level, abs=1e-11)
         assert rates.theta == pytest.approx(q)
-        assert rates.h == pytest.approx(V * np.sin(gamma))
+        assert rates.altitude == pytest.approx(V * np.sin(gamma))
         assert out["ay"] == out["p"] == out["r"] == 0.0
         Cm_cg = float(out["Cm"]) + (
             -(drag * np.cos(alpha) - lift * np.sin(alpha)) * a.reference_point[2]
@@ -124,9 +108,9 @@ def test_a_body_without_forces_keeps_its_energy(card):
     """Rolling does no work: V^2/2 + g h is constant in a parabola with any bank angle."""
     model = Model.of([BARE])
     phi, _ = weave(150)
-    states, _ = fly(model, bare(), card.aircraft, pilot(150, phi=jnp.asarray(phi)), state(90, 0.1, 0.3), DT)
-    energy = 0.5 * states.V**2 + GRAVITY * states.h
-    assert float(states.h.max() - states.h.min()) > 10.0
+    flight = fly(model, bare(), card.aircraft, pilot(150, phi=jnp.asarray(phi)), state(90, 0.1, 0.3), DT)
+    energy = 0.5 * flight["airspeed"] ** 2 + GRAVITY * flight["altitude"]
+    assert float(jnp.ptp(flight["altitude"])) > 10.0
     np.testing.assert_allclose(energy, energy[0], rtol=1e-7)
 
 
@@ -136,9 +120,9 @@ def test_with_sideslip_only_the_side_force_works(card):
     phi, beta = weave(n)
     aircraft = replace(card.aircraft, accelerometer=(0.0, 0.0, 0.0))
     p = pilot(n, phi=jnp.asarray(phi), beta=jnp.asarray(beta))
-    states, out = fly(model, bare(), aircraft, p, state(90, 0.1, 0.3), DT)
-    power = differentiate(0.5 * states.V**2 + GRAVITY * states.h, DT)
-    np.testing.assert_allclose(power[INNER], (out["ay"] * states.V * np.sin(beta))[INNER], atol=0.02)
+    out = fly(model, bare(), aircraft, p, state(90, 0.1, 0.3), DT)
+    power = differentiate(0.5 * out["airspeed"] ** 2 + GRAVITY * out["altitude"], DT)
+    np.testing.assert_allclose(power[INNER], (out["ay"] * out["airspeed"] * np.sin(beta))[INNER], atol=0.02)
     assert float(jnp.abs(power).max()) > 1.0
 
 
@@ -158,9 +142,9 @@ def test_steady_level_turn(card, degrees):
     gyro = (a.Iz - a.Ix) * body[0] * body[2] + a.Ixz * (body[2] ** 2 - body[0] ** 2)
     values = bare(CL=a.mass * GRAVITY / np.cos(bank) / qS, Cm=-gyro / (qS * a.chord))
     start = state(V, alpha, theta, body[1])
-    states, out = fly(Model.of([BARE]), values, a, pilot(50, phi=jnp.full(50, phi)), start, DT)
-    for name, value in (("V", V), ("alpha", alpha), ("theta", theta), ("q", body[1]), ("h", h)):
-        np.testing.assert_allclose(getattr(states, name), value, rtol=1e-9, err_msg=name)
+    out = fly(Model.of([BARE]), values, a, pilot(50, phi=jnp.full(50, phi)), start, DT)
+    for name, value in (("airspeed", V), ("alpha", alpha), ("theta", theta), ("q", body[1]), ("altitude", h)):
+        np.testing.assert_allclose(out[name], value, rtol=1e-9, err_msg=name)
     for name, value in (("p", body[0]), ("r", body[2]), ("psi_dot", turn), ("ay", 0.0)):
         np.testing.assert_allclose(out[name], value, atol=1e-9, err_msg=name)
     np.testing.assert_allclose(np.hypot(out["ax"], out["az"]), GRAVITY / np.cos(bank), rtol=1e-9)
@@ -168,7 +152,7 @@ def test_steady_level_turn(card, degrees):
 
 def test_recorded_signals_obey_rigid_body_kinematics(card, stall):
     """Euler's and the body-axis velocity equations, from accelerations moved to the CG, against derivatives."""
-    s, _ = stall
+    s = stall
     d = {
         name: differentiate(s[name], DT)
         for name in ("airspeed", "alpha", "beta", "theta", "phi", "altitude", "p", "q", "r")
@@ -195,10 +179,9 @@ def test_recorded_signals_obey_rigid_body_kinematics(card, stall):
 
 def test_coefficients_come_back_with_lateral_motion(card, stall):
     """What `physics.coefficients` makes of the record is what was flown, to the error of its smoothing."""
-    channels, out = stall
-    n = len(channels["alpha"])
+    n = len(stall["alpha"])
     ends = jnp.full(n, DT), jnp.zeros(n, int), jnp.full(n, n - 1)
-    found = coefficients(condition_joined(channels, *ends), card.aircraft)
+    found = coefficients(condition_joined(stall, *ends), card.aircraft)
     for name, limit in (("CL", 2e-3), ("CD", 1e-3), ("Cm", 1e-3)):
-        error = np.asarray(getattr(found, name) - out[name])[INNER]
+        error = np.asarray(getattr(found, name) - stall[name])[INNER]
         assert np.sqrt(np.mean(error**2)) < limit, name

@@ -227,6 +227,18 @@ def test_alpha_dot_solves_its_equation(card):
     assert separated > 10  # there the equation is truly implicit
 
 
+@pytest.mark.parametrize("CLadot", [-18.0, 18.0])
+def test_lift_due_to_alpha_dot_of_either_sign_divides_alpha_dot(card, CLadot):
+    """m V alpha_dot loses the lift rho V^2 S/2 CLadot alpha_dot c/V: by hand, alpha_dot (1 + rho S c CLadot/2m)."""
+    u, a = instant(-0.02, 2e4), card.aircraft
+    without, found = (
+        float(system((*LINEAR, *more), a, CLadot=CLadot).motion(start(q=0.05), u)[1]["alpha_dot"])
+        for more in ((), ("alpha_dot_lift",))
+    )
+    factor = 1.0 + 0.5 * float(air(jnp.asarray(5000.0))[0]) * a.wing_area * a.chord * CLadot / a.mass
+    assert found == pytest.approx(without / factor, rel=1e-12)
+
+
 def test_the_separation_point_lags_as_a_state(card):
     """X' = (X_static - X) V/(tau1 c), X_static with the hysteresis of alpha-dot; it begins at X_static of rest."""
     flown = system([name for name in card.effects if name != "mach_lift"], card.aircraft, tau1=15.0, tau2=40.0, a1=40.0)
