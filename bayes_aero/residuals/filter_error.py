@@ -15,19 +15,22 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from bayes_aero.dynamics.filtering.innovations import Observer, observed, observer
 from bayes_aero.dynamics.filtering.kalman import Filtered
 from bayes_aero.dynamics.filtering.linearised import linearised, observer_slopes
 from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, prepared
-from bayes_aero.physics.filters import FILTER_STEP
 from bayes_aero.residuals.output_error import OutputError
 
 
 class FilterError(OutputError):
-    """Whitened innovations, averaged over blocks of `FILTER_STEP` samples: m of them."""
+    """Whitened innovations, m samples.
+
+    They are not averaged over blocks, as outputs are: the sensitivity to an error of a sensor holds that sensor's noise
+    up to the sample before, and a mean would correlate it with the noise that it is to explain.
+    """
 
     by: Observer
 
@@ -46,12 +49,22 @@ class FilterError(OutputError):
         """
         by = _observer(cut.nameless, jnp.asarray(theta), jnp.asarray(R), found)
         rows = np.array([cut.dynamics.states.index(name) for name in dynamics.states])
-        whole = cut.index.shape[1] // FILTER_STEP * FILTER_STEP
-        index, inside, noise_growth = (x[:, :whole] for x in (cut.index, cut.inside, cut.noise_growth))
-        by = Observer(by.gain[:, :whole, rows], by.whitening[:, :whole])
-        cut = replace(cut, index=index, inside=inside, noise_growth=noise_growth, dynamics=dynamics)
-        place = np.flatnonzero(inside.reshape(-1, FILTER_STEP).all(axis=1))
+        by = Observer(by.gain[:, :, rows], by.whitening)
+        cut, place = replace(cut, dynamics=dynamics), np.flatnonzero(cut.inside)
         return cls(flights=cut.flights, windows=cut, place=place, model=dynamics.model, by=by)
+
+    @property
+    def manoeuvre(self) -> Int[np.ndarray, " m"]:
+        """Which manoeuvre each sample belongs to."""
+        return self.flights.manoeuvre[self.windows.index.ravel()[self.place]]
+
+    @property
+    def seconds(self) -> float:
+        """From sample to sample."""
+        return float(np.median(self.windows.dt))
+
+    def _mean(self, x: Float[Array, "w n ..."]) -> Float[Array, "m ..."]:
+        return x.reshape(-1, *x.shape[2:])[self.place]
 
     @property
     def stretch(self) -> None:
