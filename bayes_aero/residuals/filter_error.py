@@ -74,9 +74,8 @@ class FilterError(OutputError):
     def residual(self, theta: Any, shared: Any) -> Float[Array, "m c"]:  # noqa: ARG002
         """Whitened innovations at these parameters."""
         flown = self.flown
-        return self._whitened(observed(flown, theta, self.by).innovation[..., None], prepared(flown, theta).scale)[
-            ..., 0
-        ]
+        e = observed(flown, theta, self.by).innovation
+        return self._whitened(e[..., None], prepared(flown, theta).scale)[..., 0]
 
     def _whitened(self, e: Float[Array, "w n c d"], scale: Float[Array, "w n c"]) -> Float[Array, "m c d"]:
         """Referred to the record."""
