@@ -35,7 +35,8 @@ SEED, BEGIN, END = 43, 20.0, 60.0  # s of each flight that are looked at
 MOVED = {name: {} for name in ("rudder_moment", "spoiler_lift", "dlc_lift", "flap_lift")}  # surfaces, always deflected
 CANARD = np.deg2rad(8.0)
 BASE = [e.name for e in CATALOGUE.values() if {p.name for p in e.parameters} & (set(TRUTH) - {"tau1"})]
-CANDIDATES = [e.name for e in CATALOGUE.values() if e.parameters and e.name not in BASE and e.kind is not Kind.NOISE]
+RANDOM = [e.name for e in CATALOGUE.values() if e.disturbance is not None or e.kind is Kind.NOISE]  # test_innovations
+CANDIDATES = [e.name for e in CATALOGUE.values() if e.parameters and e.name not in (*BASE, *RANDOM)]
 STAND_INS = [name for name in CANDIDATES if not CATALOGUE[name].candidate]
 EXTRA = [replace(CATALOGUE[name], candidate=True) for name in STAND_INS]  # the same objects always: compiled once
 ABSORBED = {  # by parameters of the card, whatever their size

@@ -40,7 +40,9 @@ def test_causes_explain_only_where_noise_alone_is_left():
         Verdict.NO_EFFECT,
     ]
     assert as_tested(Verdict.UNEXPLAINED, noise) is Verdict.UNEXPLAINED
-    assert [diagnosis_results.tested_results(t)["within_noise"] for t in (noise, more, never)] == [True, False, None]
+    assert [
+        diagnosis_results.tested_results(t, finding.TRAJECTORIES)["within_noise"] for t in (noise, more, never)
+    ] == [True, False, None]
 
 
 def test_errors_are_judged_by_the_noise_that_the_card_states(card):
