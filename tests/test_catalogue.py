@@ -66,6 +66,8 @@ def test_neutral_values_give_exactly_nothing(effect):
         state |= {"X": jnp.ones_like(s["alpha"])}
     if effect.name == "flow_separation":
         state |= {"X": jnp.ones_like(s["alpha"])}
+    if effect.disturbance is not None:  # a process of no intensity stays at zero
+        s |= {effect.disturbance.state: jnp.zeros_like(s["alpha"])}
     assert np.all(np.asarray(flat(effect.increments(values(effect, "neutral"), s, AIRCRAFT, state))) == 0.0)
 
 
