@@ -123,3 +123,13 @@ def test_gusts_of_all_manoeuvres_stand_in_one_file(tmp_path):
     assert list(back["manoeuvre"]) == ["one"] * 2 + ["two"] * 3
     assert back["vertical_gust"].tolist() == [0.0, 1.0, 0.0, 0.5, 1.0]
     assert back["vertical_gust_sd"].tolist() == [0.1, 0.6, 0.1, 0.35, 0.6]
+
+
+@pytest.mark.parametrize("markup", [True, False])
+def test_units_in_brackets_are_shown_whatever_a_console_takes_for_markup(markup):
+    shown = io.StringIO()
+    table = Table([Column([1.0], terminal="V [m/s]"), Column([2.0], terminal="α [deg]")], "errors [SI]")
+    Console(file=shown, markup=markup, width=80).print(table.terminal())
+    assert "V [m/s]" in shown.getvalue()
+    assert "errors [SI]" in shown.getvalue()
+    assert "\\" not in shown.getvalue()

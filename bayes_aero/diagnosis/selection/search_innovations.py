@@ -9,13 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model
 from bayes_aero.diagnosis.result import INNOVATIONS
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
-from bayes_aero.diagnosis.selection.forward_selection import forward_selection
+from bayes_aero.diagnosis.selection.forward_selection import Extension, forward_selection
 from bayes_aero.diagnosis.selection.search_result import SearchResult
 from bayes_aero.diagnosis.selection.search_trajectories import in_windows, noise_of, without_lags
 from bayes_aero.diagnosis.settings import DiagnosisSettings
@@ -29,7 +31,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.disturbed import fit_disturbed
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult, PredictionErrorStatus
-from bayes_aero.model.joined_channels import despiked, join
+from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.progress import Progress
 from bayes_aero.residuals.filter_error import FilterError
@@ -53,18 +55,68 @@ def search_innovations(
     fit = in_windows(flights, base)
     if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
         raise InputError(f"card {card.name}: {fit.status.value}")
-    whole = segments(flights, base, substeps=base.substeps(fit.estimate, flights))
-    gusty, filtered = fit_disturbed(whole, fit.estimate, fit.R, exact=False)
-    if filtered.status is PredictionErrorStatus.DIVERGED:
-        raise InputError(f"card {card.name}: {filtered.status.value}")
-    full = _in_gusts(without_lags(candidate_model(model, flights, extra, settings)), gusty.dynamics, filtered)
-    found = forward_selection(_state(full, gusty, filtered, base.altitude), seed=seed, progress=progress)
+    full = without_lags(candidate_model(model, flights, extra, settings))
+    known = dict(zip(fit.names, fit.estimate, strict=True))
+    theta = np.array([known.get(name, full.neutral[name]) for name in full.model.names])
+    found, status = _searched(_Flown(full, flights, base, fit.R), theta, seed, progress)
     notes = ["Structure that no effect of the catalogue describes is not sought in innovations."]
-    if filtered.status is not PredictionErrorStatus.CONVERGED:
-        notes.append(f"Process noise: {filtered.status.value}.")
+    if status is not PredictionErrorStatus.CONVERGED:
+        notes.append(f"Process noise: {status.value}.")
     if still := taken_as_zero(flights):
         notes.append(f"Not recorded, and taken as zero: {', '.join(still)}.")
-    return SearchResult(full, ((INNOVATIONS, found),), (), noise_of(found, outliers), tuple(notes))
+    return SearchResult(found.state.full, ((INNOVATIONS, found),), (), noise_of(found, outliers), tuple(notes))
+
+
+class _Flown(NamedTuple):
+    """What is searched: candidates, flights, the card's dynamics, and the variances of output error."""
+
+    full: CandidateModel
+    flights: Flights
+    base: AircraftDynamics
+    R: Float[np.ndarray, " c"]
+
+
+def _searched(
+    flown: _Flown, theta: Float[np.ndarray, " k"], seed: int, progress: Progress | None
+) -> tuple[Extension, PredictionErrorStatus]:
+    """One addition after the other; after each, gusts and noise are estimated anew with it in the model.
+
+    Before, the noise of states had to stand for what was missing.
+    """
+    active: tuple[str, ...] = ()
+    first: Extension | None = None
+    while True:
+        state, filtered = _followed(flown, theta, active, progress)
+        most = flown.full.settings.max_effects - len(active)
+        found = forward_selection(state, seed=seed + len(active), most=min(1, most), progress=progress)
+        first = first or found
+        steps = first.steps if found is first else (*first.steps, *found.steps)
+        first = replace(first, steps=steps)
+        if found.state.active == active or not most:
+            return replace(found, base=first.base, base_fit=first.base_fit, steps=steps), filtered.status
+        gone = set(active) - set(found.state.active)
+        active, theta = found.state.active, found.state.theta[: len(theta)]
+        if gone:  # an addition that another one has replaced: no third choice between the two
+            return replace(found, base=first.base, base_fit=first.base_fit, steps=steps), filtered.status
+
+
+def _followed(
+    flown: _Flown, theta: Float[np.ndarray, " k"], active: tuple[str, ...], progress: Progress | None
+) -> tuple[SelectionState, PredictionErrorResult]:
+    """The filter's fit with these additions, and the problem linearised there."""
+    if progress:
+        progress("process noise", 0.0)
+    full, names = flown.full, flown.full.model.names
+    out = {p for e in full.candidates if e.name not in active for p in full.parameters_of(e.name)}
+    held = tuple((name, full.neutral[name]) for name in names if name in out)
+    model = Model(full.model.effects, full.model.parameters, (*full.model.fixed, *held), full.model.chords)
+    dynamics = replace(flown.base, model=model)
+    start = np.array([x for name, x in zip(names, theta, strict=True) if name not in out])
+    whole = segments(flown.flights, dynamics, substeps=dynamics.substeps(start, flown.flights))
+    gusty, filtered = fit_disturbed(whole, start, flown.R, exact=False)
+    if filtered.status is PredictionErrorStatus.DIVERGED:
+        raise InputError(f"process noise cannot be estimated: {filtered.status.value}")
+    return _state(_in_gusts(full, gusty.dynamics, filtered), gusty, filtered, flown.base.altitude, active), filtered
 
 
 def _in_gusts(full: CandidateModel, dynamics: Dynamics, filtered: PredictionErrorResult) -> CandidateModel:
@@ -79,11 +131,15 @@ def _in_gusts(full: CandidateModel, dynamics: Dynamics, filtered: PredictionErro
 
 
 def _state(
-    full: CandidateModel, gusty: SegmentTrajectories, filtered: PredictionErrorResult, altitude: bool
+    full: CandidateModel,
+    gusty: SegmentTrajectories,
+    filtered: PredictionErrorResult,
+    altitude: bool,
+    active: tuple[str, ...],
 ) -> SelectionState:
-    """The problem linearised at the filter's parameters, all candidates neutral."""
+    """The problem linearised at the filter's parameters, all other candidates neutral."""
     known = dict(zip(filtered.names, filtered.estimate, strict=True))
     theta = np.array([known.get(name, full.neutral[name]) for name in full.model.names])
     dynamics = AircraftDynamics(full.model, altitude)
     responses = FilterError.after(gusty, filtered.estimate, filtered.R, filtered.found, dynamics)
-    return linearised(full, responses, responses.outputs, theta, ())
+    return linearised(full, responses, responses.outputs, theta, active)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rich import table as rich
 from rich.box import SIMPLE_HEAD
-from rich.markup import escape
+from rich.text import Text
 
 from bayes_aero.report.text.phrases import bracket, concise, number, plain_unit, plus_minus
 
@@ -135,8 +135,8 @@ class Table:
         space = (0, 0 if self.dense else 1, 0, 0)
         title = self.title if self.terminal_title is None else self.terminal_title
         shown = rich.Table(
-            title=escape(title) or None,
-            caption=escape(self.terminal_note) or None,
+            title=Text(title) if title else None,
+            caption=Text(self.terminal_note) if self.terminal_note else None,
             box=SIMPLE_HEAD,
             padding=space,
             pad_edge=False,
@@ -148,7 +148,7 @@ class Table:
             most = 12 if self.dense and not left else None
             folds = bool(most) or c.words or any(isinstance(x, Change) for x in c.values)
             shown.add_column(
-                escape(c.terminal or ""),
+                Text(c.terminal or ""),
                 justify="left" if left else "right",
                 overflow="fold" if folds else "ellipsis",
                 max_width=most,
@@ -156,7 +156,7 @@ class Table:
             )
         cells = ([told(x, c.terminal_form or c.form, concise, "\n") for x in c.values] for c in columns)
         for row in zip(*cells, strict=True):
-            shown.add_row(*map(escape, row))
+            shown.add_row(*map(Text, row))
         return shown
 
 

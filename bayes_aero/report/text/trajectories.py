@@ -119,14 +119,14 @@ def lag_sentences(flown: Trajectories) -> list[str]:
 
 
 def cause_sentences(flown: Trajectories) -> list[str]:
-    """Which causes that the coefficients confirm the hold-out trajectories need, and by how much."""
+    """Which confirmed causes the hold-out trajectories need, and by how much."""
     missed, kept, said = flown.asked.missed, flown.asked.kept, []
     if flown.out:
         gains = [f"{e} (by {missed[e][0]:+.0f} ± {missed[e][1]:.0f} nats)" for e in flown.out]
         them, omits = ("it", "omits it") if len(gains) == 1 else ("them", "omits them")
         said.append(
             f"Removing {several(gains)} does not significantly degrade the prediction of hold-out trajectories. The "
-            f"coefficients confirm {them}; the simulated model {omits}."
+            f"search confirms {them}; the simulated model {omits}."
         )
     if kept:
         finite = [e for e in kept if math.isfinite(missed[e][0])]  # without the others the flight leaves its envelope
