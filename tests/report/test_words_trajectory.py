@@ -63,7 +63,7 @@ def test_causes_that_flight_does_not_miss_are_told_and_the_weakest_of_the_others
     both = replace(simulated, asked=Confirmation((), {"a": (1.0, 1.0), "b": (0.0, 2.0)}))
     (said,) = cause_sentences(both)
     assert "a (by +1 ± 1 nats) and b (by +0 ± 2 nats)" in said
-    assert "confirm them" in said
+    assert "The search confirms them" in said
     assert said.endswith("the simulated model omits them.")
     assert cause_sentences(simulated) == []
 
