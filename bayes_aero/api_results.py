@@ -99,7 +99,7 @@ class Diagnosed:
 
     @property
     def verdict(self) -> str:
-        """`no_effect`, `explained`, `partly_explained`, `unexplained` or, by trajectories alone, `undecided`."""
+        """`no_effect`, `explained`, `partly_explained`, `unexplained`; without coefficients also `undecided`."""
         return self.view.diagnosis.verdict.value
 
     @property

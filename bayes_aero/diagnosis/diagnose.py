@@ -7,9 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayes_aero.diagnosis.result import Cause, Diagnosis, Gain, Tested, UnexplainedStructure, verdict_of
+from bayes_aero.diagnosis.result import Cause, Diagnosis, Gain, Tested, UnexplainedStructure, as_white, verdict_of
 from bayes_aero.diagnosis.screening.screening import CandidateScore, screen
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
+from bayes_aero.diagnosis.search.search_coefficients import search_coefficients
+from bayes_aero.diagnosis.search.search_innovations import search_innovations
+from bayes_aero.diagnosis.search.search_result import SearchResult, lacking
+from bayes_aero.diagnosis.search.search_trajectories import search_trajectories
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation, confirmation
 from bayes_aero.diagnosis.selection.collinear import CancellingPair, cancelling
 from bayes_aero.diagnosis.selection.cross_validation import (
@@ -21,10 +25,6 @@ from bayes_aero.diagnosis.selection.cross_validation import (
 )
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, implausible, own_share
-from bayes_aero.diagnosis.selection.search_coefficients import search_coefficients
-from bayes_aero.diagnosis.selection.search_innovations import search_innovations
-from bayes_aero.diagnosis.selection.search_result import SearchResult, lacking
-from bayes_aero.diagnosis.selection.search_trajectories import search_trajectories
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.effect import Effect
 from bayes_aero.errors import attempted
@@ -68,7 +68,7 @@ def diagnose(
     minor = (*(found.sensors.minor if found.sensors else ()), *found.model.minor, *(c.name for c in unnamed))
     state, tested = found.model.state, None if found.testable_now else Tested({})
     return Diagnosis(
-        verdict=verdict_of(causes, unknown, tested),
+        verdict=as_white(verdict_of(causes, unknown, tested), found.noise),
         causes=causes,
         minor=minor,
         unknown=unknown,

@@ -104,6 +104,7 @@ class UnexplainedStructure:
 # Lag-1 correlation of means over five samples, our choice from a dozen simulated flights: white noise leaves up to a
 # third through the filter, and weak colour (0.5 from sample to sample) little more.
 COLOURED = 0.36
+COLOURED_INNOVATIONS = 0.3  # correlation of neighbouring innovations beyond which something is not modelled; our choice
 
 
 @dataclass(frozen=True)
@@ -114,12 +115,20 @@ class NoiseReport:
     deviation: Mapping[str, float]
     noise_growth: Mapping[str, float]  # noise at full separation over that in attached flow
     outliers: Mapping[str, int]  # repaired samples by channel
+    of_innovations: bool = False  # `lag1` is then that of neighbouring samples, which white noise leaves at 0
+
+    @property
+    def coloured(self) -> tuple[str, ...]:
+        """Outputs whose residuals are correlated beyond what the filters of the reconstruction make."""
+        if self.of_innovations:
+            return tuple(name for name, r in self.lag1.items() if abs(r) > COLOURED_INNOVATIONS)
+        return tuple(name for name, r in self.lag1.items() if r > COLOURED)
 
     @property
     def labels(self) -> tuple[str, ...]:
         """Which of colored, buffet, outliers are present."""
         found = []
-        if max(self.lag1.values()) > COLOURED:
+        if self.coloured:
             found.append("colored")
         if max(self.noise_growth.values()) > 1.5:
             found.append("buffet")
@@ -216,6 +225,14 @@ def verdict_of(
     else:
         found = Verdict.UNEXPLAINED if unknown or of_the_model else Verdict.NO_EFFECT
     return found if tested is None else as_tested(found, tested)
+
+
+def as_white(found: Verdict, noise: NoiseReport) -> Verdict:
+    """A verdict by innovations: where they stay coloured, something is left that is not explained."""
+    if not (noise.of_innovations and noise.coloured):
+        return found
+    instead = {Verdict.EXPLAINED: Verdict.PARTLY_EXPLAINED, Verdict.NO_EFFECT: Verdict.UNDECIDED}
+    return instead.get(found, found)
 
 
 def as_tested(found: Verdict, tested: Tested) -> Verdict:

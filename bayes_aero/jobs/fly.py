@@ -40,8 +40,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import draw_all
-from bayes_aero.report.figures.fly import fly_figures
-from bayes_aero.report.figures.gusts import gusts
+from bayes_aero.report.figures.fly import fly_figures, gusts
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.fly import FlyTold, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES

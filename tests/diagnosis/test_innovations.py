@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import fsolve
 
-from bayes_aero.diagnosis.result import INNOVATIONS
-from bayes_aero.diagnosis.selection import search_innovations as searched
+from bayes_aero.diagnosis.result import INNOVATIONS, NoiseReport, Verdict, as_white
+from bayes_aero.diagnosis.search import search_innovations as searched
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
@@ -104,7 +106,7 @@ def test_the_hidden_effect_is_named_first_and_its_interval_holds(found):
     assert result.model.steps[0].chosen == "alpha_squared_moment"
     size = result.model.sizes["Cma2"]
     assert abs(size.mean - HIDDEN) < 3.0 * size.sd
-    assert size.sd < 0.5 * abs(HIDDEN)
+    assert size.sd < 0.2 * abs(HIDDEN)
 
 
 def test_the_parameters_are_those_of_the_aircraft(found):
@@ -127,3 +129,27 @@ def test_sensitivities_of_innovations_match_finite_differences(found, name):
     up, down = (state.responses.evaluate(state.theta + sign * step * directions[0])[0] for sign in (1, -1))
     difference = (np.asarray(down) - np.asarray(up)) / (2.0 * step)
     np.testing.assert_allclose(slope[0], difference, rtol=1e-5, atol=1e-5 * np.abs(difference).max())
+
+
+def test_what_the_filter_foresees_wholly_leaves_white_innovations(found):
+    """Correlation of neighbouring samples within 4 / sqrt(n), n of them."""
+    noise = found[0].noise
+    assert noise.of_innovations
+    assert max(abs(r) for r in noise.lag1.values()) < 4.0 / np.sqrt(SECONDS / DT)
+    assert noise.coloured == ()
+
+
+@pytest.mark.parametrize(
+    ("lag", "found", "verdict"),
+    [
+        (0.02, Verdict.EXPLAINED, Verdict.EXPLAINED),
+        (0.86, Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED),
+        (0.86, Verdict.NO_EFFECT, Verdict.UNDECIDED),
+        (-0.5, Verdict.NO_EFFECT, Verdict.UNDECIDED),
+        (0.86, Verdict.UNEXPLAINED, Verdict.UNEXPLAINED),
+    ],
+)
+def test_coloured_innovations_leave_the_error_unexplained(lag, found, verdict):
+    noise = NoiseReport({"alpha": lag, "q": 0.0}, {}, {"alpha": 1.0, "q": 1.0}, {}, of_innovations=True)
+    assert as_white(found, noise) is verdict
+    assert as_white(found, replace(noise, of_innovations=False)) is found

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.selection.search_trajectories import in_windows
+from bayes_aero.diagnosis.search.search_trajectories import in_windows
 from bayes_aero.diagnosis.trajectories.trajectories import compare_trajectories
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from jax.scipy.linalg import expm
 
+from bayes_aero.dynamics.filtering.kalman import gathered_noise
 from bayes_aero.dynamics.longitudinal import Longitudinal
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.model.model import Model
@@ -103,3 +104,15 @@ def test_at_the_beginning_the_flow_is_known_and_the_gust_is_not(systems):
     assert P[w, w] == pytest.approx(1.5**2)
     assert P[u, u] == pytest.approx(0.8**2)
     assert P[1, w] == pytest.approx(-(1.5**2) / V, rel=1e-9)  # what the vane reads beside the path is gust
+
+
+def test_noise_that_a_sample_gathers_is_van_loan_s_integral():
+    """A gust of first order that turns the aircraft: pitch rate and attitude gather its noise within a sample."""
+    A, W, dt = np.array([[0.0, 1.0, 0.0], [0.0, -1.2, 0.06], [0.0, 0.0, -0.5]]), np.diag([0.0, 0.0, 2.3]), 0.05
+    block = np.block([[-A, W], [np.zeros((3, 3)), A.T]]) * dt
+    both = np.asarray(expm(jnp.asarray(block)))
+    transition = both[3:, 3:].T
+    exact = transition @ both[:3, 3:]
+    found = np.asarray(gathered_noise(jnp.asarray(transition), jnp.asarray(np.diag(W)), dt))
+    np.testing.assert_allclose(found[1:, 1:], exact[1:, 1:], rtol=2e-3)
+    assert found[0, 0] < 1.3 * exact[0, 0]  # of the fifth power of dt

@@ -8,7 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.dynamics.filtering.kalman import Begin, Measured, Sampling, kalman_filter, log_likelihood, smoothed
+from bayes_aero.dynamics.filtering.kalman import (
+    Begin,
+    Measured,
+    Sampling,
+    gathered_noise,
+    kalman_filter,
+    log_likelihood,
+    smoothed,
+)
 from bayes_aero.dynamics.linear import LinearSystem
 from bayes_aero.dynamics.system import advance, integrate
 
@@ -74,7 +82,7 @@ def discrete(system, inputs):
 
     offset = np.array([step(np.zeros(2), k) for k in range(N)])
     transition = np.array([step(e, 0) - offset[0] for e in np.eye(2)]).T
-    noise = 0.5 * DT * (transition @ np.diag(F**2) @ transition.T + np.diag(F**2))
+    noise = np.asarray(gathered_noise(jnp.asarray(transition), jnp.asarray(F**2), DT))  # itself against Van Loan's integral in test_gusts
     return transition, offset, noise
 
 

@@ -44,6 +44,18 @@ def outputs_at(system: System, x: Float[Array, " s"], u: Row, names: Sequence[st
     return jnp.stack([found[name] for name in names])
 
 
+def gathered_noise(transition: Float[Array, "s s"], density: Float[Array, " s"], dt: Any) -> Float[Array, "s s"]:
+    """Covariance (s, s) that white noise of spectral `density` (s,) makes of the state in a sample of `dt` seconds.
+
+    The integral of Phi(t) W Phi(t)' by Simpson's rule, with the square root of the transition in the middle. It is
+    exact to the third power of dt, with which a gust changes the pitch rate within a sample.
+    """
+    W, one = jnp.diag(density), jnp.eye(len(density))
+    away = transition - one
+    half = one + 0.5 * away - 0.125 * away @ away
+    return dt / 6.0 * (transition @ W @ transition.T + 4.0 * half @ W @ half.T + W)
+
+
 class Begin(NamedTuple):
     """State before the first sample, (s,), SI, and its covariance, (s, s)."""
 
@@ -96,9 +108,8 @@ def kalman_filter(
         estimate, P_estimate, e, S, used = _updated(system, x, P, now, z, variance, names)
         step = lambda x: advance(system, x, now, then, sampling.dt, sampling.substeps)  # noqa: E731
         ahead, transition = step(estimate), jax.jacfwd(step)(estimate)
-        W = jnp.diag(F**2 + system.noise_density(estimate, now))
-        noise = 0.5 * sampling.dt * (transition @ W @ transition.T + W)
-        P_ahead = transition @ P_estimate @ transition.T + noise
+        density = F**2 + system.noise_density(estimate, now)
+        P_ahead = transition @ P_estimate @ transition.T + gathered_noise(transition, density, sampling.dt)
         found = Filtered(x, P, estimate, P_estimate, transition, e, S, used)
         return (ahead, 0.5 * (P_ahead + P_ahead.T)), found
 

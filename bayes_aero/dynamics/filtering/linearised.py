@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from bayes_aero.dynamics.filtering.innovations import Observer, rows_of
-from bayes_aero.dynamics.filtering.kalman import outputs_at
+from bayes_aero.dynamics.filtering.kalman import gathered_noise, outputs_at
 from bayes_aero.dynamics.segments import SegmentTrajectories, prepared
 from bayes_aero.dynamics.system import advance
 from bayes_aero.dynamics.tangent import later
@@ -172,8 +172,7 @@ def _one_segment(lin: Linearised, noise: Disturbances, dt: Any):
         Phi, ahead = jnp.where((still > 0.0) & alone, jnp.diag(kept), Phi), jnp.where(alone, kept * after, ahead)
         mean = Phi @ (mean + moved).at[:, 0].add(-after)
         mean = mean + jnp.concatenate([ahead[:, None], drive], axis=1)
-        W = jnp.diag(density)
-        P = Phi @ P @ Phi.T + 0.5 * dt * (Phi @ W @ Phi.T + W)
+        P = Phi @ P @ Phi.T + gathered_noise(Phi, density, dt)
         return (mean, 0.5 * (P + P.T)), (found, S)
 
     begin = jnp.concatenate([lin.begin[:, None], lin.begin_drive], axis=1)

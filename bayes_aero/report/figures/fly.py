@@ -1,4 +1,4 @@
-"""A model's trajectories over the measured ones, a figure for each output: first values and fit."""
+"""A model's trajectories over the measured ones, a figure for each output; and the gusts that were met."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from functools import partial
 
 from matplotlib.figure import Figure
 
-from bayes_aero.diagnosis.trajectories.results import FITTED, START, TrajectoryFit
+from bayes_aero.diagnosis.trajectories.results import FITTED, START, ProcessNoise, TrajectoryFit
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.trajectories import over_measured
-from bayes_aero.report.style import housed, refuse_many
+from bayes_aero.report.style import NotDrawn, housed, refuse_many
 
+GUSTS = {"gust_w": "vertical", "gust_u": "longitudinal"}
+BAND = 1.96  # standard deviations
 MODELS = ((START, "start", COLOURS["before"]), (FITTED, "fitted", COLOURS["after"]))
 
 
@@ -33,3 +35,32 @@ def _of(output: str, flown: TrajectoryFit) -> Figure:
     }
     title = "Measured; simulated from the first values; simulated with parameters and initial state fitted"
     return over_measured(columns, {output: flown.units[output]}, title)
+
+
+@housed
+def gusts(found: ProcessNoise) -> Figure:
+    """The gusts that were met, with their bands: a row for each manoeuvre, a column for each gust.
+
+    Raises:
+        NotDrawn: no gust has an intensity.
+    """
+    if not found.histories:
+        raise NotDrawn("no gust has an intensity")
+    refuse_many(len(found.histories))
+    names = list(found.histories[0].gusts)
+    rows, columns = len(found.histories), len(names)
+    figure = Figure(figsize=(4.2 * columns + 1.2, 1.9 * rows + 0.9), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, sharey="col")
+    for row, history in zip(axes, found.histories, strict=True):
+        for axis, name in zip(row, names, strict=True):
+            mean, sd = history.gusts[name]
+            axis.axhline(0.0, color="#999999", linewidth=0.6)
+            axis.fill_between(
+                history.time, mean - BAND * sd, mean + BAND * sd, color=COLOURS["after"], alpha=0.25, linewidth=0.0
+            )
+            axis.plot(history.time, mean, color=COLOURS["after"])
+            axis.set_title(history.manoeuvre, loc="left")
+            axis.set_ylabel(f"{GUSTS.get(name, name)} gust, m/s")
+            axis.set_xlabel("time, s")
+    figure.suptitle("Gusts met, with 95 % bands", fontsize=10.0)
+    return figure

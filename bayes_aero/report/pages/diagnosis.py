@@ -81,9 +81,9 @@ def _lead(view: DiagnosisView, told: PageContext, gallery: Gallery) -> tuple[Blo
     if view.trajectories is not None and (gain := simulation_gain(view.trajectories)):
         lead.append(Text(gain, "lead"))
     lead += gallery("found") or gallery("measured_simulated")
-    if not isinstance(view, View):
+    if view.diagnosis.compared == TRAJECTORIES:
         lead.append(Text("The record lacks channels from which lift, drag and moment coefficients are formed."))
-    elif not told.figures:
+    elif isinstance(view, View) and not told.figures:
         lead.append(Text("Static pictures were not drawn in this run; tables and interactive figures are complete."))
     return tuple(lead)
 
@@ -103,9 +103,9 @@ def _of_coefficients(view: View, told: PageContext, gallery: Gallery, rest: Sequ
 
 
 def _findings(view: DiagnosisView, told: PageContext, rest: Sequence[str]) -> tuple[Section, ...]:
-    """Sections of a diagnosis by trajectories alone."""
+    """Sections of a diagnosis by trajectories alone or innovations."""
     listed = () if told.consistency is None else open_list(told.consistency)
-    no_lift = "CLmax and the stall angle are not given: without accelerometers lift is not measured."
+    no_lift = "CLmax and the stall angle are not given: this diagnosis forms no lift coefficient."
     return (
         section(
             "open",

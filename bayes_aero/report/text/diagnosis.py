@@ -143,7 +143,13 @@ def _unknown(d: Diagnosis) -> list[str]:
 def _noise(d: Diagnosis) -> list[str]:
     said = []
     labels = d.noise.labels
-    if "colored" in labels:
+    if d.noise.of_innovations and d.noise.coloured:
+        lags = several([f"{name} ({d.noise.lag1[name]:.2f})" for name in d.noise.coloured])
+        said.append(
+            f"Innovations are autocorrelated (neighbouring samples of {lags}): a disturbance, or an error of the model "
+            "or of a sensor, is not modelled."
+        )
+    elif "colored" in labels:
         lags = ", ".join(f"{name} {value:.2f}" for name, value in d.noise.lag1.items())
         said.append(
             f"Noise: neighbouring residuals are correlated (coloured noise; lag-1 correlation of means over five "

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from bayes_aero.diagnosis.result import COLOURED_INNOVATIONS
 from bayes_aero.diagnosis.trajectories.results import ProcessNoise, TrajectoryFit
 from bayes_aero.report.text.phrases import several
 
 APART = 3.0  # combined standard errors between the two estimates from which a sentence names a parameter; our choice
 SEEN = 2.0  # standard errors from which an intensity is one
-COLOURED = 0.3  # autocorrelation of neighbouring innovations from which a sentence is written; our choice
 
 
 def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[str]:
@@ -29,7 +29,7 @@ def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[s
     said += _gusts_met(found)
     if moved:
         said.append(f"Parameters that process noise moves by more than {APART:g} standard errors: {several(moved)}.")
-    coloured = [f"{name} ({r:.2f})" for name, r in found.autocorrelation.items() if abs(r) > COLOURED]
+    coloured = [f"{name} ({r:.2f})" for name, r in found.autocorrelation.items() if abs(r) > COLOURED_INNOVATIONS]
     if coloured:
         said.append(
             f"Innovations are autocorrelated (neighbouring samples of {several(coloured)}): a disturbance, or an error "

@@ -17,9 +17,9 @@ from jaxtyping import Float
 from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model
 from bayes_aero.diagnosis.result import INNOVATIONS
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
-from bayes_aero.diagnosis.selection.forward_selection import Extension, forward_selection
-from bayes_aero.diagnosis.selection.search_result import SearchResult
-from bayes_aero.diagnosis.selection.search_trajectories import in_windows, noise_of, without_lags
+from bayes_aero.diagnosis.search.search_result import SearchResult
+from bayes_aero.diagnosis.search.search_trajectories import in_windows, noise_of, without_lags
+from bayes_aero.diagnosis.selection.forward_selection import Extension, Step, forward_selection
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.dynamics.flight import AircraftDynamics, Dynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.dynamics.output_channels import FLIGHT
@@ -64,7 +64,8 @@ def search_innovations(
         notes.append(f"Process noise: {status.value}.")
     if still := taken_as_zero(flights):
         notes.append(f"Not recorded, and taken as zero: {', '.join(still)}.")
-    return SearchResult(found.state.full, ((INNOVATIONS, found),), (), noise_of(found, outliers), tuple(notes))
+    noise = replace(noise_of(found, outliers), of_innovations=True)
+    return SearchResult(found.state.full, ((INNOVATIONS, found),), (), noise, tuple(notes))
 
 
 class _Flown(NamedTuple):
@@ -84,20 +85,18 @@ def _searched(
     Before, the noise of states had to stand for what was missing.
     """
     active: tuple[str, ...] = ()
+    steps: tuple[Step, ...] = ()
     first: Extension | None = None
     while True:
         state, filtered = _followed(flown, theta, active, progress)
-        most = flown.full.settings.max_effects - len(active)
-        found = forward_selection(state, seed=seed + len(active), most=min(1, most), progress=progress)
-        first = first or found
-        steps = first.steps if found is first else (*first.steps, *found.steps)
-        first = replace(first, steps=steps)
-        if found.state.active == active or not most:
+        room = flown.full.settings.max_effects - len(active)
+        found = forward_selection(state, seed=seed + len(active), most=min(1, room), progress=progress)
+        first, steps = first or found, (*steps, *found.steps)
+        chosen = found.state.active
+        # An addition that another one has replaced ends the search: the two would replace each other for ever.
+        if chosen == active or set(active) - set(chosen):
             return replace(found, base=first.base, base_fit=first.base_fit, steps=steps), filtered.status
-        gone = set(active) - set(found.state.active)
-        active, theta = found.state.active, found.state.theta[: len(theta)]
-        if gone:  # an addition that another one has replaced: no third choice between the two
-            return replace(found, base=first.base, base_fit=first.base_fit, steps=steps), filtered.status
+        active, theta = chosen, found.state.theta
 
 
 def _followed(

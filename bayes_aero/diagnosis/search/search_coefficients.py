@@ -9,10 +9,10 @@ from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.diagnosis.result import COEFFICIENTS, FLIGHT_PATH
 from bayes_aero.diagnosis.screening.accuracy import filtered_channels
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
+from bayes_aero.diagnosis.search.search_result import SearchResult
+from bayes_aero.diagnosis.search.stages import Stages, search_in_stages
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.selection.residuals import noise_report
-from bayes_aero.diagnosis.selection.search_result import SearchResult
-from bayes_aero.diagnosis.selection.stages import Stages, search_in_stages
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.diagnosis.unexplained import Left, has_chunks, unexplained
 from bayes_aero.effect import Effect
