@@ -11,7 +11,7 @@ from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Verdict
 from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.selection_state import moved
-from bayes_aero.diagnosis.selection import stages as module
+from bayes_aero.diagnosis.search import stages as module
 from bayes_aero.diagnosis.selection.block_jackknife import Blocks
 from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.simulate.injection import draw_hidden, hidden_records

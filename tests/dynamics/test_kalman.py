@@ -82,7 +82,8 @@ def discrete(system, inputs):
 
     offset = np.array([step(np.zeros(2), k) for k in range(N)])
     transition = np.array([step(e, 0) - offset[0] for e in np.eye(2)]).T
-    noise = np.asarray(gathered_noise(jnp.asarray(transition), jnp.asarray(F**2), DT))  # itself against Van Loan's integral in test_gusts
+    # test_gusts holds gathered_noise against Van Loan's integral.
+    noise = np.asarray(gathered_noise(jnp.asarray(transition), jnp.asarray(F**2), DT))
     return transition, offset, noise
 
 

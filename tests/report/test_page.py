@@ -13,6 +13,7 @@ import pytest
 import xarray as xr
 from PIL import Image
 
+from bayes_aero.diagnosis.result import INNOVATIONS, TRAJECTORIES
 from bayes_aero.diagnosis.view.results import DiagnosisView
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
@@ -266,14 +267,20 @@ def test_a_diagnosis_tells_causes_gain_and_what_is_open(diagnosed, flown, card):
     only = diagnosis_page(by_trajectories(flown), told)
     text = Outline(render(only)).text
     assert "without accelerometers" in text
+    assert "lacks channels" in text
+    followed = by_trajectories(flown)
+    followed = replace(followed, diagnosis=replace(followed.diagnosis, compared=INNOVATIONS, tested=None))
+    told_so = Outline(render(diagnosis_page(followed, told))).text
+    assert "from innovations: process noise and gusts are estimated" in told_so
+    assert "without accelerometers" not in told_so
+    assert "lacks channels" not in told_so
     assert "Measured and simulated coefficients" not in text
 
 
 def by_trajectories(view: DiagnosisView) -> DiagnosisView:
     """What is shown where no coefficients were formed."""
-    return DiagnosisView(
-        diagnosis=view.diagnosis, rankings=view.rankings, moves=view.moves, trajectories=view.trajectories
-    )
+    diagnosis = replace(view.diagnosis, compared=TRAJECTORIES)
+    return DiagnosisView(diagnosis=diagnosis, rankings=view.rankings, moves=view.moves, trajectories=view.trajectories)
 
 
 def test_a_unit_that_cannot_be_is_the_first_word(diagnosed, flown, card):

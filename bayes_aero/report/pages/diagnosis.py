@@ -105,7 +105,10 @@ def _of_coefficients(view: View, told: PageContext, gallery: Gallery, rest: Sequ
 def _findings(view: DiagnosisView, told: PageContext, rest: Sequence[str]) -> tuple[Section, ...]:
     """Sections of a diagnosis by trajectories alone or innovations."""
     listed = () if told.consistency is None else open_list(told.consistency)
-    no_lift = "CLmax and the stall angle are not given: this diagnosis forms no lift coefficient."
+    reason = "without accelerometers lift is not measured"
+    if view.diagnosis.compared == INNOVATIONS:
+        reason = "a diagnosis by innovations forms no lift coefficient"
+    no_lift = f"CLmax and the stall angle are not given: {reason}."
     return (
         section(
             "open",
