@@ -15,6 +15,7 @@ from bayes_aero.cli.diagnose import diagnose
 from bayes_aero.cli.effects import effects
 from bayes_aero.cli.fly import fly
 from bayes_aero.cli.identify import identify
+from bayes_aero.cli.path import path
 from bayes_aero.cli.run import run
 from bayes_aero.cli.simulate import simulate
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED, InterruptionError
@@ -60,7 +61,7 @@ def _options(
     """Bayesian identification of non-linear aircraft aerodynamics from flight data."""
 
 
-for command in (identify, diagnose, fly, simulate, run, card, check, effects):
+for command in (identify, diagnose, fly, path, simulate, run, card, check, effects):
     app.command()(command)
 
 

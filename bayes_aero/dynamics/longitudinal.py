@@ -12,12 +12,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from bayes_aero.dynamics.gusts import InGusts
 from bayes_aero.dynamics.output_channels import FLIGHT
-from bayes_aero.dynamics.system import Row, System
+from bayes_aero.dynamics.system import Row
 from bayes_aero.effect import Stage
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
@@ -29,7 +29,7 @@ LATERAL = ("p", "r", "p_dot", "r_dot", "beta", "phi", "ay")  # at rest where the
 LEAST_LAG = 0.2  # chords: some hundredth of a second, and slow enough for the finest step; less is no lag
 
 
-class Longitudinal(System):
+class Longitudinal(InGusts):
     """One aircraft with its model at given parameter values; `aircraft` is the actual one.
 
     `altitude` says whether the altitude is a state. Without a recorded density it must be: density is then ISA's.
@@ -52,11 +52,6 @@ class Longitudinal(System):
         return (*FLIGHT, *(("altitude",) if self.altitude else ()), *gusts, *(("X",) if self.lagged else ()))
 
     @property
-    def shown(self) -> tuple[str, ...]:
-        """All, but in gusts vane and pitot tube show the flow."""
-        return tuple(name for name in self.states if not (self.model.disturbances and name in ("airspeed", "alpha")))
-
-    @property
     def envelope(self) -> Mapping[str, tuple[float, float]]:
         """Far beyond any flight: where the equations lose their meaning."""
         return ENVELOPE
@@ -71,7 +66,7 @@ class Longitudinal(System):
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
         """Derivative of the state, and everything that can be measured."""
         state, s = self._signals(x, u)
-        decay, gust_rate = self._gusts(state, s)
+        decay, gust_rate = self.mean_gust_rates(state, s)
         path = dict.fromkeys((name for name in LATERAL if name != "ay"), jnp.zeros_like(s["alpha"])) | s
         path |= {name: state[name] for name in ("airspeed", "alpha")}
         now = motion_of_aircraft(
@@ -103,37 +98,9 @@ class Longitudinal(System):
         static = self.model.static_separation(self.values, s | {"alpha_dot": jnp.zeros_like(s["alpha"])}, self.aircraft)
         return x.at[-1].set(static)
 
-    def noise_density(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
-        """Of the gusts: twice their variance over their correlation time."""
-        power = {d.state: 2.0 * jnp.square(self.values[d.intensity]) for d in self.model.disturbances}
-        return self.decay(x, u) * jnp.stack([jnp.asarray(power.get(name, 0.0)) for name in self.states])
-
-    def decay(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
-        """Of the gusts: one over their correlation time."""
-        _, s = self._signals(x, u)
-        rate = {d.state: d.rate(self.values, s, self.aircraft) for d in self.model.disturbances}
-        return jnp.stack([rate.get(name, jnp.zeros_like(x[0])) for name in self.states])
-
-    def start_covariance(self, x: Float[Array, " s"], u: Row, deviation: Float[Array, " s"]) -> Float[Array, "s s"]:
-        """Gusts begin anywhere in their stationary distribution; the flow was measured, the motion over ground not."""
-        intensity = {d.state: self.values[d.intensity] for d in self.model.disturbances}
-        spread = jnp.stack([intensity.get(name, y) for name, y in zip(self.states, deviation, strict=True)])
-        places = jnp.array([self.states.index(name) for name in ("airspeed", "alpha")])
-
-        def flow(x):
-            _, s = self._signals(x, u)
-            return x.at[places].set(jnp.stack([s["airspeed"], s["alpha"]]))
-
-        factor = jnp.linalg.solve(jax.jacfwd(flow)(x), jnp.diag(spread))
-        return factor @ factor.T
-
-    def _gusts(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> tuple[list[Any], Any]:
-        """Mean rates of the gust states, and that of alpha which they bring; their white noise has no rate."""
-        gusts = {d.state: state[d.state] for d in self.model.disturbances}
-        decay = {d.state: -d.rate(self.values, s, self.aircraft) * state[d.state] for d in self.model.disturbances}
-        over_ground = dict(s) | {name: state[name] for name in ("airspeed", "alpha")}
-        alpha = lambda g: self.model.inflow(self.values, over_ground | g, self.aircraft)["alpha"]  # noqa: E731
-        return list(decay.values()), jax.jvp(alpha, (gusts,), (decay,))[1] if gusts else jnp.zeros_like(s["alpha"])
+    def flow_signals(self, x: Float[Array, " s"], u: Row) -> dict[str, Any]:
+        """What effects may depend on."""
+        return self._signals(x, u)[1]
 
     def _signals(self, x: Float[Array, " s"], u: Row) -> tuple[dict[str, Any], dict[str, Any]]:
         """The state by name, and what effects may depend on, of the flow, by the names of the recorded channels."""

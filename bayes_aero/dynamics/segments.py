@@ -25,8 +25,9 @@ class SegmentTrajectories(eqx.Module):
     """Segments of flights, a row each, filled up to one length with their last sample; `inside` marks the real ones.
 
     `noise_growth` is how many times an output's noise is that of attached flow at each sample; one where it is steady.
-    `fixed`: each segment begins at its first sample, but for states that are given here (SI); None: its initial state
-    is the measured one (see `simulate`) and a departure that is fitted. Inputs are linear between samples, or `held`.
+    `fixed`: each segment begins at its first sample, but for states that are given here (SI), one value for all or one
+    for each segment; None: its initial state is the measured one (see `simulate`) and a departure that is fitted.
+    Inputs are linear between samples, or `held`.
     """
 
     flights: Flights
@@ -38,7 +39,7 @@ class SegmentTrajectories(eqx.Module):
     outputs: tuple[str, ...] = eqx.field(static=True)
     begin: int = eqx.field(static=True, default=2)  # samples from which the measured initial state is read
     substeps: int = eqx.field(static=True, default=1)
-    fixed: tuple[tuple[str, float], ...] | None = eqx.field(static=True, default=None)
+    fixed: tuple[tuple[str, float | tuple[float, ...]], ...] | None = eqx.field(static=True, default=None)
     held: bool = eqx.field(static=True, default=False)
 
     @property
@@ -61,7 +62,10 @@ class SegmentTrajectories(eqx.Module):
         index, inside, dt, noise_growth = (
             x[np.asarray(rows)] for x in (self.index, self.inside, self.dt, self.noise_growth)
         )
-        return replace(self, index=index, inside=inside, dt=dt, noise_growth=noise_growth)
+        fixed = self.fixed
+        if fixed is not None:
+            fixed = tuple((n, tuple(x[int(r)] for r in rows) if isinstance(x, tuple) else x) for n, x in fixed)
+        return replace(self, index=index, inside=inside, dt=dt, noise_growth=noise_growth, fixed=fixed)
 
 
 class Simulated(NamedTuple):
@@ -83,7 +87,7 @@ def segments(
     window: float | None = None,
     manoeuvres: Sequence[int] | None = None,
     substeps: int = 1,
-    fixed: Mapping[str, float] | None = None,
+    fixed: Mapping[str, float | Sequence[float]] | None = None,
     held: bool = False,
 ) -> SegmentTrajectories:
     """Cut `manoeuvres` (default: all) into windows of about `window` s (default: whole manoeuvres).
@@ -115,10 +119,19 @@ def segments(
     inside = np.stack([np.arange(longest) < len(row) for row in rows])
     begin = max(2, min(round(BEGIN / float(np.median(dts))) + 1, int(inside.sum(axis=1).min())))
     steady = np.ones((*index.shape, len(chosen)))
-    given = None if fixed is None else tuple(sorted(fixed.items()))
+    given = None if fixed is None else tuple(sorted((n, _plain(x, len(rows))) for n, x in fixed.items()))
     return SegmentTrajectories(
         flights, index, inside, np.array(dts), steady, dynamics, chosen, begin, substeps, given, held
     )
+
+
+def _plain(given: float | Sequence[float], count: int) -> float | tuple[float, ...]:
+    """A fixed state, or one for each of the segments, hashable."""
+    if isinstance(given, float | int):
+        return float(given)
+    if len(given) != count:
+        raise InputError(f"{len(given)} initial values are given for {count} segments; give one, or one for each")
+    return tuple(map(float, given))
 
 
 class Prepared(NamedTuple):
@@ -176,7 +189,7 @@ def _measured_start(flown: SegmentTrajectories, channels) -> Float[Array, "w s"]
         nothing = jnp.zeros(len(here))
         own = [channels[n][here] if n in channels else nothing for n in flown.dynamics.states]
         named = zip(flown.dynamics.states, own, strict=True)
-        return jnp.stack([nothing + given[n] if n in given else x for n, x in named], axis=1)
+        return jnp.stack([nothing + np.array(given[n]) if n in given else x for n, x in named], axis=1)
     count = flown.begin
     t = np.arange(count) - (count - 1) / 2.0
     weight = jnp.asarray(1.0 / count + (t[0] * t) / np.sum(t**2))

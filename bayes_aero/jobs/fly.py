@@ -15,9 +15,7 @@ from bayes_aero.diagnosis.trajectories.process_noise import with_process_noise
 from bayes_aero.diagnosis.trajectories.results import FITTED, ProcessNoise, Setting, TrajectoryFit
 from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
 from bayes_aero.diagnosis.trajectories.trajectory_fit import fit_trajectories
-from bayes_aero.dynamics.flight import Dynamics, aircraft_dynamics, taken_as_zero
-from bayes_aero.dynamics.linear import linear_dynamics
-from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.dynamics.flight import Dynamics
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
@@ -32,10 +30,10 @@ from bayes_aero.jobs.io.output_folder import writable
 from bayes_aero.jobs.io.time_histories import flights, put_histories
 from bayes_aero.jobs.options import FREE, LINEAR, FlyOptions
 from bayes_aero.jobs.provenance.provenance import provenance, write_json
+from bayes_aero.jobs.steps.flown_dynamics import flown_dynamics
 from bayes_aero.jobs.steps.sensors_first import sensors_agree
-from bayes_aero.jobs.steps.spike_repair import repaired, spike_notes
+from bayes_aero.jobs.steps.spike_repair import repaired
 from bayes_aero.jobs.steps.usable_for import usable_for
-from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.progress import Progress
@@ -47,7 +45,6 @@ from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.tables.fly import gust_table, parameter_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences
-from bayes_aero.report.text.phrases import several
 from bayes_aero.report.text.process_noise import process_noise_sentences
 
 
@@ -109,7 +106,7 @@ def fly_records(
 ) -> Flight:
     """`fly` with its options in one."""
     setting, seed = options.setting(card), options.seed
-    flights, dynamics, notes = _flights(records, card, setting.outputs or ())
+    flights, dynamics, notes = flown_dynamics(records, card, setting.outputs or (), path=options.flight_path)
     if out is not None:
         writable(out)
     source = provenance(card, records, seed, _told(options, setting))
@@ -118,7 +115,7 @@ def fly_records(
     agreement, failures = sensors_agree(records, card, seed, out)
     coefficients, failed = attempted(
         "The coefficients gave no first values",
-        lambda: _of_coefficients(records, card, seed, progress),
+        lambda: None if options.flight_path else _of_coefficients(records, card, seed, progress),
         None,
         out,
         own=bool(card.effect_files),
@@ -130,7 +127,7 @@ def fly_records(
         starts=_starts(coefficients, dynamics),
         window=options.windows,
         tolerances={name: tolerance.value for name, tolerance in card.tolerances.items()},
-        biases=card.output_biases,
+        biases={} if options.flight_path else card.output_biases,
         setting=setting,
         progress=progress,
     )
@@ -217,25 +214,6 @@ def _written(
     )
     failed = put_page(lambda: fly_page(found.flown, told), out)
     return noted((), failed) if failed else found
-
-
-def _flights(
-    records: Sequence[FlightRecord], card: Card, outputs: Sequence[str]
-) -> tuple[Flights, Dynamics, list[str]]:
-    """The records end to end without spikes, what flies them, and what to say of it."""
-    notes: list[str] = []
-    if card.linear is not None:
-        dynamics: Dynamics = linear_dynamics(card)
-        flights, spikes = despiked(join(records, card, dynamics.inputs))
-    else:
-        flights, spikes = despiked(join(records, card, FLIGHT))
-        dynamics = aircraft_dynamics(Model.from_card(card), flights, outputs)
-        still = taken_as_zero(flights)
-        notes += [f"Not recorded, and taken as zero: {several(still)}."] if still else []
-    unseen = [n for n in dynamics.states if n not in flights.channels and n in STANDARD_CHANNELS]
-    notes += [f"States that were not recorded begin at zero or as fitted: {several(unseen)}."] if unseen else []
-    notes += spike_notes(spikes)
-    return flights, dynamics, notes
 
 
 def _of_coefficients(

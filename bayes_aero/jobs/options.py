@@ -81,6 +81,7 @@ class FlyOptions:
     seed: int = 0
     figures: bool = True
     process_noise: bool = False
+    flight_path: bool = False  # the recorded accelerations and rates are flown, not the card's model
 
     def __post_init__(self) -> None:
         """Refuse what cannot be flown."""
@@ -94,6 +95,7 @@ class FlyOptions:
     def setting(self, card: Card) -> Setting:
         """How trajectories are fitted; what is not given is the card's."""
         named = self.outputs.split(",") if isinstance(self.outputs, str) else self.outputs
-        asked = card.fly.outputs if named is None else tuple(dict.fromkeys(name.strip() for name in named))
-        initial = card.fly.initial_state if self.initial_state == FIXED else None
+        own = None if self.flight_path else card.fly.outputs
+        asked = own if named is None else tuple(dict.fromkeys(name.strip() for name in named))
+        initial = None if self.initial_state == FREE else {} if self.flight_path else card.fly.initial_state
         return Setting(asked, initial, self.priors, self.inputs == HELD)

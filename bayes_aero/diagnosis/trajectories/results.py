@@ -12,6 +12,7 @@ from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
 from bayes_aero.diagnosis.selection.residuals import TheilParts
 from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.dynamics.flight import AircraftDynamics
+from bayes_aero.dynamics.flight_path import PathDynamics
 from bayes_aero.dynamics.output_biases import unbiased
 from bayes_aero.inference.likelihood.normal_equations import departures
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
@@ -174,6 +175,11 @@ class TrajectoryFit:
     def by_effects(self) -> bool:
         """Whether the model is one of effects; otherwise it is a linear system."""
         return isinstance(unbiased(self.fit.flown.dynamics), AircraftDynamics)
+
+    @property
+    def of_path(self) -> bool:
+        """Whether recorded accelerations and rates were flown, without a model of the aircraft."""
+        return isinstance(self.fit.flown.dynamics, PathDynamics)
 
     @property
     def departure_sd(self) -> dict[str, float]:

@@ -136,6 +136,7 @@ def fit_prediction_error(
     held: Mapping[str, float] | None = None,
     priors: bool = True,
     exact: bool = True,
+    F_held: bool = False,
 ) -> PredictionErrorResult:
     """Fit all segments together.
 
@@ -150,9 +151,10 @@ def fit_prediction_error(
             0 where the segments begin at a fixed state.
         priors: whether the parameters' priors count.
         exact: False ends with the first steps: the estimates are consistent and no maximum of the likelihood.
+        F_held: the process noise keeps its value.
     """
     F = np.asarray(F, float)
-    problem = _Problem.of(flown.nameless, start_deviation, held or {}, F > 0.0, priors)
+    problem = _Problem.of(flown.nameless, start_deviation, held or {}, (F > 0.0) & (not F_held), priors)
     free = flown.dynamics.free
     theta = np.array([p.start for p in free]) if start is None else np.asarray(start, float)
     theta = np.array([(held or {}).get(p.name, x) for p, x in zip(free, theta, strict=True)])

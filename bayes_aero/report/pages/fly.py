@@ -61,8 +61,10 @@ def fly_page(flown: TrajectoryFit, told: FlyTold) -> Page:
     """The page; nothing on it but the fit's own numbers."""
     verdict, *rest = told.said
     return Page(
-        title=f"Trajectories: {told.card.title}",
-        subtitle="A model fitted to trajectories by output error",
+        title=f"{'Flight path' if flown.of_path else 'Trajectories'}: {told.card.title}",
+        subtitle="Errors of sensors, from recorded accelerations and rates"
+        if flown.of_path
+        else "A model fitted to trajectories by output error",
         verdict=verdict,
         doubts=doubts(told.health, told.consistency, corrects=False, failures=told.failures),
         lead=(*_lead(flown), *_opening(flown, told.figures)),
@@ -117,9 +119,10 @@ def _flights(flown: TrajectoryFit) -> tuple[Block, ...]:
     free = flown.setting.initial is None
     began = "from the measured initial state" if free else "from the fixed initial state"
     what_fits = "parameters and initial state" if free else "parameters"
+    what = "Recorded accelerations and rates" if flown.of_path else "The recorded inputs"
     said = (
-        "The model simulated with the recorded inputs, without correction by measurements: with the first values of "
-        f"its parameters {began} (dashed), and with {what_fits} fitted. The error of the fit is shaded."
+        f"{what} drive the simulation, without correction by measurements: with the first values of the parameters "
+        f"{began} (dashed), and with {what_fits} fitted. The error of the fit is shaded."
     )
     if any(error.tolerance is not None for path in flown.paths for error in path.errors.values()):
         said += " The grey band is the tolerance about the measurement."

@@ -127,6 +127,8 @@ def _wanting(flown: TrajectoryFit, hindered: str) -> list[str]:
     if not (shares and flown.converged):  # what has not converged may still come nearer
         return []
     told = several(f"{SYMBOLS.get(name, name)} {share:.0%} of the time" for name, share in shares.items())
+    if flown.of_path:
+        return [f"The flight path is outside its tolerances ({told}): an error of a sensor or of the air is missing."]
     looks = f", and diagnose cannot look for it: {hindered}" if hindered else "; bayes-aero diagnose looks for it"
     where = looks if flown.by_effects else ""
     return [f"The fitted model is outside its tolerances ({told}): the model lacks an effect{where}."]

@@ -3,13 +3,12 @@
 from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
-from bayes_aero.physics.filters import advance
+from bayes_aero.physics.filters import moved_on
 
 
 def increments(v, s, a, known):
     """Recorded(t) = true(t - alpha_delay)."""
-    x = s["alpha"]
-    return {"alpha": advance(x, xp.asarray(v["alpha_delay"]), s["dt"], s["first"], s["last"]) - x}
+    return {"alpha": moved_on(s["alpha"], xp.asarray(v["alpha_delay"]), s["dt"], s["first"], s["last"])}
 
 
 EFFECT = Effect(

@@ -1,0 +1,175 @@
+"""The flight path of the recorded accelerations and rates: kinematics without aerodynamics, for any of its states.
+
+States are what other sensors show of it: airspeed, alpha, theta, and as far as recorded beta, phi, psi and altitude;
+gusts beside them. Accelerometers and gyros drive it. Errors of sensors are effects that make the record true.
+Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 10; Mulder et al. 1999, Prog. Aerosp. Sci. 35,
+591 (flight-path reconstruction).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_aero.arrays import xp
+from bayes_aero.dynamics.flight import Dynamics, Values
+from bayes_aero.dynamics.gusts import FLOW, InGusts
+from bayes_aero.dynamics.system import Row, System
+from bayes_aero.effect import Stage
+from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
+from bayes_aero.model.joined_channels import Flights, response_scales
+from bayes_aero.model.model import Model
+from bayes_aero.parameter import Parameter
+from bayes_aero.physics.filters import differentiate_joined, smooth_joined
+from bayes_aero.physics.flightpath import STRAIGHT, as_symmetric, lateral_motion, motion_of_path, path_outputs
+from bayes_aero.physics.kinematics import RATES, Rotation, lever_arm
+
+INERTIAL = frozenset(("ax", "ay", "az", "p", "q", "r"))
+JUMP = 0.2  # rad from sample to sample: no aircraft turns like that
+FORCES = ("force_x", "force_y", "force_z")  # specific force at the centre of gravity
+
+
+class FlightPath(InGusts):
+    """Motion that accelerometers and gyros tell; `named` are its states without gusts."""
+
+    model: Model = eqx.field(static=True)
+    values: dict[str, Any]
+    aircraft: Aircraft
+    named: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The path, then gusts."""
+        return (*self.named, *(d.state for d in self.model.disturbances))
+
+    def flow_signals(self, x: Float[Array, " s"], u: Row) -> dict[str, Any]:
+        """States and inputs by name, airspeed and alpha as the flow has them."""
+        s = dict(u) | dict(zip(self.states, x, strict=True))
+        return s | self.model.inflow(self.values, s, self.aircraft)
+
+    def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
+        """Derivative of the state, and everything that is measured."""
+        state = dict(zip(self.states, x, strict=True))
+        s, flow = dict(u) | state, self.flow_signals(x, u)
+        force = (u["force_x"], u["force_y"], u["force_z"])
+        rates = motion_of_path(s, force) | lateral_motion(s, force)
+        rates["psi"] = (s["q"] * xp.sin(s["phi"]) + s["r"] * xp.cos(s["phi"])) / xp.cos(s["theta"])
+        decay, _ = self.mean_gust_rates(state, flow)
+        return jnp.stack([*(rates[name] for name in self.named), *decay]), state | {n: flow[n] for n in FLOW}
+
+
+@dataclass(frozen=True)
+class PathDynamics(Dynamics):
+    """The flight path under a model of errors of sensors and of gusts.
+
+    `own` are parameters that each manoeuvre has for itself; their effects must work sample by sample, as constant
+    errors do. `lengths` are the manoeuvres' samples.
+    """
+
+    model: Model
+    named: tuple[str, ...]
+    lengths: tuple[int, ...]
+    own: tuple[str, ...] = ()
+
+    @cached_property
+    def free(self) -> tuple[Parameter, ...]:
+        """Common ones, then those of each manoeuvre."""
+        several = len(self.lengths) > 1
+        common = [p for p in self.model.free if not (several and p.name in self.own)]
+        each = [p for p in self.model.free if several and p.name in self.own]
+        of = [replace(p, name=_name(p.name, k)) for p in each for k in range(len(self.lengths))]
+        return (*common, *of)
+
+    @property
+    def of_disturbances(self) -> frozenset[str]:
+        """Those of gusts."""
+        return frozenset(p.name for e in self.model.acting if e.disturbance is not None for p in e.parameters)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The path, then gusts."""
+        return FlightPath(self.model, {}, NO_AIRCRAFT, self.named).states
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Accelerations and rates."""
+        return ("ax", "az", "q")
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """The path."""
+        return self.named
+
+    def values(self, theta: Any) -> dict[str, Any]:
+        """By name; a parameter that each manoeuvre has for itself by sample, (n,)."""
+        found = dict(self.model.fixed) | {name: theta[i] for i, name in enumerate(self.names)}
+        count = len(self.lengths)
+        for name in (n for n in self.own if _name(n, 0) in found):
+            sizes = jnp.stack([found.pop(_name(name, k)) for k in range(count)])
+            found[name] = sizes[np.repeat(np.arange(count), self.lengths)]
+        return found
+
+    def system(self, values: Values, aircraft: Aircraft) -> System:
+        """Gusts at these values; errors of sensors are taken out of the record."""
+        kept = {n: values[n] for n in self.of_disturbances | {d.intensity for d in self.model.disturbances}}
+        return FlightPath(self.model, kept, aircraft, self.named)
+
+    def corrected(self, values: Values, channels: Mapping[str, Array], aircraft: Aircraft) -> Mapping[str, Array]:
+        """By the model's effects that act on channels.
+
+        Those of accelerometers and gyros come first: a vane away from the centre of gravity shows the true rates.
+        """
+        for part in self._in_order:
+            channels = part.corrected(values, channels, aircraft)
+        return channels
+
+    @cached_property
+    def _in_order(self) -> tuple[Model, Model]:
+        """Errors of accelerometers and gyros, then the others."""
+        inertial = [e for e in self.model.effects if set(e.channels) <= INERTIAL]
+        rest = [e for e in self.model.effects if e not in inertial]
+        return Model.of(inertial), Model.of(rest)
+
+    def scales(self, values: Values, flights: Flights) -> Mapping[str, Array]:
+        """By the same effects."""
+        if not any(e.stage is Stage.CHANNEL for e in self.model.acting):
+            return {}
+        return response_scales(self.model, values, flights.channels, flights.aircraft, self.outputs)
+
+    def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
+        """Specific force at the centre of gravity, rates, and what of the path is prescribed as recorded."""
+        true = as_symmetric(channels)
+        ends = [channels[name] for name in ("dt", "first", "last")]
+        slope = lambda x: differentiate_joined(smooth_joined(x, *ends[1:]), *ends)  # noqa: E731
+        p, q, r = (true[name] for name in RATES)
+        felt = lever_arm(Rotation(p, q, r, *(slope(x) for x in (p, q, r))), flights.aircraft.accelerometer)
+        force = {n: true[a] - x for n, a, x in zip(FORCES, ("ax", "ay", "az"), felt, strict=True)}
+        given = (*RATES, *(name for name in STRAIGHT if name not in (*self.named, "ay", *RATES)))
+        return force | {name: true[name] for name in given}
+
+
+def path_states(flights: Flights) -> tuple[str, ...]:
+    """What these flights recorded of their path; none where it cannot be followed."""
+    found = path_outputs({name: np.asarray(x) for name, x in flights.channels.items()})
+    return (*found, *(("psi",) if "phi" in found and heading(flights) is not None else ()))
+
+
+def heading(flights: Flights) -> Float[np.ndarray, " n"] | None:
+    """The heading without jumps of a half or a full turn; None where it was not recorded or goes on jumping."""
+    if "psi" not in flights.channels:
+        return None
+    parts = np.split(np.asarray(flights.channels["psi"]), np.cumsum(flights.lengths)[:-1])
+    turned = [np.unwrap(part, period=np.pi) for part in parts]
+    jumps = any(np.max(np.abs(np.diff(part))) > JUMP for part in turned)
+    return None if jumps else np.concatenate(turned)
+
+
+def _name(parameter: str, manoeuvre: int) -> str:
+    return f"{parameter}_{manoeuvre + 1}"

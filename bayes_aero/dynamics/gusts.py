@@ -1,0 +1,70 @@
+"""Systems that fly through gusts: their states over ground, and the flow that vane, pitot tube and wing have."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from bayes_aero.dynamics.system import Row, System
+from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.model.model import Model
+
+FLOW = ("airspeed", "alpha")  # what gusts change; their states are over ground
+
+
+class InGusts(System):
+    """Gusts of `model` are among the states, as first-order processes; parameter values are `values`."""
+
+    model: eqx.AbstractVar[Model]
+    values: eqx.AbstractVar[dict[str, Any]]
+    aircraft: eqx.AbstractVar[Aircraft]
+
+    @abstractmethod
+    def flow_signals(self, x: Float[Array, " s"], u: Row) -> dict[str, Any]:
+        """States and inputs by name, `FLOW` as the flow has them."""
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """All, but in gusts vane and pitot tube show the flow."""
+        return tuple(name for name in self.states if not (self.model.disturbances and name in FLOW))
+
+    def noise_density(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
+        """Of the gusts: twice their variance over their correlation time."""
+        power = {d.state: 2.0 * jnp.square(self.values[d.intensity]) for d in self.model.disturbances}
+        return self.decay(x, u) * jnp.stack([jnp.asarray(power.get(name, 0.0)) for name in self.states])
+
+    def decay(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
+        """Of the gusts: one over their correlation time."""
+        s = self.flow_signals(x, u)
+        rate = {d.state: d.rate(self.values, s, self.aircraft) for d in self.model.disturbances}
+        return jnp.stack([rate.get(name, jnp.zeros_like(x[0])) for name in self.states])
+
+    def start_covariance(self, x: Float[Array, " s"], u: Row, deviation: Float[Array, " s"]) -> Float[Array, "s s"]:
+        """Gusts begin anywhere in their stationary distribution; the flow was measured, the motion over ground not."""
+        intensity = {d.state: self.values[d.intensity] for d in self.model.disturbances}
+        spread = jnp.stack([intensity.get(name, y) for name, y in zip(self.states, deviation, strict=True)])
+        places = jnp.array([self.states.index(name) for name in FLOW])
+
+        def flow(x):
+            s = self.flow_signals(x, u)
+            return x.at[places].set(jnp.stack([s[name] for name in FLOW]))
+
+        factor = jnp.linalg.solve(jax.jacfwd(flow)(x), jnp.diag(spread))
+        return factor @ factor.T
+
+    def mean_gust_rates(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> tuple[list[Any], Any]:
+        """Mean rates of the gust states, and that of alpha which they bring; their white noise has no rate.
+
+        `state` is over ground, `s` has the flow.
+        """
+        gusts = {d.state: state[d.state] for d in self.model.disturbances}
+        decay = {d.state: -d.rate(self.values, s, self.aircraft) * state[d.state] for d in self.model.disturbances}
+        over_ground = dict(s) | {name: state[name] for name in FLOW}
+        alpha = lambda g: self.model.inflow(self.values, over_ground | g, self.aircraft)["alpha"]  # noqa: E731
+        return list(decay.values()), jax.jvp(alpha, (gusts,), (decay,))[1] if gusts else jnp.zeros_like(s["alpha"])

@@ -1,0 +1,41 @@
+"""A delay of the recorded heading."""
+
+from bayes_aero.arrays import xp
+from bayes_aero.effect import Effect, Example, Kind, Stage
+from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.physics.filters import moved_on
+
+
+def increments(v, s, a, known):
+    """Recorded(t) = true(t - heading_delay)."""
+    return {"psi": moved_on(s["psi"], xp.asarray(v["heading_delay"]), s["dt"], s["first"], s["last"])}
+
+
+EFFECT = Effect(
+    name="heading_delay",
+    kind=Kind.MEASUREMENT,
+    stage=Stage.CHANNEL,
+    claim="The heading is recorded late (or early, where negative).",
+    parameters=(
+        Parameter(
+            "heading_delay",
+            "s",
+            0.0,
+            0.0,
+            "delay of the recorded heading; positive is late",
+            Prior("normal", 0.0, 0.25),
+            (-2.0, 2.0),
+        ),
+    ),
+    channels=("psi",),
+    increments=increments,
+    example=Example(
+        {"heading_delay": 0.04},
+        {"psi": (0.10, 0.12, 0.15, 0.19), "dt": (0.04,) * 4, "first": (0,) * 4, "last": (3,) * 4},
+        {"psi": (0.02, 0.03, 0.04, 0.0)},
+        "one sample late: the next sample less this one, by hand; nothing is known beyond the last",
+    ),
+    source="definition of a delay; cubic convolution between samples, Keys 1981",
+    sizes={"heading_delay": (0.02, 0.5)},
+    candidate=False,
+)

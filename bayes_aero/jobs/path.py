@@ -1,0 +1,94 @@
+"""The job of `bayes-aero path`: errors of sensors from the flight path, and the records without them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from bayes_aero.diagnosis.trajectories.results import TrajectoryFit
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.flight.writers import write_record
+from bayes_aero.jobs.fly import fly_records
+from bayes_aero.jobs.io.fly_json import Flight
+from bayes_aero.jobs.options import FREE, FlyOptions
+from bayes_aero.progress import Progress
+
+WHOLE = 1e6  # s: no windows; integrated accelerations stay near the measured path from the start
+CORRECTED = "corrected"
+
+
+def flight_path(
+    records: Sequence[FlightRecord],
+    card: Card,
+    *,
+    out: Path | None = None,
+    initial_state: str = FREE,
+    priors: bool = True,
+    outputs: str | Sequence[str] | None = None,
+    figures: bool = True,
+    progress: Progress | None = None,
+) -> Flight:
+    """Reconstruct the flight path, as `bayes-aero path` does: errors of sensors by output error, without aerodynamics.
+
+    Args:
+        records: flights, fitted jointly; biases of accelerometers and gyros and the wind are each flight's own.
+        card: says where the accelerometer is. Errors of sensors that it states keep their values.
+        out: a folder for trajectories.json, parameters.csv, figures, report.html and the corrected records; None writes
+            nothing.
+        initial_state: "free", fitted for each manoeuvre, or "fixed": the first sample.
+        priors: False omits all priors.
+        outputs: names of the outputs that are compared, a list or separated by commas; default: all that were recorded
+            of airspeed, flow angles, attitude, heading and altitude.
+        figures: False draws none.
+        progress: called with a stage and the share of it that is done.
+
+    Returns:
+        The fit with its findings. SI and radians.
+
+    Raises:
+        InputError: the flight path needs a channel that was not recorded.
+
+    Source:
+        Klein and Morelli, Aircraft System Identification, 2006, ch. 10.
+    """
+    options = FlyOptions(WHOLE, initial_state, priors, outputs, figures=figures, flight_path=True)
+    return path_records(records, card, options, out=out, progress=progress)
+
+
+def path_records(
+    records: Sequence[FlightRecord],
+    card: Card,
+    options: FlyOptions,
+    *,
+    out: Path | None = None,
+    progress: Progress | None = None,
+) -> Flight:
+    """`flight_path` with its options in one."""
+    found = fly_records(records, card, options, out=out, progress=progress)
+    if out is not None and found.flown.converged:
+        folder = out / CORRECTED
+        folder.mkdir(exist_ok=True)
+        for record in corrected_records(records, found.flown):
+            write_record(record, folder / f"{record.name}.csv", card.channels)
+    return found
+
+
+def corrected_records(records: Sequence[FlightRecord], flown: TrajectoryFit) -> list[FlightRecord]:
+    """The records without the errors that were found: flow angles and accelerations as at the true sensors."""
+    fit = flown.fit
+    flights, dynamics = fit.flown.flights, fit.flown.dynamics
+    true = dynamics.corrected(dynamics.values(jnp.asarray(fit.estimate)), flights.channels, flights.aircraft)
+    found, begin = [], 0
+    for record, length in zip(records, flights.lengths, strict=True):
+        part = slice(begin, begin + length)
+        changed = {
+            n: np.asarray(x[part]) for n, x in true.items() if n in record.channels and x is not flights.channels[n]
+        }
+        found.append(replace(record, channels={**record.channels, **changed}))
+        begin += length
+    return found

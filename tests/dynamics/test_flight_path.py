@@ -1,0 +1,164 @@
+"""Flight-path reconstruction of three ATTAS flights against the published programs (TC22, TC32, TC33 of the book).
+
+Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015. Published are outputs at the nose boom; here the
+record is corrected to the centre of gravity by effects of the catalogue.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+
+from bayes_aero.dynamics.flight_path import PathDynamics, path_states
+from bayes_aero.dynamics.segments import segments
+from bayes_aero.flight.aircraft import NO_AIRCRAFT
+from bayes_aero.flight.card.card import read_card, shipped_cards
+from bayes_aero.flight.reading.read_record import read_records
+from bayes_aero.inference.likelihood.output_error import fit_output_error
+from bayes_aero.model.joined_channels import join
+from bayes_aero.model.model import Model
+from bayes_aero.physics import flightpath
+from bayes_aero.physics.flightpath import PATH_CORE
+
+BOOK = Path(__file__).resolve().parents[3] / "shared" / "book"
+BIASES = {
+    "accel_x_bias": "b_ax", "accel_y_bias": "b_ay", "accel_z_bias": "b_az",
+    "roll_rate_bias": "b_p", "pitch_rate_bias": "b_q", "yaw_rate_bias": "b_r",
+}  # fmt: skip
+CALIBRATION = ("alpha_scale", "alpha_bias", "sideslip_scale", "sideslip_bias")
+DELAYS = {"alpha_delay": ("tau_al", 0.3), "heading_delay": ("tau_psi", 0.5), "sideslip_delay": ("tau_be", 1.5)}
+"""With the published deviations within which they agree: here the record is shifted, there the model's output. Why that
+of the sideslip differs by 1.4 ms is not known."""
+BOOM = 13.08  # m
+
+
+@pytest.fixture(scope="module")
+def published():
+    path = BOOK / "references.json"
+    if not path.is_file():
+        pytest.skip(f"the data of the book and the published results are not in {BOOK}")
+    return json.loads(path.read_text(encoding="utf-8"))["cases"]
+
+
+@pytest.fixture(scope="module")
+def flights(tmp_path_factory):
+    """Three manoeuvres; altitude in feet and pressure in hPa, as the publisher's list says of these files."""
+    if not (BOOK / "references.json").is_file():
+        pytest.skip(f"the data of the book and the published results are not in {BOOK}")
+    folder, paths = tmp_path_factory.mktemp("book"), []
+    text = shipped_cards()["attas"].read_text(encoding="utf-8")
+    text = text.replace('label = "HQNH", unit = "m"', 'label = "HQNH", unit = "ft"').replace('"Pa"', '"hPa"')
+    (folder / "card.toml").write_text(text, encoding="utf-8")
+    for name in ("fAttasElv1", "fAttasAil1", "fAttasRud1"):
+        (table,) = (x for key, x in scipy.io.loadmat(BOOK / f"{name}.mat").items() if not key.startswith("_"))
+        paths.append(folder / f"{name}.asc")
+        np.savetxt(paths[-1], np.column_stack([0.04 * np.arange(len(table)), table[:, 1:]]), fmt="%.12g")
+    card = read_card(str(folder / "card.toml"))
+    return join(read_records(paths, card.channels), card, PATH_CORE)
+
+
+@pytest.fixture(autouse=True)
+def gravity(monkeypatch):
+    monkeypatch.setattr(flightpath, "GRAVITY", 9.80)  # of the published programs
+
+
+def fitted(flights, effects, own=(), fixed=None):
+    """No priors; the boom's length is given."""
+    model = Model.of((*effects, "vane_position"), {"vane_position": BOOM})
+    dynamics = PathDynamics(model, path_states(flights), flights.lengths, own)
+    return fit_output_error(segments(flights, dynamics, fixed=fixed), prior_weight=0.0)
+
+
+def beginnings(expected):
+    """Published u, v, w, attitude and height as airspeed, flow angles, attitude and altitude."""
+    rows = [{n: x["estimate"] for n, x in row.items()} for row in expected["initial_state_per_segment"]]
+    V = [float(np.sqrt(r["u"] ** 2 + r["v"] ** 2 + r["w"] ** 2)) for r in rows]
+    found = {"airspeed": V, "alpha": [np.arctan2(r["w"], r["u"]) for r in rows]}
+    found |= {"beta": [np.arcsin(r["v"] / speed) for r, speed in zip(rows, V, strict=True)]}
+    named = {"phi": "phi", "theta": "theta", "psi": "psi", "altitude": "h"}
+    return found | {ours: [r[theirs] for r in rows] for ours, theirs in named.items()}
+
+
+def calibration(found):
+    """Factors and biases of the flow angles as published: recorded = k true + b, sideslip as arctan(v/u)."""
+    k_al, k_be = 1.0 + found["alpha_scale"], (1.0 + found["sideslip_scale"]) * np.cos(0.04)
+    return {"k_al": k_al, "b_al": k_al * found["alpha_bias"], "k_be": k_be, "b_be": k_be * found["sideslip_bias"]}
+
+
+def agree(found, sd, expected, names):
+    """Within 0.3 published deviations; deviations within 5 %."""
+    for ours, theirs in names.items():
+        published = expected["parameters"][theirs]
+        assert abs(found[ours] - published["estimate"]) < 0.3 * published["std"], ours
+        assert sd[ours] == pytest.approx(published["std"], rel=0.05), ours
+
+
+def test_biases_from_given_initial_states_are_those_published(flights, published):
+    """TC22, as published."""
+    case = published["TC22"]["methods"]
+    fit = fitted(flights, BIASES, fixed=beginnings(case["oem_gauss_newton"]))
+    found, sd = (dict(zip(fit.names, x, strict=True)) for x in (fit.estimate, fit.sd))
+    agree(found, sd, case["independent_optimum"], BIASES)
+    assert fit.det_R == pytest.approx(case["independent_optimum"]["det_R"], rel=0.01)
+
+
+def test_calibration_and_initial_states_are_those_published(flights, published):
+    """TC22 with factors and biases of the flow angles and all initial states free."""
+    expected = published["TC22"]["methods"]["independent_optimum_calibration_and_initial_state_free"]
+    fit = fitted(flights, (*BIASES, *CALIBRATION))
+    found, sd = (dict(zip(fit.names, x, strict=True)) for x in (fit.estimate, fit.sd))
+    agree(found, sd, expected, BIASES)
+    for name, value in calibration(found).items():
+        assert abs(value - expected["parameters"][name]["estimate"]) < 0.3 * expected["parameters"][name]["std"], name
+    assert fit.det_R == pytest.approx(expected["det_R"], rel=0.01)
+
+
+def test_delays_are_those_published(flights, published):
+    """TC33."""
+    expected = published["TC33"]["methods"]["independent_optimum"]
+    fit = fitted(flights, (*BIASES, *CALIBRATION, *DELAYS))
+    found, sd = (dict(zip(fit.names, x, strict=True)) for x in (fit.estimate, fit.sd))
+    agree(found, sd, expected, BIASES)
+    for ours, (theirs, within) in DELAYS.items():
+        delay = expected["parameters"][theirs]
+        assert abs(found[ours] - delay["estimate"]) < within * delay["std"], ours
+        assert sd[ours] == pytest.approx(delay["std"], rel=0.05)
+    for name, value in calibration(found).items():
+        assert abs(value - expected["parameters"][name]["estimate"]) < 0.3 * expected["parameters"][name]["std"], name
+    assert fit.det_R == pytest.approx(expected["det_R"], rel=0.01)
+
+
+def test_biases_of_each_manoeuvre_are_those_published(flights, published):
+    """TC32, set-up 4 with the angular accelerations in their true unit."""
+    expected = published["TC32"]["methods"]["independent_optimum_check_4_correct_units"]
+    fit = fitted(flights, (*CALIBRATION, *BIASES), own=tuple(BIASES))
+    found, sd = (dict(zip(fit.names, x, strict=True)) for x in (fit.estimate, fit.sd))
+    agree(found, sd, expected, {f"{o}_{k}": f"{t}_segment_{k}" for o, t in BIASES.items() for k in (1, 2, 3)})
+    assert fit.det_R == pytest.approx(expected["det_R"], rel=0.01)
+
+
+def test_a_segment_has_its_own_fixed_state(flights):
+    model = Model.of(("vane_position",), {"vane_position": BOOM})
+    cut = segments(flights, PathDynamics(model, path_states(flights), flights.lengths), fixed={"airspeed": (1, 2, 3)})
+    assert cut.part([2, 0]).fixed == (("airspeed", (3.0, 1.0)),)
+    assert replace(cut, fixed=(("airspeed", 2.0),)).part([0]).fixed == (("airspeed", 2.0),)
+
+
+def test_a_fit_finds_no_delay_of_a_channel_that_has_noise_but_no_delay():
+    """Interpolation averages noise: a delay that shifts the record itself ends half a sample off."""
+    rng, t = np.random.default_rng(3), 0.04 * np.arange(1500)
+    truth = 0.05 * np.sin(0.9 * t) + 0.03 * np.sin(2.3 * t + 1.0)
+    channels = {"alpha": truth + rng.normal(0.0, 0.01, len(t))}
+    marks = {"dt": np.full(len(t), 0.04), "first": np.zeros(len(t), int), "last": np.full(len(t), len(t) - 1)}
+    model = Model.of(("alpha_delay",))
+    delays = np.linspace(-0.02, 0.02, 21)
+    left = [
+        np.sum((np.asarray(model.corrected({"alpha_delay": d}, channels | marks, NO_AIRCRAFT)["alpha"]) - truth) ** 2)
+        for d in delays
+    ]
+    assert abs(delays[int(np.argmin(left))]) <= 0.006  # of 0.02, half a sample; the standard error is 0.004
