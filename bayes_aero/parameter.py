@@ -21,6 +21,7 @@ class Role(StrEnum):
     BREAK_ANGLE = "break angle"  # rad, angle of attack at which the static separation point is half way
     ABRUPTNESS = "abruptness"  # of the stall: how fast the static separation point moves there
     LAG = "lag"  # time constant with which the separation point follows its static value, chords travelled; neutral 0
+    DELAY = "delay"  # s, of the recorded channel that the effect names first; neutral 0
 
 
 @dataclass(frozen=True)

@@ -86,6 +86,10 @@ class Dynamics(ABC):
         """How much a unit of each recorded output has become by the correction."""
         return {}
 
+    def delays(self, outputs: Sequence[str]) -> Mapping[str, str]:  # noqa: ARG002
+        """Parameters that delay these outputs, by output."""
+        return {}
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the free parameters."""
@@ -170,6 +174,10 @@ class AircraftDynamics(Dynamics):
             return {}
         return response_scales(self.model, values, flights.channels, flights.aircraft, self.outputs)
 
+    def delays(self, outputs: Sequence[str]) -> Mapping[str, str]:
+        """By the same effects."""
+        return delays_of(self.model, outputs)
+
     def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
         """Recorded channels that are no states; lateral accelerations; the speed of sound where Mach was recorded.
 
@@ -221,6 +229,16 @@ def aircraft_dynamics(model: Model, flights: Flights, outputs: Sequence[str] = (
                 "has the role lag"
             )
     return dynamics
+
+
+def delays_of(model: Model, outputs: Sequence[str]) -> dict[str, str]:
+    """Parameters of the model that delay these outputs, by output."""
+    return {
+        e.channels[0]: p.name
+        for e in model.acting
+        for p in e.parameters
+        if p.role is Role.DELAY and e.channels[0] in outputs
+    }
 
 
 def taken_as_zero(flights: Recorded) -> list[str]:

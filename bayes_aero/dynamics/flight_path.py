@@ -8,7 +8,7 @@ Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 10; Mulde
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_aero.arrays import xp
-from bayes_aero.dynamics.flight import Dynamics, Values
+from bayes_aero.dynamics.flight import Dynamics, Values, delays_of
 from bayes_aero.dynamics.gusts import FLOW, InGusts
 from bayes_aero.dynamics.system import Row, System
 from bayes_aero.effect import Stage
@@ -142,6 +142,10 @@ class PathDynamics(Dynamics):
         if not any(e.stage is Stage.CHANNEL for e in self.model.acting):
             return {}
         return response_scales(self.model, values, flights.channels, flights.aircraft, self.outputs)
+
+    def delays(self, outputs: Sequence[str]) -> Mapping[str, str]:
+        """By the same effects."""
+        return delays_of(self.model, outputs)
 
     def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
         """Specific force at the centre of gravity, rates, and what of the path is prescribed as recorded."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,6 +17,7 @@ from bayes_aero.dynamics.system import System, Trajectory, integrate
 from bayes_aero.errors import InputError
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.windows import cuts_of
+from bayes_aero.physics.filters import advance
 
 BEGIN = 0.5  # s over which the measured initial state is read off a straight line
 
@@ -176,7 +177,47 @@ def simulate(flown: SegmentTrajectories, theta: Float[Array, " k"], departure: F
     trajectory = jax.vmap(fly)(ready.begin, departure, ready.drives, jnp.asarray(flown.dt))
     modelled = jnp.stack([trajectory.outputs[name] for name in flown.outputs], axis=2)
     residual = (ready.true - modelled) / ready.scale
+    late = flown.dynamics.delays(flown.outputs)
+    if late:
+        residual = _late(flown, theta, late, ready.measured, modelled)
     return Simulated(trajectory, ready.measured, jnp.where(flown.inside[:, :, None], residual, 0.0))
+
+
+def _late(
+    flown: SegmentTrajectories,
+    theta: Float[Array, " k"],
+    late: Mapping[str, str],
+    measured: Float[Array, "w n c"],
+    modelled: Float[Array, "w n c"],
+) -> Float[Array, "w n c"]:
+    """Residuals where recorders are late: what is shown without delay is shifted, not the record.
+
+    Interpolation averages noise. Of a record it would leave less at half a sample than at none, and a fit would prefer
+    such a delay.
+    """
+    dynamics, flights = flown.dynamics, flown.flights
+    values = dynamics.values(theta)
+    at_once = values | dict.fromkeys(late.values(), 0.0)
+    channels = dynamics.corrected(at_once, flights.channels, flights.aircraft)
+    scales = dynamics.scales(at_once, flights)
+    last = jnp.asarray(flown.inside.sum(axis=1) - 1)
+    columns = []
+    for c, name in enumerate(flown.outputs):
+        scale = scales[name][flown.index] if name in scales else 1.0
+        residual = (channels[name][flown.index] - modelled[:, :, c]) / scale
+        if name in late:
+            shown, delay = measured[:, :, c] - residual, values[late[name]]
+            residual = measured[:, :, c] - jax.vmap(_delayed, (0, None, 0, 0))(
+                shown, delay, jnp.asarray(flown.dt), last
+            )
+        columns.append(residual)
+    return jnp.stack(columns, axis=2)
+
+
+def _delayed(x: Float[Array, " n"], seconds: Any, dt: Any, last: Any) -> Float[Array, " n"]:
+    """x(t - seconds) of one segment."""
+    every = jnp.zeros(len(x), int)
+    return advance(x, -jnp.asarray(seconds), every + dt, every, every + last)
 
 
 def _measured_start(flown: SegmentTrajectories, channels) -> Float[Array, "w s"]:

@@ -13,7 +13,6 @@ from bayes_aero.arrays import Array, namespace
 
 SPENCER = np.array([-3, -6, -5, 3, 21, 46, 67, 74, 67, 46, 21, 3, -5, -6, -3]) / 320.0
 SHORT_SMOOTHER = np.array([7, 24, 34, 24, 7]) / 96.0
-CUBIC_SMOOTHER = np.array([-3, 12, 17, 12, -3]) / 35.0  # passes cubics; Savitzky and Golay, Anal. Chem. 36 (1964) 1627
 EIGHTH_ORDER = np.array(
     [
         0.88888888887637,
@@ -156,21 +155,3 @@ def advance(
     rise = after - here
     inside = here + u * (slope + u * (3.0 * rise - 2.0 * slope - next_slope + u * (slope + next_slope - 2.0 * rise)))
     return xp.where(place <= first, x[first], xp.where(place >= last, x[last], inside))
-
-
-def moved_on(
-    x: Float[Array, " n"],
-    seconds: Float[Array, ""],
-    dt: Float[Array, " n"],
-    first: Int[Array, " n"],
-    last: Int[Array, " n"],
-) -> Float[Array, " n"]:
-    """x(t + seconds) - x(t) of the lightly smoothed signal, what a delay is corrected by.
-
-    Between samples interpolation averages noise: of the signal itself it would leave less noise at half a sample than
-    at none, and a fit would prefer that delay.
-    """
-    xp = namespace(x)
-    even = xp.convolve(x, xp.asarray(CUBIC_SMOOTHER), mode="full")[2:-2]
-    even = xp.where(inside_joined(x.shape[0], first, last) >= 2, even, x)
-    return advance(even, seconds, dt, first, last) - even

@@ -2,13 +2,14 @@
 
 from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
-from bayes_aero.parameter import Parameter, Prior
-from bayes_aero.physics.filters import moved_on
+from bayes_aero.parameter import Parameter, Prior, Role
+from bayes_aero.physics.filters import advance
 
 
 def increments(v, s, a, known):
     """Recorded(t) = true(t - sideslip_delay)."""
-    return {"beta": moved_on(s["beta"], xp.asarray(v["sideslip_delay"]), s["dt"], s["first"], s["last"])}
+    x = s["beta"]
+    return {"beta": advance(x, xp.asarray(v["sideslip_delay"]), s["dt"], s["first"], s["last"]) - x}
 
 
 EFFECT = Effect(
@@ -25,6 +26,7 @@ EFFECT = Effect(
             "delay of the recorded sideslip; positive is late",
             Prior("normal", 0.0, 0.25),
             (-2.0, 2.0),
+            role=Role.DELAY,
         ),
     ),
     channels=("beta",),

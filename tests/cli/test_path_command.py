@@ -1,0 +1,153 @@
+"""Flight-path reconstruction from the command line: errors hidden in an invented flight, found and taken out.
+
+The flight is made of smooth attitudes and velocities; accelerations and rates follow from them by differentiation.
+"""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+CARD = """
+title = "Invented aircraft"
+
+[aircraft]
+mass = "6000 kg"
+Ix = "1e4 kg m^2"
+Iy = "3e4 kg m^2"
+Iz = "4e4 kg m^2"
+Ixz = "0 kg m^2"
+wing_area = "30 m^2"
+chord = "2.4 m"
+half_span = "7.2 m"
+aspect_ratio = 7.0
+tail_arm = "8 m"
+reference_point = ["0 m", "0 m", "0 m"]
+accelerometer = ["1.5 m", "0.3 m", "-0.2 m"]
+engine = ["0 m", "0 m", "0 m"]
+engine_inclination = "0 deg"
+
+[channels]
+time = { label = "time", unit = "s" }
+CHANNELS
+
+[model]
+effects = ["attached_lift", "pitching_moment", "profile_drag"]
+"""
+UNITS = {
+    "ax": "m/s^2", "ay": "m/s^2", "az": "m/s^2", "p": "rad/s", "q": "rad/s", "r": "rad/s", "phi": "rad", "theta": "rad",
+    "psi": "rad", "alpha": "rad", "beta": "rad", "airspeed": "m/s", "altitude": "m",
+}  # fmt: skip
+NOISE = {
+    "ax": 0.001, "ay": 0.001, "az": 0.002, "p": 2e-5, "q": 2e-5, "r": 2e-5, "phi": 1e-3, "theta": 1e-3, "psi": 1e-3,
+    "alpha": 1e-3, "beta": 1e-3, "airspeed": 0.1, "altitude": 0.5,
+}  # fmt: skip
+"""Output error knows no noise of what it integrates, so accelerometers and gyros have little."""
+HIDDEN = {"accel_z_bias": 0.08, "pitch_rate_bias": 0.002, "roll_rate_bias": -0.001, "alpha_delay": 0.06}
+SCALE, VANE, PLACE, G, DT = 0.05, 6.0, (1.5, 0.3, -0.2), 9.80665, 0.02
+
+
+def true_flight(t):
+    """Body velocities, attitude, rates and specific force at the centre of gravity, and what is derived from them."""
+    # Ten times finer than the record, so that central differences are as good as derivatives.
+    fine = np.arange(0.0, t[-1] + DT, DT / 10)
+    phi, psi = 0.4 * np.sin(0.5 * fine), 1.0 + 0.3 * np.sin(0.17 * fine)
+    theta = 0.06 + 0.08 * np.sin(0.9 * fine) + 0.03 * np.sin(2.3 * fine)
+    alpha, beta = 0.08 + 0.05 * np.sin(0.8 * fine + 0.4) + 0.02 * np.sin(2.1 * fine), 0.04 * np.sin(0.7 * fine + 1.0)
+    V = 90.0 + 5.0 * np.sin(0.2 * fine)
+    d = lambda x: np.gradient(x, fine, edge_order=2)
+    p = d(phi) - d(psi) * np.sin(theta)
+    q = d(theta) * np.cos(phi) + d(psi) * np.cos(theta) * np.sin(phi)
+    r = -d(theta) * np.sin(phi) + d(psi) * np.cos(theta) * np.cos(phi)
+    v = V * np.array([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
+    omega = np.array([p, q, r])
+    down = np.array([-np.sin(theta), np.cos(theta) * np.sin(phi), np.cos(theta) * np.cos(phi)])
+    turn = lambda a, b: np.cross(a, b, axis=0)
+    force = np.array([d(x) for x in v]) + turn(omega, v) - G * down
+    spin = np.array([d(x) for x in omega])
+    place = np.array(PLACE)[:, None] * np.ones_like(fine)
+    at_sensor = force + turn(spin, place) + turn(omega, turn(omega, place))
+    height = np.concatenate(
+        [[0.0], np.cumsum(np.diff(fine) * 0.5 * ((-(v * down).sum(0))[1:] + (-(v * down).sum(0))[:-1]))]
+    )
+    found = dict(zip(("ax", "ay", "az"), at_sensor, strict=True)) | {"p": p, "q": q, "r": r}
+    found |= {"phi": phi, "theta": theta, "psi": psi, "alpha": alpha, "beta": beta, "airspeed": V}
+    found["altitude"] = 3000.0 + height
+    return {name: np.interp(t, fine, x) for name, x in found.items()} | {"late": (fine, alpha)}
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory):
+    """Card and record with errors of sensors, and the truth."""
+    folder, rng = tmp_path_factory.mktemp("path"), np.random.default_rng(8)
+    t = DT * np.arange(1800)
+    truth = true_flight(t)
+    fine, alpha = truth.pop("late")
+    recorded = dict(truth)
+    at_vane = np.arctan2(
+        np.sin(alpha) - VANE * np.interp(fine, t, truth["q"]) / np.interp(fine, t, truth["airspeed"]), np.cos(alpha)
+    )
+    recorded["alpha"] = (1.0 + SCALE) * np.interp(t - HIDDEN["alpha_delay"], fine, at_vane)
+    recorded["beta"] = np.arctan(np.tan(truth["beta"]) + VANE * truth["r"] / truth["airspeed"])
+    recorded["az"] = recorded["az"] + HIDDEN["accel_z_bias"]
+    recorded["q"] = recorded["q"] + HIDDEN["pitch_rate_bias"]
+    recorded["p"] = recorded["p"] + HIDDEN["roll_rate_bias"]
+    noisy = {name: recorded[name] + rng.normal(0.0, NOISE[name], len(t)) for name in UNITS}
+    record, card = folder / "invented.csv", folder / "card.toml"
+    pd.DataFrame({"time": t} | noisy).to_csv(record, index=False)
+    card.write_text(
+        CARD.replace("CHANNELS", "\n".join(f'{n} = {{ label = "{n}", unit = "{u}" }}' for n, u in UNITS.items()))
+    )
+    return card, record, truth
+
+
+def test_errors_of_sensors_are_found_and_taken_out(program, flight, tmp_path):
+    card, record, truth = flight
+    done = program("path", record, "--model", card, "--out", "out", "--no-figures", "--json")
+    assert done.code == 0, done.err
+    found = json.loads(done.out)
+    assert found["status"] == "converged"
+    expected = HIDDEN | {"alpha_scale": SCALE, "vane_position": VANE}
+    for name, p in found["parameters"].items():
+        assert abs(p["estimate"] - expected.get(name, 0.0)) < 3.5 * p["sd_corrected"], name
+    for name, size in expected.items():
+        assert found["parameters"][name]["sd_corrected"] < 0.15 * abs(size), name
+    for name, sd in found["residual_sd"].items():
+        assert sd == pytest.approx(NOISE[name], rel=0.25), name
+    corrected = pd.read_csv(tmp_path / "out" / "corrected" / "invented.csv")
+    for name in ("alpha", "beta", "az", "q", "p"):
+        away = (corrected[name].to_numpy() - truth[name])[10:-10]
+        assert abs(np.mean(away)) < 4.0 * NOISE[name] / np.sqrt(len(away)) + 0.3 * NOISE[name], name
+        assert np.std(away) < 1.5 * NOISE[name], name
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "was not made" not in page
+    assert "Recorded accelerations and rates drive the simulation" in page
+
+
+def test_a_record_of_symmetric_flight_has_no_errors_of_lateral_sensors(program, flight, tmp_path):
+    card, record, _ = flight
+    lateral, lines = ("ay", "p", "r", "phi", "psi", "beta"), card.read_text().splitlines()
+    pd.read_csv(record).drop(columns=list(lateral)).to_csv(tmp_path / "straight.csv", index=False)
+    lines = [line for line in lines if line.split(" ")[0] not in lateral]
+    (tmp_path / "straight.toml").write_text("\n".join(lines))
+    done = program("path", "straight.csv", "--model", "straight.toml", "--out", "out", "--no-figures", "--json")
+    assert done.code in (0, 1)  # the flight was not symmetric, so nothing need fit
+    found = json.loads(done.out)
+    assert set(found["residual_sd"]) == {"airspeed", "alpha", "theta", "altitude"}
+    assert not {"sideslip_scale", "bank_angle_bias", "roll_rate_bias", "accel_y_bias"} & set(found["parameters"])
+
+
+def test_what_a_flight_path_lacks_is_one_sentence(program, flight, tmp_path):
+    card, record, _ = flight
+    table = pd.read_csv(record).drop(columns="az")
+    table.to_csv(tmp_path / "no_az.csv", index=False)
+    (tmp_path / "no_az.toml").write_text("\n".join(x for x in card.read_text().splitlines() if not x.startswith("az")))
+    done = program("path", "no_az.csv", "--model", "no_az.toml", "--out", "out")
+    assert done.code == 2
+    assert done.err.strip().splitlines()[-1].startswith("error: ")
+    assert "no channel az" in done.err
+    assert "Traceback" not in done.err
+    assert not (tmp_path / "out" / "trajectories.json").exists()
