@@ -30,6 +30,7 @@ _HOME = {
     "Stage": "effect",
     "diagnose": "api",
     "fit": "api",
+    "flight_path": "jobs.path",
     "fly": "jobs.fly",
     "gpr": "api",
     "plot": "api",
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
     from bayes_aero.flight.record import FlightRecord
     from bayes_aero.flight.writers import write_record
     from bayes_aero.jobs.fly import fly
+    from bayes_aero.jobs.path import flight_path
     from bayes_aero.model.model import Model
     from bayes_aero.parameter import Parameter, Prior
 
@@ -67,6 +69,7 @@ __all__ = [
     "__version__",
     "diagnose",
     "fit",
+    "flight_path",
     "fly",
     "gpr",
     "plot",

@@ -20,7 +20,7 @@ from bayes_aero.report.tables.comparison import ordered
 
 PUBLIC = {
     "CATALOGUE", "Card", "Diagnosed", "Effect", "Fit", "FlightRecord", "InputError", "Model", "Parameter", "Prior",
-    "Stage", "__version__", "diagnose", "fit", "fly", "gpr", "plot", "read", "read_card", "sample",
+    "Stage", "__version__", "diagnose", "fit", "flight_path", "fly", "gpr", "plot", "read", "read_card", "sample",
     "write_record",
 }  # fmt: skip
 
