@@ -27,6 +27,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
+from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.jobs.io.fly_json import RESULTS, Flight, fly_results
 from bayes_aero.jobs.io.output_folder import writable
 from bayes_aero.jobs.io.time_histories import flights, put_histories
@@ -41,14 +42,16 @@ from bayes_aero.model.observations import observe
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import draw_all
 from bayes_aero.report.figures.fly import fly_figures, gusts
+from bayes_aero.report.figures.posterior import pair_of
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.fly import FlyTold, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES
+from bayes_aero.report.tables.flown_posterior import posterior_table
 from bayes_aero.report.tables.fly import gust_table, parameter_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences
 from bayes_aero.report.text.phrases import several
-from bayes_aero.report.text.process_noise import process_noise_sentences
+from bayes_aero.report.text.process_noise import posterior_sentences, process_noise_sentences
 
 
 def fly(
@@ -64,6 +67,7 @@ def fly(
     seed: int = 0,
     figures: bool = True,
     process_noise: bool = False,
+    posterior: bool = False,
     progress: Progress | None = None,
 ) -> Flight:
     """Fit the card's model to the trajectories of the records (output error), as `bayes-aero fly` does.
@@ -84,6 +88,7 @@ def fly(
         seed: of the fit of the coefficients.
         figures: False draws none.
         process_noise: True fits the same model with process noise, too, by an extended Kalman filter.
+        posterior: True also samples the posterior of the fit with process noise, by NUTS and emcee.
         progress: called with a stage and the share of it that is done.
 
     Returns:
@@ -95,7 +100,7 @@ def fly(
     Source:
         Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, ch. 4.
     """
-    options = FlyOptions(windows, initial_state, priors, outputs, inputs, seed, figures, process_noise)
+    options = FlyOptions(windows, initial_state, priors, outputs, inputs, seed, figures, process_noise, posterior)
     return fly_records(records, card, options, out=out, progress=progress)
 
 
@@ -134,15 +139,15 @@ def fly_records(
         setting=setting,
         progress=progress,
     )
-    beside, more = _process_noise(flown, options, card, out, progress)
+    (beside, sampled), more = _process_noise(flown, options, card, out, progress)
     if options.process_noise and not flown.converged:
         notes.append("Process noise was not fitted, because output error did not converge.")
     apart = () if coefficients is None else fit_disagreements(coefficients, flown)
     hindered = usable_for(records, card).get("diagnose", "")
-    filtered = () if beside is None else process_noise_sentences(beside, flown)
+    filtered = () if beside is None else (*process_noise_sentences(beside, flown), *posterior_sentences(sampled))
     said = (*filtered, *fly_sentences(flown, hindered), *disagreement_sentences(apart, hindered))
     health = channel_health(records, card)
-    found = Flight(flown, said, tuple(notes), health, agreement, (*failures, *failed, *more), apart, beside)
+    found = Flight(flown, said, tuple(notes), health, agreement, (*failures, *failed, *more), apart, beside, sampled)
     if out is None:
         return found
     return _written(found, card, records, source, out, figures=options.figures, progress=progress)
@@ -150,20 +155,28 @@ def fly_records(
 
 def _process_noise(
     flown: TrajectoryFit, options: FlyOptions, card: Card, out: Path | None, progress: Progress | None
-) -> tuple[ProcessNoise | None, tuple[str, ...]]:
-    """The fit with process noise where it was asked for and output error has a result to start from."""
+) -> tuple[tuple[ProcessNoise | None, dict[str, Posterior]], tuple[str, ...]]:
+    """The fit with process noise where it was asked for and output error has a result to start from; its posterior
+    where that was asked for and the fit has converged."""
     if not (options.process_noise and flown.converged):
-        return None, ()
+        return (None, {}), ()
     if progress:
         progress("process noise", 0.9)
     own = bool(card.effect_files)
-    return attempted("Process noise was not fitted", lambda: with_process_noise(flown), None, out, own=own)
+    found, failed = attempted("Process noise was not fitted", lambda: with_process_noise(flown), None, out, own=own)
+    if found is None:
+        return (None, {}), failed
+    beside, sample = found
+    if not (options.posterior and beside.converged):
+        return (beside, {}), failed
+    sampled, more = attempted("The posterior was not sampled", lambda: sample(options.seed, progress), {}, out, own=own)
+    return (beside, sampled), (*failed, *more)
 
 
 def _told(options: FlyOptions, setting: Setting) -> dict[str, Any]:
     """The settings by the names of the options; `outputs` only where they were chosen."""
     chosen = {} if setting.outputs is None else {"outputs": list(setting.outputs)}
-    names = ("windows", "initial_state", "priors", "inputs", "process_noise")
+    names = ("windows", "initial_state", "priors", "inputs", "process_noise", "posterior")
     return {name: getattr(options, name) for name in names} | chosen
 
 
@@ -185,6 +198,7 @@ def _written(
         return more
 
     write_csv(parameter_table(found.flown), out / "parameters.csv")
+    _put_posteriors(found, out)
     if found.process_noise is not None and found.process_noise.histories:
         write_csv(gust_table(found.process_noise), out / "gusts.csv")
     together = [replace(path, split=FITTED) for path in found.flown.paths]  # first values and fit side by side
@@ -197,6 +211,9 @@ def _written(
         if found.process_noise is not None:
             met, more = draw_all({"gusts": gusts}, found.process_noise, out / "figures")
             drawn, failed = [*drawn, *met], (*failed, *more)
+        if found.posteriors:
+            pairs, more = draw_all({"pair": pair_of}, found.posteriors, out / "figures")
+            drawn, failed = [*drawn, *pairs], (*failed, *more)
         many = len(records) > MOST_MANOEUVRES
         said = [f"Figures are drawn for up to {MOST_MANOEUVRES} manoeuvres."] if many else []
         found = noted(said, failed) if said or failed else found
@@ -214,9 +231,21 @@ def _written(
         found.failures,
         found.health,
         found.process_noise,
+        found.posteriors,
     )
     failed = put_page(lambda: fly_page(found.flown, told), out)
     return noted((), failed) if failed else found
+
+
+def _put_posteriors(found: Flight, out: Path) -> None:
+    """A file a sampler and a table; what an earlier run has left there goes."""
+    for engine in ("nuts", "emcee"):
+        (out / f"posterior_{engine}.nc").unlink(missing_ok=True)
+    (out / "posterior.csv").unlink(missing_ok=True)
+    for engine, posterior in found.posteriors.items():
+        posterior.save(out / f"posterior_{engine}.nc")
+    if found.posteriors:
+        write_csv(posterior_table(found.posteriors), out / "posterior.csv")
 
 
 def _flights(

@@ -33,6 +33,11 @@ class Marginal:
     ess_tail: float
     rhat: float
 
+    @property
+    def ess(self) -> float:
+        """Effective sample size of centre or tails, whichever is less."""
+        return min(self.ess_bulk, self.ess_tail)
+
 
 @dataclass(frozen=True)
 class Posterior:
