@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from types import SimpleNamespace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import equinox as eqx
@@ -11,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from linear_cards import card_of
+from linear_cards import FIRST_ORDER, card_of, disturbed_first_order
 from scipy import stats
 
 from bayes_aero.dynamics.filtering.density import NoisePoint, innovations_density
@@ -35,39 +34,17 @@ from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.model.joined_channels import join
 from bayes_aero.parameter import Parameter, Prior
 
-CARD = """
-[channels]
-time = { label = "t", unit = "s" }
-alpha = { label = "alpha", unit = "rad" }
-elevator = { label = "de", unit = "rad" }
-
-[linear]
-states = ["alpha"]
-[linear.rates.alpha]
-Zalpha = "alpha"
-Zde = "elevator"
-[linear.fixed]
-Zde = -1.0
-
-[parameters]
-Zalpha = { prior = { family = "normal", location = -1.0, scale = 1.0 } }
-"""
 DT, N, ZALPHA, F, SIGMA = 0.05, 160, -0.8, 0.03, 0.01
 
 
 @pytest.fixture(scope="module")
 def scalar():
     """One state, disturbed, measured with noise; the samples of a gap are missing."""
-    rng, t = np.random.default_rng(5), DT * np.arange(N)
-    de = 0.1 * np.sign(np.sin(2.0 * np.pi * t / 3.0))
-    phi, x, alpha = np.exp(ZALPHA * DT), 0.0, []
-    for u in de:
-        alpha.append(x)
-        x = phi * x - (phi - 1.0) / ZALPHA * u + np.sqrt(DT) * F * rng.standard_normal()
-    z = np.array(alpha) + SIGMA * rng.standard_normal(N)
+    channels = disturbed_first_order(N, DT, ZALPHA, F, SIGMA)
+    z, de = channels["alpha"], channels["elevator"]
     z[60:70] = np.nan
-    card = card_of(CARD)
-    record = FlightRecord.from_arrays("disturbed", t, {"alpha": z, "elevator": de}, "simulated")
+    card = card_of(FIRST_ORDER)
+    record = FlightRecord.from_arrays("disturbed", DT * np.arange(N), channels, "simulated")
     flown = segments(join([record], card, ()), linear_dynamics(card), fixed={"alpha": 0.0}, held=True)
     return flown, z, de
 
@@ -185,7 +162,7 @@ class _PendulumDynamics(Dynamics):
 @pytest.fixture(scope="module")
 def pendulum():
     """Two flights of unlike length with large angles; an output at half the rate."""
-    rng, card = np.random.default_rng(2), card_of(CARD.replace("alpha", "w"))
+    rng, card = np.random.default_rng(2), card_of(FIRST_ORDER.replace("alpha", "w"))
     parts = []
     for n in (40, 30):
         t = 0.1 * np.arange(n)
@@ -224,10 +201,9 @@ def test_its_gradient_is_that_of_finite_differences(pendulum):
         assert float(gradient[i]) == pytest.approx(float(difference), rel=1e-6, abs=1e-4), i
 
 
-def test_a_noise_that_vanishes_begins_inside_its_prior(scalar):
+def test_a_noise_that_vanishes_begins_inside_its_prior(scalar, fitted):
     """A fit without process noise is no point of a lognormal."""
     density = innovations_posterior(scalar[0], np.array([3e-4]))
-    still = SimpleNamespace(estimate=np.array([-1.0]), F=np.array([1e-12]), R=np.array([1e-4]))
-    x = density.start(still)
+    x = density.start(replace(fitted, F=np.zeros(1)))
     assert x[1] == pytest.approx(0.3 * 3e-4**0.5 * np.exp(-2.0 * SPREAD))
     assert np.isfinite(float(density(density.unconstrain(jnp.asarray(x)))))

@@ -20,7 +20,7 @@ from bayes_aero.inference.likelihood.disturbed import FIRST_F, FIRST_R
 from bayes_aero.inference.likelihood.normal_equations import departures
 from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult
 from bayes_aero.inference.posterior.ensemble import EnsembleLength, sample_ensemble
-from bayes_aero.inference.posterior.laplace import find_mode
+from bayes_aero.inference.posterior.laplace import find_mode, inside
 from bayes_aero.inference.posterior.nuts import NutsLength, sample_nuts
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.model.log_density import LogDensity
@@ -28,7 +28,6 @@ from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.progress import Progress
 
 SPREAD = 2.0  # standard deviation of the logarithm of a process or measurement noise: a factor of 50 either way, 95 %
-NEAREST = 1e-3  # share of a prior's scale or median by which a start keeps away from a bound
 
 
 class NoiseLevels(NamedTuple):
@@ -91,24 +90,15 @@ class InnovationsDensity(LogDensity):
 
     def start(self, fit: PredictionErrorResult) -> Float[np.ndarray, " k"]:
         """The fit as a point of this density, off the bounds where it is at one."""
-        x = np.concatenate([fit.estimate, fit.F[self.disturbed], np.sqrt(fit.R)])
-        return np.array([_inside(value, p) for value, p in zip(x, self.parameters, strict=True)])
+        least = np.exp(-2.0 * SPREAD)  # times the median: a process noise of the fit may vanish, a lognormal does not
+        F = np.maximum(fit.F, least * np.array(self.levels.process))[self.disturbed]
+        x = np.concatenate([fit.estimate, F, np.sqrt(fit.R)])
+        return np.array([inside(value, p.bounds) for value, p in zip(x, self.parameters, strict=True)])
 
 
 def _noise(name: str, text: str, median: float) -> Parameter:
     source = "weak, about output error's residuals; our choice"
     return Parameter(name, "SI", 0.0, median, text, Prior("lognormal", median, SPREAD, source), (0.0, np.inf))
-
-
-def _inside(value: float, p: Parameter) -> float:
-    """A lognormal parameter that vanishes begins two of its deviations below the median, others near their bound."""
-    lower, upper = p.bounds
-    least = NEAREST * p.prior.scale
-    if p.prior.family == "lognormal":
-        least = p.prior.location * float(np.exp(-2.0 * p.prior.scale)) - max(lower, 0.0)
-    low = lower + max(least, NEAREST * NEAREST) if np.isfinite(lower) else -np.inf
-    high = upper - NEAREST * (upper - lower if np.isfinite(lower) else p.prior.scale) if np.isfinite(upper) else np.inf
-    return float(np.clip(value, min(low, high), high))
 
 
 class PosteriorLength(NamedTuple):
