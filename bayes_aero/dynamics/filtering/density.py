@@ -147,7 +147,9 @@ def _locally(rows: _Rows, F: Array, flown: SegmentTrajectories, path: _Path) -> 
     def functions(system: System) -> tuple[Callable[[Array], Array], ...]:
         return (
             lambda x: each(lambda x, u: outputs_at(system, x, u, flown.outputs))(x, rows.now),
-            lambda x: each(lambda *row: advance(system, *row, flown.substeps))(x, rows.now, rows.then, dt),
+            lambda x: each(lambda *y: advance(system, y[0], y[1], y[2], y[3], flown.substeps))(
+                x, rows.now, rows.then, dt
+            ),
             lambda x: each(system.noise_density)(x, rows.now),
         )
 

@@ -92,8 +92,8 @@ class InnovationsDensity(LogDensity):
         """The fit as a point of this density, off the bounds where it is at one."""
         least = np.exp(-2.0 * SPREAD)  # times the median: a process noise of the fit may vanish, a lognormal does not
         F = np.maximum(fit.F, least * np.array(self.levels.process))[self.disturbed]
-        x = np.concatenate([fit.estimate, F, np.sqrt(fit.R)])
-        return np.array([inside(value, p.bounds) for value, p in zip(x, self.parameters, strict=True)])
+        free = zip(fit.estimate, self.flown.dynamics.free, strict=True)
+        return np.array([*(inside(value, p.bounds) for value, p in free), *F, *np.sqrt(fit.R)])
 
 
 def _noise(name: str, text: str, median: float) -> Parameter:
