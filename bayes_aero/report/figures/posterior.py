@@ -154,12 +154,7 @@ def pair_of(posteriors: Mapping[str, Posterior]) -> Figure:
     if not posteriors:
         raise NotDrawn("there is no posterior")
     engine, posterior = next(iter(posteriors.items()))
-    correlation = np.abs(np.corrcoef(posterior.draws().T)) - np.eye(len(posterior.names))
-    chosen = set(np.argsort(-np.max(correlation, axis=1), kind="stable")[:MOST_PAIRED])
-    names = [name for i, name in enumerate(posterior.names) if i in chosen]
-    if len(names) < 2:
-        raise NotDrawn("a pair plot needs two parameters")
-    figure = _pair(engine, posterior, names)
+    figure = _pair(engine, posterior, posterior.most_correlated(MOST_PAIRED))
     for axis in [axis for axis in figure.axes if not axis.has_data()]:
         axis.remove()
     figure.suptitle(
