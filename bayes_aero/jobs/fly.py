@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.trajectories.fit_agreement import fit_disagreements
-from bayes_aero.diagnosis.trajectories.process_noise import with_process_noise
-from bayes_aero.diagnosis.trajectories.results import FITTED, ProcessNoise, Setting, TrajectoryFit
+from bayes_aero.diagnosis.trajectories.results import FITTED, Setting
 from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
 from bayes_aero.diagnosis.trajectories.trajectory_fit import fit_trajectories
 from bayes_aero.dynamics.flight import Dynamics, aircraft_dynamics, taken_as_zero
@@ -27,12 +26,12 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
-from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.jobs.io.fly_json import RESULTS, Flight, fly_results
 from bayes_aero.jobs.io.output_folder import writable
 from bayes_aero.jobs.io.time_histories import flights, put_histories
 from bayes_aero.jobs.options import FREE, LINEAR, FlyOptions
 from bayes_aero.jobs.provenance.provenance import provenance, write_json
+from bayes_aero.jobs.steps.disturbed_flight import process_noise, with_posterior
 from bayes_aero.jobs.steps.sensors_first import sensors_agree
 from bayes_aero.jobs.steps.spike_repair import repaired, spike_notes
 from bayes_aero.jobs.steps.usable_for import usable_for
@@ -51,7 +50,7 @@ from bayes_aero.report.tables.fly import gust_table, parameter_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences
 from bayes_aero.report.text.phrases import several
-from bayes_aero.report.text.process_noise import posterior_sentences, process_noise_sentences
+from bayes_aero.report.text.process_noise import process_noise_sentences
 
 
 def fly(
@@ -139,38 +138,23 @@ def fly_records(
         setting=setting,
         progress=progress,
     )
-    (beside, sampled), more = _process_noise(flown, options, card, out, progress)
+    (beside, sample), more = process_noise(flown, options, card, out, progress)
     if options.process_noise and not flown.converged:
         notes.append("Process noise was not fitted, because output error did not converge.")
     apart = () if coefficients is None else fit_disagreements(coefficients, flown)
     hindered = usable_for(records, card).get("diagnose", "")
-    filtered = () if beside is None else (*process_noise_sentences(beside, flown), *posterior_sentences(sampled))
+    filtered = () if beside is None else process_noise_sentences(beside, flown)
     said = (*filtered, *fly_sentences(flown, hindered), *disagreement_sentences(apart, hindered))
     health = channel_health(records, card)
-    found = Flight(flown, said, tuple(notes), health, agreement, (*failures, *failed, *more), apart, beside, sampled)
+    found = Flight(flown, said, tuple(notes), health, agreement, (*failures, *failed, *more), apart, beside)
+    if sample is not None:
+        if out is not None:  # sampling takes minutes
+            _put_numbers(found, out)
+            write_json(fly_results(found, card, records, source), out / RESULTS)
+        found = with_posterior(found, sample, card, out)
     if out is None:
         return found
     return _written(found, card, records, source, out, figures=options.figures, progress=progress)
-
-
-def _process_noise(
-    flown: TrajectoryFit, options: FlyOptions, card: Card, out: Path | None, progress: Progress | None
-) -> tuple[tuple[ProcessNoise | None, dict[str, Posterior]], tuple[str, ...]]:
-    """The fit with process noise where it was asked for and output error has a result to start from; its posterior
-    where that was asked for and the fit has converged."""
-    if not (options.process_noise and flown.converged):
-        return (None, {}), ()
-    if progress:
-        progress("process noise", 0.9)
-    own = bool(card.effect_files)
-    found, failed = attempted("Process noise was not fitted", lambda: with_process_noise(flown), None, out, own=own)
-    if found is None:
-        return (None, {}), failed
-    beside, sample = found
-    if not (options.posterior and beside.converged):
-        return (beside, {}), failed
-    sampled, more = attempted("The posterior was not sampled", lambda: sample(options.seed, progress), {}, out, own=own)
-    return (beside, sampled), (*failed, *more)
 
 
 def _told(options: FlyOptions, setting: Setting) -> dict[str, Any]:
@@ -197,10 +181,7 @@ def _written(
         write_json(fly_results(more, card, records, source), out / RESULTS)
         return more
 
-    write_csv(parameter_table(found.flown), out / "parameters.csv")
-    _put_posteriors(found, out)
-    if found.process_noise is not None and found.process_noise.histories:
-        write_csv(gust_table(found.process_noise), out / "gusts.csv")
+    _put_numbers(found, out)
     together = [replace(path, split=FITTED) for path in found.flown.paths]  # first values and fit side by side
     found = noted((), ())
     failed = put_histories(lambda: flights(together, found.flown.units), out)
@@ -237,8 +218,11 @@ def _written(
     return noted((), failed) if failed else found
 
 
-def _put_posteriors(found: Flight, out: Path) -> None:
-    """A file a sampler and a table; what an earlier run has left there goes."""
+def _put_numbers(found: Flight, out: Path) -> None:
+    """Tables, and a file of each sampler; posteriors that an earlier run has left there go."""
+    write_csv(parameter_table(found.flown), out / "parameters.csv")
+    if found.process_noise is not None and found.process_noise.histories:
+        write_csv(gust_table(found.process_noise), out / "gusts.csv")
     for engine in ("nuts", "emcee"):
         (out / f"posterior_{engine}.nc").unlink(missing_ok=True)
     (out / "posterior.csv").unlink(missing_ok=True)
