@@ -82,6 +82,24 @@ LATERAL_TRUTH = {
     "N0": -0.005, "Np": -0.08, "Nr": -0.4, "Nbeta": 2.0, "Ndr": -1.4,
 }  # fmt: skip
 
+FIRST_ORDER = """
+[channels]
+time = { label = "t", unit = "s" }
+alpha = { label = "alpha", unit = "rad" }
+elevator = { label = "de", unit = "rad" }
+
+[linear]
+states = ["alpha"]
+[linear.rates.alpha]
+Zalpha = "alpha"
+Zde = "elevator"
+[linear.fixed]
+Zde = -1.0
+
+[parameters]
+Zalpha = { prior = { family = "normal", location = -1.0, scale = 1.0 } }
+"""
+
 
 def card_of(text: str) -> Card:
     """The card that a text states."""
@@ -113,6 +131,17 @@ def short_period_flight(truth, n=500, dt=0.04, x0=(0.04, 0.01)):
     x = first_order_hold(A, B, x0, np.stack([u, np.ones(n)], axis=1), dt)
     az = truth["az0"] + 90.0 * (truth["Zalpha"] * x[:, 0] + truth["Zde"] * u)
     return {"alpha": x[:, 0], "q": x[:, 1], "elevator": u, "az": az}
+
+
+def disturbed_first_order(n, dt, Zalpha, F, sigma, seed=5):
+    """Channels of `FIRST_ORDER` from rest, under white process noise `F` and measurement noise `sigma`; exact steps."""
+    rng = np.random.default_rng(seed)
+    de = 0.1 * np.sign(np.sin(2.0 * np.pi * dt * np.arange(n) / 3.0))
+    phi, x, alpha = np.exp(Zalpha * dt), 0.0, []
+    for u in de:
+        alpha.append(x)
+        x = phi * x - (phi - 1.0) / Zalpha * u + np.sqrt(dt) * F * rng.standard_normal()
+    return {"alpha": np.array(alpha) + sigma * rng.standard_normal(n), "elevator": de}
 
 
 def lateral_flight(truth, n=500, dt=0.04, x0=(0.02, -0.01)):

@@ -68,6 +68,10 @@ def fly(
             help="Fit the same model with process noise, too: an extended Kalman filter, for flight in disturbed air.",
         ),
     ] = False,
+    posterior: Annotated[
+        bool,
+        typer.Option("--posterior", help="With --process-noise: sample the posterior, too (NUTS and emcee)."),
+    ] = False,
     seed: SeedOption = 0,
     resample: ResampleOption = None,
     split: SplitOption = False,
@@ -87,11 +91,14 @@ def fly(
         from bayes_aero.jobs.fly import fly_records
         from bayes_aero.jobs.io.fly_json import RESULTS
         from bayes_aero.jobs.options import FlyOptions
+        from bayes_aero.report.tables.flown_posterior import posterior_table
         from bayes_aero.report.tables.fly import error_table, parameter_table, process_noise_table
 
     console = teller(quiet=json, highlight=True)
     with interruptible(kept_stages(out)), bar("reading") as tell:
-        options = FlyOptions(windows, initial_state.value, priors, outputs, inputs.value, seed, figures, process_noise)
+        options = FlyOptions(
+            windows, initial_state.value, priors, outputs, inputs.value, seed, figures, process_noise, posterior
+        )
         found = fly_records(flights, card, options, out=out, progress=tell)
     if json:
         typer.echo((out / RESULTS).read_text(encoding="utf-8"), nl=False)
@@ -99,7 +106,9 @@ def fly(
     print_doubts(console, found.consistency, found.health, corrects=False)
     console.print(parameter_table(found.flown).terminal())
     if found.process_noise is not None and found.process_noise.converged:
-        console.print(process_noise_table(found.process_noise, found.flown).terminal())
+        console.print(process_noise_table(found.process_noise, found.flown, found.posteriors).terminal())
+    if found.posteriors:
+        console.print(posterior_table(found.posteriors).terminal())
     console.print(error_table(found.flown).terminal())
     for sentence in found.sentences:
         console.print(f"• {sentence}", highlight=False)

@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.trajectories.fit_agreement import fit_disagreements
-from bayes_aero.diagnosis.trajectories.process_noise import with_process_noise
-from bayes_aero.diagnosis.trajectories.results import FITTED, ProcessNoise, Setting, TrajectoryFit
+from bayes_aero.diagnosis.trajectories.results import FITTED, Setting
 from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
 from bayes_aero.diagnosis.trajectories.trajectory_fit import fit_trajectories
 from bayes_aero.dynamics.flight import Dynamics
@@ -30,6 +29,7 @@ from bayes_aero.jobs.io.output_folder import writable
 from bayes_aero.jobs.io.time_histories import flights, put_histories
 from bayes_aero.jobs.options import FREE, LINEAR, FlyOptions
 from bayes_aero.jobs.provenance.provenance import provenance, write_json
+from bayes_aero.jobs.steps.disturbed_flight import process_noise, with_posterior
 from bayes_aero.jobs.steps.flown_dynamics import flown_dynamics
 from bayes_aero.jobs.steps.sensors_first import sensors_agree
 from bayes_aero.jobs.steps.spike_repair import repaired
@@ -39,9 +39,11 @@ from bayes_aero.model.observations import observe
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import draw_all
 from bayes_aero.report.figures.fly import fly_figures, gusts
+from bayes_aero.report.figures.posterior import pair_of
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.fly import FlyTold, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES
+from bayes_aero.report.tables.flown_posterior import posterior_table
 from bayes_aero.report.tables.fly import gust_table, parameter_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences
@@ -61,6 +63,7 @@ def fly(
     seed: int = 0,
     figures: bool = True,
     process_noise: bool = False,
+    posterior: bool = False,
     progress: Progress | None = None,
 ) -> Flight:
     """Fit the card's model to the trajectories of the records (output error), as `bayes-aero fly` does.
@@ -81,6 +84,7 @@ def fly(
         seed: of the fit of the coefficients.
         figures: False draws none.
         process_noise: True fits the same model with process noise, too, by an extended Kalman filter.
+        posterior: True also samples the posterior of the fit with process noise, by NUTS and emcee.
         progress: called with a stage and the share of it that is done.
 
     Returns:
@@ -92,7 +96,7 @@ def fly(
     Source:
         Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, ch. 4.
     """
-    options = FlyOptions(windows, initial_state, priors, outputs, inputs, seed, figures, process_noise)
+    options = FlyOptions(windows, initial_state, priors, outputs, inputs, seed, figures, process_noise, posterior)
     return fly_records(records, card, options, out=out, progress=progress)
 
 
@@ -131,7 +135,7 @@ def fly_records(
         setting=setting,
         progress=progress,
     )
-    beside, more = _process_noise(flown, options, card, out, progress)
+    (beside, sample), more = process_noise(flown, options, card, out, progress)
     if options.process_noise and not flown.converged:
         notes.append("Process noise was not fitted, because output error did not converge.")
     apart = () if coefficients is None else fit_disagreements(coefficients, flown)
@@ -140,27 +144,20 @@ def fly_records(
     said = (*filtered, *fly_sentences(flown, hindered), *disagreement_sentences(apart, hindered))
     health = channel_health(records, card)
     found = Flight(flown, said, tuple(notes), health, agreement, (*failures, *failed, *more), apart, beside)
+    if sample is not None:
+        if out is not None:  # sampling takes minutes
+            _put_numbers(found, out)
+            write_json(fly_results(found, card, records, source), out / RESULTS)
+        found = with_posterior(found, sample, card, out)
     if out is None:
         return found
     return _written(found, card, records, source, out, figures=options.figures, progress=progress)
 
 
-def _process_noise(
-    flown: TrajectoryFit, options: FlyOptions, card: Card, out: Path | None, progress: Progress | None
-) -> tuple[ProcessNoise | None, tuple[str, ...]]:
-    """The fit with process noise where it was asked for and output error has a result to start from."""
-    if not (options.process_noise and flown.converged):
-        return None, ()
-    if progress:
-        progress("process noise", 0.9)
-    own = bool(card.effect_files)
-    return attempted("Process noise was not fitted", lambda: with_process_noise(flown), None, out, own=own)
-
-
 def _told(options: FlyOptions, setting: Setting) -> dict[str, Any]:
     """The settings by the names of the options; `outputs` only where they were chosen."""
     chosen = {} if setting.outputs is None else {"outputs": list(setting.outputs)}
-    names = ("windows", "initial_state", "priors", "inputs", "process_noise")
+    names = ("windows", "initial_state", "priors", "inputs", "process_noise", "posterior")
     return {name: getattr(options, name) for name in names} | chosen
 
 
@@ -181,9 +178,7 @@ def _written(
         write_json(fly_results(more, card, records, source), out / RESULTS)
         return more
 
-    write_csv(parameter_table(found.flown), out / "parameters.csv")
-    if found.process_noise is not None and found.process_noise.histories:
-        write_csv(gust_table(found.process_noise), out / "gusts.csv")
+    _put_numbers(found, out)
     together = [replace(path, split=FITTED) for path in found.flown.paths]  # first values and fit side by side
     found = noted((), ())
     failed = put_histories(lambda: flights(together, found.flown.units), out)
@@ -194,6 +189,9 @@ def _written(
         if found.process_noise is not None:
             met, more = draw_all({"gusts": gusts}, found.process_noise, out / "figures")
             drawn, failed = [*drawn, *met], (*failed, *more)
+        if found.posteriors:
+            pairs, more = draw_all({"pair": pair_of}, found.posteriors, out / "figures")
+            drawn, failed = [*drawn, *pairs], (*failed, *more)
         many = len(records) > MOST_MANOEUVRES
         said = [f"Figures are drawn for up to {MOST_MANOEUVRES} manoeuvres."] if many else []
         found = noted(said, failed) if said or failed else found
@@ -211,9 +209,24 @@ def _written(
         found.failures,
         found.health,
         found.process_noise,
+        found.posteriors,
     )
     failed = put_page(lambda: fly_page(found.flown, told), out)
     return noted((), failed) if failed else found
+
+
+def _put_numbers(found: Flight, out: Path) -> None:
+    """Tables, and a file of each sampler; posteriors that an earlier run has left there go."""
+    write_csv(parameter_table(found.flown), out / "parameters.csv")
+    if found.process_noise is not None and found.process_noise.histories:
+        write_csv(gust_table(found.process_noise), out / "gusts.csv")
+    for engine in ("nuts", "emcee"):
+        (out / f"posterior_{engine}.nc").unlink(missing_ok=True)
+    (out / "posterior.csv").unlink(missing_ok=True)
+    for engine, posterior in found.posteriors.items():
+        posterior.save(out / f"posterior_{engine}.nc")
+    if found.posteriors:
+        write_csv(posterior_table(found.posteriors), out / "posterior.csv")
 
 
 def _of_coefficients(

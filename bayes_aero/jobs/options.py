@@ -81,10 +81,15 @@ class FlyOptions:
     seed: int = 0
     figures: bool = True
     process_noise: bool = False
+    posterior: bool = False
     flight_path: bool = False  # the recorded accelerations and rates are flown, not the card's model
 
     def __post_init__(self) -> None:
         """Refuse what cannot be flown."""
+        if self.posterior and not self.process_noise:
+            raise InputError("a posterior is that of the fit with process noise; ask for process noise, too")
+        if self.posterior and not self.priors:
+            raise InputError("a posterior needs the priors; ask for one of the two only")
         if not (math.isfinite(self.windows) and self.windows >= SHORTEST):
             raise InputError(f"windows of {self.windows:g} s cannot be flown; give at least {SHORTEST:g} s")
         chosen = ("initial state", self.initial_state, INITIAL_STATES), ("inputs", self.inputs, INPUTS)

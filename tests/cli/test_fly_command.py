@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from importlib import resources
+from types import SimpleNamespace
 
 import jsonschema
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 from linear_cards import (
+    FIRST_ORDER,
     LATERAL,
     LATERAL_TRUTH,
     SHORT_PERIOD,
     SHORT_PERIOD_TRUTH,
     card_of,
+    disturbed_first_order,
     lateral_flight,
     record_of,
     short_period_flight,
 )
 
+from bayes_aero.diagnosis.trajectories import process_noise
 from bayes_aero.flight.reading.read_record import write_record
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.posterior.ensemble import EnsembleLength
+from bayes_aero.inference.posterior.innovations import PosteriorLength, sample_innovations
 
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15, "p": 0.004, "r": 0.003, "p_dot": 0.03}
 SCHEMA = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("trajectories.schema.json").read_text())
@@ -228,3 +237,52 @@ def test_in_calm_air_process_noise_changes_nothing(program, tmp_path):
     assert abs(filtered["gain"]) < 10.0
     assert max(map(abs, filtered["autocorrelation"].values())) < 0.2
     assert "with process noise" in page_of(tmp_path / "out")
+
+
+@pytest.mark.recovery
+def test_a_posterior_is_written_and_bad_chains_are_told(program, tmp_path, monkeypatch):
+    """NUTS converges about the fit; an ensemble of a hundred steps does not, which terminal, JSON and page say."""
+    length = PosteriorLength(emcee=EnsembleLength(1, 100))
+    monkeypatch.setattr(process_noise, "sample_innovations", partial(sample_innovations, length=length))
+    card, record = tmp_path / "card.toml", tmp_path / "flight.csv"
+    card.write_text(FIRST_ORDER)
+    channels = disturbed_first_order(160, 0.05, -0.8, 0.03, 0.01)
+    write_record(
+        FlightRecord.from_arrays("flight", 0.05 * np.arange(160), channels, "simulated"),
+        record,
+        card_of(FIRST_ORDER).channels,
+    )
+    done = program("fly", record, "--model", card, "--process-noise", "--posterior", "--out", "out")
+    assert done.code == 0, done.err
+    assert "The posterior by emcee: not converged" in " ".join(done.out.split())
+    text = (tmp_path / "out" / "trajectories.json").read_text()
+    found = told(SimpleNamespace(out=text))
+    posterior = found["posterior"]
+    assert {key: row["status"] for key, row in posterior["status"].items()} == {
+        "nuts": "converged",
+        "emcee": "not_converged",
+    }
+    for name, (estimate, sd) in found["process_noise"]["estimates"].items():
+        marginal = posterior["nuts"][name]
+        assert abs(marginal["mean"] - estimate) < sd, name
+        assert marginal["sd"] == pytest.approx(sd, rel=0.3), name
+        assert marginal["rhat"] <= 1.01
+        assert marginal["ess_bulk"] >= 400.0
+    for engine in ("nuts", "emcee"):
+        with xr.open_datatree(tmp_path / "out" / f"posterior_{engine}.nc", engine="h5netcdf") as tree:
+            assert set(tree["posterior"].data_vars) == set(posterior[engine])
+    table = pd.read_csv(tmp_path / "out" / "posterior.csv", index_col=0)
+    assert set(table.index) == {"Zalpha", "F_alpha", "sigma_alpha"}
+    page = page_of(tmp_path / "out")
+    assert "do not use the intervals" in page
+    assert "Pair plot" in page
+
+
+@pytest.mark.parametrize("options", [["--posterior"], ["--posterior", "--process-noise", "--no-priors"]])
+def test_a_posterior_that_cannot_be_is_refused(program, tmp_path, options):
+    card, record = written(tmp_path, SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH, n=100))
+    done = program("fly", record, "--model", card, *options)
+    assert done.code == 2
+    assert "a posterior" in done.err
+    assert "Traceback" not in done.err
+    assert not (tmp_path / "trajectories").exists()

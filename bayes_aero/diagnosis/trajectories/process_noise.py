@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import numpy as np
@@ -12,14 +14,33 @@ from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.likelihood.disturbed import fit_disturbed
 from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult, PredictionErrorStatus
+from bayes_aero.inference.posterior.innovations import sample_innovations
+from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.threads import blas_threads
+from bayes_aero.progress import Progress
 
 
 @blas_threads(0)
-def with_process_noise(flown: TrajectoryFit) -> ProcessNoise:
-    """Fit again, from the estimates of output error, in gusts and with noise of every state that is compared."""
+def with_process_noise(
+    flown: TrajectoryFit,
+) -> tuple[ProcessNoise, Callable[[int, Progress | None], dict[str, Posterior]]]:
+    """Fit again, from the estimates of output error, in gusts and with noise of every state that is compared.
+
+    Returns:
+        What the fit says, and what samples its posterior from a seed.
+    """
     fit = flown.fit
     gusty, found = fit_disturbed(fit.flown, fit.estimate, fit.R, priors=flown.setting.priors)
+
+    def sample(seed: int, progress: Progress | None) -> dict[str, Posterior]:
+        with blas_threads(0):
+            return sample_innovations(gusty, found, fit.R, seed=seed, progress=progress)
+
+    return _told(flown, gusty, found), sample
+
+
+def _told(flown: TrajectoryFit, gusty: SegmentTrajectories, found: PredictionErrorResult) -> ProcessNoise:
+    fit = flown.fit
     inside = fit.flown.inside
     count = int(inside.sum())
     still = -0.5 * count * float(np.sum(np.log(2.0 * np.pi * fit.R) + 1.0)) - float(

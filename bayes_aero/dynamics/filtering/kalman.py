@@ -3,7 +3,7 @@
 The state moves as dx = f(x, u) dt + F dw (w: independent Wiener processes, one a state) and outputs are measured at
 the samples, z = g(x, u) + v, with independent noise of variance R. Missing samples are NaN. Outputs are taken one after
 the other, which for a diagonal R is the same as all at once and needs no factorisation. Source: Bryson and Ho, *Applied
-Optimal Control*, 1975, ch. 12; Joseph's form of the update: Bucy and Joseph 1968; smoother: Rauch, Tung, Striebel 1965.
+Optimal Control*, 1975, ch. 12; smoother: Rauch, Tung, Striebel 1965.
 """
 
 from __future__ import annotations
@@ -105,44 +105,65 @@ def kalman_filter(
     def further(carry, row):
         x, P = carry
         now, then, z, variance = row
-        estimate, P_estimate, e, S, used = _updated(system, x, P, now, z, variance, names)
+        y, C = seen_at(system, x, now, names)
+        moved, P_estimate, e, S, used = corrected(P, C, z - y, variance)
+        estimate = x + moved
         step = lambda x: advance(system, x, now, then, sampling.dt, sampling.substeps)  # noqa: E731
         ahead, transition = step(estimate), jax.jacfwd(step)(estimate)
         density = F**2 + system.noise_density(estimate, now)
-        P_ahead = transition @ P_estimate @ transition.T + gathered_noise(transition, density, sampling.dt)
         found = Filtered(x, P, estimate, P_estimate, transition, e, S, used)
-        return (ahead, 0.5 * (P_ahead + P_ahead.T)), found
+        return (ahead, covariance_ahead(transition, P_estimate, density, sampling.dt)), found
 
     now = {name: jnp.asarray(x) for name, x in inputs.items()}
     rows = (now, later(now, sampling.held), measured.values, measured.variance)
     return jax.lax.scan(further, (begin.mean, begin.covariance), rows)[1]
 
 
-def _updated(system: System, x: Array, P: Array, u: Row, z: Array, variance: Array, names: tuple[str, ...]):
-    """State and covariance after one sample's outputs; innovations, their variances, and which were there."""
-    y = outputs_at(system, x, u, names)
-    C = jax.jacfwd(lambda x: outputs_at(system, x, u, names))(x)
-    there = jnp.isfinite(z)
+def seen_at(system: System, x: Float[Array, " s"], u: Row, names: Sequence[str]) -> tuple[Array, Array]:
+    """Outputs (c,) at one instant and their derivative by the state (c, s)."""
+    see = lambda x: outputs_at(system, x, u, names)  # noqa: E731
+    return see(x), jax.jacfwd(see)(x)
+
+
+def corrected(
+    P: Float[Array, "s s"], C: Float[Array, "c s"], away: Float[Array, " c"], variance: Float[Array, " c"]
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Correction of the state (s,) by one sample's outputs, and the covariance (s, s) after it.
+
+    `away` is measured minus predicted, NaN where missing. Then innovations (c,), their variances, and which were there.
+    The outputs are no loop: a loop costs more than what it does for each of so few.
+    """
+    there = jnp.isfinite(away)
 
     def one(carry, output):
         moved, P = carry
         h, away, r, use = output
-        e, Ph = away - h @ moved, P @ h
-        S = h @ Ph + r
+        e, Ph = away - jnp.sum(h * moved), jnp.sum(P * h, axis=1)
+        S = jnp.sum(h * Ph) + r
         K = jnp.where(use, Ph / S, 0.0)
-        rest = jnp.eye(len(K)) - jnp.outer(K, h)
-        P = rest @ P @ rest.T + r * jnp.outer(K, K)
-        return (moved + K * e, P), (jnp.where(use, e, 0.0), jnp.where(use, S, 1.0))
+        return (moved + K * e, P - K[:, None] * Ph), (jnp.where(use, e, 0.0), jnp.where(use, S, 1.0))
 
-    away = jnp.where(there, z - y, 0.0)
-    (moved, P), (e, S) = jax.lax.scan(one, (jnp.zeros_like(x), P), (C, away, variance, there))
-    return x + moved, P, e, S, there
+    rows = (C, jnp.where(there, away, 0.0), variance, there)
+    (moved, P), (e, S) = jax.lax.scan(one, (jnp.zeros(len(P)), P), rows, unroll=True)
+    return moved, P, e, S, there
+
+
+def covariance_ahead(
+    transition: Float[Array, "s s"], P: Float[Array, "s s"], density: Float[Array, " s"], dt: Any
+) -> Float[Array, "s s"]:
+    """Covariance (s, s) a sample later, of the state and what white noise of `density` (s,) adds to it."""
+    ahead = transition @ P @ transition.T + gathered_noise(transition, density, dt)
+    return 0.5 * (ahead + ahead.T)
+
+
+def log_terms(e: Float[Array, " c"], S: Float[Array, " c"], used: Bool[Array, " c"]) -> Float[Array, ""]:
+    """Log density of one sample's innovations `e` of variance `S`."""
+    return -0.5 * jnp.sum(jnp.where(used, jnp.log(2.0 * jnp.pi * S) + e**2 / S, 0.0))
 
 
 def log_likelihood(found: Filtered) -> Float[Array, ""]:
     """Log density of all measured samples, each given those before it."""
-    terms = jnp.log(2.0 * jnp.pi * found.variance) + found.innovation**2 / found.variance
-    return -0.5 * jnp.sum(jnp.where(found.used, terms, 0.0))
+    return jnp.sum(jax.vmap(log_terms)(found.innovation, found.variance, found.used))
 
 
 def smoothed(found: Filtered) -> tuple[Float[Array, "n s"], Float[Array, "n s s"]]:

@@ -56,7 +56,7 @@ def diagnose(draws: Float[np.ndarray, "chain draw k"], names: tuple[str, ...]) -
 
 def converged(marginals: dict[str, Marginal]) -> bool:
     """Every parameter reaches the targets of effective sample size (bulk and tail) and R-hat."""
-    return all(min(m.ess_bulk, m.ess_tail) >= TARGET_ESS and m.rhat <= TARGET_RHAT for m in marginals.values())
+    return all(m.ess >= TARGET_ESS and m.rhat <= TARGET_RHAT for m in marginals.values())
 
 
 @eqx.filter_jit

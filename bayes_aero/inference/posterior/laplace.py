@@ -131,7 +131,7 @@ def density_start(density: LogDensity, mle: MleResult) -> np.ndarray:
             value = deviation[coefficient]
         elif kind == "rho" and coefficient in mle.lag1:
             value = np.clip(mle.lag1[coefficient], -0.9, 0.9)
-        start.append(_inside(value, p.bounds))
+        start.append(inside(value, p.bounds))
     return np.array(start)
 
 
@@ -142,7 +142,7 @@ def _weighed(estimate: float, deviation: float, prior: Prior) -> float:
     return mean + share * (estimate - mean)
 
 
-def _inside(value: float, bounds: tuple[float, float]) -> float:
+def inside(value: float, bounds: tuple[float, float]) -> float:
     """Strictly inside the bounds, where the unbounded scale is finite."""
     lower, upper = bounds
     margin = 1e-3 * min(upper - lower, 1.0 + abs(value))

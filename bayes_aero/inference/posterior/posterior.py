@@ -33,6 +33,11 @@ class Marginal:
     ess_tail: float
     rhat: float
 
+    @property
+    def ess(self) -> float:
+        """Effective sample size of centre or tails, whichever is less."""
+        return min(self.ess_bulk, self.ess_tail)
+
 
 @dataclass(frozen=True)
 class Posterior:
@@ -65,6 +70,12 @@ class Posterior:
     def covariance(self) -> Float[np.ndarray, "k k"]:
         """Posterior covariance of the parameters, shape (k, k)."""
         return np.cov(self.draws().T)
+
+    def most_correlated(self, count: int) -> list[str]:
+        """Names, in their order, of the `count` parameters whose largest correlation with another is largest."""
+        size = np.abs(np.corrcoef(self.draws().T)) - np.eye(len(self.names))
+        chosen = set(np.argsort(-size.max(axis=1), kind="stable")[:count].tolist())
+        return [name for i, name in enumerate(self.names) if i in chosen]
 
     def save(self, path: Path) -> None:
         """Write `tree` to `path` as NetCDF, whole or not at all."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,10 +13,11 @@ from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.jobs.io.diagnosis_json import record_results
 from bayes_aero.jobs.io.health_json import health_results
-from bayes_aero.jobs.io.identification_json import inseparable_results
+from bayes_aero.jobs.io.identification_json import inseparable_results, posterior_results
 from bayes_aero.jobs.io.trajectories_json import open_loop
 from bayes_aero.jobs.options import FIXED, FREE, HELD, LINEAR
 from bayes_aero.report.tables.fly import parameter_rows
@@ -31,7 +32,7 @@ class Flight:
 
     `flown.fit` has estimates (k,), standard errors and `det_R`. `sentences` are the findings, `notes` remarks on the
     input, `failures` parts that failed unexpectedly, `apart` parameters for which the coefficients of the same record
-    give other values.
+    give other values, `posteriors` those of the fit with process noise, by sampler (`nuts`, `emcee`).
     """
 
     flown: TrajectoryFit
@@ -42,6 +43,7 @@ class Flight:
     failures: tuple[str, ...] = ()
     apart: tuple[Disagreement, ...] = ()
     process_noise: ProcessNoise | None = None
+    posteriors: Mapping[str, Posterior] = field(default_factory=dict)
 
 
 def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], source: dict[str, Any]) -> dict[str, Any]:
@@ -75,6 +77,7 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
         "inseparable": inseparable_results(flown.fit.inseparable),
         "disagreement": [asdict(d) for d in found.apart],
         **({} if found.process_noise is None else {"process_noise": _process_noise(found.process_noise)}),
+        **({"posterior": posterior_results(found.posteriors)} if found.posteriors else {}),
         "initial_states": {
             manoeuvre: {
                 n: {"value": x, "departure": d, "unit": units[n], "prior_sd": beliefs.get(n)}

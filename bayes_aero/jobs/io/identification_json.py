@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -40,11 +40,7 @@ def results(
     if identification.consistency is not None:
         found["consistency"] = consistency_results(identification.consistency)
     if identification.posteriors:
-        found["posterior"] = {"noise": identification.noise.value} | {
-            engine: {name: asdict(m) for name, m in posterior.marginals.items()}
-            for engine, posterior in identification.posteriors.items()
-        }
-        found["posterior"]["status"] = {k: _status(v) for k, v in identification.posteriors.items()}
+        found["posterior"] = {"noise": identification.noise.value} | posterior_results(identification.posteriors)
     if identification.stall is not None:
         found["stall"] = identification.stall.numbers()
     if identification.gp is not None:
@@ -91,6 +87,12 @@ def _mle(result: MleResult) -> dict[str, Any]:
 def inseparable_results(found: Sequence[Inseparable]) -> list[dict[str, Any]]:
     """Sets of parameters that the record cannot separate."""
     return [{"parameters": dict(zip(one.names, one.wider, strict=True))} for one in found]
+
+
+def posterior_results(posteriors: Mapping[str, Posterior]) -> dict[str, Any]:
+    """Marginals by sampler and parameter, and under `status` whether each sampler's draws may be used."""
+    marginals = {key: {n: asdict(m) for n, m in posterior.marginals.items()} for key, posterior in posteriors.items()}
+    return marginals | {"status": {key: _status(posterior) for key, posterior in posteriors.items()}}
 
 
 def _status(posterior: Posterior) -> dict[str, str]:

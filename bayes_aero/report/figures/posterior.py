@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import arviz_base as azb
@@ -19,6 +20,7 @@ from bayes_aero.report.text.phrases import bracket
 TRACE_DRAWS = 1000  # per chain: more draws than a panel has pixels only cost time
 RANK_DRAWS = 250  # per chain: the band is found by simulation, whose time grows with it
 PAIR_DRAWS = 400  # per chain
+MOST_PAIRED = 6  # parameters of a figure that chooses them
 CHAIN_COLOURS = ["#0072B2", "#E69F00", "#009E73", "#CC79A7"]
 
 
@@ -140,13 +142,32 @@ def pair(identification: Identification) -> Figure:
     names = ordered((n for n in posterior.names if n in identification.mle.names), identification.mle.parameters)
     if len(names) < 2:
         raise NotDrawn("a pair plot needs two parameters")
-    tree = _thinned(posterior, names, PAIR_DRAWS)
-    side = 1.15 * len(names) + 1.0
-    look = {"alpha": 0.25, "size": 3.0, "color": COLOURS.get(engine, COLOURS["mle"]), "edgecolor": "none"}
-    figure = _draw("pair", tree, (side, side), visuals={"scatter": look, "dist": {"color": look["color"]}})
+    figure = _pair(engine, posterior, names)
     _label_matrix(identification, figure, names)
     figure.suptitle(_title(identification, engine, "Posterior of the model's parameters"))
     return figure
+
+
+@housed
+def pair_of(posteriors: Mapping[str, Posterior]) -> Figure:
+    """The same of a fit with process noise, by the first sampler: the parameters that vary together the most."""
+    if not posteriors:
+        raise NotDrawn("there is no posterior")
+    engine, posterior = next(iter(posteriors.items()))
+    figure = _pair(engine, posterior, posterior.most_correlated(MOST_PAIRED))
+    for axis in [axis for axis in figure.axes if not axis.has_data()]:
+        axis.remove()
+    figure.suptitle(
+        f"Posterior with process noise by {engine_label(engine)}: the parameters of the largest correlations"
+    )
+    return figure
+
+
+def _pair(engine: str, posterior: Posterior, names: list[str]) -> Figure:
+    side = 1.15 * len(names) + 1.0
+    look = {"alpha": 0.25, "size": 3.0, "color": COLOURS.get(engine, COLOURS["mle"]), "edgecolor": "none"}
+    tree = _thinned(posterior, names, PAIR_DRAWS)
+    return _draw("pair", tree, (side, side), visuals={"scatter": look, "dist": {"color": look["color"]}})
 
 
 def _label_matrix(identification: Identification, figure: Figure, names: list[str]) -> None:

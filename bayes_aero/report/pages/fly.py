@@ -14,6 +14,7 @@ from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.fly import stem_of
 from bayes_aero.report.html.glossary import FLOWN, words
@@ -32,8 +33,10 @@ from bayes_aero.report.html.pictures import Gallery
 from bayes_aero.report.html.plots import LOW, Line, Panel
 from bayes_aero.report.pages.trajectories import Curve, axis_label, over_measured, sources
 from bayes_aero.report.tables import fly as tables
+from bayes_aero.report.tables.flown_posterior import posterior_table
 from bayes_aero.report.text.fly import errors_of_all
 from bayes_aero.report.text.phrases import SYMBOLS, for_people, several, short
+from bayes_aero.report.text.samplers import unfinished
 
 MODELS = (
     (START, "first values", COLOURS["before"], "dashed"),
@@ -55,6 +58,7 @@ class FlyTold:
     failures: Sequence[str] = ()  # parts that failed unexpectedly
     health: Sequence[HealthFinding] = ()  # what is wrong with channels
     process_noise: ProcessNoise | None = None  # the same parameters by a filter
+    posteriors: Mapping[str, Posterior] = field(default_factory=dict)  # of that, by sampler
 
 
 def fly_page(flown: TrajectoryFit, told: FlyTold) -> Page:
@@ -76,6 +80,7 @@ def fly_page(flown: TrajectoryFit, told: FlyTold) -> Page:
             section("fit", "Measured and simulated", lambda: _flights(flown)),
             section("errors", "Errors", lambda: _errors(flown, told.card)),
             section("parameters", "Parameters", lambda: _parameters(flown, told)),
+            section("posterior", "Posterior", lambda: _posterior(told)),
             section("provenance", "Provenance", lambda: _provenance(told.source)),
         ),
     )
@@ -156,7 +161,11 @@ def _parameters(flown: TrajectoryFit, told: FlyTold) -> tuple[Block, ...]:
     parameters, found = flown.fit.parameters, told.process_noise
     return (
         page_table(tables.parameter_table(flown)),
-        *(() if found is None or not found.converged else (page_table(tables.process_noise_table(found, flown)),)),
+        *(
+            ()
+            if found is None or not found.converged
+            else (page_table(tables.process_noise_table(found, flown, told.posteriors)),)
+        ),
         *_gusts(told),
         symbols(parameters, [p.name for p in parameters], conventions(told.card)),
         page_table(tables.initial_table(flown)),
@@ -175,6 +184,23 @@ def _gusts(told: FlyTold) -> tuple[Block, ...]:
     return Gallery(
         told.figures, {"gusts": (caption, f"Time histories of the gusts; largest in magnitude: {largest}.")}
     )("gusts")
+
+
+def _posterior(told: FlyTold) -> tuple[Block, ...]:
+    """Marginals by both samplers, doubts of their chains first, and what varies together; nothing without."""
+    if not told.posteriors:
+        return ()
+    caption = "Draws of the parameters with the largest correlations, and their marginal densities."
+    doubtful = unfinished(told.posteriors)
+    return (
+        *(Text(sentence, "warning") for sentence in doubtful),
+        Text(
+            "The density is that of the fit with process noise, with the priors of the parameters and weak lognormal "
+            "priors of process noise and measurement noise."
+        ),
+        page_table(posterior_table(told.posteriors)),
+        *Gallery(told.figures, {"pair": (caption, f"Pair plot. {caption}")})("pair"),
+    )
 
 
 def _provenance(source: Mapping[str, Any]) -> tuple[Block, ...]:

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from bayes_aero.diagnosis.trajectories.results import FITTED, START, Error, ProcessNoise, TrajectoryFit
+from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.parameter import Prior
+from bayes_aero.report.tables.comparison import engine_label
+from bayes_aero.report.tables.flown_posterior import interval_of
 from bayes_aero.report.tables.table import (
     NONE,
     Change,
@@ -202,8 +206,10 @@ def _label(flown: TrajectoryFit, channel: str) -> str:
     return axis_label(channel, flown.units.get(channel, "1"))
 
 
-def process_noise_table(found: ProcessNoise, flown: TrajectoryFit) -> Table:
-    """Every parameter by output error and with process noise."""
+def process_noise_table(
+    found: ProcessNoise, flown: TrajectoryFit, posteriors: Mapping[str, Posterior] | None = None
+) -> Table:
+    """Every parameter by output error and with process noise, and its credible interval where it was sampled."""
     fit = flown.fit
     every = zip(fit.parameters, fit.estimate, fit.sd_corrected, strict=True)
     rows = [(p, Estimate(float(x), float(sd))) for p, x, sd in every if p.name in found.estimates]
@@ -214,6 +220,11 @@ def process_noise_table(found: ProcessNoise, flown: TrajectoryFit) -> Table:
             Column([plain_unit(p.unit) for p, _ in rows], page="unit"),
             Column([estimate for _, estimate in rows], "", ours, ours, in_brackets),
             Column([Estimate(*found.estimates[p.name]) for p, _ in rows], "", theirs, theirs, in_brackets),
+            *(
+                Column([interval_of(posterior.marginals[p.name]) for p, _ in rows], "", head, head)
+                for key, posterior in (posteriors or {}).items()
+                for head in [f"95 % {engine_label(key)}"]
+            ),
         ],
         "Parameters with and without process noise",
         "In brackets: the standard error in units of the last digit; for output error with autocorrelated "

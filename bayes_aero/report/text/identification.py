@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from itertools import combinations
-
 import numpy as np
 
 from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.model.noise import Colour
 from bayes_aero.model.observations import Forming
 from bayes_aero.report.tables.between_manoeuvres import between_manoeuvres, left_out
 from bayes_aero.report.tables.comparison import (
     Method,
     chosen_posteriors,
-    engine_label,
     flown,
     methods,
     noise_label,
@@ -26,24 +22,24 @@ from bayes_aero.report.tables.splits import split_verdict
 from bayes_aero.report.text.impossible_estimates import sign_sentences
 from bayes_aero.report.text.phrases import several
 from bayes_aero.report.text.restraints import bound_sentences, conflict_sentences, inseparable_sentences
+from bayes_aero.report.text.samplers import agreement_of_engines, unfinished
 
 # What counts as a disagreement: our choice, wide enough not to report sampling error or chance.
 FACTOR = 1.25  # two standard errors whose ratio is within this, either way, agree
 LIMIT = 3.0  # standard errors of a difference beyond which two values differ
-MEANS, SDS = 0.2, 0.15  # engines agree when means are this close in sd, and sds in relative terms
 
 
 def verdict(identification: Identification) -> list[str]:
     """The findings of the run, one sentence or two each; missing parts of the run are omitted."""
     mle = identification.mle
+    chains = [*unfinished(identification.posteriors), *agreement_of_engines(chosen_posteriors(identification))]
     estimates = {n: (v, sd) for n, v, sd in zip(mle.names, mle.estimate, mle.crb_corrected, strict=True)}
     signs = sign_sentences(estimates, mle.parameters)
     if not (usable(mle) and np.all(np.isfinite([*mle.crb, *mle.crb_corrected]))):
         return [
             *signs,
             *mle.warnings(),
-            *_unfinished(identification),
-            *_engines(identification),
+            *chains,
             *split_verdict(identification),
         ]
     signs += [*bound_sentences(mle.bounded), *conflict_sentences(mle.conflicts)]
@@ -53,7 +49,7 @@ def verdict(identification: Identification) -> list[str]:
     against = [*colour, *(_white(identification) if colour else [])]
     against += [*_noise_model(identification), *between_manoeuvres(identification, LIMIT)]
     said = against or _agreement(identification)
-    said += [*left_out(identification), *_unfinished(identification), *_engines(identification)]
+    said += [*left_out(identification), *chains]
     return [*signs, *truth, *identification.preparation, *said, *split_verdict(identification), *mle.warnings()]
 
 
@@ -217,30 +213,3 @@ def _truth(identification: Identification) -> list[str]:
         f"The records are simulated: of the {len(names)} true parameters, 95 % intervals contain "
         f"{several(held)}. Furthest from its true value is {name}, {far[name]:+.1f} corrected standard errors."
     ]
-
-
-def _unfinished(identification: Identification) -> list[str]:
-    """Posteriors that must not be used."""
-    return [
-        f"The posterior by {engine_label(key) if key != 'white' else 'emcee under white noise'}: {p.status.value}."
-        for key, p in identification.posteriors.items()
-        if p.status is not PosteriorStatus.CONVERGED
-    ]
-
-
-def _engines(identification: Identification) -> list[str]:
-    """Whether engines that sampled the same density give the same posterior."""
-    said = []
-    for (a, one), (b, two) in combinations(chosen_posteriors(identification).items(), 2):
-        shared = [n for n in one.names if n in two.marginals]
-        pairs = {n: (one.marginals[n], two.marginals[n]) for n in shared}
-        means = {n: abs(p.mean - q.mean) / np.sqrt((p.sd**2 + q.sd**2) / 2.0) for n, (p, q) in pairs.items()}
-        sds = {n: p.sd / q.sd for n, (p, q) in pairs.items()}
-        far, (wide, ratio) = max(means, key=lambda n: means[n]), _worst(sds)
-        agree = means[far] < MEANS and abs(ratio - 1.0) < SDS
-        said.append(
-            f"{engine_label(a)} and {engine_label(b)} {'agree' if agree else 'disagree'} on the same density: means "
-            f"differ by at most {means[far]:.2f} standard deviations ({far}), standard deviations by "
-            f"{abs(ratio - 1.0):.0%} ({wide})" + ("." if agree else "; run longer before you use either.")
-        )
-    return said

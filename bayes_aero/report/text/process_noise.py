@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from bayes_aero.diagnosis.result import COLOURED_INNOVATIONS
 from bayes_aero.diagnosis.trajectories.results import ProcessNoise, TrajectoryFit
+from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.report.text.phrases import several
+from bayes_aero.report.text.samplers import agreement_of_engines, unfinished
 
 APART = 3.0  # combined standard errors between the two estimates from which a sentence names a parameter; our choice
 SEEN = 2.0  # standard errors from which an intensity is one
@@ -36,6 +40,11 @@ def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[s
             "of the model or of a sensor, is not modelled, and these standard errors are too small."
         )
     return said
+
+
+def posterior_sentences(posteriors: Mapping[str, Posterior]) -> list[str]:
+    """Chains that must not be used, and whether the samplers agree."""
+    return [*unfinished(posteriors), *agreement_of_engines(posteriors)]
 
 
 def _gusts_met(found: ProcessNoise) -> list[str]:

@@ -1,0 +1,46 @@
+"""The fit with process noise beside output error, and its posterior."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from bayes_aero.diagnosis.trajectories.process_noise import with_process_noise
+from bayes_aero.diagnosis.trajectories.results import ProcessNoise, TrajectoryFit
+from bayes_aero.errors import attempted
+from bayes_aero.flight.card.card import Card
+from bayes_aero.inference.posterior.posterior import Posterior
+from bayes_aero.jobs.io.fly_json import Flight
+from bayes_aero.jobs.options import FlyOptions
+from bayes_aero.progress import Progress
+from bayes_aero.report.text.process_noise import posterior_sentences
+
+Sampling = Callable[[], dict[str, Posterior]]
+
+
+def process_noise(
+    flown: TrajectoryFit, options: FlyOptions, card: Card, out: Path | None, progress: Progress | None
+) -> tuple[tuple[ProcessNoise | None, Sampling | None], tuple[str, ...]]:
+    """The fit with process noise where it was asked for and output error has a result to start from; what samples its
+    posterior where that was asked for and the fit has converged."""
+    if not (options.process_noise and flown.converged):
+        return (None, None), ()
+    if progress:
+        progress("process noise", 0.9)
+    own = bool(card.effect_files)
+    found, failed = attempted("Process noise was not fitted", lambda: with_process_noise(flown), None, out, own=own)
+    if found is None:
+        return (None, None), failed
+    beside, sample = found
+    wanted = options.posterior and beside.converged
+    return (beside, partial(sample, options.seed, progress) if wanted else None), failed
+
+
+def with_posterior(found: Flight, sample: Sampling, card: Card, out: Path | None) -> Flight:
+    """With the posterior, and what is said of its chains."""
+    own = bool(card.effect_files)
+    posteriors, failed = attempted("The posterior was not sampled", sample, {}, out, own=own)
+    said = (*found.sentences, *posterior_sentences(posteriors))
+    return replace(found, posteriors=posteriors, sentences=said, failures=(*found.failures, *failed))

@@ -1,0 +1,191 @@
+"""The posterior of HFB-320 with process noise: this package's filter against dynamax's, by one sampler.
+
+    python benchmarks/dynamax_race.py /path/to/hfb320_1_10.asc [--warmup 200] [--blocks 1] [--chains 2]
+
+needs dynamax (`pip install dynamax "fastprogress<1.1" tfp-nightly`), which no extra installs. Both sides have the
+states airspeed, alpha, theta and q, seven outputs, the measured initial state with its deviation, 11 parameters,
+process noise of four states and seven measurement noises, all free, with the same priors. Motion and outputs are the
+package's functions on both sides, so what is compared is `innovations_density` and `extended_kalman_filter`, each with
+its gradient. NUTS is NumPyro's on coordinates whitened at the same mode, chain by chain on the same cores.
+
+dynamax has no process noise that depends on the state: the share of the noise that the transition gathers within a
+sample is computed along the path of the fit there, at the parameters asked for. So values are the same at the fit, and
+gradients differ by what a move of that path changes in this share. Its outputs are scaled to unit noise: it adds
+1e-9 to the diagonal of their covariance when it solves for the gain.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import bayes_aero as ba
+from bayes_aero.diagnosis.trajectories.trajectory_fit import fit_trajectories
+from bayes_aero.dynamics.filtering.kalman import gathered_noise, outputs_at
+from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.dynamics.segments import prepared
+from bayes_aero.dynamics.system import advance
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.inference.likelihood.disturbed import FIRST_F, FIRST_R
+from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult, fit_prediction_error
+from bayes_aero.inference.posterior.ensemble import EnsembleLength, sample_ensemble
+from bayes_aero.inference.posterior.innovations import InnovationsDensity, innovations_posterior
+from bayes_aero.inference.posterior.laplace import find_mode
+from bayes_aero.inference.posterior.nuts import NutsLength, sample_nuts
+from bayes_aero.jobs.options import FlyOptions
+from bayes_aero.model.joined_channels import despiked, join
+from bayes_aero.model.log_density import LogDensity
+from bayes_aero.model.model import Model
+
+CALLS = 10  # of which the median is timed
+
+
+class DynamaxDensity(InnovationsDensity):
+    """The same density, its likelihood by dynamax; `path` (n, s), after corrections, and `sd` (c,) are the fit's."""
+
+    path: Any
+    sd: Any
+
+    def log_likelihood(self, x):
+        """By `extended_kalman_filter`, which predicts sample t with row t: the inputs of samples t - 1 and t."""
+        from dynamax.nonlinear_gaussian_ssm import ParamsNLGSSM, extended_kalman_filter
+
+        flown, k, c = self.flown, len(self.flown.dynamics.free), len(self.flown.outputs)
+        ready = prepared(flown, x[:k])
+        system, names, dt = ready.system, list(ready.drives), flown.dt[0]
+        now = jnp.stack([ready.drives[name][0] for name in names], axis=1)
+        row = lambda u: dict(zip(names, u, strict=True))  # noqa: E731
+        F2 = x[k:-c] ** 2
+        ahead = jnp.concatenate([now[1:], now[-1:]])
+
+        def moved(x, now, then):
+            return advance(system, x, row(now), row(then), dt, 1)
+
+        Q = jax.vmap(lambda *y: gathered_noise(jax.jacfwd(moved)(*y), F2, dt))(self.path, now, ahead)
+        first = row(now[0])
+        begin = system.settled(ready.begin[0], first)
+        params = ParamsNLGSSM(
+            initial_mean=begin,
+            initial_covariance=system.start_covariance(begin, first, jnp.asarray(self.deviation)),
+            dynamics_function=lambda x, u: moved(x, u[: len(names)], u[len(names) :]),
+            dynamics_covariance=jnp.concatenate([Q[:1], Q[:-1]]),
+            emission_function=lambda x, u: outputs_at(system, x, row(u[len(names) :]), flown.outputs) / self.sd,
+            emission_covariance=jnp.diag((x[-c:] / self.sd) ** 2),
+        )
+        inputs = jnp.concatenate([jnp.concatenate([now[:1], now[:-1]]), now], axis=1)
+        found = extended_kalman_filter(params, ready.true[0] / self.sd, inputs, output_fields=[])
+        total = found.marginal_loglik - len(now) * jnp.sum(jnp.log(self.sd))
+        return jnp.where(jnp.isfinite(total), total, -jnp.inf)
+
+
+@dataclass(frozen=True)
+class Race:
+    """Both densities, the fit, and the point from which both look for their optimum."""
+
+    densities: dict[str, LogDensity]
+    fit: PredictionErrorResult
+    start: np.ndarray
+    seconds: float  # of the fit
+
+
+def race_of(path: str) -> Race:
+    """Fit without gusts, as dynamax has no noise that depends on the state."""
+    card = ba.read_card("hfb320")
+    setting = FlyOptions().setting(card)
+    flights, _ = despiked(join(ba.read([path], card), card, FLIGHT))
+    dynamics = aircraft_dynamics(Model.from_card(card), flights, setting.outputs or ())
+    units = {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
+    output_error = fit_trajectories(flights, dynamics, units, setting=setting).fit
+    sd = np.sqrt(output_error.R)
+    F = np.array([FIRST_F * sd[output_error.flown.outputs.index(name)] for name in dynamics.states])
+    began = time.perf_counter()
+    fit = fit_prediction_error(output_error.flown, F, FIRST_R * output_error.R, start=output_error.estimate)
+    seconds = time.perf_counter() - began
+    ours = innovations_posterior(output_error.flown, output_error.R)
+    shared = {name: getattr(ours, name) for name in ("flown", "deviation", "levels")}
+    theirs = DynamaxDensity(**shared, path=np.asarray(fit.found.state[0]), sd=np.sqrt(fit.R))
+    start = np.array([*output_error.estimate, *F, *np.sqrt(FIRST_R * output_error.R)])
+    return Race({"bayes_aero": ours, "dynamax": theirs}, fit, start, seconds)
+
+
+def timed(density: LogDensity, u: np.ndarray) -> tuple[dict[str, float], np.ndarray]:
+    """Seconds to compile and milliseconds of value and gradient; the gradient."""
+    both = eqx.filter_jit(lambda d, u: jax.value_and_grad(d)(u))
+    one = eqx.filter_jit(lambda d, u: d(u))
+    told: dict[str, float] = {}
+    for name, f in (("density", one), ("with gradient", both)):
+        began = time.perf_counter()
+        found = jax.block_until_ready(f(density, u))
+        told[f"{name}, first, s"] = time.perf_counter() - began
+        each = []
+        for _ in range(CALLS):
+            began = time.perf_counter()
+            jax.block_until_ready(f(density, u))
+            each.append(time.perf_counter() - began)
+        told[f"{name}, ms"] = 1e3 * float(np.median(each))
+    return told, np.asarray(found[1])
+
+
+def main() -> None:
+    """Agreement, time of a call, optimum, and effective samples a second."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("record")
+    parser.add_argument("--chains", type=int, default=2)
+    parser.add_argument("--warmup", type=int, default=200)
+    parser.add_argument("--blocks", type=int, default=1, help="of 300 draws a chain, at most; 0: no sampling")
+    parser.add_argument("--steps", type=int, default=1000, help="of our ensembles; 0: none")
+    asked = parser.parse_args()
+    try:
+        import dynamax  # noqa: F401
+    except ModuleNotFoundError as missing:
+        sys.exit(f"{missing.name} is not installed; this comparison needs it: see the first lines of this file")
+    race = race_of(asked.record)
+    print(f"fit by Fisher scoring: {race.fit.status.value}, {race.fit.log_likelihood:.6f}, {race.seconds:.1f} s")
+    ours = race.densities["bayes_aero"]
+    u = np.asarray(ours.unconstrain(jnp.asarray(ours.start(race.fit))))
+    values, slopes = {}, {}
+    for name, density in race.densities.items():
+        values[name] = float(density.log_likelihood(density.constrain(jnp.asarray(u))))
+        told, slopes[name] = timed(density, jnp.asarray(u))
+        print(
+            f"{name}: log likelihood {values[name]:.9f};",
+            ", ".join(f"{k} {v:.3g}" for k, v in told.items()),
+            flush=True,
+        )
+    apart = np.max(np.abs(slopes["dynamax"] - slopes["bayes_aero"]) / (1.0 + np.abs(slopes["bayes_aero"])))
+    print(f"at the fit: values {abs(values['dynamax'] - values['bayes_aero']):.1e} nats apart, gradients {apart:.1e}")
+    if not asked.blocks:
+        return
+    mode = None
+    for name, density in race.densities.items():
+        began = time.perf_counter()
+        found = find_mode(density, race.start)
+        seconds = time.perf_counter() - began
+        mode = mode or found
+        print(f"{name}: mode {found.log_density:.4f} ({found.status.name.lower()}) in {seconds:.1f} s", flush=True)
+    length = NutsLength(asked.chains, asked.warmup, asked.blocks)
+    runs = [(name, "NUTS", density, sample_nuts, length) for name, density in race.densities.items()]
+    if asked.steps:
+        runs.append(("bayes_aero", "emcee", ours, sample_ensemble, EnsembleLength(asked.chains, asked.steps)))
+    for name, engine, density, sample, size in runs:
+        found = sample(density, mode, seed=1, predictive=False, length=size)
+        least = min(m.ess_bulk for m in found.marginals.values())
+        worst = max(m.rhat for m in found.marginals.values())
+        print(
+            f"{name}, {engine}: {least:.0f} effective samples in {found.seconds:.1f} s, {least / found.seconds:.3g} a "
+            f"second; R-hat {worst:.3f}; {found.status.name.lower()}",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()
