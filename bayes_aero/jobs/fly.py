@@ -141,7 +141,7 @@ def fly_records(
     apart = () if coefficients is None else fit_disagreements(coefficients, flown)
     hindered = usable_for(records, card).get("diagnose", "")
     filtered = () if beside is None else process_noise_sentences(beside, flown)
-    said = (*filtered, *fly_sentences(flown, hindered), *disagreement_sentences(apart, hindered))
+    said = (*filtered, *fly_sentences(flown, hindered, disturbed=options.process_noise), *disagreement_sentences(apart, hindered))
     health = channel_health(records, card)
     found = Flight(flown, said, tuple(notes), health, agreement, (*failures, *failed, *more), apart, beside)
     if sample is not None:

@@ -14,6 +14,10 @@ from bayes_aero.report.text.restraints import inseparable_sentences
 
 COLOURED = 1.5  # variance inflation from which a sentence is written; our choice
 OFTEN = 0.5  # share of the time outside a tolerance from which a sentence is written; our choice
+ADVICE = (
+    " Gusts or errors of the model cause this, and bias output error: the option --process-noise fits the same model in "
+    "disturbed air."
+)
 SWOLLEN = 2.0  # noise growth in fully separated flow from which a sentence is written; our choice
 
 
@@ -29,10 +33,10 @@ def errors_of_all(flown: TrajectoryFit) -> dict[str, tuple[float, float]]:
         return {output: (rms(START, output), rms(FITTED, output)) for output in flown.outputs}
 
 
-def fly_sentences(flown: TrajectoryFit, hindered: str = "") -> list[str]:
+def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool = False) -> list[str]:
     """How the fit ended, its errors, the variance inflation, what is not identified, what left the envelope.
 
-    `hindered` is why diagnose cannot use the records; empty if it can.
+    `hindered` is why diagnose cannot use the records; empty if it can. `disturbed`: process noise was asked for.
     """
     fit = flown.fit
     bound = f" ({several(fit.at_bound)})" if fit.at_bound else ""
@@ -46,6 +50,7 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "") -> list[str]:
             f"The residuals are autocorrelated. The variance inflation is {short(flown.variance_inflation)} in the "
             f"median, and the "
             "Cramér-Rao bound is too small; use the corrected standard error."
+            f"{'' if disturbed or flown.of_path else ADVICE}"
         )
     swollen = {name: times for name, times in flown.noise_growth.items() if times > SWOLLEN}
     if swollen:
