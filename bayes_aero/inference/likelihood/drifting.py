@@ -1,0 +1,169 @@
+"""Fits with parameters that drift: how fast, whether the record needs it, and their histories.
+
+The intensity of each drift is found by maximum likelihood with all else. A history given all samples has the variance
+of the smoother, at known parameters, and that which the estimated ones bring. Sources: Rauch, Tung, Striebel 1965,
+AIAA J. 3, 1445; Hamilton 1986, J. Econometrics 33, 387 (variance of estimated parameters).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_aero.dynamics.filtering.drifting import PREFIX, drifting
+from bayes_aero.dynamics.filtering.innovations import filtered
+from bayes_aero.dynamics.filtering.kalman import log_likelihood, smoothed
+from bayes_aero.dynamics.segments import SegmentTrajectories
+from bayes_aero.inference.likelihood.normal_equations import departures
+from bayes_aero.inference.likelihood.prediction_error import (
+    LEAST,
+    PredictionErrorResult,
+    PredictionErrorStatus,
+    fit_prediction_error,
+)
+
+TRIED = np.logspace(0.0, 2.5, 6)  # intensities to start from: change over a manoeuvre, in errors of the parameter
+UNKNOWN = 2.0  # error of a logarithm of F or R from which it is not determined, and moves nothing
+SHIFT = 0.1  # errors by which parameters are moved for a derivative of the histories
+
+
+@dataclass(frozen=True)
+class DriftFit:
+    """The fit with m drifting parameters.
+
+    `ratios` (m,): likelihood ratio, twice the gain in log density, by which the fit needs the drift of each beside
+    those of the others; `ratio` that of all. `usable`: whether every fit converged.
+    """
+
+    flown: SegmentTrajectories
+    drifting: tuple[str, ...]
+    fit: PredictionErrorResult
+    ratio: float
+    ratios: Float[np.ndarray, " m"]
+    usable: bool
+
+    @property
+    def intensity(self) -> Float[np.ndarray, "m 2"]:
+        """Unit of each parameter per square root of a second, and the standard error of its logarithm."""
+        k, at = len(self.fit.names), self._states
+        return np.stack([self.fit.F[at], np.sqrt(np.diag(self.fit.covariance)[k:][at])], axis=1)
+
+    @property
+    def _states(self) -> list[int]:
+        return [self.fit.states.index(PREFIX + name) for name in self.drifting]
+
+
+class Histories(NamedTuple):
+    """Given all samples (w segments): drifts and, with the parameters they start from, values, (w, n, m) each; their
+    standard deviations, those of the values with the errors of all parameters."""
+
+    drift: Float[np.ndarray, "w n m"]
+    drift_sd: Float[np.ndarray, "w n m"]
+    value: Float[np.ndarray, "w n m"]
+    value_sd: Float[np.ndarray, "w n m"]
+
+
+def fit_drifting(
+    flown: SegmentTrajectories,
+    still: PredictionErrorResult,
+    names: Sequence[str],
+    *,
+    fixed: Collection[str] = (),
+    priors: bool = True,
+) -> DriftFit:
+    """Fit with parameters `names` drifting, then without the drift of each in turn.
+
+    Args:
+        flown: segments of flights, whole manoeuvres.
+        still: the fit without drift.
+        names: free parameters.
+        fixed: parameters that the card fixes, for what is said of them.
+        priors: whether the parameters' priors count.
+
+    Raises:
+        InputError: a parameter cannot drift.
+    """
+    moving = replace(flown, dynamics=drifting(flown.dynamics, names, fixed))
+    begun = np.append(still.F, _begun(moving, still, names))
+    fit = fit_prediction_error(moving, begun, still.R, start=still.estimate, priors=priors)
+    gain = 2.0 * (still.cost - fit.cost)
+    fits, ratios = [still, fit], [gain]
+    if len(names) > 1:
+        ratios = []
+        for i in range(len(names)):
+            F = np.where(np.arange(len(fit.F)) == len(still.F) + i, 0.0, fit.F)
+            without = fit_prediction_error(moving, F, fit.R, start=fit.estimate, priors=priors)
+            ratios.append(2.0 * (without.cost - fit.cost))
+            fits.append(without)
+    usable = all(one.status is PredictionErrorStatus.CONVERGED for one in fits)
+    return DriftFit(moving, tuple(names), fit, max(gain, 0.0), np.maximum(ratios, 0.0), usable)
+
+
+@eqx.filter_jit
+def _smooth(flown, theta, deviation, F, R):
+    """Log likelihood, and states given all samples with their variances, (w, n, s)."""
+    found = filtered(flown, theta, deviation, F, R)
+    x, P = jax.vmap(smoothed)(found)
+    return jnp.sum(jax.vmap(log_likelihood)(found)), x, jnp.diagonal(P, axis1=2, axis2=3)
+
+
+def _deviation(flown: SegmentTrajectories) -> Array:
+    """Of the measured initial state, as `fit_prediction_error` has it by default."""
+    s = len(flown.dynamics.states)
+    return jnp.asarray(np.zeros(s) if flown.fixed is not None else departures(flown.dynamics))
+
+
+def _begun(flown: SegmentTrajectories, still: PredictionErrorResult, names: Sequence[str]) -> Float[np.ndarray, " m"]:
+    """Intensities to start from: of each alone, that of `TRIED` with the highest likelihood."""
+    seconds = float(np.max(flown.inside.sum(axis=1) * flown.dt))
+    nameless, deviation = flown.nameless, _deviation(flown)
+    begun = []
+    for i, name in enumerate(names):
+        size = float(still.sd[still.names.index(name)]) / np.sqrt(seconds)
+        tried = size * TRIED
+        found = []
+        for sigma in tried:
+            F = np.append(still.F, np.where(np.arange(len(names)) == i, sigma, 0.0))
+            found.append(float(_smooth(nameless, *map(jnp.asarray, (still.estimate, deviation, F, still.R)))[0]))
+        begun.append(tried[int(np.nanargmax(found))])
+    return np.array(begun)
+
+
+def histories(found: DriftFit) -> Histories:
+    """Drifts and values at every sample, given all samples."""
+    fit, k, s = found.fit, len(found.fit.names), len(found.fit.states)
+    at, own = found._states, [fit.names.index(name) for name in found.drifting]
+    nameless, deviation = found.flown.nameless, _deviation(found.flown)
+    point = np.concatenate([fit.estimate, np.log(np.maximum(fit.F, LEAST)), np.log(fit.R)])
+
+    def path(point: Float[np.ndarray, " j"]) -> tuple[np.ndarray, np.ndarray]:
+        F, R = np.exp(point[k : k + s]), np.exp(point[k + s :])
+        _, x, variance = _smooth(nameless, *map(jnp.asarray, (point[:k], deviation, F, R)))
+        return np.asarray(x)[..., at], np.asarray(variance)[..., at]
+
+    drift, variance = path(point)
+    extra = [np.zeros_like(drift), np.zeros_like(drift)]
+    for column in _columns(fit):
+        slope = (path(point + SHIFT * column)[0] - path(point - SHIFT * column)[0]) / (2.0 * SHIFT)
+        extra[0] += slope**2
+        extra[1] += (slope + column[own]) ** 2
+    sds = [np.sqrt(np.maximum(variance + more, 0.0)) for more in extra]
+    return Histories(drift, sds[0], fit.estimate[own] + drift, sds[1])
+
+
+def _columns(fit: PredictionErrorResult) -> Float[np.ndarray, "j j"]:
+    """Rows that squared and added are the covariance, of what is determined."""
+    sd, k = np.sqrt(np.diag(fit.covariance)), len(fit.names)
+    known = (sd > 0.0) & ((np.arange(len(sd)) < k) | (sd < UNKNOWN))
+    scaled = fit.covariance[np.ix_(known, known)] / np.outer(sd[known], sd[known])
+    size, towards = np.linalg.eigh(scaled)
+    rows = np.zeros((int(known.sum()), len(sd)))
+    rows[:, known] = (towards * np.sqrt(np.maximum(size, 0.0))).T * sd[known]
+    return rows
