@@ -68,6 +68,13 @@ def fly(
             help="Fit the same model with process noise, too: an extended Kalman filter, for flight in disturbed air.",
         ),
     ] = False,
+    drift: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME,NAME",
+            help="Parameters that drift in a further fit with process noise, e.g. Cm0,CLa: did they change, and when?",
+        ),
+    ] = None,
     seed: SeedOption = 0,
     resample: ResampleOption = None,
     split: SplitOption = False,
@@ -87,11 +94,12 @@ def fly(
         from bayes_aero.jobs.fly import fly_records
         from bayes_aero.jobs.io.fly_json import RESULTS
         from bayes_aero.jobs.options import FlyOptions
-        from bayes_aero.report.tables.fly import error_table, parameter_table, process_noise_table
+        from bayes_aero.report.tables.fly import drift_table, error_table, parameter_table, process_noise_table
 
     console = teller(quiet=json, highlight=True)
     with interruptible(kept_stages(out)), bar("reading") as tell:
-        options = FlyOptions(windows, initial_state.value, priors, outputs, inputs.value, seed, figures, process_noise)
+        chosen = (windows, initial_state.value, priors, outputs, inputs.value, seed, figures, process_noise, drift)
+        options = FlyOptions(*chosen)
         found = fly_records(flights, card, options, out=out, progress=tell)
     if json:
         typer.echo((out / RESULTS).read_text(encoding="utf-8"), nl=False)
@@ -100,6 +108,8 @@ def fly(
     console.print(parameter_table(found.flown).terminal())
     if found.process_noise is not None and found.process_noise.converged:
         console.print(process_noise_table(found.process_noise, found.flown).terminal())
+        if found.process_noise.drift is not None:
+            console.print(drift_table(found.process_noise.drift).terminal())
     console.print(error_table(found.flown).terminal())
     for sentence in found.sentences:
         console.print(f"• {sentence}", highlight=False)

@@ -15,6 +15,7 @@ from bayes_aero.diagnosis.trajectories.process_noise import with_process_noise
 from bayes_aero.diagnosis.trajectories.results import FITTED, ProcessNoise, Setting, TrajectoryFit
 from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
 from bayes_aero.diagnosis.trajectories.trajectory_fit import fit_trajectories
+from bayes_aero.dynamics.filtering.drifting import refuse
 from bayes_aero.dynamics.flight import Dynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
@@ -39,13 +40,15 @@ from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.progress import Progress
+from bayes_aero.report.figures.drift import drift as drift_figure
 from bayes_aero.report.figures.every_figure import draw_all
 from bayes_aero.report.figures.fly import fly_figures, gusts
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.fly import FlyTold, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES
-from bayes_aero.report.tables.fly import gust_table, parameter_table
+from bayes_aero.report.tables.fly import drift_history_table, gust_table, parameter_table
 from bayes_aero.report.tables.table import write_csv
+from bayes_aero.report.text.drift import drift_sentences
 from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences
 from bayes_aero.report.text.phrases import several
 from bayes_aero.report.text.process_noise import process_noise_sentences
@@ -64,6 +67,7 @@ def fly(
     seed: int = 0,
     figures: bool = True,
     process_noise: bool = False,
+    drift: str | Sequence[str] | None = None,
     progress: Progress | None = None,
 ) -> Flight:
     """Fit the card's model to the trajectories of the records (output error), as `bayes-aero fly` does.
@@ -84,6 +88,8 @@ def fly(
         seed: of the fit of the coefficients.
         figures: False draws none.
         process_noise: True fits the same model with process noise, too, by an extended Kalman filter.
+        drift: names of parameters that drift in a further fit with process noise, a list or separated by commas; it
+            says whether they changed, when, and by how much.
         progress: called with a stage and the share of it that is done.
 
     Returns:
@@ -95,7 +101,7 @@ def fly(
     Source:
         Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, ch. 4.
     """
-    options = FlyOptions(windows, initial_state, priors, outputs, inputs, seed, figures, process_noise)
+    options = FlyOptions(windows, initial_state, priors, outputs, inputs, seed, figures, process_noise, drift)
     return fly_records(records, card, options, out=out, progress=progress)
 
 
@@ -110,6 +116,8 @@ def fly_records(
     """`fly` with its options in one."""
     setting, seed = options.setting(card), options.seed
     flights, dynamics, notes = _flights(records, card, setting.outputs or ())
+    if options.drift is not None:
+        refuse(dynamics, options.drifting, {*card.fixed, *(dict(card.linear.fixed) if card.linear else ())})
     if out is not None:
         writable(out)
     source = provenance(card, records, seed, _told(options, setting))
@@ -135,11 +143,12 @@ def fly_records(
         progress=progress,
     )
     beside, more = _process_noise(flown, options, card, out, progress)
-    if options.process_noise and not flown.converged:
+    if options.filtered and not flown.converged:
         notes.append("Process noise was not fitted, because output error did not converge.")
     apart = () if coefficients is None else fit_disagreements(coefficients, flown)
     hindered = usable_for(records, card).get("diagnose", "")
-    filtered = () if beside is None else process_noise_sentences(beside, flown)
+    drifted = drift_sentences(beside.drift) if beside is not None and beside.drift is not None else ()
+    filtered = () if beside is None else (*drifted, *process_noise_sentences(beside, flown))
     said = (*filtered, *fly_sentences(flown, hindered), *disagreement_sentences(apart, hindered))
     health = channel_health(records, card)
     found = Flight(flown, said, tuple(notes), health, agreement, (*failures, *failed, *more), apart, beside)
@@ -152,19 +161,21 @@ def _process_noise(
     flown: TrajectoryFit, options: FlyOptions, card: Card, out: Path | None, progress: Progress | None
 ) -> tuple[ProcessNoise | None, tuple[str, ...]]:
     """The fit with process noise where it was asked for and output error has a result to start from."""
-    if not (options.process_noise and flown.converged):
+    if not (options.filtered and flown.converged):
         return None, ()
     if progress:
         progress("process noise", 0.9)
     own = bool(card.effect_files)
-    return attempted("Process noise was not fitted", lambda: with_process_noise(flown), None, out, own=own)
+    fit = lambda: with_process_noise(flown, options.drifting)  # noqa: E731
+    return attempted("Process noise was not fitted", fit, None, out, own=own)
 
 
 def _told(options: FlyOptions, setting: Setting) -> dict[str, Any]:
     """The settings by the names of the options; `outputs` only where they were chosen."""
     chosen = {} if setting.outputs is None else {"outputs": list(setting.outputs)}
-    names = ("windows", "initial_state", "priors", "inputs", "process_noise")
-    return {name: getattr(options, name) for name in names} | chosen
+    chosen |= {"drift": list(options.drifting)} if options.drift is not None else {}
+    names = ("windows", "initial_state", "priors", "inputs")
+    return {name: getattr(options, name) for name in names} | {"process_noise": options.filtered} | chosen
 
 
 def _written(
@@ -187,6 +198,8 @@ def _written(
     write_csv(parameter_table(found.flown), out / "parameters.csv")
     if found.process_noise is not None and found.process_noise.histories:
         write_csv(gust_table(found.process_noise), out / "gusts.csv")
+    if found.process_noise is not None and found.process_noise.drift is not None:
+        write_csv(drift_history_table(found.process_noise.drift), out / "drift.csv")
     together = [replace(path, split=FITTED) for path in found.flown.paths]  # first values and fit side by side
     found = noted((), ())
     failed = put_histories(lambda: flights(together, found.flown.units), out)
@@ -195,7 +208,7 @@ def _written(
     if figures:
         drawn, failed = draw_all(fly_figures(found.flown), found.flown, out / "figures", progress)
         if found.process_noise is not None:
-            met, more = draw_all({"gusts": gusts}, found.process_noise, out / "figures")
+            met, more = draw_all({"drift": drift_figure, "gusts": gusts}, found.process_noise, out / "figures")
             drawn, failed = [*drawn, *met], (*failed, *more)
         many = len(records) > MOST_MANOEUVRES
         said = [f"Figures are drawn for up to {MOST_MANOEUVRES} manoeuvres."] if many else []

@@ -81,6 +81,7 @@ class FlyOptions:
     seed: int = 0
     figures: bool = True
     process_noise: bool = False
+    drift: str | Sequence[str] | None = None
 
     def __post_init__(self) -> None:
         """Refuse what cannot be flown."""
@@ -91,9 +92,23 @@ class FlyOptions:
             if given not in known:
                 raise InputError(f"the setting {name} is {given!r}; use {' or '.join(known)}")
 
+    @property
+    def drifting(self) -> tuple[str, ...]:
+        """Parameters that are asked to drift."""
+        return tuple(dict.fromkeys(filter(None, _names(self.drift)))) if self.drift is not None else ()
+
+    @property
+    def filtered(self) -> bool:
+        """Whether process noise is fitted."""
+        return self.process_noise or self.drift is not None
+
     def setting(self, card: Card) -> Setting:
         """How trajectories are fitted; what is not given is the card's."""
-        named = self.outputs.split(",") if isinstance(self.outputs, str) else self.outputs
-        asked = card.fly.outputs if named is None else tuple(dict.fromkeys(name.strip() for name in named))
+        asked = card.fly.outputs if self.outputs is None else tuple(dict.fromkeys(_names(self.outputs)))
         initial = card.fly.initial_state if self.initial_state == FIXED else None
         return Setting(asked, initial, self.priors, self.inputs == HELD)
+
+
+def _names(given: str | Sequence[str]) -> list[str]:
+    """Names in a list or separated by commas."""
+    return [name.strip() for name in (given.split(",") if isinstance(given, str) else given)]

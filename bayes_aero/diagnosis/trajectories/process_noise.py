@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import numpy as np
 
+from bayes_aero.diagnosis.trajectories.drift import with_drift
 from bayes_aero.diagnosis.trajectories.results import GustHistory, ProcessNoise, TrajectoryFit
+from bayes_aero.dynamics.filtering.innovations import neighbour_correlation
 from bayes_aero.dynamics.filtering.kalman import smoothed
 from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories
@@ -16,8 +20,11 @@ from bayes_aero.inference.threads import blas_threads
 
 
 @blas_threads(0)
-def with_process_noise(flown: TrajectoryFit) -> ProcessNoise:
-    """Fit again, from the estimates of output error, in gusts and with noise of every state that is compared."""
+def with_process_noise(flown: TrajectoryFit, drifting: Sequence[str] = ()) -> ProcessNoise:
+    """Fit again, from the estimates of output error, in gusts and with noise of every state that is compared.
+
+    Parameters that are `drifting` drift in a further fit.
+    """
     fit = flown.fit
     gusty, found = fit_disturbed(fit.flown, fit.estimate, fit.R, priors=flown.setting.priors)
     inside = fit.flown.inside
@@ -34,9 +41,10 @@ def with_process_noise(flown: TrajectoryFit) -> ProcessNoise:
         {name: value for name, value in estimates.items() if name in own},
         {n: float(x) for n, x in zip(found.states, found.F, strict=True) if n in fit.flown.dynamics.states},
         dict(zip(found.outputs, map(float, np.sqrt(found.R)), strict=True)),
-        _autocorrelation(found),
+        dict(zip(found.outputs, map(float, neighbour_correlation(found.found)), strict=True)),
         {name: value for name, value in estimates.items() if name not in own},
         _histories(gusty, found),
+        with_drift(gusty, found, drifting, priors=flown.setting.priors) if drifting else None,
     )
 
 
@@ -64,15 +72,3 @@ def _histories(gusty: SegmentTrajectories, found: PredictionErrorResult) -> tupl
         }
         histories.append(GustHistory(flights.names[number], time - time[0], gusts))
     return tuple(histories)
-
-
-def _autocorrelation(found: PredictionErrorResult) -> dict[str, float]:
-    """Correlation of neighbouring innovations by output, over all segments; 0 where there are too few."""
-    scaled = np.asarray(found.found.innovation / np.sqrt(found.found.variance))
-    used, result = np.asarray(found.found.used), {}
-    for c, name in enumerate(found.outputs):
-        both = used[:, 1:, c] & used[:, :-1, c]
-        one, next_one = scaled[:, :-1, c][both], scaled[:, 1:, c][both]
-        power = float(np.sqrt(np.sum(one**2) * np.sum(next_one**2)))
-        result[name] = float(np.sum(one * next_one)) / power if power > 0.0 else 0.0
-    return result

@@ -7,7 +7,7 @@ AIAA J. 3, 1445; Hamilton 1986, J. Econometrics 33, 387 (variance of estimated p
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -31,6 +31,7 @@ from bayes_aero.inference.likelihood.prediction_error import (
 
 TRIED = np.logspace(0.0, 2.5, 6)  # intensities to start from: change over a manoeuvre, in errors of the parameter
 UNKNOWN = 2.0  # error of a logarithm of F or R from which it is not determined, and moves nothing
+NONE = 10.0 * LEAST  # an intensity at its bound
 SHIFT = 0.1  # errors by which parameters are moved for a derivative of the histories
 
 
@@ -38,6 +39,7 @@ SHIFT = 0.1  # errors by which parameters are moved for a derivative of the hist
 class DriftFit:
     """The fit with m drifting parameters.
 
+    `intensity` (m, 2): unit of each per square root of a second, and the standard error of its logarithm; 0: none.
     `ratios` (m,): likelihood ratio, twice the gain in log density, by which the fit needs the drift of each beside
     those of the others; `ratio` that of all. `usable`: whether every fit converged.
     """
@@ -51,9 +53,10 @@ class DriftFit:
 
     @property
     def intensity(self) -> Float[np.ndarray, "m 2"]:
-        """Unit of each parameter per square root of a second, and the standard error of its logarithm."""
+        """Of each drift, and its error."""
         k, at = len(self.fit.names), self._states
-        return np.stack([self.fit.F[at], np.sqrt(np.diag(self.fit.covariance)[k:][at])], axis=1)
+        found = np.stack([self.fit.F[at], np.sqrt(np.diag(self.fit.covariance)[k:][at])], axis=1)
+        return np.where(found[:, :1] > NONE, found, 0.0)
 
     @property
     def _states(self) -> list[int]:
@@ -75,7 +78,6 @@ def fit_drifting(
     still: PredictionErrorResult,
     names: Sequence[str],
     *,
-    fixed: Collection[str] = (),
     priors: bool = True,
 ) -> DriftFit:
     """Fit with parameters `names` drifting, then without the drift of each in turn.
@@ -84,13 +86,12 @@ def fit_drifting(
         flown: segments of flights, whole manoeuvres.
         still: the fit without drift.
         names: free parameters.
-        fixed: parameters that the card fixes, for what is said of them.
         priors: whether the parameters' priors count.
 
     Raises:
         InputError: a parameter cannot drift.
     """
-    moving = replace(flown, dynamics=drifting(flown.dynamics, names, fixed))
+    moving = replace(flown, dynamics=drifting(flown.dynamics, names))
     begun = np.append(still.F, _begun(moving, still, names))
     fit = fit_prediction_error(moving, begun, still.R, start=still.estimate, priors=priors)
     gain = 2.0 * (still.cost - fit.cost)
