@@ -52,9 +52,8 @@ def report(rows: list[dict]) -> None:
         print(f"{name}: {len(some)} flights, not converged {no}, coloured {sum(bool(r['coloured']) for r in some)}")
     print(f"false alarms: {sum(bool(r['changed']) for r in silent)} of {len(silent)}")
     hit = [r for r in steps if "Cm0" in r["changed"]]
-    print(
-        f"step of Cm0 found: {len(hit)} of {len(steps)}; CLa called changed: {sum('CLa' in r['changed'] for r in steps)}"
-    )
+    print(f"step of Cm0 found: {len(hit)} of {len(steps)}")
+    print(f"CLa called changed beside it: {sum('CLa' in r['changed'] for r in steps)} of {len(steps)}")
     if hit:
         held = sum(abs(r["size"][0] - r["step"]) < 1.96 * r["size"][1] for r in hit)
         away = np.abs([r["times"][1] - r["at"] for r in hit])

@@ -130,7 +130,7 @@ def with_drift(
 
 
 def at_bound(ratio: float, m: int = 1) -> float:
-    """P-value of a likelihood ratio of `m` independent intensities at zero, each of which is estimated as zero or not."""
+    """P-value of the likelihood ratio of `m` independent intensities at zero: each is zero or not, with even odds."""
     if ratio <= 0.0:
         return 1.0
     return float(sum(math.comb(m, i) * 0.5**m * chi2.sf(ratio, i) for i in range(1, m + 1)))

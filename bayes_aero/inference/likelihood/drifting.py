@@ -159,7 +159,7 @@ def histories(found: DriftFit) -> Histories:
     return Histories(drift, sds[0], fit.estimate[own] + drift, sds[1])
 
 
-def _columns(fit: PredictionErrorResult) -> Float[np.ndarray, "j j"]:
+def _columns(fit: PredictionErrorResult) -> Float[np.ndarray, "i j"]:
     """Rows that squared and added are the covariance, of what is determined."""
     sd, k = np.sqrt(np.diag(fit.covariance)), len(fit.names)
     known = (sd > 0.0) & ((np.arange(len(sd)) < k) | (sd < UNKNOWN))

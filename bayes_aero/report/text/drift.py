@@ -26,8 +26,8 @@ def drift_sentences(found: Drift) -> list[str]:
         )
     family = f", {len(names)} parameters together (Holm)" if len(names) > 1 else ""
     said.append(
-        f"These p-values are of likelihood ratios{family}, and hold for white innovations, "
-        "as these are within bounds. A drift stands for whatever changes slowly, also for an effect that the model lacks."
+        f"These p-values are of likelihood ratios{family}, for white innovations, and those of this fit are. A drift "
+        "stands for whatever changes slowly, also for an effect that the model lacks."
     )
     return said
 
