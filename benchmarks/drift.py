@@ -1,6 +1,6 @@
 """Count false alarms and hits of parameters that drift, on flights in gusts by a simulator that shares no code.
 
-    python benchmarks/drift.py 20 [--first 0] [--step 0.003] [--minutes 60] [--out drift]
+    python benchmarks/drift.py 20 [--first 0] [--step 0.001] [--minutes 60] [--out drift]
 
 Each seed is flown twice (`tests/gusty_flight.py`: HFB 320, a minute, gusts of 1.5 and 1.0 m/s): with nothing changing,
 and with a step of Cm0 at a time drawn from 15 to 45 s, of either sign. Cm0 and CLa are asked to drift. One line of
@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from gusty_flight import gusty_flight
 
 from bayes_aero.flight.card.card import read_card
-from bayes_aero.inference.compiled_programs import give_back_memory
+from bayes_aero.inference.compiled_programs import full_of_programs, give_back_memory
 from bayes_aero.jobs.fly import fly
 
 OUTPUTS = "airspeed,alpha,theta,q,ax,az"
@@ -65,7 +65,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("count", type=int)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--step", type=float, default=0.003, help="of Cm0; 0.003 is an elevator 0.12 deg off")
+    parser.add_argument("--step", type=float, default=0.001, help="of Cm0; 0.001 is an elevator 0.04 deg off")
     parser.add_argument("--minutes", type=float, default=np.inf, help="none is begun after")
     parser.add_argument("--out", type=Path, default=Path("drift"))
     given = parser.parse_args()
@@ -78,7 +78,8 @@ if __name__ == "__main__":
                 known = {(row["seed"], bool(row["step"])) for row in done}
                 if (seed, bool(step)) not in known and time.monotonic() < until:
                     done.append(json.loads(json.dumps(case(seed, step))))
-                    give_back_memory()
+                    if full_of_programs():
+                        give_back_memory()
                     file.write(json.dumps(done[-1]) + "\n")
                     file.flush()
     report(done)

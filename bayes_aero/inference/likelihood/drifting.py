@@ -80,7 +80,7 @@ def fit_drifting(
     *,
     priors: bool = True,
 ) -> DriftFit:
-    """Fit with parameters `names` drifting, then without the drift of each in turn.
+    """Fit with parameters `names` drifting, then without the drift of each that has an intensity, in turn.
 
     Args:
         flown: segments of flights, whole manoeuvres.
@@ -94,17 +94,17 @@ def fit_drifting(
     moving = replace(flown, dynamics=drifting(flown.dynamics, names))
     begun = np.append(still.F, _begun(moving, still, names))
     fit = fit_prediction_error(moving, begun, still.R, start=still.estimate, priors=priors)
-    gain = 2.0 * (still.cost - fit.cost)
-    fits, ratios = [still, fit], [gain]
-    if len(names) > 1:
-        ratios = []
-        for i in range(len(names)):
-            F = np.where(np.arange(len(fit.F)) == len(still.F) + i, 0.0, fit.F)
-            without = fit_prediction_error(moving, F, fit.R, start=fit.estimate, priors=priors)
-            ratios.append(2.0 * (without.cost - fit.cost))
-            fits.append(without)
+    gain = max(2.0 * (still.cost - fit.cost), 0.0)
+    own = np.arange(len(fit.F)) - len(still.F)
+    walking = np.flatnonzero(fit.F[len(still.F) :] > NONE)
+    ratios, fits = np.zeros(len(names)), [still, fit]
+    ratios[walking] = gain
+    for i in walking if len(walking) > 1 else ():  # the only one's is that of all
+        F = np.where((own == i) | (own >= 0) & (fit.F <= NONE), 0.0, fit.F)
+        fits.append(fit_prediction_error(moving, F, fit.R, start=fit.estimate, priors=priors))
+        ratios[i] = max(2.0 * (fits[-1].cost - fit.cost), 0.0)
     usable = all(one.status is PredictionErrorStatus.CONVERGED for one in fits)
-    return DriftFit(moving, tuple(names), fit, max(gain, 0.0), np.maximum(ratios, 0.0), usable)
+    return DriftFit(moving, tuple(names), fit, gain, ratios, usable)
 
 
 @eqx.filter_jit
