@@ -1,4 +1,4 @@
-"""Parameters that change in mid-record, by simulators that share no code: which, when, by how much; and where none does."""
+"""Parameters that change in mid-record, by simulators that share no code: which, when and by how much."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ STEP, AT = -0.01, 35.0  # of Cm0, s
 
 def changing_flight(seed, change):
     """Half a minute of the short period, each sample by the matrix exponential of its own derivatives."""
-    u = sum(multistep(N, DT, begin, 0.6, size) for begin, size in ((1.0, 0.03), (8.0, -0.03), (15.0, 0.03), (22.0, -0.03)))
+    u = sum(
+        multistep(N, DT, begin, 0.6, size) for begin, size in ((1.0, 0.03), (8.0, -0.03), (15.0, 0.03), (22.0, -0.03))
+    )
     x, rows = np.array([0.04, 0.01]), []
     for k in range(N):
         now = SHORT_PERIOD_TRUTH | {name: SHORT_PERIOD_TRUTH[name] + more(DT * k) for name, more in change.items()}

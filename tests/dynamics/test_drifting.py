@@ -10,7 +10,7 @@ import pytest
 from linear_cards import card_of
 from scipy.stats import chi2
 
-from bayes_aero.diagnosis.trajectories.drift import at_bound, holm
+from bayes_aero.diagnosis.trajectories.process_noise import at_bound, holm
 from bayes_aero.dynamics.filtering.drifting import drifting
 from bayes_aero.dynamics.filtering.innovations import filtered
 from bayes_aero.dynamics.filtering.kalman import log_likelihood, outputs_at, smoothed
