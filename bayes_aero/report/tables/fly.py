@@ -255,7 +255,11 @@ class _Changed(NamedTuple):
 
 
 def drift_table(found: Drift) -> Table:
-    """Every drifting parameter and manoeuvre: how fast it drifts, whether it must, and its change."""
+    """Every drifting parameter and manoeuvre: how fast it drifts, whether it must, and its change.
+
+    Where innovations are not white there are no p-values.
+    """
+    sound = found.usable and not found.coloured
     rows = [_Changed(n, p, m, change) for n, p in found.parameters.items() for m, change in p.changes.items()]
     of = columns_of(rows)
     return Table(
@@ -264,11 +268,17 @@ def drift_table(found: Drift) -> Table:
             of(lambda r: plain_unit(r.found.unit), "", "unit"),
             of(lambda r: r.found.intensity[0], "", "intensity", "per √s", 2),
             of(lambda r: r.found.ratio, "", "likelihood ratio", "ratio", ".1f"),
-            of(lambda r: r.found.p, "", "p", "p", 2),
+            of(lambda r: r.found.p if sound else None, "", "p", "p", 2),
             of(lambda r: r.manoeuvre, "", "manoeuvre", "manoeuvre"),
             of(lambda r: Estimate(*found.estimates[r.name]), "", "at the begin", "begin", in_brackets),
             of(lambda r: Estimate(*r.change.size), "", "change to the end", "change", in_brackets),
-            of(lambda r: r.change.times[1], "", "half of it by, s", "half by, s", ".1f"),
+            of(
+                lambda r: r.change.times[1] if r.name in found.changed and r.change.seen else None,
+                "",
+                "half of it by, s",
+                "half by, s",
+                ".1f",
+            ),
         ],
         "Parameters that drift",
         "Intensity: standard deviation of the change in a second, in the unit of the parameter. Likelihood ratio: "
