@@ -14,7 +14,7 @@ from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.trajectories import over_measured
 from bayes_aero.report.style import NotDrawn, housed, refuse_many
 
-GUSTS = {"gust_w": "vertical", "gust_u": "longitudinal"}
+MET = {"gust_w": "vertical gust, m/s", "gust_u": "longitudinal gust, m/s", "buffet": "buffet, CL of separated flow"}
 BAND = 1.96  # standard deviations
 MODELS = ((START, "start", COLOURS["before"]), (FITTED, "fitted", COLOURS["after"]))
 
@@ -48,7 +48,7 @@ def gusts(found: ProcessNoise) -> Figure:
     if not found.histories:
         raise NotDrawn("no gust has an intensity")
     refuse_many(len(found.histories))
-    labels = {name: f"{GUSTS.get(name, name)} gust, m/s" for name in found.histories[0].gusts}
+    labels = {name: MET.get(name, name) for name in found.histories[0].gusts}
     figure, axes = banded_rows({h.manoeuvre: (h.time, h.gusts) for h in found.histories}, labels)
     for axis in axes.flat:
         axis.axhline(0.0, color="#999999", linewidth=0.6)

@@ -169,7 +169,9 @@ def _gusts(told: FlyTold) -> tuple[Block, ...]:
     most = {
         name: float(np.max(np.abs(mean))) for h in told.process_noise.histories for name, (mean, _) in h.gusts.items()
     }
-    largest = several([f"{name} {value:.2g} m/s" for name, value in most.items()])
+    largest = several(
+        [f"{name} {value:.2g}{' m/s' if name.startswith('gust') else ''}" for name, value in most.items()]
+    )
     caption = "Gusts met by each manoeuvre: mean and 95 % band, from all samples (Rauch-Tung-Striebel smoother)."
     return Gallery(
         told.figures, {"gusts": (caption, f"Time histories of the gusts; largest in magnitude: {largest}.")}
