@@ -227,7 +227,8 @@ class ProcessNoise:
         F: process noise by state, unit of the state per square root of a second.
         noise_sd: standard deviation of the measurement noise by output.
         autocorrelation: of neighbouring innovations by output; 0 if the disturbance is as modelled.
-        gusts: intensity (m/s) and scale length (m) of each gust by name of the parameter, with standard errors.
+        gusts: intensity (m/s) and scale length (m) of each gust, and of buffet (1; chords) where the flow separates, by
+            name of the parameter, with standard errors.
         histories: what was met, by manoeuvre; empty where no gust has an intensity.
         drift: a further fit in which parameters drift, where it was asked for.
     """
