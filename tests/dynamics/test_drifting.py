@@ -132,9 +132,9 @@ def test_values_have_the_variance_of_a_level_whose_begin_is_not_known(fitted):
 def test_a_sensor_that_has_drifted_reads_as_one_with_another_bias():
     """Of effects: the record is corrected, and what is compared differs as much as with the bias moved for good."""
     card = read_card("hfb320")
-    added, away = ("pitch_rate_bias", "thrust_scale", "alpha_squared_moment"), np.array([0.003, 0.02, -0.5])
-    model = Model.from_card(card).extended(*added)
-    names = tuple(p.name for e in model.effects if e.name in added for p in e.parameters)
+    added, away = ("pitch_rate_bias", "thrust_scale", "alpha_squared_moment"), np.array([0.003, 0.02, -0.5, -0.05])
+    model = Model.from_card(card).extended(*added, "flow_separation", "kirchhoff_lift", "separation_lag")
+    names = (*(p.name for e in model.effects if e.name in added for p in e.parameters), "alpha_star")
     rng, n = np.random.default_rng(1), 40
     size = {"airspeed": 104.0, "alpha": 0.11, "theta": 0.11, "q": 0.0, "ax": 1.0, "az": -9.6, "elevator": -0.03}
     channels = {name: x + 0.01 * rng.standard_normal(n) for name, x in size.items()}
@@ -147,14 +147,17 @@ def test_a_sensor_that_has_drifted_reads_as_one_with_another_bias():
     moved = theta + away @ np.array([[p == name for p in plain.dynamics.names] for name in names])
     drifted = prepared(replace(plain, dynamics=drifting(plain.dynamics, names)), jnp.asarray(theta))
     there, here = prepared(plain, jnp.asarray(moved)), prepared(plain, jnp.asarray(theta))
-    x = jnp.array([103.0, 0.10, 0.09, 0.01])
+    x = jnp.array([103.0, 0.10, 0.09, 0.01, 0.8])  # the last is the separation point
+    assert there.system.states[-1] == "X"
     k, rows = 20, {}
     for name, ready, state in (("drifted", drifted, jnp.append(x, away)), ("moved", there, x), ("still", here, x)):
         u = {channel: y[0, k] for channel, y in ready.drives.items()}
         rate, _ = ready.system.motion(state, u)
-        rows[name] = [*(ready.true[0, k] - outputs_at(ready.system, state, u, plain.outputs)), *rate[:4]]
+        rows[name] = [*(ready.true[0, k] - outputs_at(ready.system, state, u, plain.outputs)), *rate[:5]]
     np.testing.assert_allclose(rows["drifted"], rows["moved"], rtol=1e-9, atol=1e-12)
-    assert np.all(np.abs(np.array(rows["moved"]) - np.array(rows["still"]))[[3, 9]] > 1e-3)  # q, and its rate
+    assert np.all(
+        np.abs(np.array(rows["moved"]) - np.array(rows["still"]))[[3, 9, 10]] > 1e-3
+    )  # q, its rate, and that of X
 
 
 @pytest.mark.parametrize(

@@ -127,13 +127,14 @@ def _begun(flown: SegmentTrajectories, still: PredictionErrorResult, names: Sequ
     nameless, deviation = flown.nameless, _deviation(flown)
     begun = []
     for i, name in enumerate(names):
-        size = float(still.sd[still.names.index(name)]) / np.sqrt(seconds)
-        tried = size * TRIED
+        at = still.names.index(name)
+        size = float(still.sd[at]) or abs(float(still.estimate[at])) or 1.0  # of what the record does not tell
+        tried = size * TRIED / np.sqrt(seconds)
         found = []
         for sigma in tried:
             F = np.append(still.F, np.where(np.arange(len(names)) == i, sigma, 0.0))
             found.append(float(_smooth(nameless, *map(jnp.asarray, (still.estimate, deviation, F, still.R)))[0]))
-        begun.append(tried[int(np.nanargmax(found))])
+        begun.append(tried[int(np.argmax(np.nan_to_num(found, nan=-np.inf)))])
     return np.array(begun)
 
 
