@@ -45,7 +45,7 @@ def with_process_noise(flown: TrajectoryFit, drifting: Sequence[str] = ()) -> Pr
         np.log(fit.flown.noise_growth[inside]).sum()
     )
     estimates = {n: (float(x), float(s)) for n, x, s in zip(found.names, found.estimate, found.sd, strict=True)}
-    own = fit.flown.dynamics.names
+    own = set(fit.flown.dynamics.names) - gusty.dynamics.of_disturbances
     return ProcessNoise(
         found.status.value,
         found.status is PredictionErrorStatus.CONVERGED,

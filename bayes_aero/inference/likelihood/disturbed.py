@@ -9,7 +9,6 @@ from jaxtyping import Float
 
 from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories
-from bayes_aero.effect import Stage
 from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult, fit_prediction_error
 
 GUSTS = ("vertical_gust", "longitudinal_gust")
@@ -17,7 +16,7 @@ FIRST_F, FIRST_R = 0.3, 0.1  # of output error's residuals: process noise in a s
 BESIDE_GUSTS = 0.03  # the first of these in gusts: begun larger, noise of the states takes the place of a gust
 
 
-def disturbed(flown: SegmentTrajectories, *, buffet: bool = False) -> SegmentTrajectories:
+def disturbed(flown: SegmentTrajectories) -> SegmentTrajectories:
     """The same segments in gusts; linear systems have none of their own.
 
     Where the model has buffet the noise of the sensors does not grow as the flow separates.
@@ -25,9 +24,7 @@ def disturbed(flown: SegmentTrajectories, *, buffet: bool = False) -> SegmentTra
     dynamics = flown.dynamics
     if not isinstance(dynamics, AircraftDynamics):
         return flown
-    acting = dynamics.model.acting
-    wanted = (*GUSTS, "buffet") if buffet and any(e.stage is Stage.SEPARATION for e in acting) else GUSTS
-    absent = [name for name in wanted if name not in {e.name for e in acting}]
+    absent = [name for name in GUSTS if name not in {e.name for e in dynamics.model.acting}]
     model = dynamics.model.extended(*absent)
     steady = np.ones_like(flown.noise_growth) if model.shaken else flown.noise_growth
     return replace(flown, dynamics=replace(dynamics, model=model), noise_growth=steady)
@@ -40,7 +37,6 @@ def fit_disturbed(
     *,
     priors: bool = True,
     exact: bool = True,
-    buffet: bool = False,
 ) -> tuple[SegmentTrajectories, PredictionErrorResult]:
     """Fit with process noise, from what output error found.
 
@@ -52,12 +48,11 @@ def fit_disturbed(
         R: variances of its residuals, (c,), SI.
         priors: whether the parameters' priors count.
         exact: as of `fit_prediction_error`.
-        buffet: whether separated flow shakes the aircraft, too, in a model in which it separates.
 
     Returns:
         The segments in gusts, and the fit.
     """
-    gusty, outputs = disturbed(flown, buffet=buffet), flown.outputs
+    gusty, outputs = disturbed(flown), flown.outputs
     known = dict(zip(flown.dynamics.names, estimate, strict=True))
     start = np.array([known.get(p.name, p.start) for p in gusty.dynamics.free])
     sd = np.sqrt(R)
