@@ -102,7 +102,7 @@ def fit_drifting(
     for i in walking if len(walking) > 1 else ():  # the only one's is that of all
         F = np.where((own == i) | (own >= 0) & (fit.F <= NONE), 0.0, fit.F)
         fits.append(fit_prediction_error(moving, F, fit.R, start=fit.estimate, priors=priors))
-        ratios[i] = max(2.0 * (fits[-1].cost - fit.cost), 0.0)
+        ratios[i] = min(max(2.0 * (fits[-1].cost - fit.cost), 0.0), gain)  # without any drift it fits no better
     usable = all(one.status is PredictionErrorStatus.CONVERGED for one in fits)
     return DriftFit(moving, tuple(names), fit, gain, ratios, usable)
 
