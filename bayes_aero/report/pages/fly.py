@@ -188,7 +188,7 @@ def _drift(told: FlyTold) -> tuple[Block, ...]:
         "of all parameters; dark: that of its change from the begin. Dashed: the fit without drift."
     )
     by = several(
-        [f"{name} {c.size[0]:.2g} SI in {m}" for name, p in found.parameters.items() for m, c in p.changes.items()]
+        [f"{name} {c.size[0]:.2g} in {m}" for name, p in found.parameters.items() for m, c in p.changes.items()]
     )
     alt = f"Time histories of the parameters that drift. Changes from begin to end, SI: {by}."
     pictures = Gallery(told.figures, {"drift": (caption, alt)})("drift")
