@@ -72,6 +72,13 @@ def fly(
         bool,
         typer.Option("--posterior", help="With --process-noise: sample the posterior, too (NUTS and emcee)."),
     ] = False,
+    drift: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME,NAME",
+            help="Parameters that drift in a further fit with process noise, e.g. Cm0,CLa: did they change, and when?",
+        ),
+    ] = None,
     seed: SeedOption = 0,
     resample: ResampleOption = None,
     split: SplitOption = False,
@@ -92,13 +99,12 @@ def fly(
         from bayes_aero.jobs.io.fly_json import RESULTS
         from bayes_aero.jobs.options import FlyOptions
         from bayes_aero.report.tables.flown_posterior import posterior_table
-        from bayes_aero.report.tables.fly import error_table, parameter_table, process_noise_table
+        from bayes_aero.report.tables.fly import drift_table, error_table, parameter_table, process_noise_table
 
     console = teller(quiet=json, highlight=True)
     with interruptible(kept_stages(out)), bar("reading") as tell:
-        options = FlyOptions(
-            windows, initial_state.value, priors, outputs, inputs.value, seed, figures, process_noise, posterior
-        )
+        chosen = (windows, initial_state.value, priors, outputs, inputs.value, seed, figures, process_noise, posterior)
+        options = FlyOptions(*chosen, drift=drift)
         found = fly_records(flights, card, options, out=out, progress=tell)
     if json:
         typer.echo((out / RESULTS).read_text(encoding="utf-8"), nl=False)
@@ -107,6 +113,8 @@ def fly(
     console.print(parameter_table(found.flown).terminal())
     if found.process_noise is not None and found.process_noise.converged:
         console.print(process_noise_table(found.process_noise, found.flown, found.posteriors).terminal())
+        if found.process_noise.drift is not None:
+            console.print(drift_table(found.process_noise.drift).terminal())
     if found.posteriors:
         console.print(posterior_table(found.posteriors).terminal())
     console.print(error_table(found.flown).terminal())

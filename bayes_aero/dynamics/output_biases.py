@@ -1,4 +1,7 @@
-"""Constant errors of recorded outputs, one for each manoeuvre: classic companions of output error's initial states."""
+"""Constant errors of recorded outputs, one for each manoeuvre: classic companions of output error's initial states.
+
+`WrappedDynamics` is what dynamics with an addition share.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +23,75 @@ from bayes_aero.parameter import Parameter, Prior
 
 
 @dataclass(frozen=True)
-class BiasedDynamics(Dynamics):
-    """Dynamics whose named outputs are recorded with a bias of each manoeuvre's own; parameters bias_output_number."""
+class WrappedDynamics(Dynamics):
+    """Other dynamics with something added; all that is not added is theirs."""
 
     plain: Dynamics
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """Theirs."""
+        return self.plain.free
+
+    @property
+    def of_disturbances(self) -> frozenset[str]:
+        """Theirs."""
+        return self.plain.of_disturbances
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Theirs."""
+        return self.plain.states
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Theirs."""
+        return self.plain.units
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Theirs."""
+        return self.plain.inputs
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Theirs."""
+        return self.plain.outputs
+
+    @property
+    def unmeasured(self) -> tuple[str, ...]:
+        """Theirs."""
+        return self.plain.unmeasured
+
+    def values(self, theta: Any) -> dict[str, Any]:
+        """Theirs."""
+        return self.plain.values(theta)
+
+    def system(self, values: Values, aircraft: Aircraft) -> System:
+        """Theirs."""
+        return self.plain.system(values, aircraft)
+
+    def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:
+        """Theirs."""
+        return self.plain.drives(values, channels, flights)
+
+    def corrected(self, values: Values, channels: Mapping[str, Array], aircraft: Aircraft) -> Mapping[str, Array]:
+        """As they correct them."""
+        return self.plain.corrected(values, channels, aircraft)
+
+    def scales(self, values: Values, flights: Flights) -> Mapping[str, Array]:
+        """Theirs."""
+        return self.plain.scales(values, flights)
+
+    def slowest_step(self, values: Values, flights: Flights) -> float:
+        """Theirs."""
+        return self.plain.slowest_step(values, flights)
+
+
+@dataclass(frozen=True)
+class BiasedDynamics(WrappedDynamics):
+    """Dynamics whose named outputs are recorded with a bias of each manoeuvre's own; parameters bias_output_number."""
+
     biased: tuple[tuple[str, Prior], ...]
     lengths: tuple[int, ...]  # samples of the manoeuvres
 
@@ -42,39 +110,10 @@ class BiasedDynamics(Dynamics):
         ]
         return (*self.plain.free, *biases)
 
-    @property
-    def states(self) -> tuple[str, ...]:
-        """As they are without bias."""
-        return self.plain.states
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """As they are without bias."""
-        return self.plain.units
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """As they are without bias."""
-        return self.plain.inputs
-
-    @property
-    def outputs(self) -> tuple[str, ...]:
-        """As they are without bias."""
-        return self.plain.outputs
-
-    @property
-    def unmeasured(self) -> tuple[str, ...]:
-        """As they are without bias."""
-        return self.plain.unmeasured
-
     def values(self, theta: Any) -> dict[str, Any]:
         """Of the dynamics, and the biases."""
         k = len(self.plain.free)
         return self.plain.values(theta[:k]) | {name: theta[i] for i, name in enumerate(self.names) if i >= k}
-
-    def system(self, values: Values, aircraft: Aircraft) -> System:
-        """As it is without bias."""
-        return self.plain.system(values, aircraft)
 
     def corrected(self, values: Values, channels: Mapping[str, Array], aircraft: Aircraft) -> Mapping[str, Array]:
         """The record without its biases, made true: the measured initial state, too, is read from that."""
@@ -83,18 +122,6 @@ class BiasedDynamics(Dynamics):
             sizes = jnp.stack([values[_name(name, k)] for k in range(self.manoeuvres)])
             freed[name] = channels[name] - sizes[np.repeat(np.arange(self.manoeuvres), self.lengths)]
         return self.plain.corrected(values, freed, aircraft)
-
-    def scales(self, values: Values, flights: Flights) -> Mapping[str, Array]:
-        """As they are without bias."""
-        return self.plain.scales(values, flights)
-
-    def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:
-        """As they are without bias."""
-        return self.plain.drives(values, channels, flights)
-
-    def slowest_step(self, values: Values, flights: Flights) -> float:
-        """As it is without bias."""
-        return self.plain.slowest_step(values, flights)
 
 
 def biased_dynamics(dynamics: Dynamics, flights: Flights, priors: Mapping[str, Prior]) -> Dynamics:

@@ -14,6 +14,7 @@ from bayes_aero.diagnosis.trajectories.fit_agreement import fit_disagreements
 from bayes_aero.diagnosis.trajectories.results import FITTED, Setting
 from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
 from bayes_aero.diagnosis.trajectories.trajectory_fit import fit_trajectories
+from bayes_aero.dynamics.filtering.drifting import refuse
 from bayes_aero.dynamics.flight import Dynamics
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card.card import Card
@@ -37,6 +38,7 @@ from bayes_aero.jobs.steps.usable_for import usable_for
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.progress import Progress
+from bayes_aero.report.figures.drift import drift as drift_figure
 from bayes_aero.report.figures.every_figure import draw_all
 from bayes_aero.report.figures.fly import fly_figures, gusts
 from bayes_aero.report.figures.posterior import pair_of
@@ -44,8 +46,9 @@ from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.fly import FlyTold, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.tables.flown_posterior import posterior_table
-from bayes_aero.report.tables.fly import gust_table, parameter_table
+from bayes_aero.report.tables.fly import drift_history_table, gust_table, parameter_table
 from bayes_aero.report.tables.table import write_csv
+from bayes_aero.report.text.drift import drift_sentences
 from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences
 from bayes_aero.report.text.process_noise import process_noise_sentences
 
@@ -64,6 +67,7 @@ def fly(
     figures: bool = True,
     process_noise: bool = False,
     posterior: bool = False,
+    drift: str | Sequence[str] | None = None,
     progress: Progress | None = None,
 ) -> Flight:
     """Fit the card's model to the trajectories of the records (output error), as `bayes-aero fly` does.
@@ -85,6 +89,8 @@ def fly(
         figures: False draws none.
         process_noise: True fits the same model with process noise, too, by an extended Kalman filter.
         posterior: True also samples the posterior of the fit with process noise, by NUTS and emcee.
+        drift: names of parameters that drift in a further fit with process noise, a list or separated by commas; it
+            says whether they changed, when, and by how much.
         progress: called with a stage and the share of it that is done.
 
     Returns:
@@ -96,7 +102,8 @@ def fly(
     Source:
         Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, ch. 4.
     """
-    options = FlyOptions(windows, initial_state, priors, outputs, inputs, seed, figures, process_noise, posterior)
+    chosen = (windows, initial_state, priors, outputs, inputs, seed, figures, process_noise, posterior)
+    options = FlyOptions(*chosen, drift=drift)
     return fly_records(records, card, options, out=out, progress=progress)
 
 
@@ -111,6 +118,8 @@ def fly_records(
     """`fly` with its options in one."""
     setting, seed = options.setting(card), options.seed
     flights, dynamics, notes = flown_dynamics(records, card, setting.outputs or (), path=options.flight_path)
+    if options.drift is not None:
+        refuse(dynamics, options.drifting, {*card.fixed, *(dict(card.linear.fixed) if card.linear else ())})
     if out is not None:
         writable(out)
     source = provenance(card, records, seed, _told(options, setting))
@@ -136,12 +145,14 @@ def fly_records(
         progress=progress,
     )
     (beside, sample), more = process_noise(flown, options, card, out, progress)
-    if options.process_noise and not flown.converged:
+    if options.filtered and not flown.converged:
         notes.append("Process noise was not fitted, because output error did not converge.")
     apart = () if coefficients is None else fit_disagreements(coefficients, flown)
     hindered = usable_for(records, card).get("diagnose", "")
-    filtered = () if beside is None else process_noise_sentences(beside, flown)
-    said = (*filtered, *fly_sentences(flown, hindered, disturbed=options.process_noise), *disagreement_sentences(apart, hindered))
+    drifted = drift_sentences(beside.drift) if beside is not None and beside.drift is not None else ()
+    filtered = () if beside is None else (*drifted, *process_noise_sentences(beside, flown))
+    plain = fly_sentences(flown, hindered, disturbed=options.filtered)
+    said = (*filtered, *plain, *disagreement_sentences(apart, hindered))
     health = channel_health(records, card)
     found = Flight(flown, said, tuple(notes), health, agreement, (*failures, *failed, *more), apart, beside)
     if sample is not None:
@@ -157,8 +168,9 @@ def fly_records(
 def _told(options: FlyOptions, setting: Setting) -> dict[str, Any]:
     """The settings by the names of the options; `outputs` only where they were chosen."""
     chosen = {} if setting.outputs is None else {"outputs": list(setting.outputs)}
-    names = ("windows", "initial_state", "priors", "inputs", "process_noise", "posterior")
-    return {name: getattr(options, name) for name in names} | chosen
+    chosen |= {"drift": list(options.drifting)} if options.drift is not None else {}
+    names = ("windows", "initial_state", "priors", "inputs", "posterior")
+    return {name: getattr(options, name) for name in names} | {"process_noise": options.filtered} | chosen
 
 
 def _written(
@@ -187,7 +199,7 @@ def _written(
     if figures:
         drawn, failed = draw_all(fly_figures(found.flown), found.flown, out / "figures", progress)
         if found.process_noise is not None:
-            met, more = draw_all({"gusts": gusts}, found.process_noise, out / "figures")
+            met, more = draw_all({"drift": drift_figure, "gusts": gusts}, found.process_noise, out / "figures")
             drawn, failed = [*drawn, *met], (*failed, *more)
         if found.posteriors:
             pairs, more = draw_all({"pair": pair_of}, found.posteriors, out / "figures")
@@ -220,6 +232,8 @@ def _put_numbers(found: Flight, out: Path) -> None:
     write_csv(parameter_table(found.flown), out / "parameters.csv")
     if found.process_noise is not None and found.process_noise.histories:
         write_csv(gust_table(found.process_noise), out / "gusts.csv")
+    if found.process_noise is not None and found.process_noise.drift is not None:
+        write_csv(drift_history_table(found.process_noise.drift), out / "drift.csv")
     for engine in ("nuts", "emcee"):
         (out / f"posterior_{engine}.nc").unlink(missing_ok=True)
     (out / "posterior.csv").unlink(missing_ok=True)

@@ -82,11 +82,12 @@ class FlyOptions:
     figures: bool = True
     process_noise: bool = False
     posterior: bool = False
+    drift: str | Sequence[str] | None = None
     flight_path: bool = False  # the recorded accelerations and rates are flown, not the card's model
 
     def __post_init__(self) -> None:
         """Refuse what cannot be flown."""
-        if self.posterior and not self.process_noise:
+        if self.posterior and not self.filtered:
             raise InputError("a posterior is that of the fit with process noise; ask for process noise, too")
         if self.posterior and not self.priors:
             raise InputError("a posterior needs the priors; ask for one of the two only")
@@ -97,10 +98,24 @@ class FlyOptions:
             if given not in known:
                 raise InputError(f"the setting {name} is {given!r}; use {' or '.join(known)}")
 
+    @property
+    def drifting(self) -> tuple[str, ...]:
+        """Parameters that are asked to drift."""
+        return tuple(dict.fromkeys(filter(None, _names(self.drift)))) if self.drift is not None else ()
+
+    @property
+    def filtered(self) -> bool:
+        """Whether process noise is fitted."""
+        return self.process_noise or self.drift is not None
+
     def setting(self, card: Card) -> Setting:
         """How trajectories are fitted; what is not given is the card's."""
-        named = self.outputs.split(",") if isinstance(self.outputs, str) else self.outputs
         own = None if self.flight_path else card.fly.outputs
-        asked = own if named is None else tuple(dict.fromkeys(name.strip() for name in named))
+        asked = own if self.outputs is None else tuple(dict.fromkeys(_names(self.outputs)))
         initial = None if self.initial_state == FREE else {} if self.flight_path else card.fly.initial_state
         return Setting(asked, initial, self.priors, self.inputs == HELD)
+
+
+def _names(given: str | Sequence[str]) -> list[str]:
+    """Names in a list or separated by commas."""
+    return [name.strip() for name in (given.split(",") if isinstance(given, str) else given)]

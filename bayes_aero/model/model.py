@@ -134,6 +134,11 @@ class Model:
         """Random processes of the effects that act."""
         return tuple(e.disturbance for e in self.acting if e.disturbance is not None)
 
+    @property
+    def shaken(self) -> bool:
+        """Whether a random process disturbs the forces themselves: buffet."""
+        return any(e.disturbance is not None and e.stage > Stage.INFLOW for e in self.acting)
+
     def break_angle(self, values: Mapping[str, Any]) -> float:
         """Angle of attack at which the flow separates, rad: infinite where it never does; the least of several."""
         return min((float(values[name]) for name in self.playing(Role.BREAK_ANGLE)), default=math.inf)

@@ -45,7 +45,7 @@ OPTIONS: dict[str, dict[str, type]] = {
     },
     "fly": {
         "windows": float, "initial_state": str, "priors": bool, "outputs": str, "inputs": str, "figures": bool,
-        "process_noise": bool, "posterior": bool, "resample": float, "split": bool,
+        "drift": str, "process_noise": bool, "posterior": bool, "resample": float, "split": bool,
     },
 }  # fmt: skip
 CHOICES = {

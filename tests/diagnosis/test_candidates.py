@@ -21,7 +21,7 @@ def test_stand_ins_are_no_candidates_but_serve_on_a_card(card, model, clean_reco
     full = candidate_model(model, flights)
     assert len(full.candidates) > 20
     gusts = {name for name, effect in CATALOGUE.items() if effect.disturbance is not None}
-    assert gusts == {"longitudinal_gust", "vertical_gust"}  # random: a filter estimates them
+    assert gusts == {"longitudinal_gust", "vertical_gust", "buffet"}  # random: a filter estimates them
     assert not (stand_ins | gusts) & ({e.name for e in full.model.effects} | set(full.not_testable))
     stated = Model.of([*card.effects, "speed_lift"], {"tau1": 0.0})
     full = candidate_model(stated, flights)

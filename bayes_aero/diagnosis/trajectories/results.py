@@ -11,6 +11,7 @@ from jaxtyping import Float
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
 from bayes_aero.diagnosis.selection.residuals import TheilParts
 from bayes_aero.diagnosis.settings import DEFAULT
+from bayes_aero.diagnosis.trajectories.drift import Drift
 from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.flight_path import PathDynamics
 from bayes_aero.dynamics.output_biases import unbiased
@@ -232,8 +233,10 @@ class ProcessNoise:
         F: process noise by state, unit of the state per square root of a second.
         noise_sd: standard deviation of the measurement noise by output.
         autocorrelation: of neighbouring innovations by output; 0 if the disturbance is as modelled.
-        gusts: intensity (m/s) and scale length (m) of each gust by name of the parameter, with standard errors.
+        gusts: intensity (m/s) and scale length (m) of each gust, and of buffet (1; chords) where the flow separates, by
+            name of the parameter, with standard errors.
         histories: what was met, by manoeuvre; empty where no gust has an intensity.
+        drift: a further fit in which parameters drift, where it was asked for.
     """
 
     status: str
@@ -245,3 +248,4 @@ class ProcessNoise:
     autocorrelation: Mapping[str, float]
     gusts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     histories: tuple[GustHistory, ...] = ()
+    drift: Drift | None = None

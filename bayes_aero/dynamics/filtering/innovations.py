@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from bayes_aero.dynamics.filtering.kalman import Begin, Filtered, Measured, Sampling, kalman_filter, outputs_at
@@ -213,3 +214,12 @@ def measurement_matrix(flown: SegmentTrajectories, theta: Float[Array, " k"]) ->
     first = {name: y[0, 0] for name, y in ready.drives.items()}
     begin = ready.system.settled(ready.begin[0], first)
     return jax.jacfwd(lambda x: outputs_at(ready.system, x, first, flown.outputs))(begin)
+
+
+def neighbour_correlation(found: Filtered) -> Float[np.ndarray, " c"]:
+    """Correlation of neighbouring innovations by output, over all segments (w, ...); 0 where there are too few."""
+    scaled = np.asarray(found.innovation / np.sqrt(found.variance))
+    both = np.asarray(found.used[:, 1:] & found.used[:, :-1])
+    one, later_one = (np.where(both, e, 0.0) for e in (scaled[:, :-1], scaled[:, 1:]))
+    power = np.sqrt(np.sum(one**2, axis=(0, 1)) * np.sum(later_one**2, axis=(0, 1)))
+    return np.sum(one * later_one, axis=(0, 1)) / np.where(power > 0.0, power, 1.0)

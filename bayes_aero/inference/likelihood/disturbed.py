@@ -17,12 +17,17 @@ BESIDE_GUSTS = 0.03  # the first of these in gusts: begun larger, noise of the s
 
 
 def disturbed(flown: SegmentTrajectories) -> SegmentTrajectories:
-    """The same segments in gusts; linear systems have none of their own."""
+    """The same segments in gusts; linear systems have none of their own.
+
+    Where the model has buffet the noise of the sensors does not grow as the flow separates.
+    """
     dynamics = flown.dynamics
     if not isinstance(dynamics, AircraftDynamics):
         return flown
     absent = [name for name in GUSTS if name not in {e.name for e in dynamics.model.acting}]
-    return replace(flown, dynamics=replace(dynamics, model=dynamics.model.extended(*absent)))
+    model = dynamics.model.extended(*absent)
+    steady = np.ones_like(flown.noise_growth) if model.shaken else flown.noise_growth
+    return replace(flown, dynamics=replace(dynamics, model=model), noise_growth=steady)
 
 
 def fit_disturbed(

@@ -43,7 +43,8 @@ class PredictionErrorStatus(Enum):
 @dataclass(frozen=True)
 class PredictionErrorResult:
     """Estimates with standard errors: parameters (k,), process noise F (s,) and standard deviations of the measurement
-    noise (c,); `covariance` (k + s + c) is of parameters, log F and log R, R the variances."""
+    noise (c,); `covariance` (k + s + c) is of parameters, log F and log R, R the variances. `cost` is minus the log
+    posterior density, but for a constant."""
 
     names: tuple[str, ...]
     states: tuple[str, ...]
@@ -53,6 +54,7 @@ class PredictionErrorResult:
     R: Float[np.ndarray, " c"]
     covariance: Float[np.ndarray, "j j"]
     log_likelihood: float
+    cost: float
     found: Filtered
     status: PredictionErrorStatus
     iterations: int
@@ -175,6 +177,7 @@ def fit_prediction_error(
         np.exp(point[k + s :]),
         covariance,
         problem.prior_cost(point) - here.cost,
+        here.cost,
         _all(problem.flown, jnp.asarray(point), problem.deviation, k, s),
         status,
         near + steps,

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from bayes_aero.diagnosis.trajectories.drift import Drift
 from bayes_aero.diagnosis.trajectories.results import Disagreement, ProcessNoise, TrajectoryFit
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
@@ -100,5 +101,12 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
 
 
 def _process_noise(found: ProcessNoise) -> dict[str, Any]:
-    """All but the histories, which gusts.csv has."""
-    return {name: value for name, value in asdict(found).items() if name != "histories"}
+    """All but the histories, which gusts.csv and drift.csv have."""
+    told = {name: value for name, value in asdict(replace(found, drift=None)).items() if name != "histories"}
+    told.pop("drift")
+    return told if found.drift is None else told | {"drift": _drift(found.drift)}
+
+
+def _drift(found: Drift) -> dict[str, Any]:
+    told = {name: value for name, value in asdict(replace(found, histories=())).items() if name != "histories"}
+    return told | {"coloured": list(found.coloured), "changed": list(found.changed)}

@@ -25,12 +25,13 @@ def process_noise(
 ) -> tuple[tuple[ProcessNoise | None, Sampling | None], tuple[str, ...]]:
     """The fit with process noise where it was asked for and output error has a result to start from; what samples its
     posterior where that was asked for and the fit has converged."""
-    if not (options.process_noise and flown.converged):
+    if not (options.filtered and flown.converged):
         return (None, None), ()
     if progress:
         progress("process noise", 0.9)
     own = bool(card.effect_files)
-    found, failed = attempted("Process noise was not fitted", lambda: with_process_noise(flown), None, out, own=own)
+    fit = lambda: with_process_noise(flown, options.drifting)  # noqa: E731
+    found, failed = attempted("Process noise was not fitted", fit, None, out, own=own)
     if found is None:
         return (None, None), failed
     beside, sample = found

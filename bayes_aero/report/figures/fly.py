@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
+from typing import Any
 
 from matplotlib.figure import Figure
 
@@ -13,7 +14,7 @@ from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.trajectories import over_measured
 from bayes_aero.report.style import NotDrawn, housed, refuse_many
 
-GUSTS = {"gust_w": "vertical", "gust_u": "longitudinal"}
+MET = {"gust_w": "vertical gust, m/s", "gust_u": "longitudinal gust, m/s", "buffet": "buffet, CL of separated flow"}
 BAND = 1.96  # standard deviations
 MODELS = ((START, "start", COLOURS["before"]), (FITTED, "fitted", COLOURS["after"]))
 
@@ -47,20 +48,26 @@ def gusts(found: ProcessNoise) -> Figure:
     if not found.histories:
         raise NotDrawn("no gust has an intensity")
     refuse_many(len(found.histories))
-    names = list(found.histories[0].gusts)
-    rows, columns = len(found.histories), len(names)
-    figure = Figure(figsize=(4.2 * columns + 1.2, 1.9 * rows + 0.9), layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False, sharey="col")
-    for row, history in zip(axes, found.histories, strict=True):
-        for axis, name in zip(row, names, strict=True):
-            mean, sd = history.gusts[name]
-            axis.axhline(0.0, color="#999999", linewidth=0.6)
-            axis.fill_between(
-                history.time, mean - BAND * sd, mean + BAND * sd, color=COLOURS["after"], alpha=0.25, linewidth=0.0
-            )
-            axis.plot(history.time, mean, color=COLOURS["after"])
-            axis.set_title(history.manoeuvre, loc="left")
-            axis.set_ylabel(f"{GUSTS.get(name, name)} gust, m/s")
-            axis.set_xlabel("time, s")
+    labels = {name: MET.get(name, name) for name in found.histories[0].gusts}
+    figure, axes = banded_rows({h.manoeuvre: (h.time, h.gusts) for h in found.histories}, labels)
+    for axis in axes.flat:
+        axis.axhline(0.0, color="#999999", linewidth=0.6)
     figure.suptitle("Gusts met, with 95 % bands", fontsize=10.0)
     return figure
+
+
+def banded_rows(rows: Mapping[str, tuple[Any, Mapping[str, tuple[Any, Any]]]], labels: Mapping[str, str]):
+    """Means with bands over time: rows by manoeuvre (time, mean and standard deviation by name), columns by label."""
+    figure = Figure(figsize=(4.2 * len(labels) + 1.2, 1.9 * len(rows) + 0.9), layout="constrained")
+    axes = figure.subplots(len(rows), len(labels), squeeze=False, sharey="col")
+    for row, (manoeuvre, (time, found)) in zip(axes, rows.items(), strict=True):
+        for axis, (name, label) in zip(row, labels.items(), strict=True):
+            mean, sd = found[name]
+            axis.fill_between(
+                time, mean - BAND * sd, mean + BAND * sd, color=COLOURS["after"], alpha=0.25, linewidth=0.0
+            )
+            axis.plot(time, mean, color=COLOURS["after"])
+            axis.set_title(manoeuvre, loc="left")
+            axis.set_ylabel(label)
+            axis.set_xlabel("time, s")
+    return figure, axes

@@ -34,6 +34,7 @@ from bayes_aero.report.html.plots import LOW, Line, Panel
 from bayes_aero.report.pages.trajectories import Curve, axis_label, over_measured, sources
 from bayes_aero.report.tables import fly as tables
 from bayes_aero.report.tables.flown_posterior import posterior_table
+from bayes_aero.report.text.drift import drift_sentences
 from bayes_aero.report.text.fly import errors_of_all
 from bayes_aero.report.text.phrases import SYMBOLS, for_people, several, short
 from bayes_aero.report.text.samplers import unfinished
@@ -81,6 +82,7 @@ def fly_page(flown: TrajectoryFit, told: FlyTold) -> Page:
             section("errors", "Errors", lambda: _errors(flown, told.card)),
             section("parameters", "Parameters", lambda: _parameters(flown, told)),
             section("posterior", "Posterior", lambda: _posterior(told)),
+            section("drift", "Did a parameter change?", lambda: _drift(told)),
             section("provenance", "Provenance", lambda: _provenance(told.source)),
         ),
     )
@@ -179,7 +181,9 @@ def _gusts(told: FlyTold) -> tuple[Block, ...]:
     most = {
         name: float(np.max(np.abs(mean))) for h in told.process_noise.histories for name, (mean, _) in h.gusts.items()
     }
-    largest = several([f"{name} {value:.2g} m/s" for name, value in most.items()])
+    largest = several(
+        [f"{name} {value:.2g}{' m/s' if name.startswith('gust') else ''}" for name, value in most.items()]
+    )
     caption = "Gusts met by each manoeuvre: mean and 95 % band, from all samples (Rauch-Tung-Striebel smoother)."
     return Gallery(
         told.figures, {"gusts": (caption, f"Time histories of the gusts; largest in magnitude: {largest}.")}
@@ -201,6 +205,23 @@ def _posterior(told: FlyTold) -> tuple[Block, ...]:
         page_table(posterior_table(told.posteriors)),
         *Gallery(told.figures, {"pair": (caption, f"Pair plot. {caption}")})("pair"),
     )
+
+
+def _drift(told: FlyTold) -> tuple[Block, ...]:
+    """Where parameters were asked to drift: the answer, their changes and their histories."""
+    found = None if told.process_noise is None else told.process_noise.drift
+    if found is None:
+        return ()
+    caption = (
+        "Value at each instant from all samples (Rauch-Tung-Striebel smoother). Light: its 95 % band, with the errors "
+        "of all parameters; dark: that of its change from the begin. Dashed: the fit without drift."
+    )
+    by = several(
+        [f"{name} {c.size[0]:.2g} in {m}" for name, p in found.parameters.items() for m, c in p.changes.items()]
+    )
+    alt = f"Time histories of the parameters that drift. Changes from begin to end, SI: {by}."
+    pictures = Gallery(told.figures, {"drift": (caption, alt)})("drift")
+    return (*bullets(drift_sentences(found)), page_table(tables.drift_table(found)), *pictures)
 
 
 def _provenance(source: Mapping[str, Any]) -> tuple[Block, ...]:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from bayes_aero.diagnosis.trajectories.drift import Drift, DriftChange, Drifted
 from bayes_aero.diagnosis.trajectories.results import FITTED, START, Error, ProcessNoise, TrajectoryFit
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.parameter import Prior
@@ -242,3 +243,57 @@ def gust_table(found: ProcessNoise) -> Table:
         of(lambda r, name=name: Estimate(*(x[r[1]] for x in r[0].gusts[name])), (name, f"{name}_sd")) for name in names
     )
     return Table([of(lambda r: r[0].manoeuvre, "manoeuvre"), of(lambda r: r[0].time[r[1]], "time"), *gusts], index=2)
+
+
+def drift_history_table(found: Drift) -> Table:
+    """A row for each sample: manoeuvre, time (s); of each drifting parameter value, standard deviation, and that of
+    its change from the begin (SI)."""
+    of = columns_of([(h, k) for h in found.histories for k in range(len(h.time))])
+    values = (
+        of(lambda r, name=name: tuple(x[r[1]] for x in r[0].values[name]), (name, f"{name}_sd", f"{name}_change_sd"))
+        for name in found.parameters
+    )
+    return Table([of(lambda r: r[0].manoeuvre, "manoeuvre"), of(lambda r: r[0].time[r[1]], "time"), *values], index=2)
+
+
+class _Changed(NamedTuple):
+    """One parameter over one manoeuvre."""
+
+    name: str
+    found: Drifted
+    manoeuvre: str
+    change: DriftChange
+
+
+def drift_table(found: Drift) -> Table:
+    """Every drifting parameter and manoeuvre: how fast it drifts, whether it must, and its change.
+
+    Where innovations are not white there are no p-values.
+    """
+    sound = found.usable and not found.coloured
+    rows = [_Changed(n, p, m, change) for n, p in found.parameters.items() for m, change in p.changes.items()]
+    of = columns_of(rows)
+    return Table(
+        [
+            of(lambda r: r.name, "", "parameter", ""),
+            of(lambda r: plain_unit(r.found.unit), "", "unit"),
+            of(lambda r: r.found.intensity[0], "", "intensity", "per √s", 2),
+            of(lambda r: r.found.ratio, "", "likelihood ratio", "ratio", ".1f"),
+            of(lambda r: r.found.p if sound else None, "", "p", "p", 2),
+            of(lambda r: r.manoeuvre, "", "manoeuvre", "manoeuvre"),
+            of(lambda r: Estimate(*found.estimates[r.name]), "", "at the begin", "begin", in_brackets),
+            of(lambda r: Estimate(*r.change.size), "", "change to the end", "change", in_brackets),
+            of(
+                lambda r: r.change.times[1] if r.name in found.changed and r.change.seen else None,
+                "",
+                "half of it by, s",
+                "half by, s",
+                ".1f",
+            ),
+        ],
+        "Parameters that drift",
+        "Intensity: standard deviation of the change in a second, in the unit of the parameter. Likelihood ratio: "
+        "against no drift of this parameter. Changes in the unit of the parameter, SI and radians; in brackets: the "
+        "standard error in units of the last digit, for white innovations.",
+        terminal_note="SI and radians. per √s: standard deviation of the change in a second.",
+    )

@@ -15,8 +15,8 @@ from bayes_aero.report.text.restraints import inseparable_sentences
 COLOURED = 1.5  # variance inflation from which a sentence is written; our choice
 OFTEN = 0.5  # share of the time outside a tolerance from which a sentence is written; our choice
 ADVICE = (
-    " Gusts or errors of the model cause this, and bias output error: the option --process-noise fits the same model in "
-    "disturbed air."
+    " Gusts or errors of the model cause this, and bias output error: the option --process-noise fits the same model "
+    "in disturbed air."
 )
 SWOLLEN = 2.0  # noise growth in fully separated flow from which a sentence is written; our choice
 

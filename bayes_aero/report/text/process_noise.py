@@ -50,7 +50,7 @@ def posterior_sentences(posteriors: Mapping[str, Posterior]) -> list[str]:
 def _gusts_met(found: ProcessNoise) -> list[str]:
     """Intensities, and scale lengths where there is an intensity."""
     met, calm = [], []
-    for name in (n for n in found.gusts if f"{n}_length" in found.gusts):
+    for name in (n for n in found.gusts if n.endswith("_gust")):
         (intensity, sd), (length, length_sd) = found.gusts[name], found.gusts[f"{name}_length"]
         word = name.removesuffix("_gust").replace("_", " ")
         if intensity > SEEN * sd:
@@ -60,4 +60,17 @@ def _gusts_met(found: ProcessNoise) -> list[str]:
     said = [f"Gusts met, standard deviation: {several(met)}."] if met else []
     if calm:
         said.append(f"No {' and no '.join(calm)} gusts are distinguishable from noise of the states.")
-    return said
+    return said + _buffet(found)
+
+
+def _buffet(found: ProcessNoise) -> list[str]:
+    """Where the model has it."""
+    if "buffet" not in found.gusts:
+        return []
+    (intensity, sd), (length, length_sd) = found.gusts["buffet"], found.gusts["buffet_length"]
+    if intensity <= SEEN * sd:
+        return ["No buffet is distinguishable from noise of the states."]
+    return [
+        f"Buffet: the lift coefficient of fully separated flow fluctuates by {intensity:.2g} ± {sd:.2g} (standard "
+        f"deviation; correlated over {length:.2g} ± {length_sd:.2g} chords)."
+    ]
