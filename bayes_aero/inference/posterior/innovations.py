@@ -104,8 +104,8 @@ def _noise(name: str, text: str, median: float) -> Parameter:
 class PosteriorLength(NamedTuple):
     """Chains of both samplers, for densities that take milliseconds: two each, one a core of a small machine."""
 
-    nuts: NutsLength = NutsLength(chains=2, warmup=100, max_blocks=3)
-    emcee: EnsembleLength = EnsembleLength(ensembles=2, max_steps=1000)
+    nuts: NutsLength = NutsLength(chains=2, warmup=100, max_blocks=2)
+    emcee: EnsembleLength = EnsembleLength(ensembles=2, max_steps=600)
 
 
 def sample_innovations(
