@@ -88,7 +88,7 @@ def fly(
         seed: of the fit of the coefficients.
         figures: False draws none.
         process_noise: True fits the same model with process noise, too, by an extended Kalman filter.
-        posterior: True also samples the posterior of the fit with process noise, by NUTS and emcee.
+        posterior: True also samples the posterior of the fit with process noise, by emcee and NUTS.
         drift: names of parameters that drift in a further fit with process noise, a list or separated by commas; it
             says whether they changed, when, and by how much.
         progress: called with a stage and the share of it that is done.
@@ -155,11 +155,14 @@ def fly_records(
     said = (*filtered, *plain, *disagreement_sentences(apart, hindered))
     health = channel_health(records, card)
     found = Flight(flown, said, tuple(notes), health, agreement, (*failures, *failed, *more), apart, beside)
-    if sample is not None:
-        if out is not None:  # sampling takes minutes
+
+    def put(found: Flight) -> None:
+        if out is not None:
             _put_numbers(found, out)
             write_json(fly_results(found, card, records, source), out / RESULTS)
-        found = with_posterior(found, sample, card, out)
+
+    if sample is not None:
+        found = with_posterior(found, sample, card, out, put)
     if out is None:
         return found
     return _written(found, card, records, source, out, figures=options.figures, progress=progress)

@@ -37,20 +37,20 @@ SHARES = (0.1, 0.5, 0.9)  # of a change, whose times are told
 @blas_threads(0)
 def with_process_noise(
     flown: TrajectoryFit, drifting: Sequence[str] = ()
-) -> tuple[ProcessNoise, Callable[[int, Progress | None], dict[str, Posterior]]]:
+) -> tuple[ProcessNoise, Callable[[int, Progress | None, str], dict[str, Posterior]]]:
     """Fit again, from the estimates of output error, in gusts and with noise of every state that is compared.
 
     Parameters that are `drifting` drift in a further fit.
 
     Returns:
-        What the fit says, and what samples its posterior from a seed.
+        What the fit says, and what samples its posterior from a seed by a sampler.
     """
     fit = flown.fit
     gusty, found = fit_disturbed(fit.flown, fit.estimate, fit.R, priors=flown.setting.priors)
 
-    def sample(seed: int, progress: Progress | None) -> dict[str, Posterior]:
+    def sample(seed: int, progress: Progress | None, engine: str) -> dict[str, Posterior]:
         with blas_threads(0):
-            return sample_innovations(gusty, found, fit.R, seed=seed, progress=progress)
+            return sample_innovations(gusty, found, fit.R, seed=seed, engines=(engine,), progress=progress)
 
     return _told(flown, gusty, found, drifting), sample
 

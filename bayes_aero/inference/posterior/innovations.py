@@ -7,6 +7,7 @@ process noise from none.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -27,6 +28,7 @@ from bayes_aero.model.log_density import LogDensity
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.progress import Progress
 
+ENGINES = ("emcee", "nuts")  # the quicker one first
 SPREAD = 2.0  # standard deviation of the logarithm of a process or measurement noise: a factor of 50 either way, 95 %
 
 
@@ -115,9 +117,10 @@ def sample_innovations(
     *,
     seed: int = 0,
     length: PosteriorLength = PosteriorLength(),
+    engines: Sequence[str] = ENGINES,
     progress: Progress | None = None,
 ) -> dict[str, Posterior]:
-    """The posterior by NUTS and by emcee, from the fit.
+    """The posterior by emcee and by NUTS, or one of them, from the fit.
 
     Both work on the scale of the curvature at the mode, which is sought from the fit.
 
@@ -127,15 +130,17 @@ def sample_innovations(
         R: variances of output error's residuals, (c,), SI: the scale of the priors of the noise.
         seed: of the samplers.
         length: of the chains.
+        engines: the samplers.
         progress: called with a text and the share that is done.
     """
     density = innovations_posterior(flown, R)
     mode = find_mode(density, density.start(fit))
     asked: Any = {"seed": seed, "progress": progress, "predictive": False}
-    return {
-        "nuts": sample_nuts(density, mode, length=length.nuts, **asked),
-        "emcee": sample_ensemble(density, mode, length=length.emcee, **asked),
+    samplers = {
+        "emcee": lambda: sample_ensemble(density, mode, length=length.emcee, **asked),
+        "nuts": lambda: sample_nuts(density, mode, length=length.nuts, **asked),
     }
+    return {engine: samplers[engine]() for engine in engines}
 
 
 def innovations_posterior(flown: SegmentTrajectories, R: Float[np.ndarray, " c"]) -> InnovationsDensity:

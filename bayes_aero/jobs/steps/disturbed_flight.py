@@ -11,13 +11,14 @@ from bayes_aero.diagnosis.trajectories.process_noise import with_process_noise
 from bayes_aero.diagnosis.trajectories.results import ProcessNoise, TrajectoryFit
 from bayes_aero.errors import attempted
 from bayes_aero.flight.card.card import Card
+from bayes_aero.inference.posterior.innovations import ENGINES
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.jobs.io.fly_json import Flight
 from bayes_aero.jobs.options import FlyOptions
 from bayes_aero.progress import Progress
 from bayes_aero.report.text.process_noise import posterior_sentences
 
-Sampling = Callable[[], dict[str, Posterior]]
+Sampling = Callable[[str], dict[str, Posterior]]
 
 
 def process_noise(
@@ -39,9 +40,16 @@ def process_noise(
     return (beside, partial(sample, options.seed, progress) if wanted else None), failed
 
 
-def with_posterior(found: Flight, sample: Sampling, card: Card, out: Path | None) -> Flight:
-    """With the posterior, and what is said of its chains."""
-    own = bool(card.effect_files)
-    posteriors, failed = attempted("The posterior was not sampled", sample, {}, out, own=own)
-    said = (*found.sentences, *posterior_sentences(posteriors))
-    return replace(found, posteriors=posteriors, sentences=said, failures=(*found.failures, *failed))
+def with_posterior(
+    found: Flight, sample: Sampling, card: Card, out: Path | None, put: Callable[[Flight], None]
+) -> Flight:
+    """With the posterior, and what is said of its chains; what is known is `put` before each sampler, for minutes."""
+    begun, posteriors, failures = found, {}, found.failures
+    for engine in ENGINES:
+        put(found)
+        by = partial(sample, engine)
+        new, failed = attempted("The posterior was not sampled", by, {}, out, own=bool(card.effect_files))
+        posteriors, failures = posteriors | new, (*failures, *failed)
+        said = (*begun.sentences, *posterior_sentences(posteriors))
+        found = replace(begun, posteriors=posteriors, sentences=said, failures=failures)
+    return found
