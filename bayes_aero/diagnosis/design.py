@@ -21,7 +21,7 @@ from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, auto
 from bayes_aero.diagnosis.screening.regression import inverse
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
 from bayes_aero.diagnosis.settings import ENOUGH
-from bayes_aero.dynamics.manoeuvres import MOVED, fly_standard
+from bayes_aero.dynamics.simulated.manoeuvres import MOVED, fly_standard
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.model.joined_channels import Flights

@@ -17,7 +17,7 @@ from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.diagnosis.trajectories.noise_check import with_tested
 from bayes_aero.diagnosis.view.models import view_of
 from bayes_aero.diagnosis.view.results import DiagnosisView
-from bayes_aero.dynamics.plant import flies
+from bayes_aero.dynamics.simulated.plant import flies
 from bayes_aero.effect import Kind
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayes_aero.dynamics.manoeuvres import pulses, ramps, rounded, three_two_one_one
-from bayes_aero.dynamics.simulate import FlightState, Pilot, fly
+from bayes_aero.dynamics.simulated.manoeuvres import pulses, ramps, rounded, three_two_one_one
+from bayes_aero.dynamics.simulated.simulate import FlightState, Pilot, fly
 from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.dynamics.plant import flies, refuse_unflown
-from bayes_aero.dynamics.simulate import FlightState, fly_together, outside
-from bayes_aero.dynamics.trim import level_speed
+from bayes_aero.dynamics.simulated.plant import flies, refuse_unflown
+from bayes_aero.dynamics.simulated.simulate import FlightState, fly_together, outside
+from bayes_aero.dynamics.simulated.trim import level_speed
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError

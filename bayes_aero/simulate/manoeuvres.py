@@ -9,8 +9,8 @@ from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
-from bayes_aero.dynamics.manoeuvres import Series, pulses, ramps, rounded, three_two_one_one
-from bayes_aero.dynamics.simulate import Pilot
+from bayes_aero.dynamics.simulated.manoeuvres import Series, pulses, ramps, rounded, three_two_one_one
+from bayes_aero.dynamics.simulated.simulate import Pilot
 from bayes_aero.effect import Effect
 
 DT = 0.04  # s

@@ -13,10 +13,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from bayes_aero.dynamics.manoeuvres import standard_pilots
-from bayes_aero.dynamics.plant import refuse_unflown
-from bayes_aero.dynamics.simulate import FlightState, Pilot, fly, outside
-from bayes_aero.dynamics.trim import level_speed
+from bayes_aero.dynamics.simulated.manoeuvres import standard_pilots
+from bayes_aero.dynamics.simulated.plant import refuse_unflown
+from bayes_aero.dynamics.simulated.simulate import FlightState, Pilot, fly, outside
+from bayes_aero.dynamics.simulated.trim import level_speed
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft

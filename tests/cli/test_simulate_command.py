@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bayes_aero.dynamics.manoeuvres import commands
-from bayes_aero.dynamics.trim import Trim
+from bayes_aero.dynamics.simulated.manoeuvres import commands
+from bayes_aero.dynamics.simulated.trim import Trim
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.simulate import request

@@ -11,8 +11,8 @@ import pytest
 from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.design import separating, standard
 from bayes_aero.diagnosis.screening.selection_state import linearised
-from bayes_aero.dynamics.manoeuvres import commands
-from bayes_aero.dynamics.trim import Trim, trimmed
+from bayes_aero.dynamics.simulated.manoeuvres import commands
+from bayes_aero.dynamics.simulated.trim import Trim, trimmed
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.model.joined_channels import join

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from bayes_aero.dynamics.flight_path import PathDynamics, path_states
+from bayes_aero.dynamics.path.flight_path import PathDynamics, path_states
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.flight.card.card import read_card, shipped_cards
 from bayes_aero.flight.reading.read_record import read_records

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayes_aero.dynamics.manoeuvres import pulses, rounded, steps, three_two_one_one
+from bayes_aero.dynamics.simulated.manoeuvres import pulses, rounded, steps, three_two_one_one
 
 DT = 0.04
 TIME = np.arange(-125, 1500) * DT

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.manoeuvres import fly_standard
-from bayes_aero.dynamics.plant import INPUTS, FlightState, Plant
+from bayes_aero.dynamics.simulated.manoeuvres import fly_standard
+from bayes_aero.dynamics.simulated.plant import INPUTS, FlightState, Plant
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError

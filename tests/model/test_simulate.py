@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.dynamics.manoeuvres import ramps
-from bayes_aero.dynamics.plant import INPUTS, FlightState, Plant
-from bayes_aero.dynamics.simulate import Pilot, fly
+from bayes_aero.dynamics.simulated.manoeuvres import ramps
+from bayes_aero.dynamics.simulated.plant import INPUTS, FlightState, Plant
+from bayes_aero.dynamics.simulated.simulate import Pilot, fly
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayes_aero.dynamics.steady import conditions
+from bayes_aero.dynamics.simulated.steady import conditions
 
 
 def test_conditions_are_those_of_the_largest_lift_not_of_the_largest_angle():

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.dynamics.manoeuvres import fly_standard
-from bayes_aero.dynamics.trim import lead, level_speed, trimmed
+from bayes_aero.dynamics.simulated.manoeuvres import fly_standard
+from bayes_aero.dynamics.simulated.trim import lead, level_speed, trimmed
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.model.model import Model

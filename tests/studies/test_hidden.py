@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from out_of_catalogue import unknown
 
-from bayes_aero.dynamics.plant import flies
+from bayes_aero.dynamics.simulated.plant import flies
 from bayes_aero.effect import Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError

@@ -13,8 +13,8 @@ from bayes_aero.diagnosis.selection.residuals import TheilParts
 from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.diagnosis.trajectories.drift import Drift
 from bayes_aero.dynamics.flight import AircraftDynamics
-from bayes_aero.dynamics.flight_path import PathDynamics
 from bayes_aero.dynamics.output_biases import unbiased
+from bayes_aero.dynamics.path.flight_path import PathDynamics
 from bayes_aero.inference.likelihood.normal_equations import departures
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from bayes_aero.dynamics.flight import Dynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
-from bayes_aero.dynamics.path_sensors import path_dynamics
+from bayes_aero.dynamics.path.path_sensors import path_dynamics
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import FlightRecord

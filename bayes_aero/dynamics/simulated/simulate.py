@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_aero.dynamics.plant import FlightState, Plant
+from bayes_aero.dynamics.simulated.plant import FlightState, Plant
+from bayes_aero.dynamics.simulated.trim import lead
 from bayes_aero.dynamics.system import step
 from bayes_aero.dynamics.tangent import later
-from bayes_aero.dynamics.trim import lead
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import differentiate

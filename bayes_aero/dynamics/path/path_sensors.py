@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from bayes_aero.dynamics.flight_path import PathDynamics, heading, path_states
+from bayes_aero.dynamics.path.flight_path import PathDynamics, heading, path_states
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError

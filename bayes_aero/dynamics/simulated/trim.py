@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_aero.dynamics.plant import CONTROLS, SIGNALS
+from bayes_aero.dynamics.simulated.plant import CONTROLS, SIGNALS
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.dynamics.plant import SIDE_FORCE, FlightState
-from bayes_aero.dynamics.simulate import Pilot, fly_together, outside
-from bayes_aero.dynamics.trim import Trim, trimmed
+from bayes_aero.dynamics.simulated.plant import SIDE_FORCE, FlightState
+from bayes_aero.dynamics.simulated.simulate import Pilot, fly_together, outside
+from bayes_aero.dynamics.simulated.trim import Trim, trimmed
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air

@@ -1,0 +1,1 @@
+"""Aircraft that are flown to make records: trim, manoeuvres, pilot inputs, integration."""
