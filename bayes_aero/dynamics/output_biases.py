@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -82,6 +82,10 @@ class WrappedDynamics(Dynamics):
     def scales(self, values: Values, flights: Flights) -> Mapping[str, Array]:
         """Theirs."""
         return self.plain.scales(values, flights)
+
+    def delays(self, outputs: Sequence[str]) -> Mapping[str, str]:
+        """Theirs."""
+        return self.plain.delays(outputs)
 
     def slowest_step(self, values: Values, flights: Flights) -> float:
         """Theirs."""

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from bayes_aero.dynamics.flight import Dynamics
+from bayes_aero.dynamics.late_outputs import LateOutputs
 from bayes_aero.dynamics.system import System, Trajectory, integrate
 from bayes_aero.errors import InputError
 from bayes_aero.model.joined_channels import Flights
@@ -137,9 +138,15 @@ def _plain(given: float | Sequence[float], count: int) -> float | tuple[float, .
 
 class Prepared(NamedTuple):
     """What a simulation of the segments needs at one theta: initial states (w, s), inputs, outputs made true, as they
-    were recorded, and how much a unit of each became by that (w, n, c)."""
+    were recorded, and how much a unit of each became by that (w, n, c).
+
+    `true` still has the delays of recorders: what is shown of the flight is delayed, not the record. Interpolation
+    averages noise, so that a record would have less of it at half a sample than at none, and a fit would prefer such a
+    delay. `sensed` is the system with late outputs, for a filter.
+    """
 
     system: System
+    sensed: System
     begin: Float[Array, "w s"]
     drives: dict[str, Float[Array, "w n"]]
     true: Float[Array, "w n c"]
@@ -155,13 +162,18 @@ def prepared(flown: SegmentTrajectories, theta: Float[Array, " k"]) -> Prepared:
     system = dynamics.system(values, flights.aircraft)
     drives = {name: x[flown.index] for name, x in dynamics.drives(values, channels, flights).items()}
     begin = _measured_start(flown, channels)
+    late = dynamics.delays(flown.outputs)
+    sensed = LateOutputs(system, {name: values[p] for name, p in late.items()}) if late else system
+    if late:
+        values = values | dict.fromkeys(late.values(), 0.0)
+        channels = dynamics.corrected(values, flights.channels, flights.aircraft)
     true = jnp.stack([channels[name][flown.index] for name in flown.outputs], axis=2)
     measured = jnp.stack([flights.channels[name][flown.index] for name in flown.outputs], axis=2)
     scales = dynamics.scales(values, flights)
     scale = jnp.stack(
         [scales[n][flown.index] if n in scales else jnp.ones(flown.index.shape) for n in flown.outputs], axis=2
     )
-    return Prepared(system, begin, drives, true, measured, scale)
+    return Prepared(system, sensed, begin, drives, true, measured, scale)
 
 
 def simulate(flown: SegmentTrajectories, theta: Float[Array, " k"], departure: Float[Array, "w s"]) -> Simulated:
@@ -177,41 +189,25 @@ def simulate(flown: SegmentTrajectories, theta: Float[Array, " k"], departure: F
     trajectory = jax.vmap(fly)(ready.begin, departure, ready.drives, jnp.asarray(flown.dt))
     modelled = jnp.stack([trajectory.outputs[name] for name in flown.outputs], axis=2)
     residual = (ready.true - modelled) / ready.scale
-    late = flown.dynamics.delays(flown.outputs)
-    if late:
-        residual = _late(flown, theta, late, ready.measured, modelled)
+    if isinstance(ready.sensed, LateOutputs):
+        residual = _late(flown, ready.sensed.delays, ready.measured, residual)
     return Simulated(trajectory, ready.measured, jnp.where(flown.inside[:, :, None], residual, 0.0))
 
 
 def _late(
     flown: SegmentTrajectories,
-    theta: Float[Array, " k"],
-    late: Mapping[str, str],
+    delays: Mapping[str, Any],
     measured: Float[Array, "w n c"],
-    modelled: Float[Array, "w n c"],
+    residual: Float[Array, "w n c"],
 ) -> Float[Array, "w n c"]:
-    """Residuals where recorders are late: what is shown without delay is shifted, not the record.
-
-    Interpolation averages noise. Of a record it would leave less at half a sample than at none, and a fit would prefer
-    such a delay.
-    """
-    dynamics, flights = flown.dynamics, flown.flights
-    values = dynamics.values(theta)
-    at_once = values | dict.fromkeys(late.values(), 0.0)
-    channels = dynamics.corrected(at_once, flights.channels, flights.aircraft)
-    scales = dynamics.scales(at_once, flights)
-    last = jnp.asarray(flown.inside.sum(axis=1) - 1)
-    columns = []
+    """Residuals where recorders are late: what is shown of the flight without delay is shifted."""
+    last, dt = jnp.asarray(flown.inside.sum(axis=1) - 1), jnp.asarray(flown.dt)
     for c, name in enumerate(flown.outputs):
-        scale = scales[name][flown.index] if name in scales else 1.0
-        residual = (channels[name][flown.index] - modelled[:, :, c]) / scale
-        if name in late:
-            shown, delay = measured[:, :, c] - residual, values[late[name]]
-            residual = measured[:, :, c] - jax.vmap(_delayed, (0, None, 0, 0))(
-                shown, delay, jnp.asarray(flown.dt), last
-            )
-        columns.append(residual)
-    return jnp.stack(columns, axis=2)
+        if name in delays:
+            shown = measured[:, :, c] - residual[:, :, c]
+            shifted = jax.vmap(_delayed, (0, None, 0, 0))(shown, delays[name], dt, last)
+            residual = residual.at[:, :, c].set(measured[:, :, c] - shifted)
+    return residual
 
 
 def _delayed(x: Float[Array, " n"], seconds: Any, dt: Any, last: Any) -> Float[Array, " n"]:

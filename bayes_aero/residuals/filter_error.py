@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -106,8 +105,7 @@ def _slopes(responses: FilterError, theta, directions):
     path = observed(flown, theta, responses.by)
     lin = linearised(flown, theta, path.before, path.after, directions)
     e = path.innovation[..., None]
-    scaled = jax.vmap(lambda t: jax.jvp(lambda x: prepared(flown, x).scale, (theta,), (t,))[1], out_axes=-1)(directions)
     # An error of scale makes the record's noise larger with its signal: without this term it would explain noise.
-    grown = e * scaled / lin.scale[..., None]
+    grown = e * lin.scale_drive / lin.scale[..., None]
     found = responses._whitened(jnp.concatenate([e, observer_slopes(lin, responses.by) - grown], axis=-1), lin.scale)
     return found[..., 0], found[..., 1:]

@@ -39,7 +39,8 @@ class _Path(NamedTuple):
 
 class _Rows(NamedTuple):
     """What the filter needs at a point: the state before the first sample (w, s), its covariance (w, s, s), inputs at
-    each sample and at the next one (w, n), outputs and the variances of their noise (w, n, c)."""
+    each sample and at the next one (w, n), outputs, the variances of their noise, and what a unit of each has become by
+    correction (w, n, c)."""
 
     system: System
     begin: Float[Array, "w s"]
@@ -48,6 +49,7 @@ class _Rows(NamedTuple):
     then: dict[str, Array]
     measured: Float[Array, "w n c"]
     variance: Float[Array, "w n c"]
+    scale: Float[Array, "w n c"]
 
 
 class _Local(NamedTuple):
@@ -99,10 +101,12 @@ def _rows(point: NoisePoint, flown: SegmentTrajectories, start_deviation: Array)
     ready = prepared(flown, point.theta)
     true = jnp.where(jnp.asarray(flown.inside)[:, :, None], ready.true, jnp.nan)
     first = {name: y[:, 0] for name, y in ready.drives.items()}
-    begin = jax.vmap(ready.system.settled)(ready.begin, first)
-    covariance = jax.vmap(lambda x, u: ready.system.start_covariance(x, u, start_deviation))(begin, first)
+    begin = jax.vmap(ready.sensed.settled)(ready.begin, first)
+    covariance = jax.vmap(lambda x, u: ready.sensed.start_covariance(x, u, start_deviation))(begin, first)
     variance = point.R * (ready.scale * jnp.asarray(flown.noise_growth)) ** 2
-    return _Rows(ready.system, begin, covariance, ready.drives, later(ready.drives, flown.held), true, variance)
+    return _Rows(
+        ready.sensed, begin, covariance, ready.drives, later(ready.drives, flown.held), true, variance, ready.scale
+    )
 
 
 def _followed(point: NoisePoint, flown: SegmentTrajectories, start_deviation: Array) -> tuple[Array, _Path]:
@@ -110,20 +114,20 @@ def _followed(point: NoisePoint, flown: SegmentTrajectories, start_deviation: Ar
     rows = _rows(point, flown, start_deviation)
     system = rows.system
 
-    def one(begin, covariance, now, then, measured, variance, dt):
+    def one(begin, covariance, now, then, measured, variance, scale, dt):
         def further(carry, row):
             x, P, total = carry
-            now, then, z, variance = row
+            now, then, z, variance, scale = row
             y, C = seen_at(system, x, now, flown.outputs)
             moved, P, e, S, used = corrected(P, C, z - y, variance)
             after = x + moved
             step = lambda x: advance(system, x, now, then, dt, flown.substeps)  # noqa: E731
             density = point.F**2 + system.noise_density(after, now)
             P = covariance_ahead(jax.jacfwd(step)(after), P, density, dt)
-            return (step(after), P, total + log_terms(e, S, used)), _Path(x, after)
+            return (step(after), P, total + log_terms(e / scale, S / scale**2, used)), _Path(x, after)
 
         start = (begin, covariance, jnp.zeros(()))
-        (_, _, total), path = jax.lax.scan(further, start, (now, then, measured, variance))
+        (_, _, total), path = jax.lax.scan(further, start, (now, then, measured, variance, scale))
         return total, path
 
     total, path = jax.vmap(one)(*rows[1:], jnp.asarray(flown.dt))
@@ -135,7 +139,8 @@ def _along(point: NoisePoint, flown: SegmentTrajectories, start_deviation: Array
     path = jax.lax.stop_gradient(path)
     rows = _rows(point, flown, start_deviation)
     local = _locally(rows, point.F, flown, path)
-    each = jax.vmap(_linear)(rows.begin, rows.covariance, rows.variance, jnp.asarray(flown.dt), path, local)
+    noise = (rows.variance, rows.scale)
+    each = jax.vmap(_linear)(rows.begin, rows.covariance, noise, jnp.asarray(flown.dt), path, local)
     return jnp.sum(each)
 
 
@@ -168,7 +173,7 @@ def _by_state(f: Callable[[Array], Array], x: Float[Array, "w n s"]) -> tuple[Ar
     return jax.vmap(along, out_axes=(None, -1))(jnp.eye(x.shape[-1]))
 
 
-def _linear(begin: Array, covariance: Array, variance: Array, dt: Array, path: _Path, local: _Local) -> Array:
+def _linear(begin: Array, covariance: Array, noise: Any, dt: Array, path: _Path, local: _Local) -> Array:
     """Log likelihood of one segment by the filter of the system that is linear along the path.
 
     Backward, each step is computed again: to keep what it computes would cost more.
@@ -177,13 +182,14 @@ def _linear(begin: Array, covariance: Array, variance: Array, dt: Array, path: _
     @jax.checkpoint
     def further(carry, row):
         x, P, total = carry
-        here, before, after, variance = row
+        here, before, after, (variance, scale) = row
         held = jax.lax.stop_gradient(here)
         dx = x - before
         moved, P, e, S, used = corrected(P, here.matrix + here.bend @ dx, here.away - held.matrix @ dx, variance)
         dx = x + moved - after
         P = covariance_ahead(here.transition + here.turn @ dx, P, here.density + here.growth @ dx, dt)
-        return (here.ahead + held.transition @ dx, P, total + log_terms(e, S, used)), None
+        total = total + log_terms(e / scale, S / scale**2, used)
+        return (here.ahead + held.transition @ dx, P, total), None
 
     start = (begin, covariance, jnp.zeros(()))
-    return jax.lax.scan(further, start, (local, path.before, path.after, variance))[0][2]
+    return jax.lax.scan(further, start, (local, path.before, path.after, noise))[0][2]

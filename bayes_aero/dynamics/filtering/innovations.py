@@ -100,14 +100,14 @@ def steady_innovations(
 
     def predict(start, away, inputs, dt, true, scale):
         first = {name: y[0] for name, y in inputs.items()}
-        begin = ready.system.settled(start, first) + away
-        K, C = steady_gain(ready.system, begin, first, dt, F, R, names)
+        begin = ready.sensed.settled(start, first) + away
+        K, C = steady_gain(ready.sensed, begin, first, dt, F, R, names)
 
         def further(x, rows):
             now, then, z, unit = rows
-            e = z - outputs_at(ready.system, x, now, names)
+            e = z - outputs_at(ready.sensed, x, now, names)
             e = jnp.where(jnp.isfinite(z), e, 0.0)
-            ahead = advance(ready.system, x + K @ e, now, then, dt, flown.substeps)
+            ahead = advance(ready.sensed, x + K @ e, now, then, dt, flown.substeps)
             return ahead, (x, e / unit)
 
         _, (x, e) = jax.lax.scan(further, begin, (inputs, later(inputs, flown.held), true, scale))
@@ -126,23 +126,26 @@ def filtered(
     """Every segment by the extended Kalman filter, from its measured initial state; (w, ...) in front of every array.
 
     `start_deviation`: standard deviation of that state, SI; `R`: variances of the measurement noise in attached flow.
+    Innovations and their variances are referred to the record: those of a record that an error of scale has made
+    smaller are no likelier for being small.
     """
     ready = prepared(flown, theta)
 
     def one(*row):
         start, _, inputs, dt, true, scale, growth = row
         first = {name: y[0] for name, y in inputs.items()}
-        begin = ready.system.settled(start, first)
+        begin = ready.sensed.settled(start, first)
         noise = R * (scale * growth) ** 2
-        return kalman_filter(
-            ready.system,
-            Begin(begin, ready.system.start_covariance(begin, first, start_deviation)),
+        found = kalman_filter(
+            ready.sensed,
+            Begin(begin, ready.sensed.start_covariance(begin, first, start_deviation)),
             inputs,
             Measured(true, noise),
             F,
             flown.outputs,
             Sampling(dt, flown.substeps, flown.held),
         )
+        return found._replace(innovation=found.innovation / scale, variance=found.variance / scale**2)
 
     nothing = jnp.zeros((len(flown.index), len(start_deviation)))
     rows = (*rows_of(flown, ready, nothing), jnp.asarray(flown.noise_growth))
@@ -162,7 +165,7 @@ def observer(flown: SegmentTrajectories, theta: Float[Array, " k"], R: Float[Arr
     ready = prepared(flown, theta)
 
     def one(x, P, u, noise, used):
-        C = jax.jacfwd(lambda x: outputs_at(ready.system, x, u, flown.outputs))(x) * used[:, None]
+        C = jax.jacfwd(lambda x: outputs_at(ready.sensed, x, u, flown.outputs))(x) * used[:, None]
         S = C @ P @ C.T + jnp.diag(jnp.where(used, noise, 1.0))
         factor = jnp.linalg.cholesky(S)
         return jnp.linalg.solve(S, C @ P).T, jnp.linalg.inv(factor / jnp.diag(factor))
@@ -190,13 +193,13 @@ def observed(flown: SegmentTrajectories, theta: Float[Array, " k"], by: Observer
 
         def further(x, rows):
             now, then, z, K = rows
-            e = z - outputs_at(ready.system, x, now, names)
+            e = z - outputs_at(ready.sensed, x, now, names)
             e = jnp.where(jnp.isfinite(z), e, 0.0)
             corrected = x + K @ e
-            return advance(ready.system, corrected, now, then, dt, flown.substeps), Observed(e, x, corrected)
+            return advance(ready.sensed, corrected, now, then, dt, flown.substeps), Observed(e, x, corrected)
 
         rows = (inputs, later(inputs, flown.held), true, gain)
-        return jax.lax.scan(further, ready.system.settled(start, first), rows)[1]
+        return jax.lax.scan(further, ready.sensed.settled(start, first), rows)[1]
 
     start, nothing, inputs, dt, true, scale = rows_of(flown, ready, jnp.zeros((len(flown.index), 1)))
     return jax.vmap(predict)(start, nothing, inputs, dt, true, scale, by.gain)
@@ -212,8 +215,8 @@ def measurement_matrix(flown: SegmentTrajectories, theta: Float[Array, " k"]) ->
     """C = dg/dx (c, s) at the first sample of the first segment."""
     ready = prepared(flown, theta)
     first = {name: y[0, 0] for name, y in ready.drives.items()}
-    begin = ready.system.settled(ready.begin[0], first)
-    return jax.jacfwd(lambda x: outputs_at(ready.system, x, first, flown.outputs))(begin)
+    begin = ready.sensed.settled(ready.begin[0], first)
+    return jax.jacfwd(lambda x: outputs_at(ready.sensed, x, first, flown.outputs))(begin)
 
 
 def neighbour_correlation(found: Filtered) -> Float[np.ndarray, " c"]:

@@ -25,7 +25,8 @@ class Linearised(NamedTuple):
     """Segments along a path, in d directions of the parameters.
 
     `before`, `after`: the states at which outputs and motion are linear; `ahead`: a sample after `after`; `residual`:
-    measured minus outputs at `before`, NaN where missing; `begin`: the state in which the segments begin.
+    measured minus outputs at `before`, NaN where missing; `begin`: the state in which the segments begin; `scale`: what
+    a unit of each recorded output has become.
     """
 
     before: Float[Array, "w n s"]
@@ -39,6 +40,7 @@ class Linearised(NamedTuple):
     begin: Float[Array, "w s"]
     begin_drive: Float[Array, "w s d"]
     scale: Float[Array, "w n c"]
+    scale_drive: Float[Array, "w n c d"]
 
 
 def linearised(
@@ -52,20 +54,23 @@ def linearised(
 
     def move(theta, after):
         ready = prepared(flown, theta)
-        one = lambda x, now, then, dt: advance(ready.system, x, now, then, dt, flown.substeps)  # noqa: E731
+        one = lambda x, now, then, dt: advance(ready.sensed, x, now, then, dt, flown.substeps)  # noqa: E731
         dt = jnp.broadcast_to(jnp.asarray(flown.dt)[:, None], after.shape[:2])
         return jax.vmap(jax.vmap(one))(after, ready.drives, later(ready.drives, flown.held), dt)
 
     def differ(theta, before):
         ready = prepared(flown, theta)
         *_, true, _ = rows_of(flown, ready, jnp.zeros((len(flown.index), 1)))
-        outputs = jax.vmap(jax.vmap(lambda x, u: outputs_at(ready.system, x, u, flown.outputs)))
+        outputs = jax.vmap(jax.vmap(lambda x, u: outputs_at(ready.sensed, x, u, flown.outputs)))
         return true - outputs(before, ready.drives)
 
     def start(theta):
         ready = prepared(flown, theta)
         first = {name: y[:, 0] for name, y in ready.drives.items()}
-        return jax.vmap(ready.system.settled)(ready.begin, first)
+        return jax.vmap(ready.sensed.settled)(ready.begin, first)
+
+    def scale(theta):
+        return prepared(flown, theta).scale
 
     def by_state(f, x):
         states = jnp.eye(x.shape[-1])
@@ -84,7 +89,8 @@ def linearised(
         -finite(by_theta(lambda t: differ(t, before))),
         start(theta),
         by_theta(start),
-        prepared(flown, theta).scale,
+        scale(theta),
+        by_theta(scale),
     )
 
 
@@ -126,11 +132,11 @@ def disturbances(
 ) -> Disturbances:
     """As `filtered` has them, at the states of `path`."""
     ready = prepared(flown, theta)
-    each = jax.vmap(jax.vmap(lambda x, u: (ready.system.noise_density(x, u), ready.system.decay(x, u))))
+    each = jax.vmap(jax.vmap(lambda x, u: (ready.sensed.noise_density(x, u), ready.sensed.decay(x, u))))
     density, decay = each(path, ready.drives)
     first = {name: y[:, 0] for name, y in ready.drives.items()}
-    begins = jax.vmap(ready.system.settled)(ready.begin, first)
-    begin = jax.vmap(lambda x, u: ready.system.start_covariance(x, u, start_deviation))(begins, first)
+    begins = jax.vmap(ready.sensed.settled)(ready.begin, first)
+    begin = jax.vmap(lambda x, u: ready.sensed.start_covariance(x, u, start_deviation))(begins, first)
     noise = R * (ready.scale * jnp.asarray(flown.noise_growth)) ** 2
     return Disturbances(F**2 + density, noise, begin, decay)
 
@@ -141,9 +147,14 @@ def linear_innovations(
     """Innovations (w, n, c, 1 + d) and their variances (w, n, c), each output given those before it in its sample.
 
     The first column are the innovations, the others their derivatives by the d directions, at gains that these do not
-    move. Missing samples have innovation 0 and variance 1.
+    move; all referred to the record. Missing samples have innovation 0 and variance 1.
     """
-    return jax.vmap(_one_segment)(lin, noise, dt)
+    found, S = jax.vmap(_one_segment)(lin, noise, dt)
+    e, slopes = found[..., :1], found[..., 1:]
+    slopes = slopes - e * lin.scale_drive / lin.scale[..., None]
+    used = jnp.isfinite(lin.residual)
+    S = jnp.where(used, S / lin.scale**2, 1.0)
+    return jnp.concatenate([e, slopes], axis=-1) / lin.scale[..., None], S
 
 
 def _one_segment(lin: Linearised, noise: Disturbances, dt: Any):

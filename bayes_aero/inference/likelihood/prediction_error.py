@@ -29,6 +29,7 @@ from bayes_aero.inference.likelihood.normal_equations import departures
 
 MAX_ITERATIONS = 60
 LAST, NEAR = 1e-3, 0.3  # expected gain in log likelihood of the last step, and of the last with gains held
+DRIVES = ("drive", "direct", "begin_drive", "scale_drive")  # of `Linearised`, by parameters
 LEAST, MOST = 1e-12, 2.0  # of F and R; of the change of their logarithms in a step
 
 
@@ -103,7 +104,7 @@ def _near_look(flown, point, start_deviation, k, s, means):
     path, unit = _all(flown, point, start_deviation, k, s), jnp.eye(len(point))
     means, others = np.array(means, int), np.setdiff1d(np.arange(len(point)), means)
     lin = linearised(flown, point[:k], path.predicted, path.state, unit[means, :k])
-    bare = lin._replace(drive=lin.drive[..., :0], direct=lin.direct[..., :0], begin_drive=lin.begin_drive[..., :0])
+    bare = lin._replace(**{name: getattr(lin, name)[..., :0] for name in DRIVES})
 
     def at(point, lin):
         F, R = jnp.exp(point[k : k + s]), jnp.exp(point[k + s :])
