@@ -39,6 +39,13 @@ def path(
         str | None,
         typer.Option(metavar="NAME,NAME", help="Outputs to compare, e.g. airspeed,alpha,theta; default: all recorded."),
     ] = None,
+    process_noise: Annotated[
+        bool,
+        typer.Option(
+            "--process-noise",
+            help="Fit again with gusts and the noise of accelerometers and gyros, by an extended Kalman filter.",
+        ),
+    ] = False,
     resample: ResampleOption = None,
     split: SplitOption = False,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
@@ -50,6 +57,8 @@ def path(
     position and delay of the vane and the wind are fitted to airspeed, flow angles, attitude and altitude by output
     error. corrected/ has the records without these errors. Exit code 0: converged; 1: not.
 
+    With --process-noise gusts.csv has the gusts that vane and pitot tube met.
+
     Example: bayes-aero path run1.csv run2.csv --model aircraft.toml --out path
     """
     card, flights = card_and_records(model, records, resample, split)
@@ -57,17 +66,21 @@ def path(
         from bayes_aero.jobs.io.fly_json import RESULTS
         from bayes_aero.jobs.options import FlyOptions
         from bayes_aero.jobs.path import WHOLE, path_records
-        from bayes_aero.report.tables.fly import error_table, parameter_table
+        from bayes_aero.report.tables.fly import error_table, parameter_table, process_noise_table
 
     console = teller(quiet=json, highlight=True)
     with interruptible(kept_stages(out)), bar("reading") as tell:
-        options = FlyOptions(WHOLE, initial_state.value, priors, outputs, figures=figures, flight_path=True)
+        options = FlyOptions(
+            WHOLE, initial_state.value, priors, outputs, figures=figures, process_noise=process_noise, flight_path=True
+        )
         found = path_records(flights, card, options, out=out, progress=tell)
     if json:
         typer.echo((out / RESULTS).read_text(encoding="utf-8"), nl=False)
     print_failures(console, found.failures)
     print_doubts(console, None, found.health, corrects=False)
     console.print(parameter_table(found.flown).terminal())
+    if found.process_noise is not None and found.process_noise.converged:
+        console.print(process_noise_table(found.process_noise, found.flown).terminal())
     console.print(error_table(found.flown).terminal())
     for sentence in found.sentences:
         console.print(f"• {sentence}", highlight=False)

@@ -30,6 +30,7 @@ def flight_path(
     initial_state: str = FREE,
     priors: bool = True,
     outputs: str | Sequence[str] | None = None,
+    process_noise: bool = False,
     figures: bool = True,
     progress: Progress | None = None,
 ) -> Flight:
@@ -44,6 +45,7 @@ def flight_path(
         priors: False omits all priors.
         outputs: names of the outputs that are compared, a list or separated by commas; default: all that were recorded
             of airspeed, flow angles, attitude, heading and altitude.
+        process_noise: True fits again with gusts and noise of the states, by an extended Kalman filter.
         figures: False draws none.
         progress: called with a stage and the share of it that is done.
 
@@ -56,7 +58,9 @@ def flight_path(
     Source:
         Klein and Morelli, Aircraft System Identification, 2006, ch. 10.
     """
-    options = FlyOptions(WHOLE, initial_state, priors, outputs, figures=figures, flight_path=True)
+    options = FlyOptions(
+        WHOLE, initial_state, priors, outputs, figures=figures, process_noise=process_noise, flight_path=True
+    )
     return path_records(records, card, options, out=out, progress=progress)
 
 

@@ -151,3 +151,43 @@ def test_what_a_flight_path_lacks_is_one_sentence(program, flight, tmp_path):
     assert "no channel az" in done.err
     assert "Traceback" not in done.err
     assert not (tmp_path / "out" / "trajectories.json").exists()
+
+
+def first_order(rng, t, sd, seconds):
+    """A stationary random process with this correlation time."""
+    kept, x = np.exp(-(t[1] - t[0]) / seconds), [rng.normal(0.0, sd)]
+    for _ in t[1:]:
+        x.append(kept * x[-1] + sd * np.sqrt(1.0 - kept**2) * rng.normal())
+    return np.array(x)
+
+
+def test_gusts_are_met_by_vane_and_pitot_tube_alone(program, flight, tmp_path):
+    """Intensities, lengths and errors of sensors, without aerodynamics; noise of accelerometers is counted."""
+    card, _, _ = flight
+    t, rng = DT * np.arange(1800), np.random.default_rng(1)
+    truth = true_flight(t)
+    truth.pop("late")
+    w, u = first_order(rng, t, 0.5, 200.0 / 90.0), first_order(rng, t, 0.3, 200.0 / 90.0)
+    truth["alpha"] = 1.04 * (truth["alpha"] + w / truth["airspeed"])
+    truth["airspeed"] = truth["airspeed"] + u
+    noise = {n: sd * (10.0 if n in ("ax", "ay", "az", "p", "q", "r") else 1.0) for n, sd in NOISE.items()}
+    noisy = {n: x + rng.normal(0.0, noise[n], len(t)) for n, x in truth.items()}
+    pd.DataFrame({"time": t} | noisy).to_csv(tmp_path / "gusty.csv", index=False)
+    done = program("path", "gusty.csv", "--model", card, "--process-noise", "--out", "out", "--json")
+    assert done.code in (0, 3), done.err
+    found = json.loads(done.out)["process_noise"]
+    assert found["status"] == "converged"
+    for name, size in {"vertical_gust": 0.5, "longitudinal_gust": 0.3}.items():
+        for parameter, value in ((name, size), (f"{name}_length", 200.0)):
+            estimate, sd = found["gusts"][parameter]
+            assert abs(estimate - value) < 3.0 * sd, parameter
+        assert found["gusts"][name][1] < 0.3 * size
+    for name, r in found["autocorrelation"].items():
+        assert abs(r) < 0.08, name
+    expected = {"alpha_scale": 0.04}
+    for name in ("vane_position", "alpha_scale", "alpha_delay", "sideslip_scale", "airspeed_scale", "accel_z_bias"):
+        estimate, sd = found["estimates"][name]
+        assert abs(estimate - expected.get(name, 0.0)) < 3.0 * sd, name
+    gusts = pd.read_csv(tmp_path / "out" / "gusts.csv")
+    assert np.std(gusts["gust_u"].to_numpy() - u) < 0.6 * np.std(u)
+    assert (tmp_path / "out" / "figures" / "gusts.png").exists()
