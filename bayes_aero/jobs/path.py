@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,11 +16,13 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.flight.writers import write_record
 from bayes_aero.jobs.fly import fly_records
 from bayes_aero.jobs.io.fly_json import Flight
+from bayes_aero.jobs.io.output_folder import safe_name
 from bayes_aero.jobs.options import FREE, FlyOptions
 from bayes_aero.progress import Progress
 
 WHOLE = 1e6  # s: no windows; integrated accelerations stay near the measured path from the start
 CORRECTED = "corrected"
+UNSAFE = r"[^\w.@+-]"  # in the name of a file
 
 
 def flight_path(
@@ -77,8 +80,10 @@ def path_records(
     if out is not None and found.flown.converged:
         folder = out / CORRECTED
         folder.mkdir(exist_ok=True)
+        for left in folder.glob("*.csv"):  # of an earlier run
+            left.unlink()
         for record in corrected_records(records, found.flown):
-            write_record(record, folder / f"{record.name}.csv", card.channels)
+            write_record(record, folder / f"{safe_name(re.sub(UNSAFE, '_', record.name))}.csv", card.channels)
     return found
 
 
