@@ -51,6 +51,8 @@ RECORDED = [
     ("density_scale", "density", scale, -0.04),
     ("alpha_delay", "alpha", delay, 0.13),
     ("alpha_delay", "alpha", delay, -0.07),
+    ("sideslip_delay", "beta", delay, 0.06),
+    ("heading_delay", "psi", delay, 0.09),
     ("elevator_delay", "elevator", delay, 0.08),
     ("vertical_wind", "altitude", climb, 2.0),
     ("accel_y_bias", "ay", bias, 0.1),
