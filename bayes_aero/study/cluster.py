@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import logging
 import signal
@@ -99,6 +100,7 @@ def _begun(stack: ExitStack, workers: int, memory: int) -> Client:
 @contextmanager
 def remote(address: str, units: Path, tell: Told) -> Iterator[Doer]:
     """The workers of a scheduler that runs already, now or later; they stay."""
+    gc.collect()  # a client that failed closes itself when it is collected, and deadlocks where another one is starting
     with _quiet():
         try:
             client = Client(address, set_as_default=False)  # else a failed one stays the default
