@@ -41,4 +41,4 @@ def drift(found: ProcessNoise) -> Figure:
 
 
 def _label(name: str, unit: str) -> str:
-    return name if unit == "1" else f"{name}, {plain_unit(unit)}"
+    return name if unit == "1" else f"{name} [{plain_unit(unit)}]"

@@ -14,7 +14,7 @@ from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.trajectories import over_measured
 from bayes_aero.report.style import NotDrawn, housed, refuse_many
 
-MET = {"gust_w": "vertical gust, m/s", "gust_u": "longitudinal gust, m/s", "buffet": "buffet, CL of separated flow"}
+MET = {"gust_w": "vertical gust [m/s]", "gust_u": "longitudinal gust [m/s]", "buffet": "buffet [CL of separated flow]"}
 BAND = 1.96  # standard deviations
 MODELS = ((START, "start", COLOURS["before"]), (FITTED, "fitted", COLOURS["after"]))
 
@@ -69,5 +69,5 @@ def banded_rows(rows: Mapping[str, tuple[Any, Mapping[str, tuple[Any, Any]]]], l
             axis.plot(time, mean, color=COLOURS["after"])
             axis.set_title(manoeuvre, loc="left")
             axis.set_ylabel(label)
-            axis.set_xlabel("time, s")
+            axis.set_xlabel("time [s]")
     return figure, axes
