@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -27,6 +27,11 @@ from bayes_aero.cli.terminal import (
     print_failures,
     teller,
 )
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from bayes_aero.jobs.io.fly_json import Flight
 
 
 def fly(
@@ -98,8 +103,6 @@ def fly(
         from bayes_aero.jobs.fly import fly_records
         from bayes_aero.jobs.io.fly_json import RESULTS
         from bayes_aero.jobs.options import FlyOptions
-        from bayes_aero.report.tables.flown_posterior import posterior_table
-        from bayes_aero.report.tables.fly import drift_table, error_table, parameter_table, process_noise_table
 
     console = teller(quiet=json, highlight=True)
     with interruptible(kept_stages(out)), bar("reading") as tell:
@@ -110,6 +113,18 @@ def fly(
         typer.echo((out / RESULTS).read_text(encoding="utf-8"), nl=False)
     print_failures(console, found.failures)
     print_doubts(console, found.consistency, found.health, corrects=False)
+    print_fit(console, found, out)
+    if not found.flown.converged:
+        raise typer.Exit(FAILED)
+    exit_if_failed(found.failures)
+    exit_in_doubt(found.consistency, found.health, corrects=False)
+
+
+def print_fit(console: Console, found: Flight, out: Path) -> None:
+    """Tables, findings and notes of a fit to trajectories."""
+    from bayes_aero.report.tables.flown_posterior import posterior_table
+    from bayes_aero.report.tables.fly import drift_table, error_table, parameter_table, process_noise_table
+
     console.print(parameter_table(found.flown).terminal())
     if found.process_noise is not None and found.process_noise.converged:
         console.print(process_noise_table(found.process_noise, found.flown, found.posteriors).terminal())
@@ -123,7 +138,3 @@ def fly(
     for note in found.notes:
         console.print(f"! {note}", highlight=False)
     console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
-    if not found.flown.converged:
-        raise typer.Exit(FAILED)
-    exit_if_failed(found.failures)
-    exit_in_doubt(found.consistency, found.health, corrects=False)

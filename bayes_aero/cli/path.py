@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from bayes_aero.cli.choices import InitialState
+from bayes_aero.cli.fly import print_fit
 from bayes_aero.cli.terminal import (
     FAILED,
     RECORDS,
@@ -66,7 +67,6 @@ def path(
         from bayes_aero.jobs.io.fly_json import RESULTS
         from bayes_aero.jobs.options import FlyOptions
         from bayes_aero.jobs.path import WHOLE, path_records
-        from bayes_aero.report.tables.fly import error_table, parameter_table, process_noise_table
 
     console = teller(quiet=json, highlight=True)
     with interruptible(kept_stages(out)), bar("reading") as tell:
@@ -78,15 +78,7 @@ def path(
         typer.echo((out / RESULTS).read_text(encoding="utf-8"), nl=False)
     print_failures(console, found.failures)
     print_doubts(console, None, found.health, corrects=False)
-    console.print(parameter_table(found.flown).terminal())
-    if found.process_noise is not None and found.process_noise.converged:
-        console.print(process_noise_table(found.process_noise, found.flown).terminal())
-    console.print(error_table(found.flown).terminal())
-    for sentence in found.sentences:
-        console.print(f"• {sentence}", highlight=False)
-    for note in found.notes:
-        console.print(f"! {note}", highlight=False)
-    console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
+    print_fit(console, found, out)
     if not found.flown.converged:
         raise typer.Exit(FAILED)
     exit_if_failed(found.failures)

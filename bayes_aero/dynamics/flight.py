@@ -110,7 +110,38 @@ class Dynamics(ABC):
 
 
 @dataclass(frozen=True)
-class AircraftDynamics(Dynamics):
+class EffectDynamics(Dynamics):
+    """Dynamics under a model of effects: errors of sensors are taken out of the record, gusts are disturbances."""
+
+    model: Model
+
+    @property
+    def of_disturbances(self) -> frozenset[str]:
+        """Those of gusts."""
+        return frozenset(p.name for e in self.model.acting if e.disturbance is not None for p in e.parameters)
+
+    def corrected(self, values: Values, channels: Mapping[str, Array], aircraft: Aircraft) -> Mapping[str, Array]:
+        """By the model's effects that act on channels."""
+        return self.model.corrected(values, channels, aircraft)
+
+    def scales(self, values: Values, flights: Flights) -> Mapping[str, Array]:
+        """By the same effects."""
+        if not any(e.stage is Stage.CHANNEL for e in self.model.acting):
+            return {}
+        return response_scales(self.model, values, flights.channels, flights.aircraft, self.outputs)
+
+    def delays(self, outputs: Sequence[str]) -> Mapping[str, str]:
+        """By the same effects."""
+        return {
+            e.channels[0]: p.name
+            for e in self.model.acting
+            for p in e.parameters
+            if p.role is Role.DELAY and e.channels[0] in outputs
+        }
+
+
+@dataclass(frozen=True)
+class AircraftDynamics(EffectDynamics):
     """Longitudinal motion under a model of effects; `altitude` says whether the altitude is a state.
 
     `further` are outputs beside the usual ones, of `ON_REQUEST`.
@@ -124,11 +155,6 @@ class AircraftDynamics(Dynamics):
     def free(self) -> tuple[Parameter, ...]:
         """The model's."""
         return self.model.free
-
-    @property
-    def of_disturbances(self) -> frozenset[str]:
-        """Those of gusts."""
-        return frozenset(p.name for e in self.model.acting if e.disturbance is not None for p in e.parameters)
 
     @cached_property
     def _pattern(self) -> Longitudinal:
@@ -163,20 +189,6 @@ class AircraftDynamics(Dynamics):
     def system(self, values: Values, aircraft: Aircraft) -> System:
         """The aircraft as it is at these values."""
         return Longitudinal(self.model, dict(values), self.model.actual_aircraft(values, aircraft), self.altitude)
-
-    def corrected(self, values: Values, channels: Mapping[str, Array], aircraft: Aircraft) -> Mapping[str, Array]:
-        """By the model's effects that act on channels."""
-        return self.model.corrected(values, channels, aircraft)
-
-    def scales(self, values: Values, flights: Flights) -> Mapping[str, Array]:
-        """By the same effects."""
-        if not any(e.stage is Stage.CHANNEL for e in self.model.acting):
-            return {}
-        return response_scales(self.model, values, flights.channels, flights.aircraft, self.outputs)
-
-    def delays(self, outputs: Sequence[str]) -> Mapping[str, str]:
-        """By the same effects."""
-        return delays_of(self.model, outputs)
 
     def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
         """Recorded channels that are no states; lateral accelerations; the speed of sound where Mach was recorded.
@@ -229,16 +241,6 @@ def aircraft_dynamics(model: Model, flights: Flights, outputs: Sequence[str] = (
                 "has the role lag"
             )
     return dynamics
-
-
-def delays_of(model: Model, outputs: Sequence[str]) -> dict[str, str]:
-    """Parameters of the model that delay these outputs, by output."""
-    return {
-        e.channels[0]: p.name
-        for e in model.acting
-        for p in e.parameters
-        if p.role is Role.DELAY and e.channels[0] in outputs
-    }
 
 
 def taken_as_zero(flights: Recorded) -> list[str]:

@@ -191,3 +191,14 @@ def test_gusts_are_met_by_vane_and_pitot_tube_alone(program, flight, tmp_path):
     gusts = pd.read_csv(tmp_path / "out" / "gusts.csv")
     assert np.std(gusts["gust_u"].to_numpy() - u) < 0.6 * np.std(u)
     assert (tmp_path / "out" / "figures" / "gusts.png").exists()
+
+
+def test_without_bank_a_flight_that_rolled_is_one_sentence(program, flight, tmp_path):
+    card, record, _ = flight
+    pd.read_csv(record).drop(columns="phi").to_csv(tmp_path / "rolled.csv", index=False)
+    lines = [line for line in card.read_text().splitlines() if not line.startswith("phi")]
+    (tmp_path / "rolled.toml").write_text("\n".join(lines))
+    done = program("path", "rolled.csv", "--model", "rolled.toml", "--out", "out")
+    assert done.code == 2
+    assert "the flight path cannot be reconstructed: the flight path needs phi, because the aircraft rolled" in done.err
+    assert not (tmp_path / "out" / "trajectories.json").exists()

@@ -21,8 +21,7 @@ from bayes_aero.diagnosis.trajectories.drift import Drift, DriftChange, Drifted,
 from bayes_aero.diagnosis.trajectories.results import GustHistory, ProcessNoise, TrajectoryFit
 from bayes_aero.dynamics.filtering.innovations import neighbour_correlation
 from bayes_aero.dynamics.filtering.kalman import smoothed
-from bayes_aero.dynamics.flight import AircraftDynamics
-from bayes_aero.dynamics.path.flight_path import PathDynamics
+from bayes_aero.dynamics.flight import EffectDynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.likelihood.disturbed import fit_disturbed
 from bayes_aero.inference.likelihood.drifting import DriftFit, Histories, fit_drifting, histories
@@ -87,8 +86,7 @@ _smoothed = eqx.filter_jit(jax.vmap(smoothed))
 def _histories(gusty: SegmentTrajectories, found: PredictionErrorResult) -> tuple[GustHistory, ...]:
     """By manoeuvre, by the smoother; only gusts that have an intensity."""
     dynamics, known = gusty.dynamics, dict(zip(found.names, found.estimate, strict=True))
-    in_gusts = isinstance(dynamics, AircraftDynamics | PathDynamics)
-    processes = dynamics.model.disturbances if in_gusts else ()
+    processes = dynamics.model.disturbances if isinstance(dynamics, EffectDynamics) else ()
     met = {d.state: dynamics.states.index(d.state) for d in processes if known.get(d.intensity, 0.0) > 0.0}
     if not met:
         return ()

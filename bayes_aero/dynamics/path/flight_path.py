@@ -8,7 +8,7 @@ Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 10; Mulde
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -19,12 +19,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_aero.arrays import xp
-from bayes_aero.dynamics.flight import Dynamics, Values, delays_of
+from bayes_aero.dynamics.flight import EffectDynamics, Values
 from bayes_aero.dynamics.gusts import FLOW, InGusts
 from bayes_aero.dynamics.system import Row, System
-from bayes_aero.effect import Stage
 from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
-from bayes_aero.model.joined_channels import Flights, response_scales
+from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Parameter
 from bayes_aero.physics.filters import differentiate_joined, smooth_joined
@@ -66,7 +65,7 @@ class FlightPath(InGusts):
 
 
 @dataclass(frozen=True)
-class PathDynamics(Dynamics):
+class PathDynamics(EffectDynamics):
     """The flight path under a model of errors of sensors and of gusts.
 
     `own` are parameters that each manoeuvre has for itself; their effects must work sample by sample, as constant
@@ -86,11 +85,6 @@ class PathDynamics(Dynamics):
         each = [p for p in self.model.free if several and p.name in self.own]
         of = [replace(p, name=_name(p.name, k)) for p in each for k in range(len(self.lengths))]
         return (*common, *of)
-
-    @property
-    def of_disturbances(self) -> frozenset[str]:
-        """Those of gusts."""
-        return frozenset(p.name for e in self.model.acting if e.disturbance is not None for p in e.parameters)
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -136,16 +130,6 @@ class PathDynamics(Dynamics):
         inertial = [e for e in self.model.effects if set(e.channels) <= INERTIAL]
         rest = [e for e in self.model.effects if e not in inertial]
         return Model.of(inertial), Model.of(rest)
-
-    def scales(self, values: Values, flights: Flights) -> Mapping[str, Array]:
-        """By the same effects."""
-        if not any(e.stage is Stage.CHANNEL for e in self.model.acting):
-            return {}
-        return response_scales(self.model, values, flights.channels, flights.aircraft, self.outputs)
-
-    def delays(self, outputs: Sequence[str]) -> Mapping[str, str]:
-        """By the same effects."""
-        return delays_of(self.model, outputs)
 
     def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
         """Specific force at the centre of gravity, rates, and what of the path is prescribed as recorded."""

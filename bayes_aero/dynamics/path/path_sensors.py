@@ -7,11 +7,9 @@ import jax.numpy as jnp
 from bayes_aero.dynamics.path.flight_path import PathDynamics, heading, path_states
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
-from bayes_aero.physics.flightpath import PATH_CORE
 
 COMMON = (
     "vane_position", "alpha_scale", "alpha_bias", "alpha_delay", "sideslip_scale", "sideslip_bias", "airspeed_scale",
@@ -30,20 +28,14 @@ MARKS = {"dt", "start", "first", "last", "elapsed"}
 
 
 def path_dynamics(flights: Flights, card: Card) -> tuple[Flights, PathDynamics]:
-    """The flight path of these flights with the errors that their sensors may have.
+    """The flight path of these flights, which have all it needs, with the errors that their sensors may have.
 
     Effects that the card states keep what it says of their parameters: `vane_position` fixed stays fixed.
 
     Returns:
         The flights, their heading without jumps of a half or a full turn, and the dynamics.
-
-    Raises:
-        InputError: the flight path needs a channel that was not recorded.
     """
     states = path_states(flights)
-    if not states:
-        missing = [n for n in PATH_CORE if n not in flights.channels]
-        raise InputError(f"record {flights.names[0]} has no channel {', '.join(missing)}, which a flight path needs")
     there = {*flights.recorded, *MARKS}
     chosen = [
         name

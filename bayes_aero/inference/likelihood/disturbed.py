@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.dynamics.flight import AircraftDynamics
-from bayes_aero.dynamics.path.flight_path import PathDynamics
+from bayes_aero.dynamics.flight import EffectDynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult, fit_prediction_error
 
@@ -23,7 +22,7 @@ def disturbed(flown: SegmentTrajectories) -> SegmentTrajectories:
     Where the model has buffet the noise of the sensors does not grow as the flow separates.
     """
     dynamics = flown.dynamics
-    if not isinstance(dynamics, AircraftDynamics | PathDynamics):
+    if not isinstance(dynamics, EffectDynamics):
         return flown
     absent = [name for name in GUSTS if name not in {e.name for e in dynamics.model.acting}]
     model = dynamics.model.extended(*absent)

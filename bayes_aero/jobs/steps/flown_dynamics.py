@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from bayes_aero.diagnosis.consistency.sensor_errors import no_flight_path
 from bayes_aero.dynamics.flight import Dynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.path.path_sensors import path_dynamics
+from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import FlightRecord
@@ -29,6 +31,8 @@ def flown_dynamics(
     dynamics: Dynamics
     if path:
         flights, spikes = despiked(join(records, card, PATH_CORE))
+        if why := no_flight_path(records, card):
+            raise InputError(f"the flight path cannot be reconstructed: {why}")
         flights, dynamics = path_dynamics(flights, card)
         jumps = "psi" in flights.channels and "psi" not in dynamics.states
         notes += ["The heading is left out: it jumps, or bank was not recorded."] if jumps else []
