@@ -129,7 +129,7 @@ def test_delays_are_those_published(flights, published):
     fit = fitted(flights, (*BIASES, *CALIBRATION, *DELAYS, "sideslip_delay"))
     found, sd = (dict(zip(fit.names, x, strict=True)) for x in (fit.estimate, fit.sd))
     agree(found, sd, expected, BIASES | DELAYS)
-    # Theirs is a lead, for which a delay line extrapolates; it differs by 1.1 ms, one deviation.
+    # It differs by 1.1 ms, one deviation; why is not known.
     sideslip = expected["parameters"]["tau_be"]
     assert abs(found["sideslip_delay"] - sideslip["estimate"]) < 1.2 * sideslip["std"]
     assert sd["sideslip_delay"] == pytest.approx(sideslip["std"], rel=0.05)
