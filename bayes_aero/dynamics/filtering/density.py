@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from bayes_aero.dynamics.filtering.kalman import corrected, covariance_ahead, log_terms, outputs_at, seen_at
+from bayes_aero.dynamics.filtering.kalman import corrected, covariance_ahead, log_terms, outputs_at, seen_at, with_slope
 from bayes_aero.dynamics.segments import SegmentTrajectories, prepared
 from bayes_aero.dynamics.system import System, advance
 from bayes_aero.dynamics.tangent import later
@@ -123,8 +123,9 @@ def _followed(point: NoisePoint, flown: SegmentTrajectories, start_deviation: Ar
             after = x + moved
             step = lambda x: advance(system, x, now, then, dt, flown.substeps)  # noqa: E731
             density = point.F**2 + system.noise_density(after, now)
-            P = covariance_ahead(jax.jacfwd(step)(after), P, density, dt)
-            return (step(after), P, total + log_terms(e / scale, S / scale**2, used)), _Path(x, after)
+            ahead, transition = with_slope(step, after)
+            P = covariance_ahead(transition, P, density, dt)
+            return (ahead, P, total + log_terms(e / scale, S / scale**2, used)), _Path(x, after)
 
         start = (begin, covariance, jnp.zeros(()))
         (_, _, total), path = jax.lax.scan(further, start, (now, then, measured, variance, scale))

@@ -8,7 +8,7 @@ Optimal Control*, 1975, ch. 12; smoother: Rauch, Tung, Striebel 1965.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -109,7 +109,7 @@ def kalman_filter(
         moved, P_estimate, e, S, used = corrected(P, C, z - y, variance)
         estimate = x + moved
         step = lambda x: advance(system, x, now, then, sampling.dt, sampling.substeps)  # noqa: E731
-        ahead, transition = step(estimate), jax.jacfwd(step)(estimate)
+        ahead, transition = with_slope(step, estimate)
         density = F**2 + system.noise_density(estimate, now)
         found = Filtered(x, P, estimate, P_estimate, transition, e, S, used)
         return (ahead, covariance_ahead(transition, P_estimate, density, sampling.dt)), found
@@ -121,8 +121,13 @@ def kalman_filter(
 
 def seen_at(system: System, x: Float[Array, " s"], u: Row, names: Sequence[str]) -> tuple[Array, Array]:
     """Outputs (c,) at one instant and their derivative by the state (c, s)."""
-    see = lambda x: outputs_at(system, x, u, names)  # noqa: E731
-    return see(x), jax.jacfwd(see)(x)
+    return with_slope(lambda x: outputs_at(system, x, u, names), x)
+
+
+def with_slope(f: Callable[[Array], Array], x: Float[Array, " s"]) -> tuple[Array, Array]:
+    """f and its derivative by the state, the last axis, for one evaluation: of f and `jacfwd` of it the compiler would
+    make two, for it does not see that their loops are the same."""
+    return jax.vmap(lambda e: jax.jvp(f, (x,), (e,)), out_axes=(None, -1))(jnp.eye(len(x)))
 
 
 def corrected(

@@ -261,7 +261,8 @@ def _scored(
     problem: _Problem, point: Float[np.ndarray, " j"], look: Callable[[np.ndarray], _Seen], last: float
 ) -> tuple[np.ndarray, _Seen, PredictionErrorStatus, int]:
     """Fisher scoring with Levenberg and Marquardt's damping: last point, what is seen there, status, steps."""
-    here, damping, steps, status = look(point), 1e-3, 0, PredictionErrorStatus.NOT_CONVERGED
+    here, cost, damping, steps = look(point), problem.cost(point), 1e-3, 0
+    status = PredictionErrorStatus.NOT_CONVERGED
     while steps < MAX_ITERATIONS and math.isfinite(here.cost) and np.all(np.isfinite(here.information)):
         steps += 1
         inner = problem.inner(point, here.gradient)
@@ -275,15 +276,15 @@ def _scored(
             step[inner] = solve(A, g, damping)
             step[problem.k :] = np.clip(step[problem.k :], -MOST, MOST)
             new = np.clip(point + step, problem.bounds[:, 0], problem.bounds[:, 1])
-            cost = problem.cost(new)
-            if math.isfinite(cost) and cost < here.cost:
+            lower = problem.cost(new)  # not the one that a near look sees, which is off by some nats
+            if math.isfinite(lower) and lower < cost:
                 better = new
                 break
             damping *= 10.0
         if better is None:
             break
-        point, damping = better, max(1e-8, 0.1 * damping)
+        point, cost, damping = better, lower, max(1e-8, 0.1 * damping)
         here = look(point)
     if not math.isfinite(here.cost):
         status = PredictionErrorStatus.DIVERGED
-    return point, here, status, steps
+    return point, here._replace(cost=cost), status, steps
