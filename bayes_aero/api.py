@@ -217,7 +217,7 @@ def diagnose(
     settings: DiagnosisSettings | None = None,
     seed: int = 0,
     max_effects: int | None = None,
-    process_noise: bool = False,
+    process_noise: bool | None = None,
 ) -> Diagnosed:
     """Find the effects that a model lacks.
 
@@ -231,7 +231,7 @@ def diagnose(
         settings: every threshold of the diagnosis; None: the defaults.
         seed: of the noise replicates.
         max_effects: most effects that each stage adds; None: as the settings say.
-        process_noise: True estimates gusts and compares the model with innovations.
+        process_noise: True estimates gusts and compares the model with innovations; None: if the records are in gusts.
 
     Returns:
         The diagnosis; sizes in SI and radians.

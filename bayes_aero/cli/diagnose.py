@@ -53,8 +53,9 @@ def diagnose(
     ] = True,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
     process_noise: Annotated[
-        bool, typer.Option("--process-noise", help="Estimate gusts, and search in what a filter does not foresee.")
-    ] = False,
+        bool | None,
+        typer.Option(help="Estimate gusts, and search in what a filter does not foresee; default: if there are gusts."),
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Find the effects that a model lacks: size, uncertainty, rivals, and the gain on hold-out data.

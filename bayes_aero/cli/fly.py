@@ -67,12 +67,11 @@ def fly(
         ),
     ] = Inputs.LINEAR,
     process_noise: Annotated[
-        bool,
+        bool | None,
         typer.Option(
-            "--process-noise",
-            help="Fit the same model with process noise, too: an extended Kalman filter, for flight in disturbed air.",
+            help="Fit the same model with process noise, too (extended Kalman filter); default: if there are gusts."
         ),
-    ] = False,
+    ] = None,
     posterior: Annotated[
         bool,
         typer.Option("--posterior", help="With --process-noise: sample the posterior, too (NUTS and emcee)."),

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from bayes_aero.diagnosis.consistency.consistency import in_gusts
 from bayes_aero.diagnosis.result import Cause, Diagnosis, Gain, Tested, UnexplainedStructure, as_white, verdict_of
 from bayes_aero.diagnosis.screening.screening import CandidateScore, screen
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
@@ -48,17 +49,18 @@ def diagnose(
     seed: int = 0,
     extra: Sequence[Effect] = (),
     gains_wanted: bool = True,
-    process_noise: bool = False,
+    process_noise: bool | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Find what the card's model gets wrong on `records`; `settings` hold every threshold.
 
     The model is compared with coefficients, or with trajectories where no accelerometer gives those; with
-    `process_noise` it is compared with innovations, in gusts. `gains_wanted` False leaves out the refits on left-out
-    data (for studies of naming alone).
+    `process_noise` it is compared with innovations, in gusts (None: if the records are in gusts). `gains_wanted` False
+    leaves out the refits on left-out data (for studies of naming alone).
     """
+    gusts = in_gusts(records, card, seed) if process_noise is None else {}
     search = search_trajectories if lacking(records, card) else search_coefficients
-    search = search_innovations if process_noise else search
+    search = search_innovations if process_noise or gusts else search
     known = (*own_effects(card.effect_files).values(), *extra)
     found = search(records, card, model or Model.from_card(card), known, settings, seed=seed, progress=progress)
     ask = gains_wanted and found.testable_now
@@ -86,6 +88,7 @@ def diagnose(
         beyond=beyond,
         tested=tested,
         compared=found.stages[-1][0],
+        gusts=gusts,
     )
 
 

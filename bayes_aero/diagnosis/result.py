@@ -200,6 +200,7 @@ class Diagnosis:
     beyond: tuple[Cause, ...] = ()  # errors larger than any sensor has: no causes, but in the model where confirmed
     tested: Tested | None = None  # of a diagnosis by trajectories alone
     compared: str = COEFFICIENTS  # with what the model was compared: the name of its stage
+    gusts: Mapping[str, float] = field(default_factory=dict)  # m/s, of records that asked for process noise by them
 
     @property
     def by_coefficients(self) -> bool:

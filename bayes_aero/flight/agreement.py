@@ -34,14 +34,15 @@ class Departure:
 class PathCheck:
     """One record: where it departs, and the root mean square left of each channel with what is permitted.
 
-    `turbulence` (m/s) is the standard deviation of gusts that was permitted; `assumed` are channels that were not
-    recorded and taken as zero.
+    `turbulence` (m/s) is the standard deviation of gusts that was permitted, `gusts` the one that the record shows;
+    `assumed` are channels that were not recorded and taken as zero.
     """
 
     record: str
     departures: tuple[Departure, ...]
     rms: Mapping[str, tuple[float, float]]
     turbulence: float
+    gusts: float
     assumed: tuple[str, ...] = ()
 
 

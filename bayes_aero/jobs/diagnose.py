@@ -116,7 +116,8 @@ def diagnose_records(
 
 def _told(options: DiagnoseOptions) -> dict[str, Any]:
     """The settings on which the search rests."""
-    return {"max_effects": options.max_effects} | ({"process_noise": True} if options.process_noise else {})
+    noise = options.process_noise
+    return {"max_effects": options.max_effects} | ({} if noise is None else {"process_noise": noise})
 
 
 def _stages(

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.diagnosis.consistency.consistency import in_gusts
 from bayes_aero.diagnosis.trajectories.fit_agreement import fit_disagreements
 from bayes_aero.diagnosis.trajectories.results import FITTED, Setting
 from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
@@ -50,7 +51,7 @@ from bayes_aero.report.tables.fly import drift_history_table, gust_table, parame
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.drift import drift_sentences
 from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences
-from bayes_aero.report.text.process_noise import process_noise_sentences
+from bayes_aero.report.text.process_noise import gust_sentences, process_noise_sentences
 
 
 def fly(
@@ -65,7 +66,7 @@ def fly(
     inputs: str = LINEAR,
     seed: int = 0,
     figures: bool = True,
-    process_noise: bool = False,
+    process_noise: bool | None = None,
     posterior: bool = False,
     drift: str | Sequence[str] | None = None,
     progress: Progress | None = None,
@@ -87,7 +88,8 @@ def fly(
         inputs: "linear" between samples, or "held" until the next one.
         seed: of the fit of the coefficients.
         figures: False draws none.
-        process_noise: True fits the same model with process noise, too, by an extended Kalman filter.
+        process_noise: True fits the same model with process noise, too, by an extended Kalman filter; None: if the
+            flight path of a record shows gusts.
         posterior: True also samples the posterior of the fit with process noise, by emcee and NUTS.
         drift: names of parameters that drift in a further fit with process noise, a list or separated by commas; it
             says whether they changed, when, and by how much.
@@ -122,10 +124,12 @@ def fly_records(
         refuse(dynamics, options.drifting, {*card.fixed, *(dict(card.linear.fixed) if card.linear else ())})
     if out is not None:
         writable(out)
-    source = provenance(card, records, seed, _told(options, setting))
     if progress:
         progress("do the sensors agree?", 0.0)
     agreement, failures = sensors_agree(records, card, seed, out)
+    gusts = in_gusts(records, card, seed) if options.process_noise is None and agreement.recorded else {}
+    options = replace(options, process_noise=options.filtered or bool(gusts))
+    source = provenance(card, records, seed, _told(options, setting))
     coefficients, failed = attempted(
         "The coefficients gave no first values",
         lambda: None if options.flight_path else _of_coefficients(records, card, seed, progress),
@@ -152,7 +156,7 @@ def fly_records(
     drifted = drift_sentences(beside.drift) if beside is not None and beside.drift is not None else ()
     filtered = () if beside is None else (*drifted, *process_noise_sentences(beside, flown))
     plain = fly_sentences(flown, hindered, disturbed=options.filtered)
-    said = (*filtered, *plain, *disagreement_sentences(apart, hindered))
+    said = (*gust_sentences(gusts, beside), *filtered, *plain, *disagreement_sentences(apart, hindered))
     health = channel_health(records, card)
     found = Flight(flown, said, tuple(notes), health, agreement, (*failures, *failed, *more), apart, beside)
 

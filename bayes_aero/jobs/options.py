@@ -58,7 +58,7 @@ class DiagnoseOptions:
 
     `max_effects` is the number of effects that each stage may add. `predictors` adds the comparison of predictors and
     the manoeuvres that would separate ambiguity sets, `trajectories` simulated ones. With `process_noise`
-    the model is compared with innovations, in gusts, instead of coefficients.
+    the model is compared with innovations, in gusts, instead of coefficients; None: where the records are in gusts.
     """
 
     seed: int = 0
@@ -66,12 +66,13 @@ class DiagnoseOptions:
     predictors: bool = True
     trajectories: bool = True
     figures: bool = True
-    process_noise: bool = False
+    process_noise: bool | None = None
 
 
 @dataclass(frozen=True)
 class FlyOptions:
-    """What a fit to trajectories may be told; see `jobs.fly.fly`."""
+    """What a fit to trajectories may be told; see `jobs.fly.fly`. `process_noise` None: where the records are in
+    gusts."""
 
     windows: float = WINDOW
     initial_state: str = FREE
@@ -80,7 +81,7 @@ class FlyOptions:
     inputs: str = LINEAR
     seed: int = 0
     figures: bool = True
-    process_noise: bool = False
+    process_noise: bool | None = None
     posterior: bool = False
     drift: str | Sequence[str] | None = None
     flight_path: bool = False  # the recorded accelerations and rates are flown, not the card's model
@@ -105,8 +106,8 @@ class FlyOptions:
 
     @property
     def filtered(self) -> bool:
-        """Whether process noise is fitted."""
-        return self.process_noise or self.drift is not None
+        """Whether process noise is fitted, if the records do not ask for it."""
+        return bool(self.process_noise) or self.drift is not None
 
     def setting(self, card: Card) -> Setting:
         """How trajectories are fitted; what is not given is the card's."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.consistency.flight_path_check import path_check
+from bayes_aero.diagnosis.consistency.flight_path_check import gusts_met, path_check
+from bayes_aero.diagnosis.consistency.flight_path_noise import CALM
 from bayes_aero.diagnosis.consistency.sensor_errors import (
     SENSOR_KINDS,
     as_the_card_states,
@@ -109,10 +110,27 @@ def _plain(effect: Effect, sizes: Mapping[str, Size], *, minor: bool) -> dict[st
 
 def checks(flights: Joined, card: Card, seed: int) -> tuple[PathCheck, ...]:
     """`path_check` of each manoeuvre."""
-    found, begin = [], 0
+    return tuple(path_check(name, time, channels, card, seed) for name, time, channels in _manoeuvres(flights))
+
+
+def in_gusts(records: Sequence[FlightRecord], card: Card, seed: int = 0) -> dict[str, float]:
+    """Records in no calm air, and their gusts by the flight path alone (standard deviation, m/s).
+
+    In these a fit without process noise takes gusts for aerodynamics. Where the flight path cannot be checked none are
+    known.
+    """
+    if no_flight_path(records, card):
+        return {}
+    flights, _ = repaired(as_the_card_states(joined(records, card, PATH_CORE), card))
+    found = {name: gusts_met(time, channels, card, seed) for name, time, channels in _manoeuvres(flights)}
+    return {name: gusts for name, gusts in found.items() if gusts > CALM}
+
+
+def _manoeuvres(flights: Joined) -> Iterator[tuple[str, np.ndarray, dict[str, np.ndarray]]]:
+    """Name, time, and channels of the flight path of each."""
+    begin = 0
     for name, length in zip(flights.names, flights.lengths, strict=True):
         part = slice(begin, begin + length)
         channels = {n: np.asarray(x)[part] for n, x in flights.channels.items() if n in PATH_NEEDS}
-        found.append(path_check(name, np.asarray(flights.time)[part], channels, card, seed))
+        yield name, np.asarray(flights.time)[part], channels
         begin += length
-    return tuple(found)

@@ -70,24 +70,41 @@ def path_check(name: str, time: Float[np.ndarray, " n"], channels: Channels, car
         seed: of the records of noise.
     """
     assumed = tuple(n for n in STRAIGHT if n not in channels)
-    full = {n: np.asarray(channels[n]) if n in channels else np.zeros(len(time)) for n in PATH_NEEDS}
-    outputs = path_outputs(channels)
-    dt = float(time[-1] - time[0]) / (len(time) - 1)
-    noise = sensor_noise({n: full[n] for n in channels if n in full}, card)
-    rng = np.random.default_rng([seed, 31])
-    place = card.aircraft.accelerometer
-    recorded = path_residuals(full, {"q": np.zeros((1, len(time)))}, outputs, place, dt)
-    turbulence = shown_turbulence(recorded[0], outputs, full, noise, dt, rng)
+    outputs, place, rng = path_outputs(channels), card.aircraft.accelerometer, _draws(seed)
+    full, recorded, noise, dt = _recorded(time, channels, card)
+    met = _gusts_shown(recorded[0], outputs, full, noise, dt, rng)
+    turbulence = float(np.clip(MARGIN * met, CALM, LIGHT_TURBULENCE))
     added = disturbances(full, noise, turbulence, dt, rng, REPLICATES)
     errors = _constant_errors(noise, len(time))
     both = {n: np.concatenate([errors[n], added[n]]) for n in added}
     moved = path_residuals(full, both, outputs, place, dt) - recorded
     columns, drawn = moved[: len(errors)], moved[len(errors) :]
     found = _measures(np.concatenate([recorded, drawn]), columns, outputs, time)
-    return PathCheck(name, _departures(name, found), _whole(found), turbulence, assumed)
+    return PathCheck(name, _departures(name, found), _whole(found), turbulence, met, assumed)
 
 
-def shown_turbulence(
+def gusts_met(time: Float[np.ndarray, " n"], channels: Channels, card: Card, seed: int = 0) -> float:
+    """Standard deviation of the gusts that one record shows, m/s, as in `PathCheck`; arguments as of `path_check`."""
+    full, recorded, noise, dt = _recorded(time, channels, card)
+    return _gusts_shown(recorded[0], path_outputs(channels), full, noise, dt, _draws(seed))
+
+
+def _draws(seed: int) -> np.random.Generator:
+    return np.random.default_rng([seed, 31])
+
+
+def _recorded(
+    time: Float[np.ndarray, " n"], channels: Channels, card: Card
+) -> tuple[dict[str, np.ndarray], Float[np.ndarray, "1 n c"], SensorNoise, float]:
+    """Channels with zeros for those that are absent, what the flight path leaves of them, their noise, sample time."""
+    full = {n: np.asarray(channels[n]) if n in channels else np.zeros(len(time)) for n in PATH_NEEDS}
+    dt = float(time[-1] - time[0]) / (len(time) - 1)
+    noise = sensor_noise({n: full[n] for n in channels if n in full}, card)
+    still = {"q": np.zeros((1, len(time)))}
+    return full, path_residuals(full, still, path_outputs(channels), card.aircraft.accelerometer, dt), noise, dt
+
+
+def _gusts_shown(
     residual: Float[np.ndarray, "n c"],
     outputs: Sequence[str],
     channels: Channels,
@@ -95,8 +112,8 @@ def shown_turbulence(
     dt: float,
     rng: np.random.Generator,
 ) -> float:
-    """Turbulence (m/s) that is permitted: `MARGIN` times what the calmest of the air-data channels shows within
-    windows, for air is alike in all directions (MIL-F-8785C, 3.7.2.2), no more than light and no less than calm."""
+    """Standard deviation of gusts (m/s) that the calmest of the air-data channels shows within windows, for air is
+    alike in all directions (MIL-F-8785C, 3.7.2.2): an error of one sensor is no gust."""
     V = np.asarray(channels["airspeed"])
     levels = []
     for name in (n for n in AIR_DATA if n in outputs):
@@ -107,8 +124,7 @@ def shown_turbulence(
         inside = _local((residual[:, outputs.index(name)] * scale)[:, None], dt)[:, 0]
         white = noise.shown[name] * float(np.median(scale))
         levels.append(float(np.median(np.maximum(inside**2 - white**2, 0.0))) / max(share, 1e-12))
-    level = MARGIN * float(np.sqrt(min(levels, default=0.0)))
-    return float(np.clip(level, CALM, LIGHT_TURBULENCE))
+    return float(np.sqrt(min(levels, default=0.0)))
 
 
 def _constant_errors(noise: SensorNoise, n: int) -> dict[str, Float[np.ndarray, "m n"]]:

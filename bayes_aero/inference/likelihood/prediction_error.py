@@ -162,7 +162,7 @@ def fit_prediction_error(
     theta = np.array([p.start for p in free]) if start is None else np.asarray(start, float)
     theta = np.array([(held or {}).get(p.name, x) for p, x in zip(free, theta, strict=True)])
     point = np.concatenate([theta, np.log(np.maximum(F, LEAST)), np.log(np.maximum(R, LEAST))])
-    point, here, status, near = _scored(problem, point, problem.near_look, NEAR)
+    point, here, status, near = _scored(problem, point, problem.near_look, NEAR, near=True)
     steps = 0
     if exact:
         point, here, status, steps = _scored(problem, point, problem.look, LAST)
@@ -258,9 +258,17 @@ class _Problem:
 
 
 def _scored(
-    problem: _Problem, point: Float[np.ndarray, " j"], look: Callable[[np.ndarray], _Seen], last: float
+    problem: _Problem,
+    point: Float[np.ndarray, " j"],
+    look: Callable[[np.ndarray], _Seen],
+    last: float,
+    *,
+    near: bool = False,
 ) -> tuple[np.ndarray, _Seen, PredictionErrorStatus, int]:
-    """Fisher scoring with Levenberg and Marquardt's damping: last point, what is seen there, status, steps."""
+    """Fisher scoring with Levenberg and Marquardt's damping: last point, what is seen there, status, steps.
+
+    By looks that are but `near` a step may promise what it does not keep: they end with a step that gains little, too.
+    """
     here, cost, damping, steps = look(point), problem.cost(point), 1e-3, 0
     status = PredictionErrorStatus.NOT_CONVERGED
     while steps < MAX_ITERATIONS and math.isfinite(here.cost) and np.all(np.isfinite(here.information)):
@@ -283,8 +291,11 @@ def _scored(
             damping *= 10.0
         if better is None:
             break
-        point, cost, damping = better, lower, max(1e-8, 0.1 * damping)
+        gained, point, cost, damping = cost - lower, better, lower, max(1e-8, 0.1 * damping)
         here = look(point)
+        if near and gained < last:
+            status = PredictionErrorStatus.CONVERGED
+            break
     if not math.isfinite(here.cost):
         status = PredictionErrorStatus.DIVERGED
     return point, here._replace(cost=cost), status, steps

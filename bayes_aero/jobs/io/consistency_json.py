@@ -35,6 +35,7 @@ def _checks(checks: Sequence[PathCheck]) -> dict[str, Any]:
         check.record: {
             "rms": {name: {"left": left, "permitted": limit} for name, (left, limit) in check.rms.items()},
             "turbulence": check.turbulence,
+            "gusts": check.gusts,
             "assumed_zero": list(check.assumed),
         }
         for check in checks

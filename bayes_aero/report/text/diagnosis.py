@@ -14,6 +14,7 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.report.tables.not_testable import not_testable_sentences
 from bayes_aero.report.text.impossible_estimates import sign_sentences
 from bayes_aero.report.text.phrases import several, size_text
+from bayes_aero.report.text.process_noise import gust_sentences
 from bayes_aero.report.text.trajectories import trajectory_sentences
 from bayes_aero.report.text.verdict import tested_sentences, verdict_sentence
 
@@ -29,6 +30,7 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
     """As `sentences`, of a diagnosis alone."""
     return [
         verdict_sentence(d),
+        *gust_sentences(d.gusts),
         *tested_sentences(d),
         *sign_sentences(
             {name: (after, sd) for name, (_, after, sd) in d.base_moves.items()},

@@ -14,6 +14,19 @@ APART = 3.0  # combined standard errors between the two estimates from which a s
 SEEN = 2.0  # standard errors from which an intensity is one
 
 
+def gust_sentences(gusts: Mapping[str, float], fit: ProcessNoise | None = None) -> list[str]:
+    """Which records ask for process noise, by their `gusts` (m/s), and which estimates of trajectories to use."""
+    if not gusts:
+        return []
+    met = several(f"{name} {size:.2g} m/s" for name, size in gusts.items())
+    said = (
+        f"The flight path shows gusts, without any aerodynamics (standard deviation: {met}): process noise is "
+        "estimated; --no-process-noise leaves it out."
+    )
+    better = " In gusts the estimates with process noise are the ones to use."
+    return [said + (better if fit is not None and fit.converged else "")]
+
+
 def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[str]:
     """What the process noise changes, and on which assumption its standard errors rest."""
     if not found.converged:
