@@ -45,10 +45,12 @@ def one_step(found: Filtered, errors: Float[np.ndarray, "w n c"], outputs: Seque
     z, u, correlation = _standardised(found), transform(found), neighbour_correlation(found)
     kept = [c for c in range(len(outputs)) if np.isfinite(z[..., c]).sum() > 1]
     tests = len(LEVELS) * (len(kept) + (len(kept) > 1))
-    coloured, told = np.abs(correlation) > COLOURED_INNOVATIONS, {}
+    told = {}
     for c in kept:
         rms = float(np.sqrt(np.nanmean(np.square(np.asarray(errors)[..., c]))))
-        told[outputs[c]] = _predicted(z[..., [c]], u[..., [c]], rms, coloured[c], tests)
+        told[outputs[c]] = _predicted(
+            z[..., [c]], u[..., [c]], rms, bool(abs(correlation[c]) > COLOURED_INNOVATIONS), tests
+        )
     return OneStep(told, _predicted(z[..., kept], u[..., kept], None, False, tests))
 
 
@@ -79,7 +81,7 @@ def _predicted(
         spread = max(share * (1.0 - share), level * (1.0 - level))
         shares.append(Share(level, share, float(np.sqrt(inflation * spread / n)), _p(level, share, n / inflation)))
         independent = min(independent, n / inflation)
-    calibration = _judged(shares, bool(coloured), independent, tests)
+    calibration = _judged(shares, coloured, independent, tests)
     return Predicted(n, rms, (ratio, ratio_sd), tuple(shares), calibration, _quantiles(z, n))
 
 
