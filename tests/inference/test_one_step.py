@@ -1,4 +1,4 @@
-"""One-step predictions: their transform in closed form, shares of a simulated truth, and what correlation does to them."""
+"""One-step predictions: their transform in closed form, shares of a simulated truth, and what correlation does."""
 
 from __future__ import annotations
 
@@ -101,9 +101,9 @@ def test_the_transform_is_that_of_a_scalar_filter_by_hand():
         expected.append(norm.cdf((z - x) / np.sqrt(S)))
         errors.append(z - x)
         x, P = phi * (x + K * (z - x)), phi**2 * (1.0 - K) * P + force**2 * (phi**2 - 1.0) / (2.0 * Zalpha)
-    assert transform(found)[0, :, 0] == pytest.approx(np.array(expected), abs=1e-6)
+    assert transform(found)[0, :, 0] == pytest.approx(np.array(expected), abs=1e-5)
     away = np.asarray(prediction_errors(flown.nameless, jnp.array([Zalpha]), found))
-    assert away[0, :, 0] == pytest.approx(np.array(errors), abs=1e-8)
+    assert away[0, :, 0] == pytest.approx(np.array(errors), abs=1e-7)
     told = one_step(found, away, flown.outputs)
     assert told.outputs["alpha"].rms == pytest.approx(np.sqrt(np.mean(np.square(errors))), rel=1e-6)
 
@@ -170,13 +170,13 @@ def test_calibrated_predictions_are_seldom_said_not_to_be(rho):
 
 def test_a_standard_error_counts_samples_that_repeat_others():
     """Each innovation four times: the information, and the standard error, of a quarter of the samples."""
-    ratios = []
+    found = []
     for seed in range(40):
-        z = white(seed, 1, 400, 1)
-        one, repeated = judged(z).outputs["y0"], judged(np.repeat(z, 4, axis=1)).outputs["y0"]
+        repeated = judged(np.repeat(white(seed, 1, 400, 1), 4, axis=1)).outputs["y0"]
         assert repeated.calibration is not Calibration.CALIBRATED
-        ratios.append([a.sd / b.sd for a, b in zip(one.shares, repeated.shares, strict=True)])
-    assert np.median(ratios, axis=0) == pytest.approx(1.0, abs=0.15)
+        found.append([share.sd for share in repeated.shares])
+    expected = [np.sqrt(level * (1.0 - level) / 400) for level in LEVELS]
+    assert np.mean(np.square(found), axis=0) == pytest.approx(np.square(expected), rel=0.3)
 
 
 @pytest.mark.verify

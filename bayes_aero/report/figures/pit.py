@@ -55,9 +55,7 @@ def one_step_quantiles(found: ProcessNoise) -> Figure:
     figure, axes = grid_of(len(shown), 4, (2.4, 2.5), sharex=True, sharey=True)
     for ax, (name, one) in zip(axes, shown.items(), strict=True):
         score, value, low, high = one.quantiles.T
-        ax.fill_between(
-            score, low, high, color=COLOURS["prior"], alpha=0.5, lw=0.0, label="its 95 % band"
-        )
+        ax.fill_between(score, low, high, color=COLOURS["prior"], alpha=0.5, lw=0.0, label="its 95 % band")
         ax.plot(score, score, color=COLOURS["measured"], lw=0.8, ls=":", label="calibrated")
         ax.plot(score, value, color=COLOURS["after"], marker="o", ms=3.0, label="innovations")
         ax.set_title(f"{SYMBOLS.get(name, name)}: {CALIBRATION[one.calibration]}")

@@ -15,7 +15,7 @@ CALIBRATION = {
     Calibration.TOO_NARROW: "too narrow",
     Calibration.TOO_WIDE: "too wide",
     Calibration.NOT_NORMAL: "not normal",
-    Calibration.COLOURED: "autocorrelated",
+    Calibration.COLOURED: "coloured",
     Calibration.UNDECIDED: "undecided",
 }
 
