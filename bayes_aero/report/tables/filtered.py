@@ -87,9 +87,10 @@ def one_step_table(found: OneStep, units: Mapping[str, str]) -> Table:
             *inside,
             of(lambda r: CALIBRATION[r[2].calibration], "", "predictions", "predictions"),
         ],
+        "Errors, and innovations inside their predictive intervals",
+        note,
         "One-step predictions",
         note,
-        terminal_note=note,
     )
 
 
