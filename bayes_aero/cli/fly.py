@@ -121,12 +121,14 @@ def fly(
 
 def print_fit(console: Console, found: Flight, out: Path) -> None:
     """Tables, findings and notes of a fit to trajectories."""
-    from bayes_aero.report.tables.flown_posterior import posterior_table
+    from bayes_aero.report.tables.filtered import one_step_table, posterior_table
     from bayes_aero.report.tables.fly import drift_table, error_table, parameter_table, process_noise_table
 
     console.print(parameter_table(found.flown).terminal())
     if found.process_noise is not None and found.process_noise.converged:
         console.print(process_noise_table(found.process_noise, found.flown, found.posteriors).terminal())
+        if found.process_noise.one_step is not None:
+            console.print(one_step_table(found.process_noise.one_step, found.flown.units).terminal())
         if found.process_noise.drift is not None:
             console.print(drift_table(found.process_noise.drift).terminal())
     if found.posteriors:

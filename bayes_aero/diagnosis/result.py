@@ -12,7 +12,7 @@ from jaxtyping import Float
 from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.selection.collinear import CancellingPair
 from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.inference.scores import Scores
+from bayes_aero.inference.scores import COLOURED_INNOVATIONS, Scores
 from bayes_aero.parameter import Parameter
 
 FLIGHT_PATH = "flight path"  # the stage of sensors and winds
@@ -104,7 +104,6 @@ class UnexplainedStructure:
 # Lag-1 correlation of means over five samples, our choice from a dozen simulated flights: white noise leaves up to a
 # third through the filter, and weak colour (0.5 from sample to sample) little more.
 COLOURED = 0.36
-COLOURED_INNOVATIONS = 0.3  # correlation of neighbouring innovations beyond which something is not modelled; our choice
 
 
 @dataclass(frozen=True)

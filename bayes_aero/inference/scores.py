@@ -1,7 +1,8 @@
-"""How well predictions follow measurements: the four numbers and the coverages of the validation table, log scores."""
+"""How well predictions follow measurements: the four numbers and the coverages of the validation table, log scores,
+and whether a filter's one-step predictions are calibrated."""
 
 import enum
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,11 +12,24 @@ from bayes_aero.arrays import Array
 from bayes_aero.errors import InputError
 from bayes_aero.inference.variance.coloured_bounds import deviation_of_sum
 
-__all__ = ["ScoreStatus", "Scores", "interval_coverage", "log_density", "log_score_gain", "score"]
+__all__ = [
+    "COLOURED_INNOVATIONS",
+    "Calibration",
+    "OneStep",
+    "Predicted",
+    "ScoreStatus",
+    "Scores",
+    "Share",
+    "interval_coverage",
+    "log_density",
+    "log_score_gain",
+    "score",
+]
 
 Vector = Float[Array, " n"]
 Draws = Float[Array, "draws points"]
 Prediction = Float[Array, " points"]  # its length is checked in words
+COLOURED_INNOVATIONS = 0.3  # correlation of neighbouring innovations beyond which something is not modelled; our choice
 
 
 class ScoreStatus(enum.Enum):
@@ -40,6 +54,67 @@ class Scores:
     theil: float
     r2: float
     status: ScoreStatus = ScoreStatus.ok
+
+
+class Calibration(enum.Enum):
+    """Whether predictions are calibrated, and what is wrong if not."""
+
+    CALIBRATED = "calibrated"
+    TOO_NARROW = "too_narrow"
+    TOO_WIDE = "too_wide"
+    NOT_NORMAL = "not_normal"  # too narrow at one level, too wide at another
+    COLOURED = "coloured"  # right on the average, but an error tells of the next one
+    UNDECIDED = "undecided"
+
+
+@dataclass(frozen=True)
+class Share:
+    """Share of the innovations inside the central interval of probability `level`; its standard error, and the p-value
+    of calibrated predictions, both with the autocorrelation counted."""
+
+    level: float
+    share: float
+    sd: float
+    p: float
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """One output, or all together.
+
+    Attributes:
+        count: innovations.
+        rms: root mean square of measured minus predicted from the samples before, SI; None of all together.
+        ratio: root mean square of innovations over their predicted standard deviations (1: calibrated), and its
+            standard error.
+        shares: inside central intervals, by level.
+        calibration: what they say.
+        quantiles: normal score, quantile of the innovations over their predicted standard deviations, and the band
+            that all quantiles of calibrated ones keep to with a probability of 95 %: as rows.
+    """
+
+    count: int
+    rms: float | None
+    ratio: tuple[float, float]
+    shares: tuple[Share, ...]
+    calibration: Calibration
+    quantiles: Float[np.ndarray, "m 4"]
+
+
+@dataclass(frozen=True)
+class OneStep:
+    """One-step predictions by output, and those of all outputs together."""
+
+    outputs: Mapping[str, Predicted]
+    together: Predicted
+
+    @property
+    def status(self) -> str:
+        """`calibrated`, `not_calibrated`, or `undecided` where there are too few innovations to tell."""
+        found = {one.calibration for one in (*self.outputs.values(), self.together)}
+        if found == {Calibration.CALIBRATED}:
+            return "calibrated"
+        return "undecided" if found <= {Calibration.CALIBRATED, Calibration.UNDECIDED} else "not_calibrated"
 
 
 def _rms(x: np.ndarray) -> float:

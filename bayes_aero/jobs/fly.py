@@ -42,11 +42,12 @@ from bayes_aero.progress import Progress
 from bayes_aero.report.figures.drift import drift as drift_figure
 from bayes_aero.report.figures.every_figure import draw_all
 from bayes_aero.report.figures.fly import fly_figures, gusts
+from bayes_aero.report.figures.pit import one_step_quantiles
 from bayes_aero.report.figures.posterior import pair_of
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.fly import FlyTold, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES
-from bayes_aero.report.tables.flown_posterior import posterior_table
+from bayes_aero.report.tables.filtered import posterior_table
 from bayes_aero.report.tables.fly import drift_history_table, gust_table, parameter_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.drift import drift_sentences
@@ -206,7 +207,8 @@ def _written(
     if figures:
         drawn, failed = draw_all(fly_figures(found.flown), found.flown, out / "figures", progress)
         if found.process_noise is not None:
-            met, more = draw_all({"drift": drift_figure, "gusts": gusts}, found.process_noise, out / "figures")
+            drawings = {"drift": drift_figure, "gusts": gusts, "one_step": one_step_quantiles}
+            met, more = draw_all(drawings, found.process_noise, out / "figures")
             drawn, failed = [*drawn, *met], (*failed, *more)
         if found.posteriors:
             pairs, more = draw_all({"pair": pair_of}, found.posteriors, out / "figures")

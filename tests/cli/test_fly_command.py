@@ -236,7 +236,16 @@ def test_in_calm_air_process_noise_changes_nothing(program, tmp_path):
     assert filtered["F"]["alpha"] < 0.2 * NOISE["alpha"] / 0.04**0.5  # of what noise adds to a step
     assert abs(filtered["gain"]) < 10.0
     assert max(map(abs, filtered["autocorrelation"].values())) < 0.2
-    assert "with process noise" in page_of(tmp_path / "out")
+    one_step = filtered["one_step"]
+    assert one_step["status"] == "calibrated"
+    assert set(one_step["outputs"]) == set(filtered["noise_sd"])
+    for name, predicted in one_step["outputs"].items():
+        assert predicted["rms"] == pytest.approx(NOISE[name], rel=0.15)  # the state is known far better
+        assert [share["level"] for share in predicted["shares"]] == [0.5, 0.9, 0.95, 0.99]
+    assert any(sentence.startswith("One-step predictions: of α ") for sentence in found["sentences"])
+    page = page_of(tmp_path / "out")
+    assert "with process noise" in page
+    assert "inside the interval, %" in page
 
 
 @pytest.mark.recovery
@@ -311,9 +320,11 @@ def test_a_parameter_that_drifts_is_written_drawn_and_told(program, tmp_path):
     assert begin["Malpha"].to_numpy() == pytest.approx(drift["estimates"]["Malpha"][0])
     assert begin["Malpha_sd"].to_numpy() == pytest.approx(drift["estimates"]["Malpha"][1], rel=1e-6)
     assert (tmp_path / "out" / "figures" / "drift.png").exists()
+    assert (tmp_path / "out" / "figures" / "one_step.png").exists()
     page = page_of(tmp_path / "out")
     assert "Did a parameter change?" in page
     assert "Parameters that drift" in page
+    assert "Quantile plots of innovations by output: " in page
 
 
 @pytest.mark.parametrize(

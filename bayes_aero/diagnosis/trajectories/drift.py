@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.result import COLOURED_INNOVATIONS
+from bayes_aero.inference.scores import COLOURED_INNOVATIONS
 
 DRIFT_LEVEL = 0.05  # of the tests of all drifting parameters together
 SEEN = 2.0  # standard errors from which begin and end differ

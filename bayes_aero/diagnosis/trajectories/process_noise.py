@@ -13,21 +13,24 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2
 
 from bayes_aero.diagnosis.trajectories.drift import Drift, DriftChange, Drifted, DriftHistory
 from bayes_aero.diagnosis.trajectories.results import GustHistory, ProcessNoise, TrajectoryFit
-from bayes_aero.dynamics.filtering.innovations import neighbour_correlation
+from bayes_aero.dynamics.filtering.innovations import neighbour_correlation, prediction_errors
 from bayes_aero.dynamics.filtering.kalman import smoothed
 from bayes_aero.dynamics.flight import EffectDynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.likelihood.disturbed import fit_disturbed
 from bayes_aero.inference.likelihood.drifting import DriftFit, Histories, fit_drifting, histories
 from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult, PredictionErrorStatus
+from bayes_aero.inference.one_step import one_step
 from bayes_aero.inference.posterior.innovations import sample_innovations
 from bayes_aero.inference.posterior.posterior import Posterior
+from bayes_aero.inference.scores import OneStep
 from bayes_aero.inference.threads import blas_threads
 from bayes_aero.progress import Progress
 
@@ -66,9 +69,10 @@ def _told(
     )
     estimates = {n: (float(x), float(s)) for n, x, s in zip(found.names, found.estimate, found.sd, strict=True)}
     own = set(fit.flown.dynamics.names) - gusty.dynamics.of_disturbances
+    converged = found.status is PredictionErrorStatus.CONVERGED
     return ProcessNoise(
         found.status.value,
-        found.status is PredictionErrorStatus.CONVERGED,
+        converged,
         found.log_likelihood - still,
         {name: value for name, value in estimates.items() if name in own},
         {n: float(x) for n, x in zip(found.states, found.F, strict=True) if n in fit.flown.dynamics.states},
@@ -77,7 +81,13 @@ def _told(
         {name: value for name, value in estimates.items() if name not in own},
         _histories(gusty, found),
         with_drift(gusty, found, drifting, priors=flown.setting.priors) if drifting else None,
+        _predictions(gusty, found) if converged else None,
     )
+
+
+def _predictions(gusty: SegmentTrajectories, found: PredictionErrorResult) -> OneStep:
+    errors = prediction_errors(gusty.nameless, jnp.asarray(found.estimate), found.found)
+    return one_step(found.found, np.asarray(errors), found.outputs)
 
 
 _smoothed = eqx.filter_jit(jax.vmap(smoothed))

@@ -17,6 +17,7 @@ from bayes_aero.dynamics.output_biases import unbiased
 from bayes_aero.dynamics.path.flight_path import PathDynamics
 from bayes_aero.inference.likelihood.normal_equations import departures
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.inference.scores import OneStep
 
 START, FITTED = "start", "fitted"
 
@@ -237,6 +238,7 @@ class ProcessNoise:
             name of the parameter, with standard errors.
         histories: what was met, by manoeuvre; empty where no gust has an intensity.
         drift: a further fit in which parameters drift, where it was asked for.
+        one_step: whether one-step predictions are calibrated; None where the fit did not converge.
     """
 
     status: str
@@ -249,3 +251,4 @@ class ProcessNoise:
     gusts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     histories: tuple[GustHistory, ...] = ()
     drift: Drift | None = None
+    one_step: OneStep | None = None

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -150,6 +151,18 @@ def filtered(
     nothing = jnp.zeros((len(flown.index), len(start_deviation)))
     rows = (*rows_of(flown, ready, nothing), jnp.asarray(flown.noise_growth))
     return jax.vmap(one)(*rows)
+
+
+@eqx.filter_jit
+def prediction_errors(flown: SegmentTrajectories, theta: Float[Array, " k"], found: Filtered) -> Float[Array, "w n c"]:
+    """Measured minus predicted from the samples before, referred to the record, NaN where missing.
+
+    `found` is what `filtered` found at `theta`. Its innovations are less what outputs of the same sample tell of them.
+    """
+    ready = prepared(flown, theta)
+    *_, true, scale = rows_of(flown, ready, jnp.zeros((len(flown.index), 1)))
+    outputs = jax.vmap(jax.vmap(lambda x, u: outputs_at(ready.sensed, x, u, flown.outputs)))
+    return (true - outputs(found.predicted, ready.drives)) / scale
 
 
 class Observer(NamedTuple):

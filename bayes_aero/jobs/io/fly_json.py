@@ -15,6 +15,7 @@ from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.posterior.posterior import Posterior
+from bayes_aero.inference.scores import OneStep, Predicted
 from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.jobs.io.diagnosis_json import record_results
 from bayes_aero.jobs.io.health_json import health_results
@@ -102,9 +103,25 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
 
 def _process_noise(found: ProcessNoise) -> dict[str, Any]:
     """All but the histories, which gusts.csv and drift.csv have."""
-    told = {name: value for name, value in asdict(replace(found, drift=None)).items() if name != "histories"}
-    told.pop("drift")
+    bare = asdict(replace(found, drift=None, one_step=None, histories=()))
+    told = {name: value for name, value in bare.items() if name not in ("drift", "histories")}
+    told |= {"one_step": None if found.one_step is None else _one_step(found.one_step)}
     return told if found.drift is None else told | {"drift": _drift(found.drift)}
+
+
+def _one_step(found: OneStep) -> dict[str, Any]:
+    def told(one: Predicted) -> dict[str, Any]:
+        return {
+            "innovations": one.count,
+            "rms": one.rms,
+            "ratio": one.ratio,
+            "shares": [asdict(share) for share in one.shares],
+            "status": one.calibration.value,
+        }
+
+    outputs = {name: told(one) for name, one in found.outputs.items()}
+    together = {key: value for key, value in told(found.together).items() if key != "rms"}
+    return {"status": found.status, "outputs": outputs, "together": together}
 
 
 def _drift(found: Drift) -> dict[str, Any]:

@@ -1,17 +1,19 @@
-"""Whether the posterior predicts what was measured: histograms of the probability integral transform."""
+"""Whether predictions hold what was measured: histograms of the probability integral transform, and innovations."""
 
 from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from bayes_aero.diagnosis.trajectories.results import ProcessNoise
 from bayes_aero.inference.identification import Identification, PitResult
 from bayes_aero.model.noise import Colour
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.style import NotDrawn, housed, panels
+from bayes_aero.report.style import NotDrawn, grid_of, housed, panels
 from bayes_aero.report.tables.comparison import engine_label
-from bayes_aero.report.text.phrases import several
+from bayes_aero.report.tables.filtered import CALIBRATION
+from bayes_aero.report.text.phrases import SYMBOLS, several
 
 SLIGHT = 0.1  # correlation of neighbours up to which the band's independence is near enough; our choice
 CHANCE = 3.0  # deviations of the correlation of independent neighbours
@@ -36,6 +38,35 @@ def pit_histogram(identification: Identification) -> Figure:
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2)
     figure.suptitle(f"Where measurements fall in the {what_predicts(identification)} ({engine_label(t.engine)})")
+    return figure
+
+
+@housed
+def one_step_quantiles(found: ProcessNoise) -> Figure:
+    """A panel for each output, and one for all together: quantiles of innovations over those of calibrated ones.
+
+    Raises:
+        NotDrawn: the fit did not converge.
+    """
+    if found.one_step is None:
+        raise NotDrawn("the fit with process noise did not converge")
+    shown = dict(found.one_step.outputs)
+    shown |= {"all together": found.one_step.together} if len(shown) > 1 else {}
+    figure, axes = grid_of(len(shown), 4, (2.4, 2.5), sharex=True, sharey=True)
+    for ax, (name, one) in zip(axes, shown.items(), strict=True):
+        score, value, low, high = one.quantiles.T
+        ax.fill_between(score, low, high, color=COLOURS["prior"], alpha=0.5, lw=0.0, label="its 95 % band")
+        ax.plot(score, score, color=COLOURS["measured"], lw=0.8, ls=":", label="calibrated")
+        ax.plot(score, value, color=COLOURS["after"], marker="o", ms=3.0, label="innovations")
+        ax.set_title(f"{SYMBOLS.get(name, name)}: {CALIBRATION[one.calibration]}")
+    for ax in axes[-4:]:
+        ax.set_xlabel("standard normal [-]")
+        ax.tick_params(labelbottom=True)
+    for ax in axes[::4]:
+        ax.set_ylabel("innovation / predicted sd [-]")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    figure.suptitle("Quantiles of innovations, predicted one step ahead")
     return figure
 
 

@@ -33,10 +33,11 @@ from bayes_aero.report.html.pictures import Gallery
 from bayes_aero.report.html.plots import LOW, Line, Panel
 from bayes_aero.report.pages.trajectories import Curve, axis_label, over_measured, sources
 from bayes_aero.report.tables import fly as tables
-from bayes_aero.report.tables.flown_posterior import posterior_table
+from bayes_aero.report.tables.filtered import one_step_table, posterior_table
 from bayes_aero.report.text.drift import drift_sentences
 from bayes_aero.report.text.fly import errors_of_all
 from bayes_aero.report.text.phrases import SYMBOLS, for_people, several, short
+from bayes_aero.report.text.process_noise import prediction_sentences
 from bayes_aero.report.text.samplers import unfinished
 
 MODELS = (
@@ -81,6 +82,7 @@ def fly_page(flown: TrajectoryFit, told: FlyTold) -> Page:
             section("fit", "Measured and simulated", lambda: _flights(flown)),
             section("errors", "Errors", lambda: _errors(flown, told.card)),
             section("parameters", "Parameters", lambda: _parameters(flown, told)),
+            section("predictions", "One-step predictions", lambda: _predictions(flown, told)),
             section("posterior", "Posterior", lambda: _posterior(told)),
             section("drift", "Did a parameter change?", lambda: _drift(told)),
             section("provenance", "Provenance", lambda: _provenance(told.source)),
@@ -188,6 +190,30 @@ def _gusts(told: FlyTold) -> tuple[Block, ...]:
     return Gallery(
         told.figures, {"gusts": (caption, f"Time histories of the gusts; largest in magnitude: {largest}.")}
     )("gusts")
+
+
+def _predictions(flown: TrajectoryFit, told: FlyTold) -> tuple[Block, ...]:
+    """Whether the filter's are calibrated: by output, in numbers and quantiles."""
+    found = None if told.process_noise is None else told.process_noise.one_step
+    if found is None:
+        return ()
+    caption = (
+        "Quantiles of innovations over their predicted standard deviations, against those of a standard normal "
+        "distribution: steeper than the dotted line where predictive intervals are too narrow, S-shaped where tails "
+        "are heavier than normal. Grey: the 95 % band of all points of calibrated predictions, with the "
+        "autocorrelation counted."
+    )
+    by = several(
+        f"{name} {100.0 * share.share:.0f} % in their {100.0 * share.level:.0f} % intervals"
+        for name, one in found.outputs.items()
+        for share in one.shares[-2:-1]
+    )
+    pictures = Gallery(told.figures, {"one_step": (caption, f"Quantile plots of innovations by output: {by}.")})
+    return (
+        *bullets(prediction_sentences(found)),
+        page_table(one_step_table(found, flown.units)),
+        *pictures("one_step"),
+    )
 
 
 def _posterior(told: FlyTold) -> tuple[Block, ...]:

@@ -11,7 +11,7 @@ from bayes_aero.diagnosis.trajectories.results import FITTED, START, Error, Proc
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.parameter import Prior
 from bayes_aero.report.tables.comparison import engine_label
-from bayes_aero.report.tables.flown_posterior import interval_of
+from bayes_aero.report.tables.filtered import interval_of
 from bayes_aero.report.tables.table import (
     NONE,
     Change,

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from bayes_aero.diagnosis.result import COLOURED_INNOVATIONS
 from bayes_aero.diagnosis.trajectories.results import ProcessNoise, TrajectoryFit
 from bayes_aero.inference.posterior.posterior import Posterior
-from bayes_aero.report.text.phrases import several
+from bayes_aero.inference.scores import COLOURED_INNOVATIONS, Calibration, OneStep, Share
+from bayes_aero.report.text.phrases import SYMBOLS, several
 from bayes_aero.report.text.samplers import agreement_of_engines, unfinished
 
 APART = 3.0  # combined standard errors between the two estimates from which a sentence names a parameter; our choice
+TOLD = 0.95  # level whose shares a sentence has
+FAULTS = {
+    Calibration.TOO_NARROW: "intervals of {} are too narrow",
+    Calibration.TOO_WIDE: "intervals of {} are too wide",
+    Calibration.NOT_NORMAL: "innovations of {} are not normally distributed",
+    Calibration.COLOURED: "innovations of {} are autocorrelated",
+}
 SEEN = 2.0  # standard errors from which an intensity is one
 
 
@@ -32,7 +39,8 @@ def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[s
     if not found.converged:
         return [f"The fit with process noise is not usable: {found.status}."]
     if found.gain <= 0.0:
-        return ["Process noise does not increase the likelihood of the trajectories: output error is adequate."]
+        said = ["Process noise does not increase the likelihood of the trajectories: output error is adequate."]
+        return said + _predicted(found)
     said = [
         f"With process noise the log likelihood is {found.gain:.0f} nats higher than by output error, both for white "
         "residuals. Turbulence causes this, and so do errors of the model."
@@ -52,7 +60,40 @@ def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[s
             f"Innovations are autocorrelated (neighbouring samples of {several(coloured)}): a disturbance, or an error "
             "of the model or of a sensor, is not modelled, and these standard errors are too small."
         )
-    return said
+    return said + _predicted(found)
+
+
+def prediction_sentences(found: OneStep) -> list[str]:
+    """The share of each output inside its 95 % intervals, and whether predictions are calibrated."""
+    shares = {name: next(s for s in one.shares if s.level == TOLD) for name, one in found.outputs.items()}
+    inside = several(f"{SYMBOLS.get(name, name)} {_per_cent(share)}" for name, share in shares.items())
+    return [f"One-step predictions: of {inside} lie in their {100.0 * TOLD:.0f} % intervals.", _verdict(found)]
+
+
+def _predicted(found: ProcessNoise) -> list[str]:
+    return [] if found.one_step is None else prediction_sentences(found.one_step)
+
+
+def _per_cent(share: Share) -> str:
+    digits = 0 if share.sd >= 0.01 else 1
+    return f"{100.0 * share.share:.{digits}f} % (± {100.0 * share.sd:.{digits}f})"
+
+
+def _verdict(found: OneStep) -> str:
+    if found.status == "undecided":
+        return "Whether they are calibrated is not decided: there are too few independent innovations."
+    if found.status == "calibrated":
+        return (
+            "They are calibrated: no share departs from its probability by more than chance, and innovations are not "
+            "autocorrelated. Their noise was fitted to the same record."
+        )
+    every = {SYMBOLS.get(n, n): one.calibration for n, one in found.outputs.items()}
+    every["all outputs together"] = found.together.calibration
+    wrong = []
+    for kind, fault in FAULTS.items():
+        names = [name for name, calibration in every.items() if calibration is kind]
+        wrong += [fault.format(several(names))] if names else []
+    return f"They are not calibrated: {'; '.join(wrong)}."
 
 
 def posterior_sentences(posteriors: Mapping[str, Posterior]) -> list[str]:
