@@ -5,10 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gusty_flight import gusty_flight
 
-from bayes_aero.diagnosis.consistency.consistency import consistency
+from bayes_aero.diagnosis.consistency.consistency import consistency, in_gusts
 from bayes_aero.diagnosis.consistency.flight_path_noise import LIGHT_TURBULENCE, gusts, sensor_noise
+from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.agreement import Agreement
+from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.health.signals import noise_of
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.flight.record import FlightRecord
@@ -102,8 +105,31 @@ def test_light_turbulence_is_permitted_and_a_gust_of_one_channel_is_not(sound, c
     found = consistency([everywhere], card, seek=False)
     assert found.agreement is Agreement.AGREE
     assert 0.3 < found.recorded[0].turbulence <= LIGHT_TURBULENCE
-    alone = consistency([changed(sound, alpha=sound["alpha"] + 3.0 * up)], card, seek=False)
+    assert found.recorded[0].gusts == pytest.approx(0.6, rel=0.3)
+    assert in_gusts([everywhere], card) == {everywhere.name: found.recorded[0].gusts}
+    one = changed(sound, alpha=sound["alpha"] + 3.0 * up)
+    alone = consistency([one], card, seek=False)
     assert {d.channel for d in alone.departures} >= {"alpha"}
+    assert in_gusts([one], card) == {}
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_record_is_in_gusts_whatever_moves_the_aircraft(seed):
+    """By a simulator that shares no code: gusts move it, too, and are not those of the measure."""
+    card = read_card("hfb320")
+    calm, light = (gusty_flight(seed, gust={"w": size, "u": size}) for size in (0.0, 0.6))
+    assert in_gusts([calm], card) == {}
+    (size,) = in_gusts([light], card).values()
+    assert 0.4 < size < 1.4
+
+
+@pytest.mark.parametrize(
+    "error", ["airspeed_scale", "alpha_scale", "sideslip_delay", "vane_position", "yaw_rate_scale"]
+)
+def test_an_error_of_one_sensor_is_no_gust(card, error):
+    (parameter,) = CATALOGUE[error].parameters
+    usual = parameter.neutral + parameter.prior.scale
+    assert in_gusts(hidden_records({error: {parameter.name: usual}}, seed=5), card) == {}
 
 
 def test_a_known_error_explains(card):
