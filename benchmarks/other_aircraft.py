@@ -1,6 +1,6 @@
 """Diagnose aircraft that nobody here has seen: drawn at random and flown by a simulator that shares no code.
 
-    python benchmarks/other_aircraft.py 29 [--first 0] [--gusts 0.5] [--poor] [--single] [--silent] [--process-noise]
+    python benchmarks/other_aircraft.py 29 [--first 0] [--gusts 0.5] [--poor] [--single] [--silent] [--no-process-noise]
         [--out strangers]
 
 Every 29th (with --silent all) has nothing hidden, the others one effect each (`tests/stranger_records.py`): two stalls
@@ -28,7 +28,7 @@ from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.inference.compiled_programs import give_back_memory
 
 
-def case(seed: int, gusts: float, poor: bool, manoeuvres: int, silent: bool, process_noise: bool = False) -> dict:
+def case(seed: int, gusts: float, poor: bool, manoeuvres: int, silent: bool, process_noise: bool | None = None) -> dict:
     """Draw, fly, read and diagnose."""
     name = None if silent else [None, *HIDDEN][seed % (len(HIDDEN) + 1)]
     recorder = Recorder.poor(np.random.default_rng([seed, 13])) if poor else Recorder()
@@ -87,7 +87,8 @@ if __name__ == "__main__":
     parser.add_argument("--poor", action="store_true", help="by recorders that colour, filter and round")
     parser.add_argument("--single", action="store_true", help="one manoeuvre instead of two")
     parser.add_argument("--silent", action="store_true", help="nothing hidden in any of them")
-    parser.add_argument("--process-noise", action="store_true", help="search in innovations, with gusts estimated")
+    noise = "search in innovations, with gusts estimated, or not; default: where the records are in gusts"
+    parser.add_argument("--process-noise", action=argparse.BooleanOptionalAction, help=noise)
     parser.add_argument("--out", type=Path, default=Path("strangers"))
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
