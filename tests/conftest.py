@@ -27,6 +27,7 @@ TESTS = Path(__file__).parent
 FIRST = ("diagnosis", "diagnosed", "cli", "cluster", "inference")  # most work: not to be begun last, by one worker
 
 
+@pytest.hookimpl(tryfirst=True)  # xdist reads the groups in a hook of this name that would come before
 def pytest_collection_modifyitems(items):
     """One worker does what shares fixtures and compiled programs: a folder, or all that needs the fixture `diagnosed`.
 
