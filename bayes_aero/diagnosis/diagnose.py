@@ -231,7 +231,7 @@ def _sensor_gains(
 def _rivals(extension: Extension, name: str) -> tuple[float, tuple[str, ...]]:
     """Probability of a cause among everything that could take its place, nothing included; and who comes close."""
     state, fit = extension.state, extension.fit
-    ranking = screen(state, fit, seed=0, replicates=0, without=name).candidate_scores
+    ranking = screen(state, fit, seed=0, nulls=False, without=name).candidate_scores
     best: dict[str, CandidateScore] = {}
     for standing in ranking:
         if standing.effect == name or standing.score > state.settings.least_rival_score:

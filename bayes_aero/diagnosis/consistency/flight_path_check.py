@@ -102,7 +102,7 @@ def shown_turbulence(
     for name in (n for n in AIR_DATA if n in outputs):
         along = name == "airspeed"
         unit = gusts(rng, 16, len(V), dt, float(np.median(V)), across=not along)
-        share = float(np.mean([np.median(_local(g[:, None], dt) ** 2) for g in unit]))
+        share = float(np.mean(np.median(_local(unit.T, dt) ** 2, axis=0)))
         scale = np.ones_like(V) if along else V
         inside = _local((residual[:, outputs.index(name)] * scale)[:, None], dt)[:, 0]
         white = noise.shown[name] * float(np.median(scale))

@@ -109,7 +109,7 @@ def widened(found: Extension, state: SelectionState, fit: Fit) -> Extension:
             wide = np.sqrt(np.diag(pair[1]))
             names = state.full.parameters_of(effect)
             told |= {n: replace(told[n], sd=max(told[n].sd, float(x))) for n, x in zip(names, wide, strict=True)}
-    last = screen(state, fit, seed=0, replicates=0)
+    last = screen(state, fit, seed=0, nulls=False)
     candidate_scores = []
     for standing in last.candidate_scores:
         pair = judged.judge(standing.effect) if standing.value is None else None

@@ -60,7 +60,7 @@ def attributed(
 def as_structure(cause: Cause, extension: Extension, effect: Effect) -> UnexplainedStructure:
     """What a cause that is none explained: the output of which it takes most, through which channel."""
     state, fit = extension.state, extension.fit
-    standing = screen(state, fit, seed=0, replicates=0, without=cause.name).of(cause.name)
+    standing = screen(state, fit, seed=0, nulls=False, without=cause.name).of(cause.name)
     columns = state.full.own_columns(cause.name)
     moved = (state.scaled[:, :, columns] @ state.departure[columns])[state.inside]
     output = int(np.argmax(np.mean((moved - moved.mean(axis=0)) ** 2, axis=0) / fit.variance))
