@@ -79,10 +79,11 @@ def path_check(name: str, time: Float[np.ndarray, " n"], channels: Channels, car
     recorded = path_residuals(full, {"q": np.zeros((1, len(time)))}, outputs, place, dt)
     turbulence = shown_turbulence(recorded[0], outputs, full, noise, dt, rng)
     added = disturbances(full, noise, turbulence, dt, rng, REPLICATES)
-    errors = _constant_errors(noise, len(time))
-    both = {n: np.concatenate([errors[n], added[n]]) for n in added}
-    moved = path_residuals(full, both, outputs, place, dt) - recorded
-    columns, drawn = moved[: len(errors)], moved[len(errors) :]
+    drawn, columns = (
+        path_residuals(full, by, outputs, place, dt) for by in (added, _constant_errors(noise, len(time)))
+    )
+    drawn -= recorded
+    columns -= recorded
     found = _measures(np.concatenate([recorded, drawn]), columns, outputs, time)
     return PathCheck(name, _departures(name, found), _whole(found), turbulence, assumed)
 

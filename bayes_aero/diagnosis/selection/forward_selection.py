@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -59,11 +59,19 @@ class Extension:
     minor: tuple[str, ...]
 
 
+Checked = Callable[[SelectionState, Fit], tuple[SelectionState, Fit]]
+
+
 def forward_selection(
-    state: SelectionState, *, seed: int = 0, most: int | None = None, progress: Progress | None = None
+    state: SelectionState,
+    *,
+    seed: int = 0,
+    most: int | None = None,
+    progress: Progress | None = None,
+    checked: Checked = lambda state, fit: (state, fit),
 ) -> Extension:
     """Add effects to `state` until none is both beyond chance and useful on data left out; at most `most`
-    (default: the settings').
+    (default: the settings'). `checked` may take some out again before the others are sized.
 
     Each election's p-value is family-wise over all candidates.
     """
@@ -84,6 +92,7 @@ def forward_selection(
         assert winner is not None
         state, fit = refitted(added(state, winner))
         state, fit = _reconsidered(state, fit)
+    state, fit = checked(state, fit)
     found = sizes(state, fit) if state.responses.stretch is None else _between_sizes(state, fit)
     causes, minor = worth(state, found)
     return Extension(first, first_fit, state, fit, tuple(steps), found, causes, minor)
