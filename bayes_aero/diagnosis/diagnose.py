@@ -143,7 +143,7 @@ def causes_of(
                     excited=_excited(extension.state, name),
                     confirmed=sure is None or name in sure.kept,
                     missed=NOTHING if sure is None else sure.missed[name],
-                    implausible=implausible(effect, extension.sizes, full.neutral, full.settings),
+                    implausible=implausible(effect, extension.sizes, full.settings),
                     own_share=own_share(extension.state, extension.fit, name),
                 )
             )

@@ -268,7 +268,8 @@ def worth(state: SelectionState, found: Mapping[str, Size]) -> tuple[tuple[str, 
     causes, minor = [], []
     for name in state.active:
         effect = next(e for e in state.full.candidates if e.name == name)
-        away = {p: (found[p].mean - state.full.neutral[p], found[p].sd) for p in effect.sizes if p in found}
+        sized = [p for p in effect.parameters if p.name in effect.sizes and p.name in found]
+        away = {p.name: p.away(found[p.name].mean, found[p.name].sd) for p in sized}
         (causes if large(effect, away, state.settings.least_score) else minor).append(name)
     return tuple(causes), tuple(minor)
 
