@@ -157,7 +157,7 @@ def _election(ax: Axes, ranking: Ranking, view: View) -> None:
             look = {"x": x + 0.01 * widest, "ha": "left", "color": "black", "bbox": TIGHT}
         else:  # room neither in the bar nor beside it
             look = {"x": 1.02 * widest, "ha": "right", "color": "black", "bbox": TIGHT}
-        ax.text(y=y, s=text, va="center", fontsize=7.5, zorder=5, **look)
+        ax.text(y=y, s=text, va="center", fontsize=6.0 if "\n" in text else 7.5, zorder=5, **look)
     if np.isfinite(ranking.threshold):
         text = f"pale: score below {ranking.threshold:.1f}, which noise\nalone exceeds in 5 % of replicates"
         if (left := len(ranking.candidate_scores) - len(leaders)) > 0:
