@@ -142,6 +142,10 @@ class Parameter:
                 "move the start or widen the bounds"
             )
 
+    def away(self, value: float, sd: float) -> tuple[float, float]:
+        """How far a value is from neutral, and its deviation: of the reciprocals where neutral is at infinity."""
+        return (value - self.neutral, sd) if math.isfinite(self.neutral) else (1.0 / value, sd / value**2)
+
     def changed(self, **changes: object) -> Parameter:
         """A copy with some fields replaced, as a card does."""
         return replace(self, **changes)  # type: ignore[arg-type]
@@ -165,6 +169,15 @@ def per_length(parameter: Parameter, times: float) -> Parameter:
             source=f"{prior.source}; for q c/V, here times {times:.4g}",
         ),
     )
+
+
+def departure(value: float, neutral: float) -> float:
+    """How far a parameter is from neutral, in steps along the tangent at its value.
+
+    Where neutral is at infinity, what the parameter does goes with its reciprocal: along the tangent it ends at twice
+    the value.
+    """
+    return value - neutral if math.isfinite(neutral) else -value
 
 
 def to_unbounded(parameter: Parameter, x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:

@@ -36,7 +36,7 @@ class CandidateModel:
     @property
     def neutral(self) -> dict[str, float]:
         """Neutral value of every parameter, finite."""
-        return {p.name: p.neutral if math.isfinite(p.neutral) else FAR for p in self.model.parameters}
+        return {p.name: finite(p.neutral) for p in self.model.parameters}
 
     @property
     def neutral_vector(self) -> Float[np.ndarray, " k"]:
@@ -73,6 +73,11 @@ class CandidateModel:
     def parameters_of(self, effect: str) -> tuple[str, ...]:
         """Parameters that an effect owns."""
         return tuple(p.name for e in self.model.effects if e.name == effect for p in e.parameters)
+
+
+def finite(neutral: float) -> float:
+    """A neutral value, or what stands for one at infinity."""
+    return neutral if math.isfinite(neutral) else FAR
 
 
 def lag_of(full: CandidateModel) -> Effect | None:

@@ -146,7 +146,7 @@ def causes_of(
                     excited=_excited(extension.state, name),
                     confirmed=sure is None or name in sure.kept,
                     missed=NOTHING if sure is None else sure.missed[name],
-                    implausible=implausible(effect, extension.sizes, full.neutral, full.settings),
+                    implausible=implausible(effect, extension.sizes, full.settings),
                     own_share=own_share(extension.state, extension.fit, name),
                 )
             )
@@ -234,7 +234,7 @@ def _sensor_gains(
 def _rivals(extension: Extension, name: str) -> tuple[float, tuple[str, ...]]:
     """Probability of a cause among everything that could take its place, nothing included; and who comes close."""
     state, fit = extension.state, extension.fit
-    ranking = screen(state, fit, seed=0, replicates=0, without=name).candidate_scores
+    ranking = screen(state, fit, seed=0, nulls=False, without=name).candidate_scores
     best: dict[str, CandidateScore] = {}
     for standing in ranking:
         if standing.effect == name or standing.score > state.settings.least_rival_score:

@@ -79,7 +79,7 @@ def _best(state: SelectionState, chosen: Sequence[Component], seed: int) -> tupl
     for folds, components, least in _families(state):
         trial = with_components(state, components, chosen, folds)
         fit = trial.fit()
-        leaders = screen(trial, fit, seed=seed, replicates=0).candidate_scores[: state.settings.unnamed_tried]
+        leaders = screen(trial, fit, seed=seed, nulls=False).candidate_scores[: state.settings.unnamed_tried]
         for standing in leaders:
             own = np.array(standing.columns, int)
             wide = np.concatenate([trial.columns(), own])

@@ -21,23 +21,27 @@ LATERAL = ("beta", "phi")  # flight-path outputs of records whose lateral motion
 PATH_CORE = ("ax", "az", "q", "theta", "alpha", "airspeed")  # without these there is no flight path
 STRAIGHT = ("ay", "p", "r", "phi", "beta")  # zero in symmetric flight, and taken as zero where not recorded
 PATH_NEEDS = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "alpha", "beta", "airspeed", "altitude")
+ANGLES = ("alpha", "beta", "theta", "phi")
 
 
-def path_rates(s: Mapping[str, Samples], aircraft: Aircraft) -> dict[str, Samples]:
+def path_rates(
+    s: Mapping[str, Samples], aircraft: Aircraft, sines: tuple[Samples, ...] | None = None
+) -> dict[str, Samples]:
     """Time derivatives of airspeed (m/s2), alpha, theta, beta, phi (rad/s) and altitude (m/s) from signals in SI.
 
     `s` holds `PATH_NEEDS` and the angular accelerations `p_dot`, `q_dot`, `r_dot`; accelerations at the sensor.
+    `sines`: sine and cosine of each of `ANGLES`, where they are known.
     """
     rotation = Rotation(s["p"], s["q"], s["r"], s["p_dot"], s["q_dot"], s["r_dot"])
     x, y, z = lever_arm(rotation, aircraft.accelerometer)
     force = (s["ax"] - x, s["ay"] - y, s["az"] - z)
-    sines = _sines(s)
+    sines = _sines(s) if sines is None else sines
     return motion_of_path(s, force, sines) | lateral_motion(s, force, sines)
 
 
 def _sines(s: Mapping[str, Samples]) -> tuple[Samples, ...]:
-    """Sine and cosine of alpha, beta, theta and phi, in that order."""
-    return tuple(f(s[name]) for name in ("alpha", "beta", "theta", "phi") for f in (xp.sin, xp.cos))
+    """Sine and cosine of each of `ANGLES`."""
+    return tuple(f(s[name]) for name in ANGLES for f in (xp.sin, xp.cos))
 
 
 def motion_of_path(

@@ -20,7 +20,7 @@ from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.joined_records import Joined, Recorded
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import differentiate_joined, smooth_joined
-from bayes_aero.physics.flightpath import as_symmetric, integral, path_outputs, path_rates
+from bayes_aero.physics.flightpath import ANGLES, as_symmetric, integral, path_outputs, path_rates
 from bayes_aero.physics.kinematics import RATES
 from bayes_aero.residuals.base import Blockwise
 
@@ -44,7 +44,11 @@ def rolled_unseen(flights: Recorded) -> bool:
 
 
 def differences(
-    outputs: Sequence[str], s: Mapping[str, Array], aircraft: Aircraft, scales: Mapping[str, Array]
+    outputs: Sequence[str],
+    s: Mapping[str, Array],
+    aircraft: Aircraft,
+    scales: Mapping[str, Array],
+    sines: tuple[Array, ...] | None = None,
 ) -> Float[Array, "n c"]:
     """Recorded minus integrated, in units of the recorded channels.
 
@@ -53,8 +57,9 @@ def differences(
         s: corrected signals (n,) with `p_dot`, `q_dot`, `r_dot` and the marks of `effect.Stage`.
         aircraft: as it is.
         scales: what a unit of each recorded channel has become by the correction; one where it is not there.
+        sines: see `path_rates`.
     """
-    rates = path_rates(as_symmetric(s), aircraft)
+    rates = path_rates(as_symmetric(s), aircraft, sines)
     left = [
         (s[name] - integral(rates[name], s["dt"], s["start"], s["first"])) / scales.get(name, 1.0) for name in outputs
     ]
@@ -107,6 +112,23 @@ class FlightPathError(Blockwise):
         return {name: differentiate_joined(self.flights.channels[name], *ends) for name in RATES}
 
     @cached_property
+    def _sines(self) -> dict[str, tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]]:
+        """Sine and cosine of angles as recorded."""
+        return {name: (np.sin(self.flights.channels[name]), np.cos(self.flights.channels[name])) for name in ANGLES}
+
+    def _sines_of(self, signals: Mapping[str, np.ndarray]) -> tuple[Float[np.ndarray, " n"], ...]:
+        """The same of corrected angles, most of which are as recorded."""
+        return tuple(
+            x
+            for name in ANGLES
+            for x in (
+                self._sines[name]
+                if signals[name] is self.flights.channels[name]
+                else (np.sin(signals[name]), np.cos(signals[name]))
+            )
+        )
+
+    @cached_property
     def _on_record(self) -> tuple[Effect, ...]:
         return tuple(e for e in self.model.acting if e.stage in ON_RECORD)
 
@@ -137,7 +159,9 @@ class FlightPathError(Blockwise):
             same = signals[name] is f.channels[name]
             signals[f"{name}_dot"] = self._slopes[name] if same else differentiate_joined(signals[name], *ends)
         scales = self._scales(model, values, signals)
-        left = differences(self.outputs, signals, model.actual_aircraft(values, f.aircraft), scales)
+        left = differences(
+            self.outputs, signals, model.actual_aircraft(values, f.aircraft), scales, self._sines_of(signals)
+        )
         return self.block(np.stack([smooth_joined(x, *ends[1:]) for x in left.T], axis=1))
 
     def _scales(

@@ -10,6 +10,7 @@ from bayes_aero.diagnosis.selection.cross_validation import LeftOut, holdout_gai
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.model.joined_channels import despiked, join
+from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.residuals.equation_error import EquationError
@@ -64,3 +65,16 @@ def test_first_order_is_the_whole_truth_for_an_effect_that_enters_linearly(card,
     near = holdout_gain(LeftOut.first_order(state, ()), LeftOut.first_order(state, ("thrust_moment",)), state)
     whole = holdout_gain(LeftOut.refitted(truncated(state, ())), LeftOut.refitted(state), state)
     assert near[0] == pytest.approx(whole[0], rel=0.2)
+
+
+def test_without_induced_drag_which_is_neutral_at_infinity_first_order_is_exact(card, model):
+    """Drag is linear in 1/e: along the tangent, too, nothing of it is left where e is infinite."""
+    flights = hidden_flights({}, seed=int(DRAWN[4]), noise="white", seconds=90.0)
+    without = Model.of([e for e in model.effects if e.name != "induced_drag"], dict(model.fixed))
+    state = with_added(card, without, [f.record for f in flights], ["induced_drag"])
+    own = state.full.own_columns("induced_drag")
+    assert state.departure[own] == -state.theta[own]
+    exact = np.asarray(state.responses.evaluate(state.full.at_neutral(state.theta, ["induced_drag"]))[0])
+    left = state.residual + state.S[:, :, own] @ state.departure[own]
+    np.testing.assert_allclose(left, exact[:, : len(NAMES)], atol=1e-9)
+    assert 0.0 < holdout_gain(LeftOut.first_order(state, ()), LeftOut.refitted(state), state)[0] < 1e4

@@ -57,13 +57,15 @@ def test_the_verdict_rests_on_what_is_confirmed_and_likely():
 
 def test_half_the_thrust_missing_is_beyond_what_aircraft_have():
     effect = CATALOGUE["thrust_scale"]
-    neutral = {"thrust_scale": 0.0}
-    assert implausible(effect, cause(mean=-0.48, sd=0.02).parameters, neutral) == {"thrust_scale": 0.3}
-    assert not implausible(effect, cause(mean=-0.48, sd=0.15).parameters, neutral)  # the record does not know it
-    assert not implausible(effect, cause(mean=-0.08, sd=0.004).parameters, neutral)
+    assert implausible(effect, cause(mean=-0.48, sd=0.02).parameters) == {"thrust_scale": 0.3}
+    assert not implausible(effect, cause(mean=-0.48, sd=0.15).parameters)  # the record does not know it
+    assert not implausible(effect, cause(mean=-0.08, sd=0.004).parameters)
     # Pitch rate makes lift at the tail: 2 a V_H per q c/2V, some 5 per q c/V. Three real records gave 20.
-    assert implausible(CATALOGUE["pitch_rate_lift"], {"CLq": Size(19.6, 1.1, "1")}, {"CLq": 0.0})
-    assert not implausible(CATALOGUE["pitch_rate_lift"], {"CLq": Size(5.0, 1.1, "1")}, {"CLq": 0.0})
+    assert implausible(CATALOGUE["pitch_rate_lift"], {"CLq": Size(19.6, 1.1, "1")})
+    assert not implausible(CATALOGUE["pitch_rate_lift"], {"CLq": Size(5.0, 1.1, "1")})
+    # Of induced drag 1/e counts, which is zero without it: no wing has an e of 0.2, and 0.8 is that of most.
+    assert implausible(CATALOGUE["induced_drag"], {"e": Size(0.2, 0.01, "1")}) == {"1/e": 3.0}
+    assert not implausible(CATALOGUE["induced_drag"], {"e": Size(0.8, 0.01, "1")})
 
 
 def test_an_error_that_no_sensor_has_is_said_with_its_unit(diagnosed):

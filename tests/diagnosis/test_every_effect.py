@@ -86,7 +86,7 @@ def with_canard(flight: HiddenFlight, card, name: str = "", values: Mapping[str,
 def named(state: SelectionState) -> list[str]:
     """Of one screening: effects that explain enough, at a size worth a name; the most explaining first."""
     found = []
-    for one in screen(state, state.fit(), seed=0, replicates=0).candidate_scores:
+    for one in screen(state, state.fit(), seed=0, nulls=False).candidate_scores:
         sizes = CATALOGUE[one.effect].sizes.values()
         large = any(abs(step) >= least for step, (least, _) in zip(one.step, sizes, strict=False))
         if large and explained(state, one) >= DEFAULT.least_share:

@@ -74,6 +74,13 @@ def test_what_was_flown_stays_and_what_was_put_in_is_taken_out(stalls):
         assert dict(zip(fit.names, fit.estimate, strict=True)).items() >= dict.fromkeys(found.gone, 0.0).items()
 
 
+def test_induced_drag_which_is_neutral_at_infinity_is_missed(stalls):
+    _, _, (contender, fits, noise) = stalls
+    found = eliminate(contender, fits, [CATALOGUE["induced_drag"]], NOBODY, noise)
+    assert found.confirmation.kept == ("induced_drag",)
+    assert np.all(np.isfinite(found.confirmation.missed["induced_drag"]))
+
+
 @pytest.mark.recovery
 def test_what_is_told_to_first_order_is_what_refitting_finds(stalls):
     hidden, _, (contender, fits, noise) = stalls

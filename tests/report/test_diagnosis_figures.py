@@ -83,6 +83,26 @@ def test_every_figure_draws_complete(stem, flown, tmp_path):
     assert pixels[..., :3].std() > 0.01
 
 
+@pytest.mark.parametrize("stem", ["found", "found_narrow"])
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_the_sizes_of_a_cause_stay_within_the_figure(stem, count, flown, tmp_path):
+    """However many parameters it has: the bar may be as long as the panel, or short."""
+    first, *others = flown.diagnosis.causes
+    size = next(iter(first.parameters.values()))
+    many = replace(first, parameters={f"parameter_{k}": replace(size, unit="rad") for k in range(count)})
+    view = replace(flown, diagnosis=replace(flown.diagnosis, causes=(many, *others)))
+    figure = DIAGNOSIS_FIGURES[stem](view)
+    figure.draw_without_rendering()
+    (panel,) = (ax for ax in figure.axes if ax.get_title().startswith("First screening"))
+    texts = [text for text in panel.texts if "±" in text.get_text()]
+    assert texts
+    for text in texts:
+        assert panel.bbox.x0 <= text.get_window_extent().x0
+        assert text.get_window_extent().x1 <= figure.bbox.x1
+    assert panel.bbox.width > 0.4 * figure.axes[0].bbox.width
+    save(figure, tmp_path / f"{stem}.png")
+
+
 def test_figures_without_a_cause(nothing, tmp_path):
     written, failed = draw_all(DIAGNOSIS_FIGURES, nothing, tmp_path)
     assert not failed

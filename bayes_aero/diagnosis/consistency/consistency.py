@@ -79,11 +79,11 @@ def errors_of_path(known: Extension) -> KnownErrors:
 
     One at a parameter bound, or larger than sensors have, explains nothing: another cause is behind it.
     """
-    named, neutral = {e.name: e for e in known.state.full.candidates}, known.state.full.neutral
+    named = {e.name: e for e in known.state.full.candidates}
     found = [
         named[name]
         for name in (*known.causes, *known.minor)
-        if not implausible(named[name], known.sizes, neutral)
+        if not implausible(named[name], known.sizes)
         and not any(known.sizes[p.name].at_bound for p in named[name].parameters)
     ]
     plain = {e.name: _plain(e, known.sizes, minor=e.name in known.minor) for e in found}

@@ -75,10 +75,11 @@ def path_check(name: str, time: Float[np.ndarray, " n"], channels: Channels, car
     met = _gusts_shown(recorded[0], outputs, full, noise, dt, rng)
     turbulence = float(np.clip(MARGIN * met, CALM, LIGHT_TURBULENCE))
     added = disturbances(full, noise, turbulence, dt, rng, REPLICATES)
-    errors = _constant_errors(noise, len(time))
-    both = {n: np.concatenate([errors[n], added[n]]) for n in added}
-    moved = path_residuals(full, both, outputs, place, dt) - recorded
-    columns, drawn = moved[: len(errors)], moved[len(errors) :]
+    drawn, columns = (
+        path_residuals(full, by, outputs, place, dt) for by in (added, _constant_errors(noise, len(time)))
+    )
+    drawn -= recorded
+    columns -= recorded
     found = _measures(np.concatenate([recorded, drawn]), columns, outputs, time)
     return PathCheck(name, _departures(name, found), _whole(found), turbulence, met, assumed)
 
@@ -119,7 +120,7 @@ def _gusts_shown(
     for name in (n for n in AIR_DATA if n in outputs):
         along = name == "airspeed"
         unit = gusts(rng, 16, len(V), dt, float(np.median(V)), across=not along)
-        share = float(np.mean([np.median(_local(g[:, None], dt) ** 2) for g in unit]))
+        share = float(np.mean(np.median(_local(unit.T, dt) ** 2, axis=0)))
         scale = np.ones_like(V) if along else V
         inside = _local((residual[:, outputs.index(name)] * scale)[:, None], dt)[:, 0]
         white = noise.shown[name] * float(np.median(scale))

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.fft import next_fast_len
 
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health.signals import noise_of
@@ -64,7 +65,7 @@ def gusts(
     T = SCALE_LENGTH / max(airspeed, 1.0)
     keep = math.exp(-dt / T)
     total = n + run_in
-    size = 1 << (2 * total - 1).bit_length()
+    size = next_fast_len(2 * total - 1 - run_in, real=True)  # what wraps around ends within the run-in
     spectrum = np.fft.rfft(_response(keep, total, across=across), size)
     drawn = np.fft.irfft(np.fft.rfft(rng.standard_normal((count, total)), size) * spectrum, size)
     return drawn[:, run_in:total] / _deviation(keep, across=across)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model
 from bayes_aero.diagnosis.screening.selection_state import linearised
-from bayes_aero.diagnosis.selection.block_jackknife import consistent_across_blocks
+from bayes_aero.diagnosis.selection.block_jackknife import consistent_across_blocks, widened
 from bayes_aero.diagnosis.selection.forward_selection import Extension, forward_selection
 from bayes_aero.effect import Kind, Stage
 from bayes_aero.errors import InputError
@@ -44,7 +44,8 @@ def check_sensors(
     candidates = tuple(e for e in full.candidates if e.kind in SENSOR_KINDS and e.name not in known)
     own = replace(full, base=tuple(known), candidates=candidates, priors=priors or {})
     state = linearised(own, responses, responses.outputs, theta)
-    return consistent_across_blocks(forward_selection(state, seed=seed))
+    found = forward_selection(state, seed=seed, checked=consistent_across_blocks)
+    return widened(found, found.state, found.fit)
 
 
 def screen_sensor_errors(records: list[FlightRecord], card: Card, *, seed: int = 0) -> Extension:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.inference.variance.autoregression import autoregression, driven, stationary
 
 TOGETHER = 50  # colours that columns are filtered for at a time
@@ -23,15 +25,16 @@ class Autocorrelation:
 
     def simulate(self, count: int, folds: Sequence[slice], m: int, rng: np.random.Generator) -> np.ndarray:
         """`count` noise records (count, m, c); each fold begins anew, blocks outside the folds are zero."""
-        out = np.zeros((count, m, len(self.sigma)))
-        if not count:
+        return self.coloured(white_noise(count, folds, len(self.sigma), rng), folds, m)
+
+    def coloured(
+        self, white: Float[np.ndarray, "t f r c"], folds: Sequence[slice], m: int
+    ) -> Float[np.ndarray, "r m c"]:
+        """The noise records that this colour makes of `white_noise`."""
+        out = np.zeros((white.shape[2], m, len(self.sigma)))
+        if not len(out):
             return out
-        longest = RUN_IN + max(fold.stop - fold.start for fold in folds)
-        white = np.zeros((longest, len(folds), count, len(self.sigma)))  # side by side: one loop over time
-        for k, fold in enumerate(folds):
-            drawn = rng.standard_normal((count, fold.stop - fold.start + RUN_IN, len(self.sigma)))
-            np.multiply(np.moveaxis(drawn, 1, 0), self.sigma, out=white[: drawn.shape[1], k])
-        noise = driven(self.phi.T[:, None, None, :], white)
+        noise = driven(self.phi.T[:, None, None, :], self.sigma * white)
         for k, fold in enumerate(folds):
             out[:, fold] = np.moveaxis(noise[RUN_IN : RUN_IN + fold.stop - fold.start, k], 0, 1)
         return out
@@ -44,6 +47,39 @@ class Autocorrelation:
         S filtered backwards by the autoregression gives it as a plain product. Source: as `inference.coloured`.
         """
         return Middle(S, variance, folds, [np.arange(S.shape[2])]).under(self, [0])[1][0]
+
+
+def white_noise(
+    count: int, folds: Sequence[slice], outputs: int, rng: np.random.Generator
+) -> Float[np.ndarray, "t f r c"]:
+    """Of unit deviation, behind `count` noise records: a run-in and each fold, side by side for one loop over time."""
+    longest = RUN_IN + max(fold.stop - fold.start for fold in folds)
+    white = np.zeros((longest, len(folds), count, outputs))
+    for k, fold in enumerate(folds):
+        drawn = rng.standard_normal((count, fold.stop - fold.start + RUN_IN, outputs))
+        white[: drawn.shape[1], k] = np.moveaxis(drawn, 1, 0)
+    return white
+
+
+class SharedNoise:
+    """`white_noise` of one seed, drawn once for all who are judged by it: that which corrects autocorrelations, and
+    that which p-values count."""
+
+    def __init__(self, seed: int, folds: Sequence[slice], outputs: int, settings: DiagnosisSettings) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._of = folds, outputs
+        self._counts = settings.correction_replicates, settings.replicates
+
+    @cached_property
+    def correction(self) -> Float[np.ndarray, "t f r c"]:
+        """Behind the `correction_replicates`."""
+        return white_noise(self._counts[0], *self._of, self._rng)
+
+    @cached_property
+    def replicates(self) -> Float[np.ndarray, "t f r c"]:
+        """Behind the `replicates`, which are drawn after the others."""
+        _ = self.correction
+        return white_noise(self._counts[1], *self._of, self._rng)
 
 
 class Middle:

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from bayes_aero.diagnosis.screening.autocorrelation import (
     Autocorrelation,
     Middle,
+    SharedNoise,
     autocorrelation_of,
     autocorrelations_of,
     unbiased,
@@ -32,16 +33,15 @@ from bayes_aero.diagnosis.screening.selection_state import SelectionState
 class RefitScore:
     """One candidate's score, log Bayes factor and p-value under its own colour."""
 
-    def __init__(self, state: SelectionState, standing: CandidateScore, *, seed: int) -> None:
+    def __init__(self, state: SelectionState, standing: CandidateScore, noise: SharedNoise) -> None:
         wider = state.products.fit(columns_of(state, standing), state.mean, state.precision)
         self.state = state
         self.fit = state.products.fit(state.columns(), state.mean, state.precision, held=wider.variance)
         blocks = [b[1] for b in state.blocks if b[0] not in state.active]
         self.projected = PartialledRegression(state, self.fit, blocks)
-        self.rng = np.random.default_rng(seed)
+        self.noise = noise
         found = autocorrelation_of(state.left(wider), state.folds)
-        drawn = found.simulate(state.settings.correction_replicates, state.folds, len(state.residual), self.rng)
-        noises = without_active(state, self.fit, drawn)
+        noises = self._noises(found, noise.correction)
         self.colour = unbiased(found, self._left(noises, self._leaders(noises)))
         own = next(j for j, columns in enumerate(blocks) if tuple(columns) == standing.columns)
         (estimate,), (covariance,) = self._judged(own, state.left(self.fit)[None], [self.colour])
@@ -51,10 +51,7 @@ class RefitScore:
 
     def p_value(self) -> float:
         """Share of noise-only replicates whose most explaining candidate scores at least as high."""
-        drawn = self.colour.simulate(
-            self.state.settings.replicates, self.state.folds, len(self.state.residual), self.rng
-        )
-        noises = without_active(self.state, self.fit, drawn)
+        noises = self._noises(self.colour, self.noise.replicates)
         leaders = self._leaders(noises)
         colours, scores = self._left(noises, leaders), np.zeros(len(noises))
         for j in {j for j, _ in leaders}:
@@ -62,6 +59,11 @@ class RefitScore:
             judged = self._judged(j, noises[at], [colours[k] for k in at])
             scores[at] = [equivalent(*pair) for pair in zip(*judged, strict=True)]
         return float((1 + np.sum(scores >= self.score)) / (1 + len(scores)))
+
+    def _noises(self, colour: Autocorrelation, white: Float[np.ndarray, "t f r c"]) -> Float[np.ndarray, "r m c"]:
+        """Noise records of a colour, the active columns taken out."""
+        drawn = colour.coloured(white, self.state.folds, len(self.state.residual))
+        return without_active(self.state, self.fit, drawn)
 
     def _leaders(self, noises: Float[np.ndarray, "r m c"]) -> list[tuple[int, Float[np.ndarray, " _"]]]:
         """The candidate that explains most of each noise record, and its estimate."""

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from bayes_aero.diagnosis.screening.autocorrelation import (
     Autocorrelation,
+    SharedNoise,
     autocorrelation_of,
     autocorrelations_of,
     unbiased,
@@ -76,13 +77,18 @@ class ScreeningResult:
 
 
 def screen(
-    state: SelectionState, fit: Fit, *, seed: int, replicates: int | None = None, without: str | None = None
+    state: SelectionState,
+    fit: Fit,
+    *,
+    seed: int,
+    nulls: bool = True,
+    without: str | None = None,
+    noise: SharedNoise | None = None,
 ) -> ScreeningResult:
-    """Fit every candidate with all active parameters free; draw noise-only replicates (default: as many as the settings
-    say) under the present model.
+    """Fit every candidate, all active parameters free; draw noise-only replicates (`nulls`) under the present model.
 
     `without` takes one addition out first, to first order: it then stands for election like the others, and each of
-    them is told `apart` from it.
+    them is told `apart` from it. `noise` is that of the seed, where others are judged by it, too.
     """
     active = tuple(e for e in state.active if e != without)
     standpoint = _Standpoint(state.products, state.mean, state.columns(), fit, state.left(fit))
@@ -93,11 +99,8 @@ def screen(
     if not blocks:
         return ScreeningResult((), autocorrelation_of(residual, state.folds), np.zeros(0))
     projected = PartialledRegression(state, fit, [b[1] for b in blocks])
-    colour = autocorrelation_of(residual, state.folds)
-    rng, m = np.random.default_rng(seed), len(residual)
-    # Re-estimation from noise whose active columns were fitted shows how much faster the noise then looks.
-    drawn = colour.simulate(state.settings.correction_replicates, state.folds, m, rng)
-    colour = unbiased(colour, autocorrelations_of(without_active(state, fit, drawn), state.folds))
+    noise = SharedNoise(seed, state.folds, residual.shape[1], state.settings) if noise is None else noise
+    colour = _corrected(autocorrelation_of(residual, state.folds), state, fit, noise)
     estimates, covariances = projected.scores(residual, colour)
     stretch = state.responses.stretch
     freedom = 0 if stretch is None else int(stretch.max())
@@ -131,10 +134,23 @@ def screen(
                 variance_inflation_apart=math.nan if apart is None else float(apart[j]),
             )
         )
-    count = state.settings.replicates if replicates is None else replicates
-    noises = without_active(state, fit, colour.simulate(count, state.folds, m, rng))
-    nulls = projected.largest(noises, autocorrelations_of(noises, state.folds))
-    return ScreeningResult(tuple(sorted(found, key=lambda s: -s.gain)), colour, nulls)
+    largest = null_scores(state, fit, projected, colour, noise) if nulls else np.zeros(0)
+    return ScreeningResult(tuple(sorted(found, key=lambda s: -s.gain)), colour, largest)
+
+
+def _corrected(colour: Autocorrelation, state: SelectionState, fit: Fit, noise: SharedNoise) -> Autocorrelation:
+    """Re-estimation from noise whose active columns were fitted shows how much faster the noise then looks."""
+    drawn = colour.coloured(noise.correction, state.folds, len(state.residual))
+    return unbiased(colour, autocorrelations_of(without_active(state, fit, drawn), state.folds))
+
+
+def null_scores(
+    state: SelectionState, fit: Fit, projected: PartialledRegression, colour: Autocorrelation, noise: SharedNoise
+) -> Float[np.ndarray, " r"]:
+    """The largest score of any candidate in each noise-only replicate of this colour."""
+    drawn = colour.coloured(noise.replicates, state.folds, len(state.residual))
+    noises = without_active(state, fit, drawn)
+    return projected.largest(noises, autocorrelations_of(noises, state.folds))
 
 
 def explained_shares(

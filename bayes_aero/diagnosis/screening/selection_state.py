@@ -16,6 +16,7 @@ from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.regression import Fit, Products
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.inference.variance.autoregression import ORDER
+from bayes_aero.parameter import departure
 from bayes_aero.physics.coefficient_names import NAMES
 from bayes_aero.residuals.base import ResidualModel
 
@@ -75,8 +76,9 @@ class SelectionState:
 
     @property
     def departure(self) -> Float[np.ndarray, " k"]:
-        """How far each parameter is from neutral."""
-        return self.theta - self.full.neutral_vector
+        """How far each parameter is from neutral, to first order (see `departure`)."""
+        away = [departure(x, p.neutral) for x, p in zip(self.theta, self.full.model.free, strict=True)]
+        return np.where(self.theta == self.full.neutral_vector, 0.0, away)
 
     @cached_property
     def inside(self) -> Bool[np.ndarray, " m"]:

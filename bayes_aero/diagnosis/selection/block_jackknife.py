@@ -85,10 +85,8 @@ def _numbers(state: SelectionState) -> Int[np.ndarray, " m"]:
     return number
 
 
-def consistent_across_blocks(found: Extension) -> Extension:
-    """`found` without additions that the stretches do not bear out, the least first; sizes at least as uncertain as
-    the stretches disagree about them. The last election is held anew."""
-    state, fit = found.state, found.fit
+def consistent_across_blocks(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]:
+    """The state without additions that the stretches do not bear out, the least first."""
     while state.active:
         judged = Blocks(state, fit)
         chances = {effect: judged.p_value(effect) for effect in state.active}
@@ -96,11 +94,12 @@ def consistent_across_blocks(found: Extension) -> Extension:
         if chances[worst] <= state.settings.false_alarm_rate:
             break
         state, fit = refitted(removed(state, worst))
-    return widened(found, state, fit)
+    return state, fit
 
 
 def widened(found: Extension, state: SelectionState, fit: Fit) -> Extension:
-    """The extension that ended in `state`, deviations no smaller than the stretches' disagreement makes them."""
+    """The extension that ended in `state`, deviations no smaller than the stretches' disagreement makes them. The last
+    election is held anew."""
     judged = Blocks(state, fit)
     told = dict(found.sizes) if state is found.state else sizes(state, fit)
     for effect in state.active:
@@ -109,7 +108,7 @@ def widened(found: Extension, state: SelectionState, fit: Fit) -> Extension:
             wide = np.sqrt(np.diag(pair[1]))
             names = state.full.parameters_of(effect)
             told |= {n: replace(told[n], sd=max(told[n].sd, float(x))) for n, x in zip(names, wide, strict=True)}
-    last = screen(state, fit, seed=0, replicates=0)
+    last = screen(state, fit, seed=0, nulls=False)
     candidate_scores = []
     for standing in last.candidate_scores:
         pair = judged.judge(standing.effect) if standing.value is None else None

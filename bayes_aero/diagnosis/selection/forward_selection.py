@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bayes_aero.diagnosis.screening.accuracy import Size, sizes
-from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
-from bayes_aero.diagnosis.screening.partialled_regression import largest_p_value
+from bayes_aero.diagnosis.screening.autocorrelation import SharedNoise, autocorrelation_of
+from bayes_aero.diagnosis.screening.partialled_regression import PartialledRegression, largest_p_value
 from bayes_aero.diagnosis.screening.refit_screening import RefitScore
 from bayes_aero.diagnosis.screening.regression import Fit
 from bayes_aero.diagnosis.screening.screening import (
@@ -19,6 +19,7 @@ from bayes_aero.diagnosis.screening.screening import (
     block_jackknife_covariance,
     columns_of,
     log_bayes,
+    null_scores,
     screen,
     uncertainty,
 )
@@ -58,11 +59,19 @@ class Extension:
     minor: tuple[str, ...]
 
 
+Checked = Callable[[SelectionState, Fit], tuple[SelectionState, Fit]]
+
+
 def forward_selection(
-    state: SelectionState, *, seed: int = 0, most: int | None = None, progress: Progress | None = None
+    state: SelectionState,
+    *,
+    seed: int = 0,
+    most: int | None = None,
+    progress: Progress | None = None,
+    checked: Checked = lambda state, fit: (state, fit),
 ) -> Extension:
     """Add effects to `state` until none is both beyond chance and useful on data left out; at most `most`
-    (default: the settings').
+    (default: the settings'). `checked` may take some out again before the others are sized.
 
     Each election's p-value is family-wise over all candidates.
     """
@@ -83,6 +92,7 @@ def forward_selection(
         assert winner is not None
         state, fit = refitted(added(state, winner))
         state, fit = _reconsidered(state, fit)
+    state, fit = checked(state, fit)
     found = sizes(state, fit) if state.responses.stretch is None else _between_sizes(state, fit)
     causes, minor = worth(state, found)
     return Extension(first, first_fit, state, fit, tuple(steps), found, causes, minor)
@@ -98,7 +108,7 @@ def _between_sizes(state: SelectionState, fit: Fit) -> dict[str, Size]:
 
 def _inflation(state: SelectionState, fit: Fit) -> float:
     """Variance inflation in the median over the candidates."""
-    return typical(np.array([s.variance_inflation for s in screen(state, fit, seed=0, replicates=0).candidate_scores]))
+    return typical(np.array([s.variance_inflation for s in screen(state, fit, seed=0, nulls=False).candidate_scores]))
 
 
 def _election(state: SelectionState, fit: Fit, seed: int, first: bool) -> Step:
@@ -108,7 +118,8 @@ def _election(state: SelectionState, fit: Fit, seed: int, first: bool) -> Step:
     reported for every candidate.
     """
     settings = state.settings
-    found = screen(state, fit, seed=seed, replicates=None if first else 0)
+    noise = SharedNoise(seed, state.folds, len(state.outputs), settings)
+    found = screen(state, fit, seed=seed, nulls=first, noise=noise)
     able: list[tuple[CandidateScore, float]] = []
     seen: set[str] = set()
     for standing in found.candidate_scores:
@@ -126,7 +137,8 @@ def _election(state: SelectionState, fit: Fit, seed: int, first: bool) -> Step:
         if standing.score < settings.least_score or standing.log_bayes <= 0.0:
             continue
         if not len(found.nulls):
-            found = replace(found, nulls=screen(state, fit, seed=seed).nulls)
+            projected = PartialledRegression(state, fit, [b[1] for b in state.blocks if b[0] not in state.active])
+            found = replace(found, nulls=null_scores(state, fit, projected, found.colour, noise))
         p = found.p_value(standing.score)
         if p <= settings.false_alarm_rate:
             return Step(standing.effect, p, found, gain)
@@ -138,7 +150,7 @@ def _election(state: SelectionState, fit: Fit, seed: int, first: bool) -> Step:
                 return Step(standing.effect, p, found, gain)
         able = []
     for standing, gain in able:
-        look = RefitScore(state, standing, seed=seed)
+        look = RefitScore(state, standing, noise)
         if look.score < settings.least_score or look.log_bayes <= 0.0:
             continue
         if (p := look.p_value()) <= settings.refit_false_alarm_rate:
@@ -224,7 +236,7 @@ def removed(state: SelectionState, effect: str) -> SelectionState:
 def _reconsidered(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]:
     """Look at each earlier addition again: drop it if it is superfluous by now, exchange it if it was a proxy."""
     for effect in state.active[:-1]:
-        ranking = screen(state, fit, seed=0, replicates=0, without=effect)
+        ranking = screen(state, fit, seed=0, nulls=False, without=effect)
         own = ranking.of(effect)
         best = next((s for s in ranking.candidate_scores if not mixes_noise(state, s)), ranking.candidate_scores[0])
         faint = own is not None and own.log_bayes < 0.0 and _bayes_within(state, fit, own) < 0.0
@@ -256,7 +268,8 @@ def worth(state: SelectionState, found: Mapping[str, Size]) -> tuple[tuple[str, 
     causes, minor = [], []
     for name in state.active:
         effect = next(e for e in state.full.candidates if e.name == name)
-        away = {p: (found[p].mean - state.full.neutral[p], found[p].sd) for p in effect.sizes if p in found}
+        sized = [p for p in effect.parameters if p.name in effect.sizes and p.name in found]
+        away = {p.name: p.away(found[p.name].mean, found[p.name].sd) for p in sized}
         (causes if large(effect, away, state.settings.least_score) else minor).append(name)
     return tuple(causes), tuple(minor)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -17,15 +18,16 @@ from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.effect import Effect
 
 
-def implausible(
-    effect: Effect, sizes: Mapping[str, Size], neutral: Mapping[str, float], settings: DiagnosisSettings = DEFAULT
-) -> dict[str, float]:
-    """Parameters that are beyond the largest plausible size, whatever their deviation; with that size."""
-    return {
-        name: largest
-        for name, (_, largest) in effect.sizes.items()
-        if name in sizes and abs(sizes[name].mean - neutral[name]) - settings.implausible * sizes[name].sd > largest
-    }
+def implausible(effect: Effect, sizes: Mapping[str, Size], settings: DiagnosisSettings = DEFAULT) -> dict[str, float]:
+    """Parameters (1/e for one whose neutral value is infinite) that are beyond the largest plausible size, whatever
+    their deviation; with that size."""
+    found = {}
+    for p in (p for p in effect.parameters if p.name in effect.sizes and p.name in sizes):
+        away, sd = p.away(sizes[p.name].mean, sizes[p.name].sd)
+        largest = effect.sizes[p.name][1]
+        if abs(away) - settings.implausible * sd > largest:
+            found[p.name if math.isfinite(p.neutral) else f"1/{p.name}"] = largest
+    return found
 
 
 def own_share(state: SelectionState, fit: Fit, effect: str) -> float:
@@ -60,7 +62,7 @@ def attributed(
 def as_structure(cause: Cause, extension: Extension, effect: Effect) -> UnexplainedStructure:
     """What a cause that is none explained: the output of which it takes most, through which channel."""
     state, fit = extension.state, extension.fit
-    standing = screen(state, fit, seed=0, replicates=0, without=cause.name).of(cause.name)
+    standing = screen(state, fit, seed=0, nulls=False, without=cause.name).of(cause.name)
     columns = state.full.own_columns(cause.name)
     moved = (state.scaled[:, :, columns] @ state.departure[columns])[state.inside]
     output = int(np.argmax(np.mean((moved - moved.mean(axis=0)) ** 2, axis=0) / fit.variance))

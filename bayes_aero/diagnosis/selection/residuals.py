@@ -14,6 +14,7 @@ from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.physics.coefficients import NAMES
 
 BINS = 12
+LEAST = 1e-3  # of the residual's size, that a deviation counts as at least: a simulation at rest has none
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,8 @@ def profiles(
         mean = np.array([residual[p].mean() for p in parts])
         sd = np.array([residual[p].std() * np.sqrt(variance_inflation / len(p)) for p in parts])
         found.append(Profile(name, np.array([x[p].mean() for p in parts]), mean, sd))
-    return sorted(found, key=lambda p: -float(np.sum((p.mean / np.maximum(p.deviation, 1e-300)) ** 2)))
+    least = max(LEAST * float(np.sqrt(np.mean(residual**2))), 1e-300)
+    return sorted(found, key=lambda p: -float(np.sum((p.mean / np.maximum(p.deviation, least)) ** 2)))
 
 
 def noise_report(extension: Extension, outliers: Mapping[str, int]) -> NoiseReport:

@@ -24,7 +24,7 @@ def open_errors(found: Extension) -> tuple[OpenError, ...]:
     """Each error of one parameter that is asked for and not confirmed, or imitated by others; the former first.
 
     Args:
-        found: the search along the flight path, ended by `consistent_across_blocks`.
+        found: the search along the flight path, ended by `widened`.
     """
     state = found.state
     effects = [e for e in state.full.candidates if _felt(state, e)]

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.diagnosis.candidate_set import finite
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation, backward_elimination
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.diagnosis.trajectories.holdout_fits import CandidateFit, Noise, holdout_fits, left_out
@@ -22,6 +23,7 @@ from bayes_aero.inference.likelihood.mle import solve
 from bayes_aero.inference.likelihood.normal_equations import NormalEquations, Point, by_segment
 from bayes_aero.inference.likelihood.output_error import fit_output_error
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult
+from bayes_aero.parameter import departure
 
 
 @dataclass(frozen=True)
@@ -79,8 +81,12 @@ class _Flight:
 
     def without(self, effects: Sequence[str]) -> CandidateFit:
         """The contender, of what is asked only `effects` in."""
-        gone = {name: x for e, values in self.neutral.items() if e not in effects for name, x in values.items()}
+        gone = {name: finite(x) for name, x in self._gone(effects).items()}
         return replace(self.contender, held={**self.contender.held, **gone})
+
+    def _gone(self, effects: Sequence[str]) -> dict[str, float]:
+        """Neutral values of what is asked and not among `effects`."""
+        return {name: x for e, values in self.neutral.items() if e not in effects for name, x in values.items()}
 
     @cached_property
     def looks(self) -> tuple[Point, Point]:
@@ -106,8 +112,9 @@ class _Flight:
     def _step(self, effects: Sequence[str], k: int, A: Float[np.ndarray, "k k"], g: Float[np.ndarray, " k"]):
         """From the joint optimum to that of all segments but one."""
         fit = self.contender.fit
-        held = {**dict.fromkeys(fit.at_bound), **self.silent[k], **self.without(effects).held}
-        away = {n: held[n] - x for n, x in zip(fit.names, fit.estimate, strict=True) if held.get(n) is not None}
+        held = {**dict.fromkeys(fit.at_bound), **self.silent[k], **self.contender.held, **self._gone(effects)}
+        stated = {n: x for n, x in held.items() if x is not None}
+        away = {n: -departure(x, stated[n]) for n, x in zip(fit.names, fit.estimate, strict=True) if n in stated}
         step = np.array([away.get(n, 0.0) for n in fit.names])
         moving = np.array([n not in held for n in fit.names])
         step[moving] = solve(A[np.ix_(moving, moving)], (g - A @ step)[moving], 0.0)

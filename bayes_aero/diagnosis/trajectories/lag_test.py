@@ -78,7 +78,7 @@ def _away(effect: Effect, fit: OutputErrorResult, inflation: float) -> dict[str,
     """By parameter of which the effect says what is worth a name: how far from neutral it is, and the deviation."""
     sd = np.sqrt(np.diag(posterior_covariance(fit, inflation)))
     told = {n: (float(x), float(s)) for n, x, s in zip(fit.names, fit.estimate, sd, strict=True)}
-    return {p.name: (told[p.name][0] - p.neutral, told[p.name][1]) for p in effect.parameters if p.name in effect.sizes}
+    return {p.name: p.away(*told[p.name]) for p in effect.parameters if p.name in effect.sizes}
 
 
 def confirmed(

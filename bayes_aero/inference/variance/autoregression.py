@@ -36,9 +36,13 @@ def stationary(phi: Float[np.ndarray, "r p"]) -> Float[np.ndarray, "r p"]:
     companion[:, 0] = phi
     companion[:, 1:, :-1] = np.eye(ORDER - 1)
     roots, found = np.linalg.eigvals(companion), phi.copy()
-    for k in np.flatnonzero(np.any(np.abs(roots) > ROOT, axis=1)):
-        size = np.abs(roots[k])
-        found[k] = -np.real(np.poly(np.where(size > ROOT, roots[k] * ROOT / np.maximum(size, 1e-300), roots[k])))[1:]
+    size = np.abs(roots)
+    outside = np.any(size > ROOT, axis=1)
+    inside = np.where(size > ROOT, roots * ROOT / np.maximum(size, 1e-300), roots)[outside]
+    product = np.ones((len(inside), 1))  # of (1 - root L), by powers of the lag L
+    for root in inside.T[:, :, None]:
+        product = np.pad(product, ((0, 0), (0, 1))) - root * np.pad(product, ((0, 0), (1, 0)))
+    found[outside] = -np.real(product[:, 1:])
     return found
 
 

@@ -149,12 +149,15 @@ def _election(ax: Axes, ranking: Ranking, view: View) -> None:
         colour = COLOURS["chosen" if s.effect in named else "candidate"]
         ax.barh(y, x, height=0.75, color=colour, alpha=0.45 if chance else 1.0)
         text = _sizes(named[s.effect]) if s.effect in named else f"score {s.score:.1f}"
-        if WIDTH * len(text) * widest < x:
+        wide = WIDTH * max(map(len, text.split("\n"))) * widest
+        if wide < x:
             ink = "white" if s.effect in named and not chance else "black"
             look = {"x": x - 0.01 * widest, "ha": "right", "color": ink}
-        else:
+        elif x + wide < widest:
             look = {"x": x + 0.01 * widest, "ha": "left", "color": "black", "bbox": TIGHT}
-        ax.text(y=y, s=text, va="center", fontsize=7.5, zorder=5, **look)
+        else:  # room neither in the bar nor beside it
+            look = {"x": 1.02 * widest, "ha": "right", "color": "black", "bbox": TIGHT}
+        ax.text(y=y, s=text, va="center", fontsize=6.0 if "\n" in text else 7.5, zorder=5, **look)
     if np.isfinite(ranking.threshold):
         text = f"pale: score below {ranking.threshold:.1f}, which noise\nalone exceeds in 5 % of replicates"
         if (left := len(ranking.candidate_scores) - len(leaders)) > 0:
@@ -169,9 +172,13 @@ def _election(ax: Axes, ranking: Ranking, view: View) -> None:
 
 
 def _sizes(cause: Cause) -> str:
-    """Sizes; named where there are several."""
+    """Sizes; named where there are several, each on its own line where one line would be wider than the panel."""
     sizes = {name: size_text(x.mean, x.sd, x.unit) for name, x in cause.parameters.items()}
-    return ", ".join(f"{name} = {x}" for name, x in sizes.items()) if len(sizes) > 1 else "".join(sizes.values())
+    if len(sizes) < 2:
+        return "".join(sizes.values())
+    told = [f"{name} = {x}" for name, x in sizes.items()]
+    line = ", ".join(told)
+    return line if WIDTH * len(line) < 1.0 else "\n".join(told)
 
 
 DIAGNOSIS_FIGURES = {"found": found, "found_narrow": found_narrow}

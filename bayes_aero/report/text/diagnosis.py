@@ -56,7 +56,7 @@ def _cause(cause: Cause) -> str:
     if cause.bounded:
         said += f" {several(cause.bounded)} is at a parameter bound: suspect another cause."
     for name, largest in cause.implausible.items():
-        most = size_text(largest, 0.0, cause.parameters[name].unit)
+        most = size_text(largest, 0.0, cause.parameters[name].unit if name in cause.parameters else "1")
         said += f" {name} is larger than on any aircraft (at most {most}): suspect another cause."
     if cause.own_share < LITTLE:
         share = f"{100.0 * cause.own_share:.1f} %" if cause.own_share >= 0.001 else "less than 0.1 %"

@@ -1,6 +1,7 @@
 """Each kind of fault, written into a flight that kinematics alone made: its channel is reported, and no other."""
 
 import sys
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,13 @@ def told(record, *more, **changes):
 @pytest.mark.parametrize("dt", [0.01, 0.04, 0.1])
 def test_sound_flights_are_silent(seed, dt):
     assert channel_health([flight(seed, dt, noise=(0.3, 1.0, 3.0)[seed % 3])], card()) == ()
+
+
+@pytest.mark.parametrize("bank", [0.0, 0.4])
+def test_sound_flights_without_any_two_channels_are_silent(bank):
+    record = flight(0, seconds=30.0, bank=bank)
+    for without in combinations(record.channels, 2):
+        assert channel_health([changed(record, without=without)], card()) == (), without
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -31,8 +31,9 @@ ZERO_IF_MISSING = ("phi", "beta", "p", "r", "ay")  # of symmetric flight
 
 @dataclass(frozen=True)
 class Relation:
-    """How one channel must change. `allowed` is the misfit, SI, that sound records stay below after a constant and a
-    drift are taken out; in pieces of `piece` s where errors of the rate add up too fast for the whole record."""
+    """How one channel must change. `rate` reads `needs`, which must be recorded, and `ZERO_IF_MISSING`. `allowed`
+    is the misfit, SI, that sound records stay below after a constant and a drift are taken out; in pieces of `piece` s
+    where errors of the rate add up too fast for the whole record."""
 
     channel: str
     needs: tuple[str, ...]
@@ -105,8 +106,8 @@ RELATIONS: dict[str, Relation] = {
     r.channel: r
     for r in (
         Relation("theta", ("theta", "q"), _theta, np.deg2rad(1.0)),
-        Relation("phi", ("phi", "p"), _phi, np.deg2rad(2.0)),
-        Relation("psi", ("psi", "r", "theta"), _psi, np.deg2rad(3.0)),
+        Relation("phi", ("phi", "p", "q", "theta"), _phi, np.deg2rad(2.0)),
+        Relation("psi", ("psi", "q", "r", "theta"), _psi, np.deg2rad(3.0)),
         Relation("altitude", ("altitude", "airspeed", "theta", "alpha"), _altitude, 6.0),
         Relation("airspeed", _AIR, _airspeed, 2.0),
         Relation("alpha", (*_AIR, "q"), _alpha, np.deg2rad(1.0), 10.0),
