@@ -128,7 +128,8 @@ def fly_records(
     if progress:
         progress("do the sensors agree?", 0.0)
     agreement, failures = sensors_agree(records, card, seed, out)
-    gusts = in_gusts(records, card, seed) if options.process_noise is None and agreement.recorded else {}
+    asked = options.process_noise is None and not options.filtered
+    gusts = in_gusts(records, card, seed) if asked and agreement.recorded else {}
     options = replace(options, process_noise=options.filtered or bool(gusts))
     source = provenance(card, records, seed, _told(options, setting))
     coefficients, failed = attempted(
