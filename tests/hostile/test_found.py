@@ -140,6 +140,7 @@ def test_an_hdf5_header_that_claims_more_than_there_is(tmp_path, shape):
         (b"\r" * 50_000_000, "lines, more than"),
         (b"T,ALCG\n" + b"9" * 150_000 + b",1\n" + b"1,2\n" * 60, "column"),
     ],
+    ids=["one line", "one number", "lines of numbers", "empty lines", "carriage returns", "a long number"],
 )
 def test_text_that_is_no_table(tmp_path, suffix, content, said):
     path = tmp_path / f"odd{suffix}"
