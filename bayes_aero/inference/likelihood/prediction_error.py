@@ -28,7 +28,7 @@ from bayes_aero.inference.likelihood.mle import solve
 from bayes_aero.inference.likelihood.normal_equations import departures
 
 MAX_ITERATIONS = 60
-LAST, NEAR, FIRST = 1e-3, 0.3, 3.0  # gain in log likelihood of the last step: exact; with gains held; then to be exact
+LAST, NEAR = 1e-3, 0.3  # gain in log likelihood of the last step, and of the last with gains held
 DRIVES = ("drive", "direct", "begin_drive", "scale_drive")  # of `Linearised`, by parameters
 LEAST, MOST = 1e-12, 2.0  # of F and R; of the change of their logarithms in a step
 
@@ -162,7 +162,7 @@ def fit_prediction_error(
     theta = np.array([p.start for p in free]) if start is None else np.asarray(start, float)
     theta = np.array([(held or {}).get(p.name, x) for p, x in zip(free, theta, strict=True)])
     point = np.concatenate([theta, np.log(np.maximum(F, LEAST)), np.log(np.maximum(R, LEAST))])
-    point, here, status, near = _scored(problem, point, problem.near_look, FIRST if exact else NEAR, near=True)
+    point, here, status, near = _scored(problem, point, problem.near_look, NEAR, near=True)
     steps = 0
     if exact:
         point, here, status, steps = _scored(problem, point, problem.look, LAST)
