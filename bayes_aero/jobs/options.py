@@ -90,6 +90,8 @@ class FlyOptions:
         """Refuse what cannot be flown."""
         if self.posterior and not self.filtered:
             raise InputError("a posterior is that of the fit with process noise; ask for process noise, too")
+        if self.drift is not None and self.process_noise is False:
+            raise InputError("parameters drift in a fit with process noise only; leave out the drift or allow it")
         if self.posterior and not self.priors:
             raise InputError("a posterior needs the priors; ask for one of the two only")
         if not (math.isfinite(self.windows) and self.windows >= SHORTEST):

@@ -297,6 +297,13 @@ def test_a_posterior_that_cannot_be_is_refused(program, tmp_path, options):
     assert not (tmp_path / "trajectories").exists()
 
 
+def test_a_drift_without_process_noise_is_refused(program, tmp_path):
+    card, record = written(tmp_path, SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH, n=100))
+    done = program("fly", record, "--model", card, "--drift", "Mq", "--no-process-noise")
+    assert done.code == 2
+    assert "process noise only" in done.err
+
+
 def test_a_parameter_that_drifts_is_written_drawn_and_told(program, tmp_path):
     """In two flights of which nothing changes: no claim, and every file is there."""
     card, first = written(tmp_path, SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH), "one", 1)

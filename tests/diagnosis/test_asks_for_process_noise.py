@@ -50,4 +50,4 @@ def test_a_fit_to_trajectories_has_process_noise_in_gusts(card, monkeypatch, gus
     found = job.fly([gusty_flight(4, gust=gust, seconds=20.0)], card, process_noise=given, outputs=OUTPUTS)
     assert filtered == [expected]
     asked = expected and given is None
-    assert found.sentences[0].startswith("The flight path shows gusts, without any aerodynamics") is asked
+    assert found.sentences[0].startswith("The flight path alone, without aerodynamics, shows gusts") is asked

@@ -267,7 +267,7 @@ def _scored(
 ) -> tuple[np.ndarray, _Seen, PredictionErrorStatus, int]:
     """Fisher scoring with Levenberg and Marquardt's damping: last point, what is seen there, status, steps.
 
-    By looks that are but `near` a step may promise what it does not keep: they end with a step that gains little, too.
+    The gradient of a `near` look is not that of the cost, so it also ends with a step that gains less than `last`.
     """
     here, cost, damping, steps = look(point), problem.cost(point), 1e-3, 0
     status = PredictionErrorStatus.NOT_CONVERGED
@@ -278,7 +278,6 @@ def _scored(
         if 0.5 * float(solve(A, g, 0.0) @ g) < last:
             status = PredictionErrorStatus.CONVERGED
             break
-        better = None
         for _ in range(12):
             step = np.zeros(len(point))
             step[inner] = solve(A, g, damping)
@@ -286,12 +285,11 @@ def _scored(
             new = np.clip(point + step, problem.bounds[:, 0], problem.bounds[:, 1])
             lower = problem.cost(new)  # not the one that a near look sees, which is off by some nats
             if math.isfinite(lower) and lower < cost:
-                better = new
                 break
             damping *= 10.0
-        if better is None:
+        else:
             break
-        gained, point, cost, damping = cost - lower, better, lower, max(1e-8, 0.1 * damping)
+        gained, point, cost, damping = cost - lower, new, lower, max(1e-8, 0.1 * damping)
         here = look(point)
         if near and gained < last:
             status = PredictionErrorStatus.CONVERGED

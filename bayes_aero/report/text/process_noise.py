@@ -27,11 +27,11 @@ def gust_sentences(gusts: Mapping[str, float], fit: ProcessNoise | None = None) 
         return []
     met = several(f"{name} {size:.2g} m/s" for name, size in gusts.items())
     said = (
-        f"The flight path shows gusts, without any aerodynamics (standard deviation: {met}): process noise is "
-        "estimated; --no-process-noise leaves it out."
+        f"The flight path alone, without aerodynamics, shows gusts (standard deviation: {met}). Such a record needs "
+        "process noise; --no-process-noise leaves it out."
     )
-    better = " In gusts the estimates with process noise are the ones to use."
-    return [said + (better if fit is not None and fit.converged else "")]
+    better = " Use the estimates with process noise: in gusts those of output error are biased."
+    return [said + (better if fit is not None and fit.converged and fit.gain > 0.0 else "")]
 
 
 def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[str]:
