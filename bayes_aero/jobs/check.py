@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 
 from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.diagnosis.consistency.check_result import CheckReport, SensorCheck
-from bayes_aero.diagnosis.consistency.consistency import consistency, errors_of_path
+from bayes_aero.diagnosis.consistency.consistency import as_recorded, errors_of_path, with_known_errors
 from bayes_aero.diagnosis.consistency.sensor_errors import screen_sensor_errors
 from bayes_aero.errors import InputError
 from bayes_aero.flight.agreement import Agreement, Consistency
@@ -81,14 +82,15 @@ def _not_testable(records: Sequence[FlightRecord], card: Card) -> dict[str, str]
 
 
 def _sensors(records: Sequence[FlightRecord], card: Card, seed: int) -> tuple[Consistency, SensorCheck]:
-    """Agreement in absolute terms, and the errors that an election along the flight path names."""
-    try:
-        found = screen_sensor_errors(list(records), card, seed=seed)
-    except InputError as reason:
-        agreement = consistency(records, card, seed=seed, seek=False)
-        return replace(agreement, unsought=str(reason)), SensorCheck(str(reason), {}, {})
+    """Agreement in absolute terms, and the errors that an election along the flight path names; side by side."""
+    with ThreadPoolExecutor(1) as beside:
+        recorded = beside.submit(as_recorded, records, card, seed)
+        try:
+            found = screen_sensor_errors(list(records), card, seed=seed)
+        except InputError as reason:
+            return replace(recorded.result(), unsought=str(reason)), SensorCheck(str(reason), {}, {})
     known = errors_of_path(found)
-    agreement = consistency(records, card, seed=seed, known=known)
+    agreement = with_known_errors(recorded.result(), records, card, known, seed)
     before = np.sqrt(np.mean((found.base.left(found.base_fit) * found.base.noise_growth) ** 2, axis=0))
     after = np.sqrt(np.mean((found.state.left(found.fit) * found.state.noise_growth) ** 2, axis=0))
     rms = {n: (float(a), float(b)) for n, a, b in zip(found.state.outputs, before, after, strict=True)}

@@ -54,11 +54,9 @@ def consistency(
         seek: where sensors disagree, look for the known error that explains it (some seconds).
         known: the search's result, where it has been done.
     """
-    if why := no_flight_path(records, card):
-        return Consistency(why)
-    flights, _ = repaired(as_the_card_states(joined(records, card, PATH_CORE), card))
-    unchecked = tuple(n for n in ("altitude", "beta", "phi") if n not in flights.channels)
-    found = Consistency("", unchecked, checks(flights, card, seed))
+    found = as_recorded(records, card, seed)
+    if not found.recorded:
+        return found
     if known is None:
         if found.agreement is Agreement.AGREE or not seek:
             return found
@@ -66,12 +64,33 @@ def consistency(
             known = errors_of_path(screen_sensor_errors(list(records), card, seed=seed))
         except InputError as reason:
             return replace(found, unsought=str(reason))
+    return with_known_errors(found, records, card, known, seed)
+
+
+def as_recorded(records: Sequence[FlightRecord], card: Card, seed: int = 0) -> Consistency:
+    """The check of the records as they are; nothing is looked for."""
+    if why := no_flight_path(records, card):
+        return Consistency(why)
+    flights = _flights(records, card)
+    unchecked = tuple(n for n in ("altitude", "beta", "phi") if n not in flights.channels)
+    return Consistency("", unchecked, checks(flights, card, seed))
+
+
+def with_known_errors(
+    found: Consistency, records: Sequence[FlightRecord], card: Card, known: KnownErrors, seed: int = 0
+) -> Consistency:
+    """`as_recorded` with the errors that are known; where the sensors disagree, checked again without these."""
     found = replace(found, errors=known.errors, open=known.open)
     if found.agreement is Agreement.AGREE or not known.effects:
         return found
     model = Model.of(known.effects)
     values = {p: x["mean"] for e in known.errors.values() for p, x in e["parameters"].items()}
-    return replace(found, corrected=checks(with_corrections(flights, model, values), card, seed))
+    return replace(found, corrected=checks(with_corrections(_flights(records, card), model, values), card, seed))
+
+
+def _flights(records: Sequence[FlightRecord], card: Card) -> Joined:
+    """The manoeuvres' channels of the flight path, spikes repaired."""
+    return repaired(as_the_card_states(joined(records, card, PATH_CORE), card))[0]
 
 
 def errors_of_path(known: Extension) -> KnownErrors:
@@ -121,7 +140,7 @@ def in_gusts(records: Sequence[FlightRecord], card: Card, seed: int = 0) -> dict
     """
     if no_flight_path(records, card):
         return {}
-    flights, _ = repaired(as_the_card_states(joined(records, card, PATH_CORE), card))
+    flights = _flights(records, card)
     found = {name: gusts_met(time, channels, card, seed) for name, time, channels in _manoeuvres(flights)}
     return {name: gusts for name, gusts in found.items() if gusts > CALM}
 

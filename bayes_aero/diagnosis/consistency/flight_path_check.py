@@ -35,6 +35,8 @@ WINDOW = 10.0  # s
 REPLICATES = 200  # records of noise: one in 200 that are as noisy as permitted exceeds them all in a kind of measure
 SPREAD = 0.6  # of the windows: a channel that exceeds in more of them does so over the whole record
 FITTED = 2000  # samples that constant errors are fitted to
+RANK = 1e-8  # constant errors that make a column weaker than this, beside others, make none of their own
+TOGETHER = 8  # records that are measured at a time
 
 
 class Kind(IntEnum):
@@ -150,7 +152,7 @@ def _local(x: Float[np.ndarray, "n c"], dt: float) -> Float[np.ndarray, "w c"]:
 
 def _rms_about_line(x: Float[np.ndarray, "r n c"]) -> Float[np.ndarray, "r c"]:
     line = np.linalg.qr(np.stack([np.ones(x.shape[1]), np.arange(x.shape[1])], axis=1))[0]
-    left = x - np.einsum("nk,rkc->rnc", line, np.einsum("nk,rnc->rkc", line, x))
+    left = x - line @ (line.T @ x)
     return np.sqrt(np.mean(left**2, axis=1))
 
 
@@ -161,40 +163,57 @@ def _measures(
     time: Float[np.ndarray, " n"],
 ) -> _Measures:
     """All three measures of the recorded residual, the first, and of those of noise."""
-    dt = float(time[-1] - time[0]) / (len(time) - 1)
-    centred = residual - residual.mean(axis=1, keepdims=True)
-    values = [np.sqrt(np.mean(centred**2, axis=1)), _shape(centred, columns, time)]
+    windows = _windows(len(time), float(time[-1] - time[0]) / (len(time) - 1))
+    constants = _Constants(residual[1:], columns, time)
+    values = [
+        _of_some(residual[first : first + TOGETHER], constants, windows) for first in range(0, len(residual), TOGETHER)
+    ]
     begin, end, kinds = [time[0]] * 2, [time[-1]] * 2, [Kind.DRIFT, Kind.SHAPE]
-    for part in _windows(len(time), dt):
-        values.append(_rms_about_line(residual[:, part]))
+    for part in windows:
         begin, end, kinds = [*begin, time[part][0]], [*end, time[part][-1]], [*kinds, Kind.WINDOW]
     count = len(outputs)
     return _Measures(
-        np.concatenate(values, axis=1),
-        tuple(outputs) * len(values),
+        np.concatenate(values),
+        tuple(outputs) * len(kinds),
         tuple(float(t) for t in np.repeat(begin, count)),
         tuple(float(t) for t in np.repeat(end, count)),
         tuple(kind for kind in kinds for _ in range(count)),
     )
 
 
-def _shape(
-    centred: Float[np.ndarray, "r n c"], columns: Float[np.ndarray, "m n c"], time: Float[np.ndarray, " n"]
-) -> Float[np.ndarray, "r c"]:
-    """Root mean square of each output once the constant errors that suit all outputs best are taken out, of any size,
-    and a steady vertical wind."""
-    step = max(1, len(time) // FITTED)
-    x = centred[:, ::step]
-    scale = np.sqrt(np.mean(x[1:] ** 2, axis=(0, 1)))
-    wind = np.zeros_like(columns[:1])
-    wind[0, :, -1] = time
-    B = np.concatenate([columns, wind])[:, ::step]
-    B = (B - B.mean(axis=1, keepdims=True)) / scale
-    size = np.sqrt(np.mean(B**2, axis=(1, 2)))
-    basis = (B / np.maximum(size, 1e-300)[:, None, None])[size > 0.0].reshape(int(np.sum(size > 0.0)), -1).T
-    rows = (x / scale).reshape(len(x), -1).T
-    left = rows - basis @ np.linalg.lstsq(basis, rows, rcond=1e-8)[0]
-    return np.sqrt(np.mean(left.T.reshape(x.shape) ** 2, axis=1)) * scale
+def _of_some(
+    residual: Float[np.ndarray, "r n c"], constants: _Constants, windows: Sequence[slice]
+) -> Float[np.ndarray, "r k"]:
+    """The measures of a few records, which stay in the processor's cache."""
+    centred = residual - residual.mean(axis=1, keepdims=True)
+    parts = [_rms_about_line(residual[:, part]) for part in windows]
+    return np.concatenate([np.sqrt(np.mean(centred**2, axis=1)), constants.rms_without(centred), *parts], axis=1)
+
+
+class _Constants:
+    """The constant errors that suit all outputs of a record best, of any size, and a steady vertical wind."""
+
+    def __init__(
+        self, noise: Float[np.ndarray, "r n c"], columns: Float[np.ndarray, "m n c"], time: Float[np.ndarray, " n"]
+    ) -> None:
+        """`noise` gives the scale of the outputs; a constant error of each sensor makes `columns` of the residual."""
+        self.step = max(1, len(time) // FITTED)
+        self.scale = np.sqrt(np.mean([np.var(x[:: self.step], axis=0) for x in noise], axis=0))
+        wind = np.zeros_like(columns[:1])
+        wind[0, :, -1] = time
+        B = np.concatenate([columns, wind])[:, :: self.step]
+        B = (B - B.mean(axis=1, keepdims=True)) / self.scale
+        size = np.sqrt(np.mean(B**2, axis=(1, 2)))
+        unit = (B / np.maximum(size, 1e-300)[:, None, None])[size > 0.0].reshape(int(np.sum(size > 0.0)), -1).T
+        directions, strengths, _ = np.linalg.svd(unit, full_matrices=False)
+        self.basis = directions[:, strengths > RANK * strengths.max(initial=0.0)]
+
+    def rms_without(self, centred: Float[np.ndarray, "r n c"]) -> Float[np.ndarray, "r c"]:
+        """Root mean square of each output once they are taken out."""
+        x = centred[:, :: self.step] / self.scale
+        rows = x.reshape(len(x), -1)
+        left = rows - (rows @ self.basis) @ self.basis.T
+        return np.sqrt(np.mean(left.reshape(x.shape) ** 2, axis=1)) * self.scale
 
 
 def _permitted(found: _Measures) -> Float[np.ndarray, " k"]:

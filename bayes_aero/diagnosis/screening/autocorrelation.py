@@ -10,10 +10,14 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.settings import DiagnosisSettings
-from bayes_aero.inference.variance.autoregression import autoregression, driven, stationary
+from bayes_aero.inference.variance.autoregression import (
+    autoregression,
+    driven,
+    stationary,
+    stationary_series,
+)
 
 TOGETHER = 50  # colours that columns are filtered for at a time
-RUN_IN = 400  # blocks simulated and thrown away before a noise record begins
 
 
 @dataclass(frozen=True)
@@ -34,9 +38,9 @@ class Autocorrelation:
         out = np.zeros((white.shape[2], m, len(self.sigma)))
         if not len(out):
             return out
-        noise = driven(self.phi.T[:, None, None, :], self.sigma * white)
+        noise = stationary_series(self.phi.T[:, None, None, :], self.sigma * white)
         for k, fold in enumerate(folds):
-            out[:, fold] = np.moveaxis(noise[RUN_IN : RUN_IN + fold.stop - fold.start, k], 0, 1)
+            out[:, fold] = np.moveaxis(noise[: fold.stop - fold.start, k], 0, 1)
         return out
 
     def meat(
@@ -52,11 +56,11 @@ class Autocorrelation:
 def white_noise(
     count: int, folds: Sequence[slice], outputs: int, rng: np.random.Generator
 ) -> Float[np.ndarray, "t f r c"]:
-    """Of unit deviation, behind `count` noise records: a run-in and each fold, side by side for one loop over time."""
-    longest = RUN_IN + max(fold.stop - fold.start for fold in folds)
+    """Of unit deviation, behind `count` noise records: the folds side by side, for one loop over time."""
+    longest = max(fold.stop - fold.start for fold in folds)
     white = np.zeros((longest, len(folds), count, outputs))
     for k, fold in enumerate(folds):
-        drawn = rng.standard_normal((count, fold.stop - fold.start + RUN_IN, outputs))
+        drawn = rng.standard_normal((count, fold.stop - fold.start, outputs))
         white[: drawn.shape[1], k] = np.moveaxis(drawn, 1, 0)
     return white
 

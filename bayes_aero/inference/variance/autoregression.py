@@ -46,11 +46,38 @@ def stationary(phi: Float[np.ndarray, "r p"]) -> Float[np.ndarray, "r p"]:
     return found
 
 
-def driven(phi: Float[np.ndarray, "p ..."], innovations: Float[np.ndarray, "t ..."]) -> Float[np.ndarray, "t ..."]:
-    """x[t] = sum phi[i] x[t-1-i] + e[t] from rest, for many series side by side: time comes first, so that it alone is
-    looped over."""
+def driven(
+    phi: Float[np.ndarray, "p ..."],
+    innovations: Float[np.ndarray, "t ..."],
+    before: Float[np.ndarray, "p ..."] | None = None,
+) -> Float[np.ndarray, "t ..."]:
+    """x[t] = sum phi[i] x[t-1-i] + e[t] after the samples `before` (default: rest), for many series side by side: time
+    comes first, so that it alone is looped over."""
     order, weights = len(phi), phi[::-1]
-    found = np.concatenate([np.zeros((order, *innovations.shape[1:])), innovations])
+    rest = np.zeros((order, *innovations.shape[1:])) if before is None else before
+    found = np.concatenate([rest, innovations])
     for t in range(len(innovations)):
         found[t + order] += np.add.reduce(weights * found[t : t + order])
     return found[order:]
+
+
+def stationary_series(
+    phi: Float[np.ndarray, "p ..."], innovations: Float[np.ndarray, "t ..."]
+) -> Float[np.ndarray, "t ..."]:
+    """`driven`, begun in its stationary distribution: what comes before the order is reached is predicted from the
+    fewer samples that are there.
+
+    Source: Durbin's recursion, downwards; Brockwell and Davis, Time Series: Theory and Methods, 5.2.
+    """
+    order = len(phi)
+    predictors, variances = [phi], [np.ones(phi.shape[1:])]
+    for _ in range(order):
+        longer, last = predictors[0], predictors[0][-1]
+        share = 1.0 - last**2
+        predictors.insert(0, (longer[:-1] + last * longer[-2::-1]) / share)
+        variances.insert(0, variances[0] / share)
+    begun: list[np.ndarray] = []
+    for k, e in enumerate(innovations[:order]):
+        begun.append(np.sqrt(variances[k]) * e + sum(c * x for c, x in zip(predictors[k], begun[::-1], strict=True)))
+    before = np.array(begun).reshape(len(begun), *innovations.shape[1:])
+    return before if len(begun) < order else np.concatenate([before, driven(phi, innovations[order:], before)])

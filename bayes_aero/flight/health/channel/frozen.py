@@ -32,7 +32,7 @@ def frozen(record: FlightRecord, card: Card) -> list[HealthFinding]:
             continue
         if name in CONTROLS and not _noisy_control(x):
             continue
-        stretches = [run for run in still_runs(x) if not _cut_off(x, run) and _frozen(record, view, name, x, run)]
+        stretches = [run for run in still_runs(x) if _frozen(record, view, name, x, run) and not _cut_off(x, run)]
         if not stretches:
             continue
         first, last = max(stretches, key=lambda run: run[1] - run[0])
