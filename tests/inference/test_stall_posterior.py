@@ -1,6 +1,7 @@
 """The posterior: closed form, agreement of engines, white noise against bounds, coloured noise."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
@@ -55,7 +56,10 @@ def linear(thinned):
     return model, thinned.with_measured(jnp.asarray(z)), mean, covariance
 
 
-@pytest.mark.parametrize("engine", [sample_ensemble, sample_nuts])
+MANY = partial(sample_ensemble, length=EnsembleLength(ensembles=2, walkers=256))
+
+
+@pytest.mark.parametrize("engine", [sample_ensemble, sample_nuts, MANY], ids=["emcee", "nuts", "many walkers"])
 def test_engines_give_the_closed_form(linear, engine):
     """The noise deviations are sampled too; at n = 1126 that widens the normal by less than 0.2 %."""
     model, data, mean, covariance = linear

@@ -171,10 +171,12 @@ def _chains(samplers: list[emcee.EnsembleSampler], thin: int) -> Float[np.ndarra
 
 
 class EnsembleLength(NamedTuple):
-    """Independent ensembles, and the most steps that each makes."""
+    """Independent ensembles, the most steps that each makes, and its walkers: by default two for each parameter and four
+    more. Many walkers cost a graphics processor hardly more than one."""
 
     ensembles: int = 4
     max_steps: int = 4000
+    walkers: int | None = None
 
 
 def sample_ensemble(
@@ -195,7 +197,7 @@ def sample_ensemble(
     that was killed goes on behind the last one, to the chain that it would have had.
     """
     began = time.perf_counter()
-    walkers = 2 * (density.size + 2)
+    walkers = length.walkers or 2 * (density.size + 2)
     target = _Target(density, mode)
     settings = np.array([seed, length.ensembles, walkers, CHUNK, BURN_IN, ROUNDS])
     known, steps_made = checkpoint.begin(mode.u, mode.factor, settings) if checkpoint else (None, None)
