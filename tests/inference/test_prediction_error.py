@@ -14,6 +14,7 @@ from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood import prediction_error
 from bayes_aero.inference.likelihood.prediction_error import PredictionErrorStatus, fit_prediction_error
+from bayes_aero.inference.likelihood.scoring import MAX_ITERATIONS, Seen, boxed_step, scored
 from bayes_aero.model.joined_channels import join
 
 TRUTH = {"Zw": -1.4249, "Zde": -6.2632, "Mw": -0.05, "Mq": -3.7067, "Mde": -12.78}  # as the unstable card, made stable
@@ -77,3 +78,62 @@ def test_without_process_noise_the_fit_says_so(flown):
     free = fit_prediction_error(flown, F, R, priors=False)
     np.testing.assert_array_equal(still.F, 0.0)
     assert free.log_likelihood - still.log_likelihood > 100.0
+
+
+def test_the_noise_of_a_smoothed_channel_is_no_less_than_that_of_its_last_digit(flown):
+    """Smoothed, a channel has less noise from sample to sample than a state alone; its likelihood asks for none."""
+    step, channels = 0.05, {name: np.asarray(x) for name, x in flown.flights.channels.items()}
+    smooth = np.convolve(np.pad(channels["w"], 5, mode="edge"), np.full(11, 1.0 / 11.0), mode="valid")
+    record = FlightRecord.from_arrays(
+        "rounded",
+        DT * np.arange(N),
+        {name: channels[name] for name in ("q", "az", "elevator")} | {"w": step * np.round(smooth / step)},
+    )
+    own = segments(join([record], read_card("unstable"), ()), flown.dynamics, fixed=dict(flown.fixed))
+    found = fit_prediction_error(own, np.full(2, 0.2), 4.0 * R[[0, 1, 2]], priors=False)
+    assert found.status is PredictionErrorStatus.CONVERGED
+    assert found.R[found.outputs.index("w")] == pytest.approx(step**2 / 12.0)
+    assert np.all(found.R[[found.outputs.index(name) for name in ("q", "az")]] > 0.1 * R[1:])
+
+
+class Overshooting:
+    """A quadratic cost with `times` the curvature that its information tells."""
+
+    def __init__(self, times: float):
+        rng = np.random.default_rng(5)
+        factor = rng.standard_normal((6, 6))
+        self.information, self.times, self.moving = factor @ factor.T + np.eye(6), times, np.full(6, True)
+        self.bounds, self.most = np.tile([-np.inf, np.inf], (6, 1)), np.full(6, np.inf)
+
+    def cost(self, point):
+        return 0.5 * self.times * float(point @ self.information @ point)
+
+    def look(self, point):
+        return Seen(self.cost(point), self.times * self.information @ point, self.information)
+
+
+@pytest.mark.parametrize("times", [0.5, 1.0, 1.97])
+def test_steps_that_go_too_far_are_shortened(times):
+    """Newton's steps from 30 would take log(1e6) / log(1 / 0.97^2) = 227 steps by an information half of what it is."""
+    problem = Overshooting(times)
+    _, here, converged, steps = scored(problem, np.full(6, 30.0), problem.look, 1e-3)
+    assert converged
+    assert steps < MAX_ITERATIONS / 2
+    assert here.cost < 0.01
+
+
+def test_a_step_in_its_room_meets_the_conditions_of_karush_kuhn_and_tucker():
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        factor = rng.standard_normal((8, 8)) * np.logspace(0.0, 4.0, 8)
+        A, g = factor.T @ factor, rng.standard_normal(8) * np.logspace(0.0, 8.0, 8)
+        newton = np.linalg.solve(A, g)
+        room = np.sort(newton[:, None] * rng.uniform(-1.5, 1.5, (8, 2)), axis=1) + np.array([-1e-9, 1e-9])
+        step = boxed_step(A, g, room, 0.0)
+        left, tolerance = (g - A @ step) / np.sqrt(np.diag(A)), 1e-6 * np.linalg.norm(g / np.sqrt(np.diag(A)))
+        low, high = np.isclose(step, room[:, 0], rtol=1e-9), np.isclose(step, room[:, 1], rtol=1e-9)
+        assert np.all((step > room[:, 0] - 1e-9 * abs(room[:, 0])) & (step < room[:, 1] + 1e-9 * abs(room[:, 1])))
+        assert np.all(np.abs(left[~low & ~high]) < tolerance)
+        assert np.all(left[low & ~high] < tolerance)
+        assert np.all(left[high & ~low] > -tolerance)
+        assert low.any() or high.any()

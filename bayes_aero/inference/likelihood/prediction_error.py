@@ -9,10 +9,9 @@ AIAA J. 9, 28 (in flight test).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -24,13 +23,14 @@ from bayes_aero.dynamics.filtering.innovations import filtered
 from bayes_aero.dynamics.filtering.kalman import Filtered, log_likelihood
 from bayes_aero.dynamics.filtering.linearised import disturbances, linear_innovations, linearised
 from bayes_aero.dynamics.segments import SegmentTrajectories
-from bayes_aero.inference.likelihood.mle import solve
+from bayes_aero.flight.health.signals import quantum
 from bayes_aero.inference.likelihood.normal_equations import departures
+from bayes_aero.inference.likelihood.scoring import Seen, scored
 
-MAX_ITERATIONS = 60
 LAST, NEAR = 1e-3, 0.3  # gain in log likelihood of the last step, and of the last with gains held
 DRIVES = ("drive", "direct", "begin_drive", "scale_drive")  # of `Linearised`, by parameters
 LEAST, MOST = 1e-12, 2.0  # of F and R; of the change of their logarithms in a step
+ROUNDED = 12.0  # over this, the squared step of a rounded channel is the variance of the rounding
 
 
 class PredictionErrorStatus(Enum):
@@ -64,12 +64,6 @@ class PredictionErrorResult:
     def sd(self) -> Float[np.ndarray, " k"]:
         """Standard errors of the parameters."""
         return np.sqrt(np.diag(self.covariance))[: len(self.names)]
-
-
-class _Seen(NamedTuple):
-    cost: float
-    gradient: np.ndarray
-    information: np.ndarray
 
 
 @eqx.filter_jit
@@ -143,7 +137,8 @@ def fit_prediction_error(
 ) -> PredictionErrorResult:
     """Fit all segments together.
 
-    The first steps hold the filter's gains while the parameters of the motion vary; the last do not.
+    The first steps hold the filter's gains while the parameters of the motion vary; the last do not. The measurement
+    noise of a channel is no less than that of its last digit: a record that was smoothed would have none.
 
     Args:
         flown: segments of flights.
@@ -162,10 +157,14 @@ def fit_prediction_error(
     theta = np.array([p.start for p in free]) if start is None else np.asarray(start, float)
     theta = np.array([(held or {}).get(p.name, x) for p, x in zip(free, theta, strict=True)])
     point = np.concatenate([theta, np.log(np.maximum(F, LEAST)), np.log(np.maximum(R, LEAST))])
-    point, here, status, near = _scored(problem, point, problem.near_look, NEAR, near=True)
+    point[problem.k :] = np.maximum(point[problem.k :], problem.bounds[problem.k :, 0])
+    point, here, converged, near = scored(problem, point, problem.near_look, NEAR, near=True)
     steps = 0
     if exact:
-        point, here, status, steps = _scored(problem, point, problem.look, LAST)
+        point, here, converged, steps = scored(problem, point, problem.look, LAST)
+    status = PredictionErrorStatus.CONVERGED if converged else PredictionErrorStatus.NOT_CONVERGED
+    if not math.isfinite(here.cost):
+        status = PredictionErrorStatus.DIVERGED
     k, s, moving = problem.k, problem.s, problem.moving
     covariance = np.zeros((len(point), len(point)))
     covariance[np.ix_(moving, moving)] = np.linalg.pinv(here.information[np.ix_(moving, moving)], hermitian=True)
@@ -183,6 +182,13 @@ def fit_prediction_error(
         status,
         near + steps,
     )
+
+
+def _steps(flown: SegmentTrajectories) -> list[float]:
+    """The last digit of each output as recorded, SI; of several manoeuvres the least."""
+    flights = flown.flights
+    own = [np.flatnonzero(flights.manoeuvre == number) for number in np.unique(flown.manoeuvre)]
+    return [min(quantum(np.asarray(flights.channels[name])[rows]) for rows in own) for name in flown.outputs]
 
 
 @dataclass(frozen=True)
@@ -214,7 +220,8 @@ class _Problem:
         if priors:
             normals = np.array([p.prior.normal for p in free]).reshape(-1, 2)
             mean[:k], precision[:k] = normals[:, 0], np.where(moving[:k], normals[:, 1] ** -2.0, 0.0)
-        bounds = np.array([*(p.bounds for p in free), *([(np.log(LEAST), np.inf)] * (len(moving) - k))])
+        least = [*[LEAST] * len(disturbed), *(max(LEAST, step**2 / ROUNDED) for step in _steps(flown))]
+        bounds = np.array([*(p.bounds for p in free), *((np.log(x), np.inf) for x in least)])
         return cls(flown, jnp.asarray(deviation), moving, mean, precision, bounds)
 
     @property
@@ -227,6 +234,11 @@ class _Problem:
         """States."""
         return len(self.flown.dynamics.states)
 
+    @property
+    def most(self) -> Float[np.ndarray, " j"]:
+        """How far each may go in a step: logarithms no farther than `MOST`."""
+        return np.where(np.arange(len(self.moving)) < self.k, np.inf, MOST)
+
     def prior_cost(self, point: Float[np.ndarray, " j"]) -> float:
         """Minus the log of the priors, but for a constant."""
         return 0.5 * float(self.precision @ (point - self.mean) ** 2)
@@ -235,65 +247,18 @@ class _Problem:
         """Minus the log posterior density."""
         return float(_cost(self.flown, jnp.asarray(point), self.deviation, self.k, self.s)) + self.prior_cost(point)
 
-    def look(self, point: Float[np.ndarray, " j"]) -> _Seen:
+    def look(self, point: Float[np.ndarray, " j"]) -> Seen:
         """Cost, gradient and information."""
         return self._seen(_look, point, ())
 
-    def near_look(self, point: Float[np.ndarray, " j"]) -> _Seen:
+    def near_look(self, point: Float[np.ndarray, " j"]) -> Seen:
         """The same but for the gradient of the gains by parameters of the motion."""
         dynamics = self.flown.dynamics
         names = dynamics.of_disturbances
         return self._seen(_near_look, point, tuple(i for i, p in enumerate(dynamics.free) if p.name not in names))
 
-    def _seen(self, looked, point: Float[np.ndarray, " j"], means: tuple[int, ...]) -> _Seen:
+    def _seen(self, looked, point: Float[np.ndarray, " j"], means: tuple[int, ...]) -> Seen:
         seen = looked(self.flown, jnp.asarray(point), self.deviation, self.k, self.s, means)
         cost, gradient, information = (np.asarray(x) for x in seen)
         gradient, information = gradient + self.precision * (point - self.mean), information + np.diag(self.precision)
-        return _Seen(float(cost) + self.prior_cost(point), gradient, information)
-
-    def inner(self, point: Float[np.ndarray, " j"], gradient: Float[np.ndarray, " j"]) -> Bool[np.ndarray, " j"]:
-        """What may move: all but what is at a bound and would leave it."""
-        low = (point <= self.bounds[:, 0]) & (gradient > 0.0)
-        return self.moving & ~low & ~((point >= self.bounds[:, 1]) & (gradient < 0.0))
-
-
-def _scored(
-    problem: _Problem,
-    point: Float[np.ndarray, " j"],
-    look: Callable[[np.ndarray], _Seen],
-    last: float,
-    *,
-    near: bool = False,
-) -> tuple[np.ndarray, _Seen, PredictionErrorStatus, int]:
-    """Fisher scoring with Levenberg and Marquardt's damping: last point, what is seen there, status, steps.
-
-    The gradient of a `near` look is not that of the cost, so it also ends with a step that gains less than `last`.
-    """
-    here, cost, damping, steps = look(point), problem.cost(point), 1e-3, 0
-    status = PredictionErrorStatus.NOT_CONVERGED
-    while steps < MAX_ITERATIONS and math.isfinite(here.cost) and np.all(np.isfinite(here.information)):
-        steps += 1
-        inner = problem.inner(point, here.gradient)
-        A, g = here.information[np.ix_(inner, inner)], -here.gradient[inner]
-        if 0.5 * float(solve(A, g, 0.0) @ g) < last:
-            status = PredictionErrorStatus.CONVERGED
-            break
-        for _ in range(12):
-            step = np.zeros(len(point))
-            step[inner] = solve(A, g, damping)
-            step[problem.k :] = np.clip(step[problem.k :], -MOST, MOST)
-            new = np.clip(point + step, problem.bounds[:, 0], problem.bounds[:, 1])
-            lower = problem.cost(new)  # not the one that a near look sees, which is off by some nats
-            if math.isfinite(lower) and lower < cost:
-                break
-            damping *= 10.0
-        else:
-            break
-        gained, point, cost, damping = cost - lower, new, lower, max(1e-8, 0.1 * damping)
-        here = look(point)
-        if near and gained < last:
-            status = PredictionErrorStatus.CONVERGED
-            break
-    if not math.isfinite(here.cost):
-        status = PredictionErrorStatus.DIVERGED
-    return point, here._replace(cost=cost), status, steps
+        return Seen(float(cost) + self.prior_cost(point), gradient, information)

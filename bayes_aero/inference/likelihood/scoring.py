@@ -1,0 +1,117 @@
+"""Fisher scoring with Levenberg and Marquardt's damping, each step within the room that its parameters have.
+
+The expected information is not the curvature where the model of the noise is not right, and a step by it may go too far
+again and again: damping follows the share of the foreseen gain that a step has gained. Source: Nocedal and Wright,
+*Numerical Optimization*, 2nd ed. 2006, ch. 4 and 16.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.optimize import lsq_linear
+
+MAX_ITERATIONS, TRIALS = 60, 12  # steps; dampings of one step
+FIRST, LEAST = 1e-3, 1e-8  # damping of the first step, and of any
+POOR, DAMPED = 0.25, 0.1  # share of the foreseen gain below which a step was too long; damping of the next, at least
+SINGULAR = 1e-14  # of the largest eigenvalue
+
+
+class Seen(NamedTuple):
+    """Cost, gradient (j,) and expected information (j, j) at a point."""
+
+    cost: float
+    gradient: Float[np.ndarray, " j"]
+    information: Float[np.ndarray, "j j"]
+
+
+@runtime_checkable
+class Problem(Protocol):
+    """What is made least."""
+
+    @property
+    def moving(self) -> Bool[np.ndarray, " j"]:
+        """Which parameters vary."""
+        ...
+
+    @property
+    def bounds(self) -> Float[np.ndarray, "j 2"]:
+        """Least and largest value of each."""
+        ...
+
+    @property
+    def most(self) -> Float[np.ndarray, " j"]:
+        """How far each may go in a step."""
+        ...
+
+    def cost(self, point: Float[np.ndarray, " j"]) -> float:
+        """The cost at a point."""
+        ...
+
+
+def scored(
+    problem: Problem,
+    point: Float[np.ndarray, " j"],
+    look: Callable[[np.ndarray], Seen],
+    last: float,
+    *,
+    near: bool = False,
+) -> tuple[Float[np.ndarray, " j"], Seen, bool, int]:
+    """Go on until a step would gain less than `last`.
+
+    The gradient of a `near` look is not that of the cost, so it also ends with a step that gains less than `last`.
+
+    Returns:
+        the last point, what is seen there, whether it ended so, and the steps.
+    """
+    here, cost, damping, steps = look(point), problem.cost(point), FIRST, 0
+    moving, converged = problem.moving, False
+    while steps < MAX_ITERATIONS and math.isfinite(here.cost) and np.all(np.isfinite(here.information)):
+        steps += 1
+        A, g = here.information[np.ix_(moving, moving)], -here.gradient[moving]
+        room = np.clip((problem.bounds - point[:, None]).T, -problem.most, problem.most).T[moving]
+        if gain(A, g, boxed_step(A, g, room, 0.0)) < last:
+            converged = True
+            break
+        for _ in range(TRIALS):
+            step = boxed_step(A, g, room, damping)
+            new = point.copy()
+            new[moving] = np.clip(point[moving] + step, *problem.bounds[moving].T)
+            lower = problem.cost(new)  # not the one that a near look sees, which is off by some nats
+            if math.isfinite(lower) and lower < cost:
+                break
+            damping *= 10.0
+        else:
+            break
+        gained, point, cost = cost - lower, new, lower
+        too_long = gained < POOR * gain(A, g, step)
+        damping = max(10.0 * damping, DAMPED) if too_long else max(LEAST, 0.1 * damping)
+        here = look(point)
+        if near and gained < last:
+            converged = True
+            break
+    return point, here._replace(cost=cost if math.isfinite(here.cost) else here.cost), converged, steps
+
+
+def boxed_step(
+    A: Float[np.ndarray, "j j"], g: Float[np.ndarray, " j"], room: Float[np.ndarray, "j 2"], damping: float
+) -> Float[np.ndarray, " j"]:
+    """The step of least 1/2 d (A + damping diag A) d - g d in its room: Newton's, if that is inside.
+
+    Newton's cut off at the room is another: what the record does not tell (a noise that is none) would move the rest.
+    """
+    scale = np.sqrt(np.where(np.diag(A) > 0.0, np.diag(A), 1.0))
+    size, towards = np.linalg.eigh(A / np.outer(scale, scale) + damping * np.eye(len(g)))
+    told = size > SINGULAR * np.max(size, initial=0.0)
+    root = np.sqrt(size[told])
+    left, right = root[:, None] * towards[:, told].T, towards[:, told].T @ (g / scale) / root
+    return lsq_linear(left, right, (room * scale[:, None]).T, method="bvls", tol=1e-12).x / scale
+
+
+def gain(A: Float[np.ndarray, "j j"], g: Float[np.ndarray, " j"], step: Float[np.ndarray, " j"]) -> float:
+    """What a step gains where the cost has the curvature A."""
+    return float(g @ step - 0.5 * step @ A @ step)
