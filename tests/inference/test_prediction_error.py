@@ -14,7 +14,7 @@ from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood import prediction_error
 from bayes_aero.inference.likelihood.prediction_error import PredictionErrorStatus, fit_prediction_error
-from bayes_aero.inference.likelihood.scoring import MAX_ITERATIONS, Seen, boxed_step, scored
+from bayes_aero.inference.likelihood.scoring import MAX_ITERATIONS, Seen, bent, boxed_step, scored
 from bayes_aero.model.joined_channels import join
 
 TRUTH = {"Zw": -1.4249, "Zde": -6.2632, "Mw": -0.05, "Mq": -3.7067, "Mde": -12.78}  # as the unstable card, made stable
@@ -137,3 +137,37 @@ def test_a_step_in_its_room_meets_the_conditions_of_karush_kuhn_and_tucker():
         assert np.all(left[low & ~high] < tolerance)
         assert np.all(left[high & ~low] > -tolerance)
         assert low.any() or high.any()
+
+
+def test_a_corrected_curvature_has_the_change_of_the_gradient_and_stays_positive():
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        factor, step = rng.standard_normal((6, 6)), rng.standard_normal(6)
+        A = factor @ factor.T + np.eye(6)
+        change = A @ step + 0.3 * rng.standard_normal(6) * np.linalg.norm(A @ step)
+        B = bent(A, step, change)
+        if step @ change > 0.2 * step @ A @ step:
+            np.testing.assert_allclose(B @ step, change, rtol=1e-9, atol=1e-9 * np.linalg.norm(change))
+        assert np.min(np.linalg.eigvalsh(bent(A, step, -change))) > 0.0
+
+
+class Bowl(Overshooting):
+    """A quadratic cost with a curvature of its own and an information of one."""
+
+    def __init__(self, curvature: list[float]):
+        super().__init__(1.0)
+        self.curvature, self.information = np.diag([*curvature, 1.0, 1.0]), np.eye(6)
+
+    def cost(self, point):
+        return 0.5 * float(point @ self.curvature @ point)
+
+    def look(self, point):
+        return Seen(self.cost(point), self.curvature @ point, self.information)
+
+
+def test_gradients_mend_an_information_that_is_not_the_curvature():
+    """Off by factors of .2 to 5; steps by the information alone crawl along the flat direction."""
+    bowl = Bowl([5.0, 0.05, 0.2, 3.0])
+    steps = {near: scored(bowl, np.full(6, 10.0), bowl.look, 1e-6, near=near)[3] for near in (False, True)}
+    assert scored(bowl, np.full(6, 10.0), bowl.look, 1e-6)[1].cost < 1e-5
+    assert 2 * steps[False] < steps[True]

@@ -1,8 +1,8 @@
 """Fisher scoring with Levenberg and Marquardt's damping, each step within the room that its parameters have.
 
 The expected information is not the curvature where the model of the noise is not right, and a step by it may go too far
-again and again: damping follows the share of the foreseen gain that a step has gained. Source: Nocedal and Wright,
-*Numerical Optimization*, 2nd ed. 2006, ch. 4 and 16.
+again and again: damping follows the share of the foreseen gain that a step has gained, and what the gradient has changed
+by corrects the curvature (BFGS). Source: Nocedal and Wright, *Numerical Optimization*, 2nd ed. 2006, ch. 4, 16 and 18.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from scipy.optimize import lsq_linear
 MAX_ITERATIONS, TRIALS = 60, 12  # steps; dampings of one step
 FIRST, LEAST = 1e-3, 1e-8  # damping of the first step, and of any
 POOR, DAMPED = 0.25, 0.1  # share of the foreseen gain below which a step was too long; damping of the next, at least
+LEAST_BEND = 0.2  # of the curvature along a step that a correction leaves at least; Powell's
 SINGULAR = 1e-14  # of the largest eigenvalue
 
 
@@ -63,16 +64,17 @@ def scored(
 ) -> tuple[Float[np.ndarray, " j"], Seen, bool, int]:
     """Go on until a step would gain less than `last`.
 
-    The gradient of a `near` look is not that of the cost, so it also ends with a step that gains less than `last`.
+    The gradient of a `near` look is not that of the cost: it corrects no curvature, and a step that gains less than
+    `last` is the last one, too.
 
     Returns:
         the last point, what is seen there, whether it ended so, and the steps.
     """
     here, cost, damping, steps = look(point), problem.cost(point), FIRST, 0
-    moving, converged = problem.moving, False
-    while steps < MAX_ITERATIONS and math.isfinite(here.cost) and np.all(np.isfinite(here.information)):
+    moving, converged, curvature = problem.moving, False, here.information
+    while steps < MAX_ITERATIONS and math.isfinite(here.cost) and np.all(np.isfinite(curvature)):
         steps += 1
-        A, g = here.information[np.ix_(moving, moving)], -here.gradient[moving]
+        A, g = curvature[np.ix_(moving, moving)], -here.gradient[moving]
         room = np.clip((problem.bounds - point[:, None]).T, -problem.most, problem.most).T[moving]
         if gain(A, g, boxed_step(A, g, room, 0.0)) < last:
             converged = True
@@ -87,14 +89,30 @@ def scored(
             damping *= 10.0
         else:
             break
-        gained, point, cost = cost - lower, new, lower
+        gained, away, before, point, cost = cost - lower, new - point, here, new, lower
         too_long = gained < POOR * gain(A, g, step)
         damping = max(10.0 * damping, DAMPED) if too_long else max(LEAST, 0.1 * damping)
         here = look(point)
         if near and gained < last:
             converged = True
             break
+        curvature = here.information if near else bent(curvature, away, here.gradient - before.gradient)
     return point, here._replace(cost=cost if math.isfinite(here.cost) else here.cost), converged, steps
+
+
+def bent(
+    A: Float[np.ndarray, "j j"], step: Float[np.ndarray, " j"], change: Float[np.ndarray, " j"]
+) -> Float[np.ndarray, "j j"]:
+    """The curvature A once the gradient has a `change` along a step, kept positive by Powell's damping."""
+    along = A @ step
+    expected, seen = float(step @ along), float(step @ change)
+    if not (expected > 0.0 and np.all(np.isfinite(change))):
+        return A
+    if seen < LEAST_BEND * expected:
+        share = (1.0 - LEAST_BEND) * expected / (expected - seen)
+        change = share * change + (1.0 - share) * along
+        seen = float(step @ change)
+    return A - np.outer(along, along) / expected + np.outer(change, change) / seen
 
 
 def boxed_step(
