@@ -147,7 +147,7 @@ def test_a_corrected_curvature_has_the_change_of_the_gradient_and_stays_positive
         change = A @ step + 0.3 * rng.standard_normal(6) * np.linalg.norm(A @ step)
         B = bent(A, step, change)
         if step @ change > 0.2 * step @ A @ step:
-            np.testing.assert_allclose(B @ step, change, rtol=1e-9, atol=1e-9 * np.linalg.norm(change))
+            np.testing.assert_allclose(B @ step, change, rtol=1e-9, atol=1e-9 * float(np.linalg.norm(change)))
         assert np.min(np.linalg.eigvalsh(bent(A, step, -change))) > 0.0
 
 

@@ -1,8 +1,8 @@
 """Fisher scoring with Levenberg and Marquardt's damping, each step within the room that its parameters have.
 
 The expected information is not the curvature where the model of the noise is not right, and a step by it may go too far
-again and again: damping follows the share of the foreseen gain that a step has gained, and what the gradient has changed
-by corrects the curvature (BFGS). Source: Nocedal and Wright, *Numerical Optimization*, 2nd ed. 2006, ch. 4, 16 and 18.
+again and again: damping follows the share of the foreseen gain that a step has gained, and what the gradient changes by
+corrects the curvature (BFGS). Source: Nocedal and Wright, *Numerical Optimization*, 2nd ed. 2006, ch. 4, 16 and 18.
 """
 
 from __future__ import annotations

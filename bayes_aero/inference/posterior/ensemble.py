@@ -171,8 +171,8 @@ def _chains(samplers: list[emcee.EnsembleSampler], thin: int) -> Float[np.ndarra
 
 
 class EnsembleLength(NamedTuple):
-    """Independent ensembles, the most steps that each makes, and its walkers: by default two for each parameter and four
-    more. Many walkers cost a graphics processor hardly more than one."""
+    """Independent ensembles, the most steps that each makes, and its walkers: by default two for each parameter and
+    four more. Many walkers cost a graphics processor hardly more than one."""
 
     ensembles: int = 4
     max_steps: int = 4000
