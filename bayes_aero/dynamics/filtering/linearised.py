@@ -52,45 +52,44 @@ def linearised(
 ) -> Linearised:
     """Derivatives at the states `before` (of outputs) and `after` (of motion), at parameters `theta`."""
 
-    def move(theta, after):
-        ready = prepared(flown, theta)
-        one = lambda x, now, then, dt: advance(ready.sensed, x, now, then, dt, flown.substeps)  # noqa: E731
-        dt = jnp.broadcast_to(jnp.asarray(flown.dt)[:, None], after.shape[:2])
-        return jax.vmap(jax.vmap(one))(after, ready.drives, later(ready.drives, flown.held), dt)
+    dt = jnp.broadcast_to(jnp.asarray(flown.dt)[:, None], after.shape[:2])
+    each = lambda f: jax.vmap(jax.vmap(f))  # noqa: E731
 
-    def differ(theta, before):
+    def along(ready, before, after):
+        """Outputs at `before`, and the state a sample after `after`."""
+        outputs = each(lambda x, u: outputs_at(ready.sensed, x, u, flown.outputs))
+        move = each(lambda x, now, then, dt: advance(ready.sensed, x, now, then, dt, flown.substeps))
+        now = ready.drives
+        return outputs(before, now), move(after, now, later(now, flown.held), dt)
+
+    def by_parameters(theta):
         ready = prepared(flown, theta)
         *_, true, _ = rows_of(flown, ready, jnp.zeros((len(flown.index), 1)))
-        outputs = jax.vmap(jax.vmap(lambda x, u: outputs_at(ready.sensed, x, u, flown.outputs)))
-        return true - outputs(before, ready.drives)
-
-    def start(theta):
-        ready = prepared(flown, theta)
+        outputs, ahead = along(ready, before, after)
         first = {name: y[:, 0] for name, y in ready.drives.items()}
-        return jax.vmap(ready.sensed.settled)(ready.begin, first)
+        return true - outputs, ahead, jax.vmap(ready.sensed.settled)(ready.begin, first), ready.scale
 
-    def scale(theta):
-        return prepared(flown, theta).scale
-
-    def by_state(f, x):
-        states = jnp.eye(x.shape[-1])
-        return jax.vmap(lambda e: jax.jvp(f, (x,), (jnp.broadcast_to(e, x.shape),))[1], out_axes=-1)(states)
-
-    by_theta = lambda f: jax.vmap(lambda t: jax.jvp(f, (theta,), (t,))[1], out_axes=-1)(directions)  # noqa: E731
+    ready = prepared(flown, theta)
+    by_state = lambda e: jax.jvp(  # noqa: E731
+        lambda *x: along(ready, *x), (before, after), tuple(jnp.broadcast_to(e, x.shape) for x in (before, after))
+    )[1]
+    matrix, transition = jax.vmap(by_state, out_axes=-1)(jnp.eye(before.shape[-1]))
+    found, drives = jax.vmap(lambda t: jax.jvp(by_parameters, (theta,), (t,)), out_axes=(None, -1))(directions)
+    (residual, ahead, begin, scale), (away, drive, begin_drive, scale_drive) = found, drives
     finite = lambda y: jnp.where(jnp.isfinite(y), y, 0.0)  # noqa: E731
     return Linearised(
         before,
         after,
-        move(theta, after),
-        by_state(lambda x: move(theta, x), after),
-        by_theta(lambda t: move(t, after)),
-        differ(theta, before),
-        -finite(by_state(lambda x: differ(theta, x), before)),
-        -finite(by_theta(lambda t: differ(t, before))),
-        start(theta),
-        by_theta(start),
-        scale(theta),
-        by_theta(scale),
+        ahead,
+        transition,
+        drive,
+        residual,
+        finite(matrix),
+        -finite(away),
+        begin,
+        begin_drive,
+        scale,
+        scale_drive,
     )
 
 
