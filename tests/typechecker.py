@@ -1,7 +1,8 @@
 """The runtime type checker that the tests put on the package: an int may stand for a float.
 
 jaxtyping's own hook checks arguments twice, before a call and with what it returns, and binds them by name for its
-messages. That took up to half the time of tests that compute little. Here beartype checks arguments and result once, in one call.
+messages. That took up to half the time of tests that compile little. Here beartype checks arguments and result in one
+call.
 
 The hook also checks functions inside functions. Those are made anew, and compiled anew by the checker, at every call of
 the outer one, which took three quarters of the time of some tests: they are left as they are.
