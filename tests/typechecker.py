@@ -1,17 +1,71 @@
 """The runtime type checker that the tests put on the package: an int may stand for a float.
 
-jaxtyping's hook also checks functions inside functions. Those are made anew, and compiled anew by the checker, at every
-call of the outer one, which took three quarters of the time of some tests: they are left as they are.
+jaxtyping's own hook checks arguments twice, before a call and with what it returns, and binds them by name for its
+messages. That took up to half the time of tests that compile little. Here beartype checks arguments and result in one
+call.
+
+The hook also checks functions inside functions. Those are made anew, and compiled anew by the checker, at every call of
+the outer one, which took three quarters of the time of some tests: they are left as they are.
 """
 
 from __future__ import annotations
 
 import ast
+import dataclasses
+import functools
+import inspect
+import types
+from typing import Any, get_type_hints
 
 from beartype import BeartypeConf, beartype
-from jaxtyping import _import_hook
+from jaxtyping import _import_hook, jaxtyped
 
-check_outer = beartype(conf=BeartypeConf(is_pep484_tower=True))
+_CHECK = beartype(conf=BeartypeConf(is_pep484_tower=True))
+_ONE_CALL = jaxtyped("context")  # in which a letter of a shape means one size
+
+
+def check_once(what):
+    """A function, or the fields of a dataclass, whose types and shapes are checked; the checker is made when needed."""
+    if inspect.isclass(what):
+        if dataclasses.is_dataclass(what) and getattr(what.__init__, "__globals__", None) is not globals():
+            what.__init__ = check_once(what.__init__)
+        return what
+    if inspect.isgeneratorfunction(what):  # its body runs after the call
+        return jaxtyped(what, typechecker=_CHECK)
+    checker: list = []
+
+    @functools.wraps(what)
+    def call(*args, **kwargs):
+        __tracebackhide__ = True
+        if not checker:
+            checker.append(_CHECK(_with_hints(what)))
+        with _ONE_CALL:
+            return checker[0](*args, **kwargs)
+
+    return call
+
+
+def _with_hints(function: types.FunctionType) -> types.FunctionType:
+    """The same function; a name that is imported for type checkers alone stands for anything."""
+    twin = types.FunctionType(
+        function.__code__, function.__globals__, function.__name__, function.__defaults__, function.__closure__
+    )
+    twin.__kwdefaults__, twin.__module__, twin.__qualname__ = (
+        function.__kwdefaults__, function.__module__, function.__qualname__
+    )  # fmt: skip
+    twin.__annotations__ = {name: _hint(told, function.__globals__) for name, told in function.__annotations__.items()}
+    return twin
+
+
+def _hint(told: Any, names: dict[str, Any]) -> Any:
+    def example(value: told):  # pyright: ignore
+        del value
+
+    example.__annotations__ = {"value": told}
+    try:
+        return get_type_hints(example, names, include_extras=True)["value"]
+    except NameError:
+        return Any
 
 
 class _OuterFunctions(_import_hook.JaxtypingTransformer):
@@ -28,4 +82,10 @@ class _OuterFunctions(_import_hook.JaxtypingTransformer):
         return any(isinstance(parent, ast.FunctionDef) for parent in self._parents)
 
 
+def _decorator(checker: _import_hook.Typechecker) -> ast.expr:
+    """`check_once` itself, where jaxtyping would put `jaxtyped(typechecker=check_once)`."""
+    return ast.parse(f"jaxtyping._import_hook.Typechecker.lookup['{checker.get_hash()}']", mode="eval").body
+
+
 _import_hook.JaxtypingTransformer = _OuterFunctions  # before the package is imported: see conftest.py
+_import_hook.Typechecker.get_ast = _decorator

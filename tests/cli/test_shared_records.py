@@ -98,6 +98,7 @@ def call(program, made, tmp_path):
     return called
 
 
+@pytest.mark.usefixtures("bare")
 @pytest.mark.parametrize("records", JUDGE["SOUND"], ids=" ".join)
 def test_sound_records_pass(call, records):
     code, said = call("check", *records)

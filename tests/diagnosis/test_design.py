@@ -39,6 +39,12 @@ def state(card, model):
 
 
 @pytest.fixture(scope="module")
+def flights(state):
+    """The manoeuvres with every candidate in the model, at neutral: one model to compile for all sets of effects."""
+    return standard(state, CANDIDATES)
+
+
+@pytest.fixture(scope="module")
 def rates(state):
     return separating(state, ("alpha_dot_lift", "pitch_rate_lift"))
 
@@ -52,8 +58,8 @@ def test_pitch_rate_and_alpha_dot_part_where_the_flight_path_bends(rates):
     assert rates.manoeuvres[0].manoeuvre.replace("_", " ") in rates.status
 
 
-def test_thrust_and_mass_part_only_when_thrust_moves(state):
-    found = separating(state, ("thrust_scale", "mass_scale"))
+def test_thrust_and_mass_part_only_when_thrust_moves(state, flights):
+    found = separating(state, ("thrust_scale", "mass_scale"), flights=flights)
     by_name = {m.manoeuvre: m for m in found.manoeuvres}
     assert by_name["thrust_steps"].weakest > 2.0 * by_name["elevator_doublet"].weakest
 
@@ -65,9 +71,8 @@ def test_information_grows_with_amplitude(state, rates):
         assert less[name] < next(m.weakest for m in rates.manoeuvres if m.manoeuvre == name)
 
 
-def test_one_set_of_flights_serves_several_sets_of_effects(state, rates):
-    """With a rival from another set in the model, at neutral, the manoeuvres are the same flights."""
-    flights = standard(state, ("alpha_dot_lift", "pitch_rate_lift", "mach_drag"))
+def test_one_set_of_flights_serves_several_sets_of_effects(state, rates, flights):
+    """With rivals from other sets in the model, at neutral, the manoeuvres are the same flights."""
     shared = separating(state, ("alpha_dot_lift", "pitch_rate_lift"), flights=flights)
     for one, other in zip(shared.manoeuvres, rates.manoeuvres, strict=True):
         assert one.manoeuvre == other.manoeuvre
@@ -79,7 +84,7 @@ def test_a_record_without_altitude_begins_in_air_of_its_density(state):
     channels = {name: x for name, x in flights.channels.items() if name != "altitude"}
     without = replace(flights, channels=channels)
     there = replace(state, responses=EquationError.of(without, state.responses.model))
-    flown = standard(there, ("alpha_dot_lift",)).flown["elevator_doublet"]
+    flown = standard(there, CANDIDATES).flown["elevator_doublet"]
     begin = float(np.mean(np.asarray(flights.channels["density"])[:50]))
     assert float(flown.channels["density"][0]) == pytest.approx(begin, rel=0.01)
 
@@ -98,15 +103,15 @@ def test_a_larger_effect_is_told_apart_in_proportion(state, rates):
     assert larger.manoeuvres[0].weakest == pytest.approx(3.0 * rates.manoeuvres[0].weakest, rel=1e-6)
 
 
-def test_sideslip_needs_a_sideslip(state):
-    found = separating(state, ("sideslip_drag", "mach_drag"))
+def test_sideslip_needs_a_sideslip(state, flights):
+    found = separating(state, ("sideslip_drag", "mach_drag"), flights=flights)
     assert max(found.manoeuvres, key=lambda m: m.deviations["sideslip_drag", "mach_drag"]).manoeuvre == "sideslip"
 
 
 def test_no_manoeuvre_is_proposed_whose_input_is_not_recorded(state):
     flights = state.responses.flights
     blind = replace(flights, channels={n: x for n, x in flights.channels.items() if n not in ("stabilizer", "beta")})
-    flown = standard(replace(state, responses=replace(state.responses, flights=blind)), ("thrust_scale", "mass_scale"))
+    flown = standard(replace(state, responses=replace(state.responses, flights=blind)), CANDIDATES)
     assert flown.refused["stabilizer_steps"] == "stabilizer was not recorded"
     assert flown.refused["sideslip"] == "beta was not recorded"
     assert {"bank_to_bank", "thrust_steps"} <= set(flown.flown)

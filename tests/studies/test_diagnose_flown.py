@@ -11,6 +11,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.diagnose import diagnose_records
 from bayes_aero.jobs.io.resume import MARK
 from bayes_aero.jobs.io.time_histories import flight_of, read_histories
+from bayes_aero.jobs.options import DiagnoseOptions
 from bayes_aero.simulate.injection import hidden_records
 
 
@@ -25,15 +26,15 @@ def test_numbers_histories_and_page_are_of_this_run(card, tmp_path):
     for name in (MARK, "histories.nc"):
         (tmp_path / name).write_text("of another run")
     hidden = {"thrust_moment": {"thrust_arm": 0.6}}
-    records = [without(r, "ax", "ay", "az") for r in hidden_records(hidden, seed=413_233, seconds=60.0)]
-    told = diagnose_records(records, card, out=tmp_path)
+    records = [without(r, "ax", "ay", "az") for r in hidden_records(hidden, seed=413_233, seconds=40.0)]
+    told = diagnose_records(records, card, DiagnoseOptions(max_effects=1), out=tmp_path)
     found, flown = told.diagnosis, told.view.trajectories
     assert not (tmp_path / MARK).exists()
     content = json.loads((tmp_path / "diagnosis.json").read_text())
     jsonschema.validate(
         content, json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("diagnosis.schema.json").read_text())
     )
-    assert [c["name"] for c in content["causes"]] == [c.name for c in found.causes]
+    assert [c["name"] for c in content["causes"]] == [c.name for c in found.causes] != []
     assert (tmp_path / "report.html").stat().st_size > 10_000
     groups = read_histories(tmp_path / "histories.nc")
     for path, told in zip(flown.paths, content["trajectories"]["paths"], strict=True):
