@@ -39,6 +39,7 @@ def executed(path: Path) -> nbformat.NotebookNode:
         notebook,
         timeout=TIMEOUT,
         startup_timeout=300,
+        coalesce_streams=True,
         kernel_name="python3",
         extra_arguments=QUIET,
         resources=where,

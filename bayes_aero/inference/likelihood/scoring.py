@@ -15,6 +15,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import lsq_linear
 
+from bayes_aero.inference.likelihood.mle import solve
+
 MAX_ITERATIONS, TRIALS = 60, 12  # steps; dampings of one step
 FIRST, LEAST = 1e-3, 1e-8  # damping of the first step, and of any
 POOR, DAMPED = 0.25, 0.1  # share of the foreseen gain below which a step was too long; damping of the next, at least
@@ -65,7 +67,8 @@ def scored(
     """Go on until a step would gain less than `last`.
 
     The gradient of a `near` look is not that of the cost: it corrects no curvature, and a step that gains less than
-    `last` is the last one, too.
+    `last` is the last one, too. Its steps are cut off at their room: far from the least cost, a noise that falls while
+    all else follows it may end at none, where the cost is flat.
 
     Returns:
         the last point, what is seen there, whether it ended so, and the steps.
@@ -80,7 +83,7 @@ def scored(
             converged = True
             break
         for _ in range(TRIALS):
-            step = boxed_step(A, g, room, damping)
+            step = cut_step(A, g, room, damping) if near else boxed_step(A, g, room, damping)
             new = point.copy()
             new[moving] = np.clip(point[moving] + step, *problem.bounds[moving].T)
             lower = problem.cost(new)  # not the one that a near look sees, which is off by some nats
@@ -128,6 +131,16 @@ def boxed_step(
     root = np.sqrt(size[told])
     left, right = root[:, None] * towards[:, told].T, towards[:, told].T @ (g / scale) / root
     return lsq_linear(left, right, (room * scale[:, None]).T, method="bvls", tol=1e-12).x / scale
+
+
+def cut_step(
+    A: Float[np.ndarray, "j j"], g: Float[np.ndarray, " j"], room: Float[np.ndarray, "j 2"], damping: float
+) -> Float[np.ndarray, " j"]:
+    """Newton's step, damped, of what is not at its bound and would leave it; cut off at its room."""
+    inner = ~((room[:, 0] >= 0.0) & (g < 0.0) | (room[:, 1] <= 0.0) & (g > 0.0))
+    step = np.zeros(len(g))
+    step[inner] = solve(A[np.ix_(inner, inner)], g[inner], damping)
+    return np.clip(step, *room.T)
 
 
 def gain(A: Float[np.ndarray, "j j"], g: Float[np.ndarray, " j"], step: Float[np.ndarray, " j"]) -> float:
