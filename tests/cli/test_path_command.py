@@ -182,6 +182,8 @@ def test_gusts_are_met_by_vane_and_pitot_tube_alone(program, flight, tmp_path):
             estimate, sd = found["gusts"][parameter]
             assert abs(estimate - value) < 3.0 * sd, parameter
         assert found["gusts"][name][1] < 0.3 * size
+        length, sd = found["gusts"][f"{name}_length"]  # a record of 16 lengths says no more of one
+        assert sd > 0.2 * length
     for name, r in found["autocorrelation"].items():
         assert abs(r) < 0.08, name
     expected = {"alpha_scale": 0.04}

@@ -14,7 +14,7 @@ from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood import prediction_error
 from bayes_aero.inference.likelihood.prediction_error import PredictionErrorStatus, fit_prediction_error
-from bayes_aero.inference.likelihood.scoring import MAX_ITERATIONS, Seen, bent, boxed_step, scored
+from bayes_aero.inference.likelihood.scoring import MAX_ITERATIONS, Seen, bent, boxed_step, covariance_of, scored
 from bayes_aero.model.joined_channels import join
 
 TRUTH = {"Zw": -1.4249, "Zde": -6.2632, "Mw": -0.05, "Mq": -3.7067, "Mde": -12.78}  # as the unstable card, made stable
@@ -171,3 +171,15 @@ def test_gradients_mend_an_information_that_is_not_the_curvature():
     steps = {near: scored(bowl, np.full(6, 10.0), bowl.look, 1e-6, near=near)[3] for near in (False, True)}
     assert scored(bowl, np.full(6, 10.0), bowl.look, 1e-6)[1].cost < 1e-5
     assert 2 * steps[False] < steps[True]
+
+
+def test_the_covariance_knows_lengths_beside_angles():
+    """Scales from 1e-6 to 1e6: a pseudo-inverse of the information itself drops the large errors."""
+    rng = np.random.default_rng(8)
+    factor, scale = rng.standard_normal((5, 5)), np.logspace(-6.0, 6.0, 5)
+    correlated = factor @ factor.T + np.eye(5)
+    information = np.zeros((6, 6))
+    information[:5, :5] = correlated / np.outer(scale, scale)
+    found = covariance_of(information, np.array([True] * 6))
+    np.testing.assert_allclose(found[:5, :5], np.linalg.inv(correlated) * np.outer(scale, scale), rtol=1e-9)
+    assert not found[5].any()

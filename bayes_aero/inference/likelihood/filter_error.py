@@ -22,6 +22,7 @@ from jaxtyping import Bool, Float
 from bayes_aero.dynamics.filtering.innovations import Innovations, measurement_matrix, steady_innovations
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.likelihood.mle import solve
+from bayes_aero.inference.likelihood.scoring import covariance_of
 
 MAX_ITERATIONS, HALVINGS = 60, 12
 SETTLED = 1e-9  # relative change of det R; the published programs stop at 1e-4, short of the optimum
@@ -119,8 +120,7 @@ def fit_filter_error(
         status = FilterErrorStatus.DIVERGED
     elif status is FilterErrorStatus.CONVERGED and np.any(np.asarray(point.found.taken) > MOST_TAKEN - 1e-3):
         status = FilterErrorStatus.GAIN_AT_LIMIT
-    covariance = np.zeros((k + s, k + s))
-    covariance[np.ix_(moving, moving)] = np.linalg.pinv(information[np.ix_(moving, moving)], hermitian=True)
+    covariance = covariance_of(information, moving)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     names = tuple(p.name for p in free)
     return FilterErrorResult(

@@ -25,7 +25,7 @@ from bayes_aero.dynamics.filtering.linearised import disturbances, linear_innova
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.flight.health.signals import quantum
 from bayes_aero.inference.likelihood.normal_equations import departures
-from bayes_aero.inference.likelihood.scoring import Seen, scored
+from bayes_aero.inference.likelihood.scoring import Seen, covariance_of, scored
 
 LAST, NEAR = 1e-3, 0.3  # gain in log likelihood of the last step, and of the last with gains held
 DRIVES = ("drive", "direct", "begin_drive", "scale_drive")  # of `Linearised`, by parameters
@@ -166,8 +166,7 @@ def fit_prediction_error(
     if not math.isfinite(here.cost):
         status = PredictionErrorStatus.DIVERGED
     k, s, moving = problem.k, problem.s, problem.moving
-    covariance = np.zeros((len(point), len(point)))
-    covariance[np.ix_(moving, moving)] = np.linalg.pinv(here.information[np.ix_(moving, moving)], hermitian=True)
+    covariance = covariance_of(here.information, moving)
     return PredictionErrorResult(
         tuple(p.name for p in free),
         flown.dynamics.states,

@@ -143,6 +143,18 @@ def cut_step(
     return np.clip(step, *room.T)
 
 
+def covariance_of(information: Float[np.ndarray, "j j"], moving: Bool[np.ndarray, " j"]) -> Float[np.ndarray, "j j"]:
+    """The inverse of the information of what moves; zero for what does not, or of which there is no information.
+
+    In units of its diagonal: of a length in metres beside angles a pseudo-inverse would drop what is told of it.
+    """
+    told = np.ix_(moving & (np.diag(information) > 0.0), moving & (np.diag(information) > 0.0))
+    scale = np.sqrt(np.diag(information[told]))
+    found = np.zeros_like(information)
+    found[told] = np.linalg.pinv(information[told] / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+    return found
+
+
 def gain(A: Float[np.ndarray, "j j"], g: Float[np.ndarray, " j"], step: Float[np.ndarray, " j"]) -> float:
     """What a step gains where the cost has the curvature A."""
     return float(g @ step - 0.5 * step @ A @ step)
