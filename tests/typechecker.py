@@ -46,7 +46,7 @@ def check_once(what):
 
 
 def _with_hints(function: types.FunctionType) -> types.FunctionType:
-    """The same function; a name that is imported for type checkers alone stands for anything."""
+    """The same function; a name that only type checkers know stands for anything."""
     twin = types.FunctionType(
         function.__code__, function.__globals__, function.__name__, function.__defaults__, function.__closure__
     )
@@ -64,7 +64,7 @@ def _hint(told: Any, names: dict[str, Any]) -> Any:
     example.__annotations__ = {"value": told}
     try:
         return get_type_hints(example, names, include_extras=True)["value"]
-    except NameError:
+    except (NameError, AttributeError):
         return Any
 
 
