@@ -97,7 +97,7 @@ def test_the_noise_of_a_smoothed_channel_is_no_less_than_that_of_its_last_digit(
 
 
 class Overshooting:
-    """A quadratic cost with `times` the curvature that its information tells."""
+    """A quadratic cost with `times` the curvature that its information has."""
 
     def __init__(self, times: float):
         rng = np.random.default_rng(5)

@@ -68,7 +68,7 @@ def scored(
 
     The gradient of a `near` look is not that of the cost: it corrects no curvature, and a step that gains less than
     `last` is the last one, too. Its steps are cut off at their room: far from the least cost, a noise that falls while
-    all else follows it may end at none, where the cost is flat.
+    all else follows it may end at zero, where the cost is flat.
 
     Returns:
         the last point, what is seen there, whether it ended so, and the steps.
@@ -123,13 +123,13 @@ def boxed_step(
 ) -> Float[np.ndarray, " j"]:
     """The step of least 1/2 d (A + damping diag A) d - g d in its room: Newton's, if that is inside.
 
-    Newton's cut off at the room is another: what the record does not tell (a noise that is none) would move the rest.
+    Newton's cut off at the room is another: a direction without information (a noise that is zero) would move the rest.
     """
     scale = np.sqrt(np.where(np.diag(A) > 0.0, np.diag(A), 1.0))
     size, towards = np.linalg.eigh(A / np.outer(scale, scale) + damping * np.eye(len(g)))
-    told = size > SINGULAR * np.max(size, initial=0.0)
-    root = np.sqrt(size[told])
-    left, right = root[:, None] * towards[:, told].T, towards[:, told].T @ (g / scale) / root
+    determined = size > SINGULAR * np.max(size, initial=0.0)
+    root = np.sqrt(size[determined])
+    left, right = root[:, None] * towards[:, determined].T, towards[:, determined].T @ (g / scale) / root
     return lsq_linear(left, right, (room * scale[:, None]).T, method="bvls", tol=1e-12).x / scale
 
 
@@ -146,12 +146,13 @@ def cut_step(
 def covariance_of(information: Float[np.ndarray, "j j"], moving: Bool[np.ndarray, " j"]) -> Float[np.ndarray, "j j"]:
     """The inverse of the information of what moves; zero for what does not, or of which there is no information.
 
-    In units of its diagonal: of a length in metres beside angles a pseudo-inverse would drop what is told of it.
+    The pseudo-inverse is taken in units of the diagonal. In SI it would drop a length in metres beside angles.
     """
-    told = np.ix_(moving & (np.diag(information) > 0.0), moving & (np.diag(information) > 0.0))
-    scale = np.sqrt(np.diag(information[told]))
+    known = moving & (np.diag(information) > 0.0)
+    block = information[np.ix_(known, known)]
+    units = np.sqrt(np.outer(np.diag(block), np.diag(block)))
     found = np.zeros_like(information)
-    found[told] = np.linalg.pinv(information[told] / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+    found[np.ix_(known, known)] = np.linalg.pinv(block / units, hermitian=True) / units
     return found
 
 
