@@ -56,6 +56,26 @@ def gathered_noise(transition: Float[Array, "s s"], density: Float[Array, " s"],
     return dt / 6.0 * (transition @ W @ transition.T + 4.0 * half @ W @ half.T + W)
 
 
+def gathered_slopes(
+    transition: Float[Array, "s s"],
+    decayed: Float[Array, "s m"],
+    density: Float[Array, " s"],
+    by: Float[Array, "s m"],
+    dt: Any,
+) -> Float[Array, "s s m"]:
+    """Derivative of `gathered_noise` in m directions: `decayed` of the transition's diagonal, `by` of the density."""
+    away = transition - jnp.eye(len(density))
+    half = jnp.eye(len(density)) + 0.5 * away - 0.125 * away @ away
+    both = transition[:, None] * transition[None] + 4.0 * half[:, None] * half[None]
+    driven = (both.reshape(-1, len(density)) @ by).reshape(*both.shape[:2], -1)
+    whole, middle = density[:, None] * transition.T, density[:, None] * half.T
+    bent = 0.5 * middle - 0.125 * away @ middle
+    further = (away[:, None] * middle.T[None]).reshape(-1, len(density)) @ decayed
+    side = decayed[:, None] * (whole + 4.0 * bent)[:, :, None] - 0.5 * further.reshape(driven.shape)
+    own = jnp.eye(len(density))[:, :, None] * by[:, None]
+    return dt / 6.0 * (driven + own + side + jnp.moveaxis(side, 0, 1))
+
+
 class Begin(NamedTuple):
     """State before the first sample, (s,), SI, and its covariance, (s, s)."""
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from bayes_aero.dynamics.filtering.innovations import Observer, rows_of
-from bayes_aero.dynamics.filtering.kalman import gathered_noise, outputs_at
+from bayes_aero.dynamics.filtering.kalman import gathered_noise, gathered_slopes, outputs_at
 from bayes_aero.dynamics.segments import SegmentTrajectories, prepared
 from bayes_aero.dynamics.system import advance
 from bayes_aero.dynamics.tangent import later
@@ -173,9 +173,7 @@ def _one_segment(lin: Linearised, noise: Disturbances, dt: Any):
             y, Ph = y - h @ moved, P @ h
             S = h @ Ph + r
             K = jnp.where(there, Ph / S, 0.0)
-            rest = still - jnp.outer(K, h)
-            P = rest @ P @ rest.T + r * jnp.outer(K, K)
-            return (moved + jnp.outer(K, y), P), (jnp.where(there, y, 0.0), jnp.where(there, S, 1.0))
+            return (moved + jnp.outer(K, y), P - jnp.outer(K, Ph)), (jnp.where(there, y, 0.0), jnp.where(there, S, 1.0))
 
         (moved, P), (found, S) = jax.lax.scan(one, (jnp.zeros_like(mean), P), (C, e, variance, use))
         alone, kept = decay > 0.0, jnp.exp(-decay * dt)
@@ -189,3 +187,64 @@ def _one_segment(lin: Linearised, noise: Disturbances, dt: Any):
     rows = (lin.before, lin.after, lin.ahead, lin.transition, lin.drive, lin.residual, lin.matrix, lin.direct)
     rows = (*rows, noise.density, noise.variance, noise.decay)
     return jax.lax.scan(further, (begin, noise.begin), rows)[1]
+
+
+def noise_slopes(
+    lin: Linearised, noise: Disturbances, slopes: Disturbances, dt: Float[Array, " w"]
+) -> tuple[Float[Array, "w n c m"], Float[Array, "w n c m"]]:
+    """Derivatives of innovations and of their variances by what the noise depends on, referred to the record.
+
+    `slopes` are those of `noise` in m directions, the last axis. The path and the motion along it are held.
+    """
+    de, dS = jax.vmap(_slopes_of_segment)(lin, noise, slopes, dt)
+    used = jnp.isfinite(lin.residual)[..., None]
+    unit = lin.scale[..., None]
+    return jnp.where(used, de / unit, 0.0), jnp.where(used, dS / unit**2, 0.0)
+
+
+def _slopes_of_segment(lin: Linearised, noise: Disturbances, slopes: Disturbances, dt: Any):
+    """The derivative of `_one_segment`, written out: directions are the last axis of every product.
+
+    By forward differentiation each direction has its own small products, which takes twice as long.
+    """
+    s, m = lin.before.shape[-1], slopes.begin.shape[-1]
+
+    def further(carry, row):
+        mean, P, dmean, dP = carry
+        before, after, ahead, Phi, residual, C, (density, variance, decay), towards = row
+        use = jnp.isfinite(residual)
+        e = jnp.where(use, residual, 0.0) - C @ (mean - before)
+
+        def one(carry, output):
+            moved, P, dmean, dP = carry
+            h, y, r, there, dr = output
+            y, dy = y - h @ moved, -(h @ dmean)
+            Ph, dPh = P @ h, jnp.sum(dP * h[:, None], axis=1)
+            S, dS = h @ Ph + r, h @ dPh + dr
+            K = jnp.where(there, Ph / S, 0.0)
+            dK = jnp.where(there, (dPh - K[:, None] * dS) / S, 0.0)
+            dP = dP - dK[:, None] * Ph[:, None] - K[:, None, None] * dPh
+            after = (moved + K * y, P - jnp.outer(K, Ph), dmean + dK * y + K[:, None] * dy, dP)
+            return after, (dy, dS)
+
+        rows = (C, e, variance, use, towards.variance)
+        (moved, P, dmean, dP), found = jax.lax.scan(one, (jnp.zeros(s), P, dmean, dP), rows, unroll=True)
+        alone, kept = decay > 0.0, jnp.exp(-decay * dt)
+        dkept = jnp.where(alone, -dt * kept, 0.0)[:, None] * towards.decay
+        Phi = jnp.where((jnp.eye(s) > 0.0) & alone, jnp.diag(kept), Phi)
+        ahead = jnp.where(alone, kept * after, ahead)
+        estimate = mean + moved
+        dmean = Phi @ dmean + dkept * estimate[:, None]
+        turned = P @ Phi.T
+        dP = (Phi @ dP.reshape(s, s * m)).reshape(s, s, m)
+        dP = jnp.moveaxis(dP, 1, 0).reshape(s, s * m)
+        dP = (Phi @ dP).reshape(s, s, m)  # its first two axes are the other way round, and it is symmetric
+        side = dkept[:, None] * turned[:, :, None]
+        dP = dP + side + jnp.moveaxis(side, 0, 1) + gathered_slopes(Phi, dkept, density, towards.density, dt)
+        P = Phi @ turned + gathered_noise(Phi, density, dt)
+        return (Phi @ (estimate - after) + ahead, 0.5 * (P + P.T), dmean, dP), found
+
+    begin = (lin.begin, noise.begin, jnp.zeros((s, m)), slopes.begin)
+    rows = (lin.before, lin.after, lin.ahead, lin.transition, lin.residual, lin.matrix)
+    rows = (*rows, (noise.density, noise.variance, noise.decay), slopes._replace(begin=jnp.zeros(len(lin.before))))
+    return jax.lax.scan(further, begin, rows)[1]

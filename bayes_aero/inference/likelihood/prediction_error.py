@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 import equinox as eqx
@@ -21,14 +21,13 @@ from jaxtyping import Array, Bool, Float
 
 from bayes_aero.dynamics.filtering.innovations import filtered
 from bayes_aero.dynamics.filtering.kalman import Filtered, log_likelihood
-from bayes_aero.dynamics.filtering.linearised import disturbances, linear_innovations, linearised
+from bayes_aero.dynamics.filtering.linearised import disturbances, linear_innovations, linearised, noise_slopes
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.flight.health.signals import quantum
 from bayes_aero.inference.likelihood.normal_equations import departures
 from bayes_aero.inference.likelihood.scoring import Seen, covariance_of, scored
 
 LAST, NEAR = 1e-3, 0.3  # gain in log likelihood of the last step, and of the last with gains held
-DRIVES = ("drive", "direct", "begin_drive", "scale_drive")  # of `Linearised`, by parameters
 LEAST, MOST = 1e-12, 2.0  # of F and R; of the change of their logarithms in a step
 ROUNDED = 12.0  # over this, the squared step of a rounded channel is the variance of the rounding
 
@@ -66,18 +65,19 @@ class PredictionErrorResult:
         return np.sqrt(np.diag(self.covariance))[: len(self.names)]
 
 
-@eqx.filter_jit
 def _all(flown, point, start_deviation, k, s):
     return filtered(flown, point[:k], start_deviation, jnp.exp(point[k : k + s]), jnp.exp(point[k + s :]))
 
 
 @eqx.filter_jit
-def _cost(flown, point, start_deviation, k, s):
-    return -jnp.sum(jax.vmap(log_likelihood)(_all(flown, point, start_deviation, k, s)))
+def _path(flown, point, start_deviation, k, s):
+    """Minus the log likelihood, and the filter's path."""
+    found = _all(flown, point, start_deviation, k, s)
+    return -jnp.sum(jax.vmap(log_likelihood)(found)), found
 
 
 @eqx.filter_jit
-def _look(flown, point, start_deviation, k, s, _):
+def _look(flown, point, start_deviation, k, s):
     """Cost, gradient and expected information."""
 
     def at(point):
@@ -92,23 +92,24 @@ def _look(flown, point, start_deviation, k, s, _):
 
 
 @eqx.filter_jit
-def _near_look(flown, point, start_deviation, k, s, means):
-    """The same for a fraction of the time: gains are held while the parameters `means` (indices) vary, the others, of
-    disturbances and noise, vary in the filter linearised along its path."""
-    path, unit = _all(flown, point, start_deviation, k, s), jnp.eye(len(point))
+def _near_look(flown, path, point, start_deviation, k, s, means):
+    """The same along a `path`, for a fraction of the time: gains are held while the parameters `means` (indices) vary,
+    the others, of disturbances and noise, vary in the filter linearised along it."""
+    unit = jnp.eye(len(point))
     means, others = np.array(means, int), np.setdiff1d(np.arange(len(point)), means)
     lin = linearised(flown, point[:k], path.predicted, path.state, unit[means, :k])
-    bare = lin._replace(**{name: getattr(lin, name)[..., :0] for name in DRIVES})
 
-    def at(point, lin):
-        F, R = jnp.exp(point[k : k + s]), jnp.exp(point[k + s :])
-        noise = disturbances(flown, point[:k], path.state, start_deviation, F, R)
-        return linear_innovations(lin, noise, jnp.asarray(flown.dt))
+    def noise_at(point):
+        return disturbances(
+            flown, point[:k], path.state, start_deviation, jnp.exp(point[k : k + s]), jnp.exp(point[k + s :])
+        )
 
-    both, S = at(point, lin)
-    by_others = jax.vmap(lambda t: jax.jvp(lambda p: at(p, bare), (point,), (t,))[1], out_axes=-1)(unit[others])
-    de = jnp.zeros((*S.shape, len(point))).at[..., means].set(both[..., 1:])
-    de, dS = de.at[..., others].set(by_others[0][..., 0, :]), jnp.zeros_like(de).at[..., others].set(by_others[1])
+    noise, slopes = jax.vmap(lambda t: jax.jvp(noise_at, (point,), (t,)), out_axes=(None, -1))(unit[others])
+    dt = jnp.asarray(flown.dt)
+    both, S = linear_innovations(lin, noise, dt)
+    de_others, dS_others = noise_slopes(lin, noise, slopes, dt)
+    de = jnp.zeros((*S.shape, len(point))).at[..., means].set(both[..., 1:]).at[..., others].set(de_others)
+    dS = jnp.zeros_like(de).at[..., others].set(dS_others)
     return _scores(both[..., 0], S, de, dS, path.used)
 
 
@@ -177,7 +178,7 @@ def fit_prediction_error(
         covariance,
         problem.prior_cost(point) - here.cost,
         here.cost,
-        _all(problem.flown, jnp.asarray(point), problem.deviation, k, s),
+        problem.path(point)[1],
         status,
         near + steps,
     )
@@ -200,6 +201,7 @@ class _Problem:
     mean: Float[np.ndarray, " j"]
     precision: Float[np.ndarray, " j"]
     bounds: Float[np.ndarray, "j 2"]
+    _last: dict[bytes, tuple[float, Filtered]] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -244,20 +246,32 @@ class _Problem:
 
     def cost(self, point: Float[np.ndarray, " j"]) -> float:
         """Minus the log posterior density."""
-        return float(_cost(self.flown, jnp.asarray(point), self.deviation, self.k, self.s)) + self.prior_cost(point)
+        return self.path(point)[0] + self.prior_cost(point)
+
+    def path(self, point: Float[np.ndarray, " j"]) -> tuple[float, Filtered]:
+        """Minus the log likelihood, and the filter's path; of the last point they are kept."""
+        key = point.tobytes()
+        if key not in self._last:
+            cost, found = _path(self.flown, jnp.asarray(point), self.deviation, self.k, self.s)
+            self._last.clear()
+            self._last[key] = float(cost), found
+        return self._last[key]
 
     def look(self, point: Float[np.ndarray, " j"]) -> Seen:
         """Cost, gradient and information."""
-        return self._seen(_look, point, ())
+        return self._seen(point, _look(self.flown, jnp.asarray(point), self.deviation, self.k, self.s))
 
     def near_look(self, point: Float[np.ndarray, " j"]) -> Seen:
         """The same but for the gradient of the gains by parameters of the motion."""
         dynamics = self.flown.dynamics
         names = dynamics.of_disturbances
-        return self._seen(_near_look, point, tuple(i for i, p in enumerate(dynamics.free) if p.name not in names))
+        means = tuple(i for i, p in enumerate(dynamics.free) if p.name not in names)
+        path = self.path(point)[1]
+        seen = _near_look(self.flown, path, jnp.asarray(point), self.deviation, self.k, self.s, means)
+        return self._seen(point, seen)
 
-    def _seen(self, looked, point: Float[np.ndarray, " j"], means: tuple[int, ...]) -> Seen:
-        seen = looked(self.flown, jnp.asarray(point), self.deviation, self.k, self.s, means)
+    def _seen(self, point: Float[np.ndarray, " j"], seen: tuple[Array, Array, Array]) -> Seen:
+        """With the priors."""
         cost, gradient, information = (np.asarray(x) for x in seen)
         gradient, information = gradient + self.precision * (point - self.mean), information + np.diag(self.precision)
         return Seen(float(cost) + self.prior_cost(point), gradient, information)
