@@ -12,7 +12,9 @@ from bayes_aero.dynamics.filtering.kalman import (
     Begin,
     Measured,
     Sampling,
+    gains,
     gathered_noise,
+    gathered_slopes,
     kalman_filter,
     log_likelihood,
     smoothed,
@@ -145,3 +147,45 @@ def test_the_gradient_is_that_of_finite_differences(record):
         h = 1e-5 * (np.arange(4) == i)
         difference = (density(theta + h) - density(theta - h)) / 2e-5
         assert float(gradient[i]) == pytest.approx(float(difference), rel=1e-5, abs=1e-4)
+
+
+@pytest.fixture(scope="module")
+def uncertain():
+    """Covariance (5, 5), matrix of seven outputs, their variances, and which are there."""
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(5, 5))
+    return root @ root.T, rng.normal(size=(7, 5)), rng.uniform(0.1, 2.0, 7), np.arange(7) != 2
+
+
+def test_gains_are_those_of_the_whole_sample(uncertain):
+    """P C' S^-1, and the inverse of the unit factor of S: numpy's."""
+    P, C, variance, there = uncertain
+    gain, innovate = gains(*map(jnp.asarray, (P, C, variance, there)))
+    seen = C[there]
+    S = seen @ P @ seen.T + np.diag(variance[there])
+    factor = np.linalg.cholesky(S)
+    np.testing.assert_allclose(gain[:, there], np.linalg.solve(S, seen @ P).T, atol=1e-12)
+    np.testing.assert_array_equal(gain[:, ~there], 0.0)
+    np.testing.assert_allclose(innovate[np.ix_(there, there)], np.linalg.inv(factor / np.diag(factor)), atol=1e-12)
+
+
+def test_gains_of_many_samples_ask_no_library_for_them(uncertain):
+    """Two calls of LAPACK for a thousand matrices each, in one program, wait for each other on two cores."""
+    P, C, variance, there = (jnp.broadcast_to(x, (1000, *np.shape(x))) for x in uncertain)
+    program = jax.jit(jax.vmap(gains)).lower(P, C, variance, there).as_text()
+    assert "custom_call" not in program
+
+
+def test_gathered_noise_has_the_derivative_of_finite_differences():
+    """By the transition's diagonal and by the density."""
+    rng = np.random.default_rng(8)
+    transition, density = np.eye(3) + 0.1 * rng.normal(size=(3, 3)), rng.uniform(0.1, 1.0, 3)
+    decayed, by, step = rng.normal(size=(3, 2)), rng.normal(size=(3, 2)), 1e-5
+    found = gathered_slopes(*map(jnp.asarray, (transition, decayed, density, by)), 0.04)
+
+    def at(far, m):
+        moved = transition + far * np.diag(decayed[:, m])
+        return gathered_noise(jnp.asarray(moved), jnp.asarray(density + far * by[:, m]), 0.04)
+
+    for m in range(2):
+        np.testing.assert_allclose(found[..., m], (at(step, m) - at(-step, m)) / (2.0 * step), rtol=1e-7, atol=1e-10)

@@ -7,7 +7,7 @@ beside aerodynamics. A gust moves vane and accelerometers together, as no error 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -19,7 +19,7 @@ from bayes_aero.diagnosis.result import INNOVATIONS
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
 from bayes_aero.diagnosis.search.search_result import SearchResult
 from bayes_aero.diagnosis.search.search_trajectories import in_windows, noise_of, without_lags
-from bayes_aero.diagnosis.selection.forward_selection import Extension, Step, forward_selection
+from bayes_aero.diagnosis.selection.forward_selection import Extension, Selected, Step, selected, sized
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.dynamics.flight import AircraftDynamics, Dynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.dynamics.output_channels import FLIGHT
@@ -56,9 +56,8 @@ def search_innovations(
     if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
         raise InputError(f"card {card.name}: {fit.status.value}")
     full = without_lags(candidate_model(model, flights, extra, settings))
-    known = dict(zip(fit.names, fit.estimate, strict=True))
-    theta = np.array([known.get(name, full.neutral[name]) for name in full.model.names])
-    found, status = _searched(_Flown(full, flights, base, fit.R), theta, seed, progress)
+    known = full.neutral | dict(zip(fit.names, fit.estimate, strict=True))
+    found, status = _searched(_Flown(full, flights, base, fit.R), known, seed, progress)
     notes = ["Structure that no effect of the catalogue describes is not sought in innovations."]
     if status is not PredictionErrorStatus.CONVERGED:
         notes.append(f"Process noise: {status.value}.")
@@ -78,31 +77,37 @@ class _Flown(NamedTuple):
 
 
 def _searched(
-    flown: _Flown, theta: Float[np.ndarray, " k"], seed: int, progress: Progress | None
+    flown: _Flown, known: Mapping[str, float], seed: int, progress: Progress | None
 ) -> tuple[Extension, PredictionErrorStatus]:
     """One addition after the other; after each, gusts and noise are estimated anew with it in the model.
 
-    Before, the noise of states had to stand for what was missing.
+    Before, the noise of states had to stand for what was missing. `known` are parameters to start from.
     """
     active: tuple[str, ...] = ()
     steps: tuple[Step, ...] = ()
-    first: Extension | None = None
+    first: Selected | None = None
+    filtered: PredictionErrorResult | None = None
     while True:
-        state, filtered = _followed(flown, theta, active, progress)
+        state, filtered = _followed(flown, known, active, filtered, progress)
         room = flown.full.settings.max_effects - len(active)
-        found = forward_selection(state, seed=seed + len(active), most=min(1, room), progress=progress)
+        found = selected(state, seed=seed + len(active), most=min(1, room), progress=progress)
         first, steps = first or found, (*steps, *found.steps)
         chosen = found.state.active
         # An addition that another one has replaced ends the search: the two would replace each other for ever.
         if chosen == active or set(active) - set(chosen):
-            return replace(found, base=first.base, base_fit=first.base_fit, steps=steps), filtered.status
-        active, theta = chosen, found.state.theta
+            found = found._replace(base=first.base, base_fit=first.base_fit, steps=steps)
+            return sized(found), filtered.status
+        active, known = chosen, dict(zip(state.full.model.names, found.state.theta, strict=True))
 
 
 def _followed(
-    flown: _Flown, theta: Float[np.ndarray, " k"], active: tuple[str, ...], progress: Progress | None
+    flown: _Flown,
+    known: Mapping[str, float],
+    active: tuple[str, ...],
+    before: PredictionErrorResult | None,
+    progress: Progress | None,
 ) -> tuple[SelectionState, PredictionErrorResult]:
-    """The filter's fit with these additions, and the problem linearised there."""
+    """The filter's fit with these additions, from the one `before`, and the problem linearised there."""
     if progress:
         progress("process noise", 0.0)
     full, names = flown.full, flown.full.model.names
@@ -110,23 +115,19 @@ def _followed(
     held = tuple((name, full.neutral[name]) for name in names if name in out)
     model = Model(full.model.effects, full.model.parameters, (*full.model.fixed, *held), full.model.chords)
     dynamics = replace(flown.base, model=model)
-    start = np.array([x for name, x in zip(names, theta, strict=True) if name not in out])
+    start = np.array([known[name] for name in names if name not in out])
     whole = segments(flown.flights, dynamics, substeps=dynamics.substeps(start, flown.flights))
-    gusty, filtered = fit_disturbed(whole, start, flown.R, exact=False)
+    gusty, filtered = fit_disturbed(whole, start, flown.R, exact=False, near=before)
     if filtered.status is PredictionErrorStatus.DIVERGED:
         raise InputError(f"process noise cannot be estimated: {filtered.status.value}")
-    return _state(_in_gusts(full, gusty.dynamics, filtered), gusty, filtered, flown.base.altitude, active), filtered
+    return _state(_in_gusts(full, gusty.dynamics), gusty, filtered, flown.base.altitude, active), filtered
 
 
-def _in_gusts(full: CandidateModel, dynamics: Dynamics, filtered: PredictionErrorResult) -> CandidateModel:
-    """With the gusts of the filter, held at what it found of them."""
-    known, own = dict(zip(filtered.names, map(float, filtered.estimate), strict=True)), full.model
+def _in_gusts(full: CandidateModel, dynamics: Dynamics) -> CandidateModel:
+    """With the gusts of the filter. Their parameters are nobody's, so that they stay what the filter found of them."""
     assert isinstance(dynamics, AircraftDynamics)
-    gusts = tuple(e for e in dynamics.model.effects if e.disturbance is not None and e not in own.effects)
-    parameters = tuple(p for e in gusts for p in e.parameters)
-    held = tuple((p.name, known[p.name]) for p in parameters)
-    model = Model((*own.effects, *gusts), (*own.parameters, *parameters), (*own.fixed, *held), own.chords)
-    return replace(full, model=model)
+    gusts = tuple(e for e in dynamics.model.effects if e.disturbance is not None and e not in full.model.effects)
+    return replace(full, model=full.model.extended(*gusts))
 
 
 def _state(

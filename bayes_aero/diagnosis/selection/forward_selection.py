@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,16 +63,37 @@ class Extension:
 Checked = Callable[[SelectionState, Fit], tuple[SelectionState, Fit]]
 
 
+class Selected(NamedTuple):
+    """The state before and after additions, with fits and elections."""
+
+    base: SelectionState
+    base_fit: Fit
+    state: SelectionState
+    fit: Fit
+    steps: tuple[Step, ...]
+
+
 def forward_selection(
     state: SelectionState,
     *,
     seed: int = 0,
-    most: int | None = None,
     progress: Progress | None = None,
+    most: int | None = None,
     checked: Checked = lambda state, fit: (state, fit),
 ) -> Extension:
-    """Add effects to `state` until none is both beyond chance and useful on data left out; at most `most`
-    (default: the settings'). `checked` may take some out again before the others are sized.
+    """Add effects to `state` until none is both beyond chance and useful on data left out, and size them.
+
+    `checked` may take some out again before the others are sized. Other arguments as of `selected`.
+    """
+    found = selected(state, seed=seed, most=most, progress=progress)
+    after, fit = checked(found.state, found.fit)
+    return sized(found._replace(state=after, fit=fit))
+
+
+def selected(
+    state: SelectionState, *, seed: int = 0, most: int | None = None, progress: Progress | None = None
+) -> Selected:
+    """Add at most `most` effects (default: the settings').
 
     Each election's p-value is family-wise over all candidates.
     """
@@ -92,10 +114,15 @@ def forward_selection(
         assert winner is not None
         state, fit = refitted(added(state, winner))
         state, fit = _reconsidered(state, fit)
-    state, fit = checked(state, fit)
-    found = sizes(state, fit) if state.responses.stretch is None else _between_sizes(state, fit)
-    causes, minor = worth(state, found)
-    return Extension(first, first_fit, state, fit, tuple(steps), found, causes, minor)
+    return Selected(first, first_fit, state, fit, tuple(steps))
+
+
+def sized(found: Selected) -> Extension:
+    """What was added, with sizes, and which of it are causes."""
+    state, fit = found.state, found.fit
+    sizes_found = sizes(state, fit) if state.responses.stretch is None else _between_sizes(state, fit)
+    causes, minor = worth(state, sizes_found)
+    return Extension(*found, sizes_found, causes, minor)
 
 
 def _between_sizes(state: SelectionState, fit: Fit) -> dict[str, Size]:

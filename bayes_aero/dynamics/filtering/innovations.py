@@ -14,7 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from bayes_aero.dynamics.filtering.kalman import Begin, Filtered, Measured, Sampling, kalman_filter, outputs_at
+from bayes_aero.dynamics.filtering.kalman import (
+    Begin,
+    Filtered,
+    Measured,
+    Sampling,
+    gains,
+    kalman_filter,
+    outputs_at,
+    seen_at,
+)
 from bayes_aero.dynamics.segments import Prepared, SegmentTrajectories, prepared
 from bayes_aero.dynamics.system import System, advance
 from bayes_aero.dynamics.tangent import later, motion
@@ -178,14 +187,11 @@ def observer(flown: SegmentTrajectories, theta: Float[Array, " k"], R: Float[Arr
     ready = prepared(flown, theta)
 
     def one(x, P, u, noise, used):
-        C = jax.jacfwd(lambda x: outputs_at(ready.sensed, x, u, flown.outputs))(x) * used[:, None]
-        S = C @ P @ C.T + jnp.diag(jnp.where(used, noise, 1.0))
-        factor = jnp.linalg.cholesky(S)
-        return jnp.linalg.solve(S, C @ P).T, jnp.linalg.inv(factor / jnp.diag(factor))
+        return Observer(*gains(P, seen_at(ready.sensed, x, u, flown.outputs)[1], noise, used))
 
     noise = R * (ready.scale * jnp.asarray(flown.noise_growth)) ** 2
     each = jax.vmap(jax.vmap(one))
-    return Observer(*each(found.predicted, found.predicted_covariance, ready.drives, noise, found.used))
+    return each(found.predicted, found.predicted_covariance, ready.drives, noise, found.used)
 
 
 class Observed(NamedTuple):

@@ -173,6 +173,28 @@ def corrected(
     return moved, P, e, S, there
 
 
+def gains(
+    P: Float[Array, "s s"], C: Float[Array, "c s"], variance: Float[Array, " c"], there: Bool[Array, " c"]
+) -> tuple[Float[Array, "s c"], Float[Array, "c c"]]:
+    """What `corrected` does to measured minus predicted: gain, and the matrix that makes innovations of it.
+
+    One output after the other, too. All samples' matrices factorised at once are a call of LAPACK that shares the
+    threads with whatever runs beside it: two of them (jaxlib 0.10) wait for each other for ever.
+    """
+
+    def one(carry, output):
+        P, gain = carry
+        h, r, use, own = output
+        Ph = jnp.sum(P * h, axis=1)
+        K = jnp.where(use, Ph / (jnp.sum(h * Ph) + r), 0.0)
+        row = own - jnp.where(use, jnp.sum(h[:, None] * gain, axis=0), 0.0)
+        return (P - K[:, None] * Ph, gain + K[:, None] * row), row
+
+    rows = (C, variance, there, jnp.eye(len(C)))
+    (_, gain), innovate = jax.lax.scan(one, (P, jnp.zeros(C.T.shape)), rows, unroll=True)
+    return gain, innovate
+
+
 def covariance_ahead(
     transition: Float[Array, "s s"], P: Float[Array, "s s"], density: Float[Array, " s"], dt: Any
 ) -> Float[Array, "s s"]:

@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.dynamics.flight import EffectDynamics
+from bayes_aero.dynamics.flight import Dynamics, EffectDynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult, fit_prediction_error
 
 GUSTS = ("vertical_gust", "longitudinal_gust")
 FIRST_F, FIRST_R = 0.3, 0.1  # of output error's residuals: process noise in a second, share that is measurement noise
+LEAST = 0.1  # of these, with which a fit begins beside another
 BESIDE_GUSTS = 0.03  # the first of these in gusts: begun larger, noise of the states takes the place of a gust
 
 
@@ -37,6 +38,7 @@ def fit_disturbed(
     *,
     priors: bool = True,
     exact: bool = True,
+    near: PredictionErrorResult | None = None,
 ) -> tuple[SegmentTrajectories, PredictionErrorResult]:
     """Fit with process noise, from what output error found.
 
@@ -48,6 +50,7 @@ def fit_disturbed(
         R: variances of its residuals, (c,), SI.
         priors: whether the parameters' priors count.
         exact: as of `fit_prediction_error`.
+        near: a fit of a model that differs by an effect; gusts and noise begin there.
 
     Returns:
         The segments in gusts, and the fit.
@@ -58,4 +61,20 @@ def fit_disturbed(
     sd = np.sqrt(R)
     first = FIRST_F if gusty.dynamics.names == flown.dynamics.names else BESIDE_GUSTS
     F = np.array([first * sd[outputs.index(n)] if n in outputs else 0.0 for n in gusty.dynamics.states])
-    return gusty, fit_prediction_error(gusty, F, FIRST_R * R, start=start, priors=priors, exact=exact)
+    R = FIRST_R * R
+    if near is not None:
+        start, F, R = _begun(near, gusty.dynamics, start, F)
+    return gusty, fit_prediction_error(gusty, F, R, start=start, priors=priors, exact=exact)
+
+
+def _begun(
+    near: PredictionErrorResult, dynamics: Dynamics, start: Float[np.ndarray, " k"], F: Float[np.ndarray, " s"]
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " s"], Float[np.ndarray, " c"]]:
+    """Gusts, process noise and measurement noise of a fit; none so small that the likelihood would be flat there."""
+    known = {n: float(x) for n, x in zip(near.names, near.estimate, strict=True) if n in dynamics.of_disturbances}
+    noise = dict(zip(near.states, near.F, strict=True))
+    start = np.array(
+        [max(known[n], LEAST * x) if n in known else x for n, x in zip(dynamics.names, start, strict=True)]
+    )
+    F = np.array([max(float(noise.get(n, x)), LEAST * x) for n, x in zip(dynamics.states, F, strict=True)])
+    return start, F, near.R
