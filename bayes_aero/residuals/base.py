@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -68,6 +68,10 @@ class ResidualModel(ABC):
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
         """Residuals and minus their derivatives in `CHUNK` directions."""
 
+    def sloped(self, theta: Float[np.ndarray, " k"]) -> Callable[[Float[np.ndarray, "d k"]], tuple]:
+        """`slopes` at these parameters, for one set of directions after the other."""
+        return lambda directions: self.slopes(theta, directions)
+
     def apart(self, columns: Int[np.ndarray, " j"]) -> list[Int[np.ndarray, " i"]]:
         """Places among `columns` in sets that are to be taken by themselves, for one of them may cost less."""
         return [np.arange(len(columns))]
@@ -81,12 +85,12 @@ class ResidualModel(ABC):
         compiled function.
         """
         wanted = np.arange(len(theta)) if columns is None else np.asarray(columns)
-        residual, S = None, None
+        residual, S, slopes = None, None, self.sloped(theta)
         places = [part[i : i + CHUNK] for part in self.apart(wanted) for i in range(0, len(part), CHUNK)]
         for place in places or [np.arange(0)]:
             directions = np.zeros((CHUNK, len(theta)))
             directions[np.arange(len(place)), wanted[place]] = 1.0
-            residual, slope = self.slopes(theta, directions)
+            residual, slope = slopes(directions)
             S = np.empty((*residual.shape, len(wanted))) if S is None else S
             S[:, :, place] = np.moveaxis(slope[: len(place)], 0, 2)
         assert residual is not None

@@ -7,7 +7,7 @@ Source: Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, ch. 5
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from bayes_aero.dynamics.filtering.innovations import Observer, observed, observer
 from bayes_aero.dynamics.filtering.kalman import Filtered
-from bayes_aero.dynamics.filtering.linearised import linearised, observer_slopes
+from bayes_aero.dynamics.filtering.linearised import by_state, linearised, observer_slopes
 from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, prepared
 from bayes_aero.residuals.output_error import OutputError
@@ -84,10 +84,19 @@ class FilterError(OutputError):
         self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
         """Residuals and minus their derivatives in these directions, along the path of the observer."""
-        nameless = self._nameless
+        return self.sloped(theta)(directions)
+
+    def sloped(self, theta: Float[np.ndarray, " k"]) -> Callable[[Float[np.ndarray, "d k"]], tuple]:
+        """The path, and all that follows it alone, is found once."""
+        nameless, at = self._nameless, jnp.asarray(theta)
         assert isinstance(nameless, FilterError)
-        residual, slope = _slopes(nameless, jnp.asarray(theta), jnp.asarray(directions))
-        return np.asarray(residual), -np.moveaxis(np.asarray(slope), -1, 0)
+        path, known = _path(nameless, at)
+
+        def slopes(directions):
+            residual, slope = _slopes(nameless, at, path, known, jnp.asarray(directions))
+            return np.asarray(residual), -np.moveaxis(np.asarray(slope), -1, 0)
+
+        return slopes
 
     def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:  # noqa: ARG002
         """None: the filter finds where a manoeuvre began."""
@@ -100,10 +109,14 @@ def _observer(flown, theta, R, found):
 
 
 @eqx.filter_jit
-def _slopes(responses: FilterError, theta, directions):
-    flown = responses.flown
-    path = observed(flown, theta, responses.by)
-    lin = linearised(flown, theta, path.before, path.after, directions)
+def _path(responses: FilterError, theta):
+    path = observed(responses.flown, theta, responses.by)
+    return path, by_state(responses.flown, theta, path.before, path.after)
+
+
+@eqx.filter_jit
+def _slopes(responses: FilterError, theta, path, known, directions):
+    lin = linearised(responses.flown, theta, path.before, path.after, directions, known)
     e = path.innovation[..., None]
     # An error of scale makes the record's noise larger with its signal: without this term it would explain noise.
     grown = e * lin.scale_drive / lin.scale[..., None]

@@ -181,7 +181,8 @@ def test_gathered_noise_has_the_derivative_of_finite_differences():
     rng = np.random.default_rng(8)
     transition, density = np.eye(3) + 0.1 * rng.normal(size=(3, 3)), rng.uniform(0.1, 1.0, 3)
     decayed, by, step = rng.normal(size=(3, 2)), rng.normal(size=(3, 2)), 1e-5
-    found = gathered_slopes(*map(jnp.asarray, (transition, decayed, density, by)), 0.04)
+    A, D, W, E = map(jnp.asarray, (transition, decayed, density, by))
+    found = gathered_slopes(A, D, W, E, 0.04)
 
     def at(far, m):
         moved = transition + far * np.diag(decayed[:, m])

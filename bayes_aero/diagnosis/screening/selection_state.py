@@ -91,6 +91,12 @@ class SelectionState:
         return len(self.theta) + np.arange(self.nuisance)
 
     @property
+    def scanned(self) -> dict[Scan, Float[np.ndarray, "m c 1"]]:
+        """Sensitivity to each scanned value."""
+        begin = len(self.theta) + self.nuisance
+        return {scan: self.S[:, :, begin + i : begin + i + 1] for i, scan in enumerate(self.scans)}
+
+    @property
     def component_columns(self) -> list[Int[np.ndarray, " w"]]:
         """Columns of each component that stands for election."""
         widths = [c.basis.shape[1] for c in (*self.chosen, *self.components)]
@@ -147,14 +153,19 @@ def linearised(
     active: tuple[str, ...] = (),
     noise_growth: Float[np.ndarray, "m c"] | None = None,
     variance_inflation: float = 1.0,
+    known: SelectionState | None = None,
 ) -> SelectionState:
     """The state at `theta`: residuals, sensitivities to every parameter, and their inner products.
 
-    Candidates that are not active and have no slope at neutral are tried at their scanned values.
+    Candidates that are not active and have no slope at neutral are tried at their scanned values. What is `known` of
+    the same responses at the same parameters is not computed again.
     """
     keep = [responses.outputs.index(name) for name in outputs]
-    residual, S = responses.linearise(theta)
-    residual, S = residual[:, keep], S[:, keep]
+    if known is not None and np.array_equal(known.theta, theta):
+        residual, S, scanned = known.residual, known.S[:, :, : len(theta)], known.scanned
+    else:
+        residual, S = responses.linearise(theta)
+        residual, S, scanned = residual[:, keep], S[:, keep], {}
     scans, extra = [], [responses.offsets(theta, outputs)]
     for effect in full.candidates:
         if effect.name in active:
@@ -162,11 +173,14 @@ def linearised(
         for name, values in effect.scan.items():
             at = int(full.columns([name])[0])
             for value in values:
+                scans.append(Scan(effect.name, name, value))
+                if scans[-1] in scanned:
+                    extra.append(scanned[scans[-1]])
+                    continue
                 there = theta.copy()
                 there[at] = value
                 other = np.asarray(responses.evaluate(there)[0])[:, keep]
                 extra.append(((residual - other) / (value - theta[at]))[:, :, None])
-                scans.append(Scan(effect.name, name, value))
     S = np.concatenate([S, *extra, np.zeros((*residual.shape, 1))], axis=2)
     S = np.where(np.isfinite(S), S, 0.0)
     noise_growth = np.ones_like(residual) if noise_growth is None else noise_growth
@@ -202,9 +216,8 @@ def moved(
 ) -> SelectionState:
     """The state at other parameters or with other effects in, with the same noise growth."""
     chosen = state.active if active is None else active
-    return linearised(
-        state.full, state.responses, state.outputs, theta, chosen, state.noise_growth, state.variance_inflation
-    )
+    full, responses, outputs = state.full, state.responses, state.outputs
+    return linearised(full, responses, outputs, theta, chosen, state.noise_growth, state.variance_inflation, state)
 
 
 def refitted(state: SelectionState) -> tuple[SelectionState, Fit]:

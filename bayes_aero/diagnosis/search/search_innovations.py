@@ -18,7 +18,7 @@ from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model
 from bayes_aero.diagnosis.result import INNOVATIONS
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
 from bayes_aero.diagnosis.search.search_result import SearchResult
-from bayes_aero.diagnosis.search.search_trajectories import in_windows, noise_of, without_lags
+from bayes_aero.diagnosis.search.search_trajectories import FIRST, noise_of, without_lags
 from bayes_aero.diagnosis.selection.forward_selection import Extension, Selected, Step, selected, sized
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.dynamics.flight import AircraftDynamics, Dynamics, aircraft_dynamics, taken_as_zero
@@ -29,12 +29,15 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.disturbed import fit_disturbed
+from bayes_aero.inference.likelihood.output_error import fit_output_error
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult, PredictionErrorStatus
 from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.progress import Progress
 from bayes_aero.residuals.filter_error import FilterError
+
+START_STEPS = 8  # of output error, from which the filter begins: its last ones settle what the filter moves again
 
 
 def search_innovations(
@@ -52,7 +55,10 @@ def search_innovations(
         progress("process noise", 0.0)
     flights, outliers = despiked(join(records, card, FLIGHT))
     base = aircraft_dynamics(model, flights)
-    fit = in_windows(flights, base)
+    # A start is enough. Gusts move a flight away from its simulation by less the shorter that is.
+    start = np.array([p.start for p in base.free])
+    brief = segments(flights, base, window=FIRST[-1], substeps=base.substeps(start, flights))
+    fit = fit_output_error(brief, most=START_STEPS)
     if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
         raise InputError(f"card {card.name}: {fit.status.value}")
     full = without_lags(candidate_model(model, flights, extra, settings))

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from bayes_aero.dynamics.filtering.innovations import Observer, rows_of
 from bayes_aero.dynamics.filtering.kalman import gathered_noise, gathered_slopes, outputs_at
-from bayes_aero.dynamics.segments import SegmentTrajectories, prepared
+from bayes_aero.dynamics.segments import Prepared, SegmentTrajectories, prepared
 from bayes_aero.dynamics.system import advance
 from bayes_aero.dynamics.tangent import later
 
@@ -43,37 +43,47 @@ class Linearised(NamedTuple):
     scale_drive: Float[Array, "w n c d"]
 
 
+class ByState(NamedTuple):
+    """Derivatives by the state of outputs at the states before a correction and of the motion after it."""
+
+    matrix: Float[Array, "w n c s"]
+    transition: Float[Array, "w n s s"]
+
+
+def by_state(
+    flown: SegmentTrajectories, theta: Float[Array, " k"], before: Float[Array, "w n s"], after: Float[Array, "w n s"]
+) -> ByState:
+    """Of every sample at once, at parameters `theta`."""
+    ready = prepared(flown, theta)
+    along = lambda e: jax.jvp(  # noqa: E731
+        lambda *x: _along(flown, ready, *x),
+        (before, after),
+        tuple(jnp.broadcast_to(e, x.shape) for x in (before, after)),
+    )[1]
+    return ByState(*jax.vmap(along, out_axes=-1)(jnp.eye(before.shape[-1])))
+
+
 def linearised(
     flown: SegmentTrajectories,
     theta: Float[Array, " k"],
     before: Float[Array, "w n s"],
     after: Float[Array, "w n s"],
     directions: Float[Array, "d k"],
+    known: ByState | None = None,
 ) -> Linearised:
-    """Derivatives at the states `before` (of outputs) and `after` (of motion), at parameters `theta`."""
+    """Derivatives at the states `before` (of outputs) and `after` (of motion), at parameters `theta`.
 
-    dt = jnp.broadcast_to(jnp.asarray(flown.dt)[:, None], after.shape[:2])
-    each = lambda f: jax.vmap(jax.vmap(f))  # noqa: E731
-
-    def along(ready, before, after):
-        """Outputs at `before`, and the state a sample after `after`."""
-        outputs = each(lambda x, u: outputs_at(ready.sensed, x, u, flown.outputs))
-        move = each(lambda x, now, then, dt: advance(ready.sensed, x, now, then, dt, flown.substeps))
-        now = ready.drives
-        return outputs(before, now), move(after, now, later(now, flown.held), dt)
+    Those by the state may be `known`.
+    """
 
     def by_parameters(theta):
         ready = prepared(flown, theta)
         *_, true, _ = rows_of(flown, ready, jnp.zeros((len(flown.index), 1)))
-        outputs, ahead = along(ready, before, after)
+        outputs, ahead = _along(flown, ready, before, after)
         first = {name: y[:, 0] for name, y in ready.drives.items()}
         return true - outputs, ahead, jax.vmap(ready.sensed.settled)(ready.begin, first), ready.scale
 
-    ready = prepared(flown, theta)
-    by_state = lambda e: jax.jvp(  # noqa: E731
-        lambda *x: along(ready, *x), (before, after), tuple(jnp.broadcast_to(e, x.shape) for x in (before, after))
-    )[1]
-    matrix, transition = jax.vmap(by_state, out_axes=-1)(jnp.eye(before.shape[-1]))
+    matrix, transition = known or by_state(flown, theta, before, after)
     found, drives = jax.vmap(lambda t: jax.jvp(by_parameters, (theta,), (t,)), out_axes=(None, -1))(directions)
     (residual, ahead, begin, scale), (away, drive, begin_drive, scale_drive) = found, drives
     finite = lambda y: jnp.where(jnp.isfinite(y), y, 0.0)  # noqa: E731
@@ -91,6 +101,16 @@ def linearised(
         scale,
         scale_drive,
     )
+
+
+def _along(flown: SegmentTrajectories, ready: Prepared, before: Array, after: Array) -> tuple[Array, Array]:
+    """Outputs at `before`, and the state a sample after `after`."""
+    dt = jnp.broadcast_to(jnp.asarray(flown.dt)[:, None], after.shape[:2])
+    each = lambda f: jax.vmap(jax.vmap(f))  # noqa: E731
+    outputs = each(lambda x, u: outputs_at(ready.sensed, x, u, flown.outputs))
+    move = each(lambda x, now, then, dt: advance(ready.sensed, x, now, then, dt, flown.substeps))
+    now = ready.drives
+    return outputs(before, now), move(after, now, later(now, flown.held), dt)
 
 
 def observer_slopes(lin: Linearised, by: Observer) -> Float[Array, "w n c d"]:
