@@ -39,11 +39,12 @@ from bayes_aero.jobs.steps.usable_for import usable_for
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.progress import Progress
-from bayes_aero.report.figures.drift import drift as drift_figure
 from bayes_aero.report.figures.every_figure import draw_all
-from bayes_aero.report.figures.fly import fly_figures, gusts
 from bayes_aero.report.figures.pit import one_step_quantiles
 from bayes_aero.report.figures.posterior import pair_of
+from bayes_aero.report.figures.process_noise import drift as drift_figure
+from bayes_aero.report.figures.process_noise import gusts
+from bayes_aero.report.figures.trajectories import fly_figures
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.fly import FlyTold, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES

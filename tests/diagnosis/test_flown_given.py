@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayes_aero.diagnosis.trajectories.given_parameters import fly_given
+from bayes_aero.diagnosis.trajectories.time_histories import fly_given
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.model.joined_channels import join

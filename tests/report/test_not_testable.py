@@ -2,7 +2,7 @@
 
 import re
 
-from bayes_aero.report.tables.not_testable import not_testable_sentences
+from bayes_aero.report.text.phrases import not_testable_sentences
 
 REASONS = {
     "canard_drag": "channel canard was not recorded",

@@ -16,7 +16,7 @@ from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatu
 from bayes_aero.jobs import fly as job
 from bayes_aero.jobs.io.fly_json import RESULTS
 from bayes_aero.jobs.provenance.provenance import provenance
-from bayes_aero.report.figures.fly import stem_of
+from bayes_aero.report.figures.trajectories import stem_of
 from bayes_aero.report.html.page import Fold, Picture, Plot, Table, render
 from bayes_aero.report.html.page_table import page_table
 from bayes_aero.report.html.parts import at_a_glance

@@ -4,7 +4,7 @@ import pytest
 
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.parameter import Limits, Parameter, Prior, Sign
-from bayes_aero.report.text.impossible_estimates import sign_sentences
+from bayes_aero.report.text.restraints import sign_sentences
 
 PARAMETERS = [p for effect in CATALOGUE.values() for p in effect.parameters]
 

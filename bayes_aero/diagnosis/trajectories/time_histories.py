@@ -12,12 +12,16 @@ from jaxtyping import Float
 
 from bayes_aero.diagnosis.selection.residuals import theil_parts
 from bayes_aero.diagnosis.trajectories.results import Error, Path
-from bayes_aero.dynamics.segments import SegmentTrajectories
+from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.inference.likelihood.output_error import trajectories
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
 from bayes_aero.inference.threads import cores
+from bayes_aero.model.joined_channels import Flights
+from bayes_aero.model.model import Model
 
 DRAWS = 40  # of the posterior, for the probability of staying inside the tolerances
+GIVEN = "given"
 
 
 def label(flown: SegmentTrajectories, row: int) -> str:
@@ -138,3 +142,18 @@ def _probabilities(
         for c, name in enumerate(alone.outputs)
         if name in tolerances
     }
+
+
+def fly_given(
+    flights: Flights, model: Model, values: Mapping[str, float], tolerances: Mapping[str, float]
+) -> tuple[Path, ...]:
+    """Every manoeuvre from its measured initial state, with `values` (SI) by parameter; others have their start.
+
+    Nothing is fitted to the flight.
+    """
+    dynamics = aircraft_dynamics(model, flights)
+    theta = np.array([values.get(p.name, p.start) for p in dynamics.free])
+    whole = segments(flights, dynamics, substeps=dynamics.substeps(theta, flights))
+    still = np.zeros((len(whole.index), len(dynamics.states)))
+    with np.errstate(over="ignore", invalid="ignore"):  # coefficients that fit may still fly anywhere
+        return tuple(simulated(theta, whole, GIVEN, GIVEN, still, tolerances))

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path as Folder
 
-from bayes_aero.diagnosis.trajectories.given_parameters import fly_given
 from bayes_aero.diagnosis.trajectories.results import Path
+from bayes_aero.diagnosis.trajectories.time_histories import fly_given
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card.card import Card

@@ -1,20 +1,23 @@
-"""Simulated trajectories over the measured ones, before and after the extension, on what was not fitted."""
+"""Simulated trajectories over the measured ones: of `fly`, and of `diagnose` before and after the extension."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayes_aero.diagnosis.trajectories.results import Path
+from bayes_aero.diagnosis.trajectories.results import FITTED, START, Path, TrajectoryFit
 from bayes_aero.diagnosis.view.results import View
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.style import NotDrawn, column_width, housed, panels
+from bayes_aero.report.style import NotDrawn, column_width, housed, panels, refuse_many
 from bayes_aero.report.text.phrases import SYMBOLS, bracket, for_people, short
 
 MODELS = (("card", "card's model", COLOURS["before"]), ("extended", "extended model", COLOURS["after"]))
+FLOWN = ((START, "start", COLOURS["before"]), (FITTED, "fitted", COLOURS["after"]))
 Curve = tuple[Path, str, str]
 """A path with its label and colour."""
 
@@ -90,3 +93,22 @@ def trajectories_fitted(view: View) -> Figure:
 
 DIAGNOSIS_FIGURES = {"trajectories_hold_out": trajectories_hold_out, "trajectories_fitted": trajectories_fitted}
 AFTER_TRAJECTORIES = ("trajectories_hold_out", "trajectories_fitted")
+
+
+def fly_figures(flown: TrajectoryFit) -> dict[str, Callable[[TrajectoryFit], Figure]]:
+    """A figure for each output, by the stem of its file."""
+    return {stem_of(n): housed(partial(_of, n)) for n in flown.outputs}
+
+
+def stem_of(output: str) -> str:
+    """The file of an output's figure, without its ending."""
+    return f"trajectory_{re.sub(r'[^A-Za-z0-9_-]', '_', output)}"
+
+
+def _of(output: str, flown: TrajectoryFit) -> Figure:
+    refuse_many(len(flown.manoeuvres))
+    columns = {
+        name: [(flown.path(name, model), label, colour) for model, label, colour in FLOWN] for name in flown.manoeuvres
+    }
+    title = "Measured; simulated from the first values; simulated with parameters and initial state fitted"
+    return over_measured(columns, {output: flown.units[output]}, title)

@@ -16,7 +16,7 @@ from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.figures.fly import stem_of
+from bayes_aero.report.figures.trajectories import stem_of
 from bayes_aero.report.html.glossary import FLOWN, words
 from bayes_aero.report.html.page import Block, Fold, Page, Text, filled, section
 from bayes_aero.report.html.page_table import page_table

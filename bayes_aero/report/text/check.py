@@ -8,9 +8,8 @@ from bayes_aero.diagnosis.consistency.check_result import CheckReport
 from bayes_aero.flight.agreement import Agreement
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.reading.inspection import RecordReport
-from bayes_aero.report.tables.not_testable import not_testable_sentences
 from bayes_aero.report.text.consistency import consistency_sentences
-from bayes_aero.report.text.phrases import for_people, several
+from bayes_aero.report.text.phrases import for_people, not_testable_sentences, several
 
 MOST_PARTS = 12  # of a file that are listed in words; the JSON has all
 

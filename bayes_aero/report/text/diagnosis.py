@@ -11,10 +11,9 @@ from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.report.tables.not_testable import not_testable_sentences
-from bayes_aero.report.text.impossible_estimates import sign_sentences
-from bayes_aero.report.text.phrases import several, size_text
+from bayes_aero.report.text.phrases import not_testable_sentences, several, size_text
 from bayes_aero.report.text.process_noise import gust_sentences
+from bayes_aero.report.text.restraints import sign_sentences
 from bayes_aero.report.text.trajectories import trajectory_sentences
 from bayes_aero.report.text.verdict import tested_sentences, verdict_sentence
 

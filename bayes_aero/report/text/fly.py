@@ -8,9 +8,8 @@ import numpy as np
 
 from bayes_aero.diagnosis.trajectories.results import FITTED, START, Disagreement, TrajectoryFit
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
-from bayes_aero.report.text.impossible_estimates import sign_sentences
 from bayes_aero.report.text.phrases import SYMBOLS, for_people, several, short
-from bayes_aero.report.text.restraints import inseparable_sentences
+from bayes_aero.report.text.restraints import inseparable_sentences, sign_sentences
 
 COLOURED = 1.5  # variance inflation from which a sentence is written; our choice
 OFTEN = 0.5  # share of the time outside a tolerance from which a sentence is written; our choice

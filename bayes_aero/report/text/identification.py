@@ -19,9 +19,8 @@ from bayes_aero.report.tables.comparison import (
     white_posterior,
 )
 from bayes_aero.report.tables.splits import split_verdict
-from bayes_aero.report.text.impossible_estimates import sign_sentences
 from bayes_aero.report.text.phrases import several
-from bayes_aero.report.text.restraints import bound_sentences, conflict_sentences, inseparable_sentences
+from bayes_aero.report.text.restraints import bound_sentences, conflict_sentences, inseparable_sentences, sign_sentences
 from bayes_aero.report.text.samplers import agreement_of_engines, unfinished
 
 # What counts as a disagreement: our choice, wide enough not to report sampling error or chance.
