@@ -6,6 +6,7 @@ The public names are those of `__all__`; each is imported at its first use.
 import os
 import sys
 from importlib import import_module
+from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 # The information matrix of a stall model spans ten decades; single precision loses its small eigenvalues. The variable
@@ -13,6 +14,13 @@ from typing import TYPE_CHECKING
 os.environ["JAX_ENABLE_X64"] = "1"
 if "jax" in sys.modules:
     sys.modules["jax"].config.update("jax_enable_x64", True)
+
+# With the newer emitters of XLA, programs that take the derivatives of all samples at once need up to six times as long
+# on a processor. A flag that XLA does not know ends the process: these versions know it.
+if "xla_cpu_use_fusion_emitters" not in (_flags := os.environ.get("XLA_FLAGS", "")) and version("jaxlib").startswith(
+    ("0.10.", "0.11.")
+):
+    os.environ["XLA_FLAGS"] = f"{_flags} --xla_cpu_use_fusion_emitters=false".strip()
 
 __version__ = "0.1.0"
 
