@@ -22,6 +22,7 @@ from bayes_aero.residuals.base import ResidualModel
 
 REFITS = 8
 ENOUGH = 0.05  # of the deviance
+LARGEST = 1e100  # of a sensitivity: a simulation that has diverged says nothing, and its square has no number
 
 
 @dataclass(frozen=True)
@@ -182,7 +183,7 @@ def linearised(
                 other = np.asarray(responses.evaluate(there)[0])[:, keep]
                 extra.append(((residual - other) / (value - theta[at]))[:, :, None])
     S = np.concatenate([S, *extra, np.zeros((*residual.shape, 1))], axis=2)
-    S = np.where(np.isfinite(S), S, 0.0)
+    S = np.where(np.abs(S) < LARGEST, S, 0.0)
     noise_growth = np.ones_like(residual) if noise_growth is None else noise_growth
     folds = folds_of(responses.manoeuvre, responses.seconds, full.settings)
     mean, precision = full.prior(range(len(theta)), theta)
