@@ -17,7 +17,8 @@ from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.regression import Fit, Products
 from bayes_aero.diagnosis.screening.screening import explained_shares, screen
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
-from bayes_aero.diagnosis.selection.forward_selection import Extension, holdout_deviance_gain, removed
+from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
+from bayes_aero.diagnosis.selection.forward_selection import Extension, removed
 from bayes_aero.inference.variance.autoregression import ORDER
 from bayes_aero.physics.coefficients import NAMES
 

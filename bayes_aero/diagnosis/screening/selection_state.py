@@ -12,12 +12,9 @@ from jaxtyping import Bool, Float, Int
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.folds import blocks_of, folds_of
-from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.regression import Fit, Products
 from bayes_aero.diagnosis.settings import DiagnosisSettings
-from bayes_aero.inference.variance.autoregression import ORDER
 from bayes_aero.parameter import departure
-from bayes_aero.physics.coefficient_names import NAMES
 from bayes_aero.residuals.base import ResidualModel
 
 REFITS = 8
@@ -276,31 +273,3 @@ def local_fit(
     return products.fit(free, mean, precision, held), only.deviance + float(
         np.sum(precision[: len(at)] * mean[: len(at)] ** 2)
     )
-
-
-def noise_growth_of(state: SelectionState, fit: Fit) -> Float[np.ndarray, "m c"]:
-    """Growth of each coefficient's noise with separation, 1 + b (1 - X), b >= 0, from the innovations' size.
-
-    Least squares of |innovation| on 1 - X; flight-path outputs do not noise_growth.
-    """
-    if not set(state.outputs) & set(NAMES):
-        return np.ones_like(state.residual)
-    _, known = state.responses.evaluate(state.theta)
-    apart = 1.0 - np.asarray(state.responses.block(known["X"]))
-    residual = state.left(fit) * state.noise_growth
-    colour = autocorrelation_of(residual, state.folds)
-    noise_growth = np.ones_like(residual)
-    for c, name in enumerate(state.outputs):
-        if name not in NAMES or np.ptp(apart) < 0.05:
-            continue
-        size, x = [], []
-        for fold in state.folds:
-            r = residual[fold, c]
-            past = np.stack([r[ORDER - i : len(r) - i] for i in range(1, ORDER + 1)])
-            size.append(np.abs(r[ORDER:] - colour.phi[c] @ past))
-            x.append(apart[fold][ORDER:])
-        innovation = np.concatenate(size)
-        slope, level = np.polyfit(np.concatenate(x), np.minimum(innovation, 10 * np.median(innovation)), 1)
-        if level > 0.0:
-            noise_growth[:, c] = 1.0 + max(0.0, slope / level) * apart
-    return noise_growth

@@ -11,6 +11,7 @@ import numpy as np
 
 from bayes_aero.diagnosis.screening.accuracy import Size, sizes
 from bayes_aero.diagnosis.screening.autocorrelation import SharedNoise, autocorrelation_of
+from bayes_aero.diagnosis.screening.noise_growth import noise_growth_of
 from bayes_aero.diagnosis.screening.partialled_regression import PartialledRegression, largest_p_value
 from bayes_aero.diagnosis.screening.refit_screening import RefitScore
 from bayes_aero.diagnosis.screening.regression import Fit
@@ -24,8 +25,8 @@ from bayes_aero.diagnosis.screening.screening import (
     screen,
     uncertainty,
 )
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, noise_growth_of, refitted
-from bayes_aero.diagnosis.selection.cross_validation import truncated
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, refitted
+from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain, truncated
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.inference.variance.variance_inflation import nats, typical
 from bayes_aero.physics.coefficient_names import NAMES
@@ -217,29 +218,6 @@ def mixes_noise(state: SelectionState, standing: CandidateScore) -> bool:
 def explained(state: SelectionState, standing: CandidateScore) -> float:
     """Share of the remaining variance that a candidate takes away, were it all in one output."""
     return 1.0 - float(np.exp(-max(standing.gain, 0.0) / state.products.count.sum()))
-
-
-def holdout_deviance_gain(state: SelectionState, wide: np.ndarray, narrow: np.ndarray | None = None) -> float:
-    """Deviance that columns `wide` gain over `narrow` (default: the active ones) on folds that were left out.
-
-    From inner products alone, for thousands of fits; `cross_validation.LeftOut` has the residuals.
-    """
-    narrow = state.columns() if narrow is None else narrow
-    used = np.unique(np.concatenate([wide, narrow, state.offsets]))
-    products, mean, precision = state.products.only(used), state.mean[used], state.precision[used]
-    wide, narrow, offsets = (np.searchsorted(used, columns) for columns in (wide, narrow, state.offsets))
-
-    def deviance(fold: int, columns: np.ndarray) -> float:
-        """n log(mean square) over outputs of the fold; offsets are its own."""
-        step = products.without(fold).fit(columns, mean, precision).step
-        parameters = ~np.isin(columns, offsets)
-        left = products.over([fold]).shifted(columns[parameters], step[parameters])
-        if len(offsets):
-            return left.fit(offsets, np.zeros_like(mean), np.zeros_like(mean)).deviance
-        n = float(left.count.sum())
-        return float(n * np.sum(np.log(left.gram[0, :, 0, 0] / n)))
-
-    return float(np.sum([deviance(fold, narrow) - deviance(fold, wide) for fold in range(len(state.folds))]))
 
 
 def added(state: SelectionState, winner: CandidateScore) -> SelectionState:
