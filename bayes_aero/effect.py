@@ -16,12 +16,13 @@ from jaxtyping import Float
 from bayes_aero.arrays import Array
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.parameter import Parameter
+from bayes_aero.physics.coefficient_names import LATERAL, NAMES
 
 Values = Mapping[str, Any]
 """Parameter values by name."""
 
 Known = Mapping[str, Any]
-"""What the earlier stages have built: `incidence`, `X`, `CL_attached`, `CL`, `CD`, `Cm`."""
+"""What the earlier stages have built: `incidence`, `X`, `CL_attached`, `CL`, `CD`, `Cm`, `CY`, `Cl`, `Cn`."""
 
 Increments = dict[str, Any]
 """What an effect adds to entries of `Known`."""
@@ -59,7 +60,7 @@ class Stage(IntEnum):
     TOTAL = 6  # what depends on separation or on the attached lift
 
 
-NEUTRAL_FLOW = {"X": 1.0, "CL_attached": 0.0, "CL": 0.0, "CD": 0.0, "Cm": 0.0}
+NEUTRAL_FLOW = {"X": 1.0, "CL_attached": 0.0} | dict.fromkeys((*NAMES, *LATERAL), 0.0)
 """Attached flow without forces: what `Known` holds before any effect acts (`incidence` starts as alpha)."""
 
 

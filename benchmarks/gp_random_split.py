@@ -67,7 +67,7 @@ def main():
     for seed in range(options.seeds):
         fold = make_splits("random", seen.manoeuvre, seen.dt, seed)[0]
         trained = fit_mle(model, seen.subset(fold.train_idx), start=start, extra_starts=0)
-        predicted = np.asarray(model.coefficients(jnp.asarray(trained.estimate), seen.signals, seen.aircraft))
+        predicted = np.asarray(model.predicted(jnp.asarray(trained.estimate), seen.signals, seen.aircraft))
         for i, name in enumerate(NAMES):
             began = time.perf_counter()
             y, measured = z[fold.train_idx, i], z[fold.test_idx, i]

@@ -36,7 +36,7 @@ def main():
     assert best.status is MleStatus.CONVERGED, best.status
     for theta in (start, best.estimate):
         same = agree(
-            np.asarray(model.coefficients(theta, observations.signals, observations.aircraft)).T, reference(theta)
+            np.asarray(model.predicted(theta, observations.signals, observations.aircraft)).T, reference(theta)
         )
     weight = 1.0 / np.sqrt(best.R)[:, None]
 

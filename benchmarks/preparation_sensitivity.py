@@ -93,7 +93,7 @@ def prepared(records: list[FlightRecord], card: Card, way: Preparation, observat
         for name, x in formed.items():
             parts.setdefault(name, []).append(x)
     signals = observations.signals | {name: jnp.asarray(np.concatenate(x)) for name, x in parts.items()}
-    measured = jnp.stack(coefficients(signals, observations.aircraft), axis=-1)
+    measured = jnp.stack(coefficients(signals, observations.aircraft)[:3], axis=-1)
     return eqx.tree_at(lambda o: (o.signals, o.measured), observations, (signals, measured))
 
 

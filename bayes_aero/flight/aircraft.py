@@ -18,7 +18,9 @@ class Aircraft:
 
     `reference_point` is where the pitching moment is referred to; `engine` is the point at which the total net
     thrust acts, inclined upward by `engine_inclination`; `tail_arm` is the distance from the CG to the tailplane.
-    `reference_speed` and `rate_length` say how rates and speeds are made free of units (see `physics.rates`). Compiled
+    `engine_arm` is the distance of a left and a right engine from the plane of symmetry, which yaw the aircraft where
+    `thrust_left` and `thrust_right` are recorded. `reference_speed`, `rate_length` and `lateral_rate_length` say how
+    rates and speeds are made free of units (see `physics.rates`); `lateral_length` is the length of Cl and Cn. Compiled
     programs take it apart: see `model.pytrees`.
     """
 
@@ -38,6 +40,16 @@ class Aircraft:
     engine_inclination: Scalar = 0.0  # rad
     reference_speed: Scalar | None = None  # m/s; None: the airspeed of the moment
     rate_length: Scalar | None = None  # m; None: the chord
+    lateral_length: Scalar | None = None  # m; None: the span
+    lateral_rate_length: Scalar | None = None  # m; None: half the span
+    engine_arm: Scalar = 0.0  # m
+    Ixy: Scalar = 0.0  # kg m2
+    Iyz: Scalar = 0.0  # kg m2
+
+    @property
+    def moment_length(self) -> Scalar:
+        """Length of rolling and yawing moment coefficients, m."""
+        return 2.0 * self.half_span if self.lateral_length is None else self.lateral_length
 
 
 AIRCRAFT_UNITS: dict[str, str] = {
@@ -57,6 +69,11 @@ AIRCRAFT_UNITS: dict[str, str] = {
     "engine_inclination": "rad",
     "reference_speed": "m/s",
     "rate_length": "m",
+    "lateral_length": "m",
+    "lateral_rate_length": "m",
+    "engine_arm": "m",
+    "Ixy": "kg m^2",
+    "Iyz": "kg m^2",
 }
 AIRCRAFT_KEYS: dict[str, str] = {**AIRCRAFT_UNITS, "span": "m"}
 """Keys of a card's [aircraft]: the constants, and the span in place of half of it."""
@@ -68,6 +85,11 @@ OPTIONAL = (
     "engine_inclination",
     "reference_speed",
     "rate_length",
+    "lateral_length",
+    "lateral_rate_length",
+    "engine_arm",
+    "Ixy",
+    "Iyz",
 )
 
 _NAN = float("nan")

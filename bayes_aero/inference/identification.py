@@ -162,4 +162,4 @@ class Identification:
     def fitted(self) -> Float[np.ndarray, "n 3"]:
         """CL, CD, Cm of the maximum-likelihood fit at every sample."""
         o = self.observations
-        return np.asarray(self.model.coefficients(jnp.asarray(self.mle.estimate), o.signals, o.aircraft))
+        return np.asarray(self.model.predicted(jnp.asarray(self.mle.estimate), o.signals, o.aircraft))

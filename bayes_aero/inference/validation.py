@@ -176,7 +176,7 @@ class _Work(NamedTuple):
 def _mle_prediction(model: Model, observations: Observations, mle: MleResult, fold: Split) -> Float[np.ndarray, "m 3"]:
     """Maximum likelihood on the training points, evaluated at the test points."""
     trained = fit_mle(model, observations.subset(fold.train_idx), start=mle.estimate, extra_starts=0)
-    y = model.coefficients(jnp.asarray(trained.estimate), observations.signals, observations.aircraft)
+    y = model.predicted(jnp.asarray(trained.estimate), observations.signals, observations.aircraft)
     return np.asarray(y)[fold.test_idx]
 
 

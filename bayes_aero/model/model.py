@@ -16,9 +16,11 @@ from bayes_aero.effect import NEUTRAL_FLOW, Disturbance, Effect, Known, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import Card
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.parameter import Parameter, Role, per_length
+from bayes_aero.physics.coefficient_names import coefficients_of
 
 Signals = Mapping[str, Float[Array, "*#n"]]
 
@@ -28,29 +30,36 @@ class Model:
     """A list of effects with their parameters.
 
     `fixed` parameters keep their value, the others are free. `chords` is the chord over the length in nondimensional
-    rates; it multiplies the defaults of derivatives per q c/V. Hashable and without arrays, so it is static under
-    `jax.jit`.
+    rates; it multiplies the defaults of derivatives per q c/V. `axes` say which coefficients it has. Hashable and
+    without arrays, so it is static under `jax.jit`.
     """
 
     effects: tuple[Effect, ...]
     parameters: tuple[Parameter, ...]
     fixed: tuple[tuple[str, float], ...] = ()
     chords: float = 1.0
+    axes: tuple[Axis, ...] = (Axis.LONGITUDINAL,)
 
     def __hash__(self) -> int:
         return self._hash
 
     @cached_property
     def _hash(self) -> int:  # hashed on every call of a compiled function; the parts are many and immutable
-        return hash((self.effects, self.parameters, self.fixed))
+        return hash((self.effects, self.parameters, self.fixed, self.axes))
 
     @classmethod
-    def of(cls, effects: Iterable[str | Effect], fixed: Mapping[str, float] | None = None) -> Model:
+    def of(
+        cls,
+        effects: Iterable[str | Effect],
+        fixed: Mapping[str, float] | None = None,
+        axes: Iterable[Axis] = (Axis.LONGITUDINAL,),
+    ) -> Model:
         """Make a model.
 
         Args:
             effects: effects, or their names in the catalogue.
             fixed: values of parameters that are not fitted, in SI and radians.
+            axes: which coefficients the model has.
 
         Raises:
             InputError: an effect or a parameter is unknown, or two effects own the same parameter.
@@ -70,7 +79,7 @@ class Model:
         for name in fixed or {}:
             if name not in names:
                 raise InputError(f"the fixed parameter {name} belongs to no effect of the model")
-        return cls(chosen, parameters, tuple((fixed or {}).items()))
+        return cls(chosen, parameters, tuple((fixed or {}).items()), axes=tuple(axes))
 
     @classmethod
     def from_card(cls, card: Card) -> Model:
@@ -83,7 +92,7 @@ class Model:
             raise InputError(f"card {card.name} states a linear system, which has no effects; use one with [model]")
         own = own_effects(card.effect_files)
         try:
-            model = cls.of([own.get(name, name) for name in card.effects], card.fixed)
+            model = cls.of([own.get(name, name) for name in card.effects], card.fixed, card.axes)
         except InputError as reason:
             raise InputError(f"card {card.name}, [model]: {reason}") from None
         for name in card.changes:
@@ -105,7 +114,7 @@ class Model:
             InputError: an effect or a parameter is unknown.
         """
         known = {p.name: p for p in self.parameters}
-        wider = Model.of((*self.effects, *effects), dict(self.fixed) | dict(fixed or {}))
+        wider = Model.of((*self.effects, *effects), dict(self.fixed) | dict(fixed or {}), self.axes)
         parameters = tuple(known.get(p.name, per_length(p, self.chords)) for p in wider.parameters)
         return replace(wider, parameters=parameters, chords=self.chords)
 
@@ -114,6 +123,11 @@ class Model:
         """The free parameters, in the order of every parameter vector."""
         fixed = dict(self.fixed)
         return tuple(p for p in self.parameters if p.name not in fixed)
+
+    @cached_property
+    def coefficients(self) -> tuple[str, ...]:
+        """Names of the coefficients that it has: CL, CD, Cm of the longitudinal axis, CY, Cl, Cn of the lateral one."""
+        return coefficients_of(self.axes)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -185,7 +199,7 @@ class Model:
     def flow(
         self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft, X: Float[Array, "*#n"] | None = None
     ) -> dict[str, Any]:
-        """Everything the effects build: X, the attached lift, CL, CD, Cm (see `effect.Known`).
+        """Everything the effects build: X, the attached lift, the coefficients (see `effect.Known`).
 
         `X` given, as a simulation does that carries it as a state, takes the place of the stages that build it.
         """
@@ -219,7 +233,7 @@ class Model:
                         total[key] = _sum(total[key], increment)
         return total
 
-    def coefficients(self, theta: Float[Array, " k"], signals: Signals, aircraft: Aircraft) -> Float[Array, "*n 3"]:
+    def predicted(self, theta: Float[Array, " k"], signals: Signals, aircraft: Aircraft) -> Float[Array, "*n c"]:
         """The modelled coefficients.
 
         Args:
@@ -228,10 +242,10 @@ class Model:
             aircraft: constants of the aircraft.
 
         Returns:
-            CL, CD, Cm along the last axis, (n, 3).
+            Its `coefficients` along the last axis, (n, c).
         """
         known = self.flow(self.values(theta), signals, aircraft)
-        return namespace(known["CL"]).stack([known["CL"], known["CD"], known["Cm"]], axis=-1)
+        return namespace(known["CL"]).stack([known[name] for name in self.coefficients], axis=-1)
 
     def _absent(self, effect: Effect) -> bool:
         """True for an effect all of whose parameters are fixed at neutral: it need not be computed at all."""

@@ -22,13 +22,13 @@ from bayes_aero.model import pytrees as pytrees
 from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.joined_records import MARKS, named_apart, plain_marks
 from bayes_aero.model.model import Model
+from bayes_aero.physics.coefficient_names import NAMES, required_of
 from bayes_aero.physics.coefficients import (
-    REQUIRED,
     SMOOTHED,
     alike_joined,
     coefficient_noise,
-    coefficients,
     condition_joined,
+    stacked_coefficients,
 )
 from bayes_aero.physics.filters import FILTER_STEP
 
@@ -44,17 +44,19 @@ class Observations(eqx.Module):
     """Samples of all manoeuvres laid end to end; `start` marks the first sample of each.
 
     Nothing reaches across a seam: filters ran per manoeuvre, and whatever has memory (lags, coloured noise) starts
-    anew where `start` is true. `measured` holds CL, CD, Cm; `sensor_noise` their standard deviation from sensor noise.
+    anew where `start` is true. `measured` holds the `coefficients` named; `sensor_noise` their standard deviation from
+    sensor noise.
     """
 
     signals: dict[str, Array]
-    measured: Float[Array, "n 3"]
-    sensor_noise: Float[Array, "n 3"]
+    measured: Float[Array, "n c"]
+    sensor_noise: Float[Array, "n c"]
     start: Bool[Array, " n"]
     manoeuvre: Int[np.ndarray, " n"]
     time: Float[np.ndarray, " n"]
     aircraft: Aircraft
     names: tuple[str, ...] = eqx.field(static=True)
+    coefficients: tuple[str, ...] = eqx.field(static=True, default=NAMES)
 
     @property
     def n(self) -> int:
@@ -107,7 +109,7 @@ class Observations(eqx.Module):
         """One manoeuvre of the set."""
         return self.subset(np.flatnonzero(self.manoeuvre == manoeuvre))
 
-    def with_measured(self, measured: Float[Array, "n 3"]) -> Observations:
+    def with_measured(self, measured: Float[Array, "n c"]) -> Observations:
         """The same signals with other measured coefficients, for simulation studies."""
         return eqx.tree_at(lambda o: o.measured, self, jnp.asarray(measured))
 
@@ -141,7 +143,7 @@ def observe(
     parts, offset = [], 0
     for record in records:
         channels = with_sums(record, card)
-        for need in dict.fromkeys((*REQUIRED, *model.channels)):
+        for need in dict.fromkeys((*required_of(model.axes), *model.channels)):
             if need not in channels and need != "alpha_dot":
                 raise InputError(
                     f"record {record.name} has no channel {need}, which the model needs; map it on the card"
@@ -161,6 +163,7 @@ def observe(
         time=np.concatenate([np.asarray(record.time) for record in records]),
         aircraft=aircraft,
         names=tuple(names),
+        coefficients=model.coefficients,
     )
 
 
@@ -173,7 +176,7 @@ def _formed(
     beside: Mapping[str, Array],
     aircraft: Aircraft,
     sensors: Mapping[str, float],
-) -> tuple[dict[str, Array], Float[Array, "n 3"], Float[Array, "n 3"]]:
+) -> tuple[dict[str, Array], Float[Array, "n c"], Float[Array, "n c"]]:
     """Conditioned signals, the coefficients and their noise: one program, where step by step each would be one."""
     true = model.corrected(values, {**joined, **beside}, aircraft)
     channels, ends = {key: true[key] for key in joined}, [beside[key] for key in ("dt", "first", "last")]
@@ -181,8 +184,8 @@ def _formed(
         signals, smoothed = alike_joined(channels, aircraft.accelerometer, *ends), tuple(channels)
     else:
         signals, smoothed = condition_joined(channels, *ends), SMOOTHED
-    noise = coefficient_noise(signals, aircraft, sensors, beside["dt"], smoothed)
-    return signals, jnp.stack(coefficients(signals, aircraft), axis=-1), noise
+    noise = coefficient_noise(signals, aircraft, sensors, beside["dt"], smoothed, model.coefficients)
+    return signals, stacked_coefficients(signals, aircraft, model.coefficients), noise
 
 
 def _settled(model: Model) -> dict[str, Any]:

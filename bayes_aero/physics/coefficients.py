@@ -1,4 +1,4 @@
-"""From recorded accelerations and rates to lift, drag and pitching-moment coefficients.
+"""From recorded accelerations and rates to the coefficients of forces and moments.
 
 Signals are conditioned in one of three ways. `condition_joined`: as the published ATTAS coefficients were formed:
 alpha, beta, V smoothed; alpha-dot the derivative of smoothed alpha; p, q, r smoothed and differentiated for the angular
@@ -24,10 +24,10 @@ from bayes_aero.physics.filters import (
     differentiate_joined,
     smooth_joined,
 )
-from bayes_aero.physics.forces import thrust_components
+from bayes_aero.physics.forces import engine_moments, thrust_components
 from bayes_aero.physics.frames import lift_drag_from_body
 from bayes_aero.physics.incidence_rate import alpha_rate, lift_regression
-from bayes_aero.physics.kinematics import RATES, Rotation, lever_arm
+from bayes_aero.physics.kinematics import RATES, Rotation, inertial_moments, lever_arm
 
 __all__ = [
     "NAMES",
@@ -38,6 +38,7 @@ __all__ = [
     "coefficient_noise",
     "coefficients",
     "condition_joined",
+    "stacked_coefficients",
     "unsmoothed_joined",
 ]
 
@@ -48,11 +49,15 @@ Filter = Callable[[Float[Array, " n"]], Float[Array, " n"]]
 
 
 class Coefficients(NamedTuple):
-    """CL, CD (stability axes, about the CG) and Cm (about the aerodynamic reference point), each of shape (n,)."""
+    """Coefficients, each of shape (n,): CL and CD in stability axes, CY along body y, moments about body axes through
+    the aerodynamic reference point."""
 
     CL: Float[Array, "*n"]
     CD: Float[Array, "*n"]
     Cm: Float[Array, "*n"]
+    CY: Float[Array, "*n"] | None = None
+    Cl: Float[Array, "*n"] | None = None
+    Cn: Float[Array, "*n"] | None = None
 
 
 def condition_joined(
@@ -130,26 +135,43 @@ def _slopes(
 
 
 def coefficients(signals: Mapping[str, Float[Array, "*n"]], aircraft: Aircraft) -> Coefficients:
-    """CL, CD, Cm from conditioned signals, sample by sample (so it may be differentiated or mapped sample by sample).
+    """Coefficients from conditioned signals, sample by sample (so it may be differentiated or mapped sample by sample).
 
-    `thrust` is the total net thrust in N, acting at `aircraft.engine`; it is removed from forces and moment.
+    `thrust` is the total net thrust in N, acting at `aircraft.engine`; it is removed from forces and moments, with the
+    moments of `thrust_left` and `thrust_right` where both are there. Without `ay` the lateral ones are None.
     """
     s, a = signals, aircraft
     rotation = Rotation(s["p"], s["q"], s["r"], s["p_dot"], s["q_dot"], s["r_dot"])
-    arm_x, _, arm_z = lever_arm(rotation, a.accelerometer)
+    arm_x, arm_y, arm_z = lever_arm(rotation, a.accelerometer)
     thrust_x, thrust_z = thrust_components(s["thrust"], a)
-    qbar_S = 0.5 * s["density"] * jnp.square(s["airspeed"]) * a.wing_area
-    CX = (a.mass * (s["ax"] - arm_x) - thrust_x) / qbar_S
-    CZ = (a.mass * (s["az"] - arm_z) - thrust_z) / qbar_S
+    pressure_area = 0.5 * s["density"] * jnp.square(s["airspeed"]) * a.wing_area
+    CX = (a.mass * (s["ax"] - arm_x) - thrust_x) / pressure_area
+    CZ = (a.mass * (s["az"] - arm_z) - thrust_z) / pressure_area
     CL, CD = lift_drag_from_body(CX, CZ, s["alpha"])
 
-    x_engine, _, z_engine = a.engine
-    inertial = a.Iy * rotation.q_dot + (rotation.p**2 - rotation.r**2) * a.Ixz
-    inertial = inertial - rotation.p * rotation.r * (a.Iz - a.Ix)
-    aerodynamic = inertial - (thrust_x * z_engine - thrust_z * x_engine)
-    x_ref, _, z_ref = a.reference_point
-    Cm = aerodynamic / (qbar_S * a.chord) - CX * z_ref / a.chord + CZ * x_ref / a.chord
-    return Coefficients(CL, CD, Cm)
+    x_engine, y_engine, z_engine = a.engine
+    x_ref, y_ref, z_ref = a.reference_point
+    L, M, N = inertial_moments(rotation, a)
+    M = M - (thrust_x * z_engine - thrust_z * x_engine)
+    Cm = M / (pressure_area * a.chord) - CX * z_ref / a.chord + CZ * x_ref / a.chord
+    if "ay" not in s:
+        return Coefficients(CL, CD, Cm)
+
+    b = a.moment_length
+    CY = a.mass * (s["ay"] - arm_y) / pressure_area
+    roll, yaw = engine_moments(s, a)
+    L, N = L - y_engine * thrust_z - roll, N + y_engine * thrust_x - yaw
+    Cl = L / (pressure_area * b) - CZ * y_ref / b + CY * z_ref / b
+    Cn = N / (pressure_area * b) - CY * x_ref / b + CX * y_ref / b
+    return Coefficients(CL, CD, Cm, CY, Cl, Cn)
+
+
+def stacked_coefficients(
+    signals: Mapping[str, Float[Array, "*n"]], aircraft: Aircraft, names: Sequence[str] = NAMES
+) -> Float[Array, "*n c"]:
+    """`coefficients` of these names, along the last axis."""
+    found = coefficients(signals, aircraft)
+    return jnp.stack([getattr(found, name) for name in names], axis=-1)
 
 
 def coefficient_noise(
@@ -158,12 +180,14 @@ def coefficient_noise(
     sensor_sd: Mapping[str, float],
     dt: float | Float[Array, " n"],
     smoothed: Collection[str] = SMOOTHED,
-) -> Float[Array, "n 3"]:
-    """Standard deviation of CL, CD, Cm per sample from independent white sensor noise of deviation `sensor_sd` (SI).
+    names: Sequence[str] = NAMES,
+) -> Float[Array, "n c"]:
+    """Standard deviation of the coefficients `names` per sample from independent white sensor noise.
 
-    First order; `smoothed` names the channels that were smoothed. Smoothing and differentiation scale the noise by
-    their weights' root sum of squares, which is exact away from the outer eight samples; a rate and the derivative of
-    its smoothed self are uncorrelated at one sample because the one filter is even and the other odd.
+    `sensor_sd` are its deviations, SI. First order; `smoothed` names the channels that were smoothed. Smoothing and
+    differentiation scale the noise by their weights' root sum of squares, which is exact away from the outer eight
+    samples; a rate and the derivative of its smoothed self are uncorrelated at one sample because the one filter is
+    even and the other odd.
     """
     noisy = {name: value for name, value in sensor_sd.items() if value != 0.0}
     sd: dict[str, Any] = {name: value * (SMOOTHING_GAIN if name in smoothed else 1.0) for name, value in noisy.items()}
@@ -175,6 +199,6 @@ def coefficient_noise(
         if name not in signals:
             continue
         perturbed = {k: jnp.ones_like(v) if k == name else jnp.zeros_like(v) for k, v in signals.items()}
-        _, slope = jax.jvp(lambda s: coefficients(s, aircraft), (dict(signals),), (perturbed,))
-        variance = variance + jnp.square(jnp.stack(slope, axis=-1) * jnp.asarray(value)[..., None])
-    return jnp.sqrt(jnp.broadcast_to(variance, (signals["alpha"].shape[0], 3)))
+        _, slope = jax.jvp(lambda s: stacked_coefficients(s, aircraft, names), (dict(signals),), (perturbed,))
+        variance = variance + jnp.square(slope * jnp.asarray(value)[..., None])
+    return jnp.sqrt(jnp.broadcast_to(variance, (signals["alpha"].shape[0], len(names))))

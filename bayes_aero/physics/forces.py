@@ -5,6 +5,8 @@ Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 3.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import jax.numpy as jnp
 
 from bayes_aero.arrays import Samples
@@ -15,6 +17,18 @@ from bayes_aero.physics.frames import body_from_lift_drag
 def thrust_components(thrust: Samples, aircraft: Aircraft) -> tuple[Samples, Samples]:
     """Thrust along body x and z, N."""
     return thrust * jnp.cos(aircraft.engine_inclination), -thrust * jnp.sin(aircraft.engine_inclination)
+
+
+def engine_moments(signals: Mapping[str, Samples], aircraft: Aircraft) -> tuple[Samples, Samples]:
+    """Moments (N m) about body x and z of a left and a right engine `engine_arm` off the plane of symmetry.
+
+    None where `thrust_left` and `thrust_right` (N) were not both recorded.
+    """
+    if "thrust_left" not in signals or "thrust_right" not in signals:
+        nothing = jnp.zeros_like(signals["thrust"])
+        return nothing, nothing
+    along, down = thrust_components(signals["thrust_left"] - signals["thrust_right"], aircraft)
+    return -aircraft.engine_arm * down, aircraft.engine_arm * along
 
 
 def specific_force(

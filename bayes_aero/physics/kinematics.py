@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from bayes_aero.arrays import Samples
-from bayes_aero.flight.aircraft import Position
+from bayes_aero.flight.aircraft import Aircraft, Position
 
 RATES = ("p", "q", "r")
 
@@ -19,6 +19,23 @@ class Rotation(NamedTuple):
     p_dot: Samples
     q_dot: Samples
     r_dot: Samples
+
+
+def inertial_moments(rotation: Rotation, aircraft: Aircraft) -> tuple[Samples, Samples, Samples]:
+    """Moments about body x, y and z (N m) that this rotation takes: I omega_dot + omega x (I omega).
+
+    Full inertia tensor; Ixy, Ixz, Iyz are the integrals of the products (a nose-down principal axis has Ixz > 0).
+    Source: Etkin and Reid, *Dynamics of Flight*, 3rd ed. 1996, eq. 4.3,5.
+    """
+    p, q, r, p_dot, q_dot, r_dot = rotation
+    a = aircraft
+    hx = a.Ix * p - a.Ixy * q - a.Ixz * r
+    hy = a.Iy * q - a.Ixy * p - a.Iyz * r
+    hz = a.Iz * r - a.Ixz * p - a.Iyz * q
+    L = a.Ix * p_dot - a.Ixy * q_dot - a.Ixz * r_dot + q * hz - r * hy
+    M = a.Iy * q_dot - a.Ixy * p_dot - a.Iyz * r_dot + r * hx - p * hz
+    N = a.Iz * r_dot - a.Ixz * p_dot - a.Iyz * q_dot + p * hy - q * hx
+    return L, M, N
 
 
 def lever_arm(rotation: Rotation, position: Position) -> tuple[Samples, Samples, Samples]:

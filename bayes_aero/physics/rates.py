@@ -1,7 +1,8 @@
 """Rates and speeds free of units, as aerodynamic derivatives take them.
 
 Texts differ in the length (chord, half chord, any other) and in the speed (of the moment, of the trim point); a card
-says which under [aircraft] as `rate_length` and `reference_speed`. Their default is q c/V.
+says which under [aircraft] as `rate_length`, `lateral_rate_length` and `reference_speed`. By default they are made free
+of units as q c/V, p b/2V and r b/2V.
 """
 
 from __future__ import annotations
@@ -15,6 +16,13 @@ USUAL_SPEED = 100.0  # m/s, where the card names no reference speed; only keeps 
 def reduced(rate: Samples, airspeed: Samples, aircraft: Aircraft) -> Samples:
     """A rate (rad/s, or a multiple of one) times length over speed (m, m/s)."""
     length = aircraft.chord if aircraft.rate_length is None else aircraft.rate_length
+    speed = airspeed if aircraft.reference_speed is None else aircraft.reference_speed
+    return rate * length / speed
+
+
+def reduced_lateral(rate: Samples, airspeed: Samples, aircraft: Aircraft) -> Samples:
+    """A roll or yaw rate (rad/s) times length over speed (m, m/s); b/2V unless the card says otherwise."""
+    length = aircraft.half_span if aircraft.lateral_rate_length is None else aircraft.lateral_rate_length
     speed = airspeed if aircraft.reference_speed is None else aircraft.reference_speed
     return rate * length / speed
 

@@ -1,6 +1,6 @@
 """Everything measured beside everything modelled, as a function of every effect's parameters at once.
 
-Outputs are the three coefficients and, where attitude and height were recorded, the flight-path integrals. One
+Outputs are the coefficients and, where attitude and height were recorded, the flight-path integrals. One
 compiled function gives the residuals and their sensitivity to all parameters of all effects, active or not.
 """
 
@@ -16,15 +16,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from bayes_aero.flight.axes import Axis
 from bayes_aero.model.joined_channels import Flights, response_scales
 from bayes_aero.model.model import Model
-from bayes_aero.physics.coefficients import NAMES, coefficients
+from bayes_aero.physics.coefficients import stacked_coefficients
 from bayes_aero.physics.flightpath import LATERAL, PATH
 from bayes_aero.residuals.base import Blockwise
 from bayes_aero.residuals.flight_path import differences, flight_path
 
 GROUP = 4  # directions at a time: most calls ask for no more, and the others lose nothing
 RESPONSE = ("q", *PATH, *LATERAL)  # measured channels whose own scale an effect may change
+LATERAL_RESPONSE = ("p", "r", "ay")  # and those of the lateral axis
 
 
 class EquationError(Blockwise, eqx.Module):
@@ -49,7 +51,7 @@ class EquationError(Blockwise, eqx.Module):
     @property
     def outputs(self) -> tuple[str, ...]:
         """Names of the outputs: coefficients, then flight-path channels."""
-        return (*NAMES, *self.path)
+        return (*self.model.coefficients, *self.path)
 
     def evaluate(
         self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
@@ -88,6 +90,10 @@ def _measuring(model: Model, flights: Flights) -> tuple[int, ...]:
     return tuple(i for i, x in enumerate(program.invars) if id(x) in read)
 
 
+def _response(model: Model) -> tuple[str, ...]:
+    return RESPONSE if Axis.LATERAL not in model.axes else tuple(dict.fromkeys((*RESPONSE, *LATERAL_RESPONSE)))
+
+
 def _measured(responses: EquationError, values: Mapping[str, Any], channels: Mapping[str, Array]):
     """Corrected signals of every flight, and the aircraft as it is."""
     corrected = responses.model.corrected(values, channels, responses.flights.aircraft)
@@ -96,17 +102,23 @@ def _measured(responses: EquationError, values: Mapping[str, Any], channels: Map
 
 def _modelled(responses: EquationError, values, signals, aircraft):
     known = responses.model.flow(values, signals, aircraft)
-    return jnp.stack([known[name] for name in NAMES], axis=-1), known["X"]
+    return jnp.stack([known[name] for name in responses.model.coefficients], axis=-1), known["X"]
 
 
 def _referred(responses: EquationError, signals, aircraft, scales):
-    """Factors (n, 3) that refer residuals of coefficients to the response as recorded."""
+    """Factors (n, c) that refer residuals of coefficients to the response as recorded."""
     f = responses.flights
     pressure = signals["density"] * jnp.square(signals["airspeed"])
     nominal = f.channels["density"] * jnp.square(f.channels["airspeed"])
-    force = pressure / nominal * (f.aircraft.mass / aircraft.mass)
-    moment = pressure / nominal * (f.aircraft.Iy / aircraft.Iy) / scales["q"]
-    return jnp.stack([force, force, moment], axis=-1)
+    ratio = pressure / nominal
+    force = ratio * (f.aircraft.mass / aircraft.mass)
+    pitch = ratio * (f.aircraft.Iy / aircraft.Iy) / scales["q"]
+    found = {"CL": force, "CD": force, "Cm": pitch}
+    if Axis.LATERAL in responses.model.axes:
+        roll = ratio * (f.aircraft.Ix / aircraft.Ix) / scales["p"]
+        yaw = ratio * (f.aircraft.Iz / aircraft.Iz) / scales["r"]
+        found |= {"CY": force / scales["ay"], "Cl": roll, "Cn": yaw}
+    return jnp.stack([found[name] for name in responses.model.coefficients], axis=-1)
 
 
 def _residuals(responses: EquationError, theta):
@@ -114,15 +126,16 @@ def _residuals(responses: EquationError, theta):
     f, model = responses.flights, responses.model
     values = model.values(theta)
     signals, aircraft = _measured(responses, values, f.channels)
-    measured = jnp.stack(coefficients(signals, aircraft), axis=-1)
+    measured = stacked_coefficients(signals, aircraft, model.coefficients)
     modelled, X = _modelled(responses, values, signals, aircraft)
-    scales = response_scales(model, values, f.channels, f.aircraft, RESPONSE)
+    scales = response_scales(model, values, f.channels, f.aircraft, _response(model))
     columns = [(measured - modelled) * _referred(responses, signals, aircraft, scales)]
     if responses.path:
         columns.append(differences(responses.path, signals, aircraft, scales))
     residual = f.smoothed(jnp.concatenate(columns, axis=1))
     both = f.smoothed(jnp.concatenate([measured, modelled], axis=1))
-    details = {"X": X, "measured": both[:, :3], "modelled": both[:, 3:], "residual": residual}
+    c = len(model.coefficients)
+    details = {"X": X, "measured": both[:, :c], "modelled": both[:, c:], "residual": residual}
     return responses.block(residual), {**signals, **details}
 
 
@@ -141,7 +154,7 @@ def _linearise_flow(responses: EquationError, theta, directions):
     f, model = responses.flights, responses.model
     values = model.values(theta)
     signals, aircraft = _measured(responses, values, f.channels)
-    scales = response_scales(model, values, f.channels, f.aircraft, RESPONSE)
+    scales = response_scales(model, values, f.channels, f.aircraft, _response(model))
     referred = _referred(responses, signals, aircraft, scales)
 
     def flow(t):
@@ -153,7 +166,7 @@ def _linearise_flow(responses: EquationError, theta, directions):
     _, slope = jax.linearize(flow, theta)
     coefficients_alone = _along(lambda d: blocks(slope(d)), directions)
     residual = _residuals(responses, theta)[0]
-    others = residual.shape[1] - len(NAMES)
+    others = residual.shape[1] - len(model.coefficients)
     return residual, jnp.pad(coefficients_alone, ((0, 0), (0, 0), (0, others)))
 
 

@@ -45,7 +45,7 @@ def lay_down(model: Model, observations: Observations, folder: Path, asked: dict
     start = np.array([p.start for p in model.free])
     apart = [
         agree(
-            np.asarray(model.coefficients(jnp.asarray(theta), observations.signals, observations.aircraft)).T,
+            np.asarray(model.predicted(jnp.asarray(theta), observations.signals, observations.aircraft)).T,
             reference(theta),
         )
         for theta in (start, best.estimate)

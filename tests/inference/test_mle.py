@@ -49,7 +49,7 @@ def test_published_cost_and_fit(published_fit):
 
 def test_published_program_stopped_above_our_optimum(published_fit, attas, model):
     theta = jnp.asarray([PUBLISHED[name][0] for name in model.names])
-    residual = attas.measured - model.coefficients(theta, attas.signals, attas.aircraft)
+    residual = attas.measured - model.predicted(theta, attas.signals, attas.aircraft)
     assert published_fit.det_R <= float(jnp.prod(jnp.mean(residual**2, axis=0)))
 
 
@@ -180,7 +180,7 @@ def test_gauss_newton_reaches_a_stationary_point(attas, model, published_fit):
         for sign in (1, -1):
             moved = theta.copy()
             moved[i] += sign * 0.05 * crb
-            residual = attas.measured - model.coefficients(jnp.asarray(moved), attas.signals, attas.aircraft)
+            residual = attas.measured - model.predicted(jnp.asarray(moved), attas.signals, attas.aircraft)
             assert 0.5 * attas.n * float(jnp.sum(jnp.log(jnp.mean(residual**2, axis=0)))) > cost
     again = descend(model, attas, theta)
     np.testing.assert_allclose(again.theta, theta, atol=1e-3 * published_fit.crb.min())

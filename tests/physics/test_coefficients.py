@@ -11,6 +11,7 @@ from bayes_aero.physics.coefficients import (
     coefficient_noise,
     coefficients,
     condition_joined,
+    stacked_coefficients,
     unsmoothed_joined,
 )
 from bayes_aero.physics.filters import smooth
@@ -47,7 +48,7 @@ def test_coefficients_come_back_from_a_simulated_flight(clean, model):
     from bayes_aero.simulate.demo import TRUTH
 
     truth = jnp.asarray([TRUTH[name] for name in model.names])
-    modelled = np.asarray(model.coefficients(truth, clean.signals, clean.aircraft))
+    modelled = np.asarray(model.predicted(truth, clean.signals, clean.aircraft))
     error = np.abs(np.asarray(clean.measured) - modelled)
     spread = np.ptp(modelled, axis=0)
     # Smoothing costs the sharpest corners of the pitching moment; lift and drag need no derivative.
@@ -63,7 +64,7 @@ def test_propagated_noise_is_the_scatter_of_perturbed_records(card):
     }  # fmt: skip
     exact = {name: jnp.full(n, value) for name, value in steady.items()}
     noisy = {name: x + card.sensors[name] * rng.standard_normal(n) for name, x in exact.items()}
-    scatter = np.std(np.stack(coefficients(_conditioned(noisy, dt), card.aircraft)), axis=1)
+    scatter = np.std(np.asarray(stacked_coefficients(_conditioned(noisy, dt), card.aircraft)), axis=0)
     stated = coefficient_noise(_conditioned(exact, dt), card.aircraft, card.sensors, dt)[n // 2]
     np.testing.assert_allclose(scatter, stated, rtol=0.03)
 

@@ -48,7 +48,7 @@ def observations(model: Model, manoeuvres: int) -> Observations:
     signals = {k: jnp.asarray(v) for k, v in signals.items()}
     aircraft = read_card("attas").aircraft
     theta = jnp.asarray([TRUTH[n] for n in model.names])
-    clean = model.coefficients(theta, signals, aircraft)
+    clean = model.predicted(theta, signals, aircraft)
     return Observations(
         signals=signals,
         measured=clean + 0.005 * jnp.asarray(rng.standard_normal((t.size, 3))),

@@ -13,7 +13,7 @@ from bayes_aero.units import quantity_to_si
 POSITIONS = ("reference_point", "accelerometer", "engine")
 POSITIVE = (
     "mass", "Ix", "Iy", "Iz", "wing_area", "chord", "half_span", "span", "aspect_ratio", "tail_arm",
-    "reference_speed", "rate_length",
+    "reference_speed", "rate_length", "lateral_length", "lateral_rate_length",
 )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
+from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.aircraft_table import parse_aircraft
 from bayes_aero.flight.card.channel_table import (
     parse_channel,
@@ -62,6 +63,7 @@ class Card:
     effects: tuple[str, ...]
     effect_files: tuple[Path, ...]  # Python files with effects of the user's own
     fixed: Mapping[str, float]
+    axes: tuple[Axis, ...] = (Axis.LONGITUDINAL,)
     changes: Mapping[str, ParameterChange] = field(default_factory=dict)
     gp_inputs: tuple[str, ...] = ("alpha", "elevator", "q", "airspeed")
     constants: Mapping[str, float] = field(default_factory=dict)  # channels that a file may lack, SI
@@ -146,6 +148,7 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
         output_biases=_output_biases(section(table, "output_biases", where), where),
         segments=_segments(section(table, "segments", where), where),
         effects=effects,
+        axes=_axes(model, where),
         effect_files=_files(model.get("effect_files", []), where),
         fixed=numbers(model.get("fixed", {}), f"{where}: [model] fixed"),
         changes=changes,
@@ -159,13 +162,22 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
 
 
 def _effects(model: Mapping[str, Any], where: str) -> tuple[str, ...]:
-    known_keys(model, ("effects", "effect_files", "fixed"), where, "key of [model]")
+    known_keys(model, ("effects", "effect_files", "fixed", "axes"), where, "key of [model]")
     effects = model.get("effects")
     if not (isinstance(effects, list) and effects and all(isinstance(e, str) for e in effects)):
         raise InputError(f"card {where}: [model] effects must be a list of effect names")
     if len(set(effects)) < len(effects):
         raise InputError(f"card {where}: [model] effects names an effect twice")
     return tuple(effects)
+
+
+def _axes(model: Mapping[str, Any], where: str) -> tuple[Axis, ...]:
+    """Axes that the card models, in the order of `Axis`."""
+    given = model.get("axes", [Axis.LONGITUDINAL.value])
+    known = [axis.value for axis in Axis]
+    if not (isinstance(given, list) and given and all(x in known for x in given)):
+        raise InputError(f"card {where}: [model] axes must be a list of {' and '.join(known)}")
+    return tuple(axis for axis in Axis if axis in given)
 
 
 def _files(given: Any, where: str) -> tuple[Path, ...]:
