@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -127,7 +127,8 @@ def candidate_model(
     everything = (*active, *dormant, *candidates, *idle)
     parameters = tuple(changed.get(p.name, per_length(p, model.chords)) for e in everything for p in e.parameters)
     held = {p.name for e in (*candidates, *idle) for p in e.parameters}
-    whole = Model(everything, parameters, tuple((k, v) for k, v in fixed.items() if k not in held), model.chords)
+    kept = tuple((k, v) for k, v in fixed.items() if k not in held)
+    whole = replace(model, effects=everything, parameters=parameters, fixed=kept)
     return CandidateModel(whole, tuple(e.name for e in active), tuple(candidates), not_testable, settings=settings)
 
 

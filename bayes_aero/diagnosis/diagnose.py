@@ -35,7 +35,6 @@ from bayes_aero.inference.threads import blas_threads
 from bayes_aero.inference.variance.variance_inflation import nats
 from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
-from bayes_aero.physics.coefficient_names import NAMES
 from bayes_aero.progress import Progress
 
 
@@ -197,9 +196,10 @@ def _gains_of(
         after = LeftOut.refitted(truncated(state, (*nuisances, *_sure(causes, number, kept), name)))
         pairs[name] = before, after
         before = after if name in kept else before
-    if extension is aerodynamics and state.outputs != NAMES:  # no coefficients to score
+    by_coefficients = state.outputs == state.responses.model.coefficients
+    if extension is aerodynamics and not by_coefficients:  # no coefficients to score
         return {n: Gain(*holdout_gain(*pair, state), split_name(state), {}, {}) for n, pair in pairs.items()}
-    if state.outputs != NAMES:
+    if not by_coefficients:
         return _sensor_gains(extension, aerodynamics, kept, pairs)
     measured = measured_blocks(state)
     return {
