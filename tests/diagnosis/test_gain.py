@@ -51,7 +51,12 @@ def test_a_comparison_by_manoeuvre_is_the_difference_of_plain_scores():
         LeftOut(size * rng.standard_normal((m, 3)), noise_growth, np.ones(m, bool), NAMES) for size in (2.0, 1.0)
     )
     variance_inflation = rng.uniform(1.0, 9.0)
-    state = part(SelectionState, responses=SimpleNamespace(manoeuvre=manoeuvre), variance_inflation=variance_inflation)
+    state = part(
+        SelectionState,
+        responses=SimpleNamespace(manoeuvre=manoeuvre),
+        variance_inflation=variance_inflation,
+        outputs=NAMES,
+    )
     density = []
     for left in (before, after):
         deviation = np.sqrt(np.mean((left.residual / noise_growth) ** 2, axis=0)) * noise_growth
