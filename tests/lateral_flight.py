@@ -120,7 +120,9 @@ def _balanced(known, given, aircraft):
 
     controls = jnp.zeros((SAMPLES, 3))
     for _ in range(4):
-        columns = [jax.jvp(out_of_balance, (controls,), (jnp.zeros_like(controls).at[:, k].set(1.0),)) for k in range(3)]
+        columns = [
+            jax.jvp(out_of_balance, (controls,), (jnp.zeros_like(controls).at[:, k].set(1.0),)) for k in range(3)
+        ]
         slope = jnp.stack([column for _, column in columns], axis=2)
         controls = controls - jnp.linalg.solve(slope, columns[0][0][..., None])[..., 0]
     return controls, felt(controls)[0], jnp.max(jnp.abs(out_of_balance(controls)))
