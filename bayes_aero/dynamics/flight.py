@@ -266,14 +266,10 @@ def aircraft_dynamics(
     """
     own = held_states(model.axes, held)
     rigid = bool(held) or Axis.LATERAL in model.axes
-    further = tuple(
-        n for n in ON_REQUEST if n in outputs and (n == "q_dot" or rigid) and n.removesuffix("_dot") not in own
-    )
-    altitude, heading = ("altitude" in flights.channels and "altitude" not in own, "psi" in flights.channels)
-    if not rigid:
-        dynamics = AircraftDynamics(model, altitude="altitude" in flights.channels, further=further)
-    else:
-        dynamics = AircraftDynamics(model, altitude, further, tuple(held), heading and "psi" not in own)
+    turning = [n for n in ON_REQUEST if n.removesuffix("_dot") not in own] if rigid else ["q_dot"]
+    further = tuple(n for n in turning if n in outputs)
+    altitude, heading = (n in flights.channels and not (rigid and n in own) for n in ("altitude", "psi"))
+    dynamics = AircraftDynamics(model, altitude, further, tuple(held), heading and rigid)
     have = set(flights.channels) | {
         "alpha_dot",
         "X",

@@ -146,8 +146,8 @@ class RigidBody(EffectSystem):
     def _attitude_rates(self, x: Float[Array, " s"], path: Mapping[str, Any]) -> list[Any]:
         rates = (path["p"], path["q"], path["r"])
         if self.by_angles:
-            turned = dict(zip(ANGLES, euler_rates(rates, path["phi"], path["theta"]), strict=True))
-            return [turned[name] for name in self.angles]
+            turned = euler_rates(rates, path["phi"], path["theta"])
+            return [turned[ANGLES.index(name)] for name in self.angles]
         first = self.states.index(QUATERNION[0])
         return list(Attitude(*(x[first + i] for i in range(4))).turned(rates))
 
