@@ -6,17 +6,19 @@ any list of effects can live in one compiled function with the absent ones held 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
+from functools import cached_property
 from typing import Any
 
 from jaxtyping import Float
 
 from bayes_aero.arrays import Array
 from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.flight.axes import Axis
 from bayes_aero.parameter import Parameter
-from bayes_aero.physics.coefficient_names import LATERAL, NAMES
+from bayes_aero.physics.coefficient_names import COEFFICIENTS, LATERAL, NAMES
 
 Values = Mapping[str, Any]
 """Parameter values by name."""
@@ -63,6 +65,10 @@ class Stage(IntEnum):
 NEUTRAL_FLOW = {"X": 1.0, "CL_attached": 0.0} | dict.fromkeys((*NAMES, *LATERAL), 0.0)
 """Attached flow without forces: what `Known` holds before any effect acts (`incidence` starts as alpha)."""
 
+_OF_AXIS = {
+    axis: {*names, *(("CL_attached",) if axis is Axis.LONGITUDINAL else ())} for axis, names in COEFFICIENTS.items()
+}
+
 
 @dataclass(frozen=True)
 class Example:
@@ -108,6 +114,7 @@ class Effect:
     product or sum moves: thrust over dynamic pressure, the mean of two spoilers.
     `candidate` states whether diagnosis may propose it; terms that replace others at one trim are for cards only.
     `disturbance`: the random process that it consists of, for a filter to follow; None for what is no noise.
+    `axis`: the only axis on which it acts, where the coefficients that `example` adds to do not say so (see `axes`).
     """
 
     name: str
@@ -125,6 +132,21 @@ class Effect:
     together: bool = False
     candidate: bool = True
     disturbance: Disturbance | None = None
+    axis: Axis | None = None
+
+    @cached_property
+    def axes(self) -> tuple[Axis, ...]:
+        """Axes on which it acts: that of the coefficients that it adds to, if it adds to nothing else; or all."""
+        if self.axis is not None:
+            return (self.axis,)
+        if self.stage <= Stage.AIRCRAFT:
+            return tuple(Axis)
+        added = set(self.example.increments)
+        return tuple(axis for axis, names in _OF_AXIS.items() if added <= names) or tuple(Axis)
+
+    def acts_on(self, axes: Iterable[Axis]) -> bool:
+        """Whether it acts on one of these axes: on no other model can it change a number."""
+        return not set(self.axes).isdisjoint(axes)
 
     @property
     def neutral_values(self) -> dict[str, float]:

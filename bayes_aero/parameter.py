@@ -24,6 +24,39 @@ class Role(StrEnum):
     DELAY = "delay"  # s, of the recorded channel that the effect names first; neutral 0
 
 
+class Length(StrEnum):
+    """A reference length in which a nondimensional parameter is stated; a card may state another."""
+
+    RATE = "c/V"  # it multiplies q c/V
+    LATERAL_RATE = "b/2V"  # it multiplies p b/2V or r b/2V
+    LATERAL_MOMENT = "b"  # rolling and yawing moment over the span
+
+
+@dataclass(frozen=True)
+class Lengths:
+    """How often a card's reference length goes into the usual one: chord, half span and span of `Length`."""
+
+    rate: float = 1.0
+    lateral_rate: float = 1.0
+    lateral_moment: float = 1.0
+
+    def of(self, length: Length) -> float:
+        """The factor of one of them."""
+        return {
+            Length.RATE: self.rate,
+            Length.LATERAL_RATE: self.lateral_rate,
+            Length.LATERAL_MOMENT: self.lateral_moment,
+        }[length]
+
+
+USUAL = Lengths()
+USUALLY = {
+    Length.RATE: "q c/V",
+    Length.LATERAL_RATE: "b/2V",
+    Length.LATERAL_MOMENT: "moments over the span",
+}
+
+
 @dataclass(frozen=True)
 class Prior:
     """One parameter's prior distribution.
@@ -113,10 +146,11 @@ class Parameter:
     """One scalar of a model, in SI units and radians.
 
     `neutral` is the value at which the effect that owns the parameter is absent. Estimation begins at `start`.
-    `bounds` are (lower, upper), infinite where there is none. `per_rate`: it multiplies a nondimensional rate, q c/V,
-    so its start, bounds and prior depend on the length in it (see `per_length`). `role`: see `Role`. `sign` and
-    `limits` are None where an estimate may have either sign or any size. Tables list parameters by `place` (drag from
-    10, lift from 20, moments from 30, separation from 40), those without one behind.
+    `bounds` are (lower, upper), infinite where there is none. `lengths`: reference lengths in which its start, bounds
+    and prior are stated, and on which they depend (see `per_length`). `role`: see `Role`. `sign` and `limits` are None
+    where an estimate may have either sign or any size. Tables list parameters by `place` (drag from 10, lift from 20,
+    pitching moment from 30, separation from 40, side force from 50, rolling moment from 60, yawing moment from 70),
+    those without one behind.
     """
 
     name: str
@@ -126,7 +160,7 @@ class Parameter:
     description: str
     prior: Prior
     bounds: tuple[float, float] = field(default=(-math.inf, math.inf))
-    per_rate: bool = False
+    lengths: tuple[Length, ...] = ()
     role: Role | None = None
     sign: Sign | None = None
     limits: Limits | None = None
@@ -151,24 +185,33 @@ class Parameter:
         return replace(self, **changes)  # type: ignore[arg-type]
 
 
-def per_length(parameter: Parameter, times: float) -> Parameter:
-    """A parameter `per_rate` where the rate has another length than the chord, which is `times` as long."""
-    if not parameter.per_rate or times == 1.0:
+def per_length(parameter: Parameter, card: Lengths) -> Parameter:
+    """A parameter in the reference lengths of a card."""
+    times = math.prod(card.of(length) for length in parameter.lengths)
+    if times == 1.0:
         return parameter
     prior, limits = parameter.prior, parameter.limits
+    usual = " and ".join(USUALLY[length] for length in parameter.lengths)
     return replace(
         parameter,
         start=times * parameter.start,
         bounds=(times * parameter.bounds[0], times * parameter.bounds[1]),
         limits=limits and replace(limits, low=times * limits.low, high=times * limits.high),
-        description=parameter.description.replace("c/V", "l/V, l the card's rate_length"),
+        description=_in_lengths_of_card(parameter),
         prior=replace(
             prior,
             location=times * prior.location,
             scale=prior.scale if prior.family == "lognormal" else times * prior.scale,
-            source=f"{prior.source}; for q c/V, here times {times:.4g}",
+            source=f"{prior.source}; for {usual}, here times {times:.4g}",
         ),
     )
+
+
+def _in_lengths_of_card(parameter: Parameter) -> str:
+    text = parameter.description
+    if Length.LATERAL_RATE in parameter.lengths:
+        text = text.replace("b/2V", "l/V, l the card's lateral_rate_length")
+    return text.replace("c/V", "l/V, l the card's rate_length") if Length.RATE in parameter.lengths else text
 
 
 def departure(value: float, neutral: float) -> float:

@@ -35,7 +35,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.simulate.demo import TRUTH
-from bayes_aero.simulate.injection import flyable, hidden_records
+from bayes_aero.simulate.injection import FLOWN_AXES, flyable, hidden_records
 
 NOISES = ("white", "ar1", "ar1", "buffet", "outliers")
 PAIR, SINGLE = {"seconds": 90.0}, {"seconds": 100.0, "manoeuvres": 1}  # one length: one compilation serves all
@@ -45,7 +45,8 @@ CLEAR = 6.0  # standard errors from which an effect must be named
 def candidates() -> list[str]:
     """Effects that can be hidden: every one of the catalogue that is not a term of the base aircraft."""
     base = set(TRUTH) - {"tau1"}
-    return [e.name for e in CATALOGUE.values() if e.candidate and e.sizes and not {p.name for p in e.parameters} & base]
+    known = [e for e in CATALOGUE.values() if e.candidate and e.sizes and e.acts_on(FLOWN_AXES)]
+    return [e.name for e in known if not {p.name for p in e.parameters} & base]
 
 
 def without_accelerometers(record: FlightRecord) -> FlightRecord:

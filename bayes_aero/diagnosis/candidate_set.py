@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -106,7 +106,8 @@ def candidate_model(
         if still and not missing and effect.together and _moves(effect, flights):
             still = []
         lacking = [name for name in effect.uses if name not in owned]
-        if effect.kind is Kind.NOISE or not (effect.candidate or effect in absent):
+        proposed = effect.candidate and effect.acts_on(model.axes)
+        if effect.kind is Kind.NOISE or not (proposed or effect in absent):
             continue
         if missing:
             not_testable[effect.name] = f"channel {', '.join(missing)} was not recorded"
@@ -122,12 +123,15 @@ def candidate_model(
             candidates.append(effect)
     # Effects without parameters are nothing until an effect that they rest on wakes them (Kirchhoff's lift, X).
     dormant = [
-        e for e in CATALOGUE.values() if not e.parameters and e not in active and all(name in owned for name in e.uses)
+        e
+        for e in CATALOGUE.values()
+        if not e.parameters and e not in active and e.acts_on(model.axes) and all(name in owned for name in e.uses)
     ]
     everything = (*active, *dormant, *candidates, *idle)
-    parameters = tuple(changed.get(p.name, per_length(p, model.chords)) for e in everything for p in e.parameters)
+    parameters = tuple(changed.get(p.name, per_length(p, model.lengths)) for e in everything for p in e.parameters)
     held = {p.name for e in (*candidates, *idle) for p in e.parameters}
-    whole = Model(everything, parameters, tuple((k, v) for k, v in fixed.items() if k not in held), model.chords)
+    kept = tuple((k, v) for k, v in fixed.items() if k not in held)
+    whole = replace(model, effects=everything, parameters=parameters, fixed=kept)
     return CandidateModel(whole, tuple(e.name for e in active), tuple(candidates), not_testable, settings=settings)
 
 

@@ -91,6 +91,7 @@ _TABLE = (
     ("canard", "rad", "canard deflection, trailing edge down positive", -1.6, 1.6),
     ("stabilizer", "rad", "horizontal-tail trim angle", -1.6, 1.6),
     ("rudder", "rad", "rudder deflection", -1.6, 1.6),
+    ("aileron", "rad", "aileron deflection, half of right less left, trailing edge down positive", -1.6, 1.6),
     ("aileron_left", "rad", "left aileron deflection", -1.6, 1.6),
     ("aileron_right", "rad", "right aileron deflection", -1.6, 1.6),
     ("flap", "rad", "flap deflection", -1.6, 1.6),

@@ -39,7 +39,7 @@ from bayes_aero.jobs.steps.sensors_first import sensors_agree
 from bayes_aero.model.model import Model
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import AFTER_TRAJECTORIES, DIAGNOSIS_FIGURES
-from bayes_aero.simulate.injection import draw_hidden, flyable
+from bayes_aero.simulate.injection import FLOWN_AXES, draw_hidden, flyable
 
 
 def hide_one(card: Card, seed: int, **options: Any) -> tuple[Hidden, list[FlightRecord]]:
@@ -50,6 +50,7 @@ def hide_one(card: Card, seed: int, **options: Any) -> tuple[Hidden, list[Flight
         e.name
         for e in CATALOGUE.values()
         if e.candidate
+        and e.acts_on(FLOWN_AXES)
         and flies(e)
         and e.kind is not Kind.NOISE
         and draw_hidden(np.random.default_rng(0), e.name)

@@ -19,7 +19,7 @@ from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import Card
 from bayes_aero.model.own_effects import own_effects
-from bayes_aero.parameter import Parameter, Role, per_length
+from bayes_aero.parameter import USUAL, Lengths, Parameter, Role, per_length
 from bayes_aero.physics.coefficient_names import coefficients_of
 
 Signals = Mapping[str, Float[Array, "*#n"]]
@@ -29,15 +29,15 @@ Signals = Mapping[str, Float[Array, "*#n"]]
 class Model:
     """A list of effects with their parameters.
 
-    `fixed` parameters keep their value, the others are free. `chords` is the chord over the length in nondimensional
-    rates; it multiplies the defaults of derivatives per q c/V. `axes` say which coefficients it has. Hashable and
-    without arrays, so it is static under `jax.jit`.
+    `fixed` parameters keep their value, the others are free. `lengths` convert the defaults of parameters to the card's
+    reference lengths. `axes` say which coefficients it has. Hashable and without arrays, so it is static under
+    `jax.jit`.
     """
 
     effects: tuple[Effect, ...]
     parameters: tuple[Parameter, ...]
     fixed: tuple[tuple[str, float], ...] = ()
-    chords: float = 1.0
+    lengths: Lengths = USUAL
     axes: tuple[Axis, ...] = (Axis.LONGITUDINAL,)
 
     def __hash__(self) -> int:
@@ -62,8 +62,10 @@ class Model:
             axes: which coefficients the model has.
 
         Raises:
-            InputError: an effect or a parameter is unknown, or two effects own the same parameter.
+            InputError: an effect or a parameter is unknown, two effects own the same parameter, or an effect adds to
+                none of the model's coefficients.
         """
+        axes = tuple(axes)
         chosen = tuple(e if isinstance(e, Effect) else _by_name(e) for e in effects)
         parameters = tuple(p for effect in chosen for p in effect.parameters)
         names = [p.name for p in parameters]
@@ -76,10 +78,12 @@ class Model:
                     owners = " or ".join(e.name for e in CATALOGUE.values() if name in {p.name for p in e.parameters})
                     remedy = f"; add {owners} to the effects" if owners else ""
                     raise InputError(f"effect {effect.name} uses {name}, which no effect of the model owns{remedy}")
+            if not effect.acts_on(axes):
+                raise InputError(_no_such_axis(effect, axes))
         for name in fixed or {}:
             if name not in names:
                 raise InputError(f"the fixed parameter {name} belongs to no effect of the model")
-        return cls(chosen, parameters, tuple((fixed or {}).items()), axes=tuple(axes))
+        return cls(chosen, parameters, tuple((fixed or {}).items()), axes=axes)
 
     @classmethod
     def from_card(cls, card: Card) -> Model:
@@ -98,10 +102,9 @@ class Model:
         for name in card.changes:
             if name not in {p.name for p in model.parameters}:
                 raise InputError(f"card {card.name}: [parameters.{name}] belongs to no effect of the model")
-        length = card.aircraft.rate_length
-        chords = 1.0 if length is None else float(card.aircraft.chord) / float(length)
-        parameters = tuple(_changed(per_length(p, chords), card) for p in model.parameters)
-        return replace(model, parameters=parameters, chords=chords)
+        lengths = _lengths(card.aircraft)
+        parameters = tuple(_changed(per_length(p, lengths), card) for p in model.parameters)
+        return replace(model, parameters=parameters, lengths=lengths)
 
     def extended(self, *effects: str | Effect, fixed: Mapping[str, float] | None = None) -> Model:
         """This model with further effects; present parameters keep their starts, bounds and priors.
@@ -115,8 +118,8 @@ class Model:
         """
         known = {p.name: p for p in self.parameters}
         wider = Model.of((*self.effects, *effects), dict(self.fixed) | dict(fixed or {}), self.axes)
-        parameters = tuple(known.get(p.name, per_length(p, self.chords)) for p in wider.parameters)
-        return replace(wider, parameters=parameters, chords=self.chords)
+        parameters = tuple(known.get(p.name, per_length(p, self.lengths)) for p in wider.parameters)
+        return replace(wider, parameters=parameters, lengths=self.lengths)
 
     @property
     def free(self) -> tuple[Parameter, ...]:
@@ -136,8 +139,8 @@ class Model:
 
     @cached_property
     def acting(self) -> tuple[Effect, ...]:
-        """Effects that are not fixed at neutral."""
-        return tuple(e for e in self.effects if not self._absent(e))
+        """Effects that are not fixed at neutral, on the model's axes."""
+        return tuple(e for e in self.effects if e.acts_on(self.axes) and not self._absent(e))
 
     def playing(self, role: Role) -> tuple[str, ...]:
         """Names of the parameters with a role, of effects that act."""
@@ -256,6 +259,20 @@ def _sum(old: Any, increment: Any) -> Any:
     if isinstance(old, tuple):
         return tuple(x + dx for x, dx in zip(old, increment, strict=True))
     return old + increment
+
+
+def _lengths(a: Aircraft) -> Lengths:
+    """How often the card's reference lengths go into chord, half span and span."""
+    given = (a.chord, a.rate_length), (a.half_span, a.lateral_rate_length), (2.0 * a.half_span, a.lateral_length)
+    return Lengths(*(1.0 if length is None else float(usual) / float(length) for usual, length in given))
+
+
+def _no_such_axis(effect: Effect, axes: tuple[Axis, ...]) -> str:
+    added = ", ".join(effect.example.increments)
+    return (
+        f"effect {effect.name} acts on {added} of the {' and '.join(effect.axes)} axis, which the model lacks; "
+        f'remove it, or add "{effect.axes[0]}" to the axes ({", ".join(axes)})'
+    )
 
 
 def _by_name(name: str) -> Effect:

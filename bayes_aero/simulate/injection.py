@@ -15,6 +15,7 @@ from bayes_aero.dynamics.simulated.trim import level_speed
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
+from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_records import plain_marks
@@ -33,6 +34,8 @@ from bayes_aero.simulate.manoeuvres import (
 from bayes_aero.simulate.sensor_faults import corrected, misrecorded
 from bayes_aero.simulate.sensor_model import FLOWN, sensed
 
+FLOWN_AXES = (Axis.LONGITUDINAL,)
+"""Axes on which the simulated aircraft has effects."""
 NOISES = ("white", "ar1", "buffet", "outliers")
 BEGIN, MACH = (80.0, 110.0), 0.3  # m/s, range of the first airspeed, and the Mach number taken for it
 ENVELOPE = {"alpha": (0.0, 0.4363), "airspeed": (50.0, 130.0)}  # 0 to 25 deg, m/s
@@ -202,12 +205,22 @@ def _known(name: str) -> Effect:
     return CATALOGUE[name]
 
 
+def _flown(name: str) -> Effect:
+    """An effect that the simulated aircraft has: its lateral motion is prescribed."""
+    effect = _known(name)
+    refuse_unflown(effect)
+    if not effect.acts_on(FLOWN_AXES):
+        raise InputError(f"the simulated aircraft cannot fly effect {name}: its lateral motion is prescribed")
+    return effect
+
+
 @cache
 def _models(beyond: tuple[Effect, ...]) -> tuple[Model, Model, Model]:
     """Flown, misrecording and thrust: one model each for whatever is hidden, so that each compiles once."""
-    channel = [e for e in CATALOGUE.values() if e.stage is Stage.CHANNEL]
+    known = [e for e in CATALOGUE.values() if e.acts_on(FLOWN_AXES)]
+    channel = [e for e in known if e.stage is Stage.CHANNEL]
     return (
-        Model.of([*(e for e in CATALOGUE.values() if flies(e)), *beyond]),
+        Model.of([*(e for e in known if flies(e)), *beyond]),
         Model.of([e for e in channel if e.kind is not Kind.PROPULSION]),
         Model.of([e for e in channel if e.kind is Kind.PROPULSION]),
     )
@@ -220,8 +233,7 @@ def _values(
     values = {p.name: p.neutral for p in _models(() if beyond is None else beyond.effects)[0].parameters}
     values |= {name: x * (1.0 + rng.uniform(-1.0, 1.0) * SPREAD.get(name, USUAL_SPREAD)) for name, x in TRUTH.items()}
     for name, given in effects.items():
-        own = {p.name for p in _known(name).parameters}
-        refuse_unflown(_known(name))
+        own = {p.name for p in _flown(name).parameters}
         if not set(given) <= own:
             raise InputError(f"effect {name} has the parameters {', '.join(sorted(own))}, not {', '.join(given)}")
         values |= given

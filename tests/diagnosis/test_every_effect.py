@@ -29,7 +29,7 @@ from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.residuals.flight_path import FlightPathError
 from bayes_aero.simulate.demo import TRUTH
-from bayes_aero.simulate.injection import HiddenFlight, hidden_flights
+from bayes_aero.simulate.injection import FLOWN_AXES, HiddenFlight, hidden_flights
 
 SEED, BEGIN, END = 43, 20.0, 60.0  # s of each flight that are looked at
 MOVED = {name: {} for name in ("rudder_moment", "spoiler_lift", "dlc_lift", "flap_lift")}  # surfaces, always deflected
@@ -38,7 +38,8 @@ BASE = [e.name for e in CATALOGUE.values() if {p.name for p in e.parameters} & (
 RANDOM = [e.name for e in CATALOGUE.values() if e.disturbance is not None or e.kind is Kind.NOISE]  # test_innovations
 ON_PATH = ["heading_delay"]  # of a channel that bayes-aero path alone compares: test_flight_path
 OTHERS = {*BASE, *RANDOM, *ON_PATH}
-CANDIDATES = [e.name for e in CATALOGUE.values() if e.parameters and e.name not in OTHERS]
+FLOWN = [e for e in CATALOGUE.values() if e.acts_on(FLOWN_AXES)]  # the others: test_lateral_candidates
+CANDIDATES = [e.name for e in FLOWN if e.parameters and e.name not in OTHERS]
 STAND_INS = [name for name in CANDIDATES if not CATALOGUE[name].candidate]
 EXTRA = [replace(CATALOGUE[name], candidate=True) for name in STAND_INS]  # the same objects always: compiled once
 ABSORBED = {  # by parameters of the card, whatever their size

@@ -119,7 +119,7 @@ def _followed(
     full, names = flown.full, flown.full.model.names
     out = {p for e in full.candidates if e.name not in active for p in full.parameters_of(e.name)}
     held = tuple((name, full.neutral[name]) for name in names if name in out)
-    model = Model(full.model.effects, full.model.parameters, (*full.model.fixed, *held), full.model.chords)
+    model = replace(full.model, fixed=(*full.model.fixed, *held))
     dynamics = replace(flown.base, model=model)
     start = np.array([known[name] for name in names if name not in out])
     whole = segments(flown.flights, dynamics, substeps=dynamics.substeps(start, flown.flights))

@@ -142,7 +142,7 @@ def without_lags(full: CandidateModel) -> CandidateModel:
     """Without effects that need a state of their own."""
     lags = [e for e in full.candidates if e.stage is Stage.LAG]
     own = {name: x for e in lags for name, x in e.neutral_values.items()}
-    model = Model(full.model.effects, full.model.parameters, (*full.model.fixed, *own.items()))
+    model = replace(full.model, fixed=(*full.model.fixed, *own.items()))
     told = {
         e.name: "a lag is a state of its own, tried only where something is missing; give it on the card" for e in lags
     }

@@ -1,7 +1,7 @@
 """Lift due to pitch rate."""
 
 from bayes_aero.effect import Effect, Example, Kind, Stage
-from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.parameter import Length, Parameter, Prior
 from bayes_aero.physics.rates import reduced
 
 
@@ -16,7 +16,15 @@ EFFECT = Effect(
     stage=Stage.ATTACHED,
     claim="Pitch rate makes lift, mostly at the tail.",
     parameters=(
-        Parameter("CLq", "1", 0.0, 0.0, "lift due to pitch rate, per q c/V", Prior("normal", 0.0, 10.0), per_rate=True),
+        Parameter(
+            "CLq",
+            "1",
+            0.0,
+            0.0,
+            "lift due to pitch rate, per q c/V",
+            Prior("normal", 0.0, 10.0),
+            lengths=(Length.RATE,),
+        ),
     ),
     channels=("q", "airspeed"),
     increments=increments,

@@ -1,7 +1,7 @@
 """Pitching moment due to the rate of the angle of attack."""
 
 from bayes_aero.effect import Effect, Example, Kind, Stage
-from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.parameter import Length, Parameter, Prior
 from bayes_aero.physics.rates import reduced
 
 
@@ -23,7 +23,7 @@ EFFECT = Effect(
             0.0,
             "pitching moment due to alpha-dot, per alpha_dot c/V",
             Prior("normal", 0.0, 10.0),
-            per_rate=True,
+            lengths=(Length.RATE,),
         ),
     ),
     channels=("alpha_dot", "airspeed"),

@@ -3,7 +3,7 @@
 from math import inf
 
 from bayes_aero.effect import Effect, Example, Kind, Stage
-from bayes_aero.parameter import Limits, Parameter, Prior
+from bayes_aero.parameter import Length, Limits, Parameter, Prior
 from bayes_aero.physics.rates import reduced
 
 
@@ -25,7 +25,7 @@ EFFECT = Effect(
             -8.0,
             "pitch damping, per q c/V",
             Prior("normal", -8.0, 10.0),
-            per_rate=True,
+            lengths=(Length.RATE,),
             limits=Limits(-inf, 0.0, "pitch rate would not be damped"),
             place=33,
         ),

@@ -1,7 +1,7 @@
 """Pitch damping in separated flow."""
 
 from bayes_aero.effect import Effect, Example, Kind, Stage
-from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.parameter import Length, Parameter, Prior
 from bayes_aero.physics.rates import reduced
 
 
@@ -23,7 +23,7 @@ EFFECT = Effect(
             0.0,
             "change of pitch damping in fully separated flow, per q c/V",
             Prior("normal", 0.0, 20.0),
-            per_rate=True,
+            lengths=(Length.RATE,),
         ),
     ),
     channels=("q", "airspeed"),
