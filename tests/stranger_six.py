@@ -1,9 +1,10 @@
 """Another aircraft in six degrees of freedom, by a simulator that shares no code with the package: NumPy and textbook
 equations alone, in body velocities u, v, w and Euler angles.
 
-Each half of the wing has its own angle of attack, of rolling and dihedral too, and its own separation point: lift, drag,
-roll and yaw come from one mechanism, and one half may stall first. What is not the wing's is linear or, in sideslip,
-cubic. Source of the equations: Stevens, Lewis, Johnson, *Aircraft Control and Simulation*, 3rd ed. 2016, table 1.7-1.
+Each half of the wing has its own angle of attack, of rolling and dihedral too, and its own separation point: lift,
+drag, roll and yaw come from one mechanism, and one half may stall first. What is not the wing's is linear or, in
+sideslip, cubic. Source of the equations: Stevens, Lewis, Johnson, *Aircraft Control and Simulation*, 3rd ed. 2016,
+table 1.7-1.
 """
 
 from __future__ import annotations
@@ -40,9 +41,10 @@ class Plane:
     dihedral: float = 0.1
     CL0: float = 0.15
     CLa: float = 5.0
-    CLde: float = 0.4
+    CLde_extra: float = 0.1  # beyond that of the tail's moment
     CD0: float = 0.035
-    CDaa: float = 1.1
+    e: float = 0.8
+    tail: float = 10.0
     CDX: float = 0.06
     Cm0: float = 0.06
     Cma: float = -0.9
@@ -53,15 +55,15 @@ class Plane:
     alpha_star: float = 0.27
     first: float = 0.0  # rad by which the left half stalls before the right one
     tau1: float = 0.0  # chords
-    CYb: float = -0.75
+    CYbe: float = -0.75
     CYr: float = 0.3
     CYdr: float = 0.2
-    Clb: float = -0.06
+    Clbe: float = -0.06
     Clp: float = -0.25
     Clr: float = 0.16
     Clda: float = -0.14
     Cldr: float = 0.02
-    Cnb: float = 0.13
+    Cnbe: float = 0.13
     Cnbbb: float = 0.0
     Cnp: float = -0.05
     Cnr: float = -0.19
@@ -94,14 +96,15 @@ class Plane:
         elevator, aileron, rudder, left, right = controls
         local, steady = self.halves(x)
         X = x[10:12] if self.tau1 else steady
-        lift = 0.5 * (self.CL0 + self.CLa * local * ((1.0 + np.sqrt(np.maximum(X, 0.0))) / 2.0) ** 2)
-        drag = 0.5 * (self.CD0 + self.CDaa * local**2 + self.CDX * (1.0 - X))
-        CL, CD = lift.sum() + self.CLde * elevator, drag.sum()
+        tail = (self.CLde_extra - self.Cmde * self.c / self.tail) * elevator
+        lift = 0.5 * (self.CL0 + self.CLa * local * ((1.0 + np.sqrt(np.maximum(X, 0.0))) / 2.0) ** 2 + tail)
+        drag = 0.5 * (self.CD0 + (2.0 * lift) ** 2 / (np.pi * self.b**2 / self.S * self.e) + self.CDX * (1.0 - X))
+        CL, CD = lift.sum(), drag.sum()
         ph, qh, rh = p * self.b / (2.0 * V), q * self.c / V, r * self.b / (2.0 * V)
         Cm = self.Cm0 + self.Cma * alpha + self.Cmq * qh + self.Cmde * elevator + self.CmX * (1.0 - X.mean())
-        CY = self.CYb * beta + self.CYr * rh + self.CYdr * rudder
-        Cl = self.Clb * beta + self.Clp * ph + self.Clr * rh + self.Clda * aileron + self.Cldr * rudder
-        Cn = self.Cnb * beta + self.Cnbbb * beta**3 + self.Cnp * ph + self.Cnr * rh
+        CY = self.CYbe * beta + self.CYr * rh + self.CYdr * rudder
+        Cl = self.Clbe * beta + self.Clp * ph + self.Clr * rh + self.Clda * aileron + self.Cldr * rudder
+        Cn = self.Cnbe * beta + self.Cnbbb * beta**3 + self.Cnp * ph + self.Cnr * rh
         Cn += self.Cnda * aileron + self.Cndr * rudder
         Cl += (lift[0] - lift[1]) * self.station / self.b
         Cn += (drag[1] - drag[0]) * self.station / self.b
@@ -126,7 +129,7 @@ class Plane:
 
     def rates(self, x: np.ndarray, controls: np.ndarray) -> np.ndarray:
         """Derivatives of `STATES`."""
-        velocity, spin, (phi, theta, psi) = x[:3], x[3:6], x[6:9]
+        velocity, spin, (phi, theta) = x[:3], x[3:6], x[6:8]
         force, moment = self.loads(x, controls)
         gravity = G * np.array([-np.sin(theta), np.cos(theta) * np.sin(phi), np.cos(theta) * np.cos(phi)])
         faster = force / self.mass + gravity - np.cross(spin, velocity)
