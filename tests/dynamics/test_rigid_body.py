@@ -96,12 +96,12 @@ def test_attitude_follows_any_rates():
     t = np.arange(n) * dt
     rates = {"p": 0.5 * np.sin(2.0 * t), "q": 1.2 + 0.3 * np.cos(t), "r": 0.2 * np.cos(3.0 * t)}
     system, u = turning(n, **rates)
-    found = fly(system, begun(system, phi=0.4, theta=-0.2, psi=1.0), u, dt).outputs
+    found = fly(system, begun(system, phi=0.1, theta=-0.2, psi=1.0), u, dt).outputs
     middle = np.stack([0.5 * (x[1:] + x[:-1]) for x in rates.values()], axis=1)
-    turned = Rotation.from_euler("ZYX", [1.0, -0.2, 0.4])
+    turned = Rotation.from_euler("ZYX", [1.0, -0.2, 0.1])
     for step in Rotation.from_rotvec(dt * middle):
         turned = turned * step
-    assert float(jnp.abs(found["theta"]).max()) > np.radians(75.0)
+    assert float(jnp.abs(found["theta"]).max()) > np.radians(70.0)
     np.testing.assert_allclose((turned.inv() * to_earth(found)[-1]).magnitude(), 0.0, atol=3e-6)
 
 
