@@ -48,6 +48,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.noise import DEFAULT as DEFAULT_NOISE
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Forming, observe
+from bayes_aero.model.recorded_axes import on_recorded_axes
 
 __all__ = ["Diagnosed", "Fit", "diagnose", "fit", "gpr", "plot", "read", "sample"]
 
@@ -116,6 +117,7 @@ def fit(
         known = ", ".join(get_args(FormingName))
         raise InputError(f"there is no way of forming coefficients {coefficients!r}; choose one of {known}")
     card, forming = _card(card), Forming(coefficients)
+    card, left_out = on_recorded_axes(card, records) if model is None else (card, ())
     model = model or Model.from_card(card)
     without_spikes, spikes = repaired(records)
     observations = observe(without_spikes, card, model, forming)
@@ -132,7 +134,7 @@ def fit(
         joint,
         alone,
         {},
-        notes=spikes,
+        notes=(*left_out, *spikes),
         health=channel_health(records, card),
         consistency=consistency(records, card, seed=seed, seek=False),
         forming=forming,
@@ -243,6 +245,8 @@ def diagnose(
     if max_effects is not None:
         settings = replace(settings, max_effects=max_effects)
     own = _card(card)
+    if model is None:
+        own, _ = on_recorded_axes(own, records)
     asked = {"settings": settings, "seed": seed, "process_noise": process_noise}
     found = run_diagnosis(records, own, model=model, extra=candidates, **asked)
     return Diagnosed(view_of(found), own)

@@ -24,7 +24,11 @@ Values = Mapping[str, Any]
 """Parameter values by name."""
 
 Known = Mapping[str, Any]
-"""What the earlier stages have built: `incidence`, `X`, `CL_attached`, `CL`, `CD`, `Cm`, `CY`, `Cl`, `Cn`."""
+"""What the earlier stages have built: `incidence`, `X`, `CL_attached`, `CL`, `CD`, `Cm`, `CY`, `Cl`, `Cn`.
+
+Where an effect adds to `incidence_difference` (right less left wing, rad), either wing has a separation point of its
+own, X is their mean and `X_difference` the right less the left one.
+"""
 
 Increments = dict[str, Any]
 """What an effect adds to entries of `Known`."""
@@ -62,12 +66,12 @@ class Stage(IntEnum):
     TOTAL = 6  # what depends on separation or on the attached lift
 
 
-NEUTRAL_FLOW = {"X": 1.0, "CL_attached": 0.0} | dict.fromkeys((*NAMES, *LATERAL), 0.0)
+WINGS = ("incidence_difference", "X_difference")
+NEUTRAL_FLOW = {"X": 1.0, "CL_attached": 0.0} | dict.fromkeys((*WINGS, *NAMES, *LATERAL), 0.0)
 """Attached flow without forces: what `Known` holds before any effect acts (`incidence` starts as alpha)."""
 
-_OF_AXIS = {
-    axis: {*names, *(("CL_attached",) if axis is Axis.LONGITUDINAL else ())} for axis, names in COEFFICIENTS.items()
-}
+_BESIDE = {Axis.LONGITUDINAL: ("CL_attached",), Axis.LATERAL: WINGS}
+_OF_AXIS = {axis: {*names, *_BESIDE[axis]} for axis, names in COEFFICIENTS.items()}
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,8 @@ def known(s, seed=1):
     n = s["alpha"].shape[0]
     X = jnp.asarray(rng.uniform(0.01, 0.99, n))
     return {key: jnp.full(n, value) for key, value in NEUTRAL_FLOW.items()} | {
-        "incidence": s["alpha"], "X": X, "CL_attached": jnp.asarray(rng.uniform(0, 1.5, n))
+        "incidence": s["alpha"], "X": X, "CL_attached": jnp.asarray(rng.uniform(0, 1.5, n)),
+        "X_difference": jnp.asarray(rng.uniform(-1.0, 1.0, n)) * jnp.minimum(X, 1.0 - X),
     }  # fmt: skip
 
 
@@ -63,7 +64,7 @@ def test_neutral_values_give_exactly_nothing(effect):
     s = signals()
     state = known(s)
     if not effect.parameters:  # an effect without parameters is absent where the flow is attached
-        state |= {"X": jnp.ones_like(s["alpha"])}
+        state |= {"X": jnp.ones_like(s["alpha"]), "X_difference": jnp.zeros_like(s["alpha"])}
     if effect.name == "flow_separation":
         state |= {"X": jnp.ones_like(s["alpha"])}
     if effect.disturbance is not None:  # a process of no intensity stays at zero
@@ -79,7 +80,8 @@ def test_derivatives_are_finite(effect, which):
         pytest.skip("no parameter to differentiate by")
 
     def total(v):
-        return jnp.sum(flat(effect.increments(v, s, AIRCRAFT, known(s))))
+        found = flat(effect.increments(v, s, AIRCRAFT, known(s)))
+        return jnp.sum(found * jnp.linspace(1.0, 2.0, len(found)))  # what one engine gains, the other loses
 
     gradient = jax.grad(total)(values(effect, which))
     assert all(np.isfinite(float(g)) for g in gradient.values())

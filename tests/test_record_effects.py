@@ -1,5 +1,7 @@
 """Effects on the record and on the aircraft: their sign convention, and how a model applies them."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,10 +9,12 @@ import pytest
 
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
+from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_channels import response_scales
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks, observe
+from bayes_aero.physics.coefficients import coefficients
 
 N, DT = 400, 0.04
 
@@ -65,7 +69,12 @@ RECORDED = [
     ("bank_angle_scale", "phi", scale, 0.04),
     ("roll_rate_scale", "p", scale, 0.08),
     ("yaw_rate_scale", "r", scale, -0.03),
+    ("aileron_scale", "aileron", scale, 0.1),
+    ("rudder_scale", "rudder", scale, -0.1),
+    ("aileron_delay", "aileron", delay, 0.08),
+    ("rudder_delay", "rudder", delay, -0.06),
 ]
+BOTH = tuple(Axis)
 
 
 @pytest.mark.parametrize(("name", "channel", "error", "size"), RECORDED)
@@ -74,7 +83,8 @@ def test_what_was_recorded_becomes_what_was_true(card, name, channel, error, siz
     t = np.asarray(beside["elapsed"])
     channels = beside | {channel: jnp.asarray(error(size)(t))}
     (parameter,) = CATALOGUE[name].parameters
-    true = Model.of([name]).corrected({parameter.name: jnp.asarray(size)}, channels, card.aircraft)[channel]
+    model = Model.of([name], axes=BOTH)
+    true = model.corrected({parameter.name: jnp.asarray(size)}, channels, card.aircraft)[channel]
     inner = slice(5, -5)  # a delay cannot look beyond the ends
     np.testing.assert_allclose(true[inner], wave(t)[inner], atol=1e-4 if error is delay else 1e-12)
 
@@ -91,7 +101,8 @@ def test_mach_number_follows_the_airspeed_that_it_was_made_from(card, name, size
 def test_every_effect_on_the_record_has_its_sign_tested():
     shown = [e for e in CATALOGUE.values() if e.disturbance is None]
     measured = {e.name for e in shown if e.kind in ("measurement", "environment")}
-    assert measured == {row[0] for row in RECORDED} | {"vane_position"}
+    vanes = {"vane_position", "sideslip_vane_position", "sideslip_vane_height"}
+    assert measured == {row[0] for row in RECORDED} | vanes
 
 
 @pytest.mark.parametrize("x", [13.08, -4.0])
@@ -120,6 +131,22 @@ def test_a_vane_ahead_of_the_cg_reads_the_flow_of_its_own_place(card, x):
     alone = model.corrected({"vane_position": jnp.asarray(x)}, without, card.aircraft)
     assert "beta" not in alone
     np.testing.assert_allclose(alone["alpha"] - given["alpha"], true["alpha"] - given["alpha"], rtol=0.02, atol=1e-12)
+
+
+@pytest.mark.parametrize(("x", "height"), [(13.08, 0.0), (-4.0, 0.0), (0.0, 3.0), (0.0, -1.5)])
+def test_a_sideslip_vane_away_from_the_cg_reads_the_flow_of_its_own_place(card, x, height):
+    """The lateral velocity there is v + x r - z p, z = -height."""
+    t = np.arange(N) * DT
+    beta, p, r, V = wave(t) / 4.0, 0.3 * wave(t + 2.0), 0.2 * wave(t + 3.0), 80.0 + 5.0 * wave(t + 4.0)
+    there = np.arctan2(V * np.sin(beta) + x * r + height * p, V * np.cos(beta))
+    given = marks(N, DT) | {"beta": there, "p": p, "r": r, "airspeed": V}
+    values = {"sideslip_vane_position": x, "sideslip_vane_height": height}
+    name = "sideslip_vane_position" if x else "sideslip_vane_height"
+    model = Model.of([name], axes=BOTH)
+    true = model.corrected({name: values[name]}, {k: jnp.asarray(v) for k, v in given.items()}, card.aircraft)["beta"]
+    moved = np.abs(there - beta).max()
+    assert moved > 0.001
+    np.testing.assert_allclose(true, beta, atol=0.02 * moved)  # the airspeed is taken as that of the CG
 
 
 def test_pitch_rate_in_the_vanes_angle_does_not_change_its_unit(card):
@@ -155,6 +182,52 @@ def test_the_aircraft_is_moved_and_weighed(card):
         old, new = getattr(a, key), getattr(true, key)
         assert new == pytest.approx((old[0] - 0.2, old[1], old[2]))
     assert (true.chord, true.Ix, true.Iz) == (a.chord, a.Ix, a.Iz)
+
+
+def test_the_lateral_cg_and_the_other_inertias_are_corrected(card):
+    a = card.aircraft
+    values = {"lateral_cg_shift": 0.2, "roll_inertia_scale": 0.1, "yaw_inertia_scale": -0.1, "inertia_product": 0.02}
+    true = Model.of(list(values), axes=BOTH).actual_aircraft(values, a)
+    assert (true.Ix, true.Iz, true.Ixz) == pytest.approx((1.1 * a.Ix, 0.9 * a.Iz, a.Ixz + 0.02 * a.Iz))
+    for key in ("reference_point", "accelerometer", "engine"):
+        old, new = getattr(a, key), getattr(true, key)
+        assert new == pytest.approx((old[0], old[1] - 0.2, old[2]))
+    assert (true.Iy, true.tail_arm) == (a.Iy, a.tail_arm)
+
+
+def steady(card, **changes):
+    """Cl and Cn of straight flight without rotation, 1 g, as the record gives them."""
+    signals = dict.fromkeys(("ax", "ay", "p", "q", "r", "p_dot", "q_dot", "r_dot", "alpha", "beta"), 0.0)
+    signals |= {"az": -9.81, "airspeed": 80.0, "density": 1.0, "thrust": 2e4, "thrust_left": 1e4, "thrust_right": 1e4}
+    forward = dict.fromkeys(("reference_point", "accelerometer", "engine"), (0.5, 0.0, 0.2))
+    aircraft = replace(card.aircraft, engine_arm=2.0, engine_inclination=0.0, **forward)
+    model = Model.of(list(changes), axes=BOTH)
+    channels = {name: jnp.asarray([x]) for name, x in signals.items()}
+    found = coefficients(model.corrected(changes, channels, aircraft), model.actual_aircraft(changes, aircraft))
+    pressure_area = 0.5 * 80.0**2 * aircraft.wing_area * 2.0 * aircraft.half_span
+    return float(found.Cl[0]) * pressure_area, float(found.Cn[0]) * pressure_area
+
+
+def test_an_engine_that_delivers_more_asks_for_a_yawing_moment_against_it(card):
+    """5 % of 10 kN more left and less right, 2 m out: 2000 N m to the right, which aerodynamics must balance."""
+    (roll, yaw), (_, without) = steady(card, thrust_asymmetry=0.05), steady(card)
+    assert (roll, yaw, without) == pytest.approx((0.0, -2000.0, 0.0), abs=1e-9)
+
+
+def test_thrust_scale_counts_for_either_engine(card):
+    channels = marks(1, DT) | {"thrust": [3e4], "thrust_left": [1e4], "thrust_right": [2e4]}
+    channels = {name: jnp.asarray(x) for name, x in channels.items()}
+    true = Model.of(["thrust_scale"]).corrected({"thrust_scale": 0.1}, channels, card.aircraft)
+    found = [float(true[name][0]) for name in ("thrust", "thrust_left", "thrust_right")]
+    assert found == pytest.approx([3.3e4, 1.1e4, 2.2e4])
+
+
+def test_a_centre_of_gravity_to_the_right_is_held_by_a_rolling_moment_to_the_left(card):
+    """About the card's reference point, left of the CG, a lift of m g through the CG rolls to the left: -m g dy."""
+    roll, yaw = steady(card, lateral_cg_shift=0.1)
+    assert steady(card) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert roll == pytest.approx(-0.1 * card.aircraft.mass * 9.81, rel=1e-9)
+    assert yaw == pytest.approx(0.0, abs=1e-6)  # thrust left of the CG, and the drag that it holds, on one line
 
 
 def test_the_aircraft_can_be_differentiated_under_jit(card):

@@ -29,7 +29,6 @@ from bayes_aero.model.joined_records import Recorded
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks
 from bayes_aero.physics.atmosphere import altitude_of_density
-from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.residuals.equation_error import EquationError
 
 BEGINNING = 2.0  # s of the record whose means are the flight condition
@@ -182,7 +181,8 @@ def _narrowed(state: SelectionState, chosen: Sequence[str]) -> Model:
     effects = tuple(e for e in state.full.model.effects if e.name in kept or not e.parameters)
     names = {p.name for e in effects for p in e.parameters}
     fixed = tuple((k, x) for k, x in state.full.model.fixed if k in names)
-    return Model(effects, tuple(p for p in state.full.model.parameters if p.name in names), fixed)
+    own = tuple(p for p in state.full.model.parameters if p.name in names)
+    return replace(state.full.model, effects=effects, parameters=own, fixed=fixed)
 
 
 def _noise(state: SelectionState) -> _Noise:
@@ -195,7 +195,7 @@ def _noise(state: SelectionState) -> _Noise:
         if name in state.outputs and np.any(apart > 0.0):
             own = state.noise_growth[:, state.outputs.index(name)]
             growth[c] = max(0.0, float((own - 1.0) @ apart / (apart @ apart)))
-        if name not in NAMES:
+        if name not in state.full.model.coefficients:
             for k in range(int(manoeuvre[-1]) + 1):
                 residual[manoeuvre == k, c] -= residual[manoeuvre == k, c].mean()
     residual /= 1.0 + growth * apart[:, None]

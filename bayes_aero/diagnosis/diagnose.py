@@ -35,7 +35,7 @@ from bayes_aero.inference.threads import blas_threads
 from bayes_aero.inference.variance.variance_inflation import nats
 from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
-from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.model.recorded_axes import on_recorded_axes
 from bayes_aero.progress import Progress
 
 
@@ -58,6 +58,7 @@ def diagnose(
     `process_noise` it is compared with innovations, in gusts (None: if the records are in gusts). `gains_wanted` False
     leaves out the refits on left-out data (for studies of naming alone).
     """
+    card, left_out = on_recorded_axes(card, records) if model is None else (card, ())
     gusts = in_gusts(records, card, seed) if process_noise is None else {}
     search = search_trajectories if lacking(records, card) else search_coefficients
     search = search_innovations if process_noise or gusts else search
@@ -83,7 +84,7 @@ def diagnose(
         base_moves=moves_of(found.model),
         kept=kept,
         failures=(*found.failures, *failed),
-        notes=found.notes,
+        notes=(*left_out, *found.notes),
         together=together_of(found.stages, causes),
         beyond=beyond,
         tested=tested,
@@ -197,9 +198,10 @@ def _gains_of(
         after = LeftOut.refitted(truncated(state, (*nuisances, *_sure(causes, number, kept), name)))
         pairs[name] = before, after
         before = after if name in kept else before
-    if extension is aerodynamics and state.outputs != NAMES:  # no coefficients to score
+    by_coefficients = state.outputs == state.responses.model.coefficients
+    if extension is aerodynamics and not by_coefficients:  # no coefficients to score
         return {n: Gain(*holdout_gain(*pair, state), split_name(state), {}, {}) for n, pair in pairs.items()}
-    if state.outputs != NAMES:
+    if not by_coefficients:
         return _sensor_gains(extension, aerodynamics, kept, pairs)
     measured = measured_blocks(state)
     return {

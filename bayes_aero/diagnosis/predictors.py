@@ -25,7 +25,6 @@ from bayes_aero.diagnosis.selection.discrepancy import Processes
 from bayes_aero.errors import InputError
 from bayes_aero.inference.scores import log_density, score
 from bayes_aero.inference.threads import blas_threads
-from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.progress import Progress
 
 # What the discrepancy sees besides the card's inputs; not alpha-dot, whose fast part holds the accelerometer's noise:
@@ -98,7 +97,8 @@ def compare_states(
     `inputs` are the card's for Gaussian processes.
     Raises `InputError` for a state of the flight path or an input that was not recorded.
     """
-    if extended.outputs != NAMES:
+    names = extended.responses.model.coefficients
+    if extended.outputs != names:
         raise InputError("predictors are compared on the coefficients, not on the flight path")
     card = moved(extended, extended.full.card_only(extended.theta), ())
     signals = _blocks(card, card.theta)
@@ -107,9 +107,9 @@ def compare_states(
         if name not in signals:
             raise InputError(f"the Gaussian process needs the signal {name}; map it on the card or change [gp] inputs")
     mean, sd = ({p: np.full(measured.shape, np.nan) for p in Predictor} for _ in range(2))
-    trust = {p: np.ones((len(extended.folds), len(NAMES))) for p in Predictor}
+    trust = {p: np.ones((len(extended.folds), len(names))) for p in Predictor}
     refused: dict[tuple[Predictor, str], str] = {}
-    processes = {p: [Processes(extended, name, seed) for name in NAMES] for p in (Predictor.GP, Predictor.DISCREPANCY)}
+    processes = {p: [Processes(extended, name, seed) for name in names] for p in (Predictor.GP, Predictor.DISCREPANCY)}
     X = np.stack([signals[name] for name in inputs], axis=1)
     for number, (plain, ours) in enumerate(zip(fold_fits(card), fold_fits(extended), strict=True)):
         fold, train = ours.fold, ours.train
@@ -121,9 +121,9 @@ def compare_states(
         Z = np.stack([known[name] for name in dict.fromkeys((*inputs, *BEYOND)) if name in known], axis=1)
         for predictor, columns, target in ((Predictor.GP, X, measured), (Predictor.DISCREPANCY, Z, ours.residual)):
             beside = predictor is Predictor.DISCREPANCY
-            for c, name in enumerate(NAMES):
+            for c, name in enumerate(names):
                 if progress:
-                    progress("predictors", (number + beside / 2 + c / (2 * len(NAMES))) / len(extended.folds))
+                    progress("predictors", (number + beside / 2 + c / (2 * len(names))) / len(extended.folds))
                 one = processes[predictor][c]
                 found = (one.discrepancy if beside else one.smooth)(columns, target[:, c], train, fold)
                 if found.refused is not None:
@@ -141,7 +141,7 @@ def compare_states(
                 sd=sd[p][:, c],
                 trust=tuple(trust[p][:, c].tolist()),
             )
-            for c, name in enumerate(NAMES)
+            for c, name in enumerate(names)
         }
         for p in Predictor
     }

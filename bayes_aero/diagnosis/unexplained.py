@@ -20,7 +20,6 @@ from bayes_aero.diagnosis.screening.selection_state import Component, SelectionS
 from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
 from bayes_aero.diagnosis.selection.forward_selection import Extension, removed
 from bayes_aero.inference.variance.autoregression import ORDER
-from bayes_aero.physics.coefficients import NAMES
 
 PERIODS = tuple(np.round(np.geomspace(0.6, 30.0, 48), 3))  # s
 SKIPPED = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot", "alpha_dot")  # responses themselves, not causes
@@ -168,7 +167,7 @@ def smooth_components(state: SelectionState) -> list[Component]:
         if np.ptp(x) <= 1e-6 * max(1.0, float(np.abs(x).max())):
             continue
         basis = _basis(x, state.settings.knots)
-        found += [Component(f"{c} over {name}", c, basis) for c in NAMES]
+        found += [Component(f"{c} over {name}", c, basis) for c in state.outputs]
     return found
 
 
@@ -183,7 +182,7 @@ def periodic_components(state: SelectionState) -> list[Component]:
         phase = 2.0 * np.pi * elapsed / period
         wave = np.stack([np.sin(phase), np.cos(phase)], axis=1)
         basis = np.concatenate([wave * (manoeuvre == k)[:, None] for k in range(int(manoeuvre[-1]) + 1)], axis=1)
-        found += [Component(f"{c} over time, period {period:.3g} s", c, basis) for c in NAMES]
+        found += [Component(f"{c} over time, period {period:.3g} s", c, basis) for c in state.outputs]
     return found
 
 
@@ -210,7 +209,7 @@ def with_components(
     extra, width = [], 0
     for component in (*chosen, *components):
         block = np.zeros((*state.residual.shape, component.basis.shape[1]))
-        block[:, NAMES.index(component.coefficient)] = component.basis
+        block[:, state.outputs.index(component.coefficient)] = component.basis
         extra.append(block)
         width += component.basis.shape[1]
     S = np.concatenate([state.S[:, :, :-1], *extra, state.S[:, :, -1:]], axis=2)

@@ -111,7 +111,7 @@ def _along(
 ) -> tuple[Float[Array, "w n s d"], dict[str, Float[Array, "w n d"]]]:
     """In d directions `towards`, of the system's numbers (..., d), the start (w, s, d) and inputs (w, n, d)."""
     t_system, t_start, t_inputs = towards
-    (w, n, s), directions = x.shape, t_start.shape[-1]
+    (w, n, _), directions = x.shape, t_start.shape[-1]
     h = (dt / substeps)[:, None, None]
     shares, *table = stage_table(substeps)
     at = lambda now, then: jax.vmap(lambda r: between(now, then, r))(shares)  # noqa: E731

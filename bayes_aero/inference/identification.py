@@ -120,7 +120,7 @@ class PitResult:
     neighbours."""
 
     engine: str
-    values: Float[np.ndarray, "n 3"]
+    values: Float[np.ndarray, "n c"]
     bars: tuple[Histogram, ...]
     correlation: tuple[float, ...]
 
@@ -159,7 +159,7 @@ class Identification:
     forming: Forming = Forming.MATCHED
 
     @cached_property
-    def fitted(self) -> Float[np.ndarray, "n 3"]:
+    def fitted(self) -> Float[np.ndarray, "n c"]:
         """CL, CD, Cm of the maximum-likelihood fit at every sample."""
         o = self.observations
         return np.asarray(self.model.predicted(jnp.asarray(self.mle.estimate), o.signals, o.aircraft))

@@ -27,7 +27,6 @@ from bayes_aero.inference.splits import BLOCK_SECONDS, Split, SplitKind, make_sp
 from bayes_aero.inference.threads import cores
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Observations
-from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.progress import Progress
 
 KINDS: tuple[SplitKind, ...] = ("random", "block", "manoeuvre")
@@ -78,10 +77,10 @@ def validate(
         raise InputError(too_many(largest))
     largest = min(largest, MAX_SAMPLES)
     tasks = [
-        _Task(kind, number, i, training.sample and kind == chosen and number == 0)
+        _Task(kind, number, i, observations.coefficients[i], training.sample and kind == chosen and number == 0)
         for kind, folds in splits.items()
         for number in range(len(folds))
-        for i in range(len(NAMES))
+        for i in range(len(observations.coefficients))
     ]
     tasks.sort(key=lambda task: not task.sampled)  # the long ones first
     X, z = gp_inputs(observations, inputs), np.asarray(observations.measured)
@@ -92,14 +91,15 @@ def validate(
     for kind, folds in splits.items():
         for number, fold in enumerate(folds):
             predicted = _mle_prediction(model, observations, mle, fold)
-            for i, name in enumerate(NAMES):
+            for i, name in enumerate(observations.coefficients):
                 measured, by_mle = z[fold.test_idx, i], predicted[:, i]
                 _, part = trained[kind, number, i]
                 found[kind][number][name] = Validation(
                     test=fold.test_idx, measured=measured, mle=by_mle, mle_scores=score(measured, by_mle), **part
                 )
-    fits = {NAMES[i]: fit for (_, _, i), (fit, _) in trained.items() if fit is not None}
-    return GPReport(found, {n: fits[n] for n in NAMES if n in fits}, chosen, time.perf_counter() - began, left_out)
+    names = observations.coefficients
+    fits = {names[i]: fit for (_, _, i), (fit, _) in trained.items() if fit is not None}
+    return GPReport(found, {n: fits[n] for n in names if n in fits}, chosen, time.perf_counter() - began, left_out)
 
 
 def _allowed(observations: Observations, chosen: SplitKind) -> tuple[tuple[SplitKind, ...], SplitKind, tuple[str, ...]]:
@@ -133,7 +133,7 @@ def _all_trained(work: Sequence[_Work], largest: int, progress: Progress | None)
                 task = one.task
                 trained[task.kind, task.fold, task.column] = result
                 if progress:
-                    progress(f"gp: {NAMES[task.column]}, {task.kind} split", len(trained) / len(work))
+                    progress(f"gp: {task.coefficient}, {task.kind} split", len(trained) / len(work))
         except TerminatedWorkerError:
             raise InputError(
                 f"a process that trained on up to {len(work[0].z)} samples was killed, probably for lack of memory; "
@@ -152,11 +152,12 @@ def _processes(tasks: int, n: int) -> int:
 
 
 class _Task(NamedTuple):
-    """One fit: fold `fold` of split `kind`, coefficient `column`."""
+    """One fit: fold `fold` of split `kind`, `coefficient` in `column`."""
 
     kind: SplitKind
     fold: int
     column: int
+    coefficient: str
     sampled: bool
 
 
@@ -173,7 +174,7 @@ class _Work(NamedTuple):
     parent: int
 
 
-def _mle_prediction(model: Model, observations: Observations, mle: MleResult, fold: Split) -> Float[np.ndarray, "m 3"]:
+def _mle_prediction(model: Model, observations: Observations, mle: MleResult, fold: Split) -> Float[np.ndarray, "m c"]:
     """Maximum likelihood on the training points, evaluated at the test points."""
     trained = fit_mle(model, observations.subset(fold.train_idx), start=mle.estimate, extra_starts=0)
     y = model.predicted(jnp.asarray(trained.estimate), observations.signals, observations.aircraft)
@@ -188,7 +189,7 @@ def _trained(work: _Work) -> tuple[GPFit | None, dict[str, Any]]:
         X[fold.train_idx],
         z[fold.train_idx],
         input_names=work.inputs,
-        output_name=NAMES[work.task.column],
+        output_name=work.task.coefficient,
         priors=Priors.quasi_steady(),
         sample=sampled,
         seed=work.training.seed,

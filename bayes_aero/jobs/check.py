@@ -30,6 +30,7 @@ from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.joined_records import joined
 from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
+from bayes_aero.model.recorded_axes import on_recorded_axes
 from bayes_aero.progress import Progress
 
 SCHEMA = "bayes_aero/check/1"
@@ -54,12 +55,15 @@ def check_records(
         looked.append(_within_tables(inspect_record(path, card, resample=resample), card))
     sound = [r.record for r in looked if r.record is not None]
     whole = len(sound) == len(looked)
-    uses, not_testable = (usable_for(sound, card), _not_testable(sound, card)) if whole else ({}, {})
+    used, left_out = on_recorded_axes(card, sound) if whole else (card, ())
+    uses, not_testable = (usable_for(sound, used), _not_testable(sound, used)) if whole else ({}, {})
     why = "not asked for" if not sensors else "a record is not usable" if len(sound) < len(looked) else ""
     if not why and progress:
         progress("do the sensors agree?", 0.5)
     agreement, checked = (Consistency(why), SensorCheck(why, {}, {})) if why else _sensors(sound, card, seed)
-    return CheckReport(card, tuple(looked), uses, not_testable, checked, agreement, channel_health(sound, card))
+    return CheckReport(
+        card, tuple(looked), uses, not_testable, checked, agreement, channel_health(sound, card), left_out
+    )
 
 
 def _within_tables(report: RecordReport, card: Card) -> RecordReport:
@@ -115,6 +119,7 @@ def check_results(report: CheckReport) -> dict[str, Any]:
         "consistency": consistency_results(report.consistency),
         "records": records,
         "uses": {name: {"possible": not why, "why_not": why or None} for name, why in report.uses.items()},
+        "axes_left_out": list(report.left_out),
         "not_testable": report.not_testable,
         "cautions": list(report.cautions),
         "health": health_results(report.health),

@@ -37,6 +37,7 @@ from bayes_aero.jobs.steps.post_diagnosis import predictors, simulations
 from bayes_aero.jobs.steps.post_processing import drawings, follow
 from bayes_aero.jobs.steps.sensors_first import sensors_agree
 from bayes_aero.model.model import Model
+from bayes_aero.model.recorded_axes import on_recorded_axes
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import AFTER_TRAJECTORIES, DIAGNOSIS_FIGURES
 from bayes_aero.simulate.injection import FLOWN_AXES, draw_hidden, flyable
@@ -88,6 +89,7 @@ def diagnose_records(
     A stage that fails is left out, and the reason is a note. `hidden` is what simulated records hide, for the
     comparison with what was found.
     """
+    card, left_out = on_recorded_axes(card, records)
     if out is not None:
         writable(out)
     source = provenance(card, records, options.seed, _told(options))
@@ -108,6 +110,8 @@ def diagnose_records(
         card, view.diagnosis.causes, predictors=options.predictors, trajectories=options.trajectories and not alone
     )
     kept = ResultStore(outcome, out, card, records, source, earlier)
+    for sentence in left_out:
+        kept.note(sentence)
     unfinished.begin()
     _stages(kept, records, card, options, progress)
     if not kept.outcome.failures:  # else the same command does again what failed

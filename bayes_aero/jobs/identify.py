@@ -41,6 +41,7 @@ from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Forming, observe
+from bayes_aero.model.recorded_axes import on_recorded_axes
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import write_figures
 from bayes_aero.report.html.page import put_page
@@ -92,6 +93,7 @@ class _Job:
         out: Path | None,
         progress: Progress | None,
     ) -> None:
+        card, self.left_out = on_recorded_axes(card, records)
         self.records, self.card, self.options, self.out, self.progress = records, card, options, out, progress
         self.model = Model.from_card(card)
         self.repaired, self.spikes = repaired(records)
@@ -150,7 +152,7 @@ class _Job:
             mle,
             alone,
             {},
-            notes=(*self.spikes, *rates, *_many(len(self.records))),
+            notes=(*self.left_out, *self.spikes, *rates, *_many(len(self.records))),
             failures=failures,
             health=channel_health(self.records, self.card),
             preparation=preparation,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -15,7 +16,6 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Observations
 from bayes_aero.parameter import Parameter
-from bayes_aero.physics.coefficients import NAMES
 
 
 class Density(LogDensity):
@@ -44,7 +44,8 @@ class Density(LogDensity):
         keeps the band that the filter passes, in which the coloured model holds.
         """
         known = None if bias is None else jnp.asarray(bias)
-        return cls(observations if noise.colour is Colour.WHITE else observations.thinned(), model, noise, known)
+        own = replace(noise, coefficients=observations.coefficients)
+        return cls(observations if noise.colour is Colour.WHITE else observations.thinned(), model, own, known)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -63,36 +64,36 @@ class Density(LogDensity):
             x = jnp.concatenate([x[:own] + self.bias, x[own:]])
         return dict(self.model.fixed) | {name: x[i] for i, name in enumerate(self.names)}
 
-    def predict(self, x: Float[Array, " k"]) -> Float[Array, "n 3"]:
-        """Modelled CL, CD, Cm."""
-        return _stacked(self._flow(x))
+    def predict(self, x: Float[Array, " k"]) -> Float[Array, "n c"]:
+        """Modelled coefficients."""
+        return self._stacked(self._flow(x))
 
-    def pointwise(self, x: Float[Array, " k"]) -> Float[Array, "n 3"]:
+    def pointwise(self, x: Float[Array, " k"]) -> Float[Array, "n c"]:
         """Log-likelihood of every sample and coefficient, given the samples before it in its manoeuvre."""
         return jnp.stack(self._by_coefficient(x, self.noise.log_density), axis=-1)
 
-    def standardised(self, x: Float[Array, " k"]) -> Float[Array, "n 3"]:
+    def standardised(self, x: Float[Array, " k"]) -> Float[Array, "n c"]:
         """One-step-ahead innovations over their standard deviation: white, unit variance if the model holds."""
         return jnp.stack([z for z, _ in self._by_coefficient(x, self.noise.innovation)], axis=-1)
 
-    def replicate(self, x: Float[Array, " k"], white: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    def replicate(self, x: Float[Array, " k"], white: Float[Array, "n c"]) -> Float[Array, "n c"]:
         """Coefficients that the model with its noise would have produced from standard normal `white`."""
         known = self._flow(x)
-        return _stacked(known) + self.noise.simulate(self.values(x), white, known["X"], self.observations.start)
+        return self._stacked(known) + self.noise.simulate(self.values(x), white, known["X"], self.observations.start)
 
     def log_likelihood(self, x: Float[Array, " k"]) -> Float[Array, ""]:
         """Sum of `pointwise`, taken before the coefficients are put side by side: almost twice as fast."""
         return sum((jnp.sum(one) for one in self._by_coefficient(x, self.noise.log_density)), start=jnp.zeros(()))
 
     def _by_coefficient(self, x: Float[Array, " k"], told: Callable[..., Any]) -> list[Any]:
-        """What the noise model tells of the residuals of CL, CD, Cm."""
+        """What the noise model tells of the residuals of each coefficient."""
         o, known, values = self.observations, self._flow(x), self.values(x)
-        return [told(name, values, o.measured[:, c] - known[name], known["X"], o.start) for c, name in enumerate(NAMES)]
+        residuals = {name: o.measured[:, c] - known[name] for c, name in enumerate(self.model.coefficients)}
+        return [told(name, values, residual, known["X"], o.start) for name, residual in residuals.items()]
 
     def _flow(self, x: Float[Array, " k"]) -> Mapping[str, Array]:
-        """CL, CD, Cm and the separation point."""
+        """The coefficients and the separation point."""
         return self.model.flow(self.values(x), self.observations.signals, self.observations.aircraft)
 
-
-def _stacked(known: Mapping[str, Array]) -> Float[Array, "n 3"]:
-    return jnp.stack([known[name] for name in NAMES], axis=-1)
+    def _stacked(self, known: Mapping[str, Array]) -> Float[Array, "n c"]:
+        return jnp.stack([known[name] for name in self.model.coefficients], axis=-1)

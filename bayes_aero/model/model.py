@@ -5,22 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
-from difflib import get_close_matches
 from functools import cached_property
 from typing import Any
 
 from jaxtyping import Float
 
 from bayes_aero.arrays import Array, namespace, xp
-from bayes_aero.effect import NEUTRAL_FLOW, Disturbance, Effect, Known, Stage
+from bayes_aero.effect import NEUTRAL_FLOW, WINGS, Disturbance, Effect, Known, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import Card
+from bayes_aero.model.chosen import as_on_card, effect_named, lengths_of, no_such_axis
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.parameter import USUAL, Lengths, Parameter, Role, per_length
 from bayes_aero.physics.coefficient_names import coefficients_of
+from bayes_aero.physics.kinematics import RATES
 
 Signals = Mapping[str, Float[Array, "*#n"]]
 
@@ -66,7 +67,7 @@ class Model:
                 none of the model's coefficients.
         """
         axes = tuple(axes)
-        chosen = tuple(e if isinstance(e, Effect) else _by_name(e) for e in effects)
+        chosen = tuple(e if isinstance(e, Effect) else effect_named(e) for e in effects)
         parameters = tuple(p for effect in chosen for p in effect.parameters)
         names = [p.name for p in parameters]
         for name in names:
@@ -79,7 +80,7 @@ class Model:
                     remedy = f"; add {owners} to the effects" if owners else ""
                     raise InputError(f"effect {effect.name} uses {name}, which no effect of the model owns{remedy}")
             if not effect.acts_on(axes):
-                raise InputError(_no_such_axis(effect, axes))
+                raise InputError(no_such_axis(effect, axes))
         for name in fixed or {}:
             if name not in names:
                 raise InputError(f"the fixed parameter {name} belongs to no effect of the model")
@@ -102,8 +103,8 @@ class Model:
         for name in card.changes:
             if name not in {p.name for p in model.parameters}:
                 raise InputError(f"card {card.name}: [parameters.{name}] belongs to no effect of the model")
-        lengths = _lengths(card.aircraft)
-        parameters = tuple(_changed(per_length(p, lengths), card) for p in model.parameters)
+        lengths = lengths_of(card.aircraft)
+        parameters = tuple(as_on_card(per_length(p, lengths), card) for p in model.parameters)
         return replace(model, parameters=parameters, lengths=lengths)
 
     def extended(self, *effects: str | Effect, fixed: Mapping[str, float] | None = None) -> Model:
@@ -156,6 +157,11 @@ class Model:
         """Whether a random process disturbs the forces themselves: buffet."""
         return any(e.disturbance is not None and e.stage > Stage.INFLOW for e in self.acting)
 
+    @cached_property
+    def two_wings(self) -> bool:
+        """Whether an effect tells the incidence of the right wing from that of the left one."""
+        return any(WINGS[0] in e.example.increments for e in self.acting)
+
     def break_angle(self, values: Mapping[str, Any]) -> float:
         """Angle of attack at which the flow separates, rad: infinite where it never does; the least of several."""
         return min((float(values[name]) for name in self.playing(Role.BREAK_ANGLE)), default=math.inf)
@@ -174,12 +180,16 @@ class Model:
         return dict(self.fixed) | {name: theta[i] for i, name in enumerate(self.names)}
 
     def corrected(self, values: Mapping[str, Any], channels: Mapping[str, Any], aircraft: Aircraft) -> dict[str, Any]:
-        """Recorded channels made true: every effect of stage CHANNEL sees what was recorded, and all are added.
+        """Recorded channels made true: effects of stage CHANNEL see what was recorded, and all are added.
 
+        Gyros come first: what else the rates turn (the flow at a vane ahead of the CG) is corrected by the true ones.
         `channels` are whole manoeuvres end to end, in SI, with the marks that `Stage` names. A delay and a bias of one
         channel thus commute exactly; a scale and a bias of one channel do to first order.
         """
-        return self._run((Stage.CHANNEL,), channels, values, channels, aircraft)
+        gyros = tuple(e for e in self.acting if e.stage is Stage.CHANNEL and set(e.example.increments) <= set(RATES))
+        true = self._run((Stage.CHANNEL,), channels, values, channels, aircraft, gyros)
+        others = tuple(e for e in self.acting if e not in gyros)
+        return self._run((Stage.CHANNEL,), true, values, true, aircraft, others)
 
     def actual_aircraft(self, values: Mapping[str, Any], aircraft: Aircraft) -> Aircraft:
         """The card's aircraft with the increments of all effects of stage AIRCRAFT; positions add by coordinates."""
@@ -192,8 +202,8 @@ class Model:
         return self._run((Stage.INFLOW,), over_ground, values, signals, aircraft)
 
     def static_separation(self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft) -> Any:
-        """The separation point that a steady flow would have: every stage before its lag."""
-        return self._run((Stage.INCIDENCE, Stage.SEPARATION), self._neutral(signals), values, signals, aircraft)["X"]
+        """The separation point that a steady flow would have: every stage before its lag; the mean of two wings."""
+        return self._separated((Stage.SEPARATION,), values, signals, aircraft)["X"]
 
     def attached(self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft) -> dict[str, Any]:
         """`CL_attached`, CD and Cm of the effects of stage ATTACHED alone."""
@@ -205,15 +215,43 @@ class Model:
         """Everything the effects build: X, the attached lift, the coefficients (see `effect.Known`).
 
         `X` given, as a simulation does that carries it as a state, takes the place of the stages that build it.
+
+        Raises:
+            InputError: `X` is given, and it is the mean of two wings that lag.
         """
-        known = self._neutral(signals)
         if X is None:
-            known = self._run((Stage.INCIDENCE, Stage.SEPARATION, Stage.LAG), known, values, signals, aircraft)
+            known = self._separated((Stage.SEPARATION, Stage.LAG), values, signals, aircraft)
+        elif not self.two_wings:
+            known = self._neutral(signals) | {"X": X}
         else:
-            known["X"] = X
+            self._refuse_lag_of_two_wings()
+            known = self._separated((Stage.SEPARATION,), values, signals, aircraft) | {"X": X}
         known = self._run((Stage.ATTACHED,), known, values, signals, aircraft)
         known["CL"] = known["CL"] + known["CL_attached"]
         return self._run((Stage.TOTAL,), known, values, signals, aircraft)
+
+    def _separated(
+        self, stages: tuple[Stage, ...], values: Mapping[str, Any], signals: Signals, aircraft: Aircraft
+    ) -> dict[str, Any]:
+        """What there is after these stages of separation; of two wings, each at its own incidence, X is the mean."""
+        known = self._run((Stage.INCIDENCE,), self._neutral(signals), values, signals, aircraft)
+        if not self.two_wings:
+            return self._run(stages, known, values, signals, aircraft)
+        half = known["incidence_difference"] / 2.0
+        right, left = (
+            self._run(stages, known | {"incidence": known["incidence"] + side}, values, signals, aircraft)["X"]
+            for side in (half, -half)
+        )
+        return known | {"X": (right + left) / 2.0, "X_difference": right - left}
+
+    def _refuse_lag_of_two_wings(self) -> None:
+        lags = [e.name for e in self.acting if e.stage is Stage.LAG]
+        if lags:
+            apart = [e.name for e in self.acting if WINGS[0] in e.example.increments]
+            raise InputError(
+                f"effects {', '.join(apart)} give either wing a separation point, and {lags[0]} lets it lag: "
+                "simulations carry one such state, not two; remove the one or the other"
+            )
 
     def _neutral(self, signals: Signals) -> dict[str, Any]:
         zeros = xp.zeros_like(signals["alpha"])
@@ -226,11 +264,12 @@ class Model:
         values: Mapping[str, Any],
         signals: Mapping[str, Any],
         aircraft: Aircraft,
+        effects: tuple[Effect, ...] | None = None,
     ) -> dict[str, Any]:
         total = dict(known)
         for stage in stages:
             before = dict(total)
-            for effect in self.acting:
+            for effect in self.acting if effects is None else effects:
                 if effect.stage is stage:
                     for key, increment in effect.increments(values, signals, aircraft, before).items():
                         total[key] = _sum(total[key], increment)
@@ -259,36 +298,3 @@ def _sum(old: Any, increment: Any) -> Any:
     if isinstance(old, tuple):
         return tuple(x + dx for x, dx in zip(old, increment, strict=True))
     return old + increment
-
-
-def _lengths(a: Aircraft) -> Lengths:
-    """How often the card's reference lengths go into chord, half span and span."""
-    given = (a.chord, a.rate_length), (a.half_span, a.lateral_rate_length), (2.0 * a.half_span, a.lateral_length)
-    return Lengths(*(1.0 if length is None else float(usual) / float(length) for usual, length in given))
-
-
-def _no_such_axis(effect: Effect, axes: tuple[Axis, ...]) -> str:
-    added = ", ".join(effect.example.increments)
-    return (
-        f"effect {effect.name} acts on {added} of the {' and '.join(effect.axes)} axis, which the model lacks; "
-        f'remove it, or add "{effect.axes[0]}" to the axes ({", ".join(axes)})'
-    )
-
-
-def _by_name(name: str) -> Effect:
-    if name in CATALOGUE:
-        return CATALOGUE[name]
-    close = get_close_matches(name, CATALOGUE, n=1)
-    hint = f"did you mean {close[0]}?" if close else f"the catalogue has {', '.join(CATALOGUE)}"
-    raise InputError(f"there is no effect {name!r}; {hint}")
-
-
-def _changed(parameter: Parameter, card: Card) -> Parameter:
-    change = card.changes.get(parameter.name)
-    if change is None:
-        return parameter
-    given = {key: value for key, value in vars(change).items() if value is not None}
-    try:
-        return parameter.changed(**given)
-    except InputError as error:
-        raise InputError(f"card {card.name}: {error}") from None

@@ -28,18 +28,19 @@ DEFAULT = Colour.BUFFET_AR1  # near the stall the vane's noise, too, is multipli
 
 @dataclass(frozen=True)
 class Noise:
-    """A noise model with its parameters: `sigma_*` (stationary sd, attached flow), `rho_*`, `buffet_*`."""
+    """A noise model of `coefficients`: `sigma_*` (stationary sd, attached flow), `rho_*`, `buffet_*`."""
 
     colour: Colour
+    coefficients: tuple[str, ...] = NAMES
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters of all three coefficients."""
-        found = [_sigma(name) for name in NAMES]
+        """Parameters of all coefficients."""
+        found = [_sigma(name) for name in self.coefficients]
         if self.colour is not Colour.WHITE:
-            found += [_rho(name) for name in NAMES]
+            found += [_rho(name) for name in self.coefficients]
         if self.colour is Colour.BUFFET_AR1:
-            found += [_buffet(name) for name in NAMES]
+            found += [_buffet(name) for name in self.coefficients]
         return tuple(found)
 
     def innovation(
@@ -83,21 +84,21 @@ class Noise:
     def simulate(
         self,
         values: Mapping[str, Any],
-        white: Float[Array, "n 3"],
+        white: Float[Array, "n c"],
         X: Float[Array, " n"],
         start: Bool[Array, " n"],
-    ) -> Float[Array, "n 3"]:
+    ) -> Float[Array, "n c"]:
         """Residuals made from standard normal `white`: the inverse of `innovation`."""
-        sigma = jnp.stack([values[f"sigma_{name}"] for name in NAMES])
+        sigma = jnp.stack([values[f"sigma_{name}"] for name in self.coefficients])
         if self.colour is Colour.WHITE:
             return white * sigma
-        rho = jnp.stack([values[f"rho_{name}"] for name in NAMES])
+        rho = jnp.stack([values[f"rho_{name}"] for name in self.coefficients])
         first = start[:, None]
         drive = white * sigma * jnp.where(first, 1.0, jnp.sqrt(1.0 - rho**2))
         keep = jnp.where(first, 0.0, jnp.broadcast_to(rho, drive.shape))
         residual = recurrence(keep, drive)
         if self.colour is Colour.BUFFET_AR1:
-            buffet = jnp.stack([values[f"buffet_{name}"] for name in NAMES])
+            buffet = jnp.stack([values[f"buffet_{name}"] for name in self.coefficients])
             residual = residual * (1.0 + buffet * (1.0 - X)[:, None])
         return residual
 

@@ -12,7 +12,6 @@ from jaxtyping import Float, Int
 from bayes_aero.arrays import Array, namespace
 from bayes_aero.model.joined_records import Recorded
 from bayes_aero.model.model import Model
-from bayes_aero.physics.coefficient_names import NAMES
 from bayes_aero.physics.filters import FILTER_STEP
 
 CHUNK = 16  # directions per call
@@ -124,7 +123,7 @@ class Blockwise(ResidualModel):
     def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:  # noqa: ARG002
         """A constant for each manoeuvre and flight-path output: where the integral began."""
         manoeuvre = self.manoeuvre
-        path = [c for c, name in enumerate(outputs) if name not in NAMES]
+        path = [c for c, name in enumerate(outputs) if name not in self.model.coefficients]
         S = np.zeros((len(manoeuvre), len(outputs), (int(manoeuvre[-1]) + 1) * len(path)))
         for number, (k, c) in enumerate((k, c) for k in range(int(manoeuvre[-1]) + 1) for c in path):
             S[manoeuvre == k, c, number] = 1.0

@@ -12,6 +12,7 @@ from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection.cross_validation import LeftOut
 from bayes_aero.diagnosis.view.holdout import compared
 from bayes_aero.inference.variance.coloured_bounds import deviation_of_sum
+from bayes_aero.physics.coefficient_names import NAMES
 
 LENGTHS = (600, 400)
 
@@ -46,9 +47,16 @@ def test_a_comparison_by_manoeuvre_is_the_difference_of_plain_scores():
     manoeuvre = np.repeat([0, 1], [m - second, second])
     measured = np.cumsum(rng.standard_normal((m, 3)), axis=0)
     noise_growth = 1.0 + rng.uniform(0.0, 3.0, (m, 1)) * np.ones(3)
-    before, after = (LeftOut(size * rng.standard_normal((m, 3)), noise_growth, np.ones(m, bool)) for size in (2.0, 1.0))
+    before, after = (
+        LeftOut(size * rng.standard_normal((m, 3)), noise_growth, np.ones(m, bool), NAMES) for size in (2.0, 1.0)
+    )
     variance_inflation = rng.uniform(1.0, 9.0)
-    state = part(SelectionState, responses=SimpleNamespace(manoeuvre=manoeuvre), variance_inflation=variance_inflation)
+    state = part(
+        SelectionState,
+        responses=SimpleNamespace(manoeuvre=manoeuvre),
+        variance_inflation=variance_inflation,
+        outputs=NAMES,
+    )
     density = []
     for left in (before, after):
         deviation = np.sqrt(np.mean((left.residual / noise_growth) ** 2, axis=0)) * noise_growth

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.aircraft_table import parse_aircraft
+from bayes_aero.flight.card.aircraft_table import parse_aircraft, refuse_no_body
 
 STATED = {
     "mass": "377.281 slug", "Ix": "8197.35 slug-ft2", "Iy": "11710.5 slug-ft2", "Iz": "18736.8 slug-ft2",
@@ -32,3 +32,13 @@ def test_span_and_half_of_it_are_one_constant():
         parse_aircraft(STATED, "mine")
     with pytest.raises(InputError, match=r"span is -1\.0 m; it must be positive"):
         parse_aircraft({**STATED, "span": "-1 m"}, "mine")
+
+
+def test_inertia_that_no_body_has_is_refused():
+    """Of any body each principal moment of inertia is at most the sum of the other two (Goldstein 1980, ch. 5)."""
+    span = {"span": "51.56 ft"}
+    refuse_no_body(parse_aircraft({**STATED, **span}, "mine"), "mine")
+    refuse_no_body(parse_aircraft({**STATED, **span, "Iz": "19906 slug-ft2"}, "mine"), "mine")  # a flat plate
+    for wrong in ({"Iz": "21000 slug-ft2"}, {"Ixz": "13000 slug-ft2"}):
+        with pytest.raises(InputError, match="no body has these moments of inertia"):
+            refuse_no_body(parse_aircraft({**STATED, **span, **wrong}, "mine"), "mine")

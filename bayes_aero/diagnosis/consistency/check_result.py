@@ -24,7 +24,8 @@ class SensorCheck:
 class CheckReport:
     """All records together. `uses` says of each command why it cannot work on them; empty text: it can.
 
-    `health` is what is wrong with the channels of the usable records, and `cautions` its sentences.
+    `health` is what is wrong with the channels of the usable records, and `cautions` its sentences. `left_out` has a
+    sentence on each axis of the card that the records do not serve.
     """
 
     card: Card
@@ -34,6 +35,7 @@ class CheckReport:
     sensors: SensorCheck
     consistency: Consistency
     health: tuple[HealthFinding, ...] = ()
+    left_out: tuple[str, ...] = ()
 
     @property
     def cautions(self) -> tuple[str, ...]:

@@ -9,7 +9,6 @@ from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.regression import Fit
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.inference.variance.autoregression import ORDER
-from bayes_aero.physics.coefficient_names import NAMES
 
 
 def noise_growth_of(state: SelectionState, fit: Fit) -> Float[np.ndarray, "m c"]:
@@ -17,7 +16,8 @@ def noise_growth_of(state: SelectionState, fit: Fit) -> Float[np.ndarray, "m c"]
 
     Least squares of |innovation| on 1 - X; noise of flight-path outputs does not grow.
     """
-    if not set(state.outputs) & set(NAMES):
+    coefficients = state.responses.model.coefficients
+    if not set(state.outputs) & set(coefficients):
         return np.ones_like(state.residual)
     _, known = state.responses.evaluate(state.theta)
     apart = 1.0 - np.asarray(state.responses.block(known["X"]))
@@ -25,7 +25,7 @@ def noise_growth_of(state: SelectionState, fit: Fit) -> Float[np.ndarray, "m c"]
     colour = autocorrelation_of(residual, state.folds)
     noise_growth = np.ones_like(residual)
     for c, name in enumerate(state.outputs):
-        if name not in NAMES or np.ptp(apart) < 0.05:
+        if name not in coefficients or np.ptp(apart) < 0.05:
             continue
         size, x = [], []
         for fold in state.folds:

@@ -23,6 +23,7 @@ from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
+from bayes_aero.physics.coefficient_names import required_of
 from bayes_aero.progress import Progress
 from bayes_aero.residuals.equation_error import EquationError
 
@@ -38,7 +39,7 @@ def search_coefficients(
     progress: Progress | None = None,
 ) -> SearchResult:
     """Search where coefficients can be formed; `extra` effects stand beside the catalogue's."""
-    flights, outliers = despiked(join(records, card))
+    flights, outliers = despiked(join(records, card, required_of(model.axes)))
     full = candidate_model(model, flights, extra, settings)
     mle = fit_mle(model, observe(records, card, model), seed=seed)
     theta = full.neutral_vector

@@ -10,7 +10,7 @@ from bayes_aero.diagnosis.result import NoiseReport, UnexplainedStructure
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.physics.coefficient_names import REQUIRED
+from bayes_aero.physics.coefficient_names import required_of
 
 
 @dataclass(frozen=True)
@@ -47,4 +47,4 @@ class SearchResult:
 def lacking(records: Sequence[FlightRecord], card: Card) -> tuple[str, ...]:
     """Channels that coefficients need and some record does not have: trajectories are compared then."""
     given = {*card.sums, *card.constants, *card.derived, *card.tables}
-    return tuple(n for n in REQUIRED if n not in given and any(not record.has(n) for record in records))
+    return tuple(n for n in required_of(card.axes) if n not in given and any(not record.has(n) for record in records))

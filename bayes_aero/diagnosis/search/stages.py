@@ -21,7 +21,6 @@ from bayes_aero.diagnosis.selection.block_jackknife import widened
 from bayes_aero.diagnosis.selection.forward_selection import Extension, forward_selection, nats_gained, removed
 from bayes_aero.inference.variance.variance_inflation import nats
 from bayes_aero.parameter import Prior
-from bayes_aero.physics.coefficient_names import NAMES
 from bayes_aero.progress import Progress
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.residuals.flight_path import FlightPathError
@@ -52,7 +51,7 @@ def search_in_stages(
         begin = theta
         if sensors is not None:
             begin = sensors.state.full.at_neutral(sensors.state.theta, sensors.state.full.base)
-        state = linearised(_after(full, sensors), responses, NAMES, begin)
+        state = linearised(_after(full, sensors), responses, responses.model.coefficients, begin)
         return forward_selection(state, seed=seed + 1000, progress=progress)
 
     path = FlightPathError.of(responses.flights, responses.model)

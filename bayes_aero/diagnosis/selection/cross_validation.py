@@ -11,7 +11,6 @@ from jaxtyping import Bool, Float
 from bayes_aero.diagnosis.folds import blocks_of
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, optimum
 from bayes_aero.inference.scores import Scores, log_density, log_score_gain, score
-from bayes_aero.physics.coefficient_names import NAMES
 
 
 def split_name(state: SelectionState) -> str:
@@ -43,11 +42,15 @@ def fold_fits(state: SelectionState) -> Iterator[FoldFit]:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Residuals of every fold at parameters fitted to the other folds; `inside` marks blocks that belong to a fold."""
+    """Residuals of every fold at parameters fitted to the other folds; `inside` marks blocks that belong to a fold.
+
+    `names` are the outputs, c of them.
+    """
 
     residual: Float[np.ndarray, "m c"]
     noise_growth: Float[np.ndarray, "m c"]
     inside: Bool[np.ndarray, " m"]
+    names: tuple[str, ...]
 
     @classmethod
     def refitted(cls, state: SelectionState) -> LeftOut:
@@ -77,7 +80,7 @@ class LeftOut:
         offsets = state.S[:, :, state.offsets]
         if offsets.shape[2]:  # where a flight-path integral began is the left-out fold's own to find
             residual -= offsets @ (np.einsum("mco,mc->o", offsets, residual) / np.sum(offsets**2, axis=(0, 1)))
-        return cls(residual, state.noise_growth, state.inside)
+        return cls(residual, state.noise_growth, state.inside, state.outputs)
 
     def density(self) -> Float[np.ndarray, " m"]:
         """Log predictive density of every block, all outputs together."""
@@ -95,7 +98,7 @@ class LeftOut:
     def scores(self, measured: Float[np.ndarray, "m c"]) -> dict[str, Scores]:
         """Scores of each coefficient over everything left out, against what was recorded (blocks of about 5 Hz)."""
         z, e = measured[self.inside], self.residual[self.inside]
-        return {name: score(z[:, c], z[:, c] - e[:, c]) for c, name in enumerate(NAMES)}
+        return {name: score(z[:, c], z[:, c] - e[:, c]) for c, name in enumerate(self.names)}
 
 
 def measured_blocks(state: SelectionState) -> Float[np.ndarray, "m c"]:

@@ -29,7 +29,6 @@ from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
 from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain, truncated
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.inference.variance.variance_inflation import nats, typical
-from bayes_aero.physics.coefficient_names import NAMES
 from bayes_aero.progress import Progress
 
 
@@ -210,7 +209,8 @@ def mixes_noise(state: SelectionState, standing: CandidateScore) -> bool:
     under a diagonal covariance and explains nothing. Only constants of the aircraft mix coefficients as measured; what
     any other effect leaves out of one of them may rightly be in another, too.
     """
-    if set(state.outputs) != set(NAMES) or standing.together >= state.settings.least_share_correlated * standing.gain:
+    coefficients = state.responses.model.coefficients
+    if state.outputs != coefficients or standing.together >= state.settings.least_share_correlated * standing.gain:
         return False
     return any(e.name == standing.effect and e.stage is Stage.AIRCRAFT for e in state.full.candidates)
 

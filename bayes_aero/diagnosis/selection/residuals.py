@@ -11,7 +11,6 @@ from jaxtyping import Float
 from bayes_aero.diagnosis.result import NoiseReport
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.physics.coefficients import NAMES
 
 BINS = 12
 LEAST = 1e-3  # of the residual's size, that a deviation counts as at least: a simulation at rest has none
@@ -77,12 +76,13 @@ def profiles(
 def noise_report(extension: Extension, outliers: Mapping[str, int]) -> NoiseReport:
     """Colour, size, growth and outliers of what the extended model leaves."""
     state = extension.state
-    full = details(state)["residual"][:, : len(NAMES)]
+    names = state.responses.model.coefficients
+    full = details(state)["residual"][:, : len(names)]
     blocks, manoeuvre = np.asarray(state.responses.block(full)), state.responses.manoeuvre
     lag1 = {}
-    for c, name in enumerate(NAMES):
+    for c, name in enumerate(names):
         pieces = [r - r.mean() for r in (blocks[manoeuvre == k, c] for k in range(int(manoeuvre[-1]) + 1))]
         lag1[name] = float(sum(np.sum(r[1:] * r[:-1]) for r in pieces) / sum(np.sum(r**2) for r in pieces))
-    deviation = {name: float(full[:, c].std()) for c, name in enumerate(NAMES)}
-    noise_growth = {name: float(state.noise_growth[:, c].max()) for c, name in enumerate(NAMES)}
+    deviation = {name: float(full[:, c].std()) for c, name in enumerate(names)}
+    noise_growth = {name: float(state.noise_growth[:, c].max()) for c, name in enumerate(names)}
     return NoiseReport(lag1, deviation, noise_growth, dict(outliers))

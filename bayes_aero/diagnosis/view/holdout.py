@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,6 @@ from bayes_aero.diagnosis.selection.cross_validation import LeftOut, measured_bl
 from bayes_aero.diagnosis.view.results import Compared, HoldoutScores, View
 from bayes_aero.inference.scores import Scores, score
 from bayes_aero.inference.variance.coloured_bounds import deviation_of_sum
-from bayes_aero.physics.coefficients import NAMES
 
 
 def holdout_scores(view: View) -> HoldoutScores:
@@ -24,8 +24,8 @@ def holdout_scores(view: View) -> HoldoutScores:
     for k, manoeuvre in enumerate(view.names):
         here = (state.responses.manoeuvre == k) & left["extended"].inside
         for model, fitted in models.items():
-            scores[model, "fitted", k] = _scores(measured[here], fitted.state.residual[here])
-            scores[model, "hold_out", k] = _scores(measured[here], left[model].residual[here])
+            scores[model, "fitted", k] = _scores(state.outputs, measured[here], fitted.state.residual[here])
+            scores[model, "hold_out", k] = _scores(state.outputs, measured[here], left[model].residual[here])
         found = compared(left["card"], left["extended"], state, measured, k)
         gains |= {(manoeuvre, name): gain for name, gain in found.items()}
     return HoldoutScores(view.names, scores, gains, state.settings.hold_out)
@@ -54,10 +54,10 @@ def compared(
             float(squares[:, c].sum()),
             deviation_of_sum(squares[:, c], [n]),
         )
-        for c, name in enumerate(NAMES)
+        for c, name in enumerate(state.outputs)
     }
 
 
-def _scores(z: Float[np.ndarray, "m c"], e: Float[np.ndarray, "m c"]) -> dict[str, Scores]:
+def _scores(names: Sequence[str], z: Float[np.ndarray, "m c"], e: Float[np.ndarray, "m c"]) -> dict[str, Scores]:
     """Of measured coefficients with these residuals."""
-    return {name: score(z[:, c], z[:, c] - e[:, c]) for c, name in enumerate(NAMES)}
+    return {name: score(z[:, c], z[:, c] - e[:, c]) for c, name in enumerate(names)}

@@ -23,10 +23,10 @@ from bayes_aero.diagnosis.view.results import LEVELS, DiagnosisView, Fitted, Par
 from bayes_aero.inference.identification import Stall
 from bayes_aero.inference.scores import score
 from bayes_aero.inference.stall import stall_of
-from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.physics.coefficient_names import LATERAL, NAMES
 
 DRAWS = 400  # of a model's parameters, for the intervals of its stall
-NOT_SIGNALS = ("X", "measured", "modelled", "residual", *NAMES)
+NOT_SIGNALS = ("X", "measured", "modelled", "residual", *NAMES, *LATERAL)
 RESPONSES = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot")  # what the forces make, not what makes them
 
 
@@ -92,9 +92,9 @@ def _extended(diagnosis: Diagnosis) -> tuple[SelectionState, Fit]:
     return refitted(truncated(last.state, diagnosis.kept))
 
 
-def _fitted(state: SelectionState, fit: Fit, measured: Float[np.ndarray, "n 3"], channels: Mapping[str, Any]) -> Fitted:
+def _fitted(state: SelectionState, fit: Fit, measured: Float[np.ndarray, "n c"], channels: Mapping[str, Any]) -> Fitted:
     signals = details(state)
-    residual = signals["residual"][:, : len(NAMES)]
+    residual = signals["residual"][:, : len(state.outputs)]
     return Fitted(
         residual,
         signals,
@@ -106,7 +106,7 @@ def _fitted(state: SelectionState, fit: Fit, measured: Float[np.ndarray, "n 3"],
 
 
 def _profiles(
-    state: SelectionState, residual: Float[np.ndarray, "n 3"], channels: Mapping[str, Any]
+    state: SelectionState, residual: Float[np.ndarray, "n c"], channels: Mapping[str, Any]
 ) -> tuple[tuple[Profile, ...], ...]:
     """By coefficient, the mean residual over each recorded channel that makes forces, and over what follows from it."""
     block, recorded = state.responses.block, (*state.responses.flights.recorded, "alpha_dot", "elapsed", "X")
@@ -114,7 +114,7 @@ def _profiles(
     blocks = {name: np.asarray(block(jnp.asarray(channels[name]))) for name in names}
     return tuple(
         tuple(profiles(np.asarray(block(jnp.asarray(residual[:, c]))), blocks, state.variance_inflation))
-        for c in range(len(NAMES))
+        for c in range(residual.shape[1])
     )
 
 
@@ -164,7 +164,7 @@ def _moves(before: Fitted, after: Fitted) -> dict[str, ParameterMove]:
 
 
 def _composition(
-    state: SelectionState, fit: Fit, measured: Float[np.ndarray, "n 3"], residual: Float[np.ndarray, "n 3"]
+    state: SelectionState, fit: Fit, measured: Float[np.ndarray, "n c"], residual: Float[np.ndarray, "n c"]
 ) -> dict[str, dict[str, Any]]:
     """Each coefficient's residuals, manoeuvres fitted jointly: scores, Theil's parts, autocorrelation, calibration.
 
@@ -174,7 +174,7 @@ def _composition(
     standard = state.left(fit) / np.sqrt(fit.variance)
     inside = np.concatenate([standard[fold] for fold in state.folds])
     manoeuvre, found = state.responses.flights.manoeuvre, {}
-    for c, name in enumerate(NAMES):
+    for c, name in enumerate(state.outputs):
         z, e = measured[:, c], residual[:, c]
         scores, parts = score(z, z - e), theil_parts(z, z - e)
         found[name] = {

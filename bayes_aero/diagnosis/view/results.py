@@ -28,7 +28,7 @@ class Fitted:
     """One model fitted to all manoeuvres.
 
     Attributes:
-        residual: of CL, CD, Cm at the recorded rate, (n, 3).
+        residual: of the coefficients at the recorded rate, (n, c).
         signals: what explains the coefficients, by name, (n,).
         composition: by coefficient, scores, Theil's parts, autocorrelation at lag 1 and calibration of the residuals.
         profiles: by coefficient, the mean residual over each channel, the clearest dependence first.
@@ -36,7 +36,7 @@ class Fitted:
         fit: the regression there.
     """
 
-    residual: Float[np.ndarray, "n 3"]
+    residual: Float[np.ndarray, "n c"]
     signals: Mapping[str, np.ndarray]
     composition: Mapping[str, Mapping[str, Any]]
     profiles: tuple[tuple[Profile, ...], ...]
@@ -141,7 +141,7 @@ class DiagnosisView:
 
 @dataclass(frozen=True, kw_only=True)
 class View(DiagnosisView):
-    """A diagnosis by coefficients; `measured` (n, 3) are those that the card reconstructs.
+    """A diagnosis by coefficients; `measured` (n, c) are those that the card reconstructs.
 
     `channels` (n,) are all that was recorded or derived, as the card's model has them. `stalls` is by model: card, and
     extended where it differs. `holdout` is None where it was not computed.
@@ -149,7 +149,7 @@ class View(DiagnosisView):
 
     card: Fitted
     extended: Fitted
-    measured: Float[np.ndarray, "n 3"]
+    measured: Float[np.ndarray, "n c"]
     manoeuvre: Int[np.ndarray, " n"]
     time: Float[np.ndarray, " n"]  # from the start of each manoeuvre, s
     names: tuple[str, ...]
@@ -157,6 +157,11 @@ class View(DiagnosisView):
     parameters: tuple[Parameter, ...]
     stalls: Mapping[str, Stall] = field(default_factory=dict)
     holdout: HoldoutScores | None = None
+
+    @property
+    def coefficients(self) -> tuple[str, ...]:
+        """Names of the coefficients."""
+        return self.card.state.outputs
 
     @property
     def changed(self) -> bool:

@@ -56,15 +56,15 @@ SIGNALS = frozenset(
 """What the effects of the simulated aircraft may read while it flies; it has no canard."""
 
 
-def flies(effect: Effect) -> bool:
+def flies(effect: Effect, signals: frozenset[str] = SIGNALS) -> bool:
     """Whether the simulated aircraft has what an effect acts through."""
-    return effect.stage <= Stage.AIRCRAFT or set(effect.channels) <= SIGNALS
+    return effect.stage <= Stage.AIRCRAFT or set(effect.channels) <= signals
 
 
-def refuse_unflown(effect: Effect) -> None:
+def refuse_unflown(effect: Effect, signals: frozenset[str] = SIGNALS) -> None:
     """`InputError` for an effect that the simulated aircraft cannot fly."""
-    if not flies(effect):
-        lacks = ", ".join(channel for channel in effect.channels if channel not in SIGNALS)
+    if not flies(effect, signals):
+        lacks = ", ".join(channel for channel in effect.channels if channel not in signals)
         raise InputError(f"the simulated aircraft cannot fly effect {effect.name}: it has no {lacks}; ask for another")
 
 

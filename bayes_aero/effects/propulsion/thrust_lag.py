@@ -9,9 +9,10 @@ from bayes_aero.physics.separation import lagged
 
 
 def increments(v, s, a, known):
-    """thrust_lag dT/dt + T = computed thrust, in equilibrium at the start of each manoeuvre."""
-    T = s["thrust"]
-    return {"thrust": lagged(T, v["thrust_lag"] + xp.zeros_like(T), s["dt"], s["start"]) - T}
+    """thrust_lag dT/dt + T = computed thrust, in equilibrium at the start of each manoeuvre; so of either engine."""
+    recorded = {name: s[name] for name in ("thrust", "thrust_left", "thrust_right") if name in s}
+    tau = v["thrust_lag"] + xp.zeros_like(s["thrust"])
+    return {name: lagged(T, tau, s["dt"], s["start"]) - T for name, T in recorded.items()}
 
 
 EFFECT = Effect(

@@ -5,8 +5,8 @@ from bayes_aero.parameter import Parameter, Prior
 
 
 def increments(v, s, a, known):
-    """True thrust = (1 + thrust_scale) computed thrust."""
-    return {"thrust": v["thrust_scale"] * s["thrust"]}
+    """True thrust = (1 + thrust_scale) computed thrust, of the left and the right engine too where recorded."""
+    return {name: v["thrust_scale"] * s[name] for name in ("thrust", "thrust_left", "thrust_right") if name in s}
 
 
 EFFECT = Effect(

@@ -30,10 +30,7 @@ EFFECT = Effect(
                 0.4,
                 "jet transports of Nelson 1998, app. B, have some -0.4 to -0.5; the width is our choice",
             ),
-            lengths=(
-                Length.LATERAL_MOMENT,
-                Length.LATERAL_RATE,
-            ),
+            lengths=(Length.LATERAL_MOMENT, Length.LATERAL_RATE),
             limits=Limits(-inf, 0.0, "roll rate would not be damped in attached flow"),
             place=63,
         ),

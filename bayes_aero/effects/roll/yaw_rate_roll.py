@@ -23,10 +23,7 @@ EFFECT = Effect(
             0.1,
             "rolling moment per r b/2V",
             Prior("normal", 0.1, 0.3, "jet transports of Nelson 1998, app. B, have some 0.1; the width is our choice"),
-            lengths=(
-                Length.LATERAL_MOMENT,
-                Length.LATERAL_RATE,
-            ),
+            lengths=(Length.LATERAL_MOMENT, Length.LATERAL_RATE),
             place=64,
         ),
     ),

@@ -28,10 +28,7 @@ EFFECT = Effect(
                 0.2,
                 "jet transports of Nelson 1998, app. B, have some -0.1 to -0.2; the width is our choice",
             ),
-            lengths=(
-                Length.LATERAL_MOMENT,
-                Length.LATERAL_RATE,
-            ),
+            lengths=(Length.LATERAL_MOMENT, Length.LATERAL_RATE),
             place=73,
         ),
     ),

@@ -30,10 +30,7 @@ EFFECT = Effect(
                 0.3,
                 "jet transports of Nelson 1998, app. B, have some -0.16 to -0.3; the width is our choice",
             ),
-            lengths=(
-                Length.LATERAL_MOMENT,
-                Length.LATERAL_RATE,
-            ),
+            lengths=(Length.LATERAL_MOMENT, Length.LATERAL_RATE),
             limits=Limits(-inf, 0.0, "yaw rate would not be damped"),
             place=74,
         ),

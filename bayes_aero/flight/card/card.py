@@ -11,7 +11,7 @@ from typing import Any
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
 from bayes_aero.flight.axes import Axis
-from bayes_aero.flight.card.aircraft_table import parse_aircraft
+from bayes_aero.flight.card.aircraft_table import parse_aircraft, refuse_no_body
 from bayes_aero.flight.card.channel_table import (
     parse_channel,
     parse_constants,
@@ -132,6 +132,10 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
         linear = parse_linear(table["linear"], names, where)
     model = {} if linear else table["model"]
     effects = () if linear else _effects(model, where)
+    axes = _axes(model, where)
+    aircraft = parse_aircraft(section(table, "aircraft", where), where) if "aircraft" in table else NO_AIRCRAFT
+    if Axis.LATERAL in axes:
+        refuse_no_body(aircraft, where)
     changes = {key: _change(key, value, where) for key, value in section(table, "parameters", where).items()}
     if linear:
         known_keys(changes, linear.parameters, where, "parameter")
@@ -140,7 +144,7 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
         title=str(table.get("title", name)),
         source=str(table.get("source", "not stated")),
         sha256=sha256,
-        aircraft=parse_aircraft(section(table, "aircraft", where), where) if "aircraft" in table else NO_AIRCRAFT,
+        aircraft=aircraft,
         channels=channels,
         sums=sums,
         sensors=_sensors(section(table, "sensors", where), where),
@@ -148,7 +152,7 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
         output_biases=_output_biases(section(table, "output_biases", where), where),
         segments=_segments(section(table, "segments", where), where),
         effects=effects,
-        axes=_axes(model, where),
+        axes=axes,
         effect_files=_files(model.get("effect_files", []), where),
         fixed=numbers(model.get("fixed", {}), f"{where}: [model] fixed"),
         changes=changes,

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health.across.air import air_data
 from bayes_aero.flight.health.across.channels_agree import across
+from bayes_aero.flight.health.across.controls import control_responses
 from bayes_aero.flight.health.across.derivatives import derivatives
-from bayes_aero.flight.health.across.elevator import elevator_response
 from bayes_aero.flight.health.across.ground import in_flight, on_ground
 from bayes_aero.flight.health.across.refuted import refuted
 from bayes_aero.flight.health.channel.dropout import dropouts
@@ -28,7 +28,7 @@ from bayes_aero.flight.record import FlightRecord
 __all__ = ["HealthFinding", "channel_health"]
 
 _CHECKS: tuple[Callable[[FlightRecord, Card], list[HealthFinding]], ...] = (
-    refuted, air_data, across, derivatives, elevator_response, dropouts, frozen, held, saturated, quantised, wrapped,
+    refuted, air_data, across, derivatives, control_responses, dropouts, frozen, held, saturated, quantised, wrapped,
     short, idle, dropped_channels, read_remarks,
 )  # fmt: skip
 

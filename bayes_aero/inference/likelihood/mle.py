@@ -22,7 +22,6 @@ from bayes_aero.inference.variance.robust_bounds import robust_covariance
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Observations
 from bayes_aero.parameter import Role
-from bayes_aero.physics.coefficients import NAMES
 
 MAX_ITERATIONS = 100
 DECREMENT = 1e-7  # expected gain in log-likelihood of one more step, at which it stops: 5e-4 of a Cramer-Rao deviation
@@ -169,7 +168,7 @@ def _report(
     inside = ~np.asarray(observations.start)[1:]
     lag1 = {
         name: float(np.sum(r[1:][inside] * r[:-1][inside]) / np.sum(r**2))
-        for name, r in zip(NAMES, residual.T, strict=True)
+        for name, r in zip(observations.coefficients, residual.T, strict=True)
     }
     return MleResult(
         parameters=model.free,
@@ -182,7 +181,9 @@ def _report(
         at_bound=tuple(n for n, a in zip(model.names, best.active, strict=True) if a),
         eigenvalues=eigenvalues,
         separation=(float(X.min()), float(X.max())),
-        fit={n: score(measured[:, i], measured[:, i] - residual[:, i]) for i, n in enumerate(NAMES)},
+        fit={
+            n: score(measured[:, i], measured[:, i] - residual[:, i]) for i, n in enumerate(observations.coefficients)
+        },
         lag1=lag1,
         starts=tuple(table),
         blocks=blocks,

@@ -46,7 +46,7 @@ class MleResult:
     estimate: Float[np.ndarray, " k"]
     covariance: Float[np.ndarray, "k k"]
     corrected: Float[np.ndarray, "k k"]
-    R: Float[np.ndarray, " 3"]
+    R: Float[np.ndarray, " c"]
     status: MleStatus
     iterations: int
     at_bound: tuple[str, ...]

@@ -14,7 +14,6 @@ from jaxtyping import Array, Float
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Observations
-from bayes_aero.physics.coefficients import NAMES
 
 MEMORY = 3  # steps that Anderson acceleration looks back on
 
@@ -23,7 +22,7 @@ class Data(eqx.Module):
     """What a fit needs of the observations: only the signals that the model reads, so that a call hands over little."""
 
     signals: dict[str, Array]
-    measured: Float[Array, "n 3"]
+    measured: Float[Array, "n c"]
     aircraft: Aircraft
     model: Model = eqx.field(static=True)
 
@@ -40,7 +39,7 @@ class Point(NamedTuple):
 
     theta: Float[np.ndarray, " k"]
     cost: float  # (n/2) log det R: the concentrated negative log-likelihood without its constant
-    R: Float[np.ndarray, " 3"]
+    R: Float[np.ndarray, " c"]
     information: Float[np.ndarray, "k k"]  # sum S' R^-1 S
     gradient: Float[np.ndarray, " k"]
     taken: int
@@ -56,17 +55,17 @@ def _sensitivities(data: Data, theta: Float[Array, " k"]):
 
     def predict(name: str, x: Float[Array, ""]) -> tuple[list[Array], Array]:
         known = data.model.flow(values | {name: x}, data.signals, data.aircraft)
-        return [known[coefficient] for coefficient in NAMES], known["X"]
+        return [known[coefficient] for coefficient in data.model.coefficients], known["X"]
 
     columns = [jax.jvp(partial(predict, name), (values[name],), (jnp.ones(()),)) for name in data.model.names]
     predicted, X = columns[0][0]
-    S = [jnp.stack([slope[i] for _, (slope, _) in columns]) for i in range(len(NAMES))]
+    S = [jnp.stack([slope[i] for _, (slope, _) in columns]) for i in range(len(predicted))]
     return [data.measured[:, i] - y for i, y in enumerate(predicted)], S, X
 
 
 @eqx.filter_jit
 def evaluate(data: Data, theta: Float[Array, " k"]):
-    """Residual (n, 3), sensitivities (n, 3, k) and separation point (n,): too large to hand over at every step."""
+    """Residual (n, c), sensitivities (n, c, k) and separation point (n,): too large to hand over at every step."""
     residual, S, X = _sensitivities(data, theta)
     return jnp.stack(residual, axis=1), jnp.stack([s.T for s in S], axis=1), X
 
@@ -140,7 +139,7 @@ def _full_steps(data: Data, start: Array, lower: Array, upper: Array, decrement:
         return point, new, step, moves, changes, go_on
 
     # The loop begins by looking at the start, as if a step of zero led there: so it compiles the sensitivities once.
-    nowhere = (jnp.asarray(start), jnp.inf, jnp.zeros(3), jnp.eye(k), jnp.zeros(k), -1)
+    nowhere = (jnp.asarray(start), jnp.inf, jnp.zeros(data.measured.shape[1]), jnp.eye(k), jnp.zeros(k), -1)
     nothing, empty = jnp.zeros(k), jnp.zeros((MEMORY, k))
     begin = (nowhere, nothing, nothing, empty, empty, True)
     return jax.lax.while_loop(lambda state: state[-1], body, begin)[0]

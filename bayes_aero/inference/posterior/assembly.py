@@ -17,7 +17,6 @@ from jaxtyping import Array, Float
 from bayes_aero.inference.posterior.posterior import Marginal, Posterior, PosteriorStatus
 from bayes_aero.model.density import Density
 from bayes_aero.model.log_density import LogDensity
-from bayes_aero.physics.coefficients import NAMES
 
 TARGET_ESS = 400.0
 TARGET_RHAT = 1.01
@@ -66,8 +65,8 @@ def constrain_draws(density: LogDensity, u: Float[Array, "chain draw k"]) -> Flo
 
 
 @eqx.filter_jit
-def _predictive(density: Density, x: Float[Array, "m k"], white: Float[Array, "m n 3"]):
-    """Log-likelihood per sample and replicated coefficients for each row of x; both (m, n, 3)."""
+def _predictive(density: Density, x: Float[Array, "m k"], white: Float[Array, "m n c"]):
+    """Log-likelihood per sample and replicated coefficients for each row of x; both (m, n, c)."""
     return jax.lax.map(lambda pair: (density.pointwise(pair[0]), density.replicate(*pair)), (x, white))
 
 
@@ -88,7 +87,7 @@ def assemble(density: LogDensity, drawn: Drawn, *, seed: int, seconds: float, pr
     dims: dict[str, list[str]] = {}
     if predictive and isinstance(density, Density):
         groups |= _sample_groups(density, draws, prior, rng)
-        dims = {name: ["instant"] for name in NAMES}
+        dims = {name: ["instant"] for name in density.model.coefficients}
     tree = azb.from_dict(groups, dims=dims)
     tree.attrs |= {"engine": drawn.engine, "noise": density.noise_label, "seed": seed}
     for parameter in density.parameters:
@@ -103,22 +102,22 @@ def assemble(density: LogDensity, drawn: Drawn, *, seed: int, seconds: float, pr
 def _sample_groups(
     density: Density, draws: np.ndarray, prior: np.ndarray, rng: np.random.Generator
 ) -> dict[str, dict[str, np.ndarray]]:
-    chains, length, size = draws.shape
-    most = PREDICTIVE_VALUES // (3 * chains * density.observations.n)
+    (chains, length, size), names = draws.shape, density.model.coefficients
+    most = PREDICTIVE_VALUES // (len(names) * chains * density.observations.n)
     kept = min(PREDICTIVE_DRAWS, length, max(2, most))
     thin = np.linspace(0, length - 1, kept).astype(int)
-    shape = (chains, kept, density.observations.n, 3)
+    shape = (chains, kept, density.observations.n, len(names))
     white = rng.standard_normal((chains * kept, *shape[2:]))
     loglik, replicated = _predictive(density, jnp.asarray(draws[:, thin].reshape(-1, size)), jnp.asarray(white))
     _, prior_replicated = _predictive(density, jnp.asarray(prior[: chains * kept]), jnp.asarray(white))
 
     def split(values: Array, leading: tuple[int, int]) -> dict[str, np.ndarray]:
         array = np.asarray(values, np.float32).reshape(*leading, *shape[2:])
-        return {name: array[..., i] for i, name in enumerate(NAMES)}
+        return {name: array[..., i] for i, name in enumerate(names)}
 
     return {
         "log_likelihood": split(loglik, shape[:2]),
         "posterior_predictive": split(replicated, shape[:2]),
         "prior_predictive": split(prior_replicated, (1, chains * kept)),
-        "observed_data": {name: np.asarray(density.observations.measured[:, i]) for i, name in enumerate(NAMES)},
+        "observed_data": {name: np.asarray(density.observations.measured[:, i]) for i, name in enumerate(names)},
     }

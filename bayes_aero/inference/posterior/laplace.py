@@ -15,7 +15,6 @@ from scipy import optimize
 from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.model.log_density import LogDensity
 from bayes_aero.parameter import Prior
-from bayes_aero.physics.coefficients import NAMES
 
 DRAWS, FEWEST = 8, 2  # of the prior, from which other modes are looked for
 DEAR = 48_000  # samples times draws
@@ -119,7 +118,7 @@ def density_start(density: LogDensity, mle: MleResult) -> np.ndarray:
 
     What the flight hardly tells begins where the prior has it: an estimate of it may be anywhere.
     """
-    deviation = dict(zip(NAMES, np.sqrt(mle.R), strict=True))
+    deviation = dict(zip(mle.fit, np.sqrt(mle.R), strict=True))
     estimate, bound = (dict(zip(mle.names, x, strict=True)) for x in (mle.estimate, mle.crb))
     start = []
     for p in density.parameters:

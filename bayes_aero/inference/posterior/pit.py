@@ -18,7 +18,6 @@ from scipy.stats import binom, norm
 from bayes_aero.inference.identification import Histogram, Identification, PitResult
 from bayes_aero.model.density import Density
 from bayes_aero.model.noise import Colour, Noise
-from bayes_aero.physics.coefficients import NAMES
 
 DRAWS = 200  # of the posterior: a sample's probability hardly varies among them; our choice
 MOST_BINS, LEAST_IN_BIN = 20, 20
@@ -33,12 +32,12 @@ def pit_of(run: Identification) -> PitResult | None:
     posterior = run.posteriors[engine]
     density = Density.of(run.observations, run.model, Noise(Colour(posterior.noise)), run.mle.bias)
     values = pit(density, posterior.draws()[:, [posterior.names.index(name) for name in density.names]])
-    columns, start = [values[:, c] for c in range(len(NAMES))], np.asarray(density.observations.start)
+    columns, start = [values[:, c] for c in range(values.shape[1])], np.asarray(density.observations.start)
     bars, correlation = tuple(map(histogram, columns)), tuple(neighbours(column, start) for column in columns)
     return PitResult(engine, values, bars, correlation)
 
 
-def pit(density: Density, x: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "n 3"]:
+def pit(density: Density, x: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "n c"]:
     """Posterior probability of less than what was measured, from draws `x` as rows; by sample and coefficient.
 
     Noise is normal given the parameters, so each draw's probability is exact and their mean has no steps of 1/m.
@@ -48,7 +47,7 @@ def pit(density: Density, x: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "n 3
 
 
 @eqx.filter_jit
-def _mean(density: Density, x: Float[Array, "m k"]) -> Float[Array, "n 3"]:
+def _mean(density: Density, x: Float[Array, "m k"]) -> Float[Array, "n c"]:
     def add(total, row):
         return total + ndtr(density.standardised(row)), None
 

@@ -16,7 +16,6 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.jobs.io.health_json import health_results
 from bayes_aero.jobs.io.trajectories_json import trajectory_results
-from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.tables.diagnosis_tables import screen_table
 from bayes_aero.report.text.diagnosis import sentences
 
@@ -220,7 +219,7 @@ def _gain(gain: Gain) -> dict[str, Any]:
                 for key in SCORES
                 for when, scores in (("before", gain.before), ("after", gain.after))
             }
-            for name in NAMES
-            if name in gain.before and name in gain.after
+            for name in gain.before
+            if name in gain.after
         },
     }

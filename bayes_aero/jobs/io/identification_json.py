@@ -16,7 +16,6 @@ from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.jobs.io.diagnosis_json import record_results
 from bayes_aero.jobs.io.health_json import health_results
 from bayes_aero.jobs.io.trajectories_json import open_loop
-from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.tables.comparison import flown
 from bayes_aero.report.tables.run_tables import Pooled
 
@@ -106,7 +105,7 @@ def _status(posterior: Posterior) -> dict[str, str]:
 def _gpr(report: GPReport) -> dict[str, Any]:
     found: dict[str, Any] = {"sampled_split": report.chosen}
     for split, folds in report.splits.items():
-        found[split] = {name: _pooled([fold[name] for fold in folds]) for name in NAMES}
+        found[split] = {name: _pooled([fold[name] for fold in folds]) for name in folds[0]}
     return found
 
 

@@ -15,7 +15,6 @@ from bayes_aero.diagnosis.view.results import View
 from bayes_aero.errors import failure, plain_line
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.identification import Identification
-from bayes_aero.physics.coefficients import NAMES
 
 HISTORIES = "histories.nc"
 SCHEMA = "bayes_aero/histories/1"
@@ -25,13 +24,13 @@ Histories = Mapping[str, xr.Dataset]
 
 
 def diagnosed(view: View) -> Histories:
-    """CL, CD, Cm as the card reconstructs them, by the card's model and by the extended one, and both models' X.
+    """Coefficients as the card reconstructs them, by the card's model and by the extended one, and both models' X.
 
     By a model is what was measured less what the model leaves: errors of sensors that it knows are in it.
     """
     models = {"card": view.card, "extended": view.extended}
     columns = {}
-    for c, name in enumerate(NAMES):
+    for c, name in enumerate(view.coefficients):
         columns[f"{name}_measured"] = view.measured[:, c]
         columns |= {f"{name}_{key}": view.measured[:, c] - m.residual[:, c] for key, m in models.items()}
     columns |= {f"X_{key}": m.signals["X"] for key, m in models.items() if "X" in m.signals}
@@ -40,10 +39,10 @@ def diagnosed(view: View) -> Histories:
 
 
 def identified(run: Identification) -> Histories:
-    """CL, CD, Cm as measured and by the maximum-likelihood fit to all manoeuvres."""
+    """Coefficients as measured and by the maximum-likelihood fit to all manoeuvres."""
     o, fitted = run.observations, run.fitted
     measured, columns = np.asarray(o.measured), {}
-    for c, name in enumerate(NAMES):
+    for c, name in enumerate(o.coefficients):
         columns |= {f"{name}_measured": measured[:, c], f"{name}_fitted": fitted[:, c]}
     return {"coefficients": _group(columns, o.names, o.manoeuvre, o.time)}
 

@@ -10,7 +10,7 @@ from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.model import Model
-from bayes_aero.physics.coefficient_names import REQUIRED
+from bayes_aero.physics.coefficient_names import required_of
 from bayes_aero.physics.filters import FILTER_STEP
 from bayes_aero.residuals.windows import too_few_windows
 
@@ -26,7 +26,7 @@ def usable_for(records: Sequence[FlightRecord], card: Card) -> dict[str, str]:
     if card.linear is not None:
         return {"fly": _lacks([n for n in (*card.linear.states, *card.linear.inputs) if n not in have])}
     asked = [n for n in Model.from_card(card).channels if n not in DERIVED]
-    missing = [n for n in dict.fromkeys((*REQUIRED, *asked)) if n not in have]
+    missing = [n for n in dict.fromkeys((*required_of(card.axes), *asked)) if n not in have]
     flown = [n for n in dict.fromkeys((*needed_channels(card.axes), *asked)) if n not in have]
     uses = {"identify": _lacks(missing), "diagnose": _lacks(missing), "fly": _lacks(flown)}
     if missing and not flown:

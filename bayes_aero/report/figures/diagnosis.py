@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
@@ -11,7 +13,6 @@ from scipy.signal import welch
 
 from bayes_aero.diagnosis.view.results import Fitted, Ranking, View
 from bayes_aero.inference.scores import Scores, score
-from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.time_histories import SYMBOLS, shown_in
 from bayes_aero.report.style import NotDrawn, column_width, housed, panels, refuse_many
@@ -25,6 +26,11 @@ NOTE = {"bbox": {"fc": "white", "ec": "none", "alpha": 0.85, "pad": 1.5}, "zorde
 TIGHT = {"fc": "white", "ec": "none", "alpha": 0.85, "pad": 0.3}
 
 
+def width_of(names: Sequence[str]) -> float:
+    """Inches for a figure with a column for each coefficient."""
+    return 4.0 * len(names) + 1.0
+
+
 def models_of(view: View) -> list[tuple[str, str, Fitted]]:
     """What is compared: label, colour, model: the card's, and the extended one where there is one."""
     found = [("card's model", COLOURS["before"], view.card)]
@@ -36,9 +42,9 @@ def measured_simulated(view: View) -> Figure:
     """Coefficients measured and simulated by both models, the error between them shaded; a column per manoeuvre."""
     models, count = models_of(view), len(view.names)
     refuse_many(count)
-    rows = len(NAMES) * len(models)
+    rows = len(view.coefficients) * len(models)
     figure, axes = panels(rows, count, (column_width(count) * count, 1.75 * rows + 1.2), sharex="col", sharey=False)
-    for c, name in enumerate(NAMES):
+    for c, name in enumerate(view.coefficients):
         z = view.measured[:, c]
         curves = np.stack([z, *(z - fitted.residual[:, c] for _, _, fitted in models)])
         low, high = float(curves.min()), float(curves.max())
@@ -116,9 +122,10 @@ def gain(view: View) -> Figure:
     last = max((k for k, colour in enumerate(colours) if k and colour == COLOURS["candidate"]), default=0)
     colours[last] = COLOURS["after"] if last else colours[0]
     place = np.arange(len(links))
-    figure, axes = panels(2, len(NAMES), (13.0, 2 * (0.30 * len(links) + 1.0) + 0.8), sharey=True)
+    names = view.coefficients
+    figure, axes = panels(2, len(names), (width_of(names), 2 * (0.30 * len(links) + 1.0) + 0.8), sharey=True)
     for row, (key, label) in zip(axes, (("r2", "R²"), ("rmse", "RMSE")), strict=True):
-        for ax, name in zip(row, NAMES, strict=True):
+        for ax, name in zip(row, names, strict=True):
             values = np.array([getattr(scores[name], key) for _, scores in links])
             shown = np.maximum(values, -1.0) if key == "r2" else values
             ax.barh(place, shown, color=colours, height=0.7)
@@ -190,8 +197,9 @@ def channel_label(name: str) -> tuple[str, float]:
 def residual_profiles(view: View) -> Figure:
     """Mean residual over the channels on which the card's model leaves the clearest trace, before and after."""
     models = models_of(view)
-    figure, axes = panels(len(NAMES), PROFILES, (13.0, 8.2), sharey="row")
-    for row, c in zip(axes, range(len(NAMES)), strict=True):
+    names = view.coefficients
+    figure, axes = panels(len(names), PROFILES, (13.0, 2.6 * len(names) + 0.4), sharey="row")
+    for row, (c, name) in zip(axes, enumerate(names), strict=True):
         channels = _clearest(view, c)
         for label, colour, fitted in models:
             found = {p.channel: p for p in fitted.profiles[c]}
@@ -207,7 +215,7 @@ def residual_profiles(view: View) -> Figure:
             ax.axhline(0.0, color="#777777", lw=0.8, zorder=0)
         for ax in row[len(channels) :]:
             ax.remove()
-        row[0].set_ylabel(f"mean residual of {NAMES[c]} [-]")
+        row[0].set_ylabel(f"mean residual of {name} [-]")
     figure.align_ylabels(list(axes[:, 0]))
     figure.suptitle(
         "Residuals over the channels with the clearest dependence (bins of equal count, ± one standard error)"
@@ -229,10 +237,10 @@ def _clearest(view: View, c: int) -> list[str]:
 @housed
 def residual_colour(view: View) -> Figure:
     """Autocorrelation and spectrum of the residuals, before and after."""
-    figure, axes = panels(2, len(NAMES), (13.0, 6.4), sharex="row")
+    figure, axes = panels(2, len(view.coefficients), (width_of(view.coefficients), 6.4), sharex="row")
     dt = view.seconds
     for label, colour, fitted in models_of(view):
-        for c, name in enumerate(NAMES):
+        for c, name in enumerate(view.coefficients):
             parts = [fitted.residual[view.manoeuvre == k, c] for k in range(len(view.names))]
             lags, correlation = autocorrelation(parts, round(LONGEST_LAG / dt))
             axes[0, c].plot(dt * lags, correlation, color=colour, label=label)

@@ -14,7 +14,6 @@ from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import Ranking, View
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.scores import score
-from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.diagnosis import NOTE, TIGHT, models_of
 from bayes_aero.report.style import PHONE, housed
@@ -89,7 +88,7 @@ def telling(view: View) -> Telling:
     best = (-np.inf, 0, 0)
     for number in range(len(view.names)):
         mine = view.manoeuvre == number
-        for c in range(len(NAMES)):
+        for c in range(len(view.coefficients)):
             z = view.measured[mine, c]
             before, after = (score(z, z - m.residual[mine, c]).r2 for m in (view.card, view.extended))
             best = max(best, (after - before if view.changed else -before, c, number))
@@ -98,7 +97,8 @@ def telling(view: View) -> Telling:
     z = view.measured[mine, c]
     curves = [(label, colour, z - fitted.residual[mine, c]) for label, colour, fitted in models_of(view)]
     simulated = [(label, colour, x, f"R² = {score(z, x).r2:.3f}") for label, colour, x in curves]
-    return Telling(NAMES[c], f"{NAMES[c]} [-]", view.names[number], view.time[mine], z, simulated)
+    name = view.coefficients[c]
+    return Telling(name, f"{name} [-]", view.names[number], view.time[mine], z, simulated)
 
 
 def _output(flown: Trajectories) -> Telling | None:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.figure import Figure
 
 from bayes_aero.diagnosis.trajectories.results import ProcessNoise
 from bayes_aero.inference.identification import Identification, PitResult
 from bayes_aero.model.noise import Colour
-from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.style import NotDrawn, grid_of, housed, panels
+from bayes_aero.report.style import NotDrawn, grid_of, housed
 from bayes_aero.report.tables.comparison import engine_label
 from bayes_aero.report.tables.filtered import CALIBRATION
 from bayes_aero.report.text.phrases import SYMBOLS, several
@@ -25,17 +26,18 @@ def pit_histogram(identification: Identification) -> Figure:
     t = identification.pit
     if t is None:
         raise NotDrawn("no posterior was sampled")
-    figure, axes = panels(1, len(NAMES), (9.0, 3.2), sharex=True, sharey=True)
-    for ax, name, bars, r in zip(axes[0], NAMES, t.bars, t.correlation, strict=True):
+    names = identification.observations.coefficients
+    figure, axes = grid_of(len(names), 3, (3.0, 3.2), sharex=True, sharey=True)
+    for ax, name, bars, r in zip(axes, names, t.bars, t.correlation, strict=True):
         ax.axhspan(bars.lower, bars.upper, color=COLOURS["prior"], alpha=0.5, lw=0.0, label="band of uniform values")
         ax.axhline(1.0, color=COLOURS["measured"], lw=0.8, ls=":")
         ax.stairs(bars.height, bars.edges, color=COLOURS["mle"], fill=True, alpha=0.45, label="measured samples")
         ax.stairs(bars.height, bars.edges, color=COLOURS["mle"])
         ax.set(title=f"{name}: neighbours correlate {r:+.2f}", xlim=(0.0, 1.0))
         ax.set_xlabel("probability of less than measured [-]")
-    axes[0, 0].set_ylim(bottom=0.0)
-    axes[0, 0].set_ylabel("density, 1 if calibrated [-]")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
+    axes[0].set_ylim(bottom=0.0)
+    axes[0].set_ylabel("density, 1 if calibrated [-]")
+    handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2)
     figure.suptitle(f"Where measurements fall in the {what_predicts(identification)} ({engine_label(t.engine)})")
     return figure
@@ -79,26 +81,28 @@ def pit_words(identification: Identification) -> tuple[str, str]:
     """Caption and alternative text of `pit_histogram`."""
     t = identification.pit
     assert t is not None, "the figure was drawn"
-    told = several(f"{n} {r:+.2f}" for n, r in zip(NAMES, t.correlation, strict=True))
+    names = identification.observations.coefficients
+    told = several(f"{n} {r:+.2f}" for n, r in zip(names, t.correlation, strict=True))
     if identification.noise is Colour.WHITE:
         how = "White noise predicts each sample by itself"
     else:
         how = "Each sample is predicted from those before it, so its error is an innovation of the noise model"
-    outside = several(f"{b.outside} of {len(b.height)} ({n})" for n, b in zip(NAMES, t.bars, strict=True))
+    outside = several(f"{b.outside} of {len(b.height)} ({n})" for n, b in zip(names, t.bars, strict=True))
     return (
         "Probability that the posterior gives to less than what was measured: flat if the model is calibrated, "
         "∩-shaped if its intervals are mostly too wide (as where buffet enlarges one variance for all samples), "
         "∪-shaped if too narrow, sloped if it is biased. The parameters were fitted to the same samples. "
-        f"{how}; neighbours correlate by {told}. {_independence(t)}",
-        f"Histograms of the probability integral transform for CL, CD and Cm under the {what_predicts(identification)}."
-        f" Bars outside the 95 % band of uniform values: {outside}. Lag-1 correlation of neighbours: {told}.",
+        f"{how}; neighbours correlate by {told}. {_independence(t, names)}",
+        f"Histograms of the probability integral transform for {several(names)} under the "
+        f"{what_predicts(identification)}. Bars outside the 95 % band of uniform values: {outside}. "
+        f"Lag-1 correlation of neighbours: {told}.",
     )
 
 
-def _independence(t: PitResult) -> str:
+def _independence(t: PitResult, names: Sequence[str]) -> str:
     """Whether the band may be taken at its word."""
     limit = max(SLIGHT, CHANCE / np.sqrt(len(t.values)))
-    coloured = [n for n, r in zip(NAMES, t.correlation, strict=True) if abs(r) > limit]
+    coloured = [n for n, r in zip(names, t.correlation, strict=True) if abs(r) > limit]
     if not coloured:
         return "That is near enough to independence for the band."
     return (

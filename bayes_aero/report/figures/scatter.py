@@ -8,9 +8,10 @@ from matplotlib.figure import Figure
 
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.scores import score
-from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.physics.coefficient_names import LATERAL
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.style import column_width, housed, panels, refuse_many
+from bayes_aero.report.figures.time_histories import of_coefficient
+from bayes_aero.report.style import NotDrawn, column_width, housed, panels, refuse_many
 from bayes_aero.report.tables.predictions import predicted, what_is_shown
 
 
@@ -37,30 +38,14 @@ def _correlation(identification: Identification, name: str) -> Figure:
 
 
 @housed
-def correlation_CL(identification: Identification) -> Figure:
-    """Lift coefficient, measured against predicted."""
-    return _correlation(identification, "CL")
-
-
-@housed
-def correlation_CD(identification: Identification) -> Figure:
-    """Drag coefficient, measured against predicted."""
-    return _correlation(identification, "CD")
-
-
-@housed
-def correlation_Cm(identification: Identification) -> Figure:
-    """Pitching-moment coefficient, measured against predicted."""
-    return _correlation(identification, "Cm")
-
-
-@housed
 def hysteresis(identification: Identification) -> Figure:
     """CL against angle of attack, rising and falling separate: measured, maximum likelihood, GPR."""
     o = identification.observations
+    if "CL" not in o.coefficients:
+        raise NotDrawn("the model has no CL")
     points = predicted(identification, "CL")
     everything = np.arange(o.n)
-    sources = [("measured", everything, np.asarray(o.measured)[:, NAMES.index("CL")])]
+    sources = [("measured", everything, np.asarray(o.measured)[:, o.coefficients.index("CL")])]
     sources.append(("maximum likelihood", points.index, points.mle))
     if points.gp is not None:
         sources.append(("GPR", points.index, points.gp))
@@ -91,8 +76,9 @@ def _loop(ax: Axes, identification: Identification, index: np.ndarray, values: n
 
 
 FIGURES = {
-    "fig4_correlation_CL": correlation_CL,
+    "fig4_correlation_CL": of_coefficient(_correlation, "CL"),
     "fig5_stall_hysteresis": hysteresis,
-    "fig7_correlation_CD": correlation_CD,
-    "fig9_correlation_Cm": correlation_Cm,
+    "fig7_correlation_CD": of_coefficient(_correlation, "CD"),
+    "fig9_correlation_Cm": of_coefficient(_correlation, "Cm"),
+    **{f"correlation_{name}": of_coefficient(_correlation, name) for name in LATERAL},
 }

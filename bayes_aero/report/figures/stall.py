@@ -28,8 +28,8 @@ class StallData:
     colour: str
     alpha: Float[np.ndarray, " n"]
     rising: Bool[np.ndarray, " n"]
-    measured: Float[np.ndarray, "n 3"]
-    modelled: Float[np.ndarray, "n 3"]
+    measured: Float[np.ndarray, "n c"]
+    modelled: Float[np.ndarray, "n c"]
     manoeuvre: np.ndarray
     seconds: float
     stall: Stall

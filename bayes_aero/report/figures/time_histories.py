@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -11,9 +13,9 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.scores import score
 from bayes_aero.model.derived_channels import with_sums
-from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.physics.coefficient_names import LATERAL
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.style import NotDrawn, column_width, housed, panels, refuse_many
+from bayes_aero.report.style import Drawing, NotDrawn, column_width, housed, panels, refuse_many
 from bayes_aero.report.tables.predictions import Predicted, broken, clock, predicted, what_is_shown
 from bayes_aero.report.text.phrases import bracket, for_people
 
@@ -28,7 +30,14 @@ SYMBOLS = {
     "mach": "Mach",
     "thrust": "T",
 }
-LONG_NAMES = {"CL": "lift coefficient CL", "CD": "drag coefficient CD", "Cm": "pitching-moment coefficient Cm"}
+LONG_NAMES = {
+    "CL": "lift coefficient CL",
+    "CD": "drag coefficient CD",
+    "Cm": "pitching-moment coefficient Cm",
+    "CY": "side-force coefficient CY",
+    "Cl": "rolling-moment coefficient Cl",
+    "Cn": "yawing-moment coefficient Cn",
+}
 
 
 def shown_in(channel: str) -> tuple[str, float]:
@@ -82,13 +91,15 @@ def _same_limits(row: list[Axes]) -> None:
 
 @housed
 def gpr_fit(identification: Identification) -> Figure:
-    """The Gaussian process's CL, CD and Cm over the measured ones, with its 95 % predictive band."""
+    """The Gaussian process's coefficients over the measured ones, with its 95 % predictive band."""
     if identification.gp is None:
         raise NotDrawn("this run has no Gaussian process")
     count = len(identification.observations.names)
     refuse_many(count)
-    figure, axes = panels(len(NAMES), count, (column_width(count) * count, 8.0), sharex="col", sharey="row")
-    for row, name in zip(axes, NAMES, strict=True):
+    names = identification.observations.coefficients
+    size = (column_width(count) * count, 2.4 * len(names) + 0.8)
+    figure, axes = panels(len(names), count, size, sharex="col", sharey="row")
+    for row, name in zip(axes, names, strict=True):
         points = predicted(identification, name)
         for number, ax in enumerate(row):
             _history(ax, identification, name, points, number, engines=("gpr",))
@@ -97,7 +108,7 @@ def gpr_fit(identification: Identification) -> Figure:
         row[0].set_ylabel(f"{name} [-]")
         note = {"va": "top", "bbox": {"fc": "white", "ec": "none", "alpha": 0.8, "pad": 1.5}, "zorder": 5}
         row[0].text(0.02, 0.96, f"r = {r:.4f} (all test points)", transform=row[0].transAxes, **note)
-    _finish(figure, axes, identification, "Gaussian-process regression of CL, CD, Cm")
+    _finish(figure, axes, identification, f"Gaussian-process regression of {', '.join(names)}")
     return figure
 
 
@@ -124,7 +135,7 @@ def _history(
     """Measured thin, predictions at their test points: the band and the dots of the GP, the line of the ML model."""
     o = identification.observations
     mine, time = o.manoeuvre == number, clock(identification)
-    z = np.asarray(o.measured)[:, NAMES.index(name)]
+    z = np.asarray(o.measured)[:, o.coefficients.index(name)]
     shown = points.of(mine)
     at = time[shown.index]
     if "gpr" in engines and shown.gp is not None and shown.low is not None and shown.high is not None:
@@ -159,28 +170,22 @@ def _finish(figure: Figure, axes: np.ndarray, identification: Identification, ti
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), markerscale=4)
 
 
-@housed
-def validation_CL(identification: Identification) -> Figure:
-    """Lift coefficient over time: measured, maximum likelihood, GPR."""
-    return _validation(identification, "CL")
+def of_coefficient(draw: Callable[[Identification, str], Figure], name: str) -> Drawing:
+    """A figure of one coefficient; not drawn for a model without it."""
 
+    def drawn(identification: Identification) -> Figure:
+        if name not in identification.observations.coefficients:
+            raise NotDrawn(f"the model has no {name}")
+        return draw(identification, name)
 
-@housed
-def validation_CD(identification: Identification) -> Figure:
-    """Drag coefficient over time: measured, maximum likelihood, GPR."""
-    return _validation(identification, "CD")
-
-
-@housed
-def validation_Cm(identification: Identification) -> Figure:
-    """Pitching-moment coefficient over time: measured, maximum likelihood, GPR."""
-    return _validation(identification, "Cm")
+    return housed(drawn)
 
 
 FIGURES = {
     "fig1_time_history": time_history,
     "fig2_gpr_fit": gpr_fit,
-    "fig3_validation_CL": validation_CL,
-    "fig6_validation_CD": validation_CD,
-    "fig8_validation_Cm": validation_Cm,
+    "fig3_validation_CL": of_coefficient(_validation, "CL"),
+    "fig6_validation_CD": of_coefficient(_validation, "CD"),
+    "fig8_validation_Cm": of_coefficient(_validation, "Cm"),
+    **{f"validation_{name}": of_coefficient(_validation, name) for name in LATERAL},
 }

@@ -6,7 +6,6 @@ import numpy as np
 
 from bayes_aero.diagnosis.view.results import View
 from bayes_aero.inference.identification import Identification, Stall
-from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.figures.found import telling
 from bayes_aero.report.pages.stall import DEG, interval
 from bayes_aero.report.tables.comparison import engine_label, methods
@@ -21,7 +20,7 @@ OFF = (
 def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
     """Caption and alternative text by stem."""
     before, after = view.card.composition, view.extended.composition
-    lag = {name: (before[name]["lag1"], after[name]["lag1"]) for name in NAMES}
+    lag = {name: (before[name]["lag1"], after[name]["lag1"]) for name in before}
     best = telling(view)
     what = best.quantity.replace("_", " ")
     leaders = "; ".join(
@@ -56,8 +55,8 @@ def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
             "Mean residual over the channels with the clearest dependence, before and after. A correct model has a "
             "flat "
             "line at zero.",
-            "Binned residuals of CL, CD and Cm over three channels each. RMSE before and after: "
-            + several(f"{n} {before[n]['rmse']:.4f} and {after[n]['rmse']:.4f}" for n in NAMES)
+            f"Binned residuals of {several(before)} over three channels each. RMSE before and after: "
+            + several(f"{n} {before[n]['rmse']:.4f} and {after[n]['rmse']:.4f}" for n in before)
             + ".",
         ),
         "residual_colour": (
@@ -70,7 +69,7 @@ def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
         **_stall_models(view),
         "measured_simulated": (
             "Coefficients measured and simulated by both models, the error shaded.",
-            f"Time histories of CL, CD and Cm. {what} of {best.manoeuvre}: {change}.",
+            f"Time histories of {several(before)}. {what} of {best.manoeuvre}: {change}.",
         ),
     }
 
@@ -98,7 +97,7 @@ def gained(view: View) -> str:
     if scores is None:
         return ""
     first, last = scores
-    pairs = {n: (f"{first[n].r2:.3f}", f"{last[n].r2:.3f}") for n in NAMES if n in first and n in last}
+    pairs = {n: (f"{first[n].r2:.3f}", f"{last[n].r2:.3f}") for n in first if n in last}
     moved = {n: pair for n, pair in pairs.items() if pair[0] != pair[1]}
     return several(f"{n} R² from {before} to {after}" for n, (before, after) in moved.items()) + "." if moved else ""
 
@@ -152,7 +151,7 @@ def identification_alternatives(run: Identification) -> dict[str, tuple[str, str
         ),
         "gp_prior_posterior": (
             "Prior and posterior of the Gaussian process's hyperparameters.",
-            "Prior and posterior densities of the hyperparameters of the Gaussian processes of CL, CD and Cm.",
+            f"Prior and posterior densities of the hyperparameters of the Gaussian processes of {several(mle.fit)}.",
         ),
         "pair": (
             "Posterior of every pair of parameters.",
@@ -161,7 +160,7 @@ def identification_alternatives(run: Identification) -> dict[str, tuple[str, str
             + ".",
         ),
         "fig2_gpr_fit": (
-            "CL, CD and Cm measured, and predicted by the Gaussian process with its 95 % band.",
+            f"{several(mle.fit)} measured, and predicted by the Gaussian process with its 95 % band.",
             "Time histories of measured coefficients and the Gaussian process's predictions; the table gives the "
             "scores.",
         ),
@@ -169,7 +168,9 @@ def identification_alternatives(run: Identification) -> dict[str, tuple[str, str
     if run.stall is not None:
         texts |= _stall_alternatives(run.stall, flown)
     texts |= _chain_alternatives(run)
-    for stem, c in (("fig4_correlation_CL", "CL"), ("fig7_correlation_CD", "CD"), ("fig9_correlation_Cm", "Cm")):
+    numbered = {"CL": "fig4_correlation_CL", "CD": "fig7_correlation_CD", "Cm": "fig9_correlation_Cm"}
+    for c in mle.fit:
+        stem = numbered.get(c, f"correlation_{c}")
         texts[stem] = (
             f"{c} measured against predicted.",
             f"Scatter plot of measured and predicted {c}; maximum likelihood on all samples correlates by "

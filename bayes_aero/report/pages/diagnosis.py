@@ -12,7 +12,6 @@ from bayes_aero.diagnosis.result import COEFFICIENTS, INNOVATIONS, TRAJECTORIES,
 from bayes_aero.diagnosis.settings import ENOUGH
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
-from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.time_histories import SYMBOLS, shown_in
 from bayes_aero.report.html.folded_lists import not_testable_list, open_list
@@ -212,7 +211,7 @@ def _coefficients(view: View) -> tuple[Block, ...]:
     for number, name in enumerate(shown):
         mine = view.manoeuvre == number
         panels = []
-        for c, coefficient in enumerate(NAMES):
+        for c, coefficient in enumerate(view.coefficients):
             z = view.measured[mine, c]
             lines = [Line("measured", COLOURS["measured"], z, width=1.0)]
             lines += [Line(label, colour, z - f.residual[mine, c], style) for label, colour, f, style in models]
@@ -227,7 +226,7 @@ def _coefficients(view: View) -> tuple[Block, ...]:
         plots.append(histories(name, f"time-coefficients-{number}", view.time[mine], panels, legend, what))
     return (
         Text(
-            "Lift, drag and pitching-moment coefficients from the accelerometers and rate gyros, and both models "
+            "Coefficients of forces and moments from the accelerometers and rate gyros, and both models "
             "fitted to all "
             "manoeuvres. The error of the extended model is shaded."
         ),

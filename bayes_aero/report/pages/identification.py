@@ -12,7 +12,7 @@ from bayes_aero.diagnosis.trajectories.results import Path as Simulated
 from bayes_aero.effect import Stage
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
-from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.physics.coefficient_names import LATERAL
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.pit import pit_words
 from bayes_aero.report.figures.time_histories import SYMBOLS, shown_in
@@ -51,6 +51,12 @@ LEGEND = (
     ("fitted (maximum likelihood)", COLOURS["mle"], "solid"),
     ("error", COLOURS["mle"], "area"),
 )
+CORRELATIONS = (
+    "fig4_correlation_CL",
+    "fig7_correlation_CD",
+    "fig9_correlation_Cm",
+    *(f"correlation_{name}" for name in LATERAL),
+)
 
 
 def identification_page(
@@ -86,7 +92,7 @@ def identification_page(
                 "Measured and fitted",
                 lambda: (
                     Text(
-                        "Lift, drag and pitching-moment coefficients reconstructed from the accelerometers and rate "
+                        "Coefficients of forces and moments reconstructed from the accelerometers and rate "
                         "gyros, and "
                         "the fitted model. The shaded area between the curves is the error."
                     ),
@@ -109,7 +115,7 @@ def headline(run: Identification) -> str:
     mle = run.mle
     if not usable(mle):
         return f"No parameters can be given: {mle.status.value}."
-    fit = several(f"{mle.fit[name].r:.3f} ({name})" for name in NAMES)
+    fit = several(f"{mle.fit[name].r:.3f} ({name})" for name in mle.fit)
     text = f"The model follows the measured coefficients with correlations of {fit}"
     if run.stall is not None and run.stall.seen:
         s = run.stall
@@ -154,7 +160,7 @@ def _histories(run: Identification) -> list[Block]:
                 ),
                 shade=((0, 1),),
             )
-            for i, c in enumerate(NAMES)
+            for i, c in enumerate(o.coefficients)
         ]
         for channel in CONTEXT:
             if channel in o.signals:
@@ -206,7 +212,7 @@ def _validation(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
         *gallery("gpr_fit", "fig2_gpr_fit"),
         Fold(
             "Measured against predicted",
-            gallery.folded("fig4_correlation_CL", "fig7_correlation_CD", "fig9_correlation_Cm"),
+            gallery.folded(*CORRELATIONS),
         ),
     )
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from bayes_aero.diagnosis.view.results import LEVELS, DiagnosisView, HoldoutScores, View
-from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.tables.table import Change, Column, Estimate, Table, columns_of
 from bayes_aero.report.text.phrases import bracket, for_people, plain_unit, several
 
@@ -23,7 +22,7 @@ def gain_table(view: DiagnosisView) -> Table | None:
     if view.unseen_scores is None:
         return None
     before, after = view.unseen_scores
-    names = [name for name in NAMES if name in after]
+    names = list(after)
     of = columns_of(names)
     columns = [Column(names, page="coefficient")]
     for when, scores in (("before", before), ("after", after)):
@@ -45,7 +44,7 @@ def holdout_table(unseen: HoldoutScores) -> Table:
     rows = []
     for k, manoeuvre in enumerate(unseen.names):
         before, after = (unseen.scores[model, "hold_out", k] for model in ("card", "extended"))
-        rows += [(manoeuvre, n, Change(before[n].r2, after[n].r2), unseen.gains[manoeuvre, n]) for n in NAMES]
+        rows += [(manoeuvre, n, Change(before[n].r2, after[n].r2), unseen.gains[manoeuvre, n]) for n in before]
     of = columns_of(rows)
     worse = several(f"{name} of {manoeuvre}" for manoeuvre, name in unseen.worse()) or "no manoeuvre"
     return Table(
@@ -86,7 +85,7 @@ def moves_table(view: View) -> Table:
 def predictor_table(found: Mapping[str, Any]) -> Table:
     """R2, RMSE and coverage of every predictor on hold-out data."""
     columns = [Column([PREDICTORS.get(key, key) for key in found], page="predictor")]
-    for name in NAMES:
+    for name in next(iter(found.values()), {}):
         of = columns_of([row.get(name) or {} for row in found.values()])
         columns += [
             of(lambda s: s.get("r2"), page="R²", form=".3f", group=name),
@@ -104,7 +103,7 @@ def predictor_table(found: Mapping[str, Any]) -> Table:
 def residual_tables(view: View) -> tuple[Table, Table]:
     """Each coefficient's residuals before and after: scores, Theil's parts, autocorrelation; then calibration."""
     models = [("card's", view.card), *([("extended", view.extended)] if view.changed else [])]
-    rows = [(f"{name}, {label}", fitted.composition[name]) for name in NAMES for label, fitted in models]
+    rows = [(f"{name}, {label}", fitted.composition[name]) for name in view.coefficients for label, fitted in models]
     of, first = columns_of([numbers for _, numbers in rows]), Column([label for label, _ in rows], page="")
     shares = [
         of(lambda n, part=part: n[f"theil_{part}"], page=part, form=".0%", group="Theil's shares of the squared error")

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayes_aero.inference.identification import Identification, Validation
-from bayes_aero.physics.coefficients import NAMES
 
 GAP = 1.0  # s; a line is broken where its neighbouring points are further apart
 
@@ -34,7 +33,8 @@ def predicted(identification: Identification, coefficient: str) -> Predicted:
     """Predictions at the chosen split's test points (all its folds); without a GP the fit at all samples."""
     if identification.gp is not None:
         return _pooled([fold[coefficient] for fold in identification.gp.splits[identification.gp.chosen]])
-    o, column = identification.observations, NAMES.index(coefficient)
+    o = identification.observations
+    column = o.coefficients.index(coefficient)
     return Predicted(np.arange(o.n), np.asarray(o.measured)[:, column], identification.fitted[:, column])
 
 

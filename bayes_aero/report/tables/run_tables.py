@@ -11,7 +11,6 @@ from bayes_aero.inference.identification import Identification, Validation
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.scores import Scores, interval_coverage, score
 from bayes_aero.model.noise import Colour
-from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.tables.comparison import (
     alone,
     bounds,
@@ -146,7 +145,7 @@ def validation_table(run: Identification, *, each_fold: bool = True) -> Table:
     """
     rows: list[tuple[str, str, str, Pooled]] = []
     for split, folds in (run.gp.splits if run.gp else {}).items():
-        for name in NAMES:
+        for name in run.observations.coefficients:
             if each_fold and len(folds) > 1:
                 rows += [(split, str(k), name, Pooled.of([fold[name]])) for k, fold in enumerate(folds, start=1)]
             rows.append((split, "all", name, Pooled.of([fold[name] for fold in folds])))
@@ -187,7 +186,11 @@ def paper_table(run: Identification) -> Table:
     splits = {} if run.gp is None else run.gp.splits
     compares = run.card.name == PAPER_CARD and PAPER_SPLIT in splits
     folds = [] if run.gp is None else splits[PAPER_SPLIT if compares else run.gp.chosen]
-    ours = {name: Pooled.of([fold[name] for fold in folds]) for name in NAMES if folds}
+    ours = {
+        name: Pooled.of([fold[name] for fold in folds])
+        for name in (PAPER if compares else run.observations.coefficients)
+        if folds
+    }
     columns = [Column(list(ours), "coefficient")]
     for k, key in enumerate(PAPER_COLUMNS):
         method, kind = key.replace("gpr", "gp").split("_")
@@ -198,7 +201,7 @@ def paper_table(run: Identification) -> Table:
 
 def fit_table(run: Identification) -> Table:
     """How well the fitted model follows each coefficient."""
-    of = columns_of([(name, run.mle.fit[name], run.mle.lag1[name]) for name in NAMES])
+    of = columns_of([(name, run.mle.fit[name], run.mle.lag1[name]) for name in run.mle.fit])
     return Table(
         [
             of(lambda r: r[0], page=""),
@@ -245,7 +248,7 @@ def coverage_table(run: Identification) -> Table | None:
         if not {"posterior_predictive", "observed_data"} <= set(posterior.tree.children):
             continue
         predicted, observed = (posterior.tree[g].to_dataset() for g in ("posterior_predictive", "observed_data"))
-        for name in NAMES:
+        for name in run.observations.coefficients:
             draws = np.asarray(predicted[name], float).reshape(-1, observed[name].size)
             shares = interval_coverage(np.asarray(observed[name], float), draws)
             rows.append((f"{engine_label(key)}, {name}", *shares.values()))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from bayes_aero.inference.identification import GPReport, Identification
-from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.tables.run_tables import Pooled
 from bayes_aero.report.text.phrases import several
 
@@ -47,11 +46,12 @@ def _leaks(report: GPReport, dt: float) -> list[str]:
     others = [split for split in ("block", "manoeuvre") if split in report.splits]
     if "random" not in report.splits or not others:
         return []
-    r = {s: {n: pooled_r(report, s, n, "gp") for n in NAMES} for s in ("random", *others)}
-    numbers = several(f"{n} {' / '.join(f'{r[s][n]:.3f}' for s in r)}" for n in NAMES)
+    names = tuple(report.splits["random"][0])
+    r = {s: {n: pooled_r(report, s, n, "gp") for n in names} for s in ("random", *others)}
+    numbers = several(f"{n} {' / '.join(f'{r[s][n]:.3f}' for s in r)}" for n in names)
     order = " / ".join(SAYS[s] for s in r)
     said = [f"GPR correlation with the measurement by {order}: {numbers}."]
-    drops = {n: r["random"][n] - min(r[s][n] for s in others) for n in NAMES}
+    drops = {n: r["random"][n] - min(r[s][n] for s in others) for n in names}
     fallen = {n: drop for n, drop in drops.items() if drop > LEAK}
     behind = [sentence for s in ("random", others[-1]) for sentence in _behind(report, s, r[s])]
     if not fallen:
@@ -66,6 +66,6 @@ def _leaks(report: GPReport, dt: float) -> list[str]:
 
 def _behind(report: GPReport, split: str, r: dict[str, float]) -> list[str]:
     """Coefficients that the Gaussian process predicts worse than the stall model."""
-    mle = {n: pooled_r(report, split, n, "mle") for n in NAMES}
-    lost = [f"{n} ({mle[n]:.3f} against {r[n]:.3f})" for n in NAMES if r[n] < mle[n] - NOTABLE]
+    mle = {n: pooled_r(report, split, n, "mle") for n in r}
+    lost = [f"{n} ({mle[n]:.3f} against {r[n]:.3f})" for n in r if r[n] < mle[n] - NOTABLE]
     return [f"On {SAYS[split]} maximum likelihood correlates better than GPR in {several(lost)}."] if lost else []

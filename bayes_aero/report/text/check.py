@@ -53,7 +53,7 @@ def _behind(channel: str) -> str:
 def use_sentences(report: CheckReport) -> list[str]:
     """What the records can be used for, and what cannot be tested on them."""
     said = [f"{name}: possible" if not why else f"{name}: not possible, {why}" for name, why in report.uses.items()]
-    return said + not_testable_sentences(report.not_testable)
+    return [*report.left_out, *said, *not_testable_sentences(report.not_testable)]
 
 
 def sensor_sentences(report: CheckReport) -> list[str]:

@@ -1,0 +1,43 @@
+"""A delay of the recorded aileron deflection."""
+
+from bayes_aero.arrays import xp
+from bayes_aero.effect import Effect, Example, Kind, Stage
+from bayes_aero.flight.axes import Axis
+from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.physics.filters import advance
+
+
+def increments(v, s, a, known):
+    """Recorded(t) = true(t - aileron_delay)."""
+    x = s["aileron"]
+    return {"aileron": advance(x, xp.asarray(v["aileron_delay"]), s["dt"], s["first"], s["last"]) - x}
+
+
+EFFECT = Effect(
+    name="aileron_delay",
+    kind=Kind.MEASUREMENT,
+    stage=Stage.CHANNEL,
+    claim="The aileron deflection is recorded late (or early, where negative).",
+    parameters=(
+        Parameter(
+            "aileron_delay",
+            "s",
+            0.0,
+            0.0,
+            "delay of the recorded aileron deflection; positive is late",
+            Prior("normal", 0.0, 0.25),
+            (-2.0, 2.0),
+        ),
+    ),
+    channels=("aileron",),
+    increments=increments,
+    example=Example(
+        {"aileron_delay": 0.04},
+        {"aileron": (0.03, 0.0, -0.01, -0.06), "dt": (0.04,) * 4, "first": (0,) * 4, "last": (3,) * 4},
+        {"aileron": (-0.03, -0.01, -0.05, 0.0)},
+        "one sample late: the next sample less this one, by hand; nothing is known beyond the last",
+    ),
+    source="definition of a delay; cubic convolution between samples, Keys 1981",
+    sizes={"aileron_delay": (0.02, 0.5)},
+    axis=Axis.LATERAL,
+)

@@ -1,0 +1,1 @@
+"""A left and a right wing that stall at different angles: see `Model.flow`."""

@@ -1,0 +1,105 @@
+"""Controls that turn the aircraft the wrong way: an elevator that raises the nose when it goes down, and the like."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.flight.axes import Axis
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.health.finding import HealthFinding, declared, found
+from bayes_aero.flight.record import FlightRecord
+
+SMOOTH = 0.3  # s of the mean that keeps noise out of the angular acceleration
+MOVED = np.deg2rad(0.1)  # rad that a surface must move, standard deviation of its fast part
+SURE = 5.0  # standard errors, of the wrong sign
+RESPONSE = 0.3  # 1/s2 a rad: no surface that flies an aircraft does less
+SLOW = 3.0  # s: trim and speed change more slowly and are taken out
+PAIR = ("aileron_right", "aileron_left")
+
+
+@dataclass(frozen=True)
+class _Control:
+    """A surface, what else moves the rate that it turns, and the words for its positive direction and the answer."""
+
+    surface: str
+    beside: tuple[str, ...]
+    rate: str
+    answer: str
+    rule: str
+    otherwise: str  # what the file may count as positive instead
+
+
+ELEVATOR = _Control(
+    "elevator", ("alpha", "q"), "q", "the nose rises", "trailing edge down counts as positive and must lower it",
+    "trailing edge up",
+)  # fmt: skip
+LATERAL = (
+    _Control(
+        "aileron", ("beta", "p", "r"), "p", "the aircraft rolls to the right",
+        "half of right less left, trailing edges down, counts as positive and must roll it to the left", "the opposite",
+    ),
+    _Control(
+        "rudder", ("beta", "r", "p"), "r", "the nose turns to the right",
+        "trailing edge left counts as positive and must turn it to the left", "trailing edge right",
+    ),
+)  # fmt: skip
+
+
+def control_responses(record: FlightRecord, card: Card) -> list[HealthFinding]:
+    """Findings where an angular acceleration answers a positive deflection the wrong way.
+
+    Aileron and rudder are looked at for cards of the lateral axis alone: others leave their sign to the user.
+    """
+    controls = (ELEVATOR, *(LATERAL if Axis.LATERAL in card.axes else ()))
+    return [finding for control in controls for finding in _answers(control, record, card)]
+
+
+def _answers(control: _Control, record: FlightRecord, card: Card) -> list[HealthFinding]:
+    deflection = _deflection(control, record)
+    if deflection is None or not all(map(record.has, control.beside)) or record.n * record.dt < 4.0 * SLOW:
+        return []
+    signals = [_banded(x, record.dt) for x in (deflection, *(record[name] for name in control.beside))]
+    if signals[0].std() < MOVED:
+        return []
+    slope = np.gradient(signals[1 + control.beside.index(control.rate)], record.dt)
+    rows = np.stack([*signals, np.ones(record.n)], axis=1)
+    # Samples of smoothed signals repeat each other: one in a smoothing length counts.
+    fit, *_ = np.linalg.lstsq(rows, slope, rcond=None)
+    left = slope - rows @ fit
+    independent = max(record.n * record.dt / (3.0 * SMOOTH) - rows.shape[1], 1.0)
+    error = np.sqrt(np.mean(left**2) * np.linalg.pinv(rows.T @ rows)[0, 0] * record.n / independent)
+    response = float(fit[0])
+    if response < max(SURE * error, RESPONSE):
+        return []
+    mend = _mend(control, record, card)
+    sentence = f"{control.surface}: {control.answer} with it ({response:+.2g} 1/s^2 a rad); {control.rule}, {mend}"
+    return [found(record, control.surface, "sign", sentence, at=(0, record.n - 1))]
+
+
+def _mend(control: _Control, record: FlightRecord, card: Card) -> str:
+    if not record.has(control.surface):
+        return f"so {' and '.join(PAIR)} are swapped, or the file counts trailing edge up; correct them on the card"
+    sign = -declared(card, control.surface).sign
+    return f"so if the file counts {control.otherwise} write sign = {sign} at {control.surface} on the card"
+
+
+def _deflection(control: _Control, record: FlightRecord) -> Float[np.ndarray, " n"] | None:
+    """The surface as recorded; ailerons also from their pair."""
+    if record.has(control.surface):
+        return record[control.surface]
+    if control.surface == "aileron" and all(map(record.has, PAIR)):
+        return 0.5 * (record[PAIR[0]] - record[PAIR[1]])
+    return None
+
+
+def _banded(x: np.ndarray, dt: float) -> np.ndarray:
+    """Smoothed, and without what is slower than a few seconds."""
+    return _mean(x, SMOOTH / dt) - _mean(x, SLOW / dt)
+
+
+def _mean(x: np.ndarray, samples: float) -> np.ndarray:
+    half = min(max(1, round(samples / 2.0)), (len(x) - 1) // 2)
+    return np.convolve(np.pad(x, half, mode="edge"), np.full(2 * half + 1, 1.0 / (2 * half + 1)), mode="valid")

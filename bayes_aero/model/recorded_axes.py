@@ -1,0 +1,68 @@
+"""A card on records that lack what one of its axes needs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.flight.axes import Axis
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.derived_channels import with_sums
+from bayes_aero.model.own_effects import own_effects
+from bayes_aero.physics.coefficient_names import COEFFICIENTS, FORMED_FROM
+
+FORMED = ("alpha_dot",)  # from recorded channels, in any record
+
+
+def on_recorded_axes(card: Card, records: Sequence[FlightRecord]) -> tuple[Card, tuple[str, ...]]:
+    """The card without an axis whose channels some record lacks, and a sentence on each that is left out.
+
+    A card of one axis, or one whose axes all lack channels, stays as it is: whoever needs them says what is missing.
+
+    Args:
+        card: aircraft and model.
+        records: flights, at least one.
+
+    Returns:
+        The card to work with, and what a user must be told.
+    """
+    if len(card.axes) < 2 or not records:
+        return card, ()
+    catalogue = {**CATALOGUE, **own_effects(card.effect_files)}
+    missing = {axis: _missing(card, records, axis, catalogue) for axis in card.axes}
+    kept = tuple(axis for axis in card.axes if not missing[axis])
+    if not kept or kept == card.axes:
+        return card, ()
+    unknown = {name for axis in card.axes if axis not in kept for name in missing[axis][1:]}
+    own = [catalogue[name] for name in card.effects if name in catalogue]
+    gone = {e.name for e in own if not e.acts_on(kept) or not unknown.isdisjoint(e.channels)}
+    theirs = {p.name for name in gone for p in catalogue[name].parameters}
+    fewer = replace(
+        card,
+        axes=kept,
+        effects=tuple(name for name in card.effects if name not in gone),
+        fixed={name: x for name, x in card.fixed.items() if name not in theirs},
+        changes={name: x for name, x in card.changes.items() if name not in theirs},
+    )
+    return fewer, tuple(_sentence(axis, *missing[axis]) for axis in card.axes if axis not in kept)
+
+
+def _missing(card: Card, records: Sequence[FlightRecord], axis: Axis, catalogue: dict) -> tuple[str, ...]:
+    """The record that lacks channels of this axis, then the channels; nothing where all have them."""
+    own = [catalogue[n] for n in card.effects if n in catalogue and catalogue[n].axes == (axis,)]
+    asked = dict.fromkeys((*FORMED_FROM[axis], *(c for effect in own for c in effect.channels)))
+    for record in records:
+        have = with_sums(record, card)
+        lacks = [name for name in asked if name not in have and name not in FORMED]
+        if lacks:
+            return record.name, *lacks
+    return ()
+
+
+def _sentence(axis: Axis, record: str, *channels: str) -> str:
+    return (
+        f"The {axis.value} axis ({', '.join(COEFFICIENTS[axis])}) is left out: record {record} has no channel "
+        f"{', '.join(channels)}; map {'it' if len(channels) == 1 else 'them'} on the card to include it."
+    )
