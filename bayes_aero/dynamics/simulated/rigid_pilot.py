@@ -18,6 +18,7 @@ from bayes_aero.dynamics.simulated.plant import CONTROLS
 from bayes_aero.dynamics.simulated.rigid_trim import SURFACES, Condition, RigidTrim, rigid_trim, signs
 from bayes_aero.dynamics.simulated.simulate import Pilot
 from bayes_aero.dynamics.system import Row, integrate
+from bayes_aero.effect import Stage
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air
@@ -25,6 +26,7 @@ from bayes_aero.physics.atmosphere import GRAVITY, air
 BANK, ROLL, SLIP, YAW = 0.6, 0.5, 0.5, 0.7  # aileron per bank and roll rate, rudder per sideslip and yaw rate; s
 MEASURED = ("aileron", "rudder")
 DISTURBED = ("CL", "CD", "Cm")
+FINEST = 16  # steps of integration a sample, for a separation point of little lag
 MOST = 0.5  # rad of any control
 SLIPPED = 0.05  # rad, at which the controls of a steady sideslip are asked for
 
@@ -91,6 +93,9 @@ def fly_rigid(
     It begins in `trim`, from which controls depart; what is led in bank turns as a coordinated turn does.
     """
     values = {name: jnp.asarray(x, float) for name, x in values.items()}
+    lag = float(model.lag(values))
+    if lag == 0.0:  # a separation point that does not lag is no state
+        model = Model.of([e for e in model.effects if e.stage is not Stage.LAG], axes=model.axes)
     chosen = signs(model, values, aircraft, trim.state["airspeed"])
     pilots = tuple((moment, control, sign) for moment, (control, sign) in chosen.items())
     gains = tuple(jnp.asarray(x, float) for x in (pilot.alpha_gain, pilot.rate_gain, pilot.trim_gain))
@@ -103,7 +108,9 @@ def fly_rigid(
         inputs[name] = inputs[name] + (slope * inputs["led_beta"] if slipping else 0.0)
     first = {name: x[0] for name, x in inputs.items()}
     start = jnp.array([trim.state.get(name, 0.0) for name in body.start])
-    found = _flown(body, body.begun(body.settled(start, first)), inputs, jnp.asarray(dt))
+    fast = lag * float(aircraft.chord) / trim.state["airspeed"]
+    parts = int(np.clip(np.ceil(2.0 * dt / fast), 1, FINEST)) if lag > 0.0 else 1
+    found = _flown(body, body.begun(body.settled(start, first)), inputs, jnp.asarray(dt), parts)
     flight = {name: np.asarray(x) for name, x in (inputs | found.outputs).items()}
     flight |= {name: np.unwrap(flight[name]) for name in ("phi", "psi")}
     density, sound = (np.asarray(x) for x in air(found.outputs["altitude"]))

@@ -43,7 +43,7 @@ def at_rest(alpha: Any, airspeed: Any, altitude: Any) -> dict[str, Any]:
     """Signals of steady flight without rates, thrust, sideslip or deflections, each of the shape of `alpha`."""
     zero = jnp.zeros_like(alpha)
     density, sound = air(zero + altitude)
-    rest = dict.fromkeys(SIGNALS, zero) | {"alpha": alpha, "theta": alpha, "airspeed": zero + airspeed}
+    rest = dict.fromkeys((*SIGNALS, "aileron"), zero) | {"alpha": alpha, "theta": alpha, "airspeed": zero + airspeed}
     return rest | {"altitude": zero + altitude, "mach": airspeed / sound, "density": density}
 
 
