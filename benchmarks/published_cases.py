@@ -21,7 +21,7 @@ from bayes_aero.diagnosis.trajectories.results import Setting
 from bayes_aero.diagnosis.trajectories.trajectory_fit import fit_trajectories
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.linear import channel_units, linear_dynamics
-from bayes_aero.dynamics.longitudinal import FLIGHT
+from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.reading.read_record import read_record

@@ -29,8 +29,8 @@ from bayes_aero.simulate.sensor_faults import misrecorded
 BOTH = tuple(Axis)
 DT, SAMPLES = 0.04, 1000
 LATERAL_TRUTH = {
-    "CY0": 0.005, "CYbe": -0.85, "CYdr": 0.2, "Cl0": 0.0005, "Clbe": -0.11, "Clp": -0.42, "Clr": 0.12, "Clda": -0.15,
-    "Cldr": 0.02, "Cn0": -0.0005, "Cnbe": 0.14, "Cnp": -0.08, "Cnr": -0.2, "Cnda": 0.01, "Cndr": -0.1,
+    "CY0": 0.02, "CYbe": -0.85, "CYdr": 0.2, "Cl0": 0.003, "Clbe": -0.11, "Clp": -0.42, "Clr": 0.12, "Clda": -0.15,
+    "Cldr": 0.02, "Cn0": -0.003, "Cnbe": 0.14, "Cnp": -0.08, "Cnr": -0.2, "Cnda": 0.01, "Cndr": -0.1, "roll_station": 0.5,
 }  # fmt: skip
 CONTROLS = ("elevator", "aileron", "rudder")
 NOISE = {"ax": 0.02, "ay": 0.02, "az": 0.02, "p": 5e-5, "q": 5e-5, "r": 5e-5, "alpha": 2e-4, "beta": 2e-4}
@@ -41,7 +41,7 @@ def three_axis_card() -> Card:
     """The shipped ATTAS card with lateral effects, engines that are recorded one by one, and nothing derived."""
     card = read_card("attas")
     aircraft = replace(card.aircraft, engine_arm=2.5)
-    effects = tuple(dict.fromkeys((*card.effects, *OWNERS)))
+    effects = tuple(dict.fromkeys((*card.effects, *OWNERS, "wing_lift_difference", "wing_drag_difference")))
     return replace(card, aircraft=aircraft, axes=BOTH, effects=effects, sums={}, constants={}, derived={}, tables={})
 
 

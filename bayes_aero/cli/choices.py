@@ -61,3 +61,5 @@ class Manoeuvre(StrEnum):
     SIDESLIP = "sideslip"
     BANK_TO_BANK = "bank_to_bank"
     STABILIZER_STEPS = "stabilizer_steps"
+    AILERON_DOUBLET = "aileron_doublet"
+    RUDDER_DOUBLET = "rudder_doublet"

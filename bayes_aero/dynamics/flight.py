@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -12,23 +12,25 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from bayes_aero.dynamics.longitudinal import LATERAL, LEAST_LAG, Longitudinal
+from bayes_aero.dynamics.aircraft.effect_system import LEAST_LAG, EffectSystem
+from bayes_aero.dynamics.aircraft.longitudinal import LATERAL, Longitudinal
+from bayes_aero.dynamics.aircraft.prescribed import SIDE, lateral_drives, rigid_drives, rigid_needs, rigid_outputs
+from bayes_aero.dynamics.aircraft.rigid_body import RigidBody, held_states
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.system import System
 from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
+from bayes_aero.flight.axes import Axis
 from bayes_aero.model.joined_channels import Flights, response_scales
 from bayes_aero.model.joined_records import Recorded
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Parameter, Role
-from bayes_aero.physics.filters import differentiate, smooth
 
 Values = Mapping[str, Any]
 OUTPUTS = ("airspeed", "alpha", "theta", "q", "altitude", "ax", "az")
-ON_REQUEST = ("q_dot",)  # mostly differentiated pitch rate, which says nothing new
+ON_REQUEST = ("p_dot", "q_dot", "r_dot")  # mostly differentiated rates, which say nothing new
 FINEST = 8  # integration steps a sample
-SIDE = ("p", "r", "beta", "phi")  # of these the lateral force follows where no accelerometer gives it
 DERIVED = ("alpha_dot", "q_dot", "X", "mach", "density")  # the simulation makes them itself
 
 
@@ -49,6 +51,11 @@ class Dynamics(ABC):
     @abstractmethod
     def states(self) -> tuple[str, ...]:
         """Names of the states."""
+
+    @property
+    def start(self) -> tuple[str, ...]:
+        """What a manoeuvre's beginning is given in: channels, one for each state that is one; see `System.start`."""
+        return self.states
 
     @property
     def units(self) -> Mapping[str, str]:
@@ -116,6 +123,15 @@ class EffectDynamics(Dynamics):
     model: Model
 
     @property
+    def meets_gusts(self) -> bool:
+        """Whether what gusts change is simulated."""
+        return True
+
+    def for_filter(self) -> EffectDynamics:
+        """The same with states that sensors show, which a filter corrects."""
+        return self
+
+    @property
     def of_disturbances(self) -> frozenset[str]:
         """Those of gusts."""
         return frozenset(p.name for e in self.model.acting if e.disturbance is not None for p in e.parameters)
@@ -142,23 +158,33 @@ class EffectDynamics(Dynamics):
 
 @dataclass(frozen=True)
 class AircraftDynamics(EffectDynamics):
-    """Longitudinal motion under a model of effects; `altitude` says whether the altitude is a state.
+    """Motion under a model of effects; `altitude` says whether the altitude is a state.
 
-    `further` are outputs beside the usual ones, of `ON_REQUEST`.
+    `further` are outputs beside the usual ones, of `ON_REQUEST`. A model with the lateral axis flies in six degrees of
+    freedom, one without in three: what it does laterally is prescribed as recorded. States that are `held` are
+    prescribed, too. `heading`, `euler`: see `RigidBody`.
     """
 
     model: Model
     altitude: bool = True
     further: tuple[str, ...] = ()
+    held: tuple[str, ...] = ()
+    heading: bool = False
+    euler: bool = False
 
     @property
     def free(self) -> tuple[Parameter, ...]:
         """The model's."""
         return self.model.free
 
+    @property
+    def rigid(self) -> bool:
+        """Whether it is flown as a rigid body; else in the plane of symmetry."""
+        return bool(self.held) or Axis.LATERAL in self.model.axes
+
     @cached_property
-    def _pattern(self) -> Longitudinal:
-        return Longitudinal(self.model, {}, NO_AIRCRAFT, self.altitude)
+    def _pattern(self) -> EffectSystem:
+        return self.system({}, NO_AIRCRAFT)
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -166,15 +192,36 @@ class AircraftDynamics(EffectDynamics):
         return self._pattern.states
 
     @property
+    def start(self) -> tuple[str, ...]:
+        """The same, the attitude in angles."""
+        return self._pattern.start
+
+    @cached_property
+    def _held(self) -> tuple[str, ...]:
+        return held_states(self.model.axes, self.held) if self.rigid else ()
+
+    @property
+    def meets_gusts(self) -> bool:
+        """Whether airspeed and alpha are simulated."""
+        return not {"airspeed", "alpha"} & set(self._held)
+
+    def for_filter(self) -> AircraftDynamics:
+        """The same with the angles of attitude as states."""
+        return replace(self, euler=self.rigid)
+
+    @property
     def inputs(self) -> tuple[str, ...]:
-        """What the effects ask for and the simulation does not make itself."""
-        made = {*self.states, *DERIVED, *LATERAL, "dt", "start", "elapsed", "first", "last"}
+        """What the effects ask for and the simulation does not make itself, and what is held of a rigid body."""
+        made = {*self.start, *DERIVED, *LATERAL, "dt", "start", "elapsed", "first", "last"}
         acting = [e for e in self.model.acting if e.stage > Stage.INFLOW]
-        return tuple(dict.fromkeys(c for e in acting for c in e.channels if c not in made))
+        asked = (c for e in acting for c in e.channels if c not in made)
+        return tuple(dict.fromkeys((*asked, *self._held)))
 
     @property
     def outputs(self) -> tuple[str, ...]:
         """Flight states and accelerations at the sensor, and what was asked for beside them."""
+        if self.rigid:
+            return (*rigid_outputs(self.model.axes, self.start), *self.further)
         return (*(name for name in OUTPUTS if name != "altitude" or self.altitude), *self.further)
 
     @property
@@ -186,24 +233,21 @@ class AircraftDynamics(EffectDynamics):
         """The model's."""
         return self.model.values(theta)
 
-    def system(self, values: Values, aircraft: Aircraft) -> System:
+    def system(self, values: Values, aircraft: Aircraft) -> EffectSystem:
         """The aircraft as it is at these values."""
-        return Longitudinal(self.model, dict(values), self.model.actual_aircraft(values, aircraft), self.altitude)
+        actual = self.model.actual_aircraft(values, aircraft) if values else aircraft
+        if not self.rigid:
+            return Longitudinal(self.model, dict(values), actual, self.altitude)
+        return RigidBody(self.model, dict(values), actual, self.altitude, self._held, self.heading, self.euler)
 
     def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
-        """Recorded channels that are no states; lateral accelerations; the speed of sound where Mach was recorded.
+        """What is prescribed as recorded, with its derivatives where they are asked for.
 
         Without `ay` also the rate of sideslip, if p, r and phi are known: the lateral force follows from these.
         """
-        found = {name: channels[name] for name in (*self.inputs, *LATERAL, "thrust", "density") if name in channels}
-        for name in ("p", "r"):
-            if name in channels:
-                found[f"{name}_dot"] = _slope(channels[name], flights)
-        if "ay" not in channels and all(name in channels for name in SIDE):
-            found["beta_dot"] = _slope(channels["beta"], flights)
-        if "mach" in channels and "airspeed" in channels:
-            found["sound"] = channels["airspeed"] / channels["mach"]
-        return found
+        if self.rigid:
+            return rigid_drives(self.model.axes, self._held, self.inputs, channels, flights)
+        return lateral_drives(self.inputs, channels, flights)
 
     def slowest_step(self, values: Values, flights: Flights) -> float:
         """Half the time constant of the separation point's lag at the highest airspeed."""
@@ -213,13 +257,19 @@ class AircraftDynamics(EffectDynamics):
         return 0.5 * lag * float(flights.aircraft.chord) / float(flights.channels["airspeed"].max())
 
 
-def aircraft_dynamics(model: Model, flights: Flights, outputs: Sequence[str] = ()) -> AircraftDynamics:
+def aircraft_dynamics(
+    model: Model, flights: Flights, outputs: Sequence[str] = (), held: Sequence[str] = ()
+) -> AircraftDynamics:
     """The dynamics of a model for what these flights have recorded; raises `InputError` where they cannot be flown.
 
-    `outputs` of `ON_REQUEST` are simulated beside the usual ones.
+    `outputs` of `ON_REQUEST` are simulated beside the usual ones. States that are `held` are as recorded.
     """
-    further = tuple(name for name in ON_REQUEST if name in outputs)
-    dynamics = AircraftDynamics(model, altitude="altitude" in flights.channels, further=further)
+    own = held_states(model.axes, held)
+    rigid = bool(held) or Axis.LATERAL in model.axes
+    turning = [n for n in ON_REQUEST if n.removesuffix("_dot") not in own] if rigid else ["q_dot"]
+    further = tuple(n for n in turning if n in outputs)
+    altitude, heading = (n in flights.channels and not (rigid and n in own) for n in ("altitude", "psi"))
+    dynamics = AircraftDynamics(model, altitude, further, tuple(held), heading and rigid)
     have = set(flights.channels) | {
         "alpha_dot",
         "X",
@@ -227,13 +277,15 @@ def aircraft_dynamics(model: Model, flights: Flights, outputs: Sequence[str] = (
     }
     have |= {"density", "mach"} if "altitude" in have else set()
     asked = [c for e in model.acting if e.disturbance is None for c in e.channels]
-    missing = [name for name in (*FLIGHT, "thrust", "density", *asked) if name not in have]
+    missing = [name for name in (*needed_channels(model.axes), *asked) if name not in have]
     if missing:
         other = ", or altitude" if missing[0] in ("density", "mach") else ""
         raise InputError(
             f"record {flights.names[0]} has no channel {missing[0]}{other}, without which the aircraft cannot be "
             "flown; map it on the card, or give its value under [constants]"
         )
+    if model.disturbances and {"airspeed", "alpha"} & set(own if rigid else ()):
+        raise InputError("airspeed and alpha cannot be held to the record in gusts; leave one of the two out")
     for effect in model.acting:
         if effect.stage is Stage.LAG and not any(p.role is Role.LAG for p in effect.parameters):
             raise InputError(
@@ -243,18 +295,13 @@ def aircraft_dynamics(model: Model, flights: Flights, outputs: Sequence[str] = (
     return dynamics
 
 
+def needed_channels(axes: Collection[Axis]) -> tuple[str, ...]:
+    """Channels without which no aircraft is flown whose model has these axes."""
+    return (*(rigid_needs(axes) if Axis.LATERAL in axes else FLIGHT), "thrust", "density")
+
+
 def taken_as_zero(flights: Recorded) -> list[str]:
     """Lateral channels that were not recorded, so that the aircraft is flown without them."""
     missing = [name for name in SIDE if name not in flights.channels]
     slips = "beta" in flights.channels  # without sideslip no lateral force enters the longitudinal motion
     return [*missing, "ay"] if missing and slips and "ay" not in flights.channels else missing
-
-
-def _slope(x: Array, flights: Flights) -> Array:
-    """Derivative of the smoothed channel, manoeuvre by manoeuvre."""
-    begin, parts = 0, []
-    for length in flights.lengths:
-        part = slice(begin, begin + length)
-        parts.append(differentiate(smooth(x[part]), flights.channels["dt"][begin]))
-        begin += length
-    return jnp.concatenate(parts)

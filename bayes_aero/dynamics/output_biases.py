@@ -44,6 +44,11 @@ class WrappedDynamics(Dynamics):
         return self.plain.states
 
     @property
+    def start(self) -> tuple[str, ...]:
+        """Theirs."""
+        return self.plain.start
+
+    @property
     def units(self) -> Mapping[str, str]:
         """Theirs."""
         return self.plain.units

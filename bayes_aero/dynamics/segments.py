@@ -71,7 +71,7 @@ class SegmentTrajectories(eqx.Module):
 
 
 class Simulated(NamedTuple):
-    """Trajectories (w, n, ...), what was recorded, and residuals by output, referred to the record.
+    """Trajectories (w, n, ...), what was recorded, residuals by output, referred to the record, and where it began.
 
     Recorded minus residual is what the instruments would have shown of the simulated flight.
     """
@@ -79,6 +79,7 @@ class Simulated(NamedTuple):
     trajectory: Trajectory
     measured: Float[Array, "w n c"]
     residual: Float[Array, "w n c"]
+    begin: Float[Array, "w b"]
 
 
 def segments(
@@ -106,8 +107,8 @@ def segments(
             f"there are {', '.join(recorded) or 'none'}"
         )
     for name in fixed or {}:
-        if name not in dynamics.states or name == "X":
-            there = ", ".join(n for n in dynamics.states if n != "X")
+        if name not in dynamics.start or name == "X":
+            there = ", ".join(n for n in dynamics.start if n != "X")
             raise InputError(f"the initial state has {name}, which is no state of the model; there are {there}")
     rows, dts = [], []
     for number in range(len(flights.lengths)) if manoeuvres is None else manoeuvres:
@@ -137,7 +138,7 @@ def _plain(given: float | Sequence[float], count: int) -> float | tuple[float, .
 
 
 class Prepared(NamedTuple):
-    """What a simulation of the segments needs at one theta: initial states (w, s), inputs, outputs made true, as they
+    """What a simulation of the segments needs at one theta: initial states (w, b), inputs, outputs made true, as they
     were recorded, and how much a unit of each became by that (w, n, c).
 
     `true` still has the delays of recorders: what is shown of the flight is delayed, not the record. Interpolation
@@ -147,7 +148,7 @@ class Prepared(NamedTuple):
 
     system: System
     sensed: System
-    begin: Float[Array, "w s"]
+    begin: Float[Array, "w b"]
     drives: dict[str, Float[Array, "w n"]]
     true: Float[Array, "w n c"]
     measured: Float[Array, "w n c"]
@@ -176,7 +177,7 @@ def prepared(flown: SegmentTrajectories, theta: Float[Array, " k"]) -> Prepared:
     return Prepared(system, sensed, begin, drives, true, measured, scale)
 
 
-def simulate(flown: SegmentTrajectories, theta: Float[Array, " k"], departure: Float[Array, "w s"]) -> Simulated:
+def simulate(flown: SegmentTrajectories, theta: Float[Array, " k"], departure: Float[Array, "w b"]) -> Simulated:
     """Fly every segment from its initial state, the measured or the fixed one, plus `departure`."""
     ready = prepared(flown, theta)
 
@@ -184,14 +185,15 @@ def simulate(flown: SegmentTrajectories, theta: Float[Array, " k"], departure: F
         first = {name: x[0] for name, x in inputs.items()}
         wanted = (*flown.outputs, *flown.dynamics.unmeasured)
         begin = ready.system.settled(start, first) + away
-        return integrate(ready.system, begin, inputs, dt, flown.substeps, wanted, held=flown.held)
+        state = ready.system.begun(begin)
+        return integrate(ready.system, state, inputs, dt, flown.substeps, wanted, held=flown.held), begin
 
-    trajectory = jax.vmap(fly)(ready.begin, departure, ready.drives, jnp.asarray(flown.dt))
+    trajectory, begin = jax.vmap(fly)(ready.begin, departure, ready.drives, jnp.asarray(flown.dt))
     modelled = jnp.stack([trajectory.outputs[name] for name in flown.outputs], axis=2)
     residual = (ready.true - modelled) / ready.scale
     if isinstance(ready.sensed, LateOutputs):
         residual = _late(flown, ready.sensed.delays, ready.measured, residual)
-    return Simulated(trajectory, ready.measured, jnp.where(flown.inside[:, :, None], residual, 0.0))
+    return Simulated(trajectory, ready.measured, jnp.where(flown.inside[:, :, None], residual, 0.0), begin)
 
 
 def _late(
@@ -216,7 +218,7 @@ def _delayed(x: Float[Array, " n"], seconds: Any, dt: Any, last: Any) -> Float[A
     return advance(x, -jnp.asarray(seconds), every + dt, every, every + last)
 
 
-def _measured_start(flown: SegmentTrajectories, channels) -> Float[Array, "w s"]:
+def _measured_start(flown: SegmentTrajectories, channels) -> Float[Array, "w b"]:
     """Value at the first sample of a straight line through the first half second; zero where nothing was recorded.
 
     A fixed initial state is the given one, and the first sample itself where none is given.
@@ -224,12 +226,12 @@ def _measured_start(flown: SegmentTrajectories, channels) -> Float[Array, "w s"]
     if flown.fixed is not None:
         given, here = dict(flown.fixed), flown.index[:, 0]
         nothing = jnp.zeros(len(here))
-        own = [channels[n][here] if n in channels else nothing for n in flown.dynamics.states]
-        named = zip(flown.dynamics.states, own, strict=True)
+        own = [channels[n][here] if n in channels else nothing for n in flown.dynamics.start]
+        named = zip(flown.dynamics.start, own, strict=True)
         return jnp.stack([nothing + np.array(given[n]) if n in given else x for n, x in named], axis=1)
     count = flown.begin
     t = np.arange(count) - (count - 1) / 2.0
     weight = jnp.asarray(1.0 / count + (t[0] * t) / np.sum(t**2))
     here = flown.index[:, :count]
     nothing = jnp.zeros(len(here))
-    return jnp.stack([channels[n][here] @ weight if n in channels else nothing for n in flown.dynamics.states], axis=1)
+    return jnp.stack([channels[n][here] @ weight if n in channels else nothing for n in flown.dynamics.start], axis=1)

@@ -37,12 +37,21 @@ class System(eqx.Module):
         """States that are outputs as they are."""
         return self.states
 
+    @property
+    def start(self) -> tuple[str, ...]:
+        """Names of what a manoeuvre's beginning is given in: the states, but for what no sensor shows."""
+        return self.states
+
+    def begun(self, start: Float[Array, " b"]) -> Float[Array, " s"]:
+        """The state in which a manoeuvre begins that is given in `start`."""
+        return start
+
     @abstractmethod
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
         """Derivative of the state, and outputs by name, from state and inputs; those `shown` need not be among them."""
 
-    def settled(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:  # noqa: ARG002
-        """The state in which a manoeuvre begins, given what was measured; states without a sensor are filled in."""
+    def settled(self, x: Float[Array, " b"], u: Row) -> Float[Array, " b"]:  # noqa: ARG002
+        """`start`, given what was measured; states without a sensor are filled in."""
         return x
 
     def noise_density(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:  # noqa: ARG002

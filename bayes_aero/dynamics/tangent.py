@@ -111,7 +111,7 @@ def _along(
 ) -> tuple[Float[Array, "w n s d"], dict[str, Float[Array, "w n d"]]]:
     """In d directions `towards`, of the system's numbers (..., d), the start (w, s, d) and inputs (w, n, d)."""
     t_system, t_start, t_inputs = towards
-    (w, n, s), directions = x.shape, t_start.shape[-1]
+    (w, n, _), directions = x.shape, t_start.shape[-1]
     h = (dt / substeps)[:, None, None]
     shares, *table = stage_table(substeps)
     at = lambda now, then: jax.vmap(lambda r: between(now, then, r))(shares)  # noqa: E731
@@ -122,30 +122,41 @@ def _along(
     read = tuple(name for name in outputs if name not in system.shown)
     moving, still = eqx.partition(system, jax.tree.map(lambda t: t is not None, t_system, is_leaf=lambda t: t is None))
 
-    def own(x, u):
-        """Derivatives (s + r, ...) of motion and outputs: by the state, by the system's numbers (p,), by inputs."""
+    def own(made):
+        """Derivatives of what is `made` (r,): by the state, by the system's numbers (p,), by inputs."""
 
-        def all_of(x, moving, inputs):
-            slope, found = motion(eqx.combine(moving, still), x, u | inputs)
-            return jnp.concatenate([slope, jnp.stack([found[name] for name in read])]) if read else slope
+        def at(x, u):
+            def all_of(x, moving, inputs):
+                return made(*motion(eqx.combine(moving, still), x, u | inputs))
 
-        back = jax.vjp(all_of, x, moving, {name: u[name] for name in t_u})[1]
-        by_x, by_system, by_u = jax.vmap(back)(jnp.eye(s + len(read)))
-        return by_x, _flat(by_system, s + len(read)), by_u
+            size, back = jax.vjp(all_of, x, moving, {name: u[name] for name in t_u})
+            by_x, by_system, by_u = jax.vmap(back)(jnp.eye(len(size)))
+            return by_x, _flat(by_system, len(size)), by_u
 
-    wide = lambda y: y.reshape(-1, *y.shape[3:])  # noqa: E731
-    by_x, by_system, by_u = jax.vmap(own)(wide(points), jax.tree.map(wide, u))
-    numbers = [t.reshape(-1, directions) for t in jax.tree.leaves(t_system)]
-    direct = by_system @ jnp.concatenate([jnp.zeros((0, directions)), *numbers])
-    for name, t in t_u.items():
-        direct = direct + by_u[name][:, :, None] * wide(t)[:, None, :]
-    by_x, direct = (y.reshape(4 * substeps, w, n, *y.shape[1:]) for y in (by_x, direct))
+        return jax.vmap(at)
+
+    numbers = jnp.concatenate(
+        [jnp.zeros((0, directions)), *(t.reshape(-1, directions) for t in jax.tree.leaves(t_system))]
+    )
+
+    def slopes(made, stages: slice):
+        """The same at these stages (m, w, n, r, ...): by the state, and in all directions otherwise."""
+        wide = lambda y: y[stages].reshape(-1, *y.shape[3:])  # noqa: E731
+        by_x, by_system, by_u = own(made)(wide(points), jax.tree.map(wide, u))
+        direct = by_system @ numbers
+        for name, t in t_u.items():
+            direct = direct + by_u[name][:, :, None] * wide(t)[:, None, :]
+        return tuple(y.reshape(-1, w, n, *y.shape[1:]) for y in (by_x, direct))
+
     moved = jnp.concatenate([inside[:, 1:], jnp.ones((w, 1), bool)], axis=1)[None, :, :, None, None]
-    A, b = (jnp.where(moved, y[:, :, :, :s], 0.0) for y in (by_x, direct))  # outside the envelope the state stays
-    dx = _recurrence(jnp.moveaxis(A, 2, 0), jnp.moveaxis(b, 2, 0), t_start, h)
-    dy = jnp.sum(by_x[0, :, :, s:, :, None] * dx[:, :, None], axis=3) + direct[0, :, :, s:]
-    found = {name: dy[:, :, i] for i, name in enumerate(read)}
-    return dx, found | {name: dx[:, :, system.states.index(name)] for name in outputs if name not in found}
+    A, b = (jnp.where(moved, y, 0.0) for y in slopes(lambda slope, _: slope, slice(None)))  # outside it stays
+    dx = _recurrence(jnp.moveaxis(A, 0, 2), jnp.moveaxis(b, 0, 2), t_start, dt / substeps)
+    found = {name: dx[:, :, system.states.index(name)] for name in outputs if name not in read}
+    if read:  # at the first stage alone, where the sample is
+        by_x, direct = slopes(lambda _, found: jnp.stack([found[name] for name in read]), slice(1))
+        dy = jnp.sum(by_x[0, :, :, :, :, None] * dx[:, :, None], axis=3) + direct[0]
+        found |= {name: dy[:, :, i] for i, name in enumerate(read)}
+    return dx, found
 
 
 def _flat(tree: Any, rows: int) -> Float[Array, "r p"]:
@@ -171,22 +182,28 @@ def _stage_points(
 
 
 def _recurrence(
-    A: Float[Array, "n m w s s"], b: Float[Array, "n m w s d"], begin: Float[Array, "w s d"], h: Any
+    A: Float[Array, "w n m s s"], b: Float[Array, "w n m s d"], begin: Float[Array, "w s d"], h: Float[Array, " w"]
 ) -> Float[Array, "w n s d"]:
     """Sensitivities of the states from those of the motion at every stage."""
 
     def slope(A, b, dx):
-        return jnp.sum(A[..., None] * dx[:, None], axis=2) + b
+        return jnp.sum(A[..., None] * dx, axis=1) + b
 
-    def further(dx, row):
-        A, b = row
-        new = dx
-        for i in range(0, A.shape[0], 4):
-            k1 = slope(A[i], b[i], new)
-            k2 = slope(A[i + 1], b[i + 1], new + 0.5 * h * k1)
-            k3 = slope(A[i + 2], b[i + 2], new + 0.5 * h * k2)
-            k4 = slope(A[i + 3], b[i + 3], new + h * k3)
-            new = new + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
-        return new, dx
+    def along(segment):
+        A, b, begin, h = segment
 
-    return jnp.moveaxis(jax.lax.scan(further, begin, (A, b))[1], 0, 1)
+        def further(dx, row):
+            A, b = row
+            new = dx
+            for i in range(0, A.shape[0], 4):
+                k1 = slope(A[i], b[i], new)
+                k2 = slope(A[i + 1], b[i + 1], new + 0.5 * h * k1)
+                k3 = slope(A[i + 2], b[i + 2], new + 0.5 * h * k2)
+                k4 = slope(A[i + 3], b[i + 3], new + h * k3)
+                new = new + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+            return new, dx
+
+        return jax.lax.scan(further, begin, (A, b))[1]
+
+    # One segment after the other: of many at once XLA makes slower code for the small products.
+    return jax.lax.map(along, (A, b, begin, h))

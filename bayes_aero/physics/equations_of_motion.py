@@ -1,12 +1,12 @@
-"""Equations of motion at one instant: from the flow's coefficients to the motion of the aircraft in pitch and climb.
+"""Equations of motion at one instant: from the flow's coefficients to the motion of the aircraft.
 
-What it does laterally (sideslip, bank, roll and yaw rate) is given. Flat earth. Sources: Etkin and Reid, *Dynamics of
-Flight*, 3rd ed. 1996, ch. 4; Klein and Morelli, *Aircraft System Identification*, 2006, ch. 3.
+Six degrees of freedom, of which any may be prescribed. Flat earth. Sources: Etkin and Reid, *Dynamics of Flight*,
+3rd ed. 1996, ch. 4; Klein and Morelli, *Aircraft System Identification*, 2006, ch. 3.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -14,23 +14,30 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.physics.flightpath import motion_of_path, side_force
-from bayes_aero.physics.forces import pitch_acceleration, specific_force
-from bayes_aero.physics.kinematics import Rotation, lever_arm
+from bayes_aero.flight.axes import Axis
+from bayes_aero.physics.flightpath import motion_in_plane, side_force, sideslip_rate
+from bayes_aero.physics.forces import lateral_force, moments, specific_force
+from bayes_aero.physics.kinematics import RATES, Rotation, angular_accelerations, down_of, lever_arm
 
 TOLERANCE = 1e-12  # rad/s, of alpha-dot
 UNIQUE = 0.1  # least slope of the equation of alpha-dot; at zero two motions meet
 MOST = 60  # iterations: bisection alone would need 50
+LONGITUDINAL = (Axis.LONGITUDINAL,)
 
 
 class Motion(NamedTuple):
-    """Flow at one instant (CL, CD, Cm and all else that effects build); specific force at the CG along body axes, m/s2;
-    time derivatives of airspeed (m/s2), alpha, theta (rad/s) and altitude (m/s); pitch acceleration, rad/s2."""
+    """Flow at one instant (the coefficients and all else that effects build); specific force at the CG along body axes,
+    m/s2; time derivatives of airspeed (m/s2), alpha, beta (rad/s) and altitude (m/s); p_dot, q_dot, r_dot, rad/s2."""
 
     flow: Mapping[str, Any]
     force: tuple[Any, Any, Any]
     rates: Mapping[str, Any]
-    q_dot: Any
+    turning: tuple[Any, Any, Any]
+
+    @property
+    def q_dot(self) -> Any:
+        """Pitch acceleration, rad/s2."""
+        return self.turning[1]
 
 
 def motion_of_aircraft(
@@ -40,48 +47,62 @@ def motion_of_aircraft(
     aircraft: Aircraft,
     *,
     implicit: bool,
+    axes: Collection[Axis] = LONGITUDINAL,
+    prescribed: Collection[str] = ("p", "r"),
 ) -> Motion:
     """Forces, moments and the motion that follows.
 
-    The lateral specific force follows from `ay` at the accelerometer, else from the sideslip's rate `beta_dot`, else 0.
+    Forces of `axes` are those of the flow. Others are given: in the plane of symmetry as `force_x` and `force_z`; the
+    lateral one follows from `ay` at the accelerometer, else from the sideslip's rate `beta_dot`, else it is 0.
 
     Args:
-        flow: what effects build, CL, CD and Cm among it, at an alpha-dot in rad/s.
+        flow: what effects build, the coefficients among it, at an alpha-dot in rad/s.
         air: `alpha`, `airspeed` and `density` of the air that is met, and `thrust`; SI.
-        path: the motion over ground, SI: `airspeed`, `alpha`, `beta`, `theta`, `phi`, `p`, `q`, `r`; with `ay` also
-            `p_dot` and `r_dot`.
+        path: the motion over ground, SI: `airspeed`, `alpha`, `beta`, `p`, `q`, `r`, and `theta` and `phi` or `down`,
+            the direction of gravity in body axes; the angular accelerations of `prescribed` rates (else 0).
         aircraft: the actual one.
         implicit: whether the flow depends on alpha-dot at all.
+        axes: whose coefficients the flow has.
+        prescribed: rates of `p`, `q`, `r` that are given, and `alpha`, if it is, with its rate `alpha_dot`.
     """
     nothing = jnp.zeros_like(air["alpha"])
     pressure = 0.5 * air["density"] * jnp.square(air["airspeed"])
+    down = path["down"] if "down" in path else down_of(path["phi"], path["theta"])
 
-    def follow(rate: Any) -> tuple[Mapping[str, Any], tuple[Any, Any, Any], dict[str, Any]]:
-        known = flow(rate)
-        fx, fz = specific_force(known["CL"], known["CD"], air["alpha"], pressure, air["thrust"], aircraft)
-        side = nothing
+    def forces(known: Mapping[str, Any]) -> tuple[Any, Any, Any]:
+        if Axis.LONGITUDINAL in axes:
+            fx, fz = specific_force(known["CL"], known["CD"], air["alpha"], pressure, air["thrust"], aircraft)
+        else:
+            fx, fz = path["force_x"], path["force_z"]
+        if Axis.LATERAL in axes:
+            return fx, lateral_force(known["CY"], pressure, aircraft), fz
         if "ay" in path:
-            side = path["ay"] - _lever_arm(path, nothing, aircraft)[1]  # q-dot does not enter it
-        elif "beta_dot" in path:
-            side = side_force(path, fx, fz)
-        return known, (fx, side, fz), motion_of_path(path, (fx, side, fz))
+            spin = Rotation(path["p"], path["q"], path["r"], *(path.get(f"{n}_dot", nothing) for n in RATES))
+            return fx, path["ay"] - lever_arm(spin, aircraft.accelerometer)[1], fz  # q-dot does not enter it
+        return fx, side_force(path, fx, fz) if "beta_dot" in path else nothing, fz
 
-    rate = alpha_dot(lambda rate: follow(rate)[2]["alpha"]) if implicit else follow(nothing)[2]["alpha"]
-    known, force, rates = follow(rate)
-    CL, CD, Cm = (known[name] for name in ("CL", "CD", "Cm"))
-    q_dot = pitch_acceleration(CL, CD, Cm, air["alpha"], pressure, air["thrust"], path["p"], path["r"], aircraft)
-    return Motion(known, force, rates | {"alpha": rate}, q_dot)
+    def rates_of(force: tuple[Any, Any, Any]) -> dict[str, Any]:
+        return motion_in_plane(path, force, down)
+
+    if "alpha" in prescribed:
+        rate = path["alpha_dot"]
+    elif implicit:
+        rate = alpha_dot(lambda rate: rates_of(forces(flow(rate)))["alpha"])
+    else:
+        rate = None
+    known = flow(nothing if rate is None else rate)
+    force = forces(known)
+    rates = rates_of(force) | {"beta": sideslip_rate(path, force, down)} | ({} if rate is None else {"alpha": rate})
+    given = {f"{n}_dot": path.get(f"{n}_dot", nothing) for n in RATES if n in prescribed}
+    acting = moments(known, force, air, aircraft)
+    turning = angular_accelerations(acting, tuple(path[n] for n in RATES), aircraft, given)  # type: ignore[arg-type]
+    return Motion(known, force, rates, turning)
 
 
 def accelerometers(now: Motion, path: Mapping[str, Any], aircraft: Aircraft) -> dict[str, Any]:
-    """What accelerometers away from the CG feel, m/s2; `path` as in `motion_of_aircraft`, with `p_dot` and `r_dot`."""
-    arm = _lever_arm(path, now.q_dot, aircraft)
+    """What accelerometers away from the CG feel, m/s2; `path` has the rates p, q, r."""
+    arm = lever_arm(Rotation(*(path[n] for n in RATES), *now.turning), aircraft.accelerometer)
     return {name: f + x for name, f, x in zip(("ax", "ay", "az"), now.force, arm, strict=True)}
-
-
-def _lever_arm(path: Mapping[str, Any], q_dot: Any, aircraft: Aircraft) -> tuple[Any, Any, Any]:
-    rotation = Rotation(path["p"], path["q"], path["r"], path["p_dot"], q_dot, path["r_dot"])
-    return lever_arm(rotation, aircraft.accelerometer)
 
 
 def alpha_dot(rate_of: Callable[[Any], Any]) -> Float[Array, ""]:

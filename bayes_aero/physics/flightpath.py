@@ -6,7 +6,7 @@ Flat earth, air mass at rest. Source: Klein and Morelli, *Aircraft System Identi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -21,7 +21,11 @@ LATERAL = ("beta", "phi")  # flight-path outputs of records whose lateral motion
 PATH_CORE = ("ax", "az", "q", "theta", "alpha", "airspeed")  # without these there is no flight path
 STRAIGHT = ("ay", "p", "r", "phi", "beta")  # zero in symmetric flight, and taken as zero where not recorded
 PATH_NEEDS = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "alpha", "beta", "airspeed", "altitude")
-ANGLES = ("alpha", "beta", "theta", "phi")
+FLOW_ANGLES = ("alpha", "beta")
+ANGLES = (*FLOW_ANGLES, "theta", "phi")
+
+Axes = tuple[Samples, Samples, Samples]
+"""Along body x, y and z."""
 
 
 def path_rates(
@@ -39,37 +43,68 @@ def path_rates(
     return motion_of_path(s, force, sines) | lateral_motion(s, force, sines)
 
 
-def _sines(s: Mapping[str, Samples]) -> tuple[Samples, ...]:
-    """Sine and cosine of each of `ANGLES`."""
-    return tuple(f(s[name]) for name in ANGLES for f in (xp.sin, xp.cos))
+def _sines(s: Mapping[str, Samples], angles: Sequence[str] = ANGLES) -> tuple[Samples, ...]:
+    """Sine and cosine of each of `angles`."""
+    return tuple(f(s[name]) for name in angles for f in (xp.sin, xp.cos))
+
+
+def _down(sines: tuple[Samples, ...]) -> Axes:
+    """The direction of gravity in body axes."""
+    sin_t, cos_t, sin_p, cos_p = sines[4:]
+    return -sin_t, cos_t * sin_p, cos_t * cos_p
 
 
 def motion_of_path(
-    s: Mapping[str, Samples], force: tuple[Samples, Samples, Samples], sines: tuple[Samples, ...] | None = None
+    s: Mapping[str, Samples], force: Axes, sines: tuple[Samples, ...] | None = None
 ) -> dict[str, Samples]:
-    """As `path_rates`, from the specific force at the centre of gravity (body axes, m/s2)."""
-    sin_a, cos_a, sin_b, cos_b, sin_t, cos_t, sin_p, cos_p = _sines(s) if sines is None else sines
-    ax, ay, az = force[0] - GRAVITY * sin_t, force[1] + GRAVITY * cos_t * sin_p, force[2] + GRAVITY * cos_t * cos_p
+    """As `path_rates`, from the specific force at the centre of gravity (body axes, m/s2), without beta and phi."""
+    sines = _sines(s) if sines is None else sines
+    sin_p, cos_p = sines[6:]
+    return motion_in_plane(s, force, _down(sines), sines) | {"theta": s["q"] * cos_p - s["r"] * sin_p}
+
+
+def lateral_motion(
+    s: Mapping[str, Samples], force: Axes, sines: tuple[Samples, ...] | None = None
+) -> dict[str, Samples]:
+    """Time derivatives of sideslip and bank (rad/s) from the specific force at the centre of gravity (m/s2)."""
+    sines = _sines(s) if sines is None else sines
+    sin_t, cos_t, sin_p, cos_p = sines[4:]
+    return {
+        "beta": sideslip_rate(s, force, _down(sines), sines),
+        "phi": s["p"] + (s["q"] * sin_p + s["r"] * cos_p) * sin_t / cos_t,
+    }
+
+
+def motion_in_plane(
+    s: Mapping[str, Samples], force: Axes, down: Axes, sines: tuple[Samples, ...] | None = None
+) -> dict[str, Samples]:
+    """Time derivatives of airspeed (m/s2), alpha (rad/s) and altitude (m/s).
+
+    `force`: specific force at the centre of gravity, m/s2; `down`: the direction of gravity; both in body axes.
+    """
+    sin_a, cos_a, sin_b, cos_b = (_sines(s, FLOW_ANGLES) if sines is None else sines)[:4]
+    ax, ay, az = _accelerations(force, down)
     V = s["airspeed"]
     return {
         "airspeed": ax * cos_a * cos_b + ay * sin_b + az * sin_a * cos_b,
         "alpha": s["q"] - sin_b / cos_b * (s["p"] * cos_a + s["r"] * sin_a) + (az * cos_a - ax * sin_a) / (V * cos_b),
-        "theta": s["q"] * cos_p - s["r"] * sin_p,
-        "altitude": V * (cos_a * cos_b * sin_t - sin_b * sin_p * cos_t - sin_a * cos_b * cos_p * cos_t),
+        "altitude": -V * (cos_a * cos_b * down[0] + sin_b * down[1] + sin_a * cos_b * down[2]),
     }
 
 
-def lateral_motion(
-    s: Mapping[str, Samples], force: tuple[Samples, Samples, Samples], sines: tuple[Samples, ...] | None = None
-) -> dict[str, Samples]:
-    """Time derivatives of sideslip and bank (rad/s) from the specific force at the centre of gravity (m/s2)."""
-    sin_a, cos_a, sin_b, cos_b, sin_t, cos_t, sin_p, cos_p = _sines(s) if sines is None else sines
-    ax, ay, az = force[0] - GRAVITY * sin_t, force[1] + GRAVITY * cos_t * sin_p, force[2] + GRAVITY * cos_t * cos_p
+def sideslip_rate(
+    s: Mapping[str, Samples], force: Axes, down: Axes, sines: tuple[Samples, ...] | None = None
+) -> Samples:
+    """Time derivative of sideslip, rad/s; arguments as those of `motion_in_plane`."""
+    sin_a, cos_a, sin_b, cos_b = (_sines(s, FLOW_ANGLES) if sines is None else sines)[:4]
+    ax, ay, az = _accelerations(force, down)
     across = ay * cos_b - (ax * cos_a + az * sin_a) * sin_b
-    return {
-        "beta": across / s["airspeed"] + s["p"] * sin_a - s["r"] * cos_a,
-        "phi": s["p"] + (s["q"] * sin_p + s["r"] * cos_p) * sin_t / cos_t,
-    }
+    return across / s["airspeed"] + s["p"] * sin_a - s["r"] * cos_a
+
+
+def _accelerations(force: Axes, down: Axes) -> Axes:
+    """With gravity, m/s2."""
+    return force[0] + GRAVITY * down[0], force[1] + GRAVITY * down[1], force[2] + GRAVITY * down[2]
 
 
 def path_outputs(channels: Mapping[str, Samples]) -> tuple[str, ...]:

@@ -41,24 +41,33 @@ def specific_force(
     return (force * CX + x) / aircraft.mass, (force * CZ + z) / aircraft.mass
 
 
-def pitch_acceleration(
-    CL: Samples,
-    CD: Samples,
-    Cm: Samples,
-    alpha: Samples,
-    pressure: Samples,
-    thrust: Samples,
-    p: Samples,
-    r: Samples,
+def moments(
+    flow: Mapping[str, Samples],
+    force: tuple[Samples, Samples, Samples],
+    signals: Mapping[str, Samples],
     aircraft: Aircraft,
-) -> Samples:
-    """q-dot (rad/s2) from the moments of aerodynamics and thrust about the CG and from the terms of p and r (rad/s).
+) -> tuple[Samples, Samples, Samples]:
+    """Moments of aerodynamics and engines about body x, y and z through the centre of gravity, N m.
 
-    Cm is about the aircraft's reference point.
+    Args:
+        flow: Cl, Cm, Cn about the aircraft's reference point.
+        force: specific force at the centre of gravity, body axes, m/s2; thrust is taken out of it.
+        signals: `airspeed`, `density` and `thrust`, SI, with `thrust_left` and `thrust_right` where known.
+        aircraft: the actual one.
     """
     a = aircraft
-    CX, CZ = body_from_lift_drag(CL, CD, alpha)
-    x, z = thrust_components(thrust, a)
-    about_cg = Cm + CX * a.reference_point[2] / a.chord - CZ * a.reference_point[0] / a.chord
-    moment = pressure * a.wing_area * a.chord * about_cg + x * a.engine[2] - z * a.engine[0]
-    return (moment + (a.Iz - a.Ix) * p * r + a.Ixz * (r * r - p * p)) / a.Iy
+    area = 0.5 * signals["density"] * jnp.square(signals["airspeed"]) * a.wing_area
+    along, down = thrust_components(signals["thrust"], a)
+    X, Y, Z = a.mass * force[0] - along, a.mass * force[1], a.mass * force[2] - down
+    x, y, z = a.reference_point
+    x_engine, y_engine, z_engine = a.engine
+    roll, yaw = engine_moments(signals, a)
+    L = area * a.moment_length * flow["Cl"] + y * Z - z * Y + y_engine * down + roll
+    M = area * a.chord * flow["Cm"] + z * X - x * Z + z_engine * along - x_engine * down
+    N = area * a.moment_length * flow["Cn"] + x * Y - y * X - y_engine * along + yaw
+    return L, M, N
+
+
+def lateral_force(CY: Samples, pressure: Samples, aircraft: Aircraft) -> Samples:
+    """Aerodynamics along body y over the mass, m/s2; `pressure` is dynamic, Pa."""
+    return pressure * aircraft.wing_area * CY / aircraft.mass

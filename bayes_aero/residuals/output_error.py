@@ -113,18 +113,18 @@ class OutputError(ResidualModel, eqx.Module):
 
 @eqx.filter_jit
 def _evaluate(responses: OutputError, theta):
-    return responses.residual(theta, jnp.zeros(len(responses.windows.dynamics.states)))
+    return responses.residual(theta, jnp.zeros(len(responses.windows.dynamics.start)))
 
 
 @eqx.filter_jit
 def _slopes(responses: OutputError, theta, directions):
-    rest = jnp.zeros(len(responses.windows.dynamics.states))
+    rest = jnp.zeros(len(responses.windows.dynamics.start))
     one = lambda d: jax.jvp(lambda t: responses.residual(t, rest), (theta,), (d,))  # noqa: E731
     return jax.vmap(one, out_axes=(None, 0))(directions)
 
 
 @eqx.filter_jit
 def _state_slopes(responses: OutputError, theta):
-    rest = jnp.zeros(len(responses.windows.dynamics.states))
+    rest = jnp.zeros(len(responses.windows.dynamics.start))
     one = lambda d: jax.jvp(lambda x: responses.residual(theta, x), (rest,), (d,))[1]  # noqa: E731
     return jax.vmap(one)(jnp.eye(len(rest)))

@@ -35,6 +35,29 @@ TRUTH: dict[str, float] = {
 }
 """Parameters of the simulated aircraft: round numbers near those of a small transport."""
 
+LATERAL_TRUTH: dict[str, float] = {
+    "CYbe": -0.75,
+    "CYr": 0.3,
+    "CYdr": 0.2,
+    "Clbe": -0.1,
+    "Clp": -0.45,
+    "Clr": 0.15,
+    "Clda": -0.12,
+    "Cldr": 0.02,
+    "Cnbe": 0.13,
+    "Cnp": -0.06,
+    "Cnr": -0.2,
+    "Cnda": 0.01,
+    "Cndr": -0.09,
+}
+"""The same of its lateral derivatives, for cards that model the lateral axis; rates by b/2V."""
+
+LATERAL_EFFECTS = (
+    "sideslip_side_force", "yaw_rate_side_force", "rudder_side_force", "sideslip_roll", "roll_damping", "yaw_rate_roll",
+    "aileron_roll", "rudder_roll", "sideslip_yaw", "roll_rate_yaw", "yaw_damping", "aileron_yaw", "rudder_yaw",
+)  # fmt: skip
+"""The effects that own them."""
+
 SPREAD, USUAL_SPREAD = {"alpha_star": 0.08, "e": 0.10}, 0.12
 """Of aircraft drawn near it: relative, either way; the usual one of parameters that are not listed."""
 

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.dynamics.simulated.rigid_manoeuvres import LATERAL
 from bayes_aero.errors import InputError
+from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import Card
 from bayes_aero.simulate.manoeuvres import DT, LONGEST
 
@@ -16,7 +18,7 @@ NOISES = ("none", "white", "ar1", "buffet")
 RANDOM_STALL = "random_stall"
 MANOEUVRES = (
     RANDOM_STALL, "slow_stall", "elevator_doublet", "elevator_3211", "thrust_steps", "speed_change", "sideslip",
-    "bank_to_bank", "stabilizer_steps",
+    "bank_to_bank", "stabilizer_steps", *LATERAL,
 )  # fmt: skip
 SECONDS = {RANDOM_STALL: 90.0}
 USUAL_SECONDS = 60.0
@@ -66,6 +68,11 @@ def refuse(request: Request, card: Card) -> None:
         raise InputError(f"card {card.name} states a linear system; simulate flies cards with [aircraft] and [model]")
     if request.manoeuvre not in MANOEUVRES:
         raise InputError(f"there is no manoeuvre {request.manoeuvre!r}; use one of {', '.join(MANOEUVRES)}")
+    if request.manoeuvre in LATERAL and Axis.LATERAL not in card.axes:
+        raise InputError(
+            f"a {request.manoeuvre} needs a card that models the lateral axis; card {card.name} has "
+            f'[model] axes {list(map(str, card.axes))}: add "lateral"'
+        )
     if request.noise not in NOISES:
         raise InputError(f"there is no noise {request.noise!r}; use one of {', '.join(NOISES)}")
     if not 0.002 <= request.dt <= 0.1:

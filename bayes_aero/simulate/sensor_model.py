@@ -25,7 +25,7 @@ OTHER_SENSORS = {
 FLOWN = (
     "ax", "ay", "az", "p", "r", "elevator", "q", "phi", "theta", "psi", "alpha", "beta", "airspeed", "altitude",
     "stabilizer", "rudder", "flap", "spoiler_left", "spoiler_right", "dlc_left", "dlc_right", "mach", "density",
-    "thrust",
+    "thrust", "aileron", "aileron_left", "aileron_right",
 )  # fmt: skip
 """Channels of a flight that a recorder may store, in the order in which their noise is drawn."""
 

@@ -14,19 +14,23 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayes_aero.dynamics.simulated.manoeuvres import standard_pilots
-from bayes_aero.dynamics.simulated.plant import refuse_unflown
+from bayes_aero.dynamics.simulated.plant import SIGNALS, refuse_unflown
+from bayes_aero.dynamics.simulated.rigid_manoeuvres import rigid_pilots
+from bayes_aero.dynamics.simulated.rigid_pilot import fly_rigid
+from bayes_aero.dynamics.simulated.rigid_trim import Condition, RigidTrim, rigid_trim
 from bayes_aero.dynamics.simulated.simulate import FlightState, Pilot, fly, outside
 from bayes_aero.dynamics.simulated.trim import level_speed
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_records import plain_marks
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import air
 from bayes_aero.physics.coefficient_names import NAMES
-from bayes_aero.simulate.demo import DISTURBANCE, TRUTH
+from bayes_aero.simulate.demo import DISTURBANCE, LATERAL_EFFECTS, LATERAL_TRUTH, TRUTH
 from bayes_aero.simulate.manoeuvres import DT, autoregressive, moved_by, random_pilot, resampled
 from bayes_aero.simulate.request import RANDOM_STALL, Grid, Request, grid_of, refuse
 from bayes_aero.simulate.sensor_faults import corrected, misrecorded
@@ -53,13 +57,16 @@ def synthetic(request: Request, card: Card, known: Mapping[str, Effect], name: s
     """Fly and record; `known` are the effects that may be asked for. `InputError` where it cannot be flown."""
     refuse(request, card)
     rng = np.random.default_rng([request.seed, 7])
-    base = read_card("attas").effects
+    rigid = Axis.LATERAL in card.axes
+    base = (*read_card("attas").effects, *(LATERAL_EFFECTS if rigid else ()))
     chosen = [known[n] for n in dict.fromkeys((*base, *request.effects))]
     for effect in chosen:
-        refuse_unflown(effect)
-    flown_model = Model.of([e for e in chosen if e.stage is not Stage.CHANNEL])
+        refuse_unflown(effect, SIGNALS | {"aileron"} if rigid else SIGNALS)
+    axes = tuple(Axis) if rigid else (Axis.LONGITUDINAL,)
+    flown_model = Model.of([e for e in chosen if e.stage is not Stage.CHANNEL], axes=axes)
     faults = [e for e in chosen if e.stage is Stage.CHANNEL]
     values = {name: x for e in chosen for name, x in e.neutral_values.items()} | TRUTH
+    values |= LATERAL_TRUTH if rigid else {}
     values |= {p: x for given in request.effects.values() for p, x in given.items()}
     values = {key: jnp.asarray(x, float) for key, x in values.items()}
     aircraft = flown_model.actual_aircraft(values, card.aircraft)
@@ -69,14 +76,19 @@ def synthetic(request: Request, card: Card, known: Mapping[str, Effect], name: s
     commanded = {"thrust": np.asarray(pilot.thrust)}
     engines = Model.of([e for e in faults if e.kind is Kind.PROPULSION])
     thrust = corrected(engines, values, commanded, marks, card.aircraft)["thrust"] if engines.effects else pilot.thrust
-    flight = fly(flown_model, values, aircraft, pilot._replace(thrust=thrust), start, grid.dt)
+    pilot = pilot._replace(thrust=thrust)
+    if isinstance(start, RigidTrim):
+        flight = fly_rigid(flown_model, values, aircraft, pilot, start, grid.dt)
+        flight |= {"aileron_left": -flight["aileron"], "aileron_right": flight["aileron"]}
+    else:
+        flight = fly(flown_model, values, aircraft, pilot, start, grid.dt)
     flight = {key: np.asarray(x) for key, x in flight.items()}
     if left := outside({key: x[grid.kept] for key, x in flight.items()}, ENVELOPE):
         raise InputError(
             f"{request.manoeuvre} with {', '.join(request.effects) or 'no effect'} leaves the envelope: {left}; make "
             "the effects smaller, or change the manoeuvre, --airspeed or --duration"
         )
-    true = {key: flight[key] for key in FLOWN} | _air_data(flight)
+    true = {key: flight[key] for key in FLOWN if key in flight} | _air_data(flight)
     sensors = Model.of([e for e in faults if e.kind is not Kind.PROPULSION])
     recorded = true | commanded
     if sensors.effects:
@@ -114,8 +126,9 @@ def _piloted(
     values: Mapping[str, Any],
     aircraft: Aircraft,
     chosen: Sequence[Effect],
-) -> tuple[Pilot, FlightState]:
+) -> tuple[Pilot, FlightState | RigidTrim]:
     """What the pilot does and what disturbs him, and the state in which the flight begins."""
+    rigid = Axis.LATERAL in model.axes
     white = rng.standard_normal((grid.n, 3))
     rho = [DISTURBANCE[f"rho_{name}"] ** (grid.dt / DT) for name in NAMES]  # their correlation time is the demo's
     increments = autoregressive(white, rho, [_strength(request) * DISTURBANCE[f"sigma_{name}"] for name in NAMES])
@@ -126,9 +139,12 @@ def _piloted(
         alpha = float(pilot.alpha[0])
         airspeed = request.airspeed or level_speed(model, values, aircraft, alpha, request.altitude)
         start = FlightState(airspeed, alpha, alpha, 0.0, request.altitude)
+        if rigid:
+            start = rigid_trim(model, values, aircraft, Condition(airspeed, request.altitude))
     else:
         airspeed = request.airspeed or level_speed(model, values, aircraft, np.deg2rad(6.0), request.altitude)
-        pilots, start = standard_pilots(model, values, aircraft, grid.time, airspeed, request.altitude)
+        by = rigid_pilots if rigid else standard_pilots
+        pilots, start = by(model, values, aircraft, grid.time, airspeed, request.altitude)
         pilot = pilots[request.manoeuvre]
     return pilot._replace(disturbance=increments, buffet=_buffet(request)), start
 

@@ -20,11 +20,17 @@ from bayes_aero.residuals.equation_error import EquationError
 LATERAL = [e for e in CATALOGUE.values() if e.axes == (Axis.LATERAL,) and e.parameters and flies(e)]
 BASE = [e.name for e in LATERAL if {p.name for p in e.parameters} & set(LATERAL_TRUTH)]
 CANDIDATES = [e.name for e in LATERAL if e.name not in BASE]
+ABSORBED = {  # by parameters of the card, whatever their size
+    "aileron_scale": "Clda and Cnda by the inverse of its factor",
+    "rudder_scale": "CYdr, Cldr and Cndr by the inverse of its factor",
+}
+SMALLER = {"aileron_incidence": 0.4}  # of the middle size; with more, ailerons reverse and nothing balances
+ALIKE = {"sideslip_vane_height": "roll_rate_side_force"}  # sideslip that goes with p/V, where Clp and Cnp are free
 
 
 def middle(name: str) -> dict[str, float]:
     """Each parameter half way, in its logarithm, from the least size worth a name to the largest."""
-    return {p: float(np.sqrt(np.prod(size))) for p, size in CATALOGUE[name].sizes.items()}
+    return {p: SMALLER.get(name, 1.0) * float(np.sqrt(np.prod(size))) for p, size in CATALOGUE[name].sizes.items()}
 
 
 def screening(hidden: dict[str, float], without: str = "") -> tuple[CandidateModel, SelectionState]:
@@ -57,7 +63,11 @@ def named(state: SelectionState) -> list[str]:
 def test_what_is_hidden_leads(name):
     full, state = screening(middle(name))
     assert name in {e.name for e in full.candidates}
-    assert named(state)[:1] == [name]
+    found = named(state)
+    if name in ABSORBED:
+        assert name not in found, ABSORBED[name]
+    else:
+        assert found[:1] in ([name], [ALIKE.get(name)])
 
 
 @pytest.mark.parametrize("name", BASE)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.dynamics.longitudinal import ENVELOPE, LATERAL, Longitudinal
+from bayes_aero.dynamics.aircraft.longitudinal import ENVELOPE, LATERAL, Longitudinal
 from bayes_aero.dynamics.system import System, integrate
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air

@@ -189,7 +189,7 @@ class TrajectoryFit:
         dynamics = self.fit.flown.dynamics
         if not self.setting.priors or self.setting.initial is not None:
             return {}
-        return dict(zip(dynamics.states, map(float, departures(dynamics)), strict=True))
+        return dict(zip(dynamics.start, map(float, departures(dynamics)), strict=True))
 
     @property
     def manoeuvres(self) -> tuple[str, ...]:

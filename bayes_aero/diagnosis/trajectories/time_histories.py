@@ -127,7 +127,7 @@ def _probabilities(
 
     Draw by draw: a simulation of all of them together would have to be compiled, and takes half as long only.
     """
-    still = jnp.zeros((1, len(alone.dynamics.states)))
+    still = jnp.zeros((1, len(alone.dynamics.start)))
 
     def largest(theta):
         found = trajectories(alone, jnp.asarray(theta), still)
@@ -154,6 +154,6 @@ def fly_given(
     dynamics = aircraft_dynamics(model, flights)
     theta = np.array([values.get(p.name, p.start) for p in dynamics.free])
     whole = segments(flights, dynamics, substeps=dynamics.substeps(theta, flights))
-    still = np.zeros((len(whole.index), len(dynamics.states)))
+    still = np.zeros((len(whole.index), len(dynamics.start)))
     with np.errstate(over="ignore", invalid="ignore"):  # coefficients that fit may still fly anywhere
         return tuple(simulated(theta, whole, GIVEN, GIVEN, still, tolerances))

@@ -89,7 +89,7 @@ def _initial(fit: OutputErrorResult, shown: tuple[str, ...]) -> dict[str, dict[s
     initial = {}
     for row, departure in enumerate(fit.departure):  # one by one as the paths, for which it is compiled already
         alone = trajectories(wide.part([row]), theta, jnp.asarray(departure[None]))
-        begin = np.asarray(alone.trajectory.states)[0, 0]
-        named = zip(fit.flown.dynamics.states, begin, departure, strict=True)
+        begin = np.asarray(alone.begin)[0]
+        named = zip(fit.flown.dynamics.start, begin, departure, strict=True)
         initial[label(fit.flown, row)] = {name: (float(at), float(away)) for name, at, away in named}
     return initial

@@ -114,6 +114,11 @@ class DriftingDynamics(WrappedDynamics):
         """Those of the dynamics, then the drifts."""
         return (*self.plain.states, *(PREFIX + name for name in self.drifting))
 
+    @property
+    def start(self) -> tuple[str, ...]:
+        """The states."""
+        return self.states
+
     def system(self, values: Values, aircraft: Aircraft) -> System:
         """The system, rebuilt at each instant."""
         return DriftingSystem(self.plain, self.drifting, dict(values), aircraft)

@@ -18,9 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_aero.arrays import xp
+from bayes_aero.dynamics.aircraft.gusts import FLOW, InGusts
 from bayes_aero.dynamics.flight import EffectDynamics, Values
-from bayes_aero.dynamics.gusts import FLOW, InGusts
 from bayes_aero.dynamics.system import Row, System
 from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
 from bayes_aero.model.joined_channels import Flights
@@ -28,7 +27,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.parameter import Parameter
 from bayes_aero.physics.filters import differentiate_joined, smooth_joined
 from bayes_aero.physics.flightpath import STRAIGHT, as_symmetric, lateral_motion, motion_of_path, path_outputs
-from bayes_aero.physics.kinematics import RATES, Rotation, lever_arm
+from bayes_aero.physics.kinematics import RATES, Rotation, euler_rates, lever_arm
 
 INERTIAL = frozenset(("ax", "ay", "az", "p", "q", "r"))
 JUMP = 0.2  # rad from sample to sample: no aircraft turns like that
@@ -59,7 +58,7 @@ class FlightPath(InGusts):
         s, flow = dict(u) | state, self.flow_signals(x, u)
         force = (u["force_x"], u["force_y"], u["force_z"])
         rates = motion_of_path(s, force) | lateral_motion(s, force)
-        rates["psi"] = (s["q"] * xp.sin(s["phi"]) + s["r"] * xp.cos(s["phi"])) / xp.cos(s["theta"])
+        rates["psi"] = euler_rates((s["p"], s["q"], s["r"]), s["phi"], s["theta"])[2]
         decay, _ = self.mean_gust_rates(state, flow)
         return jnp.stack([*(rates[name] for name in self.named), *decay]), state | {n: flow[n] for n in FLOW}
 

@@ -101,6 +101,12 @@ def commands(time: Series, trim: Trim, stall: float, lean: float, amplitude: flo
     }
 
 
+def stall_rise(model: Model, values: Mapping[str, Any], alpha: float) -> float:
+    """How far the slow sweep rises above the `alpha` of trim, rad."""
+    stall = model.break_angle(values) + STALL_BEYOND
+    return stall - alpha if stall < ENVELOPE["alpha"][1] else STALL_RISE
+
+
 def standard_pilots(
     model: Model,
     values: Mapping[str, Any],
@@ -115,8 +121,7 @@ def standard_pilots(
     `airspeed` in m/s, `altitude` in m. Raises `InputError` where the model cannot be trimmed.
     """
     trim = trimmed(model, values, aircraft, airspeed, altitude)
-    stall = model.break_angle(values) + STALL_BEYOND
-    rise = stall - trim.alpha if stall < ENVELOPE["alpha"][1] else STALL_RISE
+    rise = stall_rise(model, values, trim.alpha)
     pressure = 0.5 * float(air(jnp.asarray(altitude))[0]) * airspeed**2
     lean = -pressure * float(aircraft.wing_area) * SIDE_FORCE / (float(aircraft.mass) * GRAVITY)
     start = FlightState(airspeed, trim.alpha, trim.alpha, 0.0, altitude, trim=trim.command)

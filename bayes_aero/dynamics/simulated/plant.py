@@ -22,6 +22,7 @@ from bayes_aero.model import pytrees as pytrees
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air
 from bayes_aero.physics.equations_of_motion import accelerometers, motion_of_aircraft
+from bayes_aero.physics.kinematics import euler_rates
 
 SIDE_FORCE = -0.7  # 1/rad, CY per sideslip of a transport; our choice, it only sets how much yaw goes with sideslip
 
@@ -55,15 +56,15 @@ SIGNALS = frozenset(
 """What the effects of the simulated aircraft may read while it flies; it has no canard."""
 
 
-def flies(effect: Effect) -> bool:
+def flies(effect: Effect, signals: frozenset[str] = SIGNALS) -> bool:
     """Whether the simulated aircraft has what an effect acts through."""
-    return effect.stage <= Stage.AIRCRAFT or set(effect.channels) <= SIGNALS
+    return effect.stage <= Stage.AIRCRAFT or set(effect.channels) <= signals
 
 
-def refuse_unflown(effect: Effect) -> None:
+def refuse_unflown(effect: Effect, signals: frozenset[str] = SIGNALS) -> None:
     """`InputError` for an effect that the simulated aircraft cannot fly."""
-    if not flies(effect):
-        lacks = ", ".join(channel for channel in effect.channels if channel not in SIGNALS)
+    if not flies(effect, signals):
+        lacks = ", ".join(channel for channel in effect.channels if channel not in signals)
         raise InputError(f"the simulated aircraft cannot fly effect {effect.name}: it has no {lacks}; ask for another")
 
 
@@ -114,13 +115,15 @@ class Plant(System):
         s = self._signals(state, u)
         implicit = any("alpha_dot" in effect.channels for effect in self.model.acting)
         now = motion_of_aircraft(lambda rate: self._flow(state, s, rate), s, s, self.aircraft, implicit=implicit)
-        rates = {name: now.rates[name] for name in ("airspeed", "alpha", "theta", "altitude")} | {"q": now.q_dot}
+        rates = {name: now.rates[name] for name in ("airspeed", "alpha", "altitude")} | {"q": now.q_dot}
+        rates["theta"] = euler_rates((s["p"], s["q"], s["r"]), s["phi"], s["theta"])[1]
         lag = self.model.lag(self.values) * self.aircraft.chord / state.airspeed
         X_dot = jnp.where(lag > 0.0, (now.flow["static_X"] - state.lagged_X) / jnp.where(lag > 0.0, lag, 1.0), 0.0)
         derivative = FlightState(**rates, lagged_X=X_dot, trim=self.gains[2] * (state.alpha - u["alpha_led"]))
         change = rates | {name: u[rate] for name, rate in TURNING.items()}
         turning = jax.jvp(self.turn, ({name: s[name] for name in change},), (change,))[1]
-        felt = accelerometers(now, s | {f"{name}_dot": turning[name] for name in ("p", "r")}, self.aircraft)
+        now = now._replace(turning=(turning["p"], now.q_dot, turning["r"]))
+        felt = accelerometers(now, s, self.aircraft)
         outputs = s | felt | {"alpha_dot": rates["alpha"], "q_dot": now.q_dot}
         return jnp.stack(derivative), outputs | {name: now.flow[name] for name in ("X", "CL", "CD", "Cm")}
 

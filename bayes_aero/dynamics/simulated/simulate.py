@@ -29,9 +29,9 @@ class Pilot(NamedTuple):
     """What is flown: alpha is led along `alpha` (rad) by a command of trim + gains x errors + `excitation` (rad).
 
     `thrust` in N; `disturbance` (n, 3) is added to CL, CD, Cm, 1 + `buffet` (1 - X) times. Bank `phi` and sideslip
-    `beta` (rad) are flown exactly, so they must be smooth: they are differentiated. `stabilizer`, `rudder`, `spoiler`,
-    `dlc`, `flap` (rad) only reach the effects. `trim_gain` (1/s) leads alpha by its integral too, as a pilot who trims.
-    Arrays have one row per sample.
+    `beta` (rad) are flown exactly, so they must be smooth: they are differentiated. `stabilizer`, `rudder`, `aileron`,
+    `spoiler`, `dlc`, `flap` (rad) only reach the effects. `trim_gain` (1/s) leads alpha by its integral too, as a pilot
+    who trims. Arrays have one row per sample.
     """
 
     alpha: Float[Any, " n"]
@@ -49,6 +49,7 @@ class Pilot(NamedTuple):
     flap: Float[Any, " n"] | float = 0.0
     buffet: Float[Any, ""] | float = 0.0
     trim_gain: Float[Any, ""] | float = 0.0
+    aileron: Float[Any, " n"] | float = 0.0
 
 
 def fly(

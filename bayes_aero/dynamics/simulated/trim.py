@@ -16,7 +16,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air
-from bayes_aero.physics.forces import pitch_acceleration
+from bayes_aero.physics.forces import moments, specific_force
 
 GRID = np.deg2rad(np.linspace(-4.0, 20.0, 97))  # alpha tried for trim
 TRAVEL = 0.2  # rad either side of the pilot's command over which the pitch acceleration is taken as linear
@@ -43,7 +43,7 @@ def at_rest(alpha: Any, airspeed: Any, altitude: Any) -> dict[str, Any]:
     """Signals of steady flight without rates, thrust, sideslip or deflections, each of the shape of `alpha`."""
     zero = jnp.zeros_like(alpha)
     density, sound = air(zero + altitude)
-    rest = dict.fromkeys(SIGNALS, zero) | {"alpha": alpha, "theta": alpha, "airspeed": zero + airspeed}
+    rest = dict.fromkeys((*SIGNALS, "aileron"), zero) | {"alpha": alpha, "theta": alpha, "airspeed": zero + airspeed}
     return rest | {"altitude": zero + altitude, "mach": airspeed / sound, "density": density}
 
 
@@ -126,6 +126,7 @@ def _balance(model: Model, values: Any, aircraft: Aircraft, airspeed: Any, altit
     s = at_rest(alpha, airspeed, altitude) | {"thrust": thrust} | controls
     static = model.static_separation(values, s, aircraft)
     known = model.flow(values, s, aircraft, X=jnp.where(model.lag(values) > 0.0, 1.0, static))
-    CL, CD, Cm = (known[name] for name in ("CL", "CD", "Cm"))
     pressure = 0.5 * s["density"] * jnp.square(s["airspeed"])
-    return CL, CD, pitch_acceleration(CL, CD, Cm, alpha, pressure, thrust, s["p"], s["r"], aircraft)
+    fx, fz = specific_force(known["CL"], known["CD"], alpha, pressure, thrust, aircraft)
+    pitching = moments(known, (fx, jnp.zeros_like(fx), fz), s, aircraft)[1]
+    return known["CL"], known["CD"], pitching / aircraft.Iy

@@ -25,6 +25,9 @@ def disturbed(flown: SegmentTrajectories) -> SegmentTrajectories:
     dynamics = flown.dynamics
     if not isinstance(dynamics, EffectDynamics):
         return flown
+    dynamics = dynamics.for_filter()
+    if not dynamics.meets_gusts:
+        return replace(flown, dynamics=dynamics)
     absent = [name for name in GUSTS if name not in {e.name for e in dynamics.model.acting}]
     model = dynamics.model.extended(*absent)
     steady = np.ones_like(flown.noise_growth) if model.shaken else flown.noise_growth

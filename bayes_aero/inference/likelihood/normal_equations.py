@@ -34,7 +34,7 @@ OUTSIDE = 1e6  # cost of a trajectory that is all outside the envelope: worse th
 def departures(dynamics: Dynamics) -> Float[np.ndarray, " s"]:
     """Standard deviations of the measured initial state, SI."""
     own = {name: OTHER_DEPARTURE.get(unit, REST_DEPARTURE) for name, unit in dynamics.units.items()}
-    return np.array([DEPARTURE.get(name, own.get(name, REST_DEPARTURE)) for name in dynamics.states])
+    return np.array([DEPARTURE.get(name, own.get(name, REST_DEPARTURE)) for name in dynamics.start])
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,7 @@ def fit_output_error(
     rest = np.array([p.name in held for p in free], bool)
     lower, upper = np.where(rest, theta, lower), np.where(rest, theta, upper)
     prior = replace(prior, mean=np.where(rest, theta, prior.mean))  # what is held has no say in the cost
-    w, s = flown.index.shape[0], len(flown.dynamics.states)
+    w, s = flown.index.shape[0], len(flown.dynamics.start)
     look = NormalEquations(flown, prior)
     here = look(np.clip(theta, lower, upper), np.zeros((w, s)) if departure is None else departure)
     damping, converged, active = BEGIN_DAMPING, False, np.zeros(len(free), bool)

@@ -52,7 +52,7 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
     """trajectories.json: plain numbers and text, SI and radians (schemas/trajectories.schema.json)."""
     flown = found.flown
     fit = flown.fit
-    states = fit.flown.dynamics.states
+    states = fit.flown.dynamics.start
     units = {name: flown.units.get(name, "1") for name in states}
     beliefs = flown.departure_sd
     return {

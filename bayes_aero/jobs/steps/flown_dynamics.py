@@ -41,10 +41,10 @@ def flown_dynamics(
         flights, spikes = despiked(join(records, card, dynamics.inputs))
     else:
         flights, spikes = despiked(join(records, card, FLIGHT))
-        dynamics = aircraft_dynamics(Model.from_card(card), flights, outputs)
+        dynamics = aircraft_dynamics(Model.from_card(card), flights, outputs, card.fly.held)
         still = taken_as_zero(flights)
         notes += [f"Not recorded, and taken as zero: {several(still)}."] if still else []
-    unseen = [n for n in dynamics.states if n not in flights.channels and n in STANDARD_CHANNELS]
+    unseen = [n for n in dynamics.start if n not in flights.channels and n in STANDARD_CHANNELS]
     notes += [f"States that were not recorded begin at zero or as fitted: {several(unseen)}."] if unseen else []
     notes += spike_notes(spikes)
     return flights, dynamics, notes

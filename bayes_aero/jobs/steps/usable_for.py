@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bayes_aero.diagnosis.folds import too_short
-from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.dynamics.flight import needed_channels
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.derived_channels import with_sums
@@ -27,7 +27,7 @@ def usable_for(records: Sequence[FlightRecord], card: Card) -> dict[str, str]:
         return {"fly": _lacks([n for n in (*card.linear.states, *card.linear.inputs) if n not in have])}
     asked = [n for n in Model.from_card(card).channels if n not in DERIVED]
     missing = [n for n in dict.fromkeys((*required_of(card.axes), *asked)) if n not in have]
-    flown = [n for n in dict.fromkeys((*FLIGHT, "thrust", "density", *asked)) if n not in have]
+    flown = [n for n in dict.fromkeys((*needed_channels(card.axes), *asked)) if n not in have]
     uses = {"identify": _lacks(missing), "diagnose": _lacks(missing), "fly": _lacks(flown)}
     if missing and not flown:
         uses["diagnose"] = too_few_windows(records)

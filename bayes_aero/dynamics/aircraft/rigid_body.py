@@ -1,0 +1,157 @@
+"""The aircraft in six degrees of freedom, with the effects of any model; any of its states may be held to the record.
+
+States airspeed, alpha, beta, p, q, r, the attitude as a quaternion, altitude, the gusts of the model and X where it
+lags. What is held is prescribed as recorded, and its rate follows from the record. Forces and moments of an axis that
+the model does not have are those of the accelerometers and of the prescribed rates. Flat earth.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from bayes_aero.dynamics.aircraft.effect_system import EffectSystem
+from bayes_aero.dynamics.system import Row
+from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.flight.axes import Axis
+from bayes_aero.flight.card.fly_table import HOLDABLE
+from bayes_aero.model.model import Model
+from bayes_aero.physics.equations_of_motion import accelerometers, motion_of_aircraft
+from bayes_aero.physics.kinematics import RATES, Attitude, down_of, euler_rates
+
+FLIGHT = ("airspeed", "alpha", "beta", *RATES)
+ANGLES = ("phi", "theta", "psi")
+QUATERNION = Attitude._fields
+HELD: Mapping[Axis, tuple[str, ...]] = {
+    Axis.LONGITUDINAL: ("airspeed", "alpha", "q", "theta", "altitude"),
+    Axis.LATERAL: ("beta", "p", "r", "phi", "psi"),
+}
+"""States that belong to each axis: held to the record where the model does not have it."""
+ENVELOPE = {
+    "airspeed": (5.0, 1500.0), "alpha": (-1.0, 1.2), "beta": (-1.2, 1.2), "theta": (-1.5, 1.5), "p": (-12.0, 12.0),
+    "q": (-4.0, 4.0), "r": (-4.0, 4.0), "X": (-0.5, 1.5),
+}  # fmt: skip
+TURN = 2.0 * math.pi
+
+
+def held_states(axes: Iterable[Axis], more: Iterable[str] = ()) -> tuple[str, ...]:
+    """What is held to the record: the states of axes that are not modelled, and `more`."""
+    modelled = set(axes)
+    held = {name for axis, names in HELD.items() if axis not in modelled for name in names} | set(more)
+    return tuple(name for name in HOLDABLE if name in held)
+
+
+class RigidBody(EffectSystem):
+    """One aircraft with its model at given parameter values; `aircraft` is the actual one.
+
+    Without `heading` it begins at zero and is no output. Euler angles are the states of attitude where one of them is
+    `held`, or where `euler` asks for it: a filter corrects what sensors show. They are singular at 90 deg of pitch.
+    Bank and heading are shown within half a turn of the inputs `near_phi` and `near_psi`, where there are any.
+    """
+
+    model: Model = eqx.field(static=True)
+    values: dict[str, Any]
+    aircraft: Aircraft
+    altitude: bool = eqx.field(static=True, default=True)
+    held: tuple[str, ...] = eqx.field(static=True, default=())
+    heading: bool = eqx.field(static=True, default=True)
+    euler: bool = eqx.field(static=True, default=False)
+
+    @property
+    def by_angles(self) -> bool:
+        """Whether the states of attitude are Euler angles."""
+        return self.euler or "phi" in self.held or "theta" in self.held
+
+    @property
+    def angles(self) -> tuple[str, ...]:
+        """Angles of the attitude that are simulated and shown."""
+        return tuple(n for n in ANGLES if n not in self.held and (n != "psi" or self.heading))
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Flight states, attitude, altitude, gusts, and X where it lags."""
+        attitude = self.angles if self.by_angles else QUATERNION
+        return (*(n for n in FLIGHT if n not in self.held), *attitude, *self.after)
+
+    @property
+    def start(self) -> tuple[str, ...]:
+        """The same with angles of attitude."""
+        return (*(n for n in FLIGHT if n not in self.held), *self.angles, *self.after)
+
+    @property
+    def envelope(self) -> Mapping[str, tuple[float, float]]:
+        """Far beyond any flight: where the equations lose their meaning."""
+        return ENVELOPE
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """Those that sensors show as they are."""
+        apart = (*QUATERNION, "phi", "psi")  # angles are shown to the turn
+        return tuple(name for name in super().shown if name not in apart)
+
+    def begun(self, start: Float[Array, " b"]) -> Float[Array, " s"]:
+        """The state, from one with angles of attitude."""
+        if self.by_angles:
+            return start
+        given = dict(zip(self.start, start, strict=True))
+        turned = Attitude.of(given["phi"], given["theta"], given.get("psi", jnp.zeros_like(start[0])))
+        given |= dict(zip(QUATERNION, turned, strict=True))
+        return jnp.stack([given[name] for name in self.states])
+
+    def named(self, x: Float[Array, " s"]) -> dict[str, Any]:
+        """The state by name, with bank, pitch, heading and the direction of gravity."""
+        state = dict(zip(self.states, x, strict=True))
+        if self.by_angles:
+            return state
+        attitude = Attitude(*(state.pop(name) for name in QUATERNION))
+        return state | dict(zip(ANGLES, attitude.angles, strict=True)) | {"down": attitude.down}
+
+    def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
+        """Derivative of the state, and everything that can be measured."""
+        state, s = self.named(x), self.flow_signals(x, u)
+        nothing = jnp.zeros_like(s["alpha"])
+        decay, gust_rate = self.mean_gust_rates(state, s) if self.model.disturbances else ([], nothing)
+        path = dict.fromkeys(("beta", "p", "r", "phi"), nothing) | s
+        path |= {name: state[name] for name in ("airspeed", "alpha") if name in state}
+        path.setdefault("down", down_of(path["phi"], path["theta"]))
+        now = motion_of_aircraft(
+            lambda rate: self.flow(state, s | {"alpha_dot": rate + gust_rate}),
+            s,
+            path,
+            self.aircraft,
+            implicit=self.implicit,
+            axes=self.model.axes,
+            prescribed=self.held,
+        )
+        alpha_dot = now.rates["alpha"] + gust_rate
+        rates = dict(now.rates) | dict(zip(RATES, now.turning, strict=True))
+        derivative = [rates[name] for name in FLIGHT if name not in self.held]
+        derivative += self._attitude_rates(x, path)
+        if self.altitude:
+            derivative.append(rates["altitude"])
+        derivative += decay
+        if self.lagged:
+            derivative.append(self.separation_rate(state, s | {"alpha_dot": alpha_dot}))
+        turning = {f"{n}_dot": x for n, x in zip(RATES, now.turning, strict=True)}
+        outputs = accelerometers(now, path, self.aircraft) | turning | {"alpha_dot": alpha_dot}
+        outputs |= {n: s[n] for n in (*FLIGHT, "theta", "altitude") if n in s}
+        outputs |= {n: _near(path[n], u.get(f"near_{n}")) for n in ("phi", "psi") if n in path}
+        return jnp.stack(derivative), outputs | {n: now.flow[n] for n in ("X", *self.model.coefficients)}
+
+    def _attitude_rates(self, x: Float[Array, " s"], path: Mapping[str, Any]) -> list[Any]:
+        rates = (path["p"], path["q"], path["r"])
+        if self.by_angles:
+            turned = euler_rates(rates, path["phi"], path["theta"])
+            return [turned[ANGLES.index(name)] for name in self.angles]
+        first = self.states.index(QUATERNION[0])
+        return list(Attitude(*(x[first + i] for i in range(4))).turned(rates))
+
+
+def _near(angle: Any, other: Any) -> Any:
+    """The angle, whole turns added, that is nearest to `other`; both in rad."""
+    return angle if other is None else angle + TURN * jnp.round((other - angle) / TURN)

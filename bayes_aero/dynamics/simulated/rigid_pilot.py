@@ -1,0 +1,140 @@
+"""Fly a model in six degrees of freedom: controls about a trim, with a pilot who leads alpha, bank and sideslip.
+
+The same `Pilot` as in three degrees of freedom: what is prescribed there is commanded here. Flat earth, no wind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_aero.dynamics.aircraft.rigid_body import RigidBody
+from bayes_aero.dynamics.simulated.plant import CONTROLS
+from bayes_aero.dynamics.simulated.rigid_trim import SURFACES, Condition, RigidTrim, rigid_trim, signs
+from bayes_aero.dynamics.simulated.simulate import Pilot
+from bayes_aero.dynamics.system import Row, integrate
+from bayes_aero.effect import Stage
+from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.model.model import Model
+from bayes_aero.physics.atmosphere import GRAVITY, air
+
+BANK, ROLL, SLIP, YAW = 0.6, 0.5, 0.5, 0.7  # aileron per bank and roll rate, rudder per sideslip and yaw rate; s
+MEASURED = ("aileron", "rudder")
+DISTURBED = ("CL", "CD", "Cm")
+FINEST = 16  # steps of integration a sample, for a separation point of little lag
+MOST = 0.5  # rad of any control
+SLIPPED = 0.05  # rad, at which the controls of a steady sideslip are asked for
+
+
+class PilotedBody(RigidBody):
+    """A rigid body whose controls follow from its state and commands; the last state is the pilot's trim in pitch, rad.
+
+    `gains` are those of the elevator on alpha, q and the integral of alpha. `pilots` has, by moment, the control that
+    makes it and the sign of its effect. The disturbance grows by `buffet` times 1 - X.
+    """
+
+    gains: Any = (0.0, 0.0, 0.0)
+    buffet: Any = 0.0
+    pilots: tuple[tuple[str, str, float], ...] = eqx.field(static=True, default=())
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Those of the body, X last where it lags, and the trim before it."""
+        return self._with_trim(super().states)
+
+    @property
+    def start(self) -> tuple[str, ...]:
+        """The same, the attitude in angles."""
+        return self._with_trim(super().start)
+
+    def _with_trim(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        return (*names[:-1], "trim", names[-1]) if self.lagged else (*names, "trim")
+
+    def flow_signals(self, x: Float[Array, " s"], u: Row) -> dict[str, Any]:
+        """With the controls as the pilot moves them."""
+        return super().flow_signals(x, dict(u) | self._controls(self.named(x), u))
+
+    def flow(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> dict[str, Any]:
+        """With what disturbs it."""
+        known = super().flow(state, s)
+        growth = 1.0 + self.buffet * (1.0 - known["X"])
+        return known | {name: known[name] + growth * s[f"d{name}"] for name in DISTURBED}
+
+    def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
+        """With the controls among the outputs."""
+        state = self.named(x)
+        slope, outputs = super().motion(x, u)
+        trimmed = self.gains[2] * (state["alpha"] - u["led_alpha"])
+        slope = jnp.insert(slope, self.states.index("trim"), trimmed)
+        return slope, outputs | self._controls(state, u)
+
+    def _controls(self, state: Mapping[str, Any], u: Row) -> dict[str, Any]:
+        """Deflections, rad: command and feedback."""
+        away = {name: state[name] - u[f"led_{name}"] for name in ("alpha", "beta", "phi")}
+        pitch = -self.gains[0] * away["alpha"] - self.gains[1] * state["q"] - state["trim"]
+        roll = -BANK * away["phi"] - ROLL * state["p"]
+        yaw = SLIP * away["beta"] - YAW * (state["r"] - u["led_r"])
+        wanted = {"Cm": pitch, "Cl": roll, "Cn": yaw}
+        moved = {control: sign * wanted[moment] for moment, control, sign in self.pilots}
+        names = (*CONTROLS, *MEASURED)
+        return {n: u[n] + jnp.clip(moved[n], -MOST, MOST) if n in moved else u[n] for n in names}
+
+
+def fly_rigid(
+    model: Model, values: Mapping[str, Any], aircraft: Aircraft, pilot: Pilot, trim: RigidTrim, dt: float
+) -> dict[str, Float[np.ndarray, " n"]]:
+    """Every signal of the flight by the names of recorded channels, and the coefficients and X; (n,), SI.
+
+    It begins in `trim`, from which controls depart; what is led in bank turns as a coordinated turn does.
+    """
+    values = {name: jnp.asarray(x, float) for name, x in values.items()}
+    lag = float(model.lag(values))
+    if lag == 0.0:  # a separation point that does not lag is no state
+        model = Model.of([e for e in model.effects if e.stage is not Stage.LAG], axes=model.axes)
+    chosen = signs(model, values, aircraft, trim.state["airspeed"])
+    pilots = tuple((moment, control, sign) for moment, (control, sign) in chosen.items())
+    gains = tuple(jnp.asarray(x, float) for x in (pilot.alpha_gain, pilot.rate_gain, pilot.trim_gain))
+    body = PilotedBody(model, values, aircraft, gains=gains, buffet=jnp.asarray(pilot.buffet, float), pilots=pilots)
+    inputs = _inputs(pilot, trim, chosen)
+    condition = Condition(trim.state["airspeed"], trim.state["altitude"], trim.state["beta"] + SLIPPED)
+    slipping = rigid_trim(model, values, aircraft, condition).controls if np.any(inputs["led_beta"]) else {}
+    for name in MEASURED:
+        slope = (slipping.get(name, 0.0) - trim.controls.get(name, 0.0)) / SLIPPED
+        inputs[name] = inputs[name] + (slope * inputs["led_beta"] if slipping else 0.0)
+    first = {name: x[0] for name, x in inputs.items()}
+    start = jnp.array([trim.state.get(name, 0.0) for name in body.start])
+    fast = lag * float(aircraft.chord) / trim.state["airspeed"]
+    parts = int(np.clip(np.ceil(2.0 * dt / fast), 1, FINEST)) if lag > 0.0 else 1
+    found = _flown(body, body.begun(body.settled(start, first)), inputs, jnp.asarray(dt), parts)
+    flight = {name: np.asarray(x) for name, x in (inputs | found.outputs).items()}
+    flight |= {name: np.unwrap(flight[name]) for name in ("phi", "psi")}
+    density, sound = (np.asarray(x) for x in air(found.outputs["altitude"]))
+    flight |= {"density": density, "mach": flight["airspeed"] / sound}
+    return {name: np.where(found.inside, x, np.nan) for name, x in flight.items()}
+
+
+_flown = eqx.filter_jit(integrate)
+
+
+def _inputs(pilot: Pilot, trim: RigidTrim, chosen: Mapping[str, tuple[str, float]]) -> dict[str, Float[Array, " n"]]:
+    """Those of `PilotedBody`: commands about the trim, and thrust."""
+    n = np.asarray(pilot.alpha).shape[0]
+    whole = lambda x: jnp.broadcast_to(jnp.asarray(x, float), n)  # noqa: E731
+    disturbance = jnp.broadcast_to(jnp.asarray(pilot.disturbance, float), (n, 3)).T
+    u = {name: whole(trim.controls.get(name, 0.0)) for name in (*CONTROLS, *MEASURED)}
+    pitch, sign = chosen.get("Cm", ("elevator", -1.0))
+    u[pitch] = u[pitch] - sign * whole(pilot.excitation)  # a positive command pitches down
+    u |= {name: u[name] + whole(getattr(pilot, name)) for name in ("stabilizer", *MEASURED)}
+    surfaces = {name: whole(getattr(pilot, name.split("_")[0], 0.0)) for name in SURFACES if name != "time"}
+    speed, phi = trim.state["airspeed"], whole(pilot.phi)
+    led = {"led_alpha": whole(pilot.alpha), "led_beta": whole(pilot.beta), "led_phi": phi}
+    led["led_r"] = GRAVITY / speed * jnp.sin(phi)
+    thrust = whole(pilot.thrust)
+    engines = {f"thrust_{side}": 0.5 * thrust for side in ("left", "right")} | {"thrust": thrust}
+    noise = dict(zip((f"d{name}" for name in DISTURBED), disturbance, strict=True))
+    return u | surfaces | led | engines | noise

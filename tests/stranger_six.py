@@ -1,0 +1,223 @@
+"""Another aircraft in six degrees of freedom, by a simulator that shares no code with the package: NumPy and textbook
+equations alone, in body velocities u, v, w and Euler angles.
+
+Each half of the wing has its own angle of attack, of rolling and dihedral too, and its own separation point: lift,
+drag, roll and yaw come from one mechanism, and one half may stall first. What is not the wing's is linear or, in
+sideslip, cubic. Source of the equations: Stevens, Lewis, Johnson, *Aircraft Control and Simulation*, 3rd ed. 2016,
+table 1.7-1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import fsolve
+
+G = 9.80665
+KINDS = ("elevator", "aileron", "rudder", "stall")
+STATES = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "h", "X_left", "X_right")
+CONTROLS = ("elevator", "aileron", "rudder", "thrust_left", "thrust_right")
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Constants, SI and radians; rates made free of units by c/V and b/2V. `station` is where half a wing acts, m."""
+
+    mass: float = 17600.0
+    Ix: float = 140e3
+    Iy: float = 330e3
+    Iz: float = 430e3
+    Ixz: float = 20e3
+    Ixy: float = 0.0
+    Iyz: float = 0.0
+    S: float = 64.0
+    c: float = 3.16
+    b: float = 21.5
+    engine_arm: float = 2.8
+    engine_drop: float = 0.6
+    nose: tuple[float, float, float] = (1.5, 0.0, -0.4)  # accelerometers, from the centre of gravity
+    station: float = 5.0
+    dihedral: float = 0.1
+    CL0: float = 0.15
+    CLa: float = 5.0
+    CLde_extra: float = 0.1  # beyond that of the tail's moment
+    CD0: float = 0.035
+    e: float = 0.8
+    tail: float = 10.0
+    CDX: float = 0.06
+    Cm0: float = 0.06
+    Cma: float = -0.9
+    Cmq: float = -14.0
+    Cmde: float = -1.3
+    CmX: float = -0.05
+    a1: float = 22.0
+    alpha_star: float = 0.27
+    first: float = 0.0  # rad by which the left half stalls before the right one
+    tau1: float = 0.0  # chords
+    CYbe: float = -0.75
+    CYr: float = 0.3
+    CYdr: float = 0.2
+    Clbe: float = -0.06
+    Clp: float = -0.25
+    Clr: float = 0.16
+    Clda: float = -0.14
+    Cldr: float = 0.02
+    Cnbe: float = 0.13
+    Cnbbb: float = 0.0
+    Cnp: float = -0.05
+    Cnr: float = -0.19
+    Cnda: float = 0.01
+    Cndr: float = -0.10
+    stalls: bool = True
+
+    def density(self, h: float) -> float:
+        """Standard atmosphere, kg/m^3."""
+        return 1.225 * (1.0 - 2.2557695644629534e-5 * h) ** 4.255879812716677
+
+    def air_data(self, x: np.ndarray) -> tuple[float, float, float]:
+        """Airspeed, angle of attack, sideslip."""
+        u, v, w = x[:3]
+        V = np.sqrt(u * u + v * v + w * w)
+        return V, np.arctan2(w, u), np.arcsin(v / V)
+
+    def halves(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Angles of attack and steady separation points of the left and the right half."""
+        V, alpha, beta = self.air_data(x)
+        side = np.array([-1.0, 1.0])
+        local = alpha + side * (x[3] * self.station / V + self.dihedral * beta * (self.station > 0.0))
+        star = self.alpha_star + np.array([-self.first, 0.0])
+        return local, 0.5 * (1.0 - np.tanh(self.a1 * (local - star))) if self.stalls else np.ones(2)
+
+    def loads(self, x: np.ndarray, controls: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Force (N) and moment (N m) of air and engines, body axes."""
+        V, alpha, beta = self.air_data(x)
+        p, q, r = x[3:6]
+        elevator, aileron, rudder, left, right = controls
+        local, steady = self.halves(x)
+        X = x[10:12] if self.tau1 else steady
+        tail = (self.CLde_extra - self.Cmde * self.c / self.tail) * elevator
+        lift = 0.5 * (self.CL0 + self.CLa * local * ((1.0 + np.sqrt(np.maximum(X, 0.0))) / 2.0) ** 2 + tail)
+        drag = 0.5 * (self.CD0 + (2.0 * lift) ** 2 / (np.pi * self.b**2 / self.S * self.e) + self.CDX * (1.0 - X))
+        CL, CD = lift.sum(), drag.sum()
+        ph, qh, rh = p * self.b / (2.0 * V), q * self.c / V, r * self.b / (2.0 * V)
+        Cm = self.Cm0 + self.Cma * alpha + self.Cmq * qh + self.Cmde * elevator + self.CmX * (1.0 - X.mean())
+        CY = self.CYbe * beta + self.CYr * rh + self.CYdr * rudder
+        Cl = self.Clbe * beta + self.Clp * ph + self.Clr * rh + self.Clda * aileron + self.Cldr * rudder
+        Cn = self.Cnbe * beta + self.Cnbbb * beta**3 + self.Cnp * ph + self.Cnr * rh
+        Cn += self.Cnda * aileron + self.Cndr * rudder
+        Cl += (lift[0] - lift[1]) * self.station / self.b
+        Cn += (drag[1] - drag[0]) * self.station / self.b
+        pressure = 0.5 * self.density(x[9]) * V**2 * self.S
+        thrust = left + right
+        force = pressure * np.array(
+            [CL * np.sin(alpha) - CD * np.cos(alpha), CY, -CL * np.cos(alpha) - CD * np.sin(alpha)]
+        )
+        force[0] += thrust
+        moment = pressure * np.array([self.b * Cl, self.c * Cm, self.b * Cn])
+        return force, moment + np.array([0.0, thrust * self.engine_drop, (left - right) * self.engine_arm])
+
+    def tensor(self) -> np.ndarray:
+        """Of inertia."""
+        return np.array(
+            [
+                [self.Ix, -self.Ixy, -self.Ixz],
+                [-self.Ixy, self.Iy, -self.Iyz],
+                [-self.Ixz, -self.Iyz, self.Iz],
+            ]
+        )
+
+    def rates(self, x: np.ndarray, controls: np.ndarray) -> np.ndarray:
+        """Derivatives of `STATES`."""
+        velocity, spin, (phi, theta) = x[:3], x[3:6], x[6:8]
+        force, moment = self.loads(x, controls)
+        gravity = G * np.array([-np.sin(theta), np.cos(theta) * np.sin(phi), np.cos(theta) * np.cos(phi)])
+        faster = force / self.mass + gravity - np.cross(spin, velocity)
+        tensor = self.tensor()
+        turning = np.linalg.solve(tensor, moment - np.cross(spin, tensor @ spin))
+        p, q, r = spin
+        psi_dot = (q * np.sin(phi) + r * np.cos(phi)) / np.cos(theta)
+        angles = [p + psi_dot * np.sin(theta), q * np.cos(phi) - r * np.sin(phi), psi_dot]
+        climb = -velocity @ gravity / G
+        V = np.linalg.norm(velocity)
+        X_dot = (self.halves(x)[1] - x[10:12]) * V / (self.tau1 * self.c) if self.tau1 else np.zeros(2)
+        return np.concatenate([faster, turning, angles, [climb], X_dot])
+
+    def sensed(self, x: np.ndarray, controls: np.ndarray) -> dict[str, float]:
+        """What a recorder shows, SI."""
+        V, alpha, beta = self.air_data(x)
+        rate, force = self.rates(x, controls), self.loads(x, controls)[0] / self.mass
+        spin, arm = x[3:6], np.array(self.nose)
+        felt = force + np.cross(rate[3:6], arm) + np.cross(spin, np.cross(spin, arm))
+        shown = {"airspeed": V, "alpha": alpha, "beta": beta, "altitude": x[9], "density": self.density(x[9])}
+        shown |= dict(zip(("p", "q", "r", "phi", "theta", "psi"), x[3:9], strict=True))
+        shown |= dict(zip(("ax", "ay", "az"), felt, strict=True)) | dict(zip(CONTROLS, controls, strict=True))
+        return shown | {"thrust": controls[3] + controls[4]}
+
+
+def drawn(rng: np.random.Generator, **changes: float) -> Plane:
+    """One whose derivatives differ by up to a tenth from the usual."""
+    names = [n for n in Plane.__dataclass_fields__ if n[:2] in ("CL", "CD", "Cm", "CY", "Cl", "Cn")]
+    usual = Plane()
+    return replace(usual, **{n: getattr(usual, n) * rng.uniform(0.9, 1.1) for n in names} | changes)
+
+
+def level(plane: Plane, V: float, h: float) -> tuple[np.ndarray, np.ndarray]:
+    """State and controls of straight level flight without sideslip."""
+
+    def whole(z):
+        alpha, phi, elevator, aileron, rudder, thrust = z
+        x = np.zeros(12)
+        x[[0, 2]], x[[6, 7, 9]] = V * np.array([np.cos(alpha), np.sin(alpha)]), [phi, alpha, h]
+        controls = np.array([elevator, aileron, rudder, 0.5e4 * thrust, 0.5e4 * thrust])
+        x[10:12] = plane.halves(x)[1]
+        return x, controls
+
+    found = fsolve(lambda z: plane.rates(*whole(z))[:6], [0.05, 0.0, -0.02, 0.0, 0.0, 2.0], xtol=1e-13)
+    return whole(found)
+
+
+def fly(
+    plane: Plane, kind: str, rng: np.random.Generator, *, dt: float = 0.04, seconds: float = 25.0, V: float = 120.0
+) -> dict[str, np.ndarray]:
+    """Channels by name, and `time`, of a manoeuvre of `KINDS` from level flight."""
+    x, trim = level(plane, V * rng.uniform(0.97, 1.03), 4000.0)
+    size, unit, n = np.radians(rng.uniform(1.5, 2.0)), rng.uniform(0.5, 0.7), round(seconds / dt) + 1
+    edges, step = 2.0 + unit * np.array([0.0, 3.0, 5.0, 6.0, 7.0]), (0.0, 1.0, -1.0, 1.0, -1.0, 0.0)
+
+    def command(t: float, x: np.ndarray) -> np.ndarray:
+        multi = step[int(np.searchsorted(edges, t, "right"))]
+        away = np.zeros(5)
+        away[0] = 0.3 * (x[7] - theta) + 0.2 * x[4] if t > edges[-1] + 4.0 or kind != "elevator" else 0.0
+        if kind == "elevator":
+            away[0] += size * multi
+        elif kind == "aileron":
+            away[1] = 3.0 * size * multi
+        elif kind == "rudder":
+            away[2] = 2.0 * size * multi
+        else:
+            away[0] = -np.radians(0.35) * min(max(t - 3.0, 0.0), 0.6 * seconds) + 0.1 * x[4]
+            away[1] = size * multi
+        if kind != "aileron" or t > edges[-1]:
+            away[1] += 0.3 * x[6] + 0.3 * x[3]
+        return trim + away
+
+    rows, now, theta = [], trim, x[7]
+    for k in range(n):
+        rows.append({"time": k * dt, **plane.sensed(x, now)})
+        wanted = command((k + 1) * dt, x)
+        after = np.concatenate([now[:3] + np.clip(wanted[:3] - now[:3], -0.5 * dt, 0.5 * dt), wanted[3:]])
+        x, now = advanced(plane, x, now, after, dt), after
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+
+def advanced(plane: Plane, x: np.ndarray, now: np.ndarray, then: np.ndarray, dt: float, parts: int = 2) -> np.ndarray:
+    """Runge-Kutta of fourth order, controls linear within the sample."""
+    h = dt / parts
+    for i in range(parts):
+        a, m, b = (now + (then - now) * (i + share) / parts for share in (0.0, 0.5, 1.0))
+        k1 = plane.rates(x, a)
+        k2 = plane.rates(x + h / 2.0 * k1, m)
+        k3 = plane.rates(x + h / 2.0 * k2, m)
+        x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + plane.rates(x + h * k3, b))
+    return x
