@@ -3,8 +3,7 @@
     python benchmarks/three_axes.py ../shared/book
 
 Diagnoses the card full_six on `fAttasElv1`, `fAttasAil1` and `fAttasRud1` (TC23) and predicts the repeats, `fAttasElv2`
-and both parts of `fAttasAilRud2`, with the card's model and the extended one as fitted: R2 of each coefficient where its
-axis is flown.
+and both parts of `fAttasAilRud2`, with the card's model and the extended one as fitted: R2 of each coefficient.
 """
 
 from __future__ import annotations

@@ -191,7 +191,7 @@ def _extended(whole: Model, effects: Sequence) -> Model:
     """The chosen effects with the parameters and fixed values that they have in the model of all candidates."""
     own = {p.name for e in effects for p in e.parameters}
     parameters = {p.name: p for p in whole.parameters}
-    model = Model.of(effects, {k: v for k, v in whole.fixed if k in own})
+    model = Model.of(effects, {k: v for k, v in whole.fixed if k in own}, whole.axes)
     return replace(model, parameters=tuple(parameters[p.name] for p in model.parameters))
 
 
