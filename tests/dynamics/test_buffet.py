@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from gusty_flight import TRUTH
 
+from bayes_aero.dynamics.aircraft.longitudinal import Longitudinal
 from bayes_aero.dynamics.filtering.innovations import neighbour_correlation
 from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.aircraft.longitudinal import Longitudinal
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.dynamics.system import advance

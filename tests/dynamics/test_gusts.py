@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from jax.scipy.linalg import expm
 
-from bayes_aero.dynamics.filtering.kalman import gathered_noise
 from bayes_aero.dynamics.aircraft.longitudinal import Longitudinal
+from bayes_aero.dynamics.filtering.kalman import gathered_noise
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.model.model import Model
 
