@@ -57,10 +57,11 @@ def channels(flight: Mapping[str, np.ndarray]) -> dict[str, Any]:
 NOISE = {
     "ax": 0.02, "ay": 0.02, "az": 0.05, "p": 3e-4, "q": 3e-4, "r": 3e-4, "phi": 5e-4, "theta": 5e-4, "psi": 5e-4,
     "alpha": 1e-3, "beta": 1e-3, "airspeed": 0.1, "altitude": 1.0,
+    "elevator": 1e-5, "aileron": 1e-5, "rudder": 1e-5,
 }  # fmt: skip
 """Standard deviations of the recorder's white noise, SI."""
 UNITS = {"time": "s", "airspeed": "m/s", "altitude": "m", "density": "kg/m^3"}
-RECORDED = (*NOISE, "elevator", "aileron", "rudder", "thrust_left", "thrust_right", "density")
+RECORDED = (*NOISE, "thrust_left", "thrust_right", "density")
 
 
 def unit(channel: str) -> str:
