@@ -51,9 +51,10 @@ class Stage(IntEnum):
     CHANNEL effects get whole recorded channels (all manoeuvres end to end) as `signals` and return what to add to
     them to correct the record. `signals` also has `dt`, `start`, `elapsed` (s since the start of
     the manoeuvre) and `first`, `last` (index of its first and last sample). AIRCRAFT effects return what to add to
-    fields of the aircraft. INFLOW effects return what moving air adds to `alpha` and `airspeed` of the flight over
-    ground; a simulation alone asks them, for a record holds the flow itself. All other stages build `Known`, sample by
-    sample.
+    fields of the aircraft. INFLOW effects return what moving air adds to `alpha`, `beta` and `airspeed` of the flight
+    over ground; a simulation alone asks them, for a record holds the flow itself. All other stages build `Known`,
+    sample by sample. SEPARATION and LAG run once for either wing, at its own `incidence`, where an effect of INCIDENCE
+    tells them apart.
     """
 
     CHANNEL = -1  # sensors, winds, thrust: errors of the record

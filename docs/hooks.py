@@ -59,6 +59,7 @@ def effects() -> str:
             head = ("parameter", "unit", "what it is", "absent at", "start", "bounds", "prior", "worth modelling from")
             said.append(_table(head, [_parameter(e, p) for p in e.parameters]))
         facts = [f"stage {e.stage.name.lower()}", "reads " + (", ".join(e.channels) or "nothing")]
+        facts += [f"acts on the {e.axes[0]} axis"] if len(e.axes) == 1 else []
         facts += ["uses " + ", ".join(e.uses)] if e.uses else []
         facts += [] if e.candidate else ["for cards only: diagnosis does not propose it"]
         said.append(f"\n{'; '.join(facts)}. Source: {e.source.rstrip('.')}.\n")

@@ -30,7 +30,8 @@ BOTH = tuple(Axis)
 DT, SAMPLES = 0.04, 1000
 LATERAL_TRUTH = {
     "CY0": 0.02, "CYbe": -0.85, "CYdr": 0.2, "Cl0": 0.003, "Clbe": -0.11, "Clp": -0.42, "Clr": 0.12, "Clda": -0.15,
-    "Cldr": 0.02, "Cn0": -0.003, "Cnbe": 0.14, "Cnp": -0.08, "Cnr": -0.2, "Cnda": 0.01, "Cndr": -0.1, "roll_station": 0.5,
+    "Cldr": 0.02, "Cn0": -0.003, "Cnbe": 0.14, "Cnp": -0.08, "Cnr": -0.2, "Cnda": 0.01, "Cndr": -0.1,
+    "roll_station": 0.5,
 }  # fmt: skip
 CONTROLS = ("elevator", "aileron", "rudder")
 NOISE = {"ax": 0.02, "ay": 0.02, "az": 0.02, "p": 5e-5, "q": 5e-5, "r": 5e-5, "alpha": 2e-4, "beta": 2e-4}

@@ -101,8 +101,8 @@ def test_mach_number_follows_the_airspeed_that_it_was_made_from(card, name, size
 def test_every_effect_on_the_record_has_its_sign_tested():
     shown = [e for e in CATALOGUE.values() if e.disturbance is None]
     measured = {e.name for e in shown if e.kind in ("measurement", "environment")}
-    vanes = {"vane_position", "sideslip_vane_position", "sideslip_vane_height"}
-    assert measured == {row[0] for row in RECORDED} | vanes
+    places = {"vane_position", "pitot_position", "sideslip_vane_position", "sideslip_vane_height"}
+    assert measured == {row[0] for row in RECORDED} | places
 
 
 @pytest.mark.parametrize("x", [13.08, -4.0])
@@ -147,6 +147,22 @@ def test_a_sideslip_vane_away_from_the_cg_reads_the_flow_of_its_own_place(card, 
     moved = np.abs(there - beta).max()
     assert moved > 0.001
     np.testing.assert_allclose(true, beta, atol=0.02 * moved)  # the airspeed is taken as that of the CG
+
+
+def test_a_pitot_tube_ahead_of_the_cg_reads_the_speed_of_its_own_place(card):
+    """The speed of (u, v + x r, w - x q), where the flow angles are recorded beside it."""
+    t = np.arange(N) * DT
+    alpha, beta, q, r = 0.2 + wave(t) / 3.0, wave(t + 1.0) / 4.0, 0.2 * wave(t + 2.0), 0.2 * wave(t + 3.0)
+    V, x = 80.0 + 5.0 * wave(t + 4.0), 13.08
+    u, v, w = V * np.cos(alpha) * np.cos(beta), V * np.sin(beta), V * np.sin(alpha) * np.cos(beta)
+    across, down = v + x * r, w - x * q
+    there = np.sqrt(u**2 + across**2 + down**2)
+    beside = {"alpha": np.arctan2(down, u), "beta": np.arcsin(across / there)}
+    given = marks(N, DT) | beside | {"q": q, "r": r, "airspeed": there}
+    given = {name: jnp.asarray(series) for name, series in given.items()}
+    true = Model.of(["pitot_position"]).corrected({"pitot_position": jnp.asarray(x)}, given, card.aircraft)
+    assert np.abs(there - V).max() > 0.2
+    np.testing.assert_allclose(true["airspeed"], V, rtol=1e-12)
 
 
 def test_pitch_rate_in_the_vanes_angle_does_not_change_its_unit(card):

@@ -197,8 +197,8 @@ class Model:
         return Aircraft(**self._run((Stage.AIRCRAFT,), card, values, {}, aircraft))
 
     def inflow(self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft) -> dict[str, Any]:
-        """`alpha` and `airspeed` of the flow, from those over ground and the gusts among `signals`: stage INFLOW."""
-        over_ground = {name: signals[name] for name in ("alpha", "airspeed")}
+        """Angles and `airspeed` of the flow, from those over ground and the gusts among `signals`: stage INFLOW."""
+        over_ground = {name: signals[name] for name in ("alpha", "beta", "airspeed") if name in signals}
         return self._run((Stage.INFLOW,), over_ground, values, signals, aircraft)
 
     def static_separation(self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft) -> Any:

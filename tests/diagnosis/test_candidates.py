@@ -17,12 +17,12 @@ def test_stand_ins_are_no_candidates_but_serve_on_a_card(card, model, clean_reco
     stand_ins = {name for name, e in CATALOGUE.items() if not e.candidate and e.disturbance is None}
     assert stand_ins == {
         "alpha_drag", "speed_drag", "speed_lift", "speed_moment", "stabilizer_lift", "stabilizer_drag",
-        "heading_delay", "sideslip_delay",
+        "heading_delay", "sideslip_delay", "pitot_position",
     }  # fmt: skip
     full = candidate_model(model, flights)
     assert len(full.candidates) > 20
     gusts = {name for name, effect in CATALOGUE.items() if effect.disturbance is not None}
-    assert gusts == {"longitudinal_gust", "vertical_gust", "buffet"}  # random: a filter estimates them
+    assert gusts == {"longitudinal_gust", "vertical_gust", "lateral_gust", "buffet"}  # random: a filter estimates them
     assert not (stand_ins | gusts) & ({e.name for e in full.model.effects} | set(full.not_testable))
     stated = Model.of([*card.effects, "speed_lift"], {"tau1": 0.0})
     full = candidate_model(stated, flights)

@@ -24,7 +24,7 @@ MOST = 0.8  # of a part; a manoeuvre that fills more of it is the part
 MOVES = {
     "p": np.deg2rad(1.0), "q": np.deg2rad(0.5), "r": np.deg2rad(0.5),
     "elevator": np.deg2rad(0.3), "aileron_left": np.deg2rad(0.5), "aileron_right": np.deg2rad(0.5),
-    "rudder": np.deg2rad(0.5),
+    "aileron": np.deg2rad(0.5), "rudder": np.deg2rad(0.5),
 }  # fmt: skip
 """Standard deviation over `WINDOW`, rad/s or rad, below which nothing was flown whatever the record's noise."""
 

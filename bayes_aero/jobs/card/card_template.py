@@ -12,6 +12,7 @@ import numpy as np
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aliases import split_heading
+from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.channel_table import ATMOSPHERE, RULES
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health.signals import noise_of, quantum
@@ -22,8 +23,8 @@ from bayes_aero.jobs.card.column_inference import guessed
 from bayes_aero.jobs.card.column_statistics import Guess
 from bayes_aero.jobs.card.template_aircraft import aircraft_block
 from bayes_aero.jobs.card.template_check import read_back
-from bayes_aero.jobs.card.template_model import comment, model_block
-from bayes_aero.physics.coefficient_names import REQUIRED
+from bayes_aero.jobs.card.template_model import comment, has_lateral, model_block
+from bayes_aero.physics.coefficient_names import FORMED_FROM, REQUIRED
 from bayes_aero.units import canonical, from_si
 
 NEEDED = ("time", *REQUIRED, "elevator")
@@ -196,6 +197,8 @@ def _sums(found: Mapping[str, Guess]) -> Iterator[str]:
         lines.append("elevator = { elevator_left = 0.5, elevator_right = 0.5 } # the mean of both")
     elif _both(found, "elevon"):
         lines.append("elevator = { elevon_left = 0.5, elevon_right = 0.5 } # guess: the mean of the elevons")
+    if _both(found, "aileron"):
+        lines.append("aileron = { aileron_right = 0.5, aileron_left = -0.5 } # guess: down is positive on either side")
     if lines:
         yield from ("[sums]", *lines, "")
 
@@ -263,7 +266,8 @@ def _still(found: Mapping[str, Guess]) -> Iterator[str]:
 def _sensors(found: Mapping[str, Guess]) -> Iterator[str]:
     yield "# Standard deviations of the sensors' white noise; data sheets know better."
     yield "[sensors]"
-    wanted = {n: g for n, g in found.items() if n in (*REQUIRED, "thrust") and not _implausible(n, g)}
+    asked = FORMED_FROM[Axis.LATERAL] if has_lateral(found) else REQUIRED
+    wanted = {n: g for n, g in found.items() if n in asked and not _implausible(n, g)}
     if "time" in found:
         for name, guess in wanted.items():
             deviation = noise_of(guess.si)

@@ -34,4 +34,7 @@ def aircraft_block() -> Iterator[str]:
     yield "# Positions from the centre of gravity, x forward, y right, z down; left out, they are zero."
     for key, meaning in PLACES.items():
         yield f"# {key} = {POSITION} # {meaning}"
+    yield '# lateral_length = "10 m" # of rolling and yawing moment; left out, it is the span'
+    yield '# lateral_rate_length = "5 m" # l in p l/V and r l/V; left out, it is half the span: p b/2V'
+    yield '# engine_arm = "3 m" # of a left and a right engine from the plane of symmetry'
     yield '# engine_inclination = "0 deg" # of the thrust line, nose up'

@@ -32,7 +32,8 @@ def read_back(text: str, record: str) -> None:
 
 
 def _filled(table: dict[str, Any]) -> dict[str, Any]:
-    """The table with a value of the right unit for every TODO."""
+    """The table with a value of the right unit for every TODO; a product of inertia is zero, as of some body."""
+    table = {**table, "aircraft": {**table["aircraft"], "Ixz": "0 kg m^2"}}
     units = {
         "aircraft": AIRCRAFT_KEYS,
         "constants": {name: channel.unit for name, channel in STANDARD_CHANNELS.items()},
@@ -47,7 +48,7 @@ def _filled(table: dict[str, Any]) -> dict[str, Any]:
 
 def _value(given: Any, unit: str) -> Any:
     if isinstance(given, dict):
-        return {key: "1" if given[key] == UNFILLED else given[key] for key in given}
+        return {key: (1 if key == "column" else "1") if x == UNFILLED else x for key, x in given.items()}
     if given != UNFILLED:
         return given
     return 1.0 if unit == "1" else f"1 {unit}"

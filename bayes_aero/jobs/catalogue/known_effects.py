@@ -43,7 +43,8 @@ def effect_facts(effect: Effect, card: Card | None = None) -> dict[str, Any]:
         "parameters": [_parameter(p, effect) for p in effect.parameters],
         "needs": list(effect.channels),
         "rests_on": list(effect.uses),
-        "proposed_by_diagnose": effect.candidate,
+        "axes": [axis.value for axis in effect.axes],
+        "proposed_by_diagnose": effect.candidate and (card is None or effect.acts_on(card.axes)),
         "example": {
             "parameters": dict(effect.example.parameters),
             "signals": dict(effect.example.signals),

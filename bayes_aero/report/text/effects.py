@@ -13,6 +13,7 @@ def facts(effect: Mapping[str, Any]) -> list[tuple[str, str]]:
     stage = "acts on the recorded channels" if channel else f"acts at the stage {effect['stage']}"
     said = [
         ("kind", f"{effect['kind']}; {stage}"),
+        ("axes", " and ".join(effect["axes"])),
         ("formula", " ".join(effect["formula"].split()) or "not stated"),
         ("needs", ", ".join(effect["needs"]) or "nothing"),
     ]

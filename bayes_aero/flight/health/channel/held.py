@@ -14,7 +14,7 @@ ALIKE = 0.9  # share of the changes that follow the pattern
 SLOWEST = 100  # samples between changes at most
 ROUNDED = 2.5  # steps of rounding: second differences of a straight line reach two, as each value is off by a half
 FAST = frozenset(
-    "ax ay az p q r phi theta alpha beta elevator stabilizer rudder aileron_left aileron_right".split()  # noqa: SIM905
+    "ax ay az p q r phi theta alpha beta elevator stabilizer rudder aileron aileron_left aileron_right".split()  # noqa: SIM905
 )
 """Channels that move within tenths of a second."""
 

@@ -14,7 +14,7 @@ WINDOW = 10.0  # s
 CALM = {
     "alpha": np.deg2rad(0.7), "q": np.deg2rad(1.0), "elevator": np.deg2rad(0.5), "stabilizer": np.deg2rad(0.2),
     "phi": np.deg2rad(2.0), "p": np.deg2rad(1.5), "beta": np.deg2rad(1.0), "rudder": np.deg2rad(0.5),
-    "aileron_left": np.deg2rad(0.5), "airspeed": 2.5,
+    "aileron": np.deg2rad(0.5), "aileron_left": np.deg2rad(0.5), "airspeed": 2.5,
 }  # fmt: skip
 """Ranges within a window, SI, that no manoeuvre stays within."""
 LONGEST = 30.0  # s that a manoeuvre may begin or end with
