@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from bayes_aero.dynamics.aircraft.effect_system import EffectSystem
+from bayes_aero.dynamics.aircraft.gusts import FLOW
 from bayes_aero.dynamics.system import Row
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.axes import Axis
@@ -122,7 +123,7 @@ class RigidBody(EffectSystem):
         nothing = jnp.zeros_like(s["alpha"])
         decay, gust_rate = self.mean_gust_rates(state, s) if self.model.disturbances else ([], nothing)
         path = dict.fromkeys(("beta", "p", "r", "phi"), nothing) | s
-        path |= {name: state[name] for name in ("airspeed", "alpha") if name in state}
+        path |= {name: state[name] for name in FLOW if name in state}
         path.setdefault("down", down_of(path["phi"], path["theta"]))
         now = motion_of_aircraft(
             lambda rate: self.flow(state, s | {"alpha_dot": rate + gust_rate}),
