@@ -52,3 +52,57 @@ def channels(flight: Mapping[str, np.ndarray]) -> dict[str, Any]:
     return {name: jnp.asarray(flight[name]) for name in ("elevator", "aileron", "rudder", "thrust", "density")} | {
         name: jnp.asarray(flight[name]) for name in ("thrust_left", "thrust_right")
     }
+
+
+NOISE = {
+    "ax": 0.02, "ay": 0.02, "az": 0.05, "p": 3e-4, "q": 3e-4, "r": 3e-4, "phi": 5e-4, "theta": 5e-4, "psi": 5e-4,
+    "alpha": 1e-3, "beta": 1e-3, "airspeed": 0.1, "altitude": 1.0,
+    "elevator": 1e-5, "aileron": 1e-5, "rudder": 1e-5,
+}  # fmt: skip
+"""Standard deviations of the recorder's white noise, SI."""
+UNITS = {"time": "s", "airspeed": "m/s", "altitude": "m", "density": "kg/m^3"}
+RECORDED = (*NOISE, "thrust_left", "thrust_right", "density")
+
+
+def unit(channel: str) -> str:
+    """SI unit of a channel of the record."""
+    by_kind = {"a": "m/s^2"} if channel in ("ax", "ay", "az") else {"p": "rad/s", "q": "rad/s", "r": "rad/s"}
+    usual = "N" if channel.startswith("thrust") else "rad"
+    return UNITS.get(channel, by_kind.get(channel[0] if len(channel) < 3 else "", usual))
+
+
+def card_text(plane: Plane, effects: Any = (*LONGITUDINAL, *LATERAL), axes: Any = BOTH, more: str = "") -> str:
+    """A card of this aircraft whose record has SI units and the channels' own names."""
+    inertia = "\n".join(f'{name} = "{getattr(plane, name)} kg m^2"' for name in ("Ix", "Iy", "Iz", "Ixz"))
+    mapped = "\n".join(f'{n} = {{ label = "{n}", unit = "{unit(n)}" }}' for n in ("time", *RECORDED))
+    sensors = "\n".join(f'{name} = "{x} {unit(name)}"' for name, x in NOISE.items())
+    nose = ", ".join(f'"{x} m"' for x in plane.nose)
+    return f"""
+title = "another aircraft"
+[aircraft]
+mass = "{plane.mass} kg"
+{inertia}
+wing_area = "{plane.S} m^2"
+chord = "{plane.c} m"
+span = "{plane.b} m"
+tail_arm = "{plane.tail} m"
+accelerometer = [{nose}]
+engine = ["0 m", "0 m", "{plane.engine_drop} m"]
+engine_arm = "{plane.engine_arm} m"
+[channels]
+{mapped}
+[sums]
+thrust = ["thrust_left", "thrust_right"]
+[sensors]
+{sensors}
+[model]
+axes = {[str(axis) for axis in axes]}
+effects = {list(effects)}
+{more}
+"""
+
+
+def recorded(flight: Mapping[str, np.ndarray], rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """The channels of the card, with noise, and `time`."""
+    n = len(flight["time"])
+    return {c: flight[c] + NOISE.get(c, 0.0) * rng.standard_normal(n) for c in ("time", *RECORDED)}

@@ -197,13 +197,14 @@ class AircraftDynamics(EffectDynamics):
         return self._pattern.start
 
     @cached_property
-    def _held(self) -> tuple[str, ...]:
+    def prescribed(self) -> tuple[str, ...]:
+        """States of a rigid body that are as recorded."""
         return held_states(self.model.axes, self.held) if self.rigid else ()
 
     @property
     def meets_gusts(self) -> bool:
         """Whether airspeed and alpha are simulated."""
-        return not {"airspeed", "alpha"} & set(self._held)
+        return not {"airspeed", "alpha"} & set(self.prescribed)
 
     def for_filter(self) -> AircraftDynamics:
         """The same with the angles of attitude as states."""
@@ -215,7 +216,7 @@ class AircraftDynamics(EffectDynamics):
         made = {*self.start, *DERIVED, *LATERAL, "dt", "start", "elapsed", "first", "last"}
         acting = [e for e in self.model.acting if e.stage > Stage.INFLOW]
         asked = (c for e in acting for c in e.channels if c not in made)
-        return tuple(dict.fromkeys((*asked, *self._held)))
+        return tuple(dict.fromkeys((*asked, *self.prescribed)))
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -238,7 +239,7 @@ class AircraftDynamics(EffectDynamics):
         actual = self.model.actual_aircraft(values, aircraft) if values else aircraft
         if not self.rigid:
             return Longitudinal(self.model, dict(values), actual, self.altitude)
-        return RigidBody(self.model, dict(values), actual, self.altitude, self._held, self.heading, self.euler)
+        return RigidBody(self.model, dict(values), actual, self.altitude, self.prescribed, self.heading, self.euler)
 
     def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
         """What is prescribed as recorded, with its derivatives where they are asked for.
@@ -246,7 +247,7 @@ class AircraftDynamics(EffectDynamics):
         Without `ay` also the rate of sideslip, if p, r and phi are known: the lateral force follows from these.
         """
         if self.rigid:
-            return rigid_drives(self.model.axes, self._held, self.inputs, channels, flights)
+            return rigid_drives(self.model.axes, self.prescribed, self.inputs, channels, flights)
         return lateral_drives(self.inputs, channels, flights)
 
     def slowest_step(self, values: Values, flights: Flights) -> float:

@@ -25,9 +25,11 @@ OTHER_SENSORS = {
 FLOWN = (
     "ax", "ay", "az", "p", "r", "elevator", "q", "phi", "theta", "psi", "alpha", "beta", "airspeed", "altitude",
     "stabilizer", "rudder", "flap", "spoiler_left", "spoiler_right", "dlc_left", "dlc_right", "mach", "density",
-    "thrust", "aileron", "aileron_left", "aileron_right",
+    "thrust",
 )  # fmt: skip
 """Channels of a flight that a recorder may store, in the order in which their noise is drawn."""
+RIGID = (*FLOWN, "aileron", "aileron_left", "aileron_right")
+"""Those of a flight in six degrees of freedom."""
 
 OUTLIER_SHARE, OUTLIER_SIZE, SPIKED = 0.005, 10.0, ("ax", "ay", "az", "q")
 

@@ -34,7 +34,7 @@ from bayes_aero.simulate.demo import DISTURBANCE, LATERAL_EFFECTS, LATERAL_TRUTH
 from bayes_aero.simulate.manoeuvres import DT, autoregressive, moved_by, random_pilot, resampled
 from bayes_aero.simulate.request import RANDOM_STALL, Grid, Request, grid_of, refuse
 from bayes_aero.simulate.sensor_faults import corrected, misrecorded
-from bayes_aero.simulate.sensor_model import FLOWN, OTHER_SENSORS, sensed
+from bayes_aero.simulate.sensor_model import FLOWN, OTHER_SENSORS, RIGID, sensed
 
 BUFFET = 2.0  # growth of the disturbance with 1 - X
 ENVELOPE = {"alpha": (-0.1, 0.45), "airspeed": (15.0, 300.0)}  # rad, m/s: outside, no truth is claimed
@@ -88,7 +88,7 @@ def synthetic(request: Request, card: Card, known: Mapping[str, Effect], name: s
             f"{request.manoeuvre} with {', '.join(request.effects) or 'no effect'} leaves the envelope: {left}; make "
             "the effects smaller, or change the manoeuvre, --airspeed or --duration"
         )
-    true = {key: flight[key] for key in FLOWN if key in flight} | _air_data(flight)
+    true = {key: flight[key] for key in (RIGID if rigid else FLOWN)} | _air_data(flight)
     sensors = Model.of([e for e in faults if e.kind is not Kind.PROPULSION])
     recorded = true | commanded
     if sensors.effects:

@@ -15,7 +15,7 @@ from bayes_aero.dynamics.system import Row, System
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
 
-FLOW = ("airspeed", "alpha")  # what gusts change; their states are over ground
+FLOW = ("airspeed", "alpha", "beta")  # what gusts change; their states are over ground
 
 
 class InGusts(System):
@@ -49,11 +49,12 @@ class InGusts(System):
         """Gusts begin anywhere in their stationary distribution; the flow was measured, the motion over ground not."""
         intensity = {d.state: self.values[d.intensity] for d in self.model.disturbances}
         spread = jnp.stack([intensity.get(name, y) for name, y in zip(self.states, deviation, strict=True)])
-        places = jnp.array([self.states.index(name) for name in FLOW])
+        own = tuple(name for name in FLOW if name in self.states)
+        places = jnp.array([self.states.index(name) for name in own])
 
         def flow(x):
             s = self.flow_signals(x, u)
-            return x.at[places].set(jnp.stack([s[name] for name in FLOW]))
+            return x.at[places].set(jnp.stack([s[name] for name in own]))
 
         factor = jnp.linalg.solve(jax.jacfwd(flow)(x), jnp.diag(spread))
         return factor @ factor.T
@@ -65,6 +66,6 @@ class InGusts(System):
         """
         gusts = {d.state: state[d.state] for d in self.model.disturbances}
         decay = {d.state: -d.rate(self.values, s, self.aircraft) * state[d.state] for d in self.model.disturbances}
-        over_ground = dict(s) | {name: state[name] for name in FLOW}
+        over_ground = dict(s) | {name: state[name] for name in FLOW if name in state}
         alpha = lambda g: self.model.inflow(self.values, over_ground | g, self.aircraft)["alpha"]  # noqa: E731
         return list(decay.values()), jax.jvp(alpha, (gusts,), (decay,))[1] if gusts else jnp.zeros_like(s["alpha"])

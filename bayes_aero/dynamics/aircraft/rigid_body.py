@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from bayes_aero.dynamics.aircraft.effect_system import EffectSystem
+from bayes_aero.dynamics.aircraft.gusts import FLOW
 from bayes_aero.dynamics.system import Row
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.axes import Axis
@@ -113,11 +114,16 @@ class RigidBody(EffectSystem):
 
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
         """Derivative of the state, and everything that can be measured."""
+        rates, outputs = self.rates(x, u)
+        return jnp.stack(rates), outputs
+
+    def rates(self, x: Float[Array, " s"], u: Row) -> tuple[list[Any], dict[str, Any]]:
+        """The same, state by state."""
         state, s = self.named(x), self.flow_signals(x, u)
         nothing = jnp.zeros_like(s["alpha"])
         decay, gust_rate = self.mean_gust_rates(state, s) if self.model.disturbances else ([], nothing)
         path = dict.fromkeys(("beta", "p", "r", "phi"), nothing) | s
-        path |= {name: state[name] for name in ("airspeed", "alpha") if name in state}
+        path |= {name: state[name] for name in FLOW if name in state}
         path.setdefault("down", down_of(path["phi"], path["theta"]))
         now = motion_of_aircraft(
             lambda rate: self.flow(state, s | {"alpha_dot": rate + gust_rate}),
@@ -129,11 +135,11 @@ class RigidBody(EffectSystem):
             prescribed=self.held,
         )
         alpha_dot = now.rates["alpha"] + gust_rate
-        rates = dict(now.rates) | dict(zip(RATES, now.turning, strict=True))
-        derivative = [rates[name] for name in FLIGHT if name not in self.held]
+        changing = dict(now.rates) | dict(zip(RATES, now.turning, strict=True))
+        derivative = [changing[name] for name in FLIGHT if name not in self.held]
         derivative += self._attitude_rates(x, path)
         if self.altitude:
-            derivative.append(rates["altitude"])
+            derivative.append(changing["altitude"])
         derivative += decay
         if self.lagged:
             derivative.append(self.separation_rate(state, s | {"alpha_dot": alpha_dot}))
@@ -141,7 +147,7 @@ class RigidBody(EffectSystem):
         outputs = accelerometers(now, path, self.aircraft) | turning | {"alpha_dot": alpha_dot}
         outputs |= {n: s[n] for n in (*FLIGHT, "theta", "altitude") if n in s}
         outputs |= {n: _near(path[n], u.get(f"near_{n}")) for n in ("phi", "psi") if n in path}
-        return jnp.stack(derivative), outputs | {n: now.flow[n] for n in ("X", *self.model.coefficients)}
+        return derivative, outputs | {n: now.flow[n] for n in ("X", *self.model.coefficients)}
 
     def _attitude_rates(self, x: Float[Array, " s"], path: Mapping[str, Any]) -> list[Any]:
         rates = (path["p"], path["q"], path["r"])

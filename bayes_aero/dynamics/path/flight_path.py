@@ -60,7 +60,9 @@ class FlightPath(InGusts):
         rates = motion_of_path(s, force) | lateral_motion(s, force)
         rates["psi"] = euler_rates((s["p"], s["q"], s["r"]), s["phi"], s["theta"])[2]
         decay, _ = self.mean_gust_rates(state, flow)
-        return jnp.stack([*(rates[name] for name in self.named), *decay]), state | {n: flow[n] for n in FLOW}
+        return jnp.stack([*(rates[name] for name in self.named), *decay]), state | {
+            n: flow[n] for n in FLOW if n in state
+        }
 
 
 @dataclass(frozen=True)

@@ -68,10 +68,9 @@ class PilotedBody(RigidBody):
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
         """With the controls among the outputs."""
         state = self.named(x)
-        slope, outputs = super().motion(x, u)
-        trimmed = self.gains[2] * (state["alpha"] - u["led_alpha"])
-        slope = jnp.insert(slope, self.states.index("trim"), trimmed)
-        return slope, outputs | self._controls(state, u)
+        rates, outputs = self.rates(x, u)
+        rates.insert(self.states.index("trim"), self.gains[2] * (state["alpha"] - u["led_alpha"]))
+        return jnp.stack(rates), outputs | self._controls(state, u)
 
     def _controls(self, state: Mapping[str, Any], u: Row) -> dict[str, Any]:
         """Deflections, rad: command and feedback."""

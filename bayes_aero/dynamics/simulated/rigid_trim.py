@@ -123,7 +123,8 @@ def _linear(
     unknown: Float[Array, " k"],
 ):
     """What is not balanced, and its derivative."""
-    given = _open(condition) | {"airspeed": condition.airspeed, "altitude": condition.altitude, "psi": 0.0}
+    given = {name: jnp.asarray(x, float) for name, x in _open(condition).items() if x is not None}
+    given |= {"airspeed": jnp.asarray(condition.airspeed), "altitude": jnp.asarray(condition.altitude)}
     weight = body.aircraft.mass * GRAVITY
 
     def unbalanced(z):

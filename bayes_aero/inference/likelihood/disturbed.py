@@ -28,7 +28,8 @@ def disturbed(flown: SegmentTrajectories) -> SegmentTrajectories:
     dynamics = dynamics.for_filter()
     if not dynamics.meets_gusts:
         return replace(flown, dynamics=dynamics)
-    absent = [name for name in GUSTS if name not in {e.name for e in dynamics.model.acting}]
+    gusts = (*GUSTS, *(("lateral_gust",) if "beta" in dynamics.states and "beta" in flown.outputs else ()))
+    absent = [name for name in gusts if name not in {e.name for e in dynamics.model.acting}]
     model = dynamics.model.extended(*absent)
     steady = np.ones_like(flown.noise_growth) if model.shaken else flown.noise_growth
     return replace(flown, dynamics=replace(dynamics, model=model), noise_growth=steady)

@@ -44,6 +44,7 @@ def flown_dynamics(
         dynamics = aircraft_dynamics(Model.from_card(card), flights, outputs, card.fly.held)
         still = taken_as_zero(flights)
         notes += [f"Not recorded, and taken as zero: {several(still)}."] if still else []
+        notes += [f"Held to the record: {several(dynamics.prescribed)}."] if dynamics.prescribed else []
     unseen = [n for n in dynamics.start if n not in flights.channels and n in STANDARD_CHANNELS]
     notes += [f"States that were not recorded begin at zero or as fitted: {several(unseen)}."] if unseen else []
     notes += spike_notes(spikes)
