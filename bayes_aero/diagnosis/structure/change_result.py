@@ -25,7 +25,7 @@ def told(
     begin = int(np.argmax(state.responses.manoeuvre == span.manoeuvre))
     before, after, size = _sizes(state, change, chosen)
     nearest, rivals, inflation = _as_good(state, found)
-    seconds, parameter = state.responses.seconds, state.full.model.free[change.column]
+    seconds, parameter = state.responses.seconds, state.full.model.free[change.column]  # a block is as fine as it gets
     known = [] if election is None else election.candidate_scores
     gain = float(found.scan.gains(found.scan.estimates(found.residual))[change.at])
     effects = [s.effect for s in known if nats(gain - s.gain, inflation) < state.settings.ambiguous]
@@ -34,7 +34,7 @@ def told(
         unit=parameter.unit,
         manoeuvre=state.responses.flights.names[span.manoeuvre],
         at=(span.begin - begin) * seconds,
-        interval=((nearest[0] - begin) * seconds, (nearest[1] - begin) * seconds),
+        interval=(max(nearest[0] - 1 - begin, 0) * seconds, (nearest[1] + 1 - begin) * seconds),
         lasts=span.end == len(state.residual),
         before=before,
         after=after,

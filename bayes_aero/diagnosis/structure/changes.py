@@ -113,7 +113,9 @@ def _beside(state: SelectionState, components: Sequence[Component]) -> Selection
     place = len(state.theta) + state.nuisance
     columns = np.concatenate([c.basis for c in components], axis=2)
     S = np.concatenate([state.S[:, :, :place], columns, state.S[:, :, place:]], axis=2)
-    wide = replace(state, S=S, nuisance=state.nuisance + columns.shape[2])
+    mean, precision = (np.insert(x, [place] * columns.shape[2], 0.0) for x in (state.mean, state.precision))
+    nuisance = state.nuisance + columns.shape[2]
+    wide = replace(state, S=S, mean=mean, precision=precision, nuisance=nuisance)
     return moved(state, optimum(wide, range(len(state.folds))))
 
 
