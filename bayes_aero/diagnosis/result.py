@@ -258,7 +258,8 @@ def verdict_of(
 ) -> Verdict:
     """What is missing counts as explained by causes that are sure alone (see `Cause.sure`).
 
-    A change of a parameter says where and when the model fails, and is no cause. `tested`: of a diagnosis by trajectories alone (see `as_tested`).
+    A change of a parameter says where and when the model fails, and is no cause. `tested`: of a diagnosis by
+    trajectories alone (see `as_tested`).
     """
     of_the_model = [cause for cause in causes if cause.stage != FLIGHT_PATH]  # the others are the sensors'
     if any(cause.sure for cause in causes):

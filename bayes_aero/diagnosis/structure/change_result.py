@@ -27,8 +27,7 @@ def told(
     nearest, rivals, inflation = _as_good(state, found)
     seconds, parameter = state.responses.seconds, state.full.model.free[change.column]  # a block is as fine as it gets
     known = [] if election is None else election.candidate_scores
-    gain = float(found.scan.gains(found.scan.estimates(found.residual))[change.at])
-    effects = [s.effect for s in known if nats(gain - s.gain, inflation) < state.settings.ambiguous]
+    effects = [s.effect for s in known if nats(found.gain - s.gain, inflation) < state.settings.ambiguous]
     return ParameterChange(
         parameter=parameter.name,
         unit=parameter.unit,
@@ -74,11 +73,7 @@ def _as_good(state: SelectionState, found: Sought) -> tuple[tuple[int, int], lis
     scan, settings, (span, parameter) = found.scan, state.settings, found.change.at
     estimates = scan.estimates(found.residual)
     gains, own = scan.gains(estimates), scan.over[span]
-    same = [
-        i
-        for i, one in enumerate(scan.over)
-        if one.manoeuvre == own.manoeuvre and (one.end == own.end)
-    ]
+    same = [i for i, one in enumerate(scan.over) if one.manoeuvre == own.manoeuvre and (one.end == own.end)]
     best = np.argmax(gains, axis=0)
     others = [(int(best[p]), p) for p in range(len(scan.columns)) if p != parameter]
     places = [(span, parameter), *((i, parameter) for i in same), *others]

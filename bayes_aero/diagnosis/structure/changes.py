@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -44,7 +45,10 @@ class Change:
 
 @dataclass(frozen=True)
 class Sought:
-    """A change that is beyond chance, with what it was judged by. `gained`: deviance of the parts left out."""
+    """A change that is beyond chance, with what it was judged by.
+
+    `gain` is the deviance that it takes away, `gained` that of the parts left out.
+    """
 
     change: Change
     state: SelectionState
@@ -54,19 +58,20 @@ class Sought:
     colour: Autocorrelation
     share: float
     p_value: float
+    gain: float
     gained: float
 
 
-def sought_change(state: SelectionState, chosen: Sequence[Component], *, seed: int) -> Sought | None:
+def sought_change(
+    state: SelectionState, chosen: Sequence[Component], *, seed: int, least: float = 0.0
+) -> Sought | None:
     """The change that explains most of what the active effects and the `chosen` components leave, if it is real.
 
-    Without it the other parameters were fitted to both values of the changed one. So the problem is linearised again
-    where they are with the change beside them.
+    It must gain more than `least` deviance on parts left out. Without it the other parameters were fitted to both
+    values of the changed one, so the problem is linearised again where they are with the change beside them.
     """
-    settings = state.settings
-    if not testable(state):
-        return None
-    first = _promising(state, chosen)
+    settings, alone = state.settings, len(state.responses.flights.lengths) == 1
+    first = _promising(state, chosen, least) if testable(state) else None
     if first is None:
         return None
     state = _beside(state, [*chosen, first[0].component])
@@ -80,12 +85,13 @@ def sought_change(state: SelectionState, chosen: Sequence[Component], *, seed: i
     change = _change(state, scan, _leader(scan, scan.estimates(residual))[0])
     trial, wider = fit_with(state, change.component, chosen, folds)
     share, gained = share_of(trial, trial.component_columns[0]), holdout_gain_of(state, change.component, chosen)
-    if share < settings.change_share or gained <= 0.0:
+    if share < (settings.single_share if alone else settings.change_share) or gained <= least:
         return None
     colour, p = _p_value(whole, held, scan, trial.left(wider), seed)
     if p > settings.change_false_alarm_rate:
         return None
-    return Sought(change, state, scan, residual, folds, colour, share, p, gained)
+    gain = whole.fit().deviance - wider.deviance
+    return Sought(change, state, scan, residual, folds, colour, share, p, gain, gained)
 
 
 def testable(state: SelectionState) -> bool:
@@ -95,7 +101,7 @@ def testable(state: SelectionState) -> bool:
     return state.outputs == NAMES and long and bool(len(_free(state)) and _over(state))
 
 
-def _promising(state: SelectionState, chosen: Sequence[Component]) -> tuple[Change, ChangeScan] | None:
+def _promising(state: SelectionState, chosen: Sequence[Component], least: float) -> tuple[Change, ChangeScan] | None:
     """The change that explains most to first order, if that is worth another look."""
     folds = manoeuvres(state)
     whole = state if not chosen and folds == state.folds else with_components(state, (), chosen, folds)
@@ -105,7 +111,7 @@ def _promising(state: SelectionState, chosen: Sequence[Component]) -> tuple[Chan
     if gain < state.settings.least_share * len(state.residual):
         return None
     change = _change(state, scan, leader)
-    return (change, scan) if holdout_gain_of(state, change.component, chosen) > 0.0 else None
+    return (change, scan) if holdout_gain_of(state, change.component, chosen) > least else None
 
 
 def _beside(state: SelectionState, components: Sequence[Component]) -> SelectionState:
@@ -119,9 +125,7 @@ def _beside(state: SelectionState, components: Sequence[Component]) -> Selection
     return moved(state, optimum(wide, range(len(state.folds))))
 
 
-def holdout_gain_of(
-    state: SelectionState, component: Component, chosen: Sequence[Component]
-) -> float:
+def holdout_gain_of(state: SelectionState, component: Component, chosen: Sequence[Component]) -> float:
     """Deviance that a component gains on parts of the manoeuvres that were left out, each predicted from the others."""
     trial = with_components(state, (component,), chosen, parts_of(state, state.settings.change_parts))
     return holdout_deviance_gain(trial, np.concatenate([trial.columns(), trial.component_columns[0]]))
@@ -139,7 +143,7 @@ def fit_with(
 def manoeuvres(state: SelectionState) -> tuple[slice, ...]:
     """The blocks of each manoeuvre."""
     edges = np.flatnonzero(np.diff(state.responses.manoeuvre, prepend=-1, append=-1))
-    return tuple(slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True))
+    return tuple(slice(int(a), int(b)) for a, b in pairwise(edges))
 
 
 def _free(state: SelectionState) -> Int[np.ndarray, " p"]:

@@ -21,7 +21,7 @@ from bayes_aero.diagnosis.screening.selection_state import Component, SelectionS
 from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
 from bayes_aero.diagnosis.selection.forward_selection import Extension, removed
 from bayes_aero.diagnosis.structure.change_result import told
-from bayes_aero.diagnosis.structure.changes import Sought, holdout_gain_of, sought_change
+from bayes_aero.diagnosis.structure.changes import Sought, holdout_gain_of, sought_change, testable
 from bayes_aero.diagnosis.structure.components import families, parts_of, share_of, with_components
 
 
@@ -64,9 +64,11 @@ def _left(extension: Extension, found: Sequence[_Found], replaced: tuple[str, ..
     """What was found, as it is told."""
     unknown, changes, chosen = [], [], [f.component for f in found]
     bare = taken_out(found[-1].state, [name for name in replaced if name in found[-1].state.active])
+    last = extension.steps[-1] if extension.steps else None
+    election = None if last is None or last.chosen is not None else last.screening
     for one in found:
         if one.change is not None:
-            changes.append(told(bare, one.change, chosen, extension.steps[-1].screening))
+            changes.append(told(bare, one.change, chosen, election))
         else:
             coefficient, channel = one.component.label.split(" over ")
             unknown.append(UnexplainedStructure(coefficient, channel, one.share, one.p_value))
@@ -163,15 +165,18 @@ def _changing_in(extension: Extension, seed: int) -> tuple[float, _Found] | None
     """A change in place of the causes, and by how much more than they must it predicts."""
     state = extension.state
     bare = taken_out(state, extension.causes)
-    found = sought_change(bare, (), seed=seed)
-    if found is None:
+    if not testable(bare):
         return None
     parts = parts_of(state, state.settings.change_parts)
     products = Products.of(bare.residual / bare.noise_growth, bare.scaled, parts)
     own = state.full.own_columns(*extension.causes)
     known = holdout_deviance_gain(replace(bare, products=products, folds=parts), np.append(bare.columns(), own))
+    found = sought_change(bare, (), seed=seed, least=max(known, 0.0))
+    if found is None:
+        return None
     margin = _margin(state, found.gained, known)
-    return None if margin <= 0.0 else (margin, _Found(found.state, found.change.component, found.share, found.p_value, found))
+    one = _Found(found.state, found.change.component, found.share, found.p_value, found)
+    return None if margin <= 0.0 else (margin, one)
 
 
 def _margin(state: SelectionState, gained: float, known: float) -> float:

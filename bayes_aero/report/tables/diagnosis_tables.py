@@ -132,9 +132,9 @@ def changes_table(d: Diagnosis) -> Table:
                 of(lambda c, name=name: Estimate(*getattr(c, name)), (name, f"{name}_sd"))
                 for name in ("before", "after", "size")
             ),
-            of(lambda c: size_text(*c.before, c.unit), page="before", terminal="before"),
-            of(lambda c: size_text(*c.after, c.unit), page="after", terminal="after"),
-            of(lambda c: size_text(*c.size, c.unit), page="change", terminal="change"),
+            of(lambda c: size_text(c.before[0], c.before[1], c.unit), page="before", terminal="before"),
+            of(lambda c: size_text(c.after[0], c.after[1], c.unit), page="after", terminal="after"),
+            of(lambda c: size_text(c.size[0], c.size[1], c.unit), page="change", terminal="change"),
             of(lambda c: c.share, "share"),
             of(lambda c: c.p_value, "p_value", "p", "p", 2),
             of(lambda c: c.gain, "elpd", "hold-out gain", None, ".1f"),
