@@ -16,6 +16,8 @@ from bayes_aero.diagnosis.structure.changes import Change, Sought, manoeuvres
 from bayes_aero.diagnosis.structure.components import with_components
 from bayes_aero.inference.variance.variance_inflation import nats
 
+NEAREST = 200  # moments that are compared with the best one, those that explain most
+
 
 def told(
     state: SelectionState, found: Sought, chosen: Sequence[Component], election: ScreeningResult | None
@@ -73,7 +75,8 @@ def _as_good(state: SelectionState, found: Sought) -> tuple[tuple[int, int], lis
     scan, settings, (span, parameter) = found.scan, state.settings, found.change.at
     estimates = scan.estimates(found.residual)
     gains, own = scan.gains(estimates), scan.over[span]
-    same = [i for i, one in enumerate(scan.over) if one.manoeuvre == own.manoeuvre and (one.end == own.end)]
+    same = [i for i, one in enumerate(scan.over) if (one.manoeuvre, one.end) == (own.manoeuvre, own.end)]
+    same = sorted(same, key=lambda i: -gains[i, parameter])[:NEAREST]
     best = np.argmax(gains, axis=0)
     others = [(int(best[p]), p) for p in range(len(scan.columns)) if p != parameter]
     places = [(span, parameter), *((i, parameter) for i in same), *others]

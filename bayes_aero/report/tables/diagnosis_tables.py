@@ -125,8 +125,8 @@ def changes_table(d: Diagnosis) -> Table:
             of(lambda c: c.unit, "unit"),
             of(lambda c: c.manoeuvre, "manoeuvre", "manoeuvre", "manoeuvre"),
             of(lambda c: c.at, "at", "at, s", "at, s", ".1f"),
-            of(lambda c: Change(*c.interval), ("at_low", "at_high")),
-            of(lambda c: from_to(*c.interval, 0.5), page="95 % interval, s"),
+            of(lambda c: Change(c.interval[0], c.interval[1]), ("at_low", "at_high")),
+            of(lambda c: from_to(c.interval[0], c.interval[1], 0.5), page="95 % interval, s"),
             of(lambda c: c.lasts, "lasts"),
             *(
                 of(lambda c, name=name: Estimate(*getattr(c, name)), (name, f"{name}_sd"))
