@@ -19,7 +19,7 @@ from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.jobs.steps.post_diagnosis import predictors
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES
 from bayes_aero.report.style import NotDrawn
-from bayes_aero.report.tables.diagnosis_tables import causes_table, scores_frame, screen_table
+from bayes_aero.report.tables.diagnosis_tables import causes_table, changes_table, scores_frame, screen_table
 from bayes_aero.report.tables.run_tables import parameter_table, validation_table
 from bayes_aero.report.text.consistency import consistency_sentences
 from bayes_aero.report.text.diagnosis import sentences
@@ -119,6 +119,15 @@ class Diagnosed:
             A row per parameter of each cause; columns for size, interval, probability, rivals and hold-out gain.
         """
         return causes_table(self.view.diagnosis).frame()
+
+    def changes(self) -> pd.DataFrame:
+        """Parameters of the model that take another value during the records, in SI and radians.
+
+        Returns:
+            A row per change; columns for manoeuvre, time in s with its interval, the value before, after and the
+            difference with standard errors, p-value, hold-out gain and rivals.
+        """
+        return changes_table(self.view.diagnosis).frame()
 
     @property
     def _coefficients(self) -> View:

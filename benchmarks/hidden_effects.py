@@ -90,6 +90,7 @@ def case(kind: str, seed: int, flown: dict, trajectories: bool) -> dict:
         ],
         "minor": found.minor,
         "unexplained": [[u.coefficient, u.channel, u.share] for u in found.unknown],
+        "changes": [[c.parameter, c.manoeuvre, c.at, *c.size] for c in found.changes],
         "scores": standard_scores(found, effects),
         "not_testable": sorted(found.not_testable),
         "seconds": time.perf_counter() - began,

@@ -71,7 +71,7 @@ def diagnose(
     minor = (*(found.sensors.minor if found.sensors else ()), *found.model.minor, *(c.name for c in unnamed))
     state, tested = found.model.state, None if found.testable_now else Tested({})
     return Diagnosis(
-        verdict=as_white(verdict_of(causes, unknown, tested), found.noise),
+        verdict=as_white(verdict_of(causes, (*unknown, *found.changes), tested), found.noise),
         causes=causes,
         minor=minor,
         unknown=unknown,
@@ -90,6 +90,7 @@ def diagnose(
         tested=tested,
         compared=found.stages[-1][0],
         gusts=gusts,
+        changes=found.changes,
     )
 
 
@@ -268,4 +269,4 @@ def judged_on_held_out_flights(found: Diagnosis, confirmation: Confirmation) -> 
         else c
         for c in found.causes
     )
-    return replace(found, causes=causes, verdict=verdict_of(causes, found.unknown, found.tested))
+    return replace(found, causes=causes, verdict=verdict_of(causes, found.left, found.tested))

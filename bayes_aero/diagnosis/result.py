@@ -101,6 +101,41 @@ class UnexplainedStructure:
     rivals: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True)
+class ParameterChange:
+    """A parameter of the model that takes another value during the records; SI, standard errors count the colour.
+
+    Attributes:
+        manoeuvre: in which it changes.
+        at: when, s from that manoeuvre's begin; 0: between the one before and this one.
+        interval: of times that the record does not tell from it at 95 %.
+        lasts: whether the later manoeuvres have the value after; else they have the value before.
+        before, after, size: value, value and difference, each with its standard error.
+        share: of a coefficient's remaining variance that it explains.
+        gain: log density of parts of the manoeuvres predicted from the others, over the variance inflation.
+        ambiguous_with: other parameters (a change of each) and effects of the catalogue that explain about as much.
+    """
+
+    parameter: str
+    unit: str
+    manoeuvre: str
+    at: float
+    interval: tuple[float, float]
+    lasts: bool
+    before: tuple[float, float]
+    after: tuple[float, float]
+    size: tuple[float, float]
+    share: float
+    p_value: float
+    gain: float
+    ambiguous_with: tuple[str, ...] = ()
+
+    @property
+    def between(self) -> bool:
+        """Whether it differs from one manoeuvre to the next."""
+        return self.at == 0.0
+
+
 # Lag-1 correlation of means over five samples, our choice from a dozen simulated flights: white noise leaves up to a
 # third through the filter, and weak colour (0.5 from sample to sample) little more.
 COLOURED = 0.36
@@ -200,11 +235,17 @@ class Diagnosis:
     tested: Tested | None = None  # of a diagnosis by trajectories alone
     compared: str = COEFFICIENTS  # with what the model was compared: the name of its stage
     gusts: Mapping[str, float] = field(default_factory=dict)  # m/s, of records that asked for process noise by them
+    changes: tuple[ParameterChange, ...] = ()  # parameters that take another value during the records
 
     @property
     def by_coefficients(self) -> bool:
         """Whether the model was compared with coefficients; otherwise with trajectories alone or innovations."""
         return self.compared == COEFFICIENTS
+
+    @property
+    def left(self) -> tuple[UnexplainedStructure | ParameterChange, ...]:
+        """What no cause explains."""
+        return (*self.unknown, *self.changes)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -213,11 +254,12 @@ class Diagnosis:
 
 
 def verdict_of(
-    causes: Sequence[Cause], unknown: Sequence[UnexplainedStructure], tested: Tested | None = None
+    causes: Sequence[Cause], unknown: Sequence[UnexplainedStructure | ParameterChange], tested: Tested | None = None
 ) -> Verdict:
     """What is missing counts as explained by causes that are sure alone (see `Cause.sure`).
 
-    `tested`: of a diagnosis by trajectories alone (see `as_tested`).
+    A change of a parameter says where and when the model fails, and is no cause. `tested`: of a diagnosis by
+    trajectories alone (see `as_tested`).
     """
     of_the_model = [cause for cause in causes if cause.stage != FLIGHT_PATH]  # the others are the sensors'
     if any(cause.sure for cause in causes):

@@ -66,6 +66,14 @@ class DiagnosisSettings:
     single_share: float = 0.3  # the same on a single manoeuvre: its parts share their slow noise and confirm little
     stand_in: float = 1.2  # times a named cause's hold-out gain that a function must reach to take its place
 
+    # Parameters that change during the records.
+    change_false_alarm_rate: float = 0.005  # with the families of functions below the 5 % of a whole diagnosis
+    change_share: float = 0.25  # of the remaining variance: noise alone draws as much into it as into a sinusoid
+    change_least: float = 6.0  # s at either end of a manoeuvre in which no change is sought; our choice
+    change_begins: int = 1000  # moments tried
+    change_parts: int = 8  # of each manoeuvre: a change must predict the parts that it was not fitted to
+    change_interval: float = 1.92  # nats within which other moments explain as much: 95 % of one parameter
+
     # Sensor errors that the flight path cannot separate.
     imitated: float = 0.95  # share of what an error does from which others do it as well; our choice
     imitators: int = 3  # errors that imitate one together

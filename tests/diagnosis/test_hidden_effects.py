@@ -29,6 +29,7 @@ def test_a_hidden_effect_is_named_with_its_size(seed, family, card):
     assert found.causes, (name, effects)
     first = found.causes[0]
     assert first.name == name or name in first.ambiguous_with
+    assert not found.changes
     if first.name == name:
         for parameter, true in effects[name].items():
             size = first.parameters[parameter]

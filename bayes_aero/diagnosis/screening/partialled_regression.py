@@ -103,12 +103,24 @@ class PartialledRegression:
         """
         explained = [self.P[:, :, place] @ estimate for place, estimate in zip(self.place, estimates, strict=True)]
         D = np.stack([part - explained[own] for part in explained], axis=2)
-        variance, _ = Middle(D, 1.0 / self.weight, self.folds, []).under(colour, [])
+        rows = None
         if stretch is not None:
             rows = np.einsum("mcj,c,mc->mj", D, self.weight, residual - explained[own], optimize=True)
-            variance = np.maximum(variance, np.diag(cluster_covariance(rows, stretch)))
-        white = np.einsum("mcj,c,mcj->j", D, self.weight, D, optimize=True)
-        return variance_inflation(variance, white)
+        disagreement = None if rows is None or stretch is None else np.diag(cluster_covariance(rows, stretch))
+        return inflation_along(D, self.weight, self.folds, colour, disagreement)
+
+
+def inflation_along(
+    D: Float[np.ndarray, "m c j"],
+    weight: Float[np.ndarray, " c"],
+    folds: Sequence[slice],
+    colour: Autocorrelation,
+    least: Float[np.ndarray, " j"] | None = None,
+) -> Float[np.ndarray, " j"]:
+    """Variance inflation along each of j directions under a colour; variances are no less than `least`."""
+    variance, _ = Middle(D, 1.0 / weight, folds, []).under(colour, [])
+    white = np.einsum("mcj,c,mcj->j", D, weight, D, optimize=True)
+    return variance_inflation(variance if least is None else np.maximum(variance, least), white)
 
 
 def score(estimate: np.ndarray, covariance: np.ndarray, freedom: int) -> float:

@@ -33,11 +33,10 @@ class Scan:
 
 @dataclass(frozen=True)
 class Component:
-    """A function that is no effect: `basis` (m, w) acts on one coefficient; `label` is "coefficient over channel"."""
+    """A function that is no effect: `basis` is what it adds to each output; `label` is "coefficient over channel"."""
 
     label: str
-    coefficient: str
-    basis: Float[np.ndarray, "m w"]
+    basis: Float[np.ndarray, "m c w"]
 
 
 @dataclass(frozen=True)
@@ -97,7 +96,7 @@ class SelectionState:
     @property
     def component_columns(self) -> list[Int[np.ndarray, " w"]]:
         """Columns of each component that stands for election."""
-        widths = [c.basis.shape[1] for c in (*self.chosen, *self.components)]
+        widths = [c.basis.shape[2] for c in (*self.chosen, *self.components)]
         begins = len(self.theta) + len(self.offsets) + len(self.scans) + np.cumsum([0, *widths])
         found = [np.arange(a, b) for a, b in pairwise(begins)]
         return found[len(self.chosen) :]
@@ -126,7 +125,7 @@ class SelectionState:
         names = (*self.full.base, *(self.active if effects is None else effects))
         own = self.full.columns([p for n in names for p in self.full.parameters_of(n) if p in self.full.model.names])
         begin = len(self.theta) + len(self.offsets) + len(self.scans)
-        chosen = begin + np.arange(sum(c.basis.shape[1] for c in self.chosen))
+        chosen = begin + np.arange(sum(c.basis.shape[2] for c in self.chosen))
         return np.concatenate([own[np.any(self.S[:, :, own] != 0.0, axis=(0, 1))], self.offsets, chosen])
 
     def fit(self, effects: Sequence[str] | None = None) -> Fit:

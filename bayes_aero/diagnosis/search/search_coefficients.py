@@ -14,7 +14,8 @@ from bayes_aero.diagnosis.search.stages import Stages, search_in_stages
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.selection.residuals import noise_report
 from bayes_aero.diagnosis.settings import DiagnosisSettings
-from bayes_aero.diagnosis.unexplained import Left, has_chunks, unexplained
+from bayes_aero.diagnosis.structure.components import has_chunks
+from bayes_aero.diagnosis.structure.unexplained import Left, unexplained
 from bayes_aero.effect import Effect
 from bayes_aero.errors import attempted
 from bayes_aero.flight.card.card import Card
@@ -61,6 +62,7 @@ def search_coefficients(
         noise_report(aerodynamics, outliers),
         (*_filtered(flights), *_too_short(aerodynamics.state), *_denials(both)),
         failures,
+        changes=left.changes,
     )
 
 

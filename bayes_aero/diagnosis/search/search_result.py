@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel
-from bayes_aero.diagnosis.result import NoiseReport, UnexplainedStructure
+from bayes_aero.diagnosis.result import NoiseReport, ParameterChange, UnexplainedStructure
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
@@ -27,6 +27,7 @@ class SearchResult:
     notes: tuple[str, ...] = ()
     failures: tuple[str, ...] = ()  # parts that failed unexpectedly
     testable_now: bool = True
+    changes: tuple[ParameterChange, ...] = ()
 
     @property
     def model(self) -> Extension:

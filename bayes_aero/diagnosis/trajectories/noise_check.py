@@ -29,7 +29,7 @@ def with_tested(found: Diagnosis, flown: Trajectories | None, records: Sequence[
         card: states the sensors' noise; a usual installation's where it does not.
     """
     tested = Tested({} if flown is None else beyond_noise(flown, records, card))
-    return replace(found, tested=tested, verdict=verdict_of(found.causes, found.unknown, tested))
+    return replace(found, tested=tested, verdict=verdict_of(found.causes, found.left, tested))
 
 
 def beyond_noise(flown: Trajectories, records: Sequence[FlightRecord], card: Card) -> dict[str, OutputMiss]:

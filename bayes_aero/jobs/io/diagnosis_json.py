@@ -6,7 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from bayes_aero.diagnosis.result import COEFFICIENTS, Cause, Diagnosis, Gain, NoiseReport, Tested, UnexplainedStructure
+from bayes_aero.diagnosis.result import (
+    COEFFICIENTS,
+    Cause,
+    Diagnosis,
+    Gain,
+    NoiseReport,
+    ParameterChange,
+    Tested,
+    UnexplainedStructure,
+)
 from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
@@ -19,7 +28,7 @@ from bayes_aero.jobs.io.trajectories_json import trajectory_results
 from bayes_aero.report.tables.diagnosis_tables import screen_table
 from bayes_aero.report.text.diagnosis import sentences
 
-SCHEMA = "bayes_aero/diagnosis/2"
+SCHEMA = "bayes_aero/diagnosis/3"
 SCORES = ("r2", "rmse", "r", "theil")
 
 
@@ -67,6 +76,7 @@ def diagnosis_results(
         "causes": [cause_results(cause) for cause in d.causes],
         "minor": list(d.minor),
         "unexplained": unknown_results(d.unknown),
+        "changes": [change_results(one) for one in d.changes],
         "cancelling": cancelling_results(d),
         "noise": noise_results(d.noise),
         "not_testable": dict(d.not_testable),
@@ -107,6 +117,25 @@ def unknown_results(unknown: Sequence[UnexplainedStructure]) -> list[dict[str, A
         }
         for u in unknown
     ]
+
+
+def change_results(found: ParameterChange) -> dict[str, Any]:
+    """A parameter that takes another value during the records."""
+    return {
+        "parameter": found.parameter,
+        "unit": found.unit,
+        "manoeuvre": found.manoeuvre,
+        "at": found.at,
+        "ci95": list(found.interval),
+        "lasts": found.lasts,
+        "before": {"mean": found.before[0], "sd": found.before[1]},
+        "after": {"mean": found.after[0], "sd": found.after[1]},
+        "size": {"mean": found.size[0], "sd": found.size[1]},
+        "share_of_variance": found.share,
+        "p_value": found.p_value,
+        "elpd": found.gain,
+        "ambiguous_with": list(found.ambiguous_with),
+    }
 
 
 def cancelling_results(d: Diagnosis) -> list[dict[str, Any]]:

@@ -116,6 +116,36 @@ def _change(c: Cause, name: str, kind: str) -> Change | None:
     return Change(getattr(c.gain.before[name], kind), getattr(c.gain.after[name], kind))
 
 
+def changes_table(d: Diagnosis) -> Table:
+    """A row for each parameter that takes another value during the records, in files SI and radians."""
+    of = columns_of(d.changes)
+    return Table(
+        [
+            of(lambda c: c.parameter, "parameter", "parameter", "parameter"),
+            of(lambda c: c.unit, "unit"),
+            of(lambda c: c.manoeuvre, "manoeuvre", "manoeuvre", "manoeuvre"),
+            of(lambda c: c.at, "at", "at, s", "at, s", ".1f"),
+            of(lambda c: Change(c.interval[0], c.interval[1]), ("at_low", "at_high")),
+            of(lambda c: from_to(c.interval[0], c.interval[1], 0.5), page="95 % interval, s"),
+            of(lambda c: c.lasts, "lasts"),
+            *(
+                of(lambda c, name=name: Estimate(*getattr(c, name)), (name, f"{name}_sd"))
+                for name in ("before", "after", "size")
+            ),
+            of(lambda c: size_text(c.before[0], c.before[1], c.unit), page="before", terminal="before"),
+            of(lambda c: size_text(c.after[0], c.after[1], c.unit), page="after", terminal="after"),
+            of(lambda c: size_text(c.size[0], c.size[1], c.unit), page="change", terminal="change"),
+            of(lambda c: c.share, "share"),
+            of(lambda c: c.p_value, "p_value", "p", "p", 2),
+            of(lambda c: c.gain, "elpd", "hold-out gain", None, ".1f"),
+            of(lambda c: several(c.ambiguous_with), "ambiguous_with", "rivals", "rivals", or_dash),
+        ],
+        "Parameters that change during the records",
+        "One standard error, autocorrelation included. Time from the begin of the manoeuvre; 0: from the manoeuvre "
+        "before to this one. Hold-out gain: log density of parts of the manoeuvres, each predicted from the others.",
+    )
+
+
 def screen_table(rankings: Sequence[Ranking], d: Diagnosis) -> Table:
     """Every candidate of `rankings`: those of the first screening of each stage, the highest score first."""
     causes = {(c.stage, c.name) for c in d.causes}

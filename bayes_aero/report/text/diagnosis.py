@@ -11,6 +11,7 @@ from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
+from bayes_aero.report.text.drift import change_sentences
 from bayes_aero.report.text.phrases import not_testable_sentences, several, size_text
 from bayes_aero.report.text.process_noise import gust_sentences
 from bayes_aero.report.text.restraints import sign_sentences
@@ -41,6 +42,7 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
         *_beyond(d),
         *_minor(d),
         *_unknown(d),
+        *change_sentences(d.changes),
         *_noise(d),
         *not_testable_sentences(d.not_testable),
         *([] if flown is None else trajectory_sentences(flown)),
@@ -126,7 +128,7 @@ def _minor(d: Diagnosis) -> list[str]:
     if not d.minor:
         return []
     verb = "were" if len(d.minor) > 1 else "was"
-    beside = " in comparison with the unexplained structure" if d.unknown else ""
+    beside = " in comparison with the unexplained structure" if d.left else ""
     return [f"Too small{beside} to be named: {several(d.minor)} {verb} in the model during the selection."]
 
 

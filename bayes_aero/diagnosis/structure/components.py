@@ -1,0 +1,115 @@
+"""Functions that stand for election in place of effects: smooth ones of recorded channels, and periods."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.diagnosis.screening.regression import Products
+from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
+from bayes_aero.inference.variance.autoregression import ORDER
+
+PERIODS = tuple(np.round(np.geomspace(0.6, 30.0, 48), 3))  # s
+SKIPPED = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot", "alpha_dot")  # responses themselves, not causes
+
+
+def has_chunks(state: SelectionState) -> bool:
+    """Whether every manoeuvre is long enough for a sinusoid to be fitted to parts of it and predict the others."""
+    return all(part.stop - part.start > ORDER for part in _chunks(state))
+
+
+def families(state: SelectionState) -> tuple[tuple[Sequence[slice], list[Component], float], ...]:
+    """The kinds of components that the record can test: the folds by which they must predict, themselves, and the least
+    share of a verdict."""
+    s, alone = state.settings, len(state.responses.flights.lengths) == 1
+    channel, wave = (s.single_share, s.single_share) if alone else (s.unnamed_share, s.periodic_share)
+    smooth = state.folds, smooth_components(state), channel
+    return (smooth, (_chunks(state), periodic_components(state), wave)) if has_chunks(state) else (smooth,)
+
+
+def smooth_components(state: SelectionState) -> list[Component]:
+    """A smooth function of every recorded channel that moves, in each coefficient."""
+    signals = state.responses.evaluate(state.theta)[1]
+    names = [n for n in (*state.responses.flights.recorded, "elapsed", "X") if n in signals and n not in SKIPPED]
+    found = []
+    for name in names:
+        x = np.asarray(state.responses.block(signals[name]))
+        if np.ptp(x) <= 1e-6 * max(1.0, float(np.abs(x).max())):
+            continue
+        basis = _basis(x, state.settings.knots)
+        found += [_of_one(f"{c} over {name}", c, basis) for c in state.outputs]
+    return found
+
+
+def periodic_components(state: SelectionState) -> list[Component]:
+    """A sinusoid of each period and free phase in each manoeuvre, in each coefficient."""
+    elapsed = np.asarray(state.responses.block(state.responses.flights.channels["elapsed"]))
+    manoeuvre = state.responses.manoeuvre
+    found = []
+    for period in PERIODS:
+        if period < 4.0 * state.responses.seconds:
+            continue
+        phase = 2.0 * np.pi * elapsed / period
+        wave = np.stack([np.sin(phase), np.cos(phase)], axis=1)
+        basis = np.concatenate([wave * (manoeuvre == k)[:, None] for k in range(int(manoeuvre[-1]) + 1)], axis=1)
+        found += [_of_one(f"{c} over time, period {period:.3g} s", c, basis) for c in state.outputs]
+    return found
+
+
+def _of_one(label: str, coefficient: str, basis: Float[np.ndarray, "m w"]) -> Component:
+    """A component that acts on one coefficient."""
+    block = np.zeros((len(basis), len(NAMES), basis.shape[1]))
+    block[:, NAMES.index(coefficient)] = basis
+    return Component(label, block)
+
+
+def _basis(x: Float[np.ndarray, " m"], count: int) -> Float[np.ndarray, "m w"]:
+    """A line and radial bumps between quantiles, scaled to unit deviation; constants belong to the model."""
+    knots = np.quantile(x, np.linspace(0.02, 0.98, count))
+    width = max((knots[-1] - knots[0]) / (count - 1), 1e-12)
+    columns = [x - x.mean(), *(np.exp(-0.5 * ((x - k) / width) ** 2) for k in knots[1:-1])]
+    B = np.stack(columns, axis=1)
+    B = B - B.mean(axis=0)
+    return B / np.maximum(B.std(axis=0), 1e-12)
+
+
+def _chunks(state: SelectionState) -> tuple[slice, ...]:
+    return parts_of(state, state.settings.manoeuvre_parts)
+
+
+def parts_of(state: SelectionState, count: int) -> tuple[slice, ...]:
+    """Every manoeuvre in `count` parts, some blocks between neighbours left out."""
+    edges = [np.flatnonzero(state.responses.manoeuvre == k) for k in range(len(state.responses.flights.lengths))]
+    parts = [part for e in edges for part in np.array_split(e, count)]
+    return tuple(slice(int(p[0]) + 2, int(p[-1]) - 1) for p in parts)
+
+
+def with_components(
+    state: SelectionState, components: Sequence[Component], chosen: Sequence[Component], folds: Sequence[slice]
+) -> SelectionState:
+    """The state in which components stand for election in place of effects; those `chosen` are in."""
+    extra, width = [], 0
+    for component in (*chosen, *components):
+        extra.append(component.basis)
+        width += component.basis.shape[2]
+    S = np.concatenate([state.S[:, :, :-1], *extra, state.S[:, :, -1:]], axis=2)
+    size = float(np.median(np.std(state.residual / state.noise_growth, axis=0)))
+    precision = np.concatenate(
+        [state.precision[:-1], np.full(width, state.variance_inflation / (10 * size) ** 2), [1.0]]
+    )
+    mean = np.concatenate([state.mean[:-1], np.zeros(width), [0.0]])
+    products = Products.of(state.residual / state.noise_growth, S / state.noise_growth[:, :, None], folds)
+    return replace(
+        state, S=S, mean=mean, precision=precision, products=products, folds=tuple(folds),
+        components=tuple(components), chosen=tuple(chosen),
+    )  # fmt: skip
+
+
+def share_of(state: SelectionState, own: np.ndarray) -> float:
+    """Share of a coefficient's remaining variance that a component takes away, at best over the coefficients."""
+    before = state.fit()
+    after = state.products.fit(np.concatenate([before.columns, own]), state.mean, state.precision)
+    return float(np.max(1.0 - after.variance / before.variance))

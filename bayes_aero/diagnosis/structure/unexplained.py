@@ -1,0 +1,208 @@
+"""Structure that no effect of the catalogue explains but that a recorded channel, a period or the change of a parameter
+does.
+
+A smooth function of each channel, a sinusoid, or the change, stands for election like an effect. It is taken for real
+only if its score is beyond noise-only replicates and it predicts data left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from bayes_aero.diagnosis.result import ParameterChange, UnexplainedStructure
+from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
+from bayes_aero.diagnosis.screening.regression import Fit, Products
+from bayes_aero.diagnosis.screening.screening import explained_shares, screen
+from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
+from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
+from bayes_aero.diagnosis.selection.forward_selection import Extension, removed
+from bayes_aero.diagnosis.structure.change_result import told
+from bayes_aero.diagnosis.structure.changes import Sought, holdout_gain_of, sought_change, testable
+from bayes_aero.diagnosis.structure.components import families, parts_of, share_of, with_components
+
+
+@dataclass(frozen=True)
+class Left:
+    """Unknown structure, named causes that were only its proxies, and parameters that change."""
+
+    unknown: tuple[UnexplainedStructure, ...]
+    replaced: tuple[str, ...]
+    changes: tuple[ParameterChange, ...] = ()
+
+
+class _Found(NamedTuple):
+    """A component that is taken for real: the state in which it was found, its share, its p-value; `change`: of a
+    parameter, if it is one."""
+
+    state: SelectionState
+    component: Component
+    share: float
+    p_value: float
+    change: Sought | None = None
+
+
+def unexplained(extension: Extension, *, seed: int) -> Left:
+    """Look at what the extended model leaves; then whether a component explains a named cause better than itself."""
+    state, found = extension.state, list[_Found]()
+    for number in range(state.settings.unnamed_most):
+        one = _best(state, [f.component for f in found], seed + number)
+        if one is None:
+            break
+        found.append(one)
+        state = one.state
+    if found:
+        return _left(extension, found, _superfluous(state, extension.causes, [f.component for f in found]))
+    stand_in = _proxies(extension, seed)
+    return Left((), ()) if stand_in is None else _left(extension, [stand_in], extension.causes)
+
+
+def _left(extension: Extension, found: Sequence[_Found], replaced: tuple[str, ...]) -> Left:
+    """What was found, as it is told."""
+    unknown, changes, chosen = [], [], [f.component for f in found]
+    bare = taken_out(found[-1].state, [name for name in replaced if name in found[-1].state.active])
+    last = extension.steps[-1] if extension.steps else None
+    election = None if last is None or last.chosen is not None else last.screening
+    for one in found:
+        if one.change is not None:
+            changes.append(told(bare, one.change, chosen, election))
+        else:
+            coefficient, channel = one.component.label.split(" over ")
+            unknown.append(UnexplainedStructure(coefficient, channel, one.share, one.p_value))
+    return Left(tuple(unknown), replaced, tuple(changes))
+
+
+def taken_out(state: SelectionState, effects: Sequence[str]) -> SelectionState:
+    """The state with some of its additions at neutral, to first order."""
+    if not effects:
+        return state
+    own = state.full.own_columns(*effects)
+    away, theta, mean = state.departure[own], state.theta.copy(), state.mean.copy()
+    theta[own], mean[own] = state.full.neutral_vector[own], mean[own] + away
+    residual = state.residual + state.S[:, :, own] @ away
+    active = tuple(e for e in state.active if e not in effects)
+    products = state.products.shifted(own, -away)
+    return replace(state, theta=theta, mean=mean, residual=residual, products=products, active=active)
+
+
+def _superfluous(state: SelectionState, causes: Sequence[str], chosen: Sequence[Component]) -> tuple[str, ...]:
+    """Named causes of which little is left once the components are in: they had stood in for them."""
+    deviance, count = _with(state, chosen)
+    dropped = []
+    for name in causes:
+        rest, _ = _with(removed(state, name), chosen)
+        if 1.0 - np.exp(-max(rest - deviance, 0.0) / count) < state.settings.unnamed_share:
+            dropped.append(name)
+    return tuple(dropped)
+
+
+def _with(state: SelectionState, chosen: Sequence[Component]) -> tuple[float, float]:
+    """Deviance of the active effects and the chosen components together, and the number of blocks."""
+    wide = with_components(state, (), chosen, state.folds)
+    return wide.fit().deviance, float(wide.products.count.sum())
+
+
+def _best(state: SelectionState, chosen: Sequence[Component], seed: int) -> _Found | None:
+    """The component, or the change of a parameter, that explains what is left, is beyond chance and predicts what was
+    left out. Of both, the one that predicts it better."""
+    smooth, change = _best_function(state, chosen, seed), sought_change(state, chosen, seed=seed)
+    if change is None:
+        return smooth
+    found = _Found(change.state, change.change.component, change.share, change.p_value, change)
+    if smooth is None or change.gained >= holdout_gain_of(state, smooth.component, chosen):
+        return found
+    return smooth
+
+
+def _best_function(state: SelectionState, chosen: Sequence[Component], seed: int) -> _Found | None:
+    """The best function of a channel or of time."""
+    for folds, components, least in families(state):
+        trial = with_components(state, components, chosen, folds)
+        fit = trial.fit()
+        leaders = screen(trial, fit, seed=seed, nulls=False).candidate_scores[: state.settings.unnamed_tried]
+        for standing in leaders:
+            own = np.array(standing.columns, int)
+            wide = np.concatenate([trial.columns(), own])
+            gained = holdout_deviance_gain(trial, wide)
+            share = share_of(trial, own)
+            if gained <= 0.0 or share < least:
+                continue
+            p = _p_value(trial, fit, trial.products.fit(wide, trial.mean, trial.precision), share, seed)
+            if p <= state.settings.unnamed_false_alarm_rate:
+                return _Found(state, next(c for c in components if c.label == standing.effect), share, p)
+    return None
+
+
+def _p_value(state: SelectionState, fit: Fit, wider: Fit, share: float, seed: int) -> float:
+    """How often noise alone lets some component explain so large a share.
+
+    The noise has the colour that is left with the component in: with it out, the structure itself would pass for slow
+    noise, under which anything goes.
+    """
+    colour = autocorrelation_of(state.left(wider), state.folds)
+    shares = explained_shares(state, fit, colour, seed, state.settings.unnamed_replicates)
+    return float((1 + np.sum(shares >= share)) / (1 + len(shares)))
+
+
+def _proxies(extension: Extension, seed: int) -> _Found | None:
+    """A component, or the change of a parameter, that predicts unseen data clearly better than all named causes of the
+    coefficients together.
+
+    The causes were then stand-ins for something that is in no catalogue. Effects are taken out to first order.
+    """
+    if not extension.causes:
+        return None
+    function, change = _standing_in(extension), _changing_in(extension, seed)
+    if change is None or (function is not None and function[0] > change[0]):
+        return None if function is None else function[1]
+    return change[1]
+
+
+def _changing_in(extension: Extension, seed: int) -> tuple[float, _Found] | None:
+    """A change in place of the causes, and by how much more than they must it predicts."""
+    state = extension.state
+    bare = taken_out(state, extension.causes)
+    if not testable(bare):
+        return None
+    parts = parts_of(state, state.settings.change_parts)
+    products = Products.of(bare.residual / bare.noise_growth, bare.scaled, parts)
+    own = state.full.own_columns(*extension.causes)
+    known = holdout_deviance_gain(replace(bare, products=products, folds=parts), np.append(bare.columns(), own))
+    found = sought_change(bare, (), seed=seed, least=max(known, 0.0))
+    if found is None:
+        return None
+    margin = _margin(state, found.gained, known)
+    one = _Found(found.state, found.change.component, found.share, found.p_value, found)
+    return None if margin <= 0.0 else (margin, one)
+
+
+def _margin(state: SelectionState, gained: float, known: float) -> float:
+    """Deviance by which a component predicts more than it must to take the place of causes that gain `known`."""
+    return gained - state.settings.stand_in * max(known, 0.0) - 6.0 * state.variance_inflation
+
+
+def _standing_in(extension: Extension) -> tuple[float, _Found] | None:
+    """The same of a function."""
+    state = extension.state
+    own = state.full.own_columns(*state.active)
+    best = None
+    for folds, components, least in families(state):
+        trial = with_components(state, components, (), folds)
+        bare = trial.columns(())
+        products = trial.products.shifted(own, -state.departure[own])
+        taken_out = replace(trial, products=products, active=())
+        known = holdout_deviance_gain(taken_out, np.concatenate([bare, own]), bare)
+        width = max(len(columns) for columns in trial.component_columns)
+        dummy = trial.S.shape[2] - 1
+        rows = [np.append(np.append(bare, c), np.full(width - len(c), dummy)) for c in trial.component_columns]
+        deviance = products.fit_many(np.array(rows, int), trial.mean, trial.precision)[3]
+        for i in np.argsort(deviance)[: state.settings.unnamed_tried]:
+            columns = trial.component_columns[i]
+            gained = holdout_deviance_gain(taken_out, np.concatenate([bare, columns]), bare)
+            margin, share = _margin(state, gained, known), share_of(taken_out, columns)
+            if margin > 0.0 and share >= least and (best is None or margin > best[0]):
+                best = (margin, _Found(state, components[i], share, float("nan")))
+    return best

@@ -1,0 +1,111 @@
+"""A parameter that changes during simulated records is found, at its time and of its size; where nothing changes, no
+change is claimed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from changing_parameters import AT, changed
+
+from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.result import Verdict
+from bayes_aero.diagnosis.structure.change_scan import ChangeScan, Span, spans
+from bayes_aero.diagnosis.structure.changes import manoeuvres
+from bayes_aero.diagnosis.structure.components import with_components
+from bayes_aero.simulate.injection import flyable
+
+
+def test_moments_are_every_block_of_a_manoeuvre_but_those_at_its_ends():
+    found = spans(np.repeat([0, 1], [6, 5]), least=2, most=100)
+    first = [Span(0, begin, end) for begin in (2, 3, 4) for end in (6, 11)]  # in the first alone, or from then on
+    second = [Span(1, begin, 11) for begin in (6, 8, 9)]  # from the second on, or within it
+    assert found == [*first, *second]
+
+
+def test_in_one_of_three_manoeuvres_a_parameter_may_differ_alone():
+    found = spans(np.repeat([0, 1, 2], 4), least=2, most=100)
+    assert Span(1, 4, 8) in found
+    assert Span(1, 4, 12) in found
+
+
+def test_long_records_are_not_divided_at_every_block():
+    begins = {span.begin for span in spans(np.zeros(5000, int), least=30, most=1000)}
+    assert len(begins) <= 1000
+    assert np.ptp(np.diff(sorted(begins))) == 0
+
+
+def test_a_change_is_what_least_squares_with_its_column_finds(diagnosed):
+    """Against the library's least squares with the column written out; priors are rows of their own."""
+    own = diagnosed.view.diagnosis.aerodynamics.state
+    state = with_components(own, (), (), manoeuvres(own))
+    fit, columns = state.fit(), state.full.columns(["Cm0", "CLaM"])
+    over = [Span(0, 100, 200), Span(0, 170, len(state.residual))]
+    scan, residual = ChangeScan(state, fit, columns, over), state.left(fit)
+    estimates = scan.estimates(residual)
+    gains = scan.gains(estimates)
+    root = np.sqrt(scan.weight)[:, None]
+    free = (state.scaled[:, :, fit.columns] * root).reshape(-1, len(fit.columns))
+    left = (residual * root[:, 0]).reshape(-1)
+    prior = np.diag(np.sqrt(state.precision[fit.columns]))
+
+    def least_squares(A, rows):
+        unit = np.linalg.norm(np.vstack([A, rows]), axis=0)
+        found = np.linalg.lstsq(np.vstack([A, rows]) / unit, np.append(left, np.zeros(len(rows))), rcond=None)[0]
+        return found / unit, float(np.sum((left - A @ (found / unit)) ** 2) + np.sum((rows @ (found / unit)) ** 2))
+
+    _, without = least_squares(free, prior)
+    for i, span in enumerate(over):
+        for p, column in enumerate(columns):
+            own = np.zeros_like(state.residual)
+            own[span.begin : span.end] = state.scaled[span.begin : span.end, :, column]
+            A = np.column_stack([free, (own * root[:, 0]).reshape(-1)])
+            found, deviance = least_squares(A, np.column_stack([prior, np.zeros(len(prior))]))
+            assert estimates[i, p] == pytest.approx(found[-1], rel=1e-3)
+            assert gains[i, p] == pytest.approx(without - deviance, rel=1e-3, abs=1e-6)
+            told = scan.explained(i, p, float(estimates[i, p]))
+            assert np.sum(scan.weight * told * residual) == pytest.approx(gains[i, p], rel=1e-3)
+
+
+# Cm0 as a stuck tab or half a degree of elevator changes it; CLaM at Mach 0.3 as ice that takes 5 % of the lift slope.
+HIDDEN = [("Cm0", 0.006, 63, "ar1"), ("CLaM", -0.8, 57, "buffet")]
+MORE = [("Cm0", -0.003, 62, "buffet"), ("CLaM", 0.8, 53, "white"), ("CLaM", -1.6, 58, "outliers")]
+
+
+@pytest.mark.recovery
+@pytest.mark.parametrize(
+    ("name", "size", "seed", "noise"), [*HIDDEN, *(pytest.param(*x, marks=pytest.mark.verify) for x in MORE)]
+)
+def test_a_parameter_that_changes_is_found_with_its_time_and_size(name, size, seed, noise, card):
+    records = changed(name, size, seed=seed, noise=noise, seconds=90.0)
+    found = diagnose(records, card, seed=seed, gains_wanted=False)
+    assert found.verdict is Verdict.UNEXPLAINED
+    assert not found.causes
+    (change,) = found.changes
+    assert (change.parameter, change.manoeuvre) == (name, records[1].name)
+    assert change.interval[0] <= AT <= change.interval[1]
+    assert abs(change.size[0] - size) < 4.0 * change.size[1]
+    assert change.after[0] - change.before[0] == pytest.approx(change.size[0])
+    assert change.share > found.aerodynamics.state.settings.change_share
+    assert change.gain > 3.0
+
+
+@pytest.mark.recovery
+@pytest.mark.parametrize("seed", [62, *(pytest.param(s, marks=pytest.mark.verify) for s in (57, 63))])
+def test_in_the_silent_twin_nothing_changes(seed, card):
+    found = diagnose(changed(None, 0.0, seed=seed, noise="ar1", seconds=90.0), card, seed=seed, gains_wanted=False)
+    assert found.verdict is Verdict.NO_EFFECT
+    assert not found.changes
+
+
+HELD = ("thrust_moment", 42), ("alpha_scale", 43)
+OTHERS = ("pitch_rate_lift", 41), ("separation_lag", 45), ("mass_scale", 46), ("stabilizer_trim", 40)
+
+
+@pytest.mark.recovery
+@pytest.mark.parametrize(("name", "seed"), [*HELD, *(pytest.param(*x, marks=pytest.mark.verify) for x in OTHERS)])
+def test_an_effect_of_the_catalogue_is_no_change_of_a_parameter(name, seed, card):
+    _, flights = flyable([name], seed=seed, noise="ar1", seconds=90.0)
+    found = diagnose([flight.record for flight in flights], card, seed=seed, gains_wanted=False)
+    assert [cause.name for cause in found.causes] == [name]
+    assert not found.changes
+    assert not found.unknown
