@@ -97,7 +97,7 @@ def testable(state: SelectionState) -> bool:
     """Whether the state is of coefficients that are modelled, and every manoeuvre long enough to be divided."""
     parts = parts_of(state, state.settings.change_parts)
     long = all(part.stop - part.start > ORDER for part in parts)
-    return state.outputs == NAMES and long and bool(len(_free(state)) and _over(state))
+    return state.outputs == state.responses.model.coefficients and long and bool(len(_free(state)) and _over(state))
 
 
 def _promising(state: SelectionState, chosen: Sequence[Component], least: float) -> tuple[Change, ChangeScan] | None:

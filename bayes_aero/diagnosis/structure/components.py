@@ -40,7 +40,7 @@ def smooth_components(state: SelectionState) -> list[Component]:
         if np.ptp(x) <= 1e-6 * max(1.0, float(np.abs(x).max())):
             continue
         basis = _basis(x, state.settings.knots)
-        found += [_of_one(f"{c} over {name}", c, basis) for c in state.outputs]
+        found += [_of_one(state.outputs, f"{c} over {name}", c, basis) for c in state.outputs]
     return found
 
 
@@ -55,14 +55,14 @@ def periodic_components(state: SelectionState) -> list[Component]:
         phase = 2.0 * np.pi * elapsed / period
         wave = np.stack([np.sin(phase), np.cos(phase)], axis=1)
         basis = np.concatenate([wave * (manoeuvre == k)[:, None] for k in range(int(manoeuvre[-1]) + 1)], axis=1)
-        found += [_of_one(f"{c} over time, period {period:.3g} s", c, basis) for c in state.outputs]
+        found += [_of_one(state.outputs, f"{c} over time, period {period:.3g} s", c, basis) for c in state.outputs]
     return found
 
 
-def _of_one(label: str, coefficient: str, basis: Float[np.ndarray, "m w"]) -> Component:
+def _of_one(outputs: Sequence[str], label: str, coefficient: str, basis: Float[np.ndarray, "m w"]) -> Component:
     """A component that acts on one coefficient."""
-    block = np.zeros((len(basis), len(NAMES), basis.shape[1]))
-    block[:, NAMES.index(coefficient)] = basis
+    block = np.zeros((len(basis), len(outputs), basis.shape[1]))
+    block[:, outputs.index(coefficient)] = basis
     return Component(label, block)
 
 
