@@ -42,7 +42,6 @@ _NAMES: dict[str, str] = {
     "stabilizer": "stab stabilizer stabiliser ih ihtrm pitchtrim stabtrim htrim stabpos",
     "rudder": "dr rudder rud drud rudderposition rudpos deltar rudderdeflection",
     "aileron": "ail aileron da dail deltaa aileronposition ailpos ailerondeflection dela",
-    "aileron": "da ail aileron aileronposition ailpos deltaa dela ailerondeflection",
     "aileron_left": "daill aileronleft leftaileron ailleft aill dal",
     "aileron_right": "dailr aileronright rightaileron ailright ailr dar",
     "flap": "flap flaps flapposition flappos df flapangle flapdeflection",

@@ -104,7 +104,7 @@ def test_without_an_effect_that_tells_them_apart_nothing_is_computed_twice(card)
         return str(program).count("logistic")
 
     v = {k: jnp.asarray(x) for k, x in TRUTH.items()}
-    at_neutral = dict.fromkeys(("wing_asymmetry", "roll_station"), 0.0)
+    at_neutral: dict[str, float] = dict.fromkeys(("wing_asymmetry", "roll_station"), 0.0)
     held = Model.of([*card.effects, "wing_asymmetry", "roll_rate_incidence", *WINGS], at_neutral, BOTH)
     assert not held.two_wings
     assert steps(Model.of(card.effects), v) == steps(held, v | at_neutral) == 1

@@ -11,18 +11,8 @@ from bayes_aero.flight.record import FlightRecord
 
 CONTROLS = frozenset(
     {"elevator", "elevator_left", "elevator_right", "elevon_left", "elevon_right", "canard", "stabilizer", "rudder"}
-    | {
-        "aileron",
-        "aileron_left",
-        "aileron_right",
-        "flap",
-        "spoiler_left",
-        "spoiler_right",
-        "dlc_left",
-        "dlc_right",
-        "gear",
-    }
-    | {"engine_speed", "throttle", "throttle_left", "throttle_right", "n1_left", "n1_right", "fuel_used"}
+    | {"aileron", "aileron_left", "aileron_right", "flap", "spoiler_left", "spoiler_right", "dlc_left", "dlc_right"}
+    | {"gear", "engine_speed", "throttle", "throttle_left", "throttle_right", "n1_left", "n1_right", "fuel_used"}
     | {"thrust_left", "thrust_right", "thrust"}
 )
 """Channels that may rightly stand still, step, and rest at a stop."""
