@@ -77,7 +77,8 @@ def motion_of_aircraft(
         if Axis.LATERAL in axes:
             return fx, lateral_force(known["CY"], pressure, aircraft), fz
         if "ay" in path:
-            spin = Rotation(path["p"], path["q"], path["r"], *(path.get(f"{n}_dot", nothing) for n in RATES))
+            p_dot, q_dot, r_dot = (path.get(f"{n}_dot", nothing) for n in RATES)
+            spin = Rotation(path["p"], path["q"], path["r"], p_dot, q_dot, r_dot)
             return fx, path["ay"] - lever_arm(spin, aircraft.accelerometer)[1], fz  # q-dot does not enter it
         return fx, side_force(path, fx, fz) if "beta_dot" in path else nothing, fz
 

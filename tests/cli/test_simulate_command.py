@@ -9,7 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from bayes_aero.cli.choices import Manoeuvre
 from bayes_aero.dynamics.simulated.manoeuvres import commands
+from bayes_aero.dynamics.simulated.rigid_manoeuvres import lateral_commands
 from bayes_aero.dynamics.simulated.trim import Trim
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.reading.read_record import read_record
@@ -61,7 +63,9 @@ def test_noise_is_that_of_the_sensors_and_of_the_seed(program, flights):
 
 def test_every_standard_manoeuvre_can_be_chosen():
     time = np.arange(0.0, 60.0, 0.04)
-    assert set(commands(time, Trim(0.1, 2e4, 0.0), 0.1, 0.0)) | {request.RANDOM_STALL} == set(request.MANOEUVRES)
+    trim = Trim(0.1, 2e4, 0.0)
+    known = {*commands(time, trim, 0.1, 0.0), *lateral_commands(time, trim), request.RANDOM_STALL}
+    assert known == set(request.MANOEUVRES) == set(Manoeuvre)
 
 
 @pytest.mark.parametrize(
