@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -14,9 +14,8 @@ from jaxtyping import Array
 
 from bayes_aero.dynamics.aircraft.effect_system import LEAST_LAG, EffectSystem
 from bayes_aero.dynamics.aircraft.longitudinal import LATERAL, Longitudinal
-from bayes_aero.dynamics.aircraft.prescribed import SIDE, lateral_drives, rigid_drives, rigid_needs, rigid_outputs
+from bayes_aero.dynamics.aircraft.prescribed import SIDE, lateral_drives, needed_channels, rigid_drives, rigid_outputs
 from bayes_aero.dynamics.aircraft.rigid_body import RigidBody, held_states
-from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.system import System
 from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
@@ -294,11 +293,6 @@ def aircraft_dynamics(
                 "has the role lag"
             )
     return dynamics
-
-
-def needed_channels(axes: Collection[Axis]) -> tuple[str, ...]:
-    """Channels without which no aircraft is flown whose model has these axes."""
-    return (*(rigid_needs(axes) if Axis.LATERAL in axes else FLIGHT), "thrust", "density")
 
 
 def taken_as_zero(flights: Recorded) -> list[str]:

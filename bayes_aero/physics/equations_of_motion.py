@@ -102,7 +102,7 @@ def motion_of_aircraft(
 
 def accelerometers(now: Motion, path: Mapping[str, Any], aircraft: Aircraft) -> dict[str, Any]:
     """What accelerometers away from the CG feel, m/s2; `path` has the rates p, q, r."""
-    arm = lever_arm(Rotation(*(path[n] for n in RATES), *now.turning), aircraft.accelerometer)
+    arm = lever_arm(Rotation(path["p"], path["q"], path["r"], *now.turning), aircraft.accelerometer)
     return {name: f + x for name, f, x in zip(("ax", "ay", "az"), now.force, arm, strict=True)}
 
 
