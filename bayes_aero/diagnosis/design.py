@@ -24,6 +24,7 @@ from bayes_aero.diagnosis.settings import ENOUGH
 from bayes_aero.dynamics.simulated.manoeuvres import MOVED, fly_standard
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
+from bayes_aero.flight.axes import Axis
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.joined_records import Recorded
 from bayes_aero.model.model import Model
@@ -108,6 +109,8 @@ def standard(state: SelectionState, effects: Sequence[str], *, amplitude: float 
 
     `amplitude` multiplies every input. What the record itself gets wrong (sensors, thrust) is flown as at neutral.
     """
+    if Axis.LATERAL in state.full.model.axes:
+        raise InputError("manoeuvres that would separate them are designed for the longitudinal axis alone")
     small = _narrowed(state, effects)
     true = state.full.at_neutral(state.theta, [e.name for e in small.effects if e.stage is Stage.CHANNEL])
     theta = {n: x for n, x in zip(state.full.model.names, true, strict=True) if n in small.names}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -14,11 +14,10 @@ from jaxtyping import Array
 
 from bayes_aero.dynamics.aircraft.effect_system import LEAST_LAG, EffectSystem
 from bayes_aero.dynamics.aircraft.longitudinal import LATERAL, Longitudinal
-from bayes_aero.dynamics.aircraft.prescribed import SIDE, lateral_drives, rigid_drives, rigid_needs, rigid_outputs
+from bayes_aero.dynamics.aircraft.prescribed import SIDE, lateral_drives, needed_channels, rigid_drives, rigid_outputs
 from bayes_aero.dynamics.aircraft.rigid_body import RigidBody, held_states
-from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.system import System
-from bayes_aero.effect import Stage
+from bayes_aero.effect import WINGS, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
 from bayes_aero.flight.axes import Axis
@@ -293,12 +292,18 @@ def aircraft_dynamics(
                 f"effect {effect.name} is a lag of the separation point that cannot be flown: none of its parameters "
                 "has the role lag"
             )
+    _refuse_lag_of_two_wings(model)
     return dynamics
 
 
-def needed_channels(axes: Collection[Axis]) -> tuple[str, ...]:
-    """Channels without which no aircraft is flown whose model has these axes."""
-    return (*(rigid_needs(axes) if Axis.LATERAL in axes else FLIGHT), "thrust", "density")
+def _refuse_lag_of_two_wings(model: Model) -> None:
+    lags = [e.name for e in model.acting if e.stage is Stage.LAG]
+    if lags and model.two_wings:
+        apart = [e.name for e in model.acting if WINGS[0] in e.example.increments]
+        raise InputError(
+            f"effects {', '.join(apart)} give either wing a separation point, and {lags[0]} lets it lag: simulations "
+            "carry one such state, not two; remove the one or the other"
+        )
 
 
 def taken_as_zero(flights: Recorded) -> list[str]:

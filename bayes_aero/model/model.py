@@ -214,17 +214,14 @@ class Model:
     ) -> dict[str, Any]:
         """Everything the effects build: X, the attached lift, the coefficients (see `effect.Known`).
 
-        `X` given, as a simulation does that carries it as a state, takes the place of the stages that build it.
-
-        Raises:
-            InputError: `X` is given, and it is the mean of two wings that lag.
+        `X` given, as a simulation does that carries it as a state, takes the place of the stages that build it; of two
+        wings it is the mean, and their difference is the static one.
         """
         if X is None:
             known = self._separated((Stage.SEPARATION, Stage.LAG), values, signals, aircraft)
         elif not self.two_wings:
             known = self._neutral(signals) | {"X": X}
         else:
-            self._refuse_lag_of_two_wings()
             known = self._separated((Stage.SEPARATION,), values, signals, aircraft) | {"X": X}
         known = self._run((Stage.ATTACHED,), known, values, signals, aircraft)
         known["CL"] = known["CL"] + known["CL_attached"]
@@ -243,15 +240,6 @@ class Model:
             for side in (half, -half)
         )
         return known | {"X": (right + left) / 2.0, "X_difference": right - left}
-
-    def _refuse_lag_of_two_wings(self) -> None:
-        lags = [e.name for e in self.acting if e.stage is Stage.LAG]
-        if lags:
-            apart = [e.name for e in self.acting if WINGS[0] in e.example.increments]
-            raise InputError(
-                f"effects {', '.join(apart)} give either wing a separation point, and {lags[0]} lets it lag: "
-                "simulations carry one such state, not two; remove the one or the other"
-            )
 
     def _neutral(self, signals: Signals) -> dict[str, Any]:
         zeros = xp.zeros_like(signals["alpha"])

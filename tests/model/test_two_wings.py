@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.special import expit
 
+from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.axes import Axis
@@ -126,10 +129,11 @@ def test_either_wing_lags_by_itself_behind_its_own_static_point(card):
 
 
 def test_a_simulation_that_carries_one_lagging_point_says_that_it_cannot_carry_two(card):
-    s = signals()
-    model, v = model_and_values(card)
+    s = signals() | dict.fromkeys(("theta", "phi", "beta", "density", "thrust"), jnp.ones(N))
+    model, _ = model_and_values(card)
+    flights = SimpleNamespace(channels={**s, **dict.fromkeys(model.channels, jnp.ones(N))}, names=("one",))
     with pytest.raises(InputError, match=r"wing_asymmetry, roll_rate_incidence.*and separation_lag lets it lag"):
-        model.flow(v, s, card.aircraft, X=jnp.full(N, 0.5))
+        aircraft_dynamics(model, flights)  # pyright: ignore[reportArgumentType]
 
 
 def test_a_simulation_without_lag_gives_the_mean_and_gets_the_difference(card):

@@ -126,7 +126,7 @@ def _followed(
     gusty, filtered = fit_disturbed(whole, start, flown.R, exact=False, near=before)
     if filtered.status is PredictionErrorStatus.DIVERGED:
         raise InputError(f"process noise cannot be estimated: {filtered.status.value}")
-    return _state(_in_gusts(full, gusty.dynamics), gusty, filtered, flown.base.altitude, active), filtered
+    return _state(_in_gusts(full, gusty.dynamics), gusty, filtered, flown.base, active), filtered
 
 
 def _in_gusts(full: CandidateModel, dynamics: Dynamics) -> CandidateModel:
@@ -140,12 +140,12 @@ def _state(
     full: CandidateModel,
     gusty: SegmentTrajectories,
     filtered: PredictionErrorResult,
-    altitude: bool,
+    base: AircraftDynamics,
     active: tuple[str, ...],
 ) -> SelectionState:
     """The problem linearised at the filter's parameters, all other candidates neutral."""
     known = dict(zip(filtered.names, filtered.estimate, strict=True))
     theta = np.array([known.get(name, full.neutral[name]) for name in full.model.names])
-    dynamics = AircraftDynamics(full.model, altitude)
+    dynamics = replace(base, model=full.model)
     responses = FilterError.after(gusty, filtered.estimate, filtered.R, filtered.found, dynamics)
     return linearised(full, responses, responses.outputs, theta, active)

@@ -65,7 +65,7 @@ def search_trajectories(
     if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
         raise InputError(f"card {card.name}: {fit.status.value}")
     whole = candidate_model(model, flights, extra, settings)
-    state = _state(without_lags(whole), flights, base.altitude, dict(zip(fit.names, fit.estimate, strict=True)))
+    state = _state(without_lags(whole), flights, base, dict(zip(fit.names, fit.estimate, strict=True)))
     found = forward_selection(state, seed=seed, progress=progress)
     if found.state.active:
         found = _with_lag(whole, found, seed, progress) or found
@@ -95,11 +95,15 @@ def in_windows(flights: Flights, dynamics: AircraftDynamics) -> OutputErrorResul
 
 
 def _state(
-    full: CandidateModel, flights: Flights, altitude: bool, values: Mapping[str, float], active: tuple[str, ...] = ()
+    full: CandidateModel,
+    flights: Flights,
+    base: AircraftDynamics,
+    values: Mapping[str, float],
+    active: tuple[str, ...] = (),
 ) -> SelectionState:
     """The problem linearised where these parameters have these values and all others are neutral."""
     theta = np.array([values.get(name, full.neutral[name]) for name in full.model.names])
-    dynamics = AircraftDynamics(full.model, altitude)
+    dynamics = replace(base, model=full.model)
     responses = OutputError.of(flights, dynamics, dynamics.substeps(theta, flights))
     return linearised(full, responses, responses.outputs, theta, active)
 
@@ -125,7 +129,7 @@ def _lagged(whole: CandidateModel, found: Extension, seed: int, progress: Progre
     assert isinstance(responses, OutputError)
     dynamics = responses.windows.dynamics
     assert isinstance(dynamics, AircraftDynamics)
-    state, fit = refitted(_state(whole, responses.flights, dynamics.altitude, values, (lag.name,)))
+    state, fit = refitted(_state(whole, responses.flights, dynamics, values, (lag.name,)))
     among = found.steps[0].screening
     gain = nats(found.base_fit.deviance - fit.deviance, found.base.variance_inflation)
     settings, chance = state.settings, between_p_value(state, fit, lag.name, len(among.candidate_scores) + 1)

@@ -9,6 +9,7 @@ from jaxtyping import Array
 
 from bayes_aero.dynamics.aircraft.longitudinal import LATERAL
 from bayes_aero.dynamics.aircraft.rigid_body import ANGLES, FLIGHT
+from bayes_aero.dynamics.output_channels import FLIGHT as IN_PLANE
 from bayes_aero.flight.axes import Axis
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.physics.filters import differentiate, smooth
@@ -58,10 +59,12 @@ def rigid_outputs(axes: Collection[Axis], start: Collection[str]) -> tuple[str, 
     return (*simulated, *(n for n in ("ax", "ay", "az") if n in forces))
 
 
-def rigid_needs(axes: Collection[Axis]) -> tuple[str, ...]:
-    """Channels without which a rigid body cannot be flown: where it begins, and forces of axes without a model."""
+def needed_channels(axes: Collection[Axis]) -> tuple[str, ...]:
+    """Channels without which no aircraft is flown whose model has these axes: where it begins, and given forces."""
+    if Axis.LATERAL not in axes:
+        return (*IN_PLANE, "thrust", "density")
     forces = () if Axis.LONGITUDINAL in axes else FORCES[Axis.LONGITUDINAL]
-    return (*FLIGHT, "phi", "theta", *forces)
+    return (*FLIGHT, "phi", "theta", *forces, "thrust", "density")
 
 
 def _side(channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:

@@ -13,10 +13,10 @@ def increments(v, s, a, known):
     x, V, alpha = v["pitot_position"], s["airspeed"], s["alpha"]
     beta = s.get("beta", xp.zeros_like(V))
     r = s.get("r", xp.zeros_like(V))
-    along = V * xp.cos(beta) * xp.cos(alpha)
-    across = V * xp.sin(beta) - x * r
-    down = V * xp.cos(beta) * xp.sin(alpha) + x * s["q"]
-    return {"airspeed": xp.sqrt(along**2 + across**2 + down**2) - V}
+    right, down = -x * r, x * s["q"]
+    # Difference of the squares, so that nothing is lost to rounding.
+    more = 2.0 * V * (xp.sin(beta) * right + xp.cos(beta) * xp.sin(alpha) * down) + right**2 + down**2
+    return {"airspeed": more / (xp.sqrt(V**2 + more) + V)}
 
 
 EFFECT = Effect(
