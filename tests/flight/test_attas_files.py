@@ -62,7 +62,7 @@ CHANNELS = tuple(Channel(name, unit, column=column) for name, unit, column, _ in
 
 ELSEWHERE = {  # of other aircraft; thrust is the sum of two columns here
     "thrust", "elevator_left", "elevator_right", "elevon_left", "elevon_right", "canard", "engine_speed", "throttle",
-    "throttle_left", "throttle_right", "dynamic_pressure",
+    "throttle_left", "throttle_right", "dynamic_pressure", "aileron",
 }  # fmt: skip
 
 

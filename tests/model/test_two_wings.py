@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +12,7 @@ from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.axes import Axis
+from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.physics.separation import lagged
 from bayes_aero.simulate.demo import TRUTH
@@ -129,11 +128,12 @@ def test_either_wing_lags_by_itself_behind_its_own_static_point(card):
 
 
 def test_a_simulation_that_carries_one_lagging_point_says_that_it_cannot_carry_two(card):
-    s = signals() | dict.fromkeys(("theta", "phi", "beta", "density", "thrust"), jnp.ones(N))
+    s = signals() | dict.fromkeys(("theta", "phi", "beta", "q", "r", "density", "thrust"), jnp.ones(N))
     model, _ = model_and_values(card)
-    flights = SimpleNamespace(channels={**s, **dict.fromkeys(model.channels, jnp.ones(N))}, names=("one",))
+    channels = {**s, **dict.fromkeys(model.channels, jnp.ones(N))}
+    flights = Flights(channels, card.aircraft, np.zeros(N, int), DT * np.arange(N), (N,), ("one",))
     with pytest.raises(InputError, match=r"wing_asymmetry, roll_rate_incidence.*and separation_lag lets it lag"):
-        aircraft_dynamics(model, flights)  # pyright: ignore[reportArgumentType]
+        aircraft_dynamics(model, flights)
 
 
 def test_a_simulation_without_lag_gives_the_mean_and_gets_the_difference(card):
