@@ -20,7 +20,7 @@ from PIL import Image
 
 HERE = Path(__file__).resolve().parent
 TIMEOUT = 1800  # s, a cell
-NEEDS_RECORDS = {"06_what_the_attas_flights_say", "07_vane_position_or_delay"}
+NEEDS_RECORDS = {"06_what_the_attas_flights_say", "07_vane_position_or_delay", "08_three_axes"}
 QUIET = ["--log-level=ERROR"]  # the kernel warns that it listens on this machine's own loopback
 RECORDS = HERE.parents[1] / "shared" / "attas"
 

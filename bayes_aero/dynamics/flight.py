@@ -14,8 +14,9 @@ from jaxtyping import Array
 
 from bayes_aero.dynamics.aircraft.effect_system import LEAST_LAG, EffectSystem
 from bayes_aero.dynamics.aircraft.longitudinal import LATERAL, Longitudinal
-from bayes_aero.dynamics.aircraft.prescribed import SIDE, lateral_drives, needed_channels, rigid_drives, rigid_outputs
+from bayes_aero.dynamics.aircraft.prescribed import SIDE, lateral_drives, rigid_drives, rigid_outputs
 from bayes_aero.dynamics.aircraft.rigid_body import RigidBody, held_states
+from bayes_aero.dynamics.output_channels import needed_channels
 from bayes_aero.dynamics.system import System
 from bayes_aero.effect import WINGS, Stage
 from bayes_aero.errors import InputError

@@ -21,7 +21,6 @@ from bayes_aero.model.chosen import as_on_card, effect_named, lengths_of, no_suc
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.parameter import USUAL, Lengths, Parameter, Role, per_length
 from bayes_aero.physics.coefficient_names import coefficients_of
-from bayes_aero.physics.kinematics import RATES
 
 Signals = Mapping[str, Float[Array, "*#n"]]
 
@@ -180,16 +179,13 @@ class Model:
         return dict(self.fixed) | {name: theta[i] for i, name in enumerate(self.names)}
 
     def corrected(self, values: Mapping[str, Any], channels: Mapping[str, Any], aircraft: Aircraft) -> dict[str, Any]:
-        """Recorded channels made true: effects of stage CHANNEL see what was recorded, and all are added.
+        """Recorded channels made true: every effect of stage CHANNEL sees what was recorded, and all are added.
 
-        Gyros come first: what else the rates turn (the flow at a vane ahead of the CG) is corrected by the true ones.
         `channels` are whole manoeuvres end to end, in SI, with the marks that `Stage` names. A delay and a bias of one
-        channel thus commute exactly; a scale and a bias of one channel do to first order.
+        channel thus commute exactly; a scale and a bias of one channel do to first order. So does a bias of a rate
+        beside a vane that the rate moves: a card that fixes both states the angle between them as a bias of the vane.
         """
-        gyros = tuple(e for e in self.acting if e.stage is Stage.CHANNEL and set(e.example.increments) <= set(RATES))
-        true = self._run((Stage.CHANNEL,), channels, values, channels, aircraft, gyros)
-        others = tuple(e for e in self.acting if e not in gyros)
-        return self._run((Stage.CHANNEL,), true, values, true, aircraft, others)
+        return self._run((Stage.CHANNEL,), channels, values, channels, aircraft)
 
     def actual_aircraft(self, values: Mapping[str, Any], aircraft: Aircraft) -> Aircraft:
         """The card's aircraft with the increments of all effects of stage AIRCRAFT; positions add by coordinates."""
@@ -252,12 +248,11 @@ class Model:
         values: Mapping[str, Any],
         signals: Mapping[str, Any],
         aircraft: Aircraft,
-        effects: tuple[Effect, ...] | None = None,
     ) -> dict[str, Any]:
         total = dict(known)
         for stage in stages:
             before = dict(total)
-            for effect in self.acting if effects is None else effects:
+            for effect in self.acting:
                 if effect.stage is stage:
                     for key, increment in effect.increments(values, signals, aircraft, before).items():
                         total[key] = _sum(total[key], increment)

@@ -25,6 +25,7 @@ from bayes_aero.diagnosis.selection.undecided_errors import open_errors
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
 from bayes_aero.flight.agreement import Agreement, Consistency, OpenError, PathCheck
+from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_records import Joined, joined, repaired
@@ -83,7 +84,7 @@ def with_known_errors(
     found = replace(found, errors=known.errors, open=known.open)
     if found.agreement is Agreement.AGREE or not known.effects:
         return found
-    model = Model.of(known.effects)
+    model = Model.of(known.effects, axes=tuple(Axis))
     values = {p: x["mean"] for e in known.errors.values() for p, x in e["parameters"].items()}
     return replace(found, corrected=checks(with_corrections(_flights(records, card), model, values), card, seed))
 

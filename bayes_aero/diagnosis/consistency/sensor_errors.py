@@ -15,6 +15,7 @@ from bayes_aero.diagnosis.selection.block_jackknife import consistent_across_blo
 from bayes_aero.diagnosis.selection.forward_selection import Extension, forward_selection
 from bayes_aero.effect import Kind, Stage
 from bayes_aero.errors import InputError
+from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_records import Joined, joined, repaired
@@ -90,7 +91,7 @@ def as_the_card_states(flights: Joined, card: Card) -> Joined:
         return flights
     fixed = dict(model.fixed)
     values = {p.name: fixed.get(p.name, p.start) for e in stated for p in e.parameters}
-    return with_corrections(flights, Model.of(stated), values)
+    return with_corrections(flights, Model.of(stated, axes=tuple(Axis)), values)
 
 
 def with_corrections(flights: Joined, model: Model, values: Mapping[str, Any]) -> Joined:

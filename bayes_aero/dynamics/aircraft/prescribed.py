@@ -8,15 +8,14 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from bayes_aero.dynamics.aircraft.longitudinal import LATERAL
-from bayes_aero.dynamics.aircraft.rigid_body import ANGLES, FLIGHT
-from bayes_aero.dynamics.output_channels import FLIGHT as IN_PLANE
+from bayes_aero.dynamics.aircraft.rigid_body import ANGLES
+from bayes_aero.dynamics.output_channels import FORCES, RIGID
 from bayes_aero.flight.axes import Axis
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.physics.filters import differentiate, smooth
 from bayes_aero.physics.kinematics import RATES, Rotation, lever_arm
 
 SIDE = ("p", "r", "beta", "phi")  # of these the lateral force follows where no accelerometer gives it
-FORCES: Mapping[Axis, tuple[str, ...]] = {Axis.LONGITUDINAL: ("ax", "az"), Axis.LATERAL: ("ay",)}
 ENGINES = ("thrust", "thrust_left", "thrust_right")
 
 
@@ -55,16 +54,8 @@ def rigid_drives(
 def rigid_outputs(axes: Collection[Axis], start: Collection[str]) -> tuple[str, ...]:
     """What a rigid body is compared with: what is simulated, and the forces that the model has."""
     forces = {name for axis, names in FORCES.items() if axis in axes for name in names}
-    simulated = (n for n in (*FLIGHT, *ANGLES, "altitude") if n in start)
+    simulated = (n for n in (*RIGID, *ANGLES, "altitude") if n in start)
     return (*simulated, *(n for n in ("ax", "ay", "az") if n in forces))
-
-
-def needed_channels(axes: Collection[Axis]) -> tuple[str, ...]:
-    """Channels without which no aircraft is flown whose model has these axes: where it begins, and given forces."""
-    if Axis.LATERAL not in axes:
-        return (*IN_PLANE, "thrust", "density")
-    forces = () if Axis.LONGITUDINAL in axes else FORCES[Axis.LONGITUDINAL]
-    return (*FLIGHT, "phi", "theta", *forces, "thrust", "density")
 
 
 def _side(channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 
 from bayes_aero.dynamics.aircraft.effect_system import EffectSystem
 from bayes_aero.dynamics.aircraft.gusts import FLOW
+from bayes_aero.dynamics.output_channels import RIGID
 from bayes_aero.dynamics.system import Row
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.axes import Axis
@@ -25,7 +26,6 @@ from bayes_aero.model.model import Model
 from bayes_aero.physics.equations_of_motion import accelerometers, motion_of_aircraft
 from bayes_aero.physics.kinematics import RATES, Attitude, down_of, euler_rates
 
-FLIGHT = ("airspeed", "alpha", "beta", *RATES)
 ANGLES = ("phi", "theta", "psi")
 QUATERNION = Attitude._fields
 HELD: Mapping[Axis, tuple[str, ...]] = {
@@ -77,12 +77,12 @@ class RigidBody(EffectSystem):
     def states(self) -> tuple[str, ...]:
         """Flight states, attitude, altitude, gusts, and X where it lags."""
         attitude = self.angles if self.by_angles else QUATERNION
-        return (*(n for n in FLIGHT if n not in self.held), *attitude, *self.after)
+        return (*(n for n in RIGID if n not in self.held), *attitude, *self.after)
 
     @property
     def start(self) -> tuple[str, ...]:
         """The same with angles of attitude."""
-        return (*(n for n in FLIGHT if n not in self.held), *self.angles, *self.after)
+        return (*(n for n in RIGID if n not in self.held), *self.angles, *self.after)
 
     @property
     def envelope(self) -> Mapping[str, tuple[float, float]]:
@@ -136,7 +136,7 @@ class RigidBody(EffectSystem):
         )
         alpha_dot = now.rates["alpha"] + gust_rate
         changing = dict(now.rates) | dict(zip(RATES, now.turning, strict=True))
-        derivative = [changing[name] for name in FLIGHT if name not in self.held]
+        derivative = [changing[name] for name in RIGID if name not in self.held]
         derivative += self._attitude_rates(x, path)
         if self.altitude:
             derivative.append(changing["altitude"])
@@ -145,7 +145,7 @@ class RigidBody(EffectSystem):
             derivative.append(self.separation_rate(state, s | {"alpha_dot": alpha_dot}))
         turning = {f"{n}_dot": x for n, x in zip(RATES, now.turning, strict=True)}
         outputs = accelerometers(now, path, self.aircraft) | turning | {"alpha_dot": alpha_dot}
-        outputs |= {n: s[n] for n in (*FLIGHT, "theta", "altitude") if n in s}
+        outputs |= {n: s[n] for n in (*RIGID, "theta", "altitude") if n in s}
         outputs |= {n: _near(path[n], u.get(f"near_{n}")) for n in ("phi", "psi") if n in path}
         return derivative, outputs | {n: now.flow[n] for n in ("X", *self.model.coefficients)}
 

@@ -22,6 +22,7 @@ from bayes_aero.dynamics.aircraft.gusts import FLOW, InGusts
 from bayes_aero.dynamics.flight import EffectDynamics, Values
 from bayes_aero.dynamics.system import Row, System
 from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
+from bayes_aero.flight.axes import Axis
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Parameter
@@ -130,7 +131,7 @@ class PathDynamics(EffectDynamics):
         """Errors of accelerometers and gyros, then the others."""
         inertial = [e for e in self.model.effects if set(e.channels) <= INERTIAL]
         rest = [e for e in self.model.effects if e not in inertial]
-        return Model.of(inertial), Model.of(rest)
+        return Model.of(inertial, axes=tuple(Axis)), Model.of(rest, axes=tuple(Axis))
 
     def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
         """Specific force at the centre of gravity, rates, and what of the path is prescribed as recorded."""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 
 from bayes_aero.dynamics.path.flight_path import PathDynamics, heading, path_states
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
+from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import Card
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
@@ -42,7 +45,7 @@ def path_dynamics(flights: Flights, card: Card) -> tuple[Flights, PathDynamics]:
         for name in (*COMMON, *OWN)
         if set(CATALOGUE[name].channels) <= there and SHOWN_BY.get(name, states[0]) in states
     ]
-    model = Model.of(chosen)
+    model = Model.of(chosen, axes=tuple(Axis))  # the path feels all
     if card.linear is None:
         stated = Model.from_card(card)
         errors = [e for e in stated.effects if e.stage is Stage.CHANNEL]
@@ -51,8 +54,9 @@ def path_dynamics(flights: Flights, card: Card) -> tuple[Flights, PathDynamics]:
         model = Model.of(
             (*errors, *(e for e in model.effects if e not in errors)),
             {name: value for name, value in stated.fixed if name in names},
+            model.axes,
         )
-        model = Model(model.effects, tuple(known.get(p.name, p) for p in model.parameters), model.fixed)
+        model = replace(model, parameters=tuple(known.get(p.name, p) for p in model.parameters))
     own = tuple(p.name for name in OWN if name in chosen for p in CATALOGUE[name].parameters)
     if "psi" in states:
         turned = flights.channels | {"psi": jnp.asarray(heading(flights))}

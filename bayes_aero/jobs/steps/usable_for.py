@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bayes_aero.diagnosis.folds import too_short
-from bayes_aero.dynamics.aircraft.prescribed import needed_channels
+from bayes_aero.dynamics.output_channels import needed_channels
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.derived_channels import with_sums

@@ -8,7 +8,7 @@ from bayes_aero.parameter import Parameter, Prior
 def increments(v, s, a, known):
     """The flow at the tube is (u, v + x r, w - x q): its speed is recorded, and that at the CG is true.
 
-    Flow angles are taken as they stand at the CG; the recorded ones differ by x q/V, which enters squared.
+    Exact where the flow angles are recorded at the tube, too; of angles at the CG to first order in x q/V.
     """
     x, V, alpha = v["pitot_position"], s["airspeed"], s["alpha"]
     beta = s.get("beta", xp.zeros_like(V))
