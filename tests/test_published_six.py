@@ -73,6 +73,15 @@ def test_published_estimates_come_back(card, records, case, drag):
     assert found.det_R == pytest.approx(reference["det_R"], rel=0.01)
 
 
+def test_each_manoeuvre_is_fitted_alone_in_six_coefficients(card, records):
+    model = Model.from_card(card)
+    observations = observe(records, card, model, Forming.PUBLISHED)
+    alone = fit_mle(model, observations.only(1), extra_starts=0)
+    assert tuple(alone.fit) == observations.thinned().coefficients == ("CL", "CD", "Cm", "CY", "Cl", "Cn")
+    estimate = dict(zip(alone.names, alone.estimate, strict=True))
+    assert estimate["Clda"] == pytest.approx(published("TC23")["parameters"]["Clda"]["estimate"], rel=0.03)
+
+
 def test_a_missing_channel_leaves_its_axis_out_and_says_so(card, records):
     channels = {name: x for name, x in records[1].channels.items() if name != "ay"}
     fewer = [records[0], replace(records[1], channels=channels), records[2]]

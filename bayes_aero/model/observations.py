@@ -90,6 +90,7 @@ class Observations(eqx.Module):
             time=self.time[index],
             aircraft=self.aircraft,
             names=self.names,
+            coefficients=self.coefficients,
         )
 
     def restarted(self, start: Bool[np.ndarray, " n"]) -> Observations:

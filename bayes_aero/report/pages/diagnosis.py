@@ -12,6 +12,7 @@ from bayes_aero.diagnosis.result import COEFFICIENTS, INNOVATIONS, TRAJECTORIES,
 from bayes_aero.diagnosis.settings import ENOUGH
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
+from bayes_aero.flight.axes import Axis
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.time_histories import SYMBOLS, shown_in
 from bayes_aero.report.html.folded_lists import not_testable_list, open_list
@@ -41,6 +42,7 @@ from bayes_aero.report.text.phrases import bracket, several
 from bayes_aero.report.text.trajectories import simulation_gain, trajectory_sentences
 
 CONTEXT = ("alpha", "elevator", "stabilizer", "thrust", "airspeed")
+SIX_CONTEXT = ("alpha", "beta", "elevator", "aileron", "rudder", "p")
 FROM_WHAT = {
     COEFFICIENTS: "",
     TRAJECTORIES: ", from trajectories alone: the record has no coefficients",
@@ -217,7 +219,7 @@ def _coefficients(view: View) -> tuple[Block, ...]:
             lines = [Line("measured", COLOURS["measured"], z, width=1.0)]
             lines += [Line(label, colour, z - f.residual[mine, c], style) for label, colour, f, style in models]
             panels.append(Panel(f"{coefficient} [-]", tuple(lines), shade=((0, len(models)),)))
-        for channel in CONTEXT:
+        for channel in SIX_CONTEXT if Axis.LATERAL in view.card.state.full.model.axes else CONTEXT:
             if channel in view.channels and np.ptp(np.asarray(view.channels[channel])[mine]) > 0.0:
                 unit, factor = shown_in(channel)
                 values = factor * np.asarray(view.channels[channel], float)[mine]

@@ -10,6 +10,7 @@ import numpy as np
 
 from bayes_aero.diagnosis.trajectories.results import Path as Simulated
 from bayes_aero.effect import Stage
+from bayes_aero.flight.axes import Axis
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.physics.coefficient_names import LATERAL
@@ -46,6 +47,7 @@ from bayes_aero.report.text.identification import disputed, verdict
 from bayes_aero.report.text.phrases import bracket, several
 
 CONTEXT = ("alpha", "elevator", "q", "airspeed", "altitude")
+SIX_CONTEXT = ("alpha", "beta", "elevator", "aileron", "rudder", "p")
 LEGEND = (
     ("measured", COLOURS["measured"], "solid"),
     ("fitted (maximum likelihood)", COLOURS["mle"], "solid"),
@@ -162,7 +164,7 @@ def _histories(run: Identification) -> list[Block]:
             )
             for i, c in enumerate(o.coefficients)
         ]
-        for channel in CONTEXT:
+        for channel in SIX_CONTEXT if Axis.LATERAL in run.model.axes else CONTEXT:
             if channel in o.signals:
                 unit, factor = shown_in(channel)
                 values = factor * np.asarray(o.signals[channel])[mine]
