@@ -1,12 +1,17 @@
 """Six coefficients from forces and moments put on a rigid body with vector products."""
 
+import json
+from pathlib import Path
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.jobs.io import schemas
 from bayes_aero.physics.coefficients import coefficient_noise, coefficients, stacked_coefficients
 
+SCHEMAS = Path(schemas.__file__).parent
 AIRCRAFT = Aircraft(
     mass=17_000.0, Ix=1.3e5, Iy=2.5e5, Iz=3.6e5, Ixz=1.1e4, Ixy=4e3, Iyz=-2e3, wing_area=64.0, chord=3.2,
     half_span=10.75, aspect_ratio=7.2, tail_arm=15.0, reference_point=(-0.2, 0.15, -0.12),
@@ -76,3 +81,20 @@ def test_propagated_noise_of_six_is_the_scatter_of_perturbed_records():
     scatter = np.std(np.asarray(stacked_coefficients(noisy, AIRCRAFT, names)), axis=0)
     stated = np.asarray(coefficient_noise(exact, AIRCRAFT, noise, 0.04, (), names))[0]
     np.testing.assert_allclose(scatter, stated, rtol=0.03)
+
+
+def test_files_of_results_may_hold_every_coefficient():
+    """Each list of coefficients in a schema has all six."""
+    for name in ("results", "diagnosis"):
+        schema = json.loads((SCHEMAS / f"{name}.schema.json").read_text(encoding="utf-8"))
+        listed = [names for names in enumerations(schema) if "CL" in names]
+        assert listed, name
+        assert all(set(TRUE) <= set(names) for names in listed), name
+
+
+def enumerations(part) -> list:
+    """Every list of allowed words in a schema."""
+    if isinstance(part, dict):
+        own = [part["enum"]] if isinstance(part.get("enum"), list) else []
+        return own + [x for value in part.values() for x in enumerations(value)]
+    return [x for value in part for x in enumerations(value)] if isinstance(part, list) else []

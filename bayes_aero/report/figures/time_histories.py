@@ -24,7 +24,10 @@ HISTORY = ("alpha", "theta", "q", "elevator", "ax", "az", "airspeed", "altitude"
 SYMBOLS = {
     "alpha": "α",
     "theta": "θ",
+    "beta": "β",
     "elevator": "δe",
+    "aileron": "δa",
+    "rudder": "δr",
     "airspeed": "V",
     "altitude": "h",
     "mach": "Mach",

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-SYMBOLS = {"airspeed": "V", "alpha": "α", "theta": "θ", "altitude": "h"}
+SYMBOLS = {"airspeed": "V", "alpha": "α", "theta": "θ", "altitude": "h", "beta": "β", "phi": "φ", "psi": "ψ"}
 
 FOR_PEOPLE = {
     "rad": ("deg", 180.0 / np.pi),
