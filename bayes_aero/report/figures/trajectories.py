@@ -45,12 +45,15 @@ def over_measured(columns: Mapping[str, Sequence[Curve]], outputs: Mapping[str, 
     tall = 1.35 if len(outputs) > 1 else 2.6
     size = (column_width(len(columns)) * len(columns), tall * len(outputs) + 1.3)
     figure, axes = panels(len(outputs), len(columns), size, sharex="col", sharey="row")
+    reach: dict[int, list[tuple[float, float]]] = {}
     for column, (name, curves) in enumerate(columns.items()):
         for row, (output, unit) in enumerate(outputs.items()):
-            _panel(axes[row, column], curves, output, unit)
+            reach.setdefault(row, []).append(_panel(axes[row, column], curves, output, unit))
         axes[0, column].set_title(name)
         axes[-1, column].set_xlabel("time from start of record [s]")
     for row, (output, unit) in enumerate(outputs.items()):
+        low, high = zip(*reach[row], strict=True)  # the panels of a row share their scale
+        axes[row, 0].set_ylim(min(low), max(high))
         axes[row, 0].set_ylabel(f"{SYMBOLS.get(output, output)} {bracket(for_people(unit)[0])}")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4)
@@ -59,7 +62,8 @@ def over_measured(columns: Mapping[str, Sequence[Curve]], outputs: Mapping[str, 
     return figure
 
 
-def _panel(ax: Axes, paths: Sequence[Curve], output: str, unit: str) -> None:
+def _panel(ax: Axes, paths: Sequence[Curve], output: str, unit: str) -> tuple[float, float]:
+    """Draw one; what is measured reaches from and to there, with room: a lost simulation would flatten all else."""
     _, factor = for_people(unit)
     first = paths[0][0]
     time, measured = first.time - first.time[0], factor * first.measured[output]
@@ -70,13 +74,13 @@ def _panel(ax: Axes, paths: Sequence[Curve], output: str, unit: str) -> None:
     ax.plot(time, measured, color=COLOURS["measured"], lw=0.8, label="measured")
     for path, label, colour in paths:
         ax.plot(time, factor * path.simulated[output], color=colour, lw=1.0, label=label)
-    low, high = float(measured.min()), float(measured.max())
-    reach = max(0.35 * (high - low), 1.5 * factor * (tolerance or 0.0))
-    ax.set_ylim(low - reach, high + reach)  # a simulation that has lost the flight would flatten all else
     ax.margins(x=0.01)
     text = ", ".join(f"{label.split()[0]} {short(factor * p.errors[output].rms)}" for p, label, _ in paths)
     box = {"fc": "white", "ec": "none", "alpha": 0.85, "pad": 1.0}
     ax.text(0.01, 0.95, f"RMS: {text}", transform=ax.transAxes, va="top", fontsize=7.5, bbox=box)
+    low, high = float(measured.min()), float(measured.max())
+    reach = max(0.35 * (high - low), 1.5 * factor * (tolerance or 0.0))
+    return low - reach, high + reach
 
 
 @housed
