@@ -82,6 +82,18 @@ def test_each_manoeuvre_is_fitted_alone_in_six_coefficients(card, records):
     assert estimate["Clda"] == pytest.approx(published("TC23")["parameters"]["Clda"]["estimate"], rel=0.03)
 
 
+def test_the_lateral_axis_alone_gives_the_published_derivatives(card, records):
+    """Within two standard errors that count the colour; the model has three derivatives more."""
+    lateral = read_card("basic_lateral")
+    model = Model.from_card(lateral)
+    found = fit_mle(model, observe(records[1:], lateral, model), extra_starts=0)
+    assert tuple(found.fit) == ("CY", "Cl", "Cn")
+    estimate, error = (dict(zip(found.names, x, strict=True)) for x in (found.estimate, found.crb_corrected))
+    for name in ("CYbe", "Clp", "Clr", "Clda", "Cnbe", "Cnr", "Cndr"):
+        value = published("TC23")["parameters"][name]["estimate"]
+        assert estimate[name] == pytest.approx(value, abs=2.0 * error[name]), name
+
+
 def test_a_missing_channel_leaves_its_axis_out_and_says_so(card, records):
     channels = {name: x for name, x in records[1].channels.items() if name != "ay"}
     fewer = [records[0], replace(records[1], channels=channels), records[2]]
