@@ -82,7 +82,7 @@ def test_each_manoeuvre_is_fitted_alone_in_six_coefficients(card, records):
     assert estimate["Clda"] == pytest.approx(published("TC23")["parameters"]["Clda"]["estimate"], rel=0.03)
 
 
-def test_the_lateral_axis_alone_gives_the_published_derivatives(card, records):
+def test_the_lateral_axis_alone_gives_the_published_derivatives(records):
     """Within two standard errors that count the colour; the model has three derivatives more."""
     lateral = read_card("basic_lateral")
     model = Model.from_card(lateral)
