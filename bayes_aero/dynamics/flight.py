@@ -13,12 +13,13 @@ import numpy as np
 from jaxtyping import Array
 
 from bayes_aero.dynamics.aircraft.effect_system import LEAST_LAG, EffectSystem
+from bayes_aero.dynamics.aircraft.lags import refuse_lags
 from bayes_aero.dynamics.aircraft.longitudinal import LATERAL, Longitudinal
 from bayes_aero.dynamics.aircraft.prescribed import SIDE, lateral_drives, rigid_drives, rigid_outputs
 from bayes_aero.dynamics.aircraft.rigid_body import RigidBody, held_states
 from bayes_aero.dynamics.output_channels import needed_channels
 from bayes_aero.dynamics.system import System
-from bayes_aero.effect import WINGS, Stage
+from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
 from bayes_aero.flight.axes import Axis
@@ -287,24 +288,8 @@ def aircraft_dynamics(
         )
     if model.disturbances and {"airspeed", "alpha"} & set(own if rigid else ()):
         raise InputError("airspeed and alpha cannot be held to the record in gusts; leave one of the two out")
-    for effect in model.acting:
-        if effect.stage is Stage.LAG and not any(p.role is Role.LAG for p in effect.parameters):
-            raise InputError(
-                f"effect {effect.name} is a lag of the separation point that cannot be flown: none of its parameters "
-                "has the role lag"
-            )
-    _refuse_lag_of_two_wings(model)
+    refuse_lags(model)
     return dynamics
-
-
-def _refuse_lag_of_two_wings(model: Model) -> None:
-    lags = [e.name for e in model.acting if e.stage is Stage.LAG]
-    if lags and model.two_wings:
-        apart = [e.name for e in model.acting if WINGS[0] in e.example.increments]
-        raise InputError(
-            f"effects {', '.join(apart)} give either wing a separation point, and {lags[0]} lets it lag: simulations "
-            "carry one such state, not two; remove the one or the other"
-        )
 
 
 def taken_as_zero(flights: Recorded) -> list[str]:
