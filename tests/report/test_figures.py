@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import matplotlib
 import numpy as np
 import pytest
@@ -15,6 +17,8 @@ from bayes_aero.report.tables.predictions import broken, predicted
 
 SLOW = {"trace_emcee", "trace_nuts", "rank_emcee", "rank_nuts", "pair", "pit"}
 UNITLESS = {"density"}
+
+OF_LATERAL = {f"{kind}_{name}" for kind in ("validation", "correlation") for name in ("CY", "Cl", "Cn")}
 
 
 def check(figure: Figure) -> None:
@@ -32,7 +36,7 @@ def check(figure: Figure) -> None:
             assert named, "no y label"
 
 
-@pytest.mark.parametrize("stem", FIGURES)
+@pytest.mark.parametrize("stem", [stem for stem in FIGURES if stem not in OF_LATERAL])
 def test_every_figure_draws_complete(stem, full, tmp_path):
     figure = FIGURES[stem](full)
     check(figure)
@@ -40,6 +44,14 @@ def test_every_figure_draws_complete(stem, full, tmp_path):
     pixels = imread(path)
     assert min(pixels.shape[:2]) > 300
     assert pixels[..., :3].std() > 0.01
+
+
+@pytest.mark.parametrize("stem", sorted(OF_LATERAL))
+def test_figures_of_lateral_coefficients_are_for_models_that_have_them(stem, full):
+    with pytest.raises(NotDrawn, match="the model has no C"):
+        FIGURES[stem](full)
+    coefficients = ("CL", "CD", stem[-2:])  # the third one by another name
+    check(FIGURES[stem](replace(full, gp=None, observations=replace(full.observations, coefficients=coefficients))))
 
 
 def test_the_registry_has_the_papers_nine_and_the_bayesian_ones():
@@ -52,7 +64,7 @@ def test_the_registry_has_the_papers_nine_and_the_bayesian_ones():
 @pytest.mark.parametrize("count", [1, 5])
 def test_one_and_many_manoeuvres(count, make):
     run = make(manoeuvres=count)
-    for stem in FIGURES.keys() - SLOW:
+    for stem in FIGURES.keys() - SLOW - OF_LATERAL:
         check(FIGURES[stem](run))
 
 
