@@ -21,6 +21,9 @@ def has_chunks(state: SelectionState) -> bool:
     return all(part.stop - part.start > ORDER for part in _chunks(state))
 
 
+BYTES = 2e9  # of memory that inner products may take
+
+
 def families(state: SelectionState) -> tuple[tuple[Sequence[slice], list[Component], float], ...]:
     """The kinds of components that the record can test: the folds by which they must predict, themselves, and the least
     share of a verdict."""
@@ -85,6 +88,22 @@ def parts_of(state: SelectionState, count: int) -> tuple[slice, ...]:
     edges = [np.flatnonzero(state.responses.manoeuvre == k) for k in range(len(state.responses.flights.lengths))]
     parts = [part for e in edges for part in np.array_split(e, count)]
     return tuple(slice(int(p[0]) + 2, int(p[-1]) - 1) for p in parts)
+
+
+def in_batches(state: SelectionState, components: Sequence[Component], folds: Sequence[slice]) -> list[list[Component]]:
+    """The components in as few sets as memory allows: inner products of all columns grow with their number squared."""
+    each = 8.0 * len(folds) * state.residual.shape[1]  # bytes of one pair of columns
+    most = max(int(np.sqrt(BYTES / each)) - state.S.shape[2], 1)
+    found: list[list[Component]] = [[]]
+    width = 0
+    for component in components:
+        wide = component.basis.shape[2]
+        if found[-1] and width + wide > most:
+            found.append([])
+            width = 0
+        found[-1].append(component)
+        width += wide
+    return found
 
 
 def with_components(

@@ -14,15 +14,15 @@ from typing import NamedTuple
 import numpy as np
 
 from bayes_aero.diagnosis.result import ParameterChange, UnexplainedStructure
-from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
-from bayes_aero.diagnosis.screening.regression import Fit, Products
-from bayes_aero.diagnosis.screening.screening import explained_shares, screen
+from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, autocorrelation_of
+from bayes_aero.diagnosis.screening.regression import Products
+from bayes_aero.diagnosis.screening.screening import CandidateScore, explained_shares, screen
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
 from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
 from bayes_aero.diagnosis.selection.forward_selection import Extension, removed
 from bayes_aero.diagnosis.structure.change_result import told
 from bayes_aero.diagnosis.structure.changes import Sought, holdout_gain_of, sought_change, testable
-from bayes_aero.diagnosis.structure.components import families, parts_of, share_of, with_components
+from bayes_aero.diagnosis.structure.components import families, in_batches, parts_of, share_of, with_components
 
 
 @dataclass(frozen=True)
@@ -119,31 +119,52 @@ def _best(state: SelectionState, chosen: Sequence[Component], seed: int) -> _Fou
 
 def _best_function(state: SelectionState, chosen: Sequence[Component], seed: int) -> _Found | None:
     """The best function of a channel or of time."""
+    tried = state.settings.unnamed_tried
     for folds, components, least in families(state):
-        trial = with_components(state, components, chosen, folds)
-        fit = trial.fit()
-        leaders = screen(trial, fit, seed=seed, nulls=False).candidate_scores[: state.settings.unnamed_tried]
-        for standing in leaders:
-            own = np.array(standing.columns, int)
+        batches = in_batches(state, components, folds)
+        leaders = [(one, standing) for one in batches for standing in _leaders(state, one, chosen, folds, seed)]
+        leaders.sort(key=lambda found: -found[1].score)
+        for batch, standing in leaders[:tried]:
+            component = next(c for c in batch if c.label == standing.effect)
+            trial = with_components(state, [component], chosen, folds)
+            own = trial.component_columns[0]
             wide = np.concatenate([trial.columns(), own])
-            gained = holdout_deviance_gain(trial, wide)
-            share = share_of(trial, own)
+            gained, share = holdout_deviance_gain(trial, wide), share_of(trial, own)
             if gained <= 0.0 or share < least:
                 continue
-            p = _p_value(trial, fit, trial.products.fit(wide, trial.mean, trial.precision), share, seed)
+            wider = trial.products.fit(wide, trial.mean, trial.precision)
+            p = _p_value(state, batches, chosen, folds, autocorrelation_of(trial.left(wider), folds), share, seed)
             if p <= state.settings.unnamed_false_alarm_rate:
-                return _Found(state, next(c for c in components if c.label == standing.effect), share, p)
+                return _Found(state, component, share, p)
     return None
 
 
-def _p_value(state: SelectionState, fit: Fit, wider: Fit, share: float, seed: int) -> float:
+def _leaders(
+    state: SelectionState, batch: Sequence[Component], chosen: Sequence[Component], folds: Sequence[slice], seed: int
+) -> Sequence[CandidateScore]:
+    trial = with_components(state, batch, chosen, folds)
+    return screen(trial, trial.fit(), seed=seed, nulls=False).candidate_scores[: state.settings.unnamed_tried]
+
+
+def _p_value(
+    state: SelectionState,
+    batches: Sequence[Sequence[Component]],
+    chosen: Sequence[Component],
+    folds: Sequence[slice],
+    colour: Autocorrelation,
+    share: float,
+    seed: int,
+) -> float:
     """How often noise alone lets some component explain so large a share.
 
-    The noise has the colour that is left with the component in: with it out, the structure itself would pass for slow
+    The noise has the `colour` that is left with the component in: with it out, the structure itself would pass for slow
     noise, under which anything goes.
     """
-    colour = autocorrelation_of(state.left(wider), state.folds)
-    shares = explained_shares(state, fit, colour, seed, state.settings.unnamed_replicates)
+    found = []
+    for batch in batches:
+        trial = with_components(state, batch, chosen, folds)
+        found.append(explained_shares(trial, trial.fit(), colour, seed, state.settings.unnamed_replicates))
+    shares = np.max(found, axis=0)
     return float((1 + np.sum(shares >= share)) / (1 + len(shares)))
 
 
@@ -189,7 +210,8 @@ def _standing_in(extension: Extension) -> tuple[float, _Found] | None:
     state = extension.state
     own = state.full.own_columns(*state.active)
     best = None
-    for folds, components, least in families(state):
+    parts = [(f, batch, least) for f, every, least in families(state) for batch in in_batches(state, every, f)]
+    for folds, components, least in parts:
         trial = with_components(state, components, (), folds)
         bare = trial.columns(())
         products = trial.products.shifted(own, -state.departure[own])
