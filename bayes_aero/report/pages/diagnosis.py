@@ -12,7 +12,7 @@ from bayes_aero.diagnosis.result import COEFFICIENTS, INNOVATIONS, TRAJECTORIES,
 from bayes_aero.diagnosis.settings import ENOUGH
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
-from bayes_aero.flight.axes import Axis
+from bayes_aero.physics.coefficient_names import LATERAL
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.time_histories import SYMBOLS, shown_in
 from bayes_aero.report.html.folded_lists import not_testable_list, open_list
@@ -219,7 +219,7 @@ def _coefficients(view: View) -> tuple[Block, ...]:
             lines = [Line("measured", COLOURS["measured"], z, width=1.0)]
             lines += [Line(label, colour, z - f.residual[mine, c], style) for label, colour, f, style in models]
             panels.append(Panel(f"{coefficient} [-]", tuple(lines), shade=((0, len(models)),)))
-        for channel in SIX_CONTEXT if Axis.LATERAL in view.card.state.full.model.axes else CONTEXT:
+        for channel in SIX_CONTEXT if set(LATERAL) & set(view.coefficients) else CONTEXT:
             if channel in view.channels and np.ptp(np.asarray(view.channels[channel])[mine]) > 0.0:
                 unit, factor = shown_in(channel)
                 values = factor * np.asarray(view.channels[channel], float)[mine]
