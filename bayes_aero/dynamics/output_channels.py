@@ -10,6 +10,12 @@ FLIGHT = ("airspeed", "alpha", "theta", "q")
 RIGID = ("airspeed", "alpha", "beta", "p", "q", "r")
 FORCES: Mapping[Axis, tuple[str, ...]] = {Axis.LONGITUDINAL: ("ax", "az"), Axis.LATERAL: ("ay",)}
 
+OF_AXIS: Mapping[Axis, tuple[str, ...]] = {
+    Axis.LONGITUDINAL: FLIGHT,
+    Axis.LATERAL: tuple(dict.fromkeys((*FLIGHT, *RIGID, "phi"))),
+}
+"""Channels without which the motion of an axis cannot be flown."""
+
 
 def needed_channels(axes: Collection[Axis]) -> tuple[str, ...]:
     """Channels without which no aircraft is flown whose model has these axes: where it begins, and given forces."""

@@ -17,7 +17,7 @@ from bayes_aero.dynamics.late_outputs import LateOutputs
 from bayes_aero.dynamics.system import System, Trajectory, integrate
 from bayes_aero.errors import InputError
 from bayes_aero.model.joined_channels import Flights
-from bayes_aero.model.windows import cuts_of
+from bayes_aero.model.joined_records import cuts_of
 from bayes_aero.physics.filters import advance
 
 BEGIN = 0.5  # s over which the measured initial state is read off a straight line

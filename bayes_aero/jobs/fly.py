@@ -16,7 +16,8 @@ from bayes_aero.diagnosis.trajectories.results import FITTED, Setting
 from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
 from bayes_aero.diagnosis.trajectories.trajectory_fit import fit_trajectories
 from bayes_aero.dynamics.filtering.drifting import refuse
-from bayes_aero.dynamics.flight import Dynamics
+from bayes_aero.dynamics.flight import DERIVED, Dynamics
+from bayes_aero.dynamics.output_channels import OF_AXIS
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
@@ -38,6 +39,7 @@ from bayes_aero.jobs.steps.spike_repair import repaired
 from bayes_aero.jobs.steps.usable_for import usable_for
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
+from bayes_aero.model.recorded_axes import on_recorded_axes
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import draw_all
 from bayes_aero.report.figures.pit import one_step_quantiles
@@ -121,7 +123,9 @@ def fly_records(
 ) -> Flight:
     """`fly` with its options in one."""
     setting, seed = options.setting(card), options.seed
+    card, left_out = on_recorded_axes(card, records, OF_AXIS, DERIVED)
     flights, dynamics, notes = flown_dynamics(records, card, setting.outputs or (), path=options.flight_path)
+    notes = [*left_out, *notes]
     if options.drift is not None:
         refuse(dynamics, options.drifting, {*card.fixed, *(dict(card.linear.fixed) if card.linear else ())})
     if out is not None:

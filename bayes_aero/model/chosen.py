@@ -29,7 +29,11 @@ def no_such_axis(effect: Effect, axes: tuple[Axis, ...]) -> str:
 
 
 def effect_named(name: str) -> Effect:
-    """An effect of the catalogue; an unknown name is told with one that looks like it."""
+    """An effect of the catalogue by name.
+
+    Raises:
+        InputError: there is none; the message suggests a similar name.
+    """
     if name in CATALOGUE:
         return CATALOGUE[name]
     close = get_close_matches(name, CATALOGUE, n=1)

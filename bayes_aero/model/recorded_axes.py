@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
+from bayes_aero.effect import Effect
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import Card
@@ -16,7 +17,12 @@ from bayes_aero.physics.coefficient_names import COEFFICIENTS, FORMED_FROM
 FORMED = ("alpha_dot",)  # from recorded channels, in any record
 
 
-def on_recorded_axes(card: Card, records: Sequence[FlightRecord]) -> tuple[Card, tuple[str, ...]]:
+def on_recorded_axes(
+    card: Card,
+    records: Sequence[FlightRecord],
+    needed: Mapping[Axis, Sequence[str]] = FORMED_FROM,
+    made: Collection[str] = FORMED,
+) -> tuple[Card, tuple[str, ...]]:
     """The card without an axis whose channels some record lacks, and a sentence on each that is left out.
 
     A card of one axis, or one whose axes all lack channels, stays as it is: whoever needs them says what is missing.
@@ -24,6 +30,8 @@ def on_recorded_axes(card: Card, records: Sequence[FlightRecord]) -> tuple[Card,
     Args:
         card: aircraft and model.
         records: flights, at least one.
+        needed: channels that each axis needs beside those of its effects; default: for the coefficients.
+        made: channels of effects that need not be recorded, for they follow from others.
 
     Returns:
         The card to work with, and what a user must be told.
@@ -31,13 +39,14 @@ def on_recorded_axes(card: Card, records: Sequence[FlightRecord]) -> tuple[Card,
     if len(card.axes) < 2 or not records:
         return card, ()
     catalogue = {**CATALOGUE, **own_effects(card.effect_files)}
-    missing = {axis: _missing(card, records, axis, catalogue) for axis in card.axes}
+    own = {a: [catalogue[n] for n in card.effects if n in catalogue and catalogue[n].axes == (a,)] for a in card.axes}
+    missing = {axis: _missing(card, records, needed[axis], made, own[axis]) for axis in card.axes}
     kept = tuple(axis for axis in card.axes if not missing[axis])
     if not kept or kept == card.axes:
         return card, ()
     unknown = {name for axis in card.axes if axis not in kept for name in missing[axis][1:]}
-    own = [catalogue[name] for name in card.effects if name in catalogue]
-    gone = {e.name for e in own if not e.acts_on(kept) or not unknown.isdisjoint(e.channels)}
+    every = [catalogue[name] for name in card.effects if name in catalogue]
+    gone = {e.name for e in every if not e.acts_on(kept) or not unknown.isdisjoint(e.channels)}
     theirs = {p.name for name in gone for p in catalogue[name].parameters}
     fewer = replace(
         card,
@@ -49,13 +58,18 @@ def on_recorded_axes(card: Card, records: Sequence[FlightRecord]) -> tuple[Card,
     return fewer, tuple(_sentence(axis, *missing[axis]) for axis in card.axes if axis not in kept)
 
 
-def _missing(card: Card, records: Sequence[FlightRecord], axis: Axis, catalogue: dict) -> tuple[str, ...]:
-    """The record that lacks channels of this axis, then the channels; nothing where all have them."""
-    own = [catalogue[n] for n in card.effects if n in catalogue and catalogue[n].axes == (axis,)]
-    asked = dict.fromkeys((*FORMED_FROM[axis], *(c for effect in own for c in effect.channels)))
+def _missing(
+    card: Card,
+    records: Sequence[FlightRecord],
+    needed: Sequence[str],
+    made: Collection[str],
+    effects: Sequence[Effect],
+) -> tuple[str, ...]:
+    """The record that lacks channels of an axis, then the channels; nothing where all have them."""
+    asked = dict.fromkeys((*needed, *(c for effect in effects for c in effect.channels)))
     for record in records:
         have = with_sums(record, card)
-        lacks = [name for name in asked if name not in have and name not in FORMED]
+        lacks = [name for name in asked if name not in have and name not in made]
         if lacks:
             return record.name, *lacks
     return ()

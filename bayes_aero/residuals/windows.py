@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.windows import cuts_of
+from bayes_aero.model.joined_records import cuts_of
 
 WINDOW = 10.0  # s: long enough to integrate what is wrong, short enough to stay near the flight
 

@@ -1,4 +1,4 @@
-"""What is told of a change: the parameter before and after, when, and what else explains as much."""
+"""What is reported of a change: the parameter before and after, when, and what else explains as much."""
 
 from __future__ import annotations
 

@@ -133,7 +133,7 @@ def holdout_gain_of(state: SelectionState, component: Component, chosen: Sequenc
 def fit_with(
     state: SelectionState, component: Component, chosen: Sequence[Component], folds: Sequence[slice]
 ) -> tuple[SelectionState, Fit]:
-    """A state in which one component stands for election, and the fit with it in."""
+    """A state in which one component is the candidate, and the fit with it in."""
     trial = with_components(state, (component,), chosen, folds)
     wide = np.concatenate([trial.columns(), trial.component_columns[0]])
     return trial, trial.products.fit(wide, trial.mean, trial.precision)

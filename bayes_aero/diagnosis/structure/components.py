@@ -1,4 +1,4 @@
-"""Functions that stand for election in place of effects: smooth ones of recorded channels, and periods."""
+"""Functions that are candidates in place of effects: smooth ones of recorded channels, and periods."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def in_batches(state: SelectionState, components: Sequence[Component], folds: Se
 def with_components(
     state: SelectionState, components: Sequence[Component], chosen: Sequence[Component], folds: Sequence[slice]
 ) -> SelectionState:
-    """The state in which components stand for election in place of effects; those `chosen` are in."""
+    """The state in which components are the candidates in place of effects; those `chosen` are in."""
     extra, width = [], 0
     for component in (*chosen, *components):
         extra.append(component.basis)

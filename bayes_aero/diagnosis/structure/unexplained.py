@@ -1,7 +1,7 @@
 """Structure that no effect of the catalogue explains but that a recorded channel, a period or the change of a parameter
 does.
 
-A smooth function of each channel, a sinusoid, or the change, stands for election like an effect. It is taken for real
+A smooth function of each channel, a sinusoid, or the change, is a candidate like an effect. It is taken for real
 only if its score is beyond noise-only replicates and it predicts data left out.
 """
 
@@ -61,7 +61,7 @@ def unexplained(extension: Extension, *, seed: int) -> Left:
 
 
 def _left(extension: Extension, found: Sequence[_Found], replaced: tuple[str, ...]) -> Left:
-    """What was found, as it is told."""
+    """What was found, as it is reported."""
     unknown, changes, chosen = [], [], [f.component for f in found]
     bare = taken_out(found[-1].state, [name for name in replaced if name in found[-1].state.active])
     last = extension.steps[-1] if extension.steps else None
