@@ -23,12 +23,11 @@ import numpy as np
 from jaxtyping import Float
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from six_axes import ATTACHED, LATERAL, LONGITUDINAL, card_text, recorded
+from six_axes import ATTACHED, LATERAL, LONGITUDINAL, card_text, record
 from stranger_six import Plane, drawn, fly
 
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.compiled_programs import give_back_memory
 
 FLOWN = ("elevator", "aileron", "rudder") * 2
@@ -82,12 +81,7 @@ def case(seed: int) -> dict:
         channel, usual, kind = SENSORS[name]
         size = usual * rng.uniform(0.8, 1.2)
         flights = [{**flight, channel: _wrong(flight[channel], kind, size, 0.04)} for flight in flights]
-    records = []
-    for number, flight in enumerate(flights):
-        shown = recorded(flight, rng)
-        thrust = shown["thrust_left"] + shown["thrust_right"]
-        channels = {n: x for n, x in shown.items() if n != "time"} | {"thrust": thrust}
-        records.append(FlightRecord.from_arrays(f"{FLOWN[number]}_{number}", shown["time"], channels, "simulated"))
+    records = [record(f"{FLOWN[i]}_{i}", flight, rng) for i, flight in enumerate(flights)]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "another.toml"
         path.write_text(card_text(replace(plane), effects), encoding="utf-8")

@@ -11,6 +11,7 @@ from stranger_six import Plane
 
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.axes import Axis
+from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 
 BOTH = (Axis.LONGITUDINAL, Axis.LATERAL)
@@ -106,3 +107,11 @@ def recorded(flight: Mapping[str, np.ndarray], rng: np.random.Generator) -> dict
     """The channels of the card, with noise, and `time`."""
     n = len(flight["time"])
     return {c: flight[c] + NOISE.get(c, 0.0) * rng.standard_normal(n) for c in ("time", *RECORDED)}
+
+
+def record(name: str, flight: Mapping[str, np.ndarray], rng: np.random.Generator) -> FlightRecord:
+    """The recorded manoeuvre, noise included."""
+    shown = recorded(flight, rng)
+    thrust = shown["thrust_left"] + shown["thrust_right"]
+    channels = {n: x for n, x in shown.items() if n != "time"} | {"thrust": thrust}
+    return FlightRecord.from_arrays(name, shown["time"], channels, "simulated")

@@ -70,6 +70,7 @@ class Plane:
     Cnda: float = 0.01
     Cndr: float = -0.10
     stalls: bool = True
+    gust: tuple[float, float, float] = (0.0, 0.0, 0.0)  # motion of the air along the body axes, m/s
 
     def density(self, h: float) -> float:
         """Standard atmosphere, kg/m^3."""
@@ -77,7 +78,7 @@ class Plane:
 
     def air_data(self, x: np.ndarray) -> tuple[float, float, float]:
         """Airspeed, angle of attack, sideslip."""
-        u, v, w = x[:3]
+        u, v, w = x[:3] - np.array(self.gust)
         V = np.sqrt(u * u + v * v + w * w)
         return V, np.arctan2(w, u), np.arcsin(v / V)
 
@@ -139,7 +140,7 @@ class Plane:
         psi_dot = (q * np.sin(phi) + r * np.cos(phi)) / np.cos(theta)
         angles = [p + psi_dot * np.sin(theta), q * np.cos(phi) - r * np.sin(phi), psi_dot]
         climb = -velocity @ gravity / G
-        V = np.linalg.norm(velocity)
+        V = self.air_data(x)[0]
         X_dot = (self.halves(x)[1] - x[10:12]) * V / (self.tau1 * self.c) if self.tau1 else np.zeros(2)
         return np.concatenate([faster, turning, angles, [climb], X_dot])
 
@@ -178,9 +179,19 @@ def level(plane: Plane, V: float, h: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fly(
-    plane: Plane, kind: str, rng: np.random.Generator, *, dt: float = 0.04, seconds: float = 25.0, V: float = 120.0
+    plane: Plane,
+    kind: str,
+    rng: np.random.Generator,
+    *,
+    dt: float = 0.04,
+    seconds: float = 25.0,
+    V: float = 120.0,
+    gust: float = 0.0,
 ) -> dict[str, np.ndarray]:
-    """Channels by name, and `time`, of a manoeuvre of `KINDS` from level flight."""
+    """Channels by name, and `time`, of a manoeuvre of `KINDS` from level flight.
+
+    `gust`: standard deviation of the gusts along each body axis, m/s; of first order, 300 m long.
+    """
     x, trim = level(plane, V * rng.uniform(0.97, 1.03), 4000.0)
     size, unit, n = np.radians(rng.uniform(1.5, 2.0)), rng.uniform(0.5, 0.7), round(seconds / dt) + 1
     edges, step = 2.0 + unit * np.array([0.0, 3.0, 5.0, 6.0, 7.0]), (0.0, 1.0, -1.0, 1.0, -1.0, 0.0)
@@ -203,11 +214,22 @@ def fly(
         return trim + away
 
     rows, now, theta = [], trim, x[7]
+    met = gust * rng.standard_normal(3) if gust else np.zeros(3)
     for k in range(n):
+        if gust:
+            plane = replace(plane, gust=tuple(met))
         rows.append({"time": k * dt, **plane.sensed(x, now)})
         wanted = command((k + 1) * dt, x)
         after = np.concatenate([now[:3] + np.clip(wanted[:3] - now[:3], -0.5 * dt, 0.5 * dt), wanted[3:]])
-        x, now = advanced(plane, x, now, after, dt), after
+        if gust:  # four times within a sample
+            for part in range(4):
+                kept = np.exp(-V / 300.0 * dt / 4.0)
+                met = kept * met + np.sqrt(1.0 - kept**2) * gust * rng.standard_normal(3)
+                ends = [now + (after - now) * (part + j) / 4.0 for j in (0, 1)]
+                x = advanced(replace(plane, gust=tuple(met)), x, *ends, dt / 4.0, 1)
+        else:
+            x = advanced(plane, x, now, after, dt)
+        now = after
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
 

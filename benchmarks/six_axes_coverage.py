@@ -1,0 +1,169 @@
+"""How often the intervals of six coefficients and of flight in six degrees of freedom hold the truth.
+
+    python benchmarks/six_axes_coverage.py run 100 --kind calm --out six_coverage      # goes on where it stopped
+    python benchmarks/six_axes_coverage.py run 100 --kind gusts --out six_coverage
+    python benchmarks/six_axes_coverage.py run 100 --kind stall --out six_coverage
+    python benchmarks/six_axes_coverage.py report --out six_coverage
+
+Aircraft are drawn at random and flown by `tests/stranger_six.py`, which shares no code with the package: elevator,
+aileron and rudder inputs, 25 s each at 25 Hz, with white noise of every sensor. The card has the true model. `calm`:
+still air. `gusts`: gusts of 1 m/s along each axis. `stall`: three stalls with bank, each half of the wing with a
+separation point of its own, one of which stalls first.
+
+Methods: `coefficients` is maximum likelihood as `identify` does it, with corrected bounds; `trajectories` is output
+error as `fly` does it, with corrected bounds; `process noise` is its extended Kalman filter (`gusts`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+import six_axes
+from stranger_six import Plane, drawn, fly
+
+from bayes_aero.flight.card.card import Card, read_card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.compiled_programs import give_back_memory
+from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
+from bayes_aero.jobs import fly as flying
+from bayes_aero.model.model import Model
+from bayes_aero.model.observations import observe
+
+KINDS = ("calm", "gusts", "stall")
+FIRST = {"calm": 31_000, "gusts": 32_000, "stall": 33_000}
+GUST = 1.0  # m/s
+ELLIPTIC = 4.0 / (3.0 * np.pi)  # where half a wing acts, share of the half span
+Z95 = 1.959963984540054
+WINGS = ("wing_asymmetry", "roll_rate_incidence", "sideslip_incidence", "wing_lift_difference", "wing_drag_difference")
+STALLED = ("flow_separation", "kirchhoff_lift", "separated_drag", "separated_moment", *WINGS)
+
+
+def aircraft(kind: str, rng: np.random.Generator) -> Plane:
+    """One at random; both halves of the wing of `stall` separate, and the left one first or last."""
+    if kind != "stall":
+        return drawn(rng, **six_axes.ATTACHED)
+    first = rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(0.3, 1.0))
+    changes = {"a1": rng.uniform(18.0, 26.0), "alpha_star": rng.uniform(0.24, 0.29), "first": first}
+    return drawn(rng, **changes, station=ELLIPTIC * Plane.b / 2.0)
+
+
+def records(kind: str, plane: Plane, rng: np.random.Generator) -> list[FlightRecord]:
+    """Three manoeuvres as recorded."""
+    flown = ("stall",) * 3 if kind == "stall" else ("elevator", "aileron", "rudder")
+    gust = GUST if kind == "gusts" else 0.0
+    return [six_axes.record(f"{name}_{i}", fly(plane, name, rng, gust=gust), rng) for i, name in enumerate(flown)]
+
+
+def truth(plane: Plane, model: Model) -> dict[str, float]:
+    """By parameter; of those alone that the plane has."""
+    known = {name: float(getattr(plane, name)) for name in model.names if hasattr(plane, name)}
+    if not plane.stalls:
+        return known
+    return known | {
+        "alpha_star": plane.alpha_star - plane.first / 2.0,
+        "wing_asymmetry": -plane.first,
+        "roll_station": 2.0 * plane.station / plane.b,
+        "sideslip_incidence": 2.0 * plane.dihedral,
+    }
+
+
+def case(kind: str, seed: int, *, flights: bool = True) -> dict[str, Any]:
+    """One aircraft: truth, estimates and standard errors by method."""
+    began, rng = time.perf_counter(), np.random.default_rng(seed)
+    plane = aircraft(kind, rng)
+    effects = (*six_axes.LONGITUDINAL, *six_axes.LATERAL, *(STALLED if kind == "stall" else ()))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "another.toml"
+        path.write_text(six_axes.card_text(plane, effects), encoding="utf-8")
+        card = read_card(str(path))
+    flown, model = records(kind, plane, rng), Model.from_card(card)
+    methods = {"coefficients": _coefficients(flown, card, model)}
+    if flights and kind != "stall":
+        methods |= _trajectories(flown, card, kind == "gusts")
+    known = truth(plane, model)
+    return {"kind": kind, "seed": seed, "truth": known, "methods": methods, "seconds": time.perf_counter() - began}
+
+
+def _coefficients(flown: list[FlightRecord], card: Card, model: Model) -> dict[str, Any]:
+    found = fit_mle(model, observe(flown, card, model), seed=0)
+    found = without_noise_bias(found, flown, card, model)
+    sd = found.crb_corrected
+    return {"status": found.status.name, **_pairs(found.names, found.estimate, sd)}
+
+
+def _trajectories(flown: list[FlightRecord], card: Card, gusts: bool) -> dict[str, Any]:
+    found = flying.fly(flown, card, figures=False, process_noise=gusts)
+    fit, names = found.flown.fit, [p.name for p in found.flown.fit.parameters]
+    methods = {"trajectories": {"status": fit.status.name, **_pairs(names, fit.estimate, fit.sd_corrected)}}
+    if found.process_noise is not None:
+        beside = found.process_noise
+        estimates = beside.estimates
+        pairs = _pairs(estimates, [x for x, _ in estimates.values()], [s for _, s in estimates.values()])
+        gusts = {name: list(found) for name, found in beside.gusts.items()}
+        methods["process noise"] = {"status": beside.status, "gusts": gusts, **pairs}
+    return methods
+
+
+def _pairs(names: Any, estimate: Any, sd: Any) -> dict[str, dict[str, float]]:
+    return {
+        "estimate": {n: float(x) for n, x in zip(names, estimate, strict=True)},
+        "sd": {n: float(x) for n, x in zip(names, sd, strict=True)},
+    }
+
+
+def run(kind: str, count: int, out: Path, *, flights: bool) -> None:
+    """Until there are `count` of this kind, a line each in OUT/KIND.jsonl."""
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / f"{kind}.jsonl"
+    done = len(path.read_text().splitlines()) if path.exists() else 0
+    for seed in range(FIRST[kind] + done, FIRST[kind] + count):
+        row = case(kind, seed, flights=flights)
+        give_back_memory()
+        with path.open("a") as file:
+            file.write(json.dumps(row) + "\n")
+
+
+def report(out: Path) -> None:
+    """Shares of the truths inside 95 % intervals, with standard errors over aircraft."""
+    for path in sorted(out.glob("*.jsonl")):
+        rows = [json.loads(line) for line in path.read_text().splitlines()]
+        for method in dict.fromkeys(m for row in rows for m in row["methods"]):
+            _table(path.stem, method, [row for row in rows if method in row["methods"]])
+
+
+def _table(kind: str, method: str, rows: list[dict[str, Any]]) -> None:
+    good = [row for row in rows if row["methods"][method]["status"].lower().replace("_", " ") == "converged"]
+    print(f"\n{kind}, {method}: {len(good)} of {len(rows)} converged")
+    if len(good) < 2:
+        return
+    names = [n for n in good[0]["truth"] if n in good[0]["methods"][method]["estimate"]]
+    found = {k: np.array([[row["methods"][method][k][n] for n in names] for row in good]) for k in ("estimate", "sd")}
+    off = (found["estimate"] - np.array([[row["truth"][n] for n in names] for row in good])) / found["sd"]
+    inside = np.abs(off) < Z95
+    each = inside.mean(axis=1)
+    print(f"  inside 95 %: {inside.mean():.3f} +- {each.std(ddof=1) / np.sqrt(len(each)):.3f}")
+    print("  " + ", ".join(f"{n} {x:.2f}" for n, x in zip(names, inside.mean(axis=0), strict=True)))
+    print("  mean deviation: " + ", ".join(f"{n} {x:+.2f}" for n, x in zip(names, off.mean(axis=0), strict=True)))
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("run", "report"))
+    parser.add_argument("count", type=int, nargs="?", default=100)
+    parser.add_argument("--kind", choices=KINDS, default="calm")
+    parser.add_argument("--no-flights", action="store_true", help="coefficients alone")
+    parser.add_argument("--out", type=Path, default=Path("six_coverage"))
+    given = parser.parse_args()
+    if given.what == "run":
+        run(given.kind, given.count, given.out, flights=not given.no_flights)
+    report(given.out)
