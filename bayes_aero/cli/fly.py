@@ -69,7 +69,8 @@ def fly(
     process_noise: Annotated[
         bool | None,
         typer.Option(
-            help="Fit the same model with process noise, too (extended Kalman filter); default: if there are gusts."
+            help="Fit the same model with process noise, too (extended Kalman filter); default: if there are gusts, or "
+            "if output error and the coefficients disagree."
         ),
     ] = None,
     posterior: Annotated[

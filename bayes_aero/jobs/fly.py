@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.consistency.consistency import in_gusts
-from bayes_aero.diagnosis.trajectories.fit_agreement import fit_disagreements
+from bayes_aero.diagnosis.trajectories.fit_agreement import fit_disagreements, still_apart
 from bayes_aero.diagnosis.trajectories.results import FITTED, Setting
 from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
 from bayes_aero.diagnosis.trajectories.trajectory_fit import fit_trajectories
@@ -55,7 +55,7 @@ from bayes_aero.report.tables.fly import drift_history_table, gust_table, parame
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.drift import drift_sentences
 from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences
-from bayes_aero.report.text.process_noise import gust_sentences, process_noise_sentences
+from bayes_aero.report.text.process_noise import gust_sentences, process_noise_sentences, settled_sentences
 
 
 def fly(
@@ -93,7 +93,7 @@ def fly(
         seed: of the fit of the coefficients.
         figures: False draws none.
         process_noise: True fits the same model with process noise, too, by an extended Kalman filter; None: if the
-            flight path of a record shows gusts.
+            flight path of a record shows gusts, or if output error and the coefficients disagree.
         posterior: True also samples the posterior of the fit with process noise, by emcee and NUTS.
         drift: names of parameters that drift in a further fit with process noise, a list or separated by commas; it
             says whether they changed, when, and by how much.
@@ -135,8 +135,8 @@ def fly_records(
     agreement, failures = sensors_agree(records, card, seed, out)
     asked = options.process_noise is None and not options.filtered
     gusts = in_gusts(records, card, seed) if asked and agreement.recorded else {}
-    options = replace(options, process_noise=options.filtered or bool(gusts))
-    source = provenance(card, records, seed, _told(options, setting))
+    if gusts:
+        options = replace(options, process_noise=True)
     coefficients, failed = attempted(
         "The coefficients gave no first values",
         lambda: None if options.flight_path else _of_coefficients(records, card, seed, progress),
@@ -155,15 +155,19 @@ def fly_records(
         setting=setting,
         progress=progress,
     )
+    apart = () if coefficients is None else fit_disagreements(coefficients, flown)
+    disputed = asked and not gusts and bool(apart)
+    options = replace(options, process_noise=options.filtered or disputed)
+    source = provenance(card, records, seed, _told(options, setting))
     (beside, sample), more = process_noise(flown, options, card, out, progress)
     if options.filtered and not flown.converged:
         notes.append("Process noise was not fitted, because output error did not converge.")
-    apart = () if coefficients is None else fit_disagreements(coefficients, flown)
     hindered = usable_for(records, card).get("diagnose", "")
     drifted = drift_sentences(beside.drift) if beside is not None and beside.drift is not None else ()
     filtered = () if beside is None else (*drifted, *process_noise_sentences(beside, flown))
     plain = fly_sentences(flown, hindered, disturbed=options.filtered)
-    said = (*gust_sentences(gusts, beside), *filtered, *plain, *disagreement_sentences(apart, hindered))
+    decided = settled_sentences(apart, beside, still_apart(apart, beside), asked=disputed)
+    said = (*gust_sentences(gusts, beside), *decided, *filtered, *plain, *disagreement_sentences(apart, hindered))
     health = channel_health(records, card)
     found = Flight(flown, said, tuple(notes), health, agreement, (*failures, *failed, *more), apart, beside)
 

@@ -72,7 +72,7 @@ class DiagnoseOptions:
 @dataclass(frozen=True)
 class FlyOptions:
     """What a fit to trajectories may be told; see `jobs.fly.fly`. `process_noise` None: where the records are in
-    gusts."""
+    gusts, or output error and the coefficients disagree."""
 
     windows: float = WINDOW
     initial_state: str = FREE

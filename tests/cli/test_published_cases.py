@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 import scipy.io
 
 from bayes_aero.flight.card.card import shipped_cards
+from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
 
 BOOK = Path(__file__).resolve().parents[3] / "shared" / "book"
 FIXED, ALONE = ("--initial-state", "fixed"), "--no-process-noise"
@@ -103,3 +105,16 @@ def test_cost_and_settings_are_printed(program, published):
     assert told == pytest.approx(cost, rel=1e-4)
     assert "It was fitted without priors and with initial states fixed." in said
     assert "no priors" in said
+
+
+def test_output_error_that_disagrees_with_the_coefficients_asks_for_process_noise(program, published, monkeypatch):  # noqa: ARG001
+    """HFB-320, as if its air showed no gusts: CLa 3.4 by output error, 4.3 by the filter and by equation error."""
+    alone = {"names": ("CLa",), "estimate": np.array([4.34]), "crb_corrected": np.array([0.14]), "at_bound": ()}
+    coefficients = Mock(spec=MleResult, status=MleStatus.CONVERGED, **alone)
+    monkeypatch.setattr("bayes_aero.jobs.fly.in_gusts", lambda *_: {})
+    monkeypatch.setattr("bayes_aero.jobs.fly._of_coefficients", lambda *_: coefficients)
+    done = program("fly", BOOK / "hfb320_1_10.asc", "--model", "hfb320", "--no-figures", "--json", "--out", "out")
+    found = json.loads(done.out)
+    assert found["process_noise"]["converged"]
+    assert found["sentences"][0].startswith("The coefficients and output error disagree on CLa.")
+    assert "With process noise CLa agrees with the coefficients" in found["sentences"][0]

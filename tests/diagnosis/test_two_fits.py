@@ -8,10 +8,11 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from bayes_aero.diagnosis.trajectories.fit_agreement import fit_disagreements
-from bayes_aero.diagnosis.trajectories.results import TrajectoryFit
+from bayes_aero.diagnosis.trajectories.fit_agreement import fit_disagreements, still_apart
+from bayes_aero.diagnosis.trajectories.results import ProcessNoise, TrajectoryFit
 from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
 from bayes_aero.report.text.fly import disagreement_sentences
+from bayes_aero.report.text.process_noise import settled_sentences
 
 
 def fits(status=MleStatus.CONVERGED, converged=True, at_bound=(), held=()):
@@ -51,3 +52,31 @@ def test_what_differs_beyond_both_intervals_is_told():
 def test_what_cannot_be_compared_is_not(unusable):
     assert fit_disagreements(*fits(**unusable)) == ()
     assert disagreement_sentences(()) == []
+
+
+def with_process_noise(CLa: tuple[float, float], *, converged: bool = True) -> Mock:
+    return Mock(spec=ProcessNoise, estimates={"CLa": CLa}, converged=converged, gain=900.0)
+
+
+@pytest.mark.parametrize(
+    ("CLa", "apart", "said"),
+    [
+        ((4.33, 0.05), (), "CLa agrees with the coefficients (CLa 4.33 ± 0.05): prefer them to those of output error"),
+        ((3.4, 0.05), ("CLa",), "CLa still differs from the coefficients (CLa 3.4 ± 0.05): the model lacks an effect"),
+    ],
+)
+def test_the_filter_decides_between_two_fits_that_disagree(CLa, apart, said):
+    disagree, filtered = fit_disagreements(*fits()), with_process_noise(CLa)
+    assert still_apart(disagree, filtered) == apart
+    (told,) = settled_sentences(disagree, filtered, apart, asked=True)
+    assert said in told
+    assert told.startswith("The coefficients and output error disagree on CLa.")
+    (short,) = settled_sentences(disagree, filtered, apart, asked=False)
+    assert said in short
+    assert "no-process-noise" not in short
+
+
+def test_a_filter_that_failed_decides_nothing():
+    disagree, failed = fit_disagreements(*fits()), with_process_noise((4.33, 0.05), converged=False)
+    assert settled_sentences(disagree, failed, (), asked=False) == []
+    assert settled_sentences((), failed, (), asked=True) == []

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
-from bayes_aero.diagnosis.trajectories.results import ProcessNoise, TrajectoryFit
+from bayes_aero.diagnosis.trajectories.results import Disagreement, ProcessNoise, TrajectoryFit
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.scores import COLOURED_INNOVATIONS, Calibration, OneStep, Share
 from bayes_aero.report.text.phrases import SYMBOLS, several
@@ -32,6 +32,34 @@ def gust_sentences(gusts: Mapping[str, float], fit: ProcessNoise | None = None) 
     )
     better = " Use the estimates with process noise: in gusts those of output error are biased."
     return [said + (better if fit is not None and fit.converged and fit.gain > 0.0 else "")]
+
+
+def settled_sentences(
+    found: Sequence[Disagreement], fit: ProcessNoise | None, apart: Sequence[str], *, asked: bool
+) -> list[str]:
+    """Which estimates to prefer where output error and the coefficients disagree.
+
+    `apart`: parameters of which the fit with process noise disagrees with the coefficients as well. `asked`: process
+    noise was fitted because output error does.
+    """
+    if not found or fit is None:
+        return []
+    names = several(d.name for d in found)
+    why = (
+        f"The coefficients and output error disagree on {names}. Such a record needs process noise; "
+        "--no-process-noise leaves it out. "
+    )
+    if not (fit.converged and fit.gain > 0.0):
+        return [why.strip()] if asked else []
+    other = {d.name: fit.estimates[d.name] for d in found if d.name in fit.estimates}
+    told = several(f"{name} {x:.4g} ± {sd:.2g}" for name, (x, sd) in other.items())
+    if apart:
+        said = (
+            f"With process noise {several(apart)} still differ{'s' * (len(apart) == 1)} from the coefficients ({told})"
+        )
+        return [(why if asked else "") + f"{said}: the model lacks an effect, or a sensor is wrong."]
+    said = f"With process noise {names} agree{'s' * (len(found) == 1)} with the coefficients ({told})"
+    return [(why if asked else "") + f"{said}: prefer them to those of output error."]
 
 
 def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[str]:
