@@ -5,12 +5,13 @@ Channels are total values, not deviations from trim, so each row has a constant 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_aero.dynamics.flight import Dynamics, Values
@@ -28,7 +29,10 @@ WIDE = 1000.0  # SI: beyond any derivative of an aircraft, az per alpha of a fig
 
 
 class LinearSystem(System):
-    """Rates of the states, then outputs that are no states: `matrix` (rows, columns) times states, inputs and one."""
+    """Rates of the states, then further outputs: `matrix` (rows, columns) times states, inputs and one.
+
+    An output that is a state as well is what the record shows beyond the state.
+    """
 
     matrix: Float[Array, "r c"]
     named: tuple[str, ...] = eqx.field(static=True)
@@ -40,23 +44,33 @@ class LinearSystem(System):
         """As the card lists them."""
         return self.named
 
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """States of which the record shows no more."""
+        return tuple(name for name in self.named if name not in self.read)
+
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
         """One product; of so few elements, a sum compiles better than a call of the matrix library."""
         one = jnp.ones_like(x[0])
         column = jnp.concatenate([x, jnp.stack([*(u[name] for name in self.driven), one])])
         rows = jnp.sum(self.matrix * column[None, :], axis=1)
         s = len(self.named)
-        outputs = dict(zip(self.named, x, strict=True)) | dict(zip(self.read, rows[s:], strict=True))
-        return rows[:s], outputs
+        states = dict(zip(self.named, x, strict=True))
+        read = {name: row + states.get(name, 0.0) for name, row in zip(self.read, rows[s:], strict=True)}
+        return rows[:s], states | read
 
 
 @dataclass(frozen=True)
 class LinearDynamics(Dynamics):
-    """A card's linear rows with their parameters; `fixed` parameters keep their value, the rest are free."""
+    """A card's linear rows with their parameters; `fixed` parameters keep their value, the rest are free.
+
+    A constant that differs between manoeuvres is a parameter for each of them, and reaches the system as an input.
+    """
 
     rows: LinearCard
     parameters: tuple[Parameter, ...]
     named: tuple[tuple[str, str], ...] = ()
+    lengths: tuple[int, ...] = (1,)  # samples of the manoeuvres
 
     @property
     def units(self) -> Mapping[str, str]:
@@ -71,7 +85,9 @@ class LinearDynamics(Dynamics):
     @property
     def free(self) -> tuple[Parameter, ...]:
         """In the order in which the card first writes them."""
-        return tuple(p for p in self.parameters if p.name not in self.fixed)
+        free = [p for p in self.parameters if p.name not in self.fixed]
+        many = {name: self._own(name) for name in self.rows.by_manoeuvre}
+        return tuple(replace(p, name=name) for p in free for name in many.get(p.name, [p.name]))
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -86,7 +102,7 @@ class LinearDynamics(Dynamics):
     @property
     def outputs(self) -> tuple[str, ...]:
         """States, and what the card adds."""
-        return (*self.rows.states, *self.rows.outputs)
+        return tuple(dict.fromkeys((*self.rows.states, *self.rows.outputs)))
 
     def values(self, theta: Any) -> dict[str, Any]:
         """The fixed ones and the free ones."""
@@ -94,20 +110,36 @@ class LinearDynamics(Dynamics):
 
     def system(self, values: Values, aircraft: Aircraft) -> System:  # noqa: ARG002
         """The matrix filled in; where one channel has several terms in a row they add."""
-        columns = (*self.states, *self.inputs, ONE)
-        terms = [(i, columns.index(t.channel), t) for i, (_, row) in enumerate(self.rows.rows) for t in row]
-        rows, across = ([place[k] for place in terms] for k in (0, 1))
-        entries = jnp.stack([jnp.asarray(t.factor * values[t.parameter], float) for _, _, t in terms])
-        matrix = jnp.zeros((len(self.outputs), len(columns))).at[jnp.array(rows), jnp.array(across)].add(entries)
-        return LinearSystem(matrix, self.states, self.inputs, self.rows.outputs)
+        own = self.rows.by_manoeuvre
+        driven = (*self.inputs, *own)
+        columns = (*self.states, *driven, ONE)
+        terms = [(i, t) for i, (_, row) in enumerate(self.rows.rows) for t in row]
+        across = [columns.index(t.parameter if t.parameter in own else t.channel) for _, t in terms]
+        sizes = [t.factor * (1.0 if t.parameter in own else values[t.parameter]) for _, t in terms]
+        entries = jnp.stack([jnp.asarray(size, float) for size in sizes])
+        places = jnp.array([i for i, _ in terms]), jnp.array(across)
+        matrix = jnp.zeros((len(self.rows.rows), len(columns))).at[places].add(entries)
+        return LinearSystem(matrix, self.states, driven, self.rows.outputs)
 
     def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
         """Its inputs as recorded, and a constant: a system without inputs, too, must know how many samples to fly."""
-        return {name: channels[name] for name in self.inputs} | {ONE: jnp.ones_like(channels["dt"])}
+        which = np.repeat(np.arange(len(self.lengths)), self.lengths)
+        own = {name: jnp.stack([values[n] for n in self._own(name)])[which] for name in self.rows.by_manoeuvre}
+        return {name: channels[name] for name in self.inputs} | own | {ONE: jnp.ones_like(channels["dt"])}
+
+    def delays(self, outputs: Sequence[str]) -> Mapping[str, str]:
+        """As the card names them."""
+        return {output: parameter for output, parameter in self.rows.delays if output in outputs}
+
+    def _own(self, name: str) -> list[str]:
+        return [f"{name}_{k + 1}" for k in range(len(self.lengths))]
 
 
-def linear_dynamics(card: Card) -> LinearDynamics:
-    """The linear system that a card states, its starts, bounds and priors in place."""
+def linear_dynamics(card: Card, lengths: tuple[int, ...] = (1,)) -> LinearDynamics:
+    """The linear system that a card states, its starts, bounds and priors in place.
+
+    `lengths` are the samples of the manoeuvres, for constants that differ between them.
+    """
     if card.linear is None:
         raise InputError(f"card {card.name} has no section [linear]; add it, or use its [model]")
     units = channel_units(card)
@@ -121,11 +153,15 @@ def linear_dynamics(card: Card) -> LinearDynamics:
             parameters.append(parameter.changed(**given))
         except InputError as error:
             raise InputError(f"card {card.name}: {error}") from None
-    return LinearDynamics(card.linear, tuple(parameters), tuple((name, units[name]) for name in card.linear.states))
+    named = tuple((name, units[name]) for name in card.linear.states)
+    return LinearDynamics(card.linear, tuple(parameters), named, lengths)
 
 
 def _meaning(name: str, rows: LinearCard, units: Mapping[str, str]) -> tuple[str, str]:
     """Unit of a parameter and what it does, by the first term that has it."""
+    for output, parameter in rows.delays:
+        if parameter == name:
+            return "s", f"delay of recorded {output}"
     for index, (row, terms) in enumerate(rows.rows):
         for term in terms:
             if term.parameter == name:

@@ -1,5 +1,8 @@
 """Linear systems of a card against their closed form."""
 
+import re
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -19,6 +22,7 @@ from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments, simulate
 from bayes_aero.dynamics.system import integrate
 from bayes_aero.errors import InputError
+from bayes_aero.flight.aircraft import NO_AIRCRAFT
 from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
 
@@ -125,3 +129,53 @@ def test_the_closed_form_itself():
     t = np.arange(20) * 0.1
     x = first_order_hold(np.array([[-1.0]]), np.array([[1.0]]), [0.0], t[:, None], 0.1)[:, 0]
     np.testing.assert_allclose(x, t - 1.0 + np.exp(-t), atol=1e-14)
+
+
+BIASED = SHORT_PERIOD.replace("[linear.rates.q]", '[linear.outputs.q]\nby_q = "1"\n[linear.rates.q]', 1)
+
+
+def test_a_bias_is_what_a_record_shows_beyond_the_state():
+    dynamics = linear_dynamics(card_of(BIASED))
+    values = dynamics.values(theta_of(dynamics, SHORT_PERIOD_TRUTH | {"by_q": 0.02}))
+    system = dynamics.system(values, NO_AIRCRAFT)
+    _, shown = system.motion(jnp.array([0.1, 0.3]), {"elevator": jnp.asarray(0.0)})
+    assert float(shown["q"]) == pytest.approx(0.32)
+    assert float(shown["alpha"]) == pytest.approx(0.1)
+    assert dynamics.outputs.count("q") == 1
+
+
+def test_a_constant_by_manoeuvre_is_that_of_each_sample_s_manoeuvre():
+    card = card_of(SHORT_PERIOD.replace("[linear]", '[linear]\nby_manoeuvre = ["M0"]', 1))
+    records = [record_of(short_period_flight(SHORT_PERIOD_TRUTH)) for _ in range(2)]
+    flights = join([replace(r, name=f"flight_{k}") for k, r in enumerate(records)], card, ("elevator",))
+    dynamics = linear_dynamics(card, flights.lengths)
+    assert [n for n in dynamics.names if n.startswith("M0")] == ["M0_1", "M0_2"]
+    values = dynamics.values(theta_of(dynamics, SHORT_PERIOD_TRUTH | {"M0_1": 0.5, "M0_2": -0.7}))
+    drive = dynamics.drives(values, flights.channels, flights)["M0"]
+    np.testing.assert_array_equal(drive, np.repeat([0.5, -0.7], flights.lengths))
+    plain = linear_dynamics(card_of(SHORT_PERIOD))
+    same = plain.system(plain.values(theta_of(plain, SHORT_PERIOD_TRUTH | {"M0": 0.5})), NO_AIRCRAFT)
+    own, x = dynamics.system(values, NO_AIRCRAFT), jnp.array([0.1, 0.3])
+    u = {"elevator": jnp.asarray(0.05), "M0": drive[0]}
+    np.testing.assert_allclose(own.motion(x, u)[0], same.motion(x, u)[0])
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        (("[linear]", '[linear]\nby_manoeuvre = ["Mq"]'), "has Mq, which is no constant"),
+        (("[linear]", '[linear]\nby_manoeuvre = "M0"'), "must be a list of constants"),
+        (("[linear]", '[linear]\ndelays = { q = "Mq" }'), "must be the name of a parameter of no row"),
+        (("[linear]", '[linear]\ndelays = { theta = "tau" }'), "theta"),
+        (("[linear.rates.q]", '[linear.outputs.q]\none = "q"\n[linear.rates.q]'), "it may only have a bias"),
+    ],
+)
+def test_a_row_that_means_nothing_is_refused(changed, said):
+    with pytest.raises(InputError, match=re.escape(said)):
+        card_of(SHORT_PERIOD.replace(*changed, 1))
+
+
+def test_a_constant_cannot_be_fixed_and_differ_between_manoeuvres():
+    text = SHORT_PERIOD.replace("[linear]", '[linear]\nby_manoeuvre = ["M0"]', 1)
+    with pytest.raises(InputError, match="M0 is fixed and differs between manoeuvres"):
+        card_of(text.replace("[linear.fixed]", "[linear.fixed]\nM0 = 0.0", 1))

@@ -7,7 +7,7 @@ numbers, `Lda = { aileron_left = 0.5, aileron_right = -0.5 }`. Nothing is parsed
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from bayes_aero.errors import InputError
@@ -27,13 +27,19 @@ class Term(NamedTuple):
 
 @dataclass(frozen=True)
 class LinearCard:
-    """Rows of a linear system: the rate of each state, and outputs that are no states."""
+    """Rows of a linear system: the rate of each state, and outputs; that of a state is what the record shows beyond it.
+
+    `delays`: the parameter, s, by which an output is recorded late. `by_manoeuvre`: constants that differ between
+    manoeuvres.
+    """
 
     states: tuple[str, ...]
     rates: tuple[tuple[Term, ...], ...]
     outputs: tuple[str, ...] = ()
     readings: tuple[tuple[Term, ...], ...] = ()
     fixed: tuple[tuple[str, float], ...] = ()
+    delays: tuple[tuple[str, str], ...] = ()
+    by_manoeuvre: tuple[str, ...] = ()
 
     @property
     def rows(self) -> tuple[tuple[str, tuple[Term, ...]], ...]:
@@ -43,7 +49,8 @@ class LinearCard:
     @property
     def parameters(self) -> tuple[str, ...]:
         """Names of all parameters, in the order in which the card first writes them."""
-        return tuple(dict.fromkeys(term.parameter for _, row in self.rows for term in row))
+        of_rows = (term.parameter for _, row in self.rows for term in row)
+        return tuple(dict.fromkeys([*of_rows, *(parameter for _, parameter in self.delays)]))
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -56,7 +63,7 @@ def parse_linear(table: Any, channels: Collection[str], where: str) -> LinearCar
     """Check [linear]; `channels` are those that the card maps, sums or holds constant."""
     if not isinstance(table, dict):
         raise InputError(f"card {where}: linear must be a section, [linear]")
-    known_keys(table, ("states", "rates", "outputs", "fixed"), where, "key of [linear]")
+    known_keys(table, ("states", "rates", "outputs", "fixed", "delays", "by_manoeuvre"), where, "key of [linear]")
     states = table.get("states")
     if not (isinstance(states, list) and states and all(isinstance(name, str) for name in states)):
         raise InputError(f'card {where}: [linear] states must be a list of channels, e.g. ["alpha", "q"]')
@@ -68,9 +75,6 @@ def parse_linear(table: Any, channels: Collection[str], where: str) -> LinearCar
     for name in states:
         if name not in rates:
             raise InputError(f"card {where}: [linear.rates.{name}] is missing; every state needs its rate")
-    for name in outputs:
-        if name in states:
-            raise InputError(f"card {where}: [linear.outputs.{name}] is a state, which is an output already; drop it")
     _mapped(outputs, channels, f"{where}: [linear.outputs]")
     found = LinearCard(
         states=tuple(states),
@@ -79,12 +83,45 @@ def parse_linear(table: Any, channels: Collection[str], where: str) -> LinearCar
         readings=tuple(_row(row, channels, f"{where}: [linear.outputs.{name}]") for name, row in outputs.items()),
         fixed=tuple(numbers(table.get("fixed", {}), f"{where}: [linear] fixed").items()),
     )
+    for name, row in zip(found.outputs, found.readings, strict=True):
+        if name in states and any(term.channel != ONE for term in row):
+            raise InputError(
+                f"card {where}: [linear.outputs.{name}] is a state, which is an output already; it may only have a "
+                'bias, by = "1"'
+            )
+    own, fixed = _by_manoeuvre(table.get("by_manoeuvre", []), found, where), dict(found.fixed)
+    found = replace(found, delays=_delays(section(table, "delays", where), found, where), by_manoeuvre=own)
+    if both := [name for name in own if name in fixed]:
+        raise InputError(
+            f"card {where}: [linear] {both[0]} is fixed and differs between manoeuvres; drop one of the two"
+        )
     for name, _ in found.fixed:
         if name not in found.parameters:
             raise InputError(
                 f"card {where}: [linear.fixed] {name} is a parameter of no row; drop it or correct its name"
             )
     return found
+
+
+def _by_manoeuvre(given: Any, found: LinearCard, where: str) -> tuple[str, ...]:
+    if not (isinstance(given, list) and all(isinstance(name, str) for name in given)):
+        raise InputError(f'card {where}: [linear] by_manoeuvre must be a list of constants, e.g. ["L0", "N0"]')
+    for name in given:
+        terms = [term for _, row in found.rows for term in row if term.parameter == name]
+        if not terms or any(term.channel != ONE for term in terms):
+            raise InputError(
+                f'card {where}: [linear] by_manoeuvre has {name}, which is no constant; only parameters of "1" can '
+                "differ between manoeuvres"
+            )
+    return tuple(dict.fromkeys(given))
+
+
+def _delays(table: Mapping[str, Any], found: LinearCard, where: str) -> tuple[tuple[str, str], ...]:
+    known_keys(table, (*found.states, *found.outputs), where, "output of [linear.delays]")
+    for output, parameter in table.items():
+        if not isinstance(parameter, str) or parameter in found.parameters:
+            raise InputError(f"card {where}: [linear.delays] {output} must be the name of a parameter of no row")
+    return tuple(table.items())
 
 
 def _row(table: Any, channels: Collection[str], where: str) -> tuple[Term, ...]:

@@ -37,8 +37,8 @@ def flown_dynamics(
         jumps = "psi" in flights.channels and "psi" not in dynamics.states
         notes += ["The heading is left out: it jumps, or bank was not recorded."] if jumps else []
     elif card.linear is not None:
-        dynamics = linear_dynamics(card)
-        flights, spikes = despiked(join(records, card, dynamics.inputs))
+        flights, spikes = despiked(join(records, card, card.linear.inputs))
+        dynamics = linear_dynamics(card, flights.lengths)
     else:
         flights, spikes = despiked(join(records, card, FLIGHT))
         dynamics = aircraft_dynamics(Model.from_card(card), flights, outputs, card.fly.held)
