@@ -260,18 +260,20 @@ class AircraftDynamics(EffectDynamics):
 
 
 def aircraft_dynamics(
-    model: Model, flights: Flights, outputs: Sequence[str] = (), held: Sequence[str] = ()
+    model: Model, flights: Flights, outputs: Sequence[str] = (), held: Sequence[str] | None = None
 ) -> AircraftDynamics:
     """The dynamics of a model for what these flights have recorded; raises `InputError` where they cannot be flown.
 
-    `outputs` of `ON_REQUEST` are simulated beside the usual ones. States that are `held` are as recorded.
+    `outputs` of `ON_REQUEST` are simulated beside the usual ones. States that are `held` (default: those that
+    the card holds) are as recorded.
     """
+    held = flights.held if held is None else tuple(held)
     own = held_states(model.axes, held)
     rigid = bool(held) or Axis.LATERAL in model.axes
     turning = [n for n in ON_REQUEST if n.removesuffix("_dot") not in own] if rigid else ["q_dot"]
     further = tuple(n for n in turning if n in outputs)
     altitude, heading = (n in flights.channels and not (rigid and n in own) for n in ("altitude", "psi"))
-    dynamics = AircraftDynamics(model, altitude, further, tuple(held), heading and rigid)
+    dynamics = AircraftDynamics(model, altitude, further, held, heading and rigid)
     have = set(flights.channels) | {
         "alpha_dot",
         "X",

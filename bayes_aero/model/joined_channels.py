@@ -33,12 +33,14 @@ class Flights(eqx.Module):
     time: Float[np.ndarray, " n"]
     lengths: tuple[int, ...] = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
+    held: tuple[str, ...] = eqx.field(static=True, default=())  # states that a simulation takes from the record
 
     @classmethod
     def of(cls, flights: Joined) -> Flights:
         """The same as JAX arrays."""
         channels = {name: jnp.asarray(x) for name, x in flights.channels.items()}
-        return cls(channels, flights.aircraft, flights.manoeuvre, flights.time, flights.lengths, flights.names)
+        own = flights.aircraft, flights.manoeuvre, flights.time, flights.lengths, flights.names, flights.held
+        return cls(channels, *own)
 
     @property
     def n(self) -> int:

@@ -49,7 +49,10 @@ class Recorded(Protocol):
 
 @dataclass(frozen=True)
 class Joined:
-    """Channels (n,) in SI, with `dt`, `start`, `elapsed`, `first`, `last` beside them (see `effect.Stage`)."""
+    """Channels (n,) in SI, with `dt`, `start`, `elapsed`, `first`, `last` beside them (see `effect.Stage`).
+
+    `held`: states that a simulation takes from the record, by the card.
+    """
 
     channels: dict[str, Shaped[np.ndarray, " n"]]
     aircraft: Aircraft
@@ -57,6 +60,7 @@ class Joined:
     time: Float[np.ndarray, " n"]
     lengths: tuple[int, ...]
     names: tuple[str, ...]
+    held: tuple[str, ...] = ()
 
     @property
     def n(self) -> int:
@@ -90,6 +94,7 @@ def joined(records: Sequence[FlightRecord], card: Card, required: Sequence[str] 
         time=np.concatenate([np.asarray(record.time) for record in records]),
         lengths=tuple(record.n for record in records),
         names=tuple(record.name for record in records),
+        held=card.fly.held,
     )
 
 

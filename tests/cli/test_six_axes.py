@@ -11,6 +11,11 @@ import six_axes as six
 import stranger_six
 from calling import called
 
+from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.model.joined_channels import join
+from bayes_aero.model.model import Model
+
 SECONDS = 14.0
 EFFECTS = (
     "attached_lift", "mach_lift", "elevator_moment", "pitching_moment", "pitch_damping", "profile_drag", "induced_drag",
@@ -76,6 +81,18 @@ def test_a_card_holds_further_states(flown):
     assert found["fitted_outputs"] == ["p", "r"]
     for name in ("Clp", "Clda", "Cnbe", "Cndr"):
         assert found["parameters"][name]["estimate"] == pytest.approx(getattr(plane, name), rel=0.05)
+
+
+def test_every_simulation_holds_what_the_card_holds(tmp_path):
+    """That of `diagnose`, too: the states are known from the records as they are joined."""
+    plane, rng = stranger_six.Plane(**six.ATTACHED), np.random.default_rng(3)
+    (tmp_path / "held.toml").write_text(six.card_text(plane, more='[fly]\nheld = ["beta", "phi"]\n'))
+    card = read_card(str(tmp_path / "held.toml"))
+    flight = stranger_six.fly(plane, "rudder", rng, seconds=5.0)
+    flights = join([six.record("rudder", flight, rng)], card, ())
+    dynamics = aircraft_dynamics(Model.from_card(card), flights)
+    assert dynamics.prescribed == ("beta", "phi")
+    assert not {"beta", "phi"} & set(dynamics.states)
 
 
 def test_a_state_that_there_is_not_cannot_be_held(flown, program):

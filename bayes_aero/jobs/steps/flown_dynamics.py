@@ -41,7 +41,7 @@ def flown_dynamics(
         dynamics = linear_dynamics(card, flights.lengths)
     else:
         flights, spikes = despiked(join(records, card, FLIGHT))
-        dynamics = aircraft_dynamics(Model.from_card(card), flights, outputs, card.fly.held)
+        dynamics = aircraft_dynamics(Model.from_card(card), flights, outputs)
         still = taken_as_zero(flights)
         notes += [f"Not recorded, and taken as zero: {several(still)}."] if still else []
         notes += [f"Held to the record: {several(dynamics.prescribed)}."] if dynamics.prescribed else []

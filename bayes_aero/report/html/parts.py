@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.flight.agreement import Agreement, Consistency
+from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.channel_units import channel_units
@@ -20,6 +21,19 @@ from bayes_aero.report.text.consistency import consistency_sentences
 from bayes_aero.report.text.phrases import SYMBOLS, bracket, for_people, number, plain_unit, several
 
 GLANCE = ("airspeed", "alpha", "altitude", "elevator", "q")
+LATERAL_GLANCE = (
+    "airspeed",
+    "alpha",
+    "beta",
+    "altitude",
+    "elevator",
+    "aileron",
+    "aileron_right",
+    "rudder",
+    "p",
+    "q",
+    "r",
+)
 MOST_SHOWN = 6  # manoeuvres whose time histories are on the page: each costs a browser a second on a phone
 
 
@@ -86,7 +100,8 @@ def consistency_lead(found: Consistency | None, *, corrects: bool) -> tuple[Text
 def _glanced(card: Card) -> dict[str, str]:
     """Main channels with their SI units: those that any flight has, or those of a linear card's rows."""
     if card.linear is None:
-        return {name: STANDARD_CHANNELS[name].unit for name in GLANCE}
+        names = LATERAL_GLANCE if Axis.LATERAL in card.axes else GLANCE
+        return {name: STANDARD_CHANNELS[name].unit for name in names}
     rows, units = card.linear, channel_units(card)
     return {name: units[name] for name in (*rows.states, *rows.outputs, *rows.inputs)}
 
@@ -99,17 +114,24 @@ CONVENTIONS = (
 )
 
 
+LATERAL_CONVENTIONS = (
+    " Sideslip is positive from the right. A positive aileron has the right trailing edge down, a positive rudder the "
+    "trailing edge left, so Clda and Cndr are negative. p and r enter as p l/V and r l/V, l the card's "
+    "lateral_rate_length (half the span, unless it states another)."
+)
+
+
 def conventions(card: Card) -> str:
     """Axes and signs of what the card's model is made of."""
     if card.linear is None:
-        return CONVENTIONS
+        return CONVENTIONS + (LATERAL_CONVENTIONS if Axis.LATERAL in card.axes else "")
     return f"{AXES}. Derivatives are dimensional, in SI and radians, and multiply whole channels, not departures."
 
 
 def _name(channel: str) -> str:
-    return {"elevator": "elevator", "q": "pitch rate q"}.get(
-        channel, f"{channel} {SYMBOLS[channel]}" if channel in SYMBOLS else channel
-    )
+    words = {"p": "roll rate p", "q": "pitch rate q", "r": "yaw rate r", "aileron_right": "right aileron"}
+    symbol = SYMBOLS.get(channel, channel)
+    return words.get(channel, channel if symbol == channel else f"{channel} {symbol}")
 
 
 def _range(record: FlightRecord, name: str, unit: str) -> str:
