@@ -7,9 +7,9 @@ any list of effects can live in one compiled function with the absent ones held 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum, StrEnum
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 from jaxtyping import Float
@@ -17,7 +17,7 @@ from jaxtyping import Float
 from bayes_aero.arrays import Array
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.axes import Axis
-from bayes_aero.parameter import Parameter
+from bayes_aero.parameter import Lengths, Parameter
 from bayes_aero.physics.coefficient_names import COEFFICIENTS, LATERAL, NAMES
 
 Values = Mapping[str, Any]
@@ -161,3 +161,12 @@ class Effect:
     def absent_in(self, values: Values) -> bool:
         """Whether `values` has every parameter at its neutral value; values of other parameters do not matter."""
         return all(values.get(name) == x for name, x in self.neutral_values.items())
+
+
+@cache
+def sized(effect: Effect, card: Lengths) -> Effect:
+    """The effect with its sizes in the reference lengths of a card; each time the same object, for models are hashed."""
+    times = {p.name: card.times(p) for p in effect.parameters}
+    if all(x == 1.0 for x in times.values()):
+        return effect
+    return replace(effect, sizes={n: (times[n] * low, times[n] * high) for n, (low, high) in effect.sizes.items()})

@@ -48,6 +48,10 @@ class Lengths:
             Length.LATERAL_MOMENT: self.lateral_moment,
         }[length]
 
+    def times(self, parameter: Parameter) -> float:
+        """What a parameter for the usual lengths is multiplied by."""
+        return math.prod(self.of(length) for length in parameter.lengths)
+
 
 USUAL = Lengths()
 USUALLY = {
@@ -187,7 +191,7 @@ class Parameter:
 
 def per_length(parameter: Parameter, card: Lengths) -> Parameter:
     """A parameter in the reference lengths of a card."""
-    times = math.prod(card.of(length) for length in parameter.lengths)
+    times = card.times(parameter)
     if times == 1.0:
         return parameter
     prior, limits = parameter.prior, parameter.limits

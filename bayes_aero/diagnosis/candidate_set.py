@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
-from bayes_aero.effect import NEUTRAL_FLOW, Effect, Kind, Stage
+from bayes_aero.effect import NEUTRAL_FLOW, Effect, Kind, Stage, sized
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.model.joined_records import Recorded
 from bayes_aero.model.model import Model
@@ -102,7 +102,8 @@ def candidate_model(
     owned = {p.name for e in active for p in e.parameters}
     have = set(flights.channels) | set(DERIVED)
     candidates, idle, not_testable = [], [], {}
-    for effect in (*absent, *(e for e in (*CATALOGUE.values(), *extra) if e not in model.effects)):
+    others = (sized(e, model.lengths) for e in (*CATALOGUE.values(), *extra) if e not in model.effects)
+    for effect in (*absent, *others):
         missing = [c for c in effect.channels if c not in have]
         still = [c for c in effect.channels if c in flights.channels and _at_rest(np.asarray(flights.channels[c]))]
         if still and not missing and effect.together and _moves(effect, flights):

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from bayes_aero.diagnosis.candidate_set import candidate_model
+from bayes_aero.effect import sized
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.chosen import lengths_of
 from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
 
@@ -61,3 +63,19 @@ def test_an_effect_can_be_tested_where_what_it_acts_through_moves(card, channels
     full = candidate_model(Model.of(names), join([record], replace(card, sums={}, constants={})))
     assert (effect in {e.name for e in full.candidates}) == (why is None)
     assert why is None or why in full.not_testable[effect]
+
+
+def test_sizes_worth_modelling_are_in_the_card_s_lengths(card, clean_records):
+    """Per q c/2V Cmq is twice as large; with moments over half the span Clp is, too."""
+    a = card.aircraft
+    halved = replace(card, aircraft=replace(a, rate_length=a.chord / 2.0, lateral_length=a.half_span))
+    worth = []
+    for one in (card, halved):
+        model = Model.from_card(replace(one, effects=tuple(name for name in one.effects if name != "pitch_damping")))
+        full = candidate_model(model, join(clean_records, one))
+        worth += [e.sizes["Cmq"] for e in full.candidates if e.name == "pitch_damping"]
+    usual, twice = worth
+    assert twice == pytest.approx([2.0 * x for x in usual])
+    roll, lengths = CATALOGUE["roll_damping"], lengths_of(halved.aircraft)
+    assert sized(roll, lengths).sizes["Clp"] == pytest.approx([2.0 * x for x in roll.sizes["Clp"]])
+    assert sized(roll, lengths) is sized(roll, lengths), "a model is hashed by its effects"
