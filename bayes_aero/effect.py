@@ -165,7 +165,7 @@ class Effect:
 
 @cache
 def sized(effect: Effect, card: Lengths) -> Effect:
-    """The effect with its sizes in the reference lengths of a card; each time the same object, for models are hashed."""
+    """The effect with its sizes in the reference lengths of a card; always the same object, for models are hashed."""
     times = {p.name: card.times(p) for p in effect.parameters}
     if all(x == 1.0 for x in times.values()):
         return effect
