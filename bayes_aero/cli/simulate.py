@@ -47,7 +47,8 @@ def simulate(
 ) -> None:
     """Write a synthetic record and its true parameters (FILE.truth.json).
 
-    Geometry, sensors and channels are the card's, the aerodynamics those of the demo aircraft and --effect.
+    Geometry, sensors with the errors that it fixes, and channels are the card's, the aerodynamics those of the demo
+    aircraft and --effect.
 
     Example: bayes-aero simulate --effect "pitch_rate_bias=0.3 deg/s" --effect thrust_lag=1 --seed 4 --out flight.csv
     """

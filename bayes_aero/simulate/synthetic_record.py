@@ -1,7 +1,8 @@
 """One synthetic record on request: any effects at given sizes, any standard manoeuvre, on the aircraft of a card.
 
-Geometry, mass, sensors and recorded channels are the card's; the aerodynamics are those of the demo aircraft
-(`demo.TRUTH`) and whatever is asked for. Physical effects act in flight, sensor errors when it is recorded.
+Geometry, mass, sensors, their errors that the card fixes, and recorded channels are the card's; the aerodynamics are
+those of the demo aircraft (`demo.TRUTH`) and whatever is asked for. Physical effects act in flight, sensor errors when
+it is recorded.
 """
 
 from __future__ import annotations
@@ -59,7 +60,8 @@ def synthetic(request: Request, card: Card, known: Mapping[str, Effect], name: s
     rng = np.random.default_rng([request.seed, 7])
     rigid = Axis.LATERAL in card.axes
     base = (*read_card("attas").effects, *(LATERAL_EFFECTS if rigid else ()))
-    chosen = [known[n] for n in dict.fromkeys((*base, *request.effects))]
+    installed = _installed(card, known)
+    chosen = [known[n] for n in dict.fromkeys((*base, *installed, *request.effects))]
     for effect in chosen:
         refuse_unflown(effect, SIGNALS | {"aileron"} if rigid else SIGNALS)
     axes = tuple(Axis) if rigid else (Axis.LONGITUDINAL,)
@@ -67,6 +69,7 @@ def synthetic(request: Request, card: Card, known: Mapping[str, Effect], name: s
     faults = [e for e in chosen if e.stage is Stage.CHANNEL]
     values = {name: x for e in chosen for name, x in e.neutral_values.items()} | TRUTH
     values |= LATERAL_TRUTH if rigid else {}
+    values |= {p.name: card.fixed[p.name] for n in installed for p in known[n].parameters}
     values |= {p: x for given in request.effects.values() for p, x in given.items()}
     values = {key: jnp.asarray(x, float) for key, x in values.items()}
     aircraft = flown_model.actual_aircraft(values, card.aircraft)
@@ -74,7 +77,7 @@ def synthetic(request: Request, card: Card, known: Mapping[str, Effect], name: s
     pilot, start = _piloted(rng, request, grid, flown_model, values, aircraft, chosen)
     marks = plain_marks(grid.n, grid.dt, 0) | {"elapsed": grid.time}  # from the first sample of the record
     commanded = {"thrust": np.asarray(pilot.thrust)}
-    engines = Model.of([e for e in faults if e.kind is Kind.PROPULSION])
+    engines = Model.of([e for e in faults if e.kind is Kind.PROPULSION], axes=axes)
     thrust = corrected(engines, values, commanded, marks, card.aircraft)["thrust"] if engines.effects else pilot.thrust
     pilot = pilot._replace(thrust=thrust)
     if isinstance(start, RigidTrim):
@@ -89,7 +92,7 @@ def synthetic(request: Request, card: Card, known: Mapping[str, Effect], name: s
             "the effects smaller, or change the manoeuvre, --airspeed or --duration"
         )
     true = {key: flight[key] for key in (RIGID if rigid else FLOWN)} | _air_data(flight)
-    sensors = Model.of([e for e in faults if e.kind is not Kind.PROPULSION])
+    sensors = Model.of([e for e in faults if e.kind is not Kind.PROPULSION], axes=axes)
     recorded = true | commanded
     if sensors.effects:
         recorded = misrecorded(sensors, values, recorded, marks, card.aircraft)
@@ -112,6 +115,12 @@ def synthetic(request: Request, card: Card, known: Mapping[str, Effect], name: s
         {key: scale * x for key, x in deviations.items() if key in (*channels, "thrust")},
         _notes(request, known, {key: x[grid.kept] for key, x in true.items()}),
     )
+
+
+def _installed(card: Card, known: Mapping[str, Effect]) -> list[str]:
+    """Errors of sensors that the card fixes: its model takes them out of every record, so a record has them."""
+    errors = [known[n] for n in card.effects if n in known and known[n].stage is Stage.CHANNEL and known[n].parameters]
+    return [e.name for e in errors if all(p.name in card.fixed for p in e.parameters) and not e.absent_in(card.fixed)]
 
 
 def _strength(request: Request) -> float:

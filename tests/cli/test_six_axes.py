@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -12,9 +13,12 @@ import stranger_six
 from calling import called
 
 from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
+from bayes_aero.simulate.request import Request
+from bayes_aero.simulate.synthetic_record import synthetic
 
 SECONDS = 14.0
 EFFECTS = (
@@ -144,3 +148,13 @@ def test_a_longitudinal_card_has_no_aileron_to_move(program):
     done = program("simulate", "--manoeuvre", "aileron_doublet", "--out", "no.csv")
     assert done.code == 2
     assert "needs a card that models the lateral axis" in done.err
+
+
+def test_errors_of_sensors_that_a_card_fixes_are_in_the_record():
+    """At rest before the doublet a gyro shows its bias, and an accelerometer differs from another card's by its own."""
+    card, request = read_card("full_six"), Request({}, "elevator_doublet", "none", duration=6.0)
+    plain = replace(card, effects=tuple(n for n in card.effects if n not in ("pitch_rate_bias", "accel_z_bias")))
+    found, without = (synthetic(request, one, CATALOGUE).record for one in (card, plain))
+    assert found["q"][0] == pytest.approx(card.fixed["pitch_rate_bias"], abs=1e-9)
+    np.testing.assert_allclose(found["q"] - without["q"], card.fixed["pitch_rate_bias"], atol=1e-9)
+    np.testing.assert_allclose(found["az"] - without["az"], card.fixed["accel_z_bias"], atol=1e-7)

@@ -9,10 +9,11 @@ import numpy as np
 from bayes_aero.flight.health.finding import HealthFinding, found
 from bayes_aero.flight.record import FlightRecord
 
-COMPARED = ("q", "alpha", "az", "theta", "airspeed", "elevator", "p", "ax", "phi", "altitude")
+COMPARED = ("q", "alpha", "az", "theta", "airspeed", "elevator", "p", "ax", "phi", "altitude", "r", "beta", "ay")
 FEWEST = 40  # samples in common
 ALIKE = 0.999  # correlation of sample-to-sample differences, noise included, that two flights never have
-CHANNELS = 2  # channels that must agree
+CHANNELS = 2  # channels that must agree, at least
+OTHERWISE = 2  # channels that may differ: repaired or filtered anew in one of the files
 
 
 def same_records(records: Sequence[FlightRecord]) -> list[HealthFinding]:
@@ -58,7 +59,7 @@ def _shared(one: FlightRecord, two: FlightRecord) -> tuple[int, int] | None:
             x, y = steps[n][0][begin + lag : end + lag], steps[n][1][begin:end]
             power = np.sqrt(float(x @ x) * float(y @ y))
             alike += bool(power > 0.0 and float(x @ y) > ALIKE * power)
-        if alike >= min(CHANNELS + (len(names) > 4), len(names)):
+        if alike >= max(CHANNELS, len(names) - OTHERWISE):
             return begin, end - begin + 1
     return None
 
