@@ -24,9 +24,7 @@ from bayes_aero.model.joined_records import MARKS, named_apart, plain_marks
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficient_names import NAMES, required_of
 from bayes_aero.physics.coefficients import (
-    SMOOTHED,
     alike_joined,
-    coefficient_noise,
     condition_joined,
     stacked_coefficients,
 )
@@ -44,13 +42,11 @@ class Observations(eqx.Module):
     """Samples of all manoeuvres laid end to end; `start` marks the first sample of each.
 
     Nothing reaches across a seam: filters ran per manoeuvre, and whatever has memory (lags, coloured noise) starts
-    anew where `start` is true. `measured` holds the `coefficients` named; `sensor_noise` their standard deviation from
-    sensor noise.
+    anew where `start` is true. `measured` holds the `coefficients` named.
     """
 
     signals: dict[str, Array]
     measured: Float[Array, "n c"]
-    sensor_noise: Float[Array, "n c"]
     start: Bool[Array, " n"]
     manoeuvre: Int[np.ndarray, " n"]
     time: Float[np.ndarray, " n"]
@@ -84,7 +80,6 @@ class Observations(eqx.Module):
         return Observations(
             signals={k: v[index] for k, v in self.signals.items()} | {"start": jnp.asarray(begins)},
             measured=self.measured[index],
-            sensor_noise=self.sensor_noise[index],
             start=jnp.asarray(begins),
             manoeuvre=self.manoeuvre[index],
             time=self.time[index],
@@ -154,11 +149,10 @@ def observe(
     shared = set.intersection(*(set(part) for part in parts))
     joined = {key: jnp.asarray(np.concatenate([part[key] for part in parts])) for key in sorted(shared)}
     beside = {key: joined.pop(key) for key in MARKS}
-    signals, measured, noise = _formed(model, forming, values, joined, beside, aircraft, dict(card.sensors))
+    signals, measured = _formed(model, forming, values, joined, beside, aircraft)
     return Observations(
         signals=dict(sorted((signals | {key: beside[key] for key in ("dt", "start")}).items())),
         measured=measured,
-        sensor_noise=noise,
         start=beside["start"],
         manoeuvre=np.repeat(np.arange(len(records)), [record.n for record in records]),
         time=np.concatenate([np.asarray(record.time) for record in records]),
@@ -176,17 +170,15 @@ def _formed(
     joined: Mapping[str, Array],
     beside: Mapping[str, Array],
     aircraft: Aircraft,
-    sensors: Mapping[str, float],
-) -> tuple[dict[str, Array], Float[Array, "n c"], Float[Array, "n c"]]:
-    """Conditioned signals, the coefficients and their noise: one program, where step by step each would be one."""
+) -> tuple[dict[str, Array], Float[Array, "n c"]]:
+    """Conditioned signals and the coefficients: one program, where step by step each would be one."""
     true = model.corrected(values, {**joined, **beside}, aircraft)
     channels, ends = {key: true[key] for key in joined}, [beside[key] for key in ("dt", "first", "last")]
     if forming is Forming.MATCHED:
-        signals, smoothed = alike_joined(channels, aircraft.accelerometer, *ends), tuple(channels)
+        signals = alike_joined(channels, aircraft.accelerometer, *ends)
     else:
-        signals, smoothed = condition_joined(channels, *ends), SMOOTHED
-    noise = coefficient_noise(signals, aircraft, sensors, beside["dt"], smoothed, model.coefficients)
-    return signals, stacked_coefficients(signals, aircraft, model.coefficients), noise
+        signals = condition_joined(channels, *ends)
+    return signals, stacked_coefficients(signals, aircraft, model.coefficients)
 
 
 def _settled(model: Model) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from bayes_aero.dynamics.segments import SegmentTrajectories, segments, simulate
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import FILTER_STEP
-from bayes_aero.residuals.base import ResidualModel
+from bayes_aero.residuals.base import CHUNK, ResidualModel
 from bayes_aero.residuals.windows import WINDOW
 
 
@@ -90,13 +90,16 @@ class OutputError(ResidualModel, eqx.Module):
         self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
         """Residuals and minus their derivatives in these directions."""
-        residual, slope = _slopes(self._nameless, jnp.asarray(theta), jnp.asarray(directions))
+        rest = np.zeros((len(directions), len(self.windows.dynamics.start)))
+        residual, slope = _slopes(self._nameless, *map(jnp.asarray, (theta, directions, rest)))
         return np.asarray(residual), -np.asarray(slope)
 
     def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:
         """Sensitivities to the initial state of each window."""
         keep = [self.outputs.index(name) for name in outputs]
-        slope = -np.asarray(_state_slopes(self._nameless, jnp.asarray(theta)))[:, :, keep]  # s m c
+        begun = np.eye(len(self.windows.dynamics.start))
+        parts = [self._state_slopes(theta, begun[i : i + CHUNK]) for i in range(0, len(begun), CHUNK)]
+        slope = np.concatenate(parts)[:, :, keep]  # s m c
         window = self.stretch
         s, m, c = slope.shape
         S = np.zeros((m, c, len(self.windows.index) * s))
@@ -104,6 +107,15 @@ class OutputError(ResidualModel, eqx.Module):
             mine = window == w
             S[mine, :, w * s : (w + 1) * s] = np.moveaxis(slope[:, mine], 0, 2)
         return S
+
+    def _state_slopes(
+        self, theta: Float[np.ndarray, " k"], begun: Float[np.ndarray, "d s"]
+    ) -> Float[np.ndarray, "d m c"]:
+        """Minus the derivatives in directions of the initial state, by the program of `slopes`."""
+        along = np.zeros((CHUNK, begun.shape[1]))
+        along[: len(begun)] = begun
+        arguments = map(jnp.asarray, (theta, np.zeros((CHUNK, len(theta))), along))
+        return -np.asarray(_slopes(self._nameless, *arguments)[1])[: len(begun)]
 
     def residual(self, theta: Any, shared: Any) -> Float[Array, "m c"]:
         """At these parameters; every window's initial state departs by `shared` (s,)."""
@@ -117,14 +129,8 @@ def _evaluate(responses: OutputError, theta):
 
 
 @eqx.filter_jit
-def _slopes(responses: OutputError, theta, directions):
-    rest = jnp.zeros(len(responses.windows.dynamics.start))
-    one = lambda d: jax.jvp(lambda t: responses.residual(t, rest), (theta,), (d,))  # noqa: E731
-    return jax.vmap(one, out_axes=(None, 0))(directions)
-
-
-@eqx.filter_jit
-def _state_slopes(responses: OutputError, theta):
-    rest = jnp.zeros(len(responses.windows.dynamics.start))
-    one = lambda d: jax.jvp(lambda x: responses.residual(theta, x), (rest,), (d,))[1]  # noqa: E731
-    return jax.vmap(one)(jnp.eye(len(rest)))
+def _slopes(responses: OutputError, theta, directions, begun):
+    """Along parameters and initial states at once: one program to compile for both."""
+    point = (theta, jnp.zeros(begun.shape[1]))
+    one = lambda *d: jax.jvp(responses.residual, point, d)  # noqa: E731
+    return jax.vmap(one, out_axes=(None, 0))(directions, begun)

@@ -86,13 +86,16 @@ def misrecorded(
     rate, where it cannot be undone.
     """
     correction, goal = _correction(model, values, true, marks, aircraft)
-    x = goal
+    x, left = goal, 0.0
     for _ in range(STEPS):
         error = np.asarray(goal - correction(x))
-        if np.max(np.abs(error)) < TOLERANCE:
+        # What LSMR could not solve another step cannot either: it is what a delay has lost. Curvature leaves more.
+        if np.max(np.abs(error)) < TOLERANCE or np.linalg.norm(error) < 2.0 * left:
             break
         error = np.where(np.abs(error) < 1e-14, 0.0, error)  # rounding, in channels that no effect touches
-        step = lsmr(_Derivative(correction, x), error.ravel(), atol=1e-13, btol=1e-13, conlim=0.0, maxiter=300)[0]
+        step, _, _, left, *_ = lsmr(
+            _Derivative(correction, x), error.ravel(), atol=1e-13, btol=1e-13, conlim=0.0, maxiter=300
+        )
         x = x + jnp.asarray(step.reshape(x.shape))
     change = np.asarray((x - goal) * correction.scale[:, None])
     return {name: series + dx for (name, series), dx in zip(true.items(), change, strict=True)}

@@ -25,6 +25,7 @@ import dask
 import distributed  # noqa: F401  (its defaults come with it: set before, they would go with what a test has set)
 import psutil
 import pytest
+from calling import called
 
 from bayes_aero.study import case as units
 
@@ -131,6 +132,11 @@ def run(place, *more):
         return ended(process)
 
 
+def done_again(place, cluster):
+    """The same command after what has disturbed it, which needs no process of its own."""
+    return called(place, "run", "study.toml", "--scheduler", cluster.address)
+
+
 def with_no_process(do):
     try:
         return do()
@@ -213,7 +219,7 @@ def test_a_killed_driver_costs_what_was_in_work(folder, cluster, undisturbed):
         driver.kill()
     kept = {path: path.stat().st_mtime_ns for path in finished(folder)}
     assert len(kept) < UNITS
-    done = run(folder, "--scheduler", cluster.address)
+    done = done_again(folder, cluster)
     assert done.code == 0, done.err
     assert {path: path.stat().st_mtime_ns for path in kept} == kept  # nothing was done twice
     same(folder, undisturbed)
@@ -228,7 +234,7 @@ def test_a_killed_driver_takes_its_own_workers_along(folder, cluster, undisturbe
         assert len(orphans) == 1
         wait_for(lambda: gone(orphans), seconds=60.0)
     assert len(finished(folder)) < UNITS
-    assert run(folder, "--scheduler", cluster.address).code == 0
+    assert done_again(folder, cluster).code == 0
     same(folder, undisturbed)
 
 
@@ -242,7 +248,7 @@ def test_a_lost_scheduler_is_told_and_costs_what_was_in_work(folder, cluster, un
     assert re.match(told, done.err), done.err
     assert done.err.count("\n") == 1
     assert (folder / "study_results" / "units.csv").is_file()
-    assert run(folder, "--scheduler", cluster.address).code == 0
+    assert done_again(folder, cluster).code == 0
     same(folder, undisturbed)
 
 
@@ -269,7 +275,7 @@ def test_ctrl_c_stops_at_once_and_says_how_to_go_on(folder, cluster, undisturbed
     assert re.match(r"interrupted; \d of 10 units are done and kept in study_results; the same command", done.err)
     assert done.err.count("\n") == 1
     assert not list((folder / "study_results" / "units").glob(".*"))
-    assert run(folder, "--scheduler", cluster.address).code == 0
+    assert done_again(folder, cluster).code == 0
     same(folder, undisturbed)
 
 
@@ -297,7 +303,7 @@ def test_a_full_disk_is_told_and_costs_what_was_in_work(folder, cluster, undistu
         assert 2 <= len(finished(folder)) < UNITS  # a unit takes 0.3 of 3 MB, of which the last is never begun
         assert not list((out / "units").glob(".*"))
         subprocess.run(["mount", "-o", "remount,size=16m", out], check=True)
-        assert run(folder, "--scheduler", cluster.address).code == 0
+        assert done_again(folder, cluster).code == 0
         same(folder, undisturbed)
 
 
@@ -320,7 +326,7 @@ def test_a_corrupt_file_is_found_and_that_unit_alone_done_again(tmp_path, cluste
     raw[len(raw) // 2] ^= 1
     victim.write_bytes(raw)
     kept = {path: path.stat().st_mtime_ns for path in finished(folder) if path.parent != victim.parent}
-    done = run(folder, "--scheduler", cluster.address)
+    done = done_again(folder, cluster)
     assert f"{UNITS} units: 1 done now, 9 were done" in done.out
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
     same(folder, undisturbed)

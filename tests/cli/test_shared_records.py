@@ -21,7 +21,10 @@ import pytest
 from calling import called
 
 import bayes_aero as ba
+from bayes_aero.diagnosis.consistency import consistency
+from bayes_aero.diagnosis.consistency.sensor_errors import screen_sensor_errors
 from bayes_aero.errors import InputError
+from bayes_aero.jobs import check
 from bayes_aero.jobs import identify as job
 from bayes_aero.jobs.card.card_template import starter_card
 
@@ -72,7 +75,20 @@ def made(tmp_path_factory):
 
 @pytest.fixture
 def bare(monkeypatch):
-    """`identify` without its page and the simulation on it: faults are reported before those are made."""
+    """`identify` without its page and the simulation on it: faults are reported before those are made.
+
+    Both commands search the same records for errors of sensors: that is done once.
+    """
+    found = {}
+
+    def once(records, card, *, seed=0):
+        key = (*((record.sha256, record.n) for record in records), seed)
+        if key not in found:
+            found[key] = screen_sensor_errors(records, card, seed=seed)
+        return found[key]
+
+    monkeypatch.setattr(check, "screen_sensor_errors", once)
+    monkeypatch.setattr(consistency, "screen_sensor_errors", once)
     monkeypatch.setattr(job, "put_page", lambda *_: ())
     monkeypatch.setattr(job, "fly_identified", lambda *_: ((), (), ()))
 

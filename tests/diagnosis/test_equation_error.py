@@ -7,15 +7,19 @@ from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.effect import Stage
 from bayes_aero.model.joined_channels import join
 from bayes_aero.residuals.equation_error import EquationError
-from bayes_aero.simulate.demo import TRUTH, simulate_stall
+from bayes_aero.simulate.demo import TRUTH
+from bayes_aero.simulate.injection import hidden_records
 
 STEP = 1e-5  # of a parameter's usual deviation
 
 
 @pytest.fixture(scope="module")
 def problem(card, model):
-    """EquationError of one flight, its field, and parameters near those flown but off neutral."""
-    flights = join([simulate_stall(0, card=card)], card)
+    """EquationError of two flights, its field, and parameters near those flown but off neutral.
+
+    Of the length of other tests' flights, whose compiled programs serve.
+    """
+    flights = join(hidden_records({}, seed=12, noise="white", seconds=90.0), card)
     full = candidate_model(model, flights)
     rng = np.random.default_rng(12)
     deviation = np.array([p.prior.normal[1] for p in full.model.free])

@@ -14,7 +14,7 @@ from bayes_aero.diagnosis.trajectories.results import LagTest, Path
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import segments
-from bayes_aero.inference.likelihood.output_error import fit_cascade, fit_output_error
+from bayes_aero.inference.likelihood.output_error import fit_output_error
 from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.simulate.demo import TRUTH
@@ -30,9 +30,9 @@ def asked(card, hidden, seed):
     model = Model.from_card(card)
     full = candidate_model(model, flights)
     dynamics = aircraft_dynamics(model, flights)
-    short, whole = (segments(flights, dynamics, outputs=OUTPUTS, window=w) for w in (12.0, None))
+    whole = segments(flights, dynamics, outputs=OUTPUTS)
     start = np.array([TRUTH[name] for name in dynamics.names])
-    first = fit_cascade([short, whole], [start], prior_weight=30.0)
+    first = fit_output_error(whole, start=start, prior_weight=30.0)  # near enough to need no shorter windows
     noise = Noise.of(first)
     fit = fit_output_error(
         noise.on(whole), start=first.estimate, departure=first.departure, prior_weight=noise.variance_inflation

@@ -31,7 +31,6 @@ def measured(colour: Colour, size: float = 1.0) -> tuple[Density, np.ndarray]:
     empty = Observations(
         signals=signals,
         measured=jnp.zeros((N, 3)),
-        sensor_noise=jnp.full((N, 3), 0.01),
         start=jnp.asarray(start),
         manoeuvre=np.cumsum(start) - 1,
         time=t,

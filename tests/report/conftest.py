@@ -52,7 +52,6 @@ def observations(model: Model, manoeuvres: int) -> Observations:
     return Observations(
         signals=signals,
         measured=clean + 0.005 * jnp.asarray(rng.standard_normal((t.size, 3))),
-        sensor_noise=jnp.full((t.size, 3), 0.005),
         start=jnp.asarray(start),
         manoeuvre=number,
         time=t,

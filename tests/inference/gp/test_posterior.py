@@ -24,10 +24,10 @@ BUDGET = Budget(exact=400, nuts=LENGTH)
 
 @pytest.fixture(scope="module")
 def case():
-    """A non-linear function of one input with a linear trend, 100 points: data, optimum, posterior."""
+    """A non-linear function of one input with a linear trend, 60 points: data, optimum, posterior."""
     rng = np.random.default_rng(21)
-    x = rng.uniform(-1.7, 1.7, size=(100, 1))
-    y = 0.5 + 0.4 * x[:, 0] + 0.5 * np.sin(4 * x[:, 0]) + 0.1 * rng.normal(size=100)
+    x = rng.uniform(-1.7, 1.7, size=(60, 1))
+    y = 0.5 + 0.4 * x[:, 0] + 0.5 * np.sin(4 * x[:, 0]) + 0.1 * rng.normal(size=60)
     data = ReducedData.of(x, y)
     best = find_map(data, Priors(), starts=4, polish=1)[0]
     return data, best, sample_posterior(best, data, Priors(), budget=BUDGET, seed=2)
