@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from bayes_aero.diagnosis.consistency.consistency import in_gusts
 from bayes_aero.diagnosis.trajectories.fit_agreement import fit_disagreements
+from bayes_aero.diagnosis.trajectories.motion.motion import motion_of
 from bayes_aero.diagnosis.trajectories.results import FITTED, Setting
 from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
 from bayes_aero.diagnosis.trajectories.trajectory_fit import fit_trajectories
@@ -55,6 +56,7 @@ from bayes_aero.report.tables.fly import drift_history_table, gust_table, parame
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.drift import drift_sentences
 from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences
+from bayes_aero.report.text.motion import motion_sentences
 from bayes_aero.report.text.process_noise import gust_sentences, process_noise_sentences
 
 
@@ -158,14 +160,17 @@ def fly_records(
     (beside, sample), more = process_noise(flown, options, card, out, progress)
     if options.filtered and not flown.converged:
         notes.append("Process noise was not fitted, because output error did not converge.")
+    moves, unmoved = attempted("Modes of motion were not found", lambda: motion_of(flown), None, out)
     apart = () if coefficients is None else fit_disagreements(coefficients, flown)
     hindered = usable_for(records, card).get("diagnose", "")
     drifted = drift_sentences(beside.drift) if beside is not None and beside.drift is not None else ()
     filtered = () if beside is None else (*drifted, *process_noise_sentences(beside, flown))
     plain = fly_sentences(flown, hindered, disturbed=options.filtered)
     said = (*gust_sentences(gusts, beside), *filtered, *plain, *disagreement_sentences(apart, hindered))
+    said += tuple(motion_sentences(moves))
     health = channel_health(records, card)
-    found = Flight(flown, said, tuple(notes), health, agreement, (*failures, *failed, *more), apart, beside)
+    failed = (*failures, *failed, *more, *unmoved)
+    found = Flight(flown, said, tuple(notes), health, agreement, failed, apart, beside, motion=moves)
 
     def put(found: Flight) -> None:
         if out is not None:
@@ -237,6 +242,7 @@ def _written(
         found.health,
         found.process_noise,
         found.posteriors,
+        found.motion,
     )
     failed = put_page(lambda: fly_page(found.flown, told), out)
     return noted((), failed) if failed else found

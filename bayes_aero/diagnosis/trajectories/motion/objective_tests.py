@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.diagnosis.trajectories.motion.flown_modes import flown_mode
 from bayes_aero.diagnosis.trajectories.motion.free_response import Swing, still_stretches, swing
-from bayes_aero.diagnosis.trajectories.motion.results import HALF, Compared
+from bayes_aero.diagnosis.trajectories.motion.results import Compared
 from bayes_aero.flight import tolerances
 from bayes_aero.flight.tolerances import ObjectiveTest
 
@@ -26,6 +27,12 @@ NEAR = 0.5  # s about a recorded peak in which the simulated one is sought
 STEADY, UNMOVED, SLIPS = 3.0, math.radians(1.0), math.radians(2.0)  # s; rad of change; rad of sideslip: our choice
 STALLED, AFTER = 0.9, 5.0  # separation point at which the stall begins; s in which the aircraft rolls off
 ROLLS_OFF = math.radians(5.0)  # rad; our choice
+QUANTITIES = (
+    ("period", "period", "s"),
+    ("damping_ratio", "damping ratio", "1"),
+    ("time_to_half", "time to half or double", "s"),
+    ("time_to_double", "time to half or double", "s"),
+)
 
 Series = Mapping[str, Float[np.ndarray, " n"]]
 
@@ -88,56 +95,45 @@ def dutch_roll(one: Manoeuvre) -> list[Compared] | str:
         return "neither aileron nor rudder was recorded"
     stretches = still_stretches(one.time, one.controls)
     if not stretches:
-        return "aileron or rudder move all the time: there is no free response"
+        return "aileron or rudder move all the time"
     names = [n for n in ("beta", "r", "phi") if n in one.measured]
     for part in stretches:
         both = [swing(one.time[part], {n: of[n][part] for n in names}) for of in (one.measured, one.simulated)]
         if both[0] is not None:
             return _swings(one, *both)
-    return "sideslip does not swing for a cycle while aileron and rudder are still: there is no free response"
+    return "sideslip does not swing for a cycle while aileron and rudder are still"
 
 
 def _swings(one: Manoeuvre, recorded: Swing, simulated: Swing | None) -> list[Compared] | str:
     if simulated is None:
         return "the record swings freely, and the simulation does not"
-    test, s, w = tolerances.DUTCH_ROLL, recorded.eigenvalue.real, recorded.eigenvalue.imag
+    test = tolerances.DUTCH_ROLL
     few = f"{recorded.cycles:.1f} cycles; the test asks for {CYCLES:.0f}" if recorded.cycles < CYCLES else ""
-    sd_s, sd_w = np.sqrt(np.diag(recorded.covariance))
-    size = abs(recorded.eigenvalue)
-    slope = np.array([-(w**2), s * w]) / size**3
-    damping = -s / size, float(np.sqrt(slope @ recorded.covariance @ slope))
-    period = 2.0 * math.pi / w, 2.0 * math.pi / w**2 * float(sd_w)
-    other = simulated.eigenvalue
+    own, other = (flown_mode(test.title, x.eigenvalue, x.covariance).quantities for x in (recorded, simulated))
     rows = [
-        one.compared(test, "period", "s", period, 2.0 * math.pi / other.imag, few),
-        one.compared(test, "damping ratio", "1", damping, -other.real / abs(other), few),
+        one.compared(test, quantity, unit, own[name], other[name][0], few)
+        for name, quantity, unit in QUANTITIES
+        if name in own and name in other
     ]
-    if abs(s) > 2.0 * sd_s and s * other.real > 0.0:
-        half = HALF / abs(s), HALF / s**2 * float(sd_s)
-        rows.append(one.compared(test, "time to half or double", "s", half, HALF / abs(other.real), few))
-        rows[1:] = _either(rows[1:])
+    rows[1:] = _either(rows[1:])
     if "phi" in recorded.lag:
-        apart = simulated.lag["phi"] - recorded.lag["phi"]
-        period_of = 2.0 * math.pi / other.imag
-        apart -= period_of * round(apart / period_of)
-        lag = recorded.lag["phi"], math.nan
-        rows.append(one.compared(test, "bank after sideslip", "s", lag, recorded.lag["phi"] + apart, few))
+        period, lag = other["period"][0], recorded.lag["phi"]
+        apart = simulated.lag["phi"] - lag
+        apart -= period * round(apart / period)
+        rows.append(one.compared(test, "bank after sideslip", "s", (lag, math.nan), lag + apart, few))
     return rows
 
 
 def _either(rows: list[Compared]) -> list[Compared]:
     """Rows of which one suffices."""
     met = [row for row in rows if row.within]
-    others = [] if len(met) in (0, len(rows)) else [row for row in rows if not row.within]
-    told = f"met by {met[0].quantity}" if others else ""
+    if not met:
+        return rows
+    told = f"met by {met[0].quantity}"
     return [
-        _changed(row, within=True, remark="; ".join(x for x in (row.remark, told) if x)) if row in others else row
+        row if row.within else replace(row, within=True, remark=f"{row.remark}; {told}" if row.remark else told)
         for row in rows
     ]
-
-
-def _changed(row: Compared, **changes: object) -> Compared:
-    return Compared(**(vars(row) | changes))
 
 
 def spiral(one: Manoeuvre) -> list[Compared] | str:
@@ -153,7 +149,7 @@ def spiral(one: Manoeuvre) -> list[Compared] | str:
             trend = (phi[end] - phi[part.start]) * (other[end] - other[part.start]) > 0.0
             test, quantity = tolerances.SPIRAL, "bank after 20 s"
             row = one.compared(test, quantity, "rad", (float(phi[end]), math.nan), float(other[end]))
-            return [row if trend else _changed(row, within=False, remark="the trend is wrong")]
+            return [row if trend else replace(row, within=False, remark="the trend is wrong")]
     return "no bank of 5 deg is left alone for 20 s"
 
 
@@ -223,9 +219,7 @@ def stall(one: Manoeuvre) -> list[Compared] | str:
     farthest = int(after[np.argmax(np.abs(phi[after] - phi[begin]))])
     rolled = float(phi[farthest] - phi[begin])
     if abs(rolled) >= ROLLS_OFF:
-        rows.append(
-            one.compared(test, "roll-off", "rad", (rolled, math.nan), float(other[farthest] - other[begin]))
-        )
+        rows.append(one.compared(test, "roll-off", "rad", (rolled, math.nan), float(other[farthest] - other[begin])))
     return rows
 
 
