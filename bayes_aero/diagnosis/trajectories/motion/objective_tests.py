@@ -98,9 +98,11 @@ def dutch_roll(one: Manoeuvre) -> list[Compared] | str:
         return "aileron or rudder move all the time"
     names = [n for n in ("beta", "r", "phi") if n in one.measured]
     for part in stretches:
-        both = [swing(one.time[part], {n: of[n][part] for n in names}) for of in (one.measured, one.simulated)]
-        if both[0] is not None:
-            return _swings(one, *both)
+        recorded, other = (
+            swing(one.time[part], {n: of[n][part] for n in names}) for of in (one.measured, one.simulated)
+        )
+        if recorded is not None:
+            return _swings(one, recorded, other)
     return "sideslip does not swing for a cycle while aileron and rudder are still"
 
 
