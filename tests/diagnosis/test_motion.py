@@ -9,20 +9,31 @@ import numpy as np
 import pytest
 import six_axes as six
 import stranger_six
-from flown_samples import flight
+from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, short_period_flight
 from stranger_six import Plane
 
 from bayes_aero.diagnosis.trajectories.motion.flown_modes import flown_mode, flown_modes
 from bayes_aero.diagnosis.trajectories.motion.free_response import still_stretches, swing
 from bayes_aero.diagnosis.trajectories.motion.motion import motion_of
 from bayes_aero.diagnosis.trajectories.motion.objective_tests import Manoeuvre, objective_tests
+from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.modes import Steady, modes
 from bayes_aero.flight.tolerances import OBJECTIVE_TESTS
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
+from bayes_aero.jobs.fly import fly
 
 DT = 0.04
 DEGREE = math.radians(1.0)
-BODY = {n: np.zeros(750) for n in ("aileron", "rudder")}
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """A linear short period fitted to two noisy flights of 8 s."""
+    noise = {"alpha": 0.002, "q": 0.003, "az": 0.15}
+    motions = [short_period_flight(SHORT_PERIOD_TRUTH, n=200, x0=(0.04, 0.03 * k)) for k in range(2)]
+    rngs = [np.random.default_rng(k) for k in range(2)]
+    records = [record_of(motions[k], noise=noise, rng=rngs[k], name=f"flight {k}") for k in range(2)]
+    return fly(records, card_of(SHORT_PERIOD)).flown
 
 
 def time_of(n):
@@ -36,7 +47,7 @@ def made(measured, simulated, controls=None, X=None):
     return Manoeuvre("made", time_of(n), measured, simulated, controls, X)
 
 
-def tested(one, title):
+def rows_of(one, title):
     """Rows of one test by quantity, or the reason."""
     rows, untested = objective_tests([one])
     (test,) = (t for t in OBJECTIVE_TESTS if t.title == title)
@@ -99,7 +110,7 @@ def test_controls_are_still_where_they_do_not_move():
     slow = 0.5 * DEGREE * time_of(500)  # too slow to move at any instant, too far to be still
     rng = np.random.default_rng(0)
     noisy = u + 0.03 * DEGREE * rng.standard_normal(500)
-    (after, held, before) = still_stretches(time_of(500), {"rudder": noisy}, shortest=2.0)
+    (after, before, held) = still_stretches(time_of(500), {"rudder": noisy}, shortest=2.0)
     assert 200 <= after.start <= 214
     assert after.stop == 500
     assert 100 <= held.start < held.stop <= 200
@@ -110,8 +121,8 @@ def test_controls_are_still_where_they_do_not_move():
 def test_the_free_response_of_another_simulator_has_the_eigenvalue_of_the_model():
     """From motion of a degree or two: period within 0.2 %, damping within 1 %."""
     plane = Plane(**six.ATTACHED)
-    rows = tested(as_manoeuvre(released(plane)), "Dutch roll")
-    dynamics = six_dynamics()
+    rows = rows_of(as_manoeuvre(released(plane)), "Dutch roll")
+    dynamics = AircraftDynamics(six.model())
     values = six.values(plane, dynamics.model)
     found = modes(dynamics, values, six.aircraft(plane), Steady(120.0, 4000.0))
     (roll,) = (mode.eigenvalue for mode in found if mode.name == "Dutch roll")
@@ -122,17 +133,11 @@ def test_the_free_response_of_another_simulator_has_the_eigenvalue_of_the_model(
     assert all(row.within and row.simulated == pytest.approx(row.measured[0], rel=1e-6) for row in rows.values())
 
 
-def six_dynamics():
-    from bayes_aero.dynamics.flight import AircraftDynamics
-
-    return AircraftDynamics(six.model())
-
-
 def test_an_aircraft_with_another_stability_does_not_meet_the_test():
     """Cnbe of a fourth: the period doubles; damping of another yaw damping is missed, too."""
     plane = Plane(**six.ATTACHED)
     slow = replace(plane, Cnbe=0.03, Cnr=-0.05)
-    rows = tested(as_manoeuvre(released(plane), released(slow)), "Dutch roll")
+    rows = rows_of(as_manoeuvre(released(plane), released(slow)), "Dutch roll")
     assert not rows["period"].within
     assert rows["period"].simulated > 1.5 * rows["period"].measured[0]
 
@@ -143,18 +148,20 @@ def test_moving_controls_leave_no_free_response():
     plane = stranger_six.drawn(rng, **six.ATTACHED)
     flown = stranger_six.fly(plane, "rudder", rng, seconds=14.0)
     busy = flown | {"aileron": flown["aileron"] + DEGREE * np.sin(3.0 * flown["time"])}
-    assert tested(as_manoeuvre(busy), "Dutch roll") == "aileron or rudder move all the time"
+    assert rows_of(as_manoeuvre(busy), "Dutch roll") == "aileron or rudder move all the time"
     still = {"beta": 1e-3 * rng.standard_normal(600)}
-    assert "does not swing" in tested(made(still, still), "Dutch roll")
-    assert tested(made({"p": np.zeros(9)}, {"p": np.zeros(9)}), "Dutch roll") == "beta is not recorded or not simulated"
-    assert "neither aileron nor rudder" in tested(replace(made(still, still), controls={}), "Dutch roll")
+    assert "does not swing" in rows_of(made(still, still), "Dutch roll")
+    assert (
+        rows_of(made({"p": np.zeros(9)}, {"p": np.zeros(9)}), "Dutch roll") == "beta is not recorded or not simulated"
+    )
+    assert "neither aileron nor rudder" in rows_of(replace(made(still, still), controls={}), "Dutch roll")
 
 
 @pytest.mark.parametrize(("ratio", "met"), [(0.1, True), (0.115, True), (0.125, False)])
 def test_damping_is_met_within_two_hundredths(ratio, met):
     """The damping ratio ±0.02 or the time to half ±10 %: one suffices."""
     recorded, simulated = ({"beta": damped(4.0, x)[1]} for x in (0.1, ratio))
-    rows = tested(made(recorded, simulated), "Dutch roll")
+    rows = rows_of(made(recorded, simulated), "Dutch roll")
     assert rows["damping ratio"].measured[0] == pytest.approx(0.1, abs=1e-6)
     assert rows["damping ratio"].simulated == pytest.approx(ratio, abs=1e-6)
     assert [rows[n].within for n in ("damping ratio", "time to half or double")] == [met, met]
@@ -164,7 +171,7 @@ def test_damping_is_met_within_two_hundredths(ratio, met):
 @pytest.mark.parametrize(("period", "met"), [(3.6, True), (3.4, False), (4.45, True), (4.55, False)])
 def test_the_period_is_met_within_half_a_second(period, met):
     recorded, simulated = ({"beta": damped(x, 0.05)[1]} for x in (4.0, period))
-    assert tested(made(recorded, simulated), "Dutch roll")["period"].within is met
+    assert rows_of(made(recorded, simulated), "Dutch roll")["period"].within is met
 
 
 @pytest.mark.parametrize(("end", "met"), [(12.0, True), (13.9, True), (14.1, False), (8.0, False)])
@@ -172,14 +179,18 @@ def test_the_spiral_is_compared_after_twenty_seconds(end, met):
     """From 10 to 12 degrees of bank: within 2 degrees, and not the other way."""
     phi = {"phi": DEGREE * (10.0 + 2.0 * time_of(750) / 20.0)}
     other = {"phi": DEGREE * (10.0 + (end - 10.0) * time_of(750) / 20.0)}
-    row = tested(made(phi, other), "spiral stability")["bank after 20 s"]
+    row = rows_of(made(phi, other), "spiral stability")["bank after 20 s"]
     assert row.measured[0] == pytest.approx(12.0 * DEGREE)
     assert row.simulated == pytest.approx(end * DEGREE)
     assert row.within is met
-    assert "left alone for 20 s" in tested(made({"phi": phi["phi"][:400]}, other), "spiral stability")
+    assert "left alone for 20 s" in rows_of(
+        made({"phi": phi["phi"][:400]}, {"phi": phi["phi"][:400]}), "spiral stability"
+    )
 
 
-@pytest.mark.parametrize(("title", "rate", "control"), [("roll response", "p", "aileron"), ("rudder response", "r", "rudder")])
+@pytest.mark.parametrize(
+    ("title", "rate", "control"), [("roll response", "p", "aileron"), ("rudder response", "r", "rudder")]
+)
 @pytest.mark.parametrize(("share", "met"), [(0.92, True), (0.88, False)])
 def test_peaks_of_rates_are_met_within_a_tenth(title, rate, control, share, met):
     """30 deg/s, so that a tenth is more than 2 deg/s; the simulation is 0.2 s late, which does not count."""
@@ -187,24 +198,24 @@ def test_peaks_of_rates_are_met_within_a_tenth(title, rate, control, share, met)
     hump = -30.0 * DEGREE * np.exp(-(((t - 5.0) / 0.6) ** 2))
     late = -30.0 * DEGREE * share * np.exp(-(((t - 5.2) / 0.6) ** 2))
     moved = {control: 3.0 * DEGREE * (np.abs(t - 4.5) < 0.5)}
-    (row,) = tested(made({rate: hump}, {rate: late}, moved), title).values()
+    (row,) = rows_of(made({rate: hump}, {rate: late}, moved), title).values()
     assert row.measured[0] == pytest.approx(-30.0 * DEGREE)
     assert row.simulated == pytest.approx(-30.0 * DEGREE * share)
     assert row.within is met
-    assert tested(made({rate: hump}, {rate: late}), title) == f"the {control} does not move by 1 deg"
+    assert rows_of(made({rate: hump}, {rate: late}), title) == f"the {control} does not move by 1 deg"
 
 
 def test_a_steady_sideslip_is_compared_where_it_stays():
     t = time_of(400)
     beta = DEGREE * np.clip(2.0 * (t - 2.0), 0.0, 6.0)
-    rows = tested(
+    rows = rows_of(
         made({"beta": beta, "phi": 0.5 * beta}, {"beta": beta - 1.1 * DEGREE, "phi": 0.5 * beta + 1.9 * DEGREE}),
         "steady sideslip",
     )
     assert rows["sideslip"].measured[0] == pytest.approx(6.0 * DEGREE)
     assert not rows["sideslip"].within
     assert rows["bank"].within
-    assert tested(made({"beta": 0.1 * beta, "phi": beta}, {"beta": beta, "phi": beta}), "steady sideslip") == (
+    assert rows_of(made({"beta": 0.1 * beta, "phi": beta}, {"beta": beta, "phi": beta}), "steady sideslip") == (
         "no sideslip of 2 deg stays for 3 s"
     )
 
@@ -214,11 +225,11 @@ def test_a_stall_is_compared_before_it_and_by_the_side_to_which_it_rolls():
     X = np.where(t > 8.0, 0.5, 1.0)
     rolls = 20.0 * DEGREE * np.clip(t - 8.0, 0.0, 2.0)
     for other, bank, side in ((0.5 * rolls, True, True), (-rolls, True, False), (rolls + 2.1 * DEGREE, False, True)):
-        rows = tested(made({"phi": rolls}, {"phi": other}, X=X), "stall")
+        rows = rows_of(made({"phi": rolls}, {"phi": other}, X=X), "stall")
         assert rows["bank before the stall"].within is bank
         assert rows["roll-off"].within is side
         assert math.isnan(rows["roll-off"].limit)
-    assert tested(made({"phi": rolls}, {"phi": rolls}), "stall") == "the model does not stall"
+    assert rows_of(made({"phi": rolls}, {"phi": rolls}), "stall") == "the model does not stall"
 
 
 @pytest.mark.parametrize("value", [-0.18 + 1.64j, -1.4 + 0.0j, 0.03 + 0.0j])
@@ -246,9 +257,8 @@ def test_a_mode_whose_sign_is_open_has_no_time():
     assert flown_mode("spiral", 0.01 + 0.0j, np.diag([1e-4, 0.0])).quantities == {}
 
 
-def test_modes_of_a_fit_spread_as_draws_of_its_parameters():
+def test_modes_of_a_fit_spread_as_draws_of_its_parameters(flown):
     """Linear short period: eigenvalues in closed form, of draws from the covariance of the estimates."""
-    flown = flight().flown
     (mode,) = flown_modes(flown.fit, Steady(1.0, 0.0))
     names = list(flown.fit.names)
     draws = np.random.default_rng(2).multivariate_normal(flown.fit.estimate, flown.fit.corrected, 20000).T
@@ -264,16 +274,15 @@ def test_modes_of_a_fit_spread_as_draws_of_its_parameters():
         assert sd == pytest.approx(0.5 * np.diff(np.quantile(drawn, [0.1587, 0.8413]))[0], rel=0.05)
 
 
-def test_a_parameter_that_the_record_does_not_determine_leaves_no_error():
-    fit = flight().flown.fit
+def test_a_parameter_that_the_record_does_not_determine_leaves_no_error(flown):
+    fit = flown.fit
     (mode,) = flown_modes(replace(fit, undetermined=("Mq",)), Steady(1.0, 0.0))
     assert math.isinf(mode.quantities["period"][1])
     (same,) = flown_modes(replace(fit, undetermined=("az0",)), Steady(1.0, 0.0))
     assert math.isfinite(same.quantities["period"][1])
 
 
-def test_a_fit_that_did_not_converge_has_no_motion():
-    flown = flight().flown
+def test_a_fit_that_did_not_converge_has_no_motion(flown):
     assert motion_of(replace(flown, fit=replace(flown.fit, status=OutputErrorStatus.NOT_CONVERGED))) is None
     assert motion_of(flown).tests == ()
     assert motion_of(flown).untested == {}

@@ -97,12 +97,12 @@ def test_cards_of_one_axis_have_its_modes():
 def test_a_linear_card_has_the_eigenvalues_of_its_matrix():
     """Short period: of x^2 - (Zalpha + Mq) x + Zalpha Mq - Malpha; roll and yaw without coupling: Lp and Nr."""
     dynamics = linear_dynamics(read_card("attas_short_period"))
-    values = {name: 0.0 for name in dynamics.names} | dynamics.fixed | {"Zalpha": -0.9, "Malpha": -2.1, "Mq": -1.3}
+    values = dict.fromkeys(dynamics.names, 0.0) | dynamics.fixed | {"Zalpha": -0.9, "Malpha": -2.1, "Mq": -1.3}
     (mode,) = modes(dynamics, values, NO_AIRCRAFT, Steady(100.0, 0.0))
     assert mode.name == "short period"
     assert mode.eigenvalue == pytest.approx(np.roots([1.0, 2.2, 0.9 * 1.3 + 2.1])[0], rel=1e-12)
     dynamics = linear_dynamics(read_card("lateral"))
-    values = {name: 0.0 for name in dynamics.names} | {"Lp": -2.5, "Nr": -0.4}
+    values = dict.fromkeys(dynamics.names, 0.0) | {"Lp": -2.5, "Nr": -0.4}
     assert of(modes(dynamics, values, NO_AIRCRAFT, Steady(100.0, 0.0))) == {"roll": -2.5, "other": -0.4}
 
 

@@ -80,7 +80,7 @@ def swing(time: Float[np.ndarray, " n"], channels: Mapping[str, Float[np.ndarray
     found = least_squares(missed, first, x_scale=np.abs(first))
     real, imaginary = float(found.x[0]), abs(float(found.x[1]))
     cycles = imaginary * span / (2.0 * math.pi)
-    if np.sum(found.fun**2) > (1.0 - FOLLOWED) * np.sum(around**2) or cycles < CYCLES or abs(real) > imaginary:
+    if np.sum(found.fun**2) >= (1.0 - FOLLOWED) * np.sum(around**2) or cycles < CYCLES or abs(real) > imaginary:
         return None
     amplitude = np.linalg.lstsq(_basis(t, real, imaginary), y, rcond=None)[0]
     phase = np.angle(amplitude[0] - 1j * amplitude[1])  # of cos(w t + phase)
