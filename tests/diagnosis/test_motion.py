@@ -149,6 +149,8 @@ def test_moving_controls_leave_no_free_response():
     flown = stranger_six.fly(plane, "rudder", rng, seconds=14.0)
     busy = flown | {"aileron": flown["aileron"] + DEGREE * np.sin(3.0 * flown["time"])}
     assert rows_of(as_manoeuvre(busy), "Dutch roll") == "aileron or rudder move all the time"
+    slight = flown | {"aileron": 0.0 * flown["aileron"], "rudder": 0.12 * flown["beta"]}
+    assert rows_of(as_manoeuvre(slight), "Dutch roll") == "aileron or rudder move with the sideslip all the time"
     still = {"beta": 1e-3 * rng.standard_normal(600)}
     assert "does not swing" in rows_of(made(still, still), "Dutch roll")
     assert (

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.signal import detrend
 
 from bayes_aero.diagnosis.trajectories.motion.flown_modes import flown_mode
 from bayes_aero.diagnosis.trajectories.motion.free_response import Swing, still_stretches, swing
@@ -19,6 +20,7 @@ from bayes_aero.flight import tolerances
 from bayes_aero.flight.tolerances import ObjectiveTest
 
 CYCLES = 6.0  # of a Dutch roll that the test asks for
+BUSY = 0.1  # movement of a control over that of sideslip from which a response is not free; our choice
 RELEASED = 20.0  # s of the spiral test
 BANKED = math.radians(5.0)  # rad from which a bank is one to release; our choice
 DEFLECTED = math.radians(1.0)  # rad that a control must travel to test its response; our choice
@@ -97,13 +99,22 @@ def dutch_roll(one: Manoeuvre) -> list[Compared] | str:
     if not stretches:
         return "aileron or rudder move all the time"
     names = [n for n in ("beta", "r", "phi") if n in one.measured]
-    for part in stretches:
+    free = [part for part in stretches if not _busy(one, part)]
+    for part in free:
         recorded, other = (
             swing(one.time[part], {n: of[n][part] for n in names}) for of in (one.measured, one.simulated)
         )
         if recorded is not None:
             return _swings(one, recorded, other)
+    if not free:
+        return "aileron or rudder move with the sideslip all the time"
     return "sideslip does not swing for a cycle while aileron and rudder are still"
+
+
+def _busy(one: Manoeuvre, part: slice) -> bool:
+    """Whether a control moves by more than a share of the sideslip's movement: the response is not free."""
+    beta, *controls = (detrend(x[part]) for x in (one.measured["beta"], *one.controls.values()))
+    return any(np.std(u) > BUSY * np.std(beta) for u in controls)
 
 
 def _swings(one: Manoeuvre, recorded: Swing, simulated: Swing | None) -> list[Compared] | str:
