@@ -95,6 +95,7 @@ def test_a_damped_oscillation_is_found_and_its_errors_hold():
     spread = np.array([np.mean(off.real**2), np.mean(off.imag**2)])
     np.testing.assert_allclose(told / spread, 1.0, atol=4.0 * math.sqrt(2.0 / 150.0))  # of a variance of 150 draws
     assert abs(np.mean([one.lag["phi"] for one in found]) - 0.4) < 0.01
+    assert np.mean([one.size for one in found]) == pytest.approx(1.0, abs=0.01)
     assert found[0].cycles == pytest.approx(599 * DT / 3.6, rel=0.02)
 
 
@@ -129,7 +130,7 @@ def test_the_free_response_of_another_simulator_has_the_eigenvalue_of_the_model(
     assert rows["period"].measured[0] == pytest.approx(2.0 * math.pi / roll.imag, rel=2e-3)
     assert rows["damping ratio"].measured[0] == pytest.approx(-roll.real / abs(roll), rel=1e-2)
     assert rows["time to half or double"].measured[0] == pytest.approx(math.log(2.0) / -roll.real, rel=1e-2)
-    assert "cycles; the test asks for 6" in rows["period"].remark
+    assert "cycles, the test asks for 6" in rows["period"].remark
     assert all(row.within and row.simulated == pytest.approx(row.measured[0], rel=1e-6) for row in rows.values())
 
 
@@ -149,8 +150,12 @@ def test_moving_controls_leave_no_free_response():
     flown = stranger_six.fly(plane, "rudder", rng, seconds=14.0)
     busy = flown | {"aileron": flown["aileron"] + DEGREE * np.sin(3.0 * flown["time"])}
     assert rows_of(as_manoeuvre(busy), "Dutch roll") == "aileron or rudder move all the time"
-    slight = flown | {"aileron": 0.0 * flown["aileron"], "rudder": 0.12 * flown["beta"]}
-    assert rows_of(as_manoeuvre(slight), "Dutch roll") == "aileron or rudder move with the sideslip all the time"
+    free = {name: x[130:] for name, x in released(plane).items()}
+    for share in (0.04, 0.08):
+        fed = rows_of(as_manoeuvre(free | {"rudder": share * free["beta"]}), "Dutch roll")
+        assert ("rudder moves by 8% of the sideslip" in fed["period"].remark) is (share == 0.08)
+    fed = free | {"rudder": 0.2 * free["beta"]}
+    assert rows_of(as_manoeuvre(fed), "Dutch roll") == "aileron or rudder move with the sideslip"
     still = {"beta": 1e-3 * rng.standard_normal(600)}
     assert "does not swing" in rows_of(made(still, still), "Dutch roll")
     assert (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from bayes_aero.diagnosis.trajectories.motion.results import Compared, FlownMode, Motion
-from bayes_aero.report.tables.table import Estimate, Table, columns_of, in_brackets, or_dash
+from bayes_aero.report.tables.table import Column, Estimate, Table, columns_of, in_brackets, or_dash
 from bayes_aero.report.text.phrases import for_people, number
 
 SHOWN = {
@@ -15,19 +15,17 @@ SHOWN = {
     "time_to_half": "time to half, s",
     "time_to_double": "time to double, s",
 }
-SWINGS = ("period", "damping_ratio", "time_to_double")
-"""Quantities of an oscillation that people read; of the others all."""
+SWINGS, DECAYS, SPIRALS = ("period", "damping_ratio"), ("time_constant",), ("time_to_half",)
+"""Quantities that people read, beside the time to double: of an oscillation, of what does not oscillate, of a spiral."""
 
 
 def mode_rows(modes: tuple[FlownMode, ...]) -> list[tuple[FlownMode, str, Estimate]]:
     """Mode, quantity and its estimate."""
     rows = []
     for mode in modes:
-        for name, (value, sd) in mode.quantities.items():
-            if mode.eigenvalue.imag == 0.0 or name in SWINGS:
-                rows.append((mode, name, Estimate(value, sd)))
-        if not mode.quantities:
-            rows.append((mode, "", Estimate(math.nan, math.nan)))
+        read = SWINGS if mode.eigenvalue.imag > 0.0 else SPIRALS if mode.name == "spiral" else DECAYS
+        told = [(mode, n, Estimate(*x)) for n, x in mode.quantities.items() if n in (*read, "time_to_double")]
+        rows += told or [(mode, "", Estimate(math.nan, math.nan))]
     return rows
 
 
@@ -58,7 +56,11 @@ def about(found: Motion) -> str:
 
 def test_table(found: Motion) -> Table:
     """Every objective test, as recorded and as simulated."""
-    of = columns_of(list(found.tests))
+    rows = list(found.tests)
+    of = columns_of(rows)
+    before = [None, *((r.manoeuvre, r.entry, r.remark) for r in rows)]
+    again = [(r.manoeuvre, r.entry, r.remark) == last for r, last in zip(rows, before, strict=False)]
+    remarks = ["as above" if same and r.remark else r.remark for r, same in zip(rows, again, strict=True)]
     return Table(
         [
             of(lambda r: r.manoeuvre, "", None, "manoeuvre", words=True),
@@ -68,12 +70,12 @@ def test_table(found: Motion) -> Table:
             of(lambda r: _people(r, (r.simulated, math.nan)), "", "simulated", "simulated", in_brackets),
             of(_limit, "", "tolerance", "tolerance"),
             of(lambda r: "yes" if r.within else "no", "", "met", "met"),
-            of(lambda r: r.remark, "", "remark", None, or_dash, words=True),
+            Column(remarks, page="remark", form=or_dash, words=True),
         ],
         "Objective tests of the lateral motion",
         "Recorded and simulated manoeuvres are measured in one way. In brackets: the standard error in units of the "
         "last digit. These data were fitted.",
-        below=[r.manoeuvre for r in found.tests],
+        below=[r.manoeuvre for r in rows],
     )
 
 

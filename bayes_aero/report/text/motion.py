@@ -18,6 +18,10 @@ def motion_sentences(found: Motion | None) -> list[str]:
     missed = [f"{row.entry} {row.test} ({row.quantity}, {row.manoeuvre})" for row in found.tests if not row.within]
     if missed:
         said.append(f"The fitted model does not meet objective tests: {several(missed)}.")
+    short = dict.fromkeys((row.manoeuvre, row.remark) for row in found.tests if row.quantity == "period" and row.remark)
+    if short:
+        told = "; ".join(f"{manoeuvre}: {remark}" for manoeuvre, remark in short)
+        said.append(f"Free responses fall short of {DUTCH_ROLL.entry} ({told}).")
     free = found.untested.get(DUTCH_ROLL.name, {})
     if free:
         told = "; ".join(f"{why} ({several(manoeuvres)})" for why, manoeuvres in free.items())

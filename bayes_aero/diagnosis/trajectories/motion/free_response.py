@@ -23,13 +23,20 @@ TRIED, DAMPED = 60, (-0.4, -0.15, -0.03, 0.05)  # periods, and real part over im
 class Swing:
     """A damped oscillation: its eigenvalue in 1/s with the covariance (2, 2) of real and imaginary part.
 
-    `lag` is by how much each further channel reaches its peaks after the first one, s, within half a period.
+    `size` is the amplitude of the first channel at the beginning of the stretch, in the channel's unit; `lag` by how
+    much each further channel reaches its peaks after the first one, s, within half a period.
     """
 
     eigenvalue: complex
     covariance: Float[np.ndarray, "2 2"]
     cycles: float
+    size: float
     lag: Mapping[str, float]
+
+    def follows(self, time: Float[np.ndarray, " n"], x: Float[np.ndarray, " n"]) -> float:
+        """Amplitude with which another channel swings along over that of the first channel."""
+        B = _basis(time - time[0], self.eigenvalue.real, self.eigenvalue.imag)
+        return float(np.hypot(*np.linalg.lstsq(B, x, rcond=None)[0][:2])) / self.size
 
 
 def still_stretches(
@@ -86,7 +93,8 @@ def swing(time: Float[np.ndarray, " n"], channels: Mapping[str, Float[np.ndarray
     phase = np.angle(amplitude[0] - 1j * amplitude[1])  # of cos(w t + phase)
     behind = (phase[0] - phase + math.pi) % (2.0 * math.pi) - math.pi
     lag = dict(zip(list(channels)[1:], map(float, behind[1:] / imaginary), strict=True))
-    return Swing(complex(real, imaginary), _covariance(found.jac, found.fun.reshape(y.shape)), cycles, lag)
+    size = float(np.hypot(*amplitude[:2, 0]) * np.std(next(iter(channels.values()))))
+    return Swing(complex(real, imaginary), _covariance(found.jac, found.fun.reshape(y.shape)), cycles, size, lag)
 
 
 def _basis(t: Float[np.ndarray, " n"], real: float, imaginary: float) -> Float[np.ndarray, "n 4"]:

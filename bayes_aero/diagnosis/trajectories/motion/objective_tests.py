@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.signal import detrend
 
 from bayes_aero.diagnosis.trajectories.motion.flown_modes import flown_mode
 from bayes_aero.diagnosis.trajectories.motion.free_response import Swing, still_stretches, swing
@@ -20,7 +19,7 @@ from bayes_aero.flight import tolerances
 from bayes_aero.flight.tolerances import ObjectiveTest
 
 CYCLES = 6.0  # of a Dutch roll that the test asks for
-BUSY = 0.1  # movement of a control over that of sideslip from which a response is not free; our choice
+FOLLOWS, TOLD = 0.15, 0.05  # amplitude of a control over that of sideslip: no free response, and a remark; our choice
 RELEASED = 20.0  # s of the spiral test
 BANKED = math.radians(5.0)  # rad from which a bank is one to release; our choice
 DEFLECTED = math.radians(1.0)  # rad that a control must travel to test its response; our choice
@@ -99,32 +98,31 @@ def dutch_roll(one: Manoeuvre) -> list[Compared] | str:
     if not stretches:
         return "aileron or rudder move all the time"
     names = [n for n in ("beta", "r", "phi") if n in one.measured]
-    free = [part for part in stretches if not _busy(one, part)]
-    for part in free:
+    why = "sideslip does not swing for a cycle while aileron and rudder are still"
+    for part in stretches:
         recorded, other = (
             swing(one.time[part], {n: of[n][part] for n in names}) for of in (one.measured, one.simulated)
         )
-        if recorded is not None:
-            return _swings(one, recorded, other)
-    if not free:
-        return "aileron or rudder move with the sideslip all the time"
-    return "sideslip does not swing for a cycle while aileron and rudder are still"
+        if recorded is None:
+            continue
+        along = {n: recorded.follows(one.time[part], u[part]) for n, u in one.controls.items()}
+        most = max(along, key=lambda n: along[n])
+        if along[most] <= FOLLOWS:
+            moves = f"{most} moves by {along[most]:.0%} of the sideslip" if along[most] > TOLD else ""
+            return _swings(one, recorded, other, moves)
+        why = "aileron or rudder move with the sideslip"
+    return why
 
 
-def _busy(one: Manoeuvre, part: slice) -> bool:
-    """Whether a control moves by more than a share of the sideslip's movement: the response is not free."""
-    beta, *controls = (detrend(x[part]) for x in (one.measured["beta"], *one.controls.values()))
-    return any(np.std(u) > BUSY * np.std(beta) for u in controls)
-
-
-def _swings(one: Manoeuvre, recorded: Swing, simulated: Swing | None) -> list[Compared] | str:
+def _swings(one: Manoeuvre, recorded: Swing, simulated: Swing | None, moves: str) -> list[Compared] | str:
     if simulated is None:
         return "the record swings freely, and the simulation does not"
     test = tolerances.DUTCH_ROLL
-    few = f"{recorded.cycles:.1f} cycles; the test asks for {CYCLES:.0f}" if recorded.cycles < CYCLES else ""
+    few = f"{recorded.cycles:.1f} cycles, the test asks for {CYCLES:.0f}" if recorded.cycles < CYCLES else ""
+    lacks = "; ".join(remark for remark in (few, moves) if remark)
     own, other = (flown_mode(test.title, x.eigenvalue, x.covariance).quantities for x in (recorded, simulated))
     rows = [
-        one.compared(test, quantity, unit, own[name], other[name][0], few)
+        one.compared(test, quantity, unit, own[name], other[name][0], lacks)
         for name, quantity, unit in QUANTITIES
         if name in own and name in other
     ]
@@ -133,7 +131,7 @@ def _swings(one: Manoeuvre, recorded: Swing, simulated: Swing | None) -> list[Co
         period, lag = other["period"][0], recorded.lag["phi"]
         apart = simulated.lag["phi"] - lag
         apart -= period * round(apart / period)
-        rows.append(one.compared(test, "bank after sideslip", "s", (lag, math.nan), lag + apart, few))
+        rows.append(one.compared(test, "bank after sideslip", "s", (lag, math.nan), lag + apart, lacks))
     return rows
 
 
