@@ -63,7 +63,6 @@ def moves_as(found, plane):
         real, imaginary = mode["eigenvalue_sd"]
         assert abs(off.real) < 4.0 * real < 0.1, mode["name"]
         assert abs(off.imag) <= 4.0 * imaginary < 0.1, mode["name"]
-    print(json.dumps(told, indent=1))
     assert {row["test"] for row in told["tests"]} == {"roll response", "rudder response"}
     assert all(row["within"] for row in told["tests"])
     assert told["untested"]["2.d.7 Dutch roll"]  # the pilot levels the wings all the time
@@ -147,7 +146,6 @@ def test_simulated_manoeuvres_of_three_axes_are_flown_again(tmp_path):
     done = called(tmp_path, "fly", *files, "--model", "card.toml", *options)
     assert done.code == 0, done.err
     found = json.loads((tmp_path / "out" / "trajectories.json").read_text())
-    print(json.dumps(found["motion"], indent=1), found["sentences"])
     truth = json.loads((tmp_path / "rudder_doublet.csv.truth.json").read_text())["parameters"]
     for name in ("CLa", "Cma", "Cmq", "Cmde", "Clp", "Clda", "Clbe", "Cnbe", "Cnr", "Cndr", "CYbe"):
         row = found["parameters"][name]

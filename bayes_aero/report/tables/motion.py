@@ -16,7 +16,7 @@ SHOWN = {
     "time_to_double": "time to double, s",
 }
 SWINGS, DECAYS, SPIRALS = ("period", "damping_ratio"), ("time_constant",), ("time_to_half",)
-"""Quantities that people read, beside the time to double: of an oscillation, of what does not oscillate, of a spiral."""
+"""What people read beside the time to double: of an oscillation, of what does not oscillate, of a spiral."""
 
 
 def mode_rows(modes: tuple[FlownMode, ...]) -> list[tuple[FlownMode, str, Estimate]]:
