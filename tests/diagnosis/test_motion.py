@@ -285,6 +285,8 @@ def test_a_parameter_that_the_record_does_not_determine_leaves_no_error(flown):
     fit = flown.fit
     (mode,) = flown_modes(replace(fit, undetermined=("Mq",)), Steady(1.0, 0.0))
     assert math.isinf(mode.quantities["period"][1])
+    assert math.isinf(mode.quantities["damping_ratio"][1])
+    assert math.isinf(flown_mode("Dutch roll", 0.1 + 1.0j, np.full((2, 2), np.inf)).quantities["damping_ratio"][1])
     (same,) = flown_modes(replace(fit, undetermined=("az0",)), Steady(1.0, 0.0))
     assert math.isfinite(same.quantities["period"][1])
 
@@ -293,3 +295,4 @@ def test_a_fit_that_did_not_converge_has_no_motion(flown):
     assert motion_of(replace(flown, fit=replace(flown.fit, status=OutputErrorStatus.NOT_CONVERGED))) is None
     assert motion_of(flown).tests == ()
     assert motion_of(flown).untested == {}
+    assert math.isnan(motion_of(flown).airspeed)  # of a linear card

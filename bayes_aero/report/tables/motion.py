@@ -33,10 +33,7 @@ def mode_table(found: Motion) -> Table:
     """Period and damping, or times, of every mode."""
     rows = mode_rows(found.modes)
     of = columns_of(rows)
-    note = (
-        "Eigenvalues of the equations of motion with fixed controls, linearised about straight level flight"
-        f"{about(found)}. In brackets: the standard error in units of the last digit, of first order in the parameters."
-    )
+    note = f"Eigenvalues of {_equations(found)}. In brackets: the standard error in units of the last digit, of first order in the parameters."
     return Table(
         [
             of(lambda r: r[0].name, "", "mode", "mode"),
@@ -49,9 +46,13 @@ def mode_table(found: Motion) -> Table:
     )
 
 
-def about(found: Motion) -> str:
-    """At which speed and altitude."""
-    return f" at {found.airspeed:.0f} m/s and {found.altitude:.0f} m"
+def _equations(found: Motion) -> str:
+    if math.isnan(found.airspeed):
+        return "the card's linear equations"
+    return (
+        "the equations of motion with fixed controls, linearised about straight level flight at "
+        f"{found.airspeed:.0f} m/s and {found.altitude:.0f} m"
+    )
 
 
 def test_table(found: Motion) -> Table:

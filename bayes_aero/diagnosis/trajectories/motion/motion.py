@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -10,6 +12,7 @@ from bayes_aero.diagnosis.trajectories.motion.objective_tests import Manoeuvre, 
 from bayes_aero.diagnosis.trajectories.motion.results import Motion
 from bayes_aero.diagnosis.trajectories.results import FITTED, TrajectoryFit
 from bayes_aero.dynamics.flight import AircraftDynamics
+from bayes_aero.dynamics.linear import LinearDynamics
 from bayes_aero.dynamics.output_biases import unbiased
 from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
@@ -36,7 +39,9 @@ def motion_of(flown: TrajectoryFit) -> Motion | None:
     tests, untested = objective_tests(flights)
     shown = {row.entry for row in tests}
     sources = {test.name: test.source for test in OBJECTIVE_TESTS if test.entry in shown}
-    return Motion(steady.airspeed, steady.altitude, found, why_not, tests, untested, sources)
+    linear = isinstance(unbiased(flown.fit.flown.dynamics), LinearDynamics)
+    about = (math.nan, math.nan) if linear else (steady.airspeed, steady.altitude)
+    return Motion(*about, found, why_not, tests, untested, sources)
 
 
 def manoeuvres_of(flown: TrajectoryFit) -> list[Manoeuvre]:

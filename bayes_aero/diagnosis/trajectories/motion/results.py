@@ -58,7 +58,7 @@ class Compared:
 
 @dataclass(frozen=True)
 class Motion:
-    """Modes about straight level flight (airspeed m/s, altitude m), and objective tests.
+    """Modes about straight level flight (airspeed m/s, altitude m; NaN of linear cards), and objective tests.
 
     `why_not` says why there are no modes. `untested` has, by test and reason, the manoeuvres that cannot show it.
     """
