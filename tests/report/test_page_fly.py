@@ -249,7 +249,7 @@ def test_what_motion_lacks_is_said_in_a_sentence_each():
         "Whether the spiral grows or falls is not determined: its rate is within its error.",
         "The fitted model does not meet objective tests: 2.d.7 Dutch roll (period, one).",
         "Free responses fall short of 2.d.7 (one: 2.0 cycles).",
-        "The Dutch roll is not measured where there is no free response: aileron or rudder move all the time (two).",
+        "No free response shows the Dutch roll: aileron or rudder move all the time (two).",
         "Objective tests that no manoeuvre shows: 2.c.8 stall (no).",
     ]
     assert motion_sentences(replace(MOTION, modes=(), why_not="no trim", tests=(), untested={})) == [

@@ -25,7 +25,7 @@ def motion_sentences(found: Motion | None) -> list[str]:
     free = found.untested.get(DUTCH_ROLL.name, {})
     if free:
         told = "; ".join(f"{why} ({several(manoeuvres)})" for why, manoeuvres in free.items())
-        said.append(f"The Dutch roll is not measured where there is no free response: {told}.")
+        said.append(f"No free response shows the Dutch roll: {told}.")
     shown = {f"{row.entry} {row.test}" for row in found.tests}
     gone = {name: reasons for name, reasons in found.untested.items() if name not in {*shown, DUTCH_ROLL.name}}
     if gone:

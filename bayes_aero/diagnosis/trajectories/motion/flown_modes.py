@@ -83,14 +83,14 @@ def _nearest(mode: Mode, others: tuple[Mode, ...]) -> complex:
 
 def flown_mode(name: str, eigenvalue: complex, covariance: Float[np.ndarray, "2 2"]) -> FlownMode:
     """A mode of this eigenvalue (1/s) whose real and imaginary part have this covariance (2, 2)."""
-    sd_real, sd_imaginary = (_root(x) for x in np.diag(covariance))
+    sd_real, sd_imaginary = (_root(float(x)) for x in np.diag(covariance))
     s, w = eigenvalue.real, eigenvalue.imag
 
     def told(value: float, slope: tuple[float, float]) -> tuple[float, float]:
         along = np.array(slope)
         kept = along != 0.0  # infinite errors of what it does not depend on
         part = covariance[np.ix_(kept, kept)]
-        return value, _root(along[kept] @ part @ along[kept]) if np.all(np.isfinite(part)) else math.inf
+        return value, _root(float(along[kept] @ part @ along[kept])) if np.all(np.isfinite(part)) else math.inf
 
     quantities = {}
     if w > 0.0:
@@ -107,4 +107,4 @@ def flown_mode(name: str, eigenvalue: complex, covariance: Float[np.ndarray, "2 
 
 def _root(variance: float) -> float:
     """A standard error; infinite where nothing is known."""
-    return math.sqrt(max(float(variance), 0.0)) if math.isfinite(variance) else math.inf
+    return math.sqrt(max(variance, 0.0)) if math.isfinite(variance) else math.inf
