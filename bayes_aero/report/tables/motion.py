@@ -33,7 +33,10 @@ def mode_table(found: Motion) -> Table:
     """Period and damping, or times, of every mode."""
     rows = mode_rows(found.modes)
     of = columns_of(rows)
-    note = f"Eigenvalues of {_equations(found)}. In brackets: the standard error in units of the last digit, of first order in the parameters."
+    note = (
+        f"Eigenvalues of {_equations(found)}. In brackets: the standard error in units of the last digit, of first "
+        "order in the parameters."
+    )
     return Table(
         [
             of(lambda r: r[0].name, "", "mode", "mode"),
