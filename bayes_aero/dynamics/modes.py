@@ -98,7 +98,12 @@ def named_modes(A: Float[np.ndarray, "s s"], states: Sequence[str], airspeed: fl
 
     Returns:
         The modes; one whose motion no name fits is called "other".
+
+    Raises:
+        InputError: the matrix is not finite.
     """
+    if not np.all(np.isfinite(A)):
+        raise InputError("the equations of motion are not finite about steady flight; check the card's constants")
     kept = [k for k, n in enumerate(states) if n not in WITHOUT_FORCE]
     own = [states[k] for k in kept]
     eigenvalues, vectors = np.linalg.eig(np.asarray(A, float)[np.ix_(kept, kept)])

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from bayes_aero.diagnosis.consistency.consistency import in_gusts
 from bayes_aero.diagnosis.trajectories.fit_agreement import fit_disagreements
 from bayes_aero.diagnosis.trajectories.motion.motion import motion_of
-from bayes_aero.diagnosis.trajectories.results import FITTED, Setting
+from bayes_aero.diagnosis.trajectories.results import FITTED, ProcessNoise, Setting, TrajectoryFit
 from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
 from bayes_aero.diagnosis.trajectories.trajectory_fit import fit_trajectories
 from bayes_aero.dynamics.filtering.drifting import refuse
@@ -163,10 +163,8 @@ def fly_records(
     moves, unmoved = attempted("Modes of motion were not found", lambda: motion_of(flown), None, out)
     apart = () if coefficients is None else fit_disagreements(coefficients, flown)
     hindered = usable_for(records, card).get("diagnose", "")
-    drifted = drift_sentences(beside.drift) if beside is not None and beside.drift is not None else ()
-    filtered = () if beside is None else (*drifted, *process_noise_sentences(beside, flown))
     plain = fly_sentences(flown, hindered, disturbed=options.filtered)
-    said = (*gust_sentences(gusts, beside), *filtered, *plain, *disagreement_sentences(apart, hindered))
+    said = (*gust_sentences(gusts, beside), *_filtered(beside, flown), *plain, *disagreement_sentences(apart, hindered))
     said += tuple(motion_sentences(moves))
     health = channel_health(records, card)
     failed = (*failures, *failed, *more, *unmoved)
@@ -182,6 +180,14 @@ def fly_records(
     if out is None:
         return found
     return _written(found, card, records, source, out, figures=options.figures, progress=progress)
+
+
+def _filtered(beside: ProcessNoise | None, flown: TrajectoryFit) -> tuple[str, ...]:
+    """What the fit with process noise says, drift first; nothing without one."""
+    if beside is None:
+        return ()
+    drifted = drift_sentences(beside.drift) if beside.drift is not None else ()
+    return (*drifted, *process_noise_sentences(beside, flown))
 
 
 def _told(options: FlyOptions, setting: Setting) -> dict[str, Any]:

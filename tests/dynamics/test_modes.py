@@ -144,3 +144,8 @@ def test_what_is_held_to_the_record_has_no_modes():
     held = AircraftDynamics(dynamics.model, held=("beta", "phi"))
     with pytest.raises(InputError, match="holds beta, phi to the record"):
         modes(held, values, six.aircraft(Plane()), Steady(120.0, 4000.0))
+
+
+def test_motion_that_is_not_finite_has_no_modes():
+    with pytest.raises(InputError, match="not finite"):
+        named_modes(np.array([[np.nan]]), ("p",), 100.0)
