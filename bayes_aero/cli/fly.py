@@ -124,6 +124,7 @@ def print_fit(console: Console, found: Flight, out: Path) -> None:
     """Tables, findings and notes of a fit to trajectories."""
     from bayes_aero.report.tables.filtered import one_step_table, posterior_table
     from bayes_aero.report.tables.fly import drift_table, error_table, parameter_table, process_noise_table
+    from bayes_aero.report.tables.motion import mode_table, test_table
 
     console.print(parameter_table(found.flown).terminal())
     if found.process_noise is not None and found.process_noise.converged:
@@ -135,6 +136,10 @@ def print_fit(console: Console, found: Flight, out: Path) -> None:
     if found.posteriors:
         console.print(posterior_table(found.posteriors).terminal())
     console.print(error_table(found.flown).terminal())
+    if found.motion is not None and found.motion.modes:
+        console.print(mode_table(found.motion).terminal())
+    if found.motion is not None and found.motion.tests:
+        console.print(test_table(found.motion).terminal())
     for sentence in found.sentences:
         console.print(f"• {sentence}", highlight=False)
     for note in found.notes:

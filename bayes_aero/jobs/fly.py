@@ -12,7 +12,8 @@ from jaxtyping import Float
 
 from bayes_aero.diagnosis.consistency.consistency import in_gusts
 from bayes_aero.diagnosis.trajectories.fit_agreement import fit_disagreements, still_apart
-from bayes_aero.diagnosis.trajectories.results import FITTED, Setting
+from bayes_aero.diagnosis.trajectories.motion.motion import motion_of
+from bayes_aero.diagnosis.trajectories.results import FITTED, ProcessNoise, Setting, TrajectoryFit
 from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
 from bayes_aero.diagnosis.trajectories.trajectory_fit import fit_trajectories
 from bayes_aero.dynamics.filtering.drifting import refuse
@@ -55,6 +56,7 @@ from bayes_aero.report.tables.fly import drift_history_table, gust_table, parame
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.drift import drift_sentences
 from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences
+from bayes_aero.report.text.motion import motion_sentences
 from bayes_aero.report.text.process_noise import gust_sentences, process_noise_sentences, settled_sentences
 
 
@@ -162,14 +164,15 @@ def fly_records(
     (beside, sample), more = process_noise(flown, options, card, out, progress)
     if options.filtered and not flown.converged:
         notes.append("Process noise was not fitted, because output error did not converge.")
+    moves, unmoved = attempted("Modes of motion were not found", lambda: motion_of(flown), None, out)
     hindered = usable_for(records, card).get("diagnose", "")
-    drifted = drift_sentences(beside.drift) if beside is not None and beside.drift is not None else ()
-    filtered = () if beside is None else (*drifted, *process_noise_sentences(beside, flown))
     plain = fly_sentences(flown, hindered, disturbed=options.filtered)
     decided = settled_sentences(apart, beside, still_apart(apart, beside), asked=disputed)
-    said = (*gust_sentences(gusts, beside), *decided, *filtered, *plain, *disagreement_sentences(apart, hindered))
+    filtered = (*gust_sentences(gusts, beside), *decided, *_filtered(beside, flown))
+    said = (*filtered, *plain, *disagreement_sentences(apart, hindered), *motion_sentences(moves))
     health = channel_health(records, card)
-    found = Flight(flown, said, tuple(notes), health, agreement, (*failures, *failed, *more), apart, beside)
+    failed = (*failures, *failed, *more, *unmoved)
+    found = Flight(flown, said, tuple(notes), health, agreement, failed, apart, beside, motion=moves)
 
     def put(found: Flight) -> None:
         if out is not None:
@@ -181,6 +184,14 @@ def fly_records(
     if out is None:
         return found
     return _written(found, card, records, source, out, figures=options.figures, progress=progress)
+
+
+def _filtered(beside: ProcessNoise | None, flown: TrajectoryFit) -> tuple[str, ...]:
+    """What the fit with process noise says, drift first; nothing without one."""
+    if beside is None:
+        return ()
+    drifted = drift_sentences(beside.drift) if beside.drift is not None else ()
+    return (*drifted, *process_noise_sentences(beside, flown))
 
 
 def _told(options: FlyOptions, setting: Setting) -> dict[str, Any]:
@@ -241,6 +252,7 @@ def _written(
         found.health,
         found.process_noise,
         found.posteriors,
+        found.motion,
     )
     failed = put_page(lambda: fly_page(found.flown, told), out)
     return noted((), failed) if failed else found

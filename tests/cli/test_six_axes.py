@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from importlib import resources
 
+import jsonschema
 import numpy as np
 import pandas as pd
 import pytest
@@ -12,7 +14,8 @@ import six_axes as six
 import stranger_six
 from calling import called
 
-from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics
+from bayes_aero.dynamics.modes import Steady, modes
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.model.joined_channels import join
@@ -20,6 +23,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.simulate.request import Request
 from bayes_aero.simulate.synthetic_record import synthetic
 
+SCHEMA = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("trajectories.schema.json").read_text())
 SECONDS = 14.0
 EFFECTS = (
     "attached_lift", "mach_lift", "elevator_moment", "pitching_moment", "pitch_damping", "profile_drag", "induced_drag",
@@ -54,6 +58,24 @@ def recovered(found, plane):
         assert row["sd_corrected"] < 0.1 * abs(true) + 0.01, name
 
 
+def moves_as(found, plane):
+    """Modes within four standard errors of those of the true derivatives; what cannot be tested is said."""
+    jsonschema.validate(found, SCHEMA)
+    model, told = six.model(), found["motion"]
+    steady = Steady(told["airspeed"], told["altitude"])
+    true = modes(AircraftDynamics(model), six.values(plane, model), six.aircraft(plane), steady)
+    assert [mode["name"] for mode in told["modes"]] == ["short period", "phugoid", "Dutch roll", "roll", "spiral"]
+    for mode, right in zip(told["modes"], true, strict=True):
+        off = complex(*mode["eigenvalue"]) - right.eigenvalue
+        real, imaginary = mode["eigenvalue_sd"]
+        assert abs(off.real) < 4.0 * real < 0.1, mode["name"]
+        assert abs(off.imag) <= 4.0 * imaginary < 0.1, mode["name"]
+    assert {row["test"] for row in told["tests"]} == {"roll response", "rudder response"}
+    assert all(row["within"] for row in told["tests"])
+    assert told["untested"]["2.d.7 Dutch roll"]  # the pilot levels the wings all the time
+    assert sum("No free response shows" in sentence for sentence in found["sentences"]) == 1
+
+
 def test_six_coefficients_come_back_from_three_manoeuvres(flown):
     folder, plane = flown
     found = fitted(folder, plane, "six", ("elevator", "aileron", "rudder"))
@@ -66,6 +88,8 @@ def test_six_coefficients_come_back_from_three_manoeuvres(flown):
     assert set(found["initial_states"]["rudder"]) == {*found["fitted_outputs"][:9], "altitude"}
     page = (folder / "six" / "report.html").read_text()
     assert "Clda" in page
+    moves_as(found, plane)
+    assert all(name in page for name in ("Modes of motion", "Dutch roll", "spiral"))
 
 
 def test_lateral_derivatives_come_back_with_the_longitudinal_motion_held(flown):
@@ -74,6 +98,7 @@ def test_lateral_derivatives_come_back_with_the_longitudinal_motion_held(flown):
     assert found["fitted_outputs"] == ["beta", "p", "r", "phi", "psi", "ay"]
     assert any("Held to the record: airspeed, alpha, q, theta and altitude" in note for note in found["notes"])
     recovered(found, plane)
+    assert [mode["name"] for mode in found["motion"]["modes"]] == ["Dutch roll", "roll", "spiral"]
 
 
 def test_a_card_holds_further_states(flown):
@@ -83,6 +108,9 @@ def test_a_card_holds_further_states(flown):
     card = {"effects": [n for n in six.LATERAL if not n.endswith("side_force")], "axes": (six.BOTH[1],), "more": more}
     found = fitted(folder, plane, "held", ("aileron", "rudder"), **card)
     assert found["fitted_outputs"] == ["p", "r"]
+    assert found["motion"]["modes"] == []
+    (why,) = (sentence for sentence in found["sentences"] if sentence.startswith("Modes of motion are not given"))
+    assert "holds beta, phi to the record" in why
     for name in ("Clp", "Clda", "Cnbe", "Cndr"):
         assert found["parameters"][name]["estimate"] == pytest.approx(getattr(plane, name), rel=0.05)
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.diagnosis.trajectories.drift import Drift
+from bayes_aero.diagnosis.trajectories.motion.results import Motion
 from bayes_aero.diagnosis.trajectories.results import Disagreement, ProcessNoise, TrajectoryFit
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
@@ -20,11 +21,12 @@ from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.jobs.io.diagnosis_json import record_results
 from bayes_aero.jobs.io.health_json import health_results
 from bayes_aero.jobs.io.identification_json import inseparable_results, posterior_results
+from bayes_aero.jobs.io.motion_json import motion_results
 from bayes_aero.jobs.io.trajectories_json import open_loop
 from bayes_aero.jobs.options import FIXED, FREE, HELD, LINEAR
 from bayes_aero.report.tables.fly import parameter_rows
 
-SCHEMA = "bayes_aero/trajectories/2"
+SCHEMA = "bayes_aero/trajectories/3"
 RESULTS = "trajectories.json"
 
 
@@ -34,7 +36,8 @@ class Flight:
 
     `flown.fit` has estimates (k,), standard errors and `det_R`. `sentences` are the findings, `notes` remarks on the
     input, `failures` parts that failed unexpectedly, `apart` parameters for which the coefficients of the same record
-    give other values, `posteriors` those of the fit with process noise, by sampler (`nuts`, `emcee`).
+    give other values, `posteriors` those of the fit with process noise, by sampler (`nuts`, `emcee`), `motion` modes
+    and objective tests of a fit that converged.
     """
 
     flown: TrajectoryFit
@@ -46,6 +49,7 @@ class Flight:
     apart: tuple[Disagreement, ...] = ()
     process_noise: ProcessNoise | None = None
     posteriors: Mapping[str, Posterior] = field(default_factory=dict)
+    motion: Motion | None = None
 
 
 def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], source: dict[str, Any]) -> dict[str, Any]:
@@ -80,6 +84,7 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
         "disagreement": [asdict(d) for d in found.apart],
         **({} if found.process_noise is None else {"process_noise": _process_noise(found.process_noise)}),
         **({"posterior": posterior_results(found.posteriors)} if found.posteriors else {}),
+        **({} if found.motion is None else {"motion": motion_results(found.motion)}),
         "initial_states": {
             manoeuvre: {
                 n: {"value": x, "departure": d, "unit": units[n], "prior_sd": beliefs.get(n)}

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from bayes_aero.diagnosis.trajectories.motion.results import Motion
 from bayes_aero.diagnosis.trajectories.results import FITTED, START, ProcessNoise, TrajectoryFit
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
@@ -34,6 +35,7 @@ from bayes_aero.report.html.plots import LOW, Line, Panel
 from bayes_aero.report.pages.trajectories import Curve, axis_label, over_measured, sources
 from bayes_aero.report.tables import fly as tables
 from bayes_aero.report.tables.filtered import one_step_table, posterior_table
+from bayes_aero.report.tables.motion import mode_table, test_table
 from bayes_aero.report.text.drift import drift_sentences
 from bayes_aero.report.text.fly import errors_of_all
 from bayes_aero.report.text.phrases import SYMBOLS, for_people, several, short
@@ -61,6 +63,7 @@ class FlyTold:
     health: Sequence[HealthFinding] = ()  # what is wrong with channels
     process_noise: ProcessNoise | None = None  # the same parameters by a filter
     posteriors: Mapping[str, Posterior] = field(default_factory=dict)  # of that, by sampler
+    motion: Motion | None = None
 
 
 def fly_page(flown: TrajectoryFit, told: FlyTold) -> Page:
@@ -82,6 +85,7 @@ def fly_page(flown: TrajectoryFit, told: FlyTold) -> Page:
             section("fit", "Measured and simulated", lambda: _flights(flown)),
             section("errors", "Errors", lambda: _errors(flown, told.card)),
             section("parameters", "Parameters", lambda: _parameters(flown, told)),
+            section("motion", "Modes of motion", lambda: _motion(told.motion)),
             section("predictions", "One-step predictions", lambda: _predictions(flown, told)),
             section("posterior", "Posterior", lambda: _posterior(told)),
             section("drift", "Did a parameter change?", lambda: _drift(told)),
@@ -173,6 +177,17 @@ def _parameters(flown: TrajectoryFit, told: FlyTold) -> tuple[Block, ...]:
         *_gusts(told),
         symbols(parameters, [p.name for p in parameters], conventions(told.card)),
         page_table(tables.initial_table(flown)),
+    )
+
+
+def _motion(found: Motion | None) -> tuple[Block, ...]:
+    """Modes and objective tests, where there are any."""
+    if found is None:
+        return ()
+    limits = Fold("Where the tolerances come from", tuple(Text(source) for source in found.sources.values()))
+    return (
+        *((page_table(mode_table(found)),) if found.modes else ()),
+        *((page_table(test_table(found)), limits) if found.tests else ()),
     )
 
 

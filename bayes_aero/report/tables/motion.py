@@ -1,0 +1,97 @@
+"""Tables of modes of motion and of objective tests."""
+
+from __future__ import annotations
+
+import math
+
+from bayes_aero.diagnosis.trajectories.motion.results import Compared, FlownMode, Motion
+from bayes_aero.report.tables.table import Column, Estimate, Table, columns_of, in_brackets, or_dash
+from bayes_aero.report.text.phrases import for_people, number
+
+SHOWN = {
+    "period": "period, s",
+    "damping_ratio": "damping ratio",
+    "time_constant": "time constant, s",
+    "time_to_half": "time to half, s",
+    "time_to_double": "time to double, s",
+}
+SWINGS, DECAYS, SPIRALS = ("period", "damping_ratio"), ("time_constant",), ("time_to_half",)
+"""What people read beside the time to double: of an oscillation, of what does not oscillate, of a spiral."""
+
+
+def mode_rows(modes: tuple[FlownMode, ...]) -> list[tuple[FlownMode, str, Estimate]]:
+    """Mode, quantity and its estimate."""
+    rows = []
+    for mode in modes:
+        read = SWINGS if mode.eigenvalue.imag > 0.0 else SPIRALS if mode.name == "spiral" else DECAYS
+        told = [(mode, n, Estimate(*x)) for n, x in mode.quantities.items() if n in (*read, "time_to_double")]
+        rows += told or [(mode, "", Estimate(math.nan, math.nan))]
+    return rows
+
+
+def mode_table(found: Motion) -> Table:
+    """Period and damping, or times, of every mode."""
+    rows = mode_rows(found.modes)
+    of = columns_of(rows)
+    note = (
+        f"Eigenvalues of {_equations(found)}. In brackets: the standard error in units of the last digit, of first "
+        "order in the parameters."
+    )
+    return Table(
+        [
+            of(lambda r: r[0].name, "", "mode", "mode"),
+            of(lambda r: SHOWN.get(r[1], "neither grows nor falls beyond its error"), "", "quantity", "quantity"),
+            of(lambda r: r[2], "", "value", "value", in_brackets),
+        ],
+        "Modes of motion",
+        note,
+        terminal_note=note,
+    )
+
+
+def _equations(found: Motion) -> str:
+    if math.isnan(found.airspeed):
+        return "the card's linear equations"
+    return (
+        "the equations of motion with fixed controls, linearised about straight level flight at "
+        f"{found.airspeed:.0f} m/s and {found.altitude:.0f} m"
+    )
+
+
+def test_table(found: Motion) -> Table:
+    """Every objective test, as recorded and as simulated."""
+    rows = list(found.tests)
+    of = columns_of(rows)
+    before = [None, *((r.manoeuvre, r.entry, r.remark) for r in rows)]
+    again = [(r.manoeuvre, r.entry, r.remark) == last for r, last in zip(rows, before, strict=False)]
+    remarks = ["as above" if same and r.remark else r.remark for r, same in zip(rows, again, strict=True)]
+    return Table(
+        [
+            of(lambda r: r.manoeuvre, "", None, "manoeuvre", words=True),
+            of(lambda r: f"{r.entry} {r.test}", "", "test", "test", words=True),
+            of(_quantity, "", "quantity", "quantity", words=True),
+            of(lambda r: _people(r, r.measured), "", "recorded", "recorded", in_brackets),
+            of(lambda r: _people(r, (r.simulated, math.nan)), "", "simulated", "simulated", in_brackets),
+            of(_limit, "", "tolerance", "tolerance"),
+            of(lambda r: "yes" if r.within else "no", "", "met", "met"),
+            Column(remarks, page="remark", form=or_dash, words=True),
+        ],
+        "Objective tests of the lateral motion",
+        "Recorded and simulated manoeuvres are measured in one way. In brackets: the standard error in units of the "
+        "last digit. These data were fitted.",
+        below=[r.manoeuvre for r in rows],
+    )
+
+
+def _quantity(row: Compared) -> str:
+    unit = for_people(row.unit)[0]
+    return row.quantity if unit == "1" else f"{row.quantity}, {unit}"
+
+
+def _people(row: Compared, pair: tuple[float, float]) -> Estimate:
+    factor = for_people(row.unit)[1]
+    return Estimate(factor * pair[0], factor * pair[1])
+
+
+def _limit(row: Compared) -> str:
+    return "direction" if math.isnan(row.limit) else f"± {number(for_people(row.unit)[1] * row.limit)}"
