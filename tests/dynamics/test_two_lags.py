@@ -1,4 +1,4 @@
-"""Two wings whose separation points lag apart: against another simulator, against one wing, and against coefficients."""
+"""Two wings whose separation points lag apart: against another simulator, one wing, and coefficients."""
 
 from __future__ import annotations
 

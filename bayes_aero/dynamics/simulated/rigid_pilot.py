@@ -135,6 +135,7 @@ def _inputs(pilot: Pilot, trim: RigidTrim, chosen: Mapping[str, tuple[str, float
     led = {"led_alpha": whole(pilot.alpha), "led_beta": whole(pilot.beta), "led_phi": phi}
     led["led_r"] = GRAVITY / speed * jnp.sin(phi)
     thrust = whole(pilot.thrust)
-    engines = {f"thrust_{side}": 0.5 * thrust for side in ("left", "right")} | {"thrust": thrust}
+    more = thrust * whole(pilot.uneven)
+    engines = {"thrust_left": 0.5 * (thrust + more), "thrust_right": 0.5 * (thrust - more), "thrust": thrust}
     noise = dict(zip((f"d{name}" for name in DISTURBED), disturbance, strict=True))
     return u | surfaces | led | engines | noise
