@@ -15,7 +15,8 @@ import numpy as np
 from scipy.optimize import fsolve
 
 G = 9.80665
-KINDS = ("elevator", "aileron", "rudder", "stall")
+KINDS = ("elevator", "aileron", "rudder", "stall", "stall_in_bank")
+BANK, SWAY = 0.25, 5.0  # rad, s
 STATES = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "h", "X_left", "X_right")
 CONTROLS = ("elevator", "aileron", "rudder", "thrust_left", "thrust_right")
 
@@ -70,6 +71,8 @@ class Plane:
     Cnda: float = 0.01
     Cndr: float = -0.10
     stalls: bool = True
+    aside: float = 0.0  # m by which the centre of gravity lies right of the plane of symmetry
+    uneven: float = 0.0  # share by which the left engine delivers more than its lever says, and the right one less
 
     def density(self, h: float) -> float:
         """Standard atmosphere, kg/m^3."""
@@ -106,13 +109,15 @@ class Plane:
         Cn += self.Cnda * aileron + self.Cndr * rudder
         Cl, Cn = Cl + roll, Cn + yaw
         pressure = 0.5 * self.density(x[9]) * V**2 * self.S
+        left, right = left * (1.0 + self.uneven), right * (1.0 - self.uneven)
         thrust = left + right
         force = pressure * np.array(
             [CL * np.sin(alpha) - CD * np.cos(alpha), CY, -CL * np.cos(alpha) - CD * np.sin(alpha)]
         )
         force[0] += thrust
         moment = pressure * np.array([self.b * Cl, self.c * Cm, self.b * Cn])
-        return force, moment + np.array([0.0, thrust * self.engine_drop, (left - right) * self.engine_arm])
+        moment += np.array([0.0, thrust * self.engine_drop, (left - right) * self.engine_arm])
+        return force, moment + np.cross([0.0, -self.aside, 0.0], force)
 
     def wing(self, angles: np.ndarray, X: np.ndarray, tail: float) -> np.ndarray:
         """CL, CD, Cl and Cn of both halves and of the `tail`'s lift; `angles` of attack of the whole and of each."""
@@ -151,7 +156,7 @@ class Plane:
         """What a recorder shows, SI."""
         V, alpha, beta = self.air_data(x)
         rate, force = self.rates(x, controls), self.loads(x, controls)[0] / self.mass
-        spin, arm = x[3:6], np.array(self.nose)
+        spin, arm = x[3:6], np.array(self.nose) - np.array([0.0, self.aside, 0.0])
         felt = force + np.cross(rate[3:6], arm) + np.cross(spin, np.cross(spin, arm))
         shown = {"airspeed": V, "alpha": alpha, "beta": beta, "altitude": x[9], "density": self.density(x[9])}
         shown |= dict(zip(("p", "q", "r", "phi", "theta", "psi"), x[3:9], strict=True))
@@ -222,6 +227,8 @@ def fly(
         else:
             away[0] = -np.radians(0.35) * min(max(t - 3.0, 0.0), 0.6 * seconds) + 0.1 * x[4]
             away[1] = size * multi
+        if kind == "stall_in_bank":  # to and fro
+            away[1] = -0.3 * BANK * (1.0 if int(t / SWAY) % 2 else -1.0) * (t > 4.0)
         if kind != "aileron" or t > edges[-1]:
             away[1] += 0.3 * x[6] + 0.3 * x[3]
         return trim + away

@@ -63,9 +63,7 @@ def weakest(state, flights, *effects):
 
 def test_every_manoeuvre_flies_by_the_equations_that_take_it_apart(state, flights):
     """Each record, without noise, leaves nothing of the six coefficients at the values that flew it."""
-    assert {"aileron_doublet", "rudder_doublet", "sideslip", "bank_to_bank", "stall_with_bank", "engine_steps"} <= set(
-        flights.flown
-    )
+    assert {"aileron_doublet", "rudder_doublet", "sideslip", "stall_with_bank", "engine_steps"} <= set(flights.flown)
     assert flights.refused == {"stabilizer_steps": "stabilizer was not recorded"}
     at = jnp.array([flights.theta[name] for name in flights.model.names])
     for name in ("stall_with_bank", "engine_steps", "sideslip"):
