@@ -1,6 +1,6 @@
 """Hide a wing that stalls first, or one of four rivals, in stalls in bank of another simulator, and diagnose.
 
-    python benchmarks/wing_first.py 18 [--first 0] [--out wing_first] [--halves]
+    python benchmarks/wing_first.py 18 [--first 0] [--out wing_first] [--halves] [--only stall]
 
 Aircraft are drawn at random and flown by `tests/stranger_six.py`, which shares no code with the package: elevator,
 aileron, rudder, a stall and two stalls in bank to and fro, 25 Hz, white noise. Each half of the wing has a separation
@@ -8,7 +8,8 @@ point that lags. The card has the true model but for what is hidden: a wing that
 recorded aileron (for which the catalogue has `roll_offset`, the rolling moment that it makes), a centre of gravity
 aside, engines that deliver apart from what is recorded, or an offset of the sideslip vane. Every sixth flight is
 silent. `--halves`: each half also carries its lift and induced drag at its own angle of attack, which the card's model
-does not know. One line of OUT/wing_first.jsonl each; goes on where it stopped.
+does not know. `--only`: the records that are diagnosed. One line of OUT/wing_first.jsonl each; goes on where it
+stopped.
 """
 
 from __future__ import annotations
@@ -83,9 +84,10 @@ def card_of(plane: Plane) -> Card:
         return read_card(str(path))
 
 
-def case(seed: int, halves: bool = False) -> dict:
-    """Draw, fly, record and diagnose."""
+def case(seed: int, halves: bool = False, only: tuple[str, ...] = tuple(FLOWN)) -> dict:
+    """Draw, fly, record and diagnose; `only` these records."""
     plane, records, size = flown(seed, halves)
+    records = [record for record in records if record.name in only]
     began = time.perf_counter()
     found = diagnose(records, card_of(plane), seed=seed, gains_wanted=False, process_noise=False)
     return {
@@ -140,6 +142,7 @@ if __name__ == "__main__":
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("wing_first"))
     parser.add_argument("--halves", action="store_true")
+    parser.add_argument("--only", nargs="+", choices=tuple(FLOWN), default=tuple(FLOWN))
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     path = given.out / "wing_first.jsonl"
@@ -147,7 +150,7 @@ if __name__ == "__main__":
     with path.open("a") as file:
         for seed in range(given.first, given.first + given.count):
             if seed not in {row["seed"] for row in done}:
-                done.append(case(seed, given.halves))
+                done.append(case(seed, given.halves, tuple(given.only)))
                 give_back_memory()
                 file.write(json.dumps(done[-1]) + "\n")
                 file.flush()

@@ -123,8 +123,9 @@ class Plane:
         """CL, CD, Cl and Cn of both halves and of the `tail`'s lift; `angles` of attack of the whole and of each."""
         lift = 0.5 * (self.CL0 + self.CLa * angles[1:] * _kept(X) + tail)
         drag = 0.5 * (self.CD0 + (2.0 * lift) ** 2 / (np.pi * self.b**2 / self.S * self.e) + self.CDX * (1.0 - X))
-        arm = self.station / self.b
-        return np.array([lift.sum(), drag.sum(), (lift[0] - lift[1]) * arm, (drag[1] - drag[0]) * arm])
+        forward, down = lift * np.sin(angles[0]) - drag * np.cos(angles[0]), -lift * np.cos(angles[0])
+        y = np.array([-1.0, 1.0]) * self.station / self.b
+        return np.array([lift.sum(), drag.sum(), y @ (down - drag * np.sin(angles[0])), -y @ forward])
 
     def tensor(self) -> np.ndarray:
         """Of inertia."""

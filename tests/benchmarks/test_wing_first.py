@@ -7,7 +7,7 @@ import wing_first
 
 from bayes_aero.diagnosis.diagnose import diagnose
 
-RECORDS = ("aileron", "rudder", "stall", "stall_in_bank")
+RECORDS = ("rudder", "stall_in_bank")
 
 
 @pytest.mark.recovery

@@ -61,7 +61,7 @@ def weakest(state, flights, *effects):
     return {m.manoeuvre: m.weakest for m in separating(state, effects, flights=flights).manoeuvres}
 
 
-def test_every_manoeuvre_flies_by_the_equations_that_take_it_apart(state, flights):
+def test_every_manoeuvre_flies_by_the_equations_that_take_it_apart(flights):
     """Each record, without noise, leaves nothing of the six coefficients at the values that flew it."""
     assert {"aileron_doublet", "rudder_doublet", "sideslip", "stall_with_bank", "engine_steps"} <= set(flights.flown)
     assert flights.refused == {"stabilizer_steps": "stabilizer was not recorded"}

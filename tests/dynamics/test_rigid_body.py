@@ -173,7 +173,9 @@ def test_a_centre_of_gravity_aside_and_uneven_engines_turn_it_as_another_simulat
     u = {name: jnp.asarray(y) for name, y in first.items() if name in stranger_six.CONTROLS or name == "thrust"}
     _, found = system.motion(begun(system, **first), model.corrected(known, u, system.aircraft))
     np.testing.assert_allclose([found[f"{n}_dot"] for n in ("p", "q", "r")], theirs[3:6], rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose([found[n] for n in ("ax", "ay", "az")], [first[n] for n in ("ax", "ay", "az")], rtol=1e-6)
+    np.testing.assert_allclose(
+        [found[n] for n in ("ax", "ay", "az")], [first[n] for n in ("ax", "ay", "az")], rtol=1e-6
+    )
     assert np.abs(theirs[3:6] - EVEN.rates(x, controls)[3:6])[[0, 2]].min() > 0.01
 
 
