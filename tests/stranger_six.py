@@ -15,7 +15,8 @@ import numpy as np
 from scipy.optimize import fsolve
 
 G = 9.80665
-KINDS = ("elevator", "aileron", "rudder", "stall")
+KINDS = ("elevator", "aileron", "rudder", "stall", "stall_in_bank")
+BANK, SWAY = 0.25, 5.0  # rad, s
 STATES = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "h", "X_left", "X_right")
 CONTROLS = ("elevator", "aileron", "rudder", "thrust_left", "thrust_right")
 
@@ -71,6 +72,8 @@ class Plane:
     Cndr: float = -0.10
     stalls: bool = True
     gust: tuple[float, float, float] = (0.0, 0.0, 0.0)  # motion of the air along the body axes, m/s
+    aside: float = 0.0  # m by which the centre of gravity lies right of the plane of symmetry
+    uneven: float = 0.0  # share by which the left engine delivers more than its lever says, and the right one less
 
     def density(self, h: float) -> float:
         """Standard atmosphere, kg/m^3."""
@@ -98,25 +101,32 @@ class Plane:
         local, steady = self.halves(x)
         X = x[10:12] if self.tau1 else steady
         tail = (self.CLde_extra - self.Cmde * self.c / self.tail) * elevator
-        lift = 0.5 * (self.CL0 + self.CLa * local * ((1.0 + np.sqrt(np.maximum(X, 0.0))) / 2.0) ** 2 + tail)
-        drag = 0.5 * (self.CD0 + (2.0 * lift) ** 2 / (np.pi * self.b**2 / self.S * self.e) + self.CDX * (1.0 - X))
-        CL, CD = lift.sum(), drag.sum()
+        CL, CD, roll, yaw = self.wing(np.array([alpha, *local]), X, tail)
         ph, qh, rh = p * self.b / (2.0 * V), q * self.c / V, r * self.b / (2.0 * V)
         Cm = self.Cm0 + self.Cma * alpha + self.Cmq * qh + self.Cmde * elevator + self.CmX * (1.0 - X.mean())
         CY = self.CYbe * beta + self.CYr * rh + self.CYdr * rudder
         Cl = self.Clbe * beta + self.Clp * ph + self.Clr * rh + self.Clda * aileron + self.Cldr * rudder
         Cn = self.Cnbe * beta + self.Cnbbb * beta**3 + self.Cnp * ph + self.Cnr * rh
         Cn += self.Cnda * aileron + self.Cndr * rudder
-        Cl += (lift[0] - lift[1]) * self.station / self.b
-        Cn += (drag[1] - drag[0]) * self.station / self.b
+        Cl, Cn = Cl + roll, Cn + yaw
         pressure = 0.5 * self.density(x[9]) * V**2 * self.S
+        left, right = left * (1.0 + self.uneven), right * (1.0 - self.uneven)
         thrust = left + right
         force = pressure * np.array(
             [CL * np.sin(alpha) - CD * np.cos(alpha), CY, -CL * np.cos(alpha) - CD * np.sin(alpha)]
         )
         force[0] += thrust
         moment = pressure * np.array([self.b * Cl, self.c * Cm, self.b * Cn])
-        return force, moment + np.array([0.0, thrust * self.engine_drop, (left - right) * self.engine_arm])
+        moment += np.array([0.0, thrust * self.engine_drop, (left - right) * self.engine_arm])
+        return force, moment + np.cross([0.0, -self.aside, 0.0], force)
+
+    def wing(self, angles: np.ndarray, X: np.ndarray, tail: float) -> np.ndarray:
+        """CL, CD, Cl and Cn of both halves and of the `tail`'s lift; `angles` of attack of the whole and of each."""
+        lift = 0.5 * (self.CL0 + self.CLa * angles[1:] * _kept(X) + tail)
+        drag = 0.5 * (self.CD0 + (2.0 * lift) ** 2 / (np.pi * self.b**2 / self.S * self.e) + self.CDX * (1.0 - X))
+        forward, down = lift * np.sin(angles[0]) - drag * np.cos(angles[0]), -lift * np.cos(angles[0])
+        y = np.array([-1.0, 1.0]) * self.station / self.b
+        return np.array([lift.sum(), drag.sum(), y @ (down - drag * np.sin(angles[0])), -y @ forward])
 
     def tensor(self) -> np.ndarray:
         """Of inertia."""
@@ -148,12 +158,32 @@ class Plane:
         """What a recorder shows, SI."""
         V, alpha, beta = self.air_data(x)
         rate, force = self.rates(x, controls), self.loads(x, controls)[0] / self.mass
-        spin, arm = x[3:6], np.array(self.nose)
+        spin, arm = x[3:6], np.array(self.nose) - np.array([0.0, self.aside, 0.0])
         felt = force + np.cross(rate[3:6], arm) + np.cross(spin, np.cross(spin, arm))
         shown = {"airspeed": V, "alpha": alpha, "beta": beta, "altitude": x[9], "density": self.density(x[9])}
         shown |= dict(zip(("p", "q", "r", "phi", "theta", "psi"), x[3:9], strict=True))
         shown |= dict(zip(("ax", "ay", "az"), felt, strict=True)) | dict(zip(CONTROLS, controls, strict=True))
         return shown | {"thrust": controls[3] + controls[4]}
+
+
+@dataclass(frozen=True)
+class Strips(Plane):
+    """One whose halves lose lift and gain drag apart, in body axes at 4/(3 pi) of the half span, and differ in nothing
+    else: what they carry attached is in the derivatives. Induced drag is that of attached flow."""
+
+    def wing(self, angles: np.ndarray, X: np.ndarray, tail: float) -> np.ndarray:
+        alpha = angles[0]
+        lift, drag = 0.5 * self.CLa * alpha * _kept(X), 0.5 * self.CDX * (1.0 - X)
+        attached = self.CL0 + self.CLa * alpha + tail
+        CD = self.CD0 + attached**2 / (np.pi * self.b**2 / self.S * self.e) + drag.sum()
+        forward, down = lift * np.sin(alpha) - drag * np.cos(alpha), -lift * np.cos(alpha) - drag * np.sin(alpha)
+        y = np.array([-1.0, 1.0]) * 2.0 / (3.0 * np.pi)  # spans
+        return np.array([self.CL0 + tail + lift.sum(), CD, y @ down, -y @ forward])
+
+
+def _kept(X: np.ndarray) -> np.ndarray:
+    """Share of the attached lift."""
+    return ((1.0 + np.sqrt(np.maximum(X, 0.0))) / 2.0) ** 2
 
 
 def drawn(rng: np.random.Generator, **changes: float) -> Plane:
@@ -209,6 +239,8 @@ def fly(
         else:
             away[0] = -np.radians(0.35) * min(max(t - 3.0, 0.0), 0.6 * seconds) + 0.1 * x[4]
             away[1] = size * multi
+        if kind == "stall_in_bank":  # to and fro
+            away[1] = -0.3 * BANK * (1.0 if int(t / SWAY) % 2 else -1.0) * (t > 4.0)
         if kind != "aileron" or t > edges[-1]:
             away[1] += 0.3 * x[6] + 0.3 * x[3]
         return trim + away

@@ -63,3 +63,5 @@ class Manoeuvre(StrEnum):
     STABILIZER_STEPS = "stabilizer_steps"
     AILERON_DOUBLET = "aileron_doublet"
     RUDDER_DOUBLET = "rudder_doublet"
+    STALL_WITH_BANK = "stall_with_bank"
+    ENGINE_STEPS = "engine_steps"

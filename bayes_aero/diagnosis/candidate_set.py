@@ -81,9 +81,7 @@ def finite(neutral: float) -> float:
 
 
 def lag_of(full: CandidateModel) -> Effect | None:
-    """The candidate that lets the separation point lag and can be flown: not where either wing has one of its own."""
-    if full.model.two_wings:
-        return None
+    """The candidate that lets the separation point lag and can be flown."""
     lags = (e for e in full.candidates if e.stage is Stage.LAG)
     return next((e for e in lags if any(p.role is Role.LAG for p in e.parameters)), None)
 

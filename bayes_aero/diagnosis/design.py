@@ -22,6 +22,7 @@ from bayes_aero.diagnosis.screening.regression import inverse
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
 from bayes_aero.diagnosis.settings import ENOUGH
 from bayes_aero.dynamics.simulated.manoeuvres import MOVED, fly_standard
+from bayes_aero.dynamics.simulated.rigid_manoeuvres import TURNED, fly_rigid_standard
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.axes import Axis
@@ -107,10 +108,16 @@ class Standard:
 def standard(state: SelectionState, effects: Sequence[str], *, amplitude: float = 1.0) -> Standard:
     """Fly the standard manoeuvres with the effects that are in, and with those of `effects` that are candidates.
 
+    A model of both axes flies them in six degrees of freedom, and those of the lateral axis too.
+
     `amplitude` multiplies every input. What the record itself gets wrong (sensors, thrust) is flown as at neutral.
     """
-    if Axis.LATERAL in state.full.model.axes:
-        raise InputError("manoeuvres that would separate them are designed for the longitudinal axis alone")
+    rigid = Axis.LATERAL in state.full.model.axes
+    if rigid and Axis.LONGITUDINAL not in state.full.model.axes:
+        raise InputError(
+            "manoeuvres that would separate them are flown from level flight, for which the card has no lift and drag; "
+            'add "longitudinal" to [model] axes'
+        )
     small = _narrowed(state, effects)
     true = state.full.at_neutral(state.theta, [e.name for e in small.effects if e.stage is Stage.CHANNEL])
     theta = {n: x for n, x in zip(state.full.model.names, true, strict=True) if n in small.names}
@@ -119,8 +126,9 @@ def standard(state: SelectionState, effects: Sequence[str], *, amplitude: float 
     start = _start({name: float(np.mean(np.asarray(x)[:begin])) for name, x in flights.channels.items()})
     dt = float(np.median(np.asarray(flights.channels["dt"])))
     aircraft = small.actual_aircraft(values, flights.aircraft)
-    flown, refused = fly_standard(small, values, aircraft, **start, dt=dt, amplitude=amplitude)
-    unseen = {name: MOVED[name] for name in flown if name in MOVED and MOVED[name] not in flights.recorded}
+    by, moved = (fly_rigid_standard, MOVED | TURNED) if rigid else (fly_standard, MOVED)
+    flown, refused = by(small, values, aircraft, **start, dt=dt, amplitude=amplitude)
+    unseen = {name: moved[name] for name in flown if name in moved and moved[name] not in flights.recorded}
     refused |= {name: f"{channel} was not recorded" for name, channel in unseen.items()}
     recorded = {name: _recorded(flights, channels, dt) for name, channels in flown.items() if name not in unseen}
     return Standard(small, theta, recorded, refused)

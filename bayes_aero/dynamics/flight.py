@@ -189,7 +189,7 @@ class AircraftDynamics(EffectDynamics):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Flight states, gusts, and X where it lags."""
+        """Flight states, gusts, and separation points that lag."""
         return self._pattern.states
 
     @property

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from bayes_aero.dynamics.aircraft.effect_system import POINTS
 from bayes_aero.dynamics.flight import Dynamics
 from bayes_aero.dynamics.late_outputs import LateOutputs
 from bayes_aero.dynamics.system import System, Trajectory, integrate
@@ -107,8 +108,8 @@ def segments(
             f"there are {', '.join(recorded) or 'none'}"
         )
     for name in fixed or {}:
-        if name not in dynamics.start or name == "X":
-            there = ", ".join(n for n in dynamics.start if n != "X")
+        if name not in dynamics.start or name in POINTS:
+            there = ", ".join(n for n in dynamics.start if n not in POINTS)
             raise InputError(f"the initial state has {name}, which is no state of the model; there are {there}")
     rows, dts = [], []
     for number in range(len(flights.lengths)) if manoeuvres is None else manoeuvres:

@@ -201,20 +201,32 @@ class Model:
         """The separation point that a steady flow would have: every stage before its lag; the mean of two wings."""
         return self._separated((Stage.SEPARATION,), values, signals, aircraft)["X"]
 
+    def static_points(self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft) -> tuple[Any, ...]:
+        """The same point by point: the one, or those of the right and the left wing."""
+        known = self._separated((Stage.SEPARATION,), values, signals, aircraft)
+        half = known["X_difference"] / 2.0
+        return (known["X"] + half, known["X"] - half) if self.two_wings else (known["X"],)
+
     def attached(self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft) -> dict[str, Any]:
         """`CL_attached`, CD and Cm of the effects of stage ATTACHED alone."""
         return self._run((Stage.ATTACHED,), self._neutral(signals), values, signals, aircraft)
 
     def flow(
-        self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft, X: Float[Array, "*#n"] | None = None
+        self,
+        values: Mapping[str, Any],
+        signals: Signals,
+        aircraft: Aircraft,
+        X: Float[Array, "*#n"] | tuple[Float[Array, "*#n"], Float[Array, "*#n"]] | None = None,
     ) -> dict[str, Any]:
         """Everything the effects build: X, the attached lift, the coefficients (see `effect.Known`).
 
-        `X` given, as a simulation does that carries it as a state, takes the place of the stages that build it; of two
-        wings it is the mean, and their difference is the static one.
+        `X` given, as a simulation does that carries it as a state, takes the place of the stages that build it. Of two
+        wings it is those of the right and the left one, or their mean: their difference is then the static one.
         """
         if X is None:
             known = self._separated((Stage.SEPARATION, Stage.LAG), values, signals, aircraft)
+        elif isinstance(X, tuple):
+            known = self._neutral(signals) | {"X": (X[0] + X[1]) / 2.0, "X_difference": X[0] - X[1]}
         elif not self.two_wings:
             known = self._neutral(signals) | {"X": X}
         else:

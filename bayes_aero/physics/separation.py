@@ -33,6 +33,12 @@ def kirchhoff_factor(X: Samples) -> Samples:
     return xp.square((1.0 + root(X)) / 2.0)
 
 
+def kept_lift(X: Samples, difference: Samples) -> Samples:
+    """The same of two wings, half each: mean X, and `difference` of the right one's less the left one's."""
+    half = difference / 2.0
+    return (kirchhoff_factor(X + half) + kirchhoff_factor(X - half)) / 2.0
+
+
 def lagged(X_static: Float[Array, " n"], tau: Float[Array, " n"], dt: Float[Array, " n"], start: Bool[Array, " n"]):
     """Solve tau dX/dt + X = X_static over manoeuvres laid end to end; the state restarts where `start` is true.
 

@@ -64,7 +64,8 @@ def test_noise_is_that_of_the_sensors_and_of_the_seed(program, flights):
 def test_every_standard_manoeuvre_can_be_chosen():
     time = np.arange(0.0, 60.0, 0.04)
     trim = Trim(0.1, 2e4, 0.0)
-    known = {*commands(time, trim, 0.1, 0.0), *lateral_commands(time, trim), request.RANDOM_STALL}
+    longitudinal = commands(time, trim, 0.1, 0.0)
+    known = {*longitudinal, *lateral_commands(time, trim, longitudinal["slow_stall"]), request.RANDOM_STALL}
     assert known == set(request.MANOEUVRES) == set(Manoeuvre)
 
 

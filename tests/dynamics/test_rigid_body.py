@@ -161,6 +161,24 @@ def test_prescribed_lateral_motion_is_longitudinal_motion():
         np.testing.assert_allclose(ends[1][name], x, rtol=1e-9, atol=1e-9, err_msg=name)
 
 
+def test_a_centre_of_gravity_aside_and_uneven_engines_turn_it_as_another_simulator_says():
+    """Rates at one instant; the engines' true thrust is what the effect makes of the recorded one."""
+    odd = Plane(**six.ATTACHED, aside=0.12, uneven=0.2)
+    model = six.model((*six.LONGITUDINAL, *six.LATERAL, "lateral_cg_shift", "thrust_asymmetry"))
+    known = six.values(odd, model, lateral_cg_shift=0.12, thrust_asymmetry=0.2)
+    system = RigidBody(model, known, model.actual_aircraft(known, six.aircraft(odd)))
+    x, controls = stranger_six.level(EVEN, 110.0, 4000.0)
+    x[[1, 3, 4, 5]] = 3.0, 0.1, 0.05, -0.04
+    theirs, first = odd.rates(x, controls), odd.sensed(x, controls)
+    u = {name: jnp.asarray(y) for name, y in first.items() if name in stranger_six.CONTROLS or name == "thrust"}
+    _, found = system.motion(begun(system, **first), model.corrected(known, u, system.aircraft))
+    np.testing.assert_allclose([found[f"{n}_dot"] for n in ("p", "q", "r")], theirs[3:6], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(
+        [found[n] for n in ("ax", "ay", "az")], [first[n] for n in ("ax", "ay", "az")], rtol=1e-6
+    )
+    assert np.abs(theirs[3:6] - EVEN.rates(x, controls)[3:6])[[0, 2]].min() > 0.01
+
+
 @pytest.fixture(scope="module")
 def flown():
     """Aileron and rudder of the other simulator."""

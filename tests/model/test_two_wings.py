@@ -8,11 +8,8 @@ import numpy as np
 import pytest
 from scipy.special import expit
 
-from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.errors import InputError
 from bayes_aero.flight.axes import Axis
-from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.physics.separation import lagged
 from bayes_aero.simulate.demo import TRUTH
@@ -125,15 +122,6 @@ def test_either_wing_lags_by_itself_behind_its_own_static_point(card):
     )
     np.testing.assert_allclose(after["X"], (right + left) / 2.0, rtol=1e-9)
     np.testing.assert_allclose(after["X_difference"], right - left, atol=1e-12)
-
-
-def test_a_simulation_that_carries_one_lagging_point_says_that_it_cannot_carry_two(card):
-    s = signals() | dict.fromkeys(("theta", "phi", "beta", "q", "r", "density", "thrust"), jnp.ones(N))
-    model, _ = model_and_values(card)
-    channels = {**s, **dict.fromkeys(model.channels, jnp.ones(N))}
-    flights = Flights(channels, card.aircraft, np.zeros(N, int), DT * np.arange(N), (N,), ("one",))
-    with pytest.raises(InputError, match=r"wing_asymmetry, roll_rate_incidence.*and separation_lag lets it lag"):
-        aircraft_dynamics(model, flights)
 
 
 def test_a_simulation_without_lag_gives_the_mean_and_gets_the_difference(card):

@@ -98,7 +98,8 @@ def confirmed(
 
 def _hysteresis(model: Model) -> Mapping[str, float]:
     """Parameters of the quasi-steady flow's hysteresis and their neutral values."""
-    return {name: x for e in model.effects if e.stage is Stage.INCIDENCE for name, x in e.neutral_values.items()}
+    own = [e for e in model.effects if e.stage is Stage.INCIDENCE and "incidence" in e.example.increments]
+    return {name: x for e in own for name, x in e.neutral_values.items()}
 
 
 def _without_lead(model: Model) -> Model:

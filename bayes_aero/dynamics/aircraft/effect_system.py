@@ -15,11 +15,12 @@ from bayes_aero.dynamics.system import Row
 from bayes_aero.effect import Stage
 from bayes_aero.physics.atmosphere import air
 
+POINTS = ("X", "X_right", "X_left")  # states of separation points: of the whole wing, or of either one
 LEAST_LAG = 0.2  # chords: some hundredth of a second, and slow enough for the finest step; less is no lag
 
 
 class EffectSystem(InGusts):
-    """An aircraft with its model at given parameter values; the separation point is the last state where it lags.
+    """An aircraft with its model at given parameter values; separation points are the last states where they lag.
 
     `altitude` says whether the altitude is a state. Without a recorded density it must be: density is then ISA's.
     """
@@ -32,6 +33,13 @@ class EffectSystem(InGusts):
         return any(e.stage is Stage.LAG for e in self.model.acting)
 
     @property
+    def points(self) -> tuple[str, ...]:
+        """States of the separation points that lag: one, or that of the right and that of the left wing."""
+        if not self.lagged:
+            return ()
+        return POINTS[1:] if self.model.two_wings else POINTS[:1]
+
+    @property
     def implicit(self) -> bool:
         """Whether lift depends on alpha-dot at the same instant: directly, or through a separation without lag."""
         before = (Stage.INCIDENCE, Stage.SEPARATION)
@@ -40,25 +48,25 @@ class EffectSystem(InGusts):
 
     @property
     def after(self) -> tuple[str, ...]:
-        """States after those of the flight itself: altitude, gusts, and X where it lags."""
+        """States after those of the flight itself: altitude, gusts, and separation points that lag."""
         gusts = tuple(d.state for d in self.model.disturbances)
-        return (*(("altitude",) if self.altitude else ()), *gusts, *(("X",) if self.lagged else ()))
+        return (*(("altitude",) if self.altitude else ()), *gusts, *self.points)
 
     @abstractmethod
     def named(self, x: Float[Array, " s"]) -> dict[str, Any]:
         """The state by name, with what of the motion it stands for."""
 
     def settled(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
-        """Begins with the separation point at its static value."""
+        """Begins with the separation points at their static values."""
         if not self.lagged:
             return x
         s = self.flow_signals(self.begun(x), u)
-        static = self.model.static_separation(self.values, s | {"alpha_dot": jnp.zeros_like(s["alpha"])}, self.aircraft)
-        return x.at[-1].set(static)
+        static = self.model.static_points(self.values, s | {"alpha_dot": jnp.zeros_like(s["alpha"])}, self.aircraft)
+        return x.at[-len(static) :].set(jnp.stack(static))
 
     def flow_signals(self, x: Float[Array, " s"], u: Row) -> dict[str, Any]:
         """What effects may depend on, of the flow, by the names of the recorded channels."""
-        s = dict(u) | {name: value for name, value in self.named(x).items() if name != "X"}
+        s = dict(u) | {name: value for name, value in self.named(x).items() if name not in POINTS}
         s |= self.model.inflow(self.values, s, self.aircraft)
         if "density" not in s:
             s["density"] = air(s["altitude"])[0]
@@ -68,13 +76,15 @@ class EffectSystem(InGusts):
         return s
 
     def flow(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> dict[str, Any]:
-        """What the effects build of these signals, with the separation point that lags."""
-        if self.lagged:
-            return self.model.flow(self.values, s, self.aircraft, X=state["X"])
-        return self.model.flow(self.values, s, self.aircraft)
+        """What the effects build of these signals, with the separation points that lag."""
+        lagging = tuple(state[name] for name in self.points)
+        X = lagging if len(lagging) > 1 else next(iter(lagging), None)
+        return self.model.flow(self.values, s, self.aircraft, X=X)
 
-    def separation_rate(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> Any:
-        """Of the separation point that lags, 1/s; `s` has alpha-dot."""
-        static = self.model.static_separation(self.values, s, self.aircraft)
+    def separation_rates(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> list[Any]:
+        """Of the separation points that lag, 1/s; `s` has alpha-dot."""
+        if not self.lagged:
+            return []
+        static = self.model.static_points(self.values, s, self.aircraft)
         lag = jnp.maximum(self.model.lag(self.values), LEAST_LAG) * self.aircraft.chord / s["airspeed"]
-        return (static - state["X"]) / lag
+        return [(there - state[name]) / lag for name, there in zip(self.points, static, strict=True)]

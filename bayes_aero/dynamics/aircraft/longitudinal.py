@@ -68,8 +68,7 @@ class Longitudinal(EffectSystem):
         if self.altitude:
             derivative.append(rates["altitude"])
         derivative += decay
-        if self.lagged:
-            derivative.append(self.separation_rate(state, s | {"alpha_dot": rate}))
+        derivative += self.separation_rates(state, s | {"alpha_dot": rate})
         outputs = state | {name: s[name] for name in ("airspeed", "alpha")}
         felt = accelerometers(now, path, self.aircraft)
         outputs |= {"ax": felt["ax"], "az": felt["az"], "q_dot": now.q_dot, "alpha_dot": rate}

@@ -15,7 +15,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from bayes_aero.dynamics.aircraft.effect_system import EffectSystem
+from bayes_aero.dynamics.aircraft.effect_system import POINTS, EffectSystem
 from bayes_aero.dynamics.aircraft.gusts import FLOW
 from bayes_aero.dynamics.output_channels import RIGID
 from bayes_aero.dynamics.system import Row
@@ -35,8 +35,8 @@ HELD: Mapping[Axis, tuple[str, ...]] = {
 """States that belong to each axis: held to the record where the model does not have it."""
 ENVELOPE = {
     "airspeed": (5.0, 1500.0), "alpha": (-1.0, 1.2), "beta": (-1.2, 1.2), "theta": (-1.5, 1.5), "p": (-12.0, 12.0),
-    "q": (-4.0, 4.0), "r": (-4.0, 4.0), "X": (-0.5, 1.5),
-}  # fmt: skip
+    "q": (-4.0, 4.0), "r": (-4.0, 4.0),
+} | dict.fromkeys(POINTS, (-0.5, 1.5))  # fmt: skip
 TURN = 2.0 * math.pi
 
 
@@ -75,7 +75,7 @@ class RigidBody(EffectSystem):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Flight states, attitude, altitude, gusts, and X where it lags."""
+        """Flight states, attitude, altitude, gusts, and separation points that lag."""
         attitude = self.angles if self.by_angles else QUATERNION
         return (*(n for n in RIGID if n not in self.held), *attitude, *self.after)
 
@@ -141,8 +141,7 @@ class RigidBody(EffectSystem):
         if self.altitude:
             derivative.append(changing["altitude"])
         derivative += decay
-        if self.lagged:
-            derivative.append(self.separation_rate(state, s | {"alpha_dot": alpha_dot}))
+        derivative += self.separation_rates(state, s | {"alpha_dot": alpha_dot})
         turning = {f"{n}_dot": x for n, x in zip(RATES, now.turning, strict=True)}
         outputs = accelerometers(now, path, self.aircraft) | turning | {"alpha_dot": alpha_dot}
         outputs |= {n: s[n] for n in (*RIGID, "theta", "altitude") if n in s}

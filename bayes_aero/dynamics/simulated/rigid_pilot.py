@@ -44,7 +44,7 @@ class PilotedBody(RigidBody):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Those of the body, X last where it lags, and the trim before it."""
+        """Those of the body, separation points that lag last, and the trim before them."""
         return self._with_trim(super().states)
 
     @property
@@ -53,7 +53,8 @@ class PilotedBody(RigidBody):
         return self._with_trim(super().start)
 
     def _with_trim(self, names: tuple[str, ...]) -> tuple[str, ...]:
-        return (*names[:-1], "trim", names[-1]) if self.lagged else (*names, "trim")
+        flying = len(names) - len(self.points)
+        return (*names[:flying], "trim", *names[flying:])
 
     def flow_signals(self, x: Float[Array, " s"], u: Row) -> dict[str, Any]:
         """With the controls as the pilot moves them."""
@@ -134,6 +135,7 @@ def _inputs(pilot: Pilot, trim: RigidTrim, chosen: Mapping[str, tuple[str, float
     led = {"led_alpha": whole(pilot.alpha), "led_beta": whole(pilot.beta), "led_phi": phi}
     led["led_r"] = GRAVITY / speed * jnp.sin(phi)
     thrust = whole(pilot.thrust)
-    engines = {f"thrust_{side}": 0.5 * thrust for side in ("left", "right")} | {"thrust": thrust}
+    more = thrust * whole(pilot.uneven)
+    engines = {"thrust_left": 0.5 * (thrust + more), "thrust_right": 0.5 * (thrust - more), "thrust": thrust}
     noise = dict(zip((f"d{name}" for name in DISTURBED), disturbance, strict=True))
     return u | surfaces | led | engines | noise

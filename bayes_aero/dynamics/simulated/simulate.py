@@ -31,7 +31,8 @@ class Pilot(NamedTuple):
     `thrust` in N; `disturbance` (n, 3) is added to CL, CD, Cm, 1 + `buffet` (1 - X) times. Bank `phi` and sideslip
     `beta` (rad) are flown exactly, so they must be smooth: they are differentiated. `stabilizer`, `rudder`, `aileron`,
     `spoiler`, `dlc`, `flap` (rad) only reach the effects. `trim_gain` (1/s) leads alpha by its integral too, as a pilot
-    who trims. Arrays have one row per sample.
+    who trims. `uneven` is the left engine's thrust less the right one's over their sum, which turns a rigid body alone.
+    Arrays have one row per sample.
     """
 
     alpha: Float[Any, " n"]
@@ -50,6 +51,7 @@ class Pilot(NamedTuple):
     buffet: Float[Any, ""] | float = 0.0
     trim_gain: Float[Any, ""] | float = 0.0
     aileron: Float[Any, " n"] | float = 0.0
+    uneven: Float[Any, " n"] | float = 0.0
 
 
 def fly(

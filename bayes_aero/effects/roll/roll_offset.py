@@ -14,7 +14,7 @@ EFFECT = Effect(
     name="roll_offset",
     kind=Kind.AERODYNAMICS,
     stage=Stage.ATTACHED,
-    claim="The aircraft has a rolling moment in straight symmetric flight.",
+    claim="The aircraft has a rolling moment in straight symmetric flight; ailerons with a wrong zero show one, too.",
     parameters=(
         Parameter(
             "Cl0",

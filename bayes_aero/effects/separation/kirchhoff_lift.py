@@ -1,12 +1,12 @@
 """Lift lost to trailing-edge separation."""
 
 from bayes_aero.effect import Effect, Example, Kind, Stage
-from bayes_aero.physics.separation import kirchhoff_factor
+from bayes_aero.physics.separation import kept_lift
 
 
 def increments(v, s, a, known):
-    """CL += CLa alpha (((1 + sqrt X)/2)^2 - 1), on the Mach-independent slope as published."""
-    return {"CL": v["CLa"] * s["alpha"] * (kirchhoff_factor(known["X"]) - 1.0)}
+    """CL += CLa alpha (((1 + sqrt X)/2)^2 - 1), the mean of two wings, on the Mach-independent slope as published."""
+    return {"CL": v["CLa"] * s["alpha"] * (kept_lift(known["X"], known["X_difference"]) - 1.0)}
 
 
 EFFECT = Effect(

@@ -5,13 +5,13 @@ import math
 from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.parameter import Parameter, Prior
-from bayes_aero.physics.separation import kirchhoff_factor
+from bayes_aero.physics.separation import kept_lift
 
 
 def increments(v, s, a, known):
     """CD += share (CL^2 - CL_attached^2)/(e pi AR), where CL is the attached lift less what Kirchhoff's flow loses."""
     attached = known["CL_attached"]
-    lost = v["CLa"] * s["alpha"] * (1.0 - kirchhoff_factor(known["X"]))
+    lost = v["CLa"] * s["alpha"] * (1.0 - kept_lift(known["X"], known["X_difference"]))
     return {"CD": v["induced_share"] * lost * (lost - 2.0 * attached) / (v["e"] * xp.pi * a.aspect_ratio)}
 
 

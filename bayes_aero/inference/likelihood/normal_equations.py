@@ -18,11 +18,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayes_aero.dynamics.aircraft.effect_system import POINTS
 from bayes_aero.dynamics.flight import Dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, simulate
 from bayes_aero.inference.threads import cores
 
-DEPARTURE = {"airspeed": 1.0, "alpha": 0.01, "theta": 0.01, "q": 0.01, "altitude": 3.0, "X": 0.1}
+DEPARTURE = {"airspeed": 1.0, "alpha": 0.01, "theta": 0.01, "q": 0.01, "altitude": 3.0} | dict.fromkeys(POINTS, 0.1)
 """Standard deviation of the measured initial state, SI: what the sensors of a flight test allow; our choice."""
 OTHER_DEPARTURE = {"m/s": 1.0, "m": 3.0}  # by the unit of a state of another name
 REST_DEPARTURE = 0.05
