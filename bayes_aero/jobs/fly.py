@@ -7,39 +7,28 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from jaxtyping import Float
-
 from bayes_aero.diagnosis.consistency.consistency import in_gusts
 from bayes_aero.diagnosis.trajectories.fit_agreement import fit_disagreements, still_apart
 from bayes_aero.diagnosis.trajectories.motion.motion import motion_of
 from bayes_aero.diagnosis.trajectories.results import FITTED, ProcessNoise, Setting, TrajectoryFit
 from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
-from bayes_aero.diagnosis.trajectories.trajectory_fit import fit_trajectories
 from bayes_aero.dynamics.filtering.drifting import refuse
-from bayes_aero.dynamics.flight import DERIVED, Dynamics
+from bayes_aero.dynamics.flight import DERIVED
 from bayes_aero.dynamics.output_channels import OF_AXIS
-from bayes_aero.errors import InputError, attempted
+from bayes_aero.errors import attempted
 from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.channel_units import channel_units
 from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.mle import fit_mle
-from bayes_aero.inference.likelihood.mle_result import MleResult
-from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
 from bayes_aero.jobs.io.fly_json import RESULTS, Flight, fly_results
 from bayes_aero.jobs.io.output_folder import writable
 from bayes_aero.jobs.io.time_histories import flights, put_histories
 from bayes_aero.jobs.options import FREE, LINEAR, FlyOptions
 from bayes_aero.jobs.provenance.provenance import provenance, write_json
 from bayes_aero.jobs.steps.disturbed_flight import process_noise, with_posterior
+from bayes_aero.jobs.steps.flight_fits import coefficient_fit, output_error_fit, starts_of
 from bayes_aero.jobs.steps.flown_dynamics import flown_dynamics
 from bayes_aero.jobs.steps.sensors_first import sensors_agree
-from bayes_aero.jobs.steps.spike_repair import repaired
 from bayes_aero.jobs.steps.usable_for import usable_for
-from bayes_aero.model.model import Model
-from bayes_aero.model.observations import observe
 from bayes_aero.model.recorded_axes import on_recorded_axes
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import draw_all
@@ -141,22 +130,13 @@ def fly_records(
         options = replace(options, process_noise=True)
     coefficients, failed = attempted(
         "The coefficients gave no first values",
-        lambda: None if options.flight_path else _of_coefficients(records, card, seed, progress),
+        lambda: None if options.flight_path else coefficient_fit(records, card, seed, progress),
         None,
         out,
         own=bool(card.effect_files),
     )
-    flown = fit_trajectories(
-        flights,
-        dynamics,
-        {name: STANDARD_CHANNELS[name].unit for name in STANDARD_CHANNELS} | channel_units(card),
-        starts=_starts(coefficients, dynamics),
-        window=options.windows,
-        tolerances={name: tolerance.value for name, tolerance in card.tolerances.items()},
-        biases={} if options.flight_path else card.output_biases,
-        setting=setting,
-        progress=progress,
-    )
+    starts = starts_of(coefficients, dynamics)
+    flown = output_error_fit(flights, dynamics, card, starts, options, progress)
     apart = () if coefficients is None else fit_disagreements(coefficients, flown)
     disputed = asked and not gusts and bool(apart)
     options = replace(options, process_noise=options.filtered or disputed)
@@ -164,7 +144,7 @@ def fly_records(
     (beside, sample), more = process_noise(flown, options, card, out, progress)
     if options.filtered and not flown.converged:
         notes.append("Process noise was not fitted, because output error did not converge.")
-    moves, unmoved = attempted("Modes of motion were not found", lambda: motion_of(flown), None, out)
+    moves, unmoved = attempted("Modes of motion were not found", lambda: motion_of(flown, beside), None, out)
     hindered = usable_for(records, card).get("diagnose", "")
     plain = fly_sentences(flown, hindered, disturbed=options.filtered)
     decided = settled_sentences(apart, beside, still_apart(apart, beside), asked=disputed)
@@ -272,29 +252,3 @@ def _put_numbers(found: Flight, out: Path) -> None:
         posterior.save(out / f"posterior_{engine}.nc")
     if found.posteriors:
         write_csv(posterior_table(found.posteriors), out / "posterior.csv")
-
-
-def _of_coefficients(
-    records: Sequence[FlightRecord], card: Card, seed: int, progress: Progress | None
-) -> MleResult | None:
-    """The fit of the coefficients, as `identify` does it, where they can be formed."""
-    if card.linear is not None:
-        return None
-    if progress:
-        progress("coefficients", 0.0)
-    model, (without_spikes, _) = Model.from_card(card), repaired(records)
-    try:
-        found = fit_mle(model, observe(without_spikes, card, model), seed=seed)
-        return without_noise_bias(found, without_spikes, card, model, seed=seed)
-    except InputError:
-        return None
-
-
-def _starts(found: MleResult | None, dynamics: Dynamics) -> list[Float[np.ndarray, " k"]]:
-    """What the fit of the coefficients has found: a trajectory has optima far from the flight."""
-    if found is None:
-        return []
-    near = dict(zip(found.names, found.estimate, strict=True))
-    lower, upper = (np.array([p.bounds[i] for p in dynamics.free], float) for i in (0, 1))
-    start = np.array([near.get(p.name, p.start) for p in dynamics.free])
-    return [np.clip(start, lower, upper)] if np.all(np.isfinite(start)) else []

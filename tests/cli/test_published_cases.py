@@ -132,7 +132,7 @@ def test_output_error_that_disagrees_with_the_coefficients_asks_for_process_nois
     alone = {"names": ("CLa",), "estimate": np.array([4.34]), "crb_corrected": np.array([0.14]), "at_bound": ()}
     coefficients = Mock(spec=MleResult, status=MleStatus.CONVERGED, **alone)
     monkeypatch.setattr("bayes_aero.jobs.fly.in_gusts", lambda *_: {})
-    monkeypatch.setattr("bayes_aero.jobs.fly._of_coefficients", lambda *_: coefficients)
+    monkeypatch.setattr("bayes_aero.jobs.fly.coefficient_fit", lambda *_: coefficients)
     done = program("fly", BOOK / "hfb320_1_10.asc", "--model", "hfb320", "--no-figures", "--json", "--out", "out")
     found = json.loads(done.out)
     assert found["process_noise"]["converged"]

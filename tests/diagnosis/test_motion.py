@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from bayes_aero.diagnosis.trajectories.motion.flown_modes import flown_mode, flo
 from bayes_aero.diagnosis.trajectories.motion.free_response import still_stretches, swing
 from bayes_aero.diagnosis.trajectories.motion.motion import motion_of
 from bayes_aero.diagnosis.trajectories.motion.objective_tests import Manoeuvre, objective_tests
+from bayes_aero.diagnosis.trajectories.results import ProcessNoise
 from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.modes import Steady, modes
 from bayes_aero.flight.tolerances import OBJECTIVE_TESTS
@@ -279,6 +281,28 @@ def test_modes_of_a_fit_spread_as_draws_of_its_parameters(flown):
     ):
         assert value == pytest.approx(np.median(drawn), rel=5e-3)
         assert sd == pytest.approx(0.5 * np.diff(np.quantile(drawn, [0.1587, 0.8413]))[0], rel=0.05)
+
+
+def test_modes_are_those_of_the_better_fit(flown):
+    """Linear short period again, of the estimates and the covariance of a fit with process noise."""
+    found = dict(zip(flown.fit.names, flown.fit.estimate, strict=True)) | {"Zalpha": -1.3, "Mq": -1.1, "Malpha": -9.0}
+    names = list(found)[::-1]  # in another order
+    sd = {"Zalpha": 0.0, "Mq": 0.04, "Malpha": 0.2}
+    beside = Mock(
+        spec=ProcessNoise,
+        preferred=True,
+        estimates={name: (float(found[name]), sd.get(name, 0.0)) for name in names},
+        covariance=np.diag([sd.get(name, 0.0) ** 2 for name in names]),
+    )
+    moved = motion_of(flown, beside)
+    assert moved.filtered
+    (mode,) = moved.modes
+    w = np.sqrt(1.3 * 1.1 + 9.0 - 1.2**2)
+    assert mode.eigenvalue == pytest.approx(-1.2 + 1j * w)
+    slopes = np.array([(-1.3 + 1.2) / (2.0 * w), -1.0 / (2.0 * w)])  # of w by Mq and Malpha
+    assert mode.sd == pytest.approx((0.02, float(np.hypot(*(slopes * [0.04, 0.2])))), rel=1e-3)
+    worse = motion_of(flown, Mock(spec=ProcessNoise, preferred=False))
+    assert (worse.filtered, worse.modes) == (False, motion_of(flown).modes)
 
 
 def test_a_parameter_that_the_record_does_not_determine_leaves_no_error(flown):

@@ -55,7 +55,7 @@ def test_what_cannot_be_compared_is_not(unusable):
 
 
 def with_process_noise(CLa: tuple[float, float], *, converged: bool = True) -> Mock:
-    return Mock(spec=ProcessNoise, estimates={"CLa": CLa}, converged=converged, gain=900.0)
+    return Mock(spec=ProcessNoise, estimates={"CLa": CLa}, converged=converged, preferred=converged)
 
 
 @pytest.mark.parametrize(

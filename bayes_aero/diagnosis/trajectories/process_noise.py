@@ -70,6 +70,7 @@ def _told(
     estimates = {n: (float(x), float(s)) for n, x, s in zip(found.names, found.estimate, found.sd, strict=True)}
     own = set(fit.flown.dynamics.names) - gusty.dynamics.of_disturbances
     converged = found.status is PredictionErrorStatus.CONVERGED
+    theirs = [i for i, name in enumerate(found.names) if name in own]
     return ProcessNoise(
         found.status.value,
         converged,
@@ -82,6 +83,7 @@ def _told(
         _histories(gusty, found),
         with_drift(gusty, found, drifting, priors=flown.setting.priors) if drifting else None,
         _predictions(gusty, found) if converged else None,
+        found.covariance[np.ix_(theirs, theirs)],
     )
 
 

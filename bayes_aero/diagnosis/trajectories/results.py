@@ -239,6 +239,7 @@ class ProcessNoise:
         histories: what was met, by manoeuvre; empty where no gust has an intensity.
         drift: a further fit in which parameters drift, where it was asked for.
         one_step: whether one-step predictions are calibrated; None where the fit did not converge.
+        covariance: of the `estimates`, in their order (k, k).
     """
 
     status: str
@@ -252,3 +253,9 @@ class ProcessNoise:
     histories: tuple[GustHistory, ...] = ()
     drift: Drift | None = None
     one_step: OneStep | None = None
+    covariance: Float[np.ndarray, "k k"] | None = None
+
+    @property
+    def preferred(self) -> bool:
+        """Whether it describes the record better than output error does."""
+        return self.converged and self.gain > 0.0

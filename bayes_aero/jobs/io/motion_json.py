@@ -13,6 +13,7 @@ def motion_results(found: Motion) -> dict[str, Any]:
     return {
         "airspeed": found.airspeed,
         "altitude": found.altitude,
+        "estimates": "process noise" if found.filtered else "output error",
         "modes": [_mode(mode) for mode in found.modes],
         "why_no_modes": found.why_not,
         "tests": [_test(row, found) for row in found.tests],

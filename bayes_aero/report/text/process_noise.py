@@ -31,7 +31,7 @@ def gust_sentences(gusts: Mapping[str, float], fit: ProcessNoise | None = None) 
         "process noise; --no-process-noise leaves it out."
     )
     better = " Use the estimates with process noise: in gusts those of output error are biased."
-    return [said + (better if fit is not None and fit.converged and fit.gain > 0.0 else "")]
+    return [said + (better if fit is not None and fit.preferred else "")]
 
 
 def settled_sentences(
@@ -49,7 +49,7 @@ def settled_sentences(
         f"The coefficients and output error disagree on {names}. Such a record needs process noise; "
         "--no-process-noise leaves it out. "
     )
-    if not (fit.converged and fit.gain > 0.0):
+    if not fit.preferred:
         return [why.strip()] if asked else []
     other = {d.name: fit.estimates[d.name] for d in found if d.name in fit.estimates}
     told = several(f"{name} {x:.4g} ± {sd:.2g}" for name, (x, sd) in other.items())

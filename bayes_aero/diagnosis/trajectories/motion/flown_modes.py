@@ -1,7 +1,7 @@
 """Modes of motion of a fitted model with standard errors.
 
 Errors are of first order: central differences of the eigenvalues, each about its own trim, over a tenth of the standard
-error of every parameter, with the covariance that allows for coloured residuals.
+error of every parameter, with the covariance that allows for coloured residuals, or that of the fit with process noise.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.trajectories.motion.results import HALF, FlownMode
+from bayes_aero.diagnosis.trajectories.results import ProcessNoise
 from bayes_aero.dynamics.modes import Mode, Steady, modes
 from bayes_aero.dynamics.output_biases import unbiased
 from bayes_aero.errors import InputError
@@ -42,12 +43,13 @@ def steady_of(flights: Flights) -> Steady:
     return Steady(begin("airspeed", 1.0), altitude, begin("alpha", 0.0))
 
 
-def flown_modes(fit: OutputErrorResult, steady: Steady) -> tuple[FlownMode, ...]:
+def flown_modes(fit: OutputErrorResult, steady: Steady, filtered: ProcessNoise | None = None) -> tuple[FlownMode, ...]:
     """The modes of the fitted model.
 
     Args:
         fit: a fit that converged.
         steady: the flight about which motion is linearised.
+        filtered: a fit of the same model with process noise, whose estimates take the place of those of `fit`.
 
     Raises:
         InputError: there is no such flight, or the model has no motion of its own.
@@ -55,10 +57,13 @@ def flown_modes(fit: OutputErrorResult, steady: Steady) -> tuple[FlownMode, ...]
     dynamics, aircraft = unbiased(fit.flown.dynamics), fit.flown.flights.aircraft
     count = len(dynamics.free)
     theta, covariance = np.asarray(fit.estimate[:count]), np.asarray(fit.corrected)[:count, :count]
+    if filtered is not None:
+        theta, covariance = _filtered(filtered, dynamics.names)
     found = modes(dynamics, dynamics.values(theta), aircraft, steady)
     slopes = np.zeros((len(found), 2, count))
     scale = np.sqrt(np.diag(covariance))
-    unknown = [k for k, p in enumerate(fit.parameters[:count]) if p.name in fit.undetermined]
+    open_ones = () if filtered is not None else fit.undetermined
+    unknown = [k for k, p in enumerate(fit.parameters[:count]) if p.name in open_ones]
     scale[unknown] = np.maximum(np.abs(theta[unknown]), 1e-2)  # only whether it matters
     for k in np.flatnonzero(scale):
         step = np.zeros(count)
@@ -75,6 +80,14 @@ def flown_modes(fit: OutputErrorResult, steady: Steady) -> tuple[FlownMode, ...]
         flown_mode(one.name, one.eigenvalue, np.full((2, 2), np.inf) if lost else J @ covariance @ J.T)
         for one, J, lost in zip(found, slopes, moved, strict=True)
     )
+
+
+def _filtered(fit: ProcessNoise, names: tuple[str, ...]) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
+    """Estimates of these parameters and their covariance."""
+    own = list(fit.estimates)
+    order = [own.index(name) for name in names]
+    theta = np.array([fit.estimates[name][0] for name in names])
+    return theta, np.zeros((len(names),) * 2) if fit.covariance is None else fit.covariance[np.ix_(order, order)]
 
 
 def _nearest(mode: Mode, others: tuple[Mode, ...]) -> complex:

@@ -10,7 +10,7 @@ import numpy as np
 from bayes_aero.diagnosis.trajectories.motion.flown_modes import flown_modes, steady_of
 from bayes_aero.diagnosis.trajectories.motion.objective_tests import Manoeuvre, objective_tests
 from bayes_aero.diagnosis.trajectories.motion.results import Motion
-from bayes_aero.diagnosis.trajectories.results import FITTED, TrajectoryFit
+from bayes_aero.diagnosis.trajectories.results import FITTED, ProcessNoise, TrajectoryFit
 from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.linear import LinearDynamics
 from bayes_aero.dynamics.output_biases import unbiased
@@ -22,17 +22,19 @@ LATERAL = ("beta", "p", "r", "phi")
 CONTROLS = ("aileron", "rudder", "spoiler")  # what the names of lateral controls begin with
 
 
-def motion_of(flown: TrajectoryFit) -> Motion | None:
+def motion_of(flown: TrajectoryFit, beside: ProcessNoise | None = None) -> Motion | None:
     """Modes with standard errors, and tests of the lateral motion where it is simulated.
 
-    None without a model of the aircraft, and where the fit did not converge.
+    Modes are of the estimates with process noise where that fit is `preferred`; the tests are of output error's
+    trajectories. None without a model of the aircraft, and where the fit did not converge.
     """
     if flown.of_path or not flown.converged:
         return None
     steady = steady_of(flown.fit.flown.flights)
     found, why_not = (), ""
+    filtered = beside if beside is not None and beside.preferred else None
     try:
-        found = flown_modes(flown.fit, steady)
+        found = flown_modes(flown.fit, steady, filtered)
     except InputError as reason:
         why_not = str(reason)
     flights = manoeuvres_of(flown) if set(LATERAL) & set(flown.outputs) else []
@@ -41,7 +43,7 @@ def motion_of(flown: TrajectoryFit) -> Motion | None:
     sources = {test.name: test.source for test in OBJECTIVE_TESTS if test.entry in shown}
     linear = isinstance(unbiased(flown.fit.flown.dynamics), LinearDynamics)
     about = (math.nan, math.nan) if linear else (steady.airspeed, steady.altitude)
-    return Motion(*about, found, why_not, tests, untested, sources)
+    return Motion(*about, found, why_not, tests, untested, sources, filtered is not None)
 
 
 def manoeuvres_of(flown: TrajectoryFit) -> list[Manoeuvre]:

@@ -60,7 +60,8 @@ class Compared:
 class Motion:
     """Modes about straight level flight (airspeed m/s, altitude m; NaN of linear cards), and objective tests.
 
-    `why_not` says why there are no modes. `untested` has, by test and reason, the manoeuvres that cannot show it.
+    `filtered`: the modes are of the estimates with process noise, not of output error. `why_not` says why there are no
+    modes. `untested` has, by test and reason, the manoeuvres that cannot show it.
     """
 
     airspeed: float
@@ -70,3 +71,4 @@ class Motion:
     tests: tuple[Compared, ...] = ()
     untested: Mapping[str, Mapping[str, tuple[str, ...]]] = field(default_factory=dict)
     sources: Mapping[str, str] = field(default_factory=dict)
+    filtered: bool = False
