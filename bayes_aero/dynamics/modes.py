@@ -161,7 +161,7 @@ def _of_system(
     dynamics: LinearDynamics, values: Mapping[str, Any], aircraft: Aircraft
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     system = dynamics.system(values, aircraft)
-    u = {name: jnp.zeros(()) for name in dynamics.inputs}
+    u = {name: jnp.zeros(()) for name in (*dynamics.inputs, *dynamics.rows.by_manoeuvre)}
     return np.asarray(jax.jacfwd(lambda x: system.motion(x, u)[0])(jnp.zeros(len(dynamics.states)))), dynamics.states
 
 
