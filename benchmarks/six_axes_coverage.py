@@ -7,8 +7,8 @@
 
 Aircraft are drawn at random and flown by `tests/stranger_six.py`, which shares no code with the package: elevator,
 aileron and rudder inputs, 25 s each at 25 Hz, with white noise of every sensor. The card has the true model. `calm`:
-still air. `gusts`: gusts of 1 m/s along each axis. `stall`: three stalls with bank, each half of the wing with a
-separation point of its own, one of which stalls first.
+still air. `gusts`: gusts of 1 m/s along each axis. `stall`: a stall and two in bank as well (`wing_first.py`), each
+half of the wing with a separation point that lags, one of which stalls first.
 
 Methods: `coefficients` is maximum likelihood as `identify` does it, with corrected bounds; `trajectories` is output
 error as `fly` does it, with corrected bounds; `process noise` is its extended Kalman filter (`gusts`).
@@ -28,7 +28,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import six_axes
-from stranger_six import Plane, drawn, fly
+from stranger_six import Plane, Strips, drawn, fly
+from wing_first import EFFECTS
+from wing_first import FLOWN as STALLS
 
 from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
@@ -42,26 +44,28 @@ from bayes_aero.model.observations import observe
 KINDS = ("calm", "gusts", "stall")
 FIRST = {"calm": 31_000, "gusts": 32_000, "stall": 33_000}
 GUST = 1.0  # m/s
-ELLIPTIC = 4.0 / (3.0 * np.pi)  # where half a wing acts, share of the half span
 Z95 = 1.959963984540054
-WINGS = ("wing_asymmetry", "roll_rate_incidence", "sideslip_incidence", "wing_lift_difference", "wing_drag_difference")
-STALLED = ("flow_separation", "kirchhoff_lift", "separated_drag", "separated_moment", *WINGS)
+WING_FIRST = (*EFFECTS, "wing_asymmetry")
 
 
 def aircraft(kind: str, rng: np.random.Generator) -> Plane:
-    """One at random; both halves of the wing of `stall` separate, and the left one first or last."""
+    """One at random; each half of the wing of `stall` has a separation point that lags, one of them first."""
     if kind != "stall":
         return drawn(rng, **six_axes.ATTACHED)
-    first = rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(0.3, 1.0))
-    changes = {"a1": rng.uniform(18.0, 26.0), "alpha_star": rng.uniform(0.24, 0.29), "first": first}
-    return drawn(rng, **changes, station=ELLIPTIC * Plane.b / 2.0)
+    first = rng.choice([-1.0, 1.0]) * rng.uniform(0.005, 0.02)
+    wing = {"alpha_star": rng.uniform(0.2, 0.22), "tau1": rng.uniform(8.0, 16.0), "first": first}
+    plane = drawn(rng, Clp=-0.45, Clbe=-0.11, **wing)
+    return Strips(**{name: getattr(plane, name) for name in Plane.__dataclass_fields__})
 
 
 def records(kind: str, plane: Plane, rng: np.random.Generator) -> list[FlightRecord]:
-    """Three manoeuvres as recorded."""
-    flown = ("stall",) * 3 if kind == "stall" else ("elevator", "aileron", "rudder")
+    """The manoeuvres as recorded."""
     gust = GUST if kind == "gusts" else 0.0
-    return [six_axes.record(f"{name}_{i}", fly(plane, name, rng, gust=gust), rng) for i, name in enumerate(flown)]
+    flown = STALLS if kind == "stall" else dict.fromkeys(("elevator", "aileron", "rudder"), 120.0)
+    return [
+        six_axes.record(name, fly(plane, "stall_in_bank" if name == "again" else name, rng, V=V, gust=gust), rng)
+        for name, V in flown.items()
+    ]
 
 
 def truth(plane: Plane, model: Model) -> dict[str, float]:
@@ -81,7 +85,7 @@ def case(kind: str, seed: int, *, flights: bool = True) -> dict[str, Any]:
     """One aircraft: truth, estimates and standard errors by method."""
     began, rng = time.perf_counter(), np.random.default_rng(seed)
     plane = aircraft(kind, rng)
-    effects = (*six_axes.LONGITUDINAL, *six_axes.LATERAL, *(STALLED if kind == "stall" else ()))
+    effects = WING_FIRST if kind == "stall" else (*six_axes.LONGITUDINAL, *six_axes.LATERAL)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "another.toml"
         path.write_text(six_axes.card_text(plane, effects), encoding="utf-8")
