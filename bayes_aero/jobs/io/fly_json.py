@@ -107,9 +107,9 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
 
 
 def _process_noise(found: ProcessNoise) -> dict[str, Any]:
-    """All but the histories, which gusts.csv and drift.csv have."""
-    bare = asdict(replace(found, drift=None, one_step=None, histories=()))
-    told = {name: value for name, value in bare.items() if name not in ("drift", "histories")}
+    """All but the histories, which gusts.csv and drift.csv have, and the covariance."""
+    bare = asdict(replace(found, drift=None, one_step=None, histories=(), covariance=None))
+    told = {name: value for name, value in bare.items() if name not in ("drift", "histories", "covariance")}
     told |= {"one_step": None if found.one_step is None else _one_step(found.one_step)}
     return told if found.drift is None else told | {"drift": _drift(found.drift)}
 
