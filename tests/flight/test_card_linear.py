@@ -41,7 +41,7 @@ def change(path, value):
         (change(["linear", "rates", "q", "Mde"], {"elevator": "big"}), "not a number"),
         (change(["linear", "rates", "q"], {}), "must be a table of parameters"),
         (change(["linear", "outputs", "ax"], {"X0": "1"}), r"ax, which \[channels\] does not map"),
-        (change(["linear", "outputs", "q"], {"X0": "1"}), "is a state"),
+        (change(["linear", "outputs", "q"], {"Xq": "q"}), "is a state"),
         (change(["linear", "fixed", "Mp"], 1.0), "Mp is a parameter of no row"),
         (change(["linear", "fixed", "Mq"], "one"), "not a number"),
         (change(["parameters"], {"Mdelta": {"start": 1.0}}), "unknown parameter 'Mdelta'"),
