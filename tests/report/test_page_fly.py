@@ -178,7 +178,7 @@ def test_a_page_that_fails_is_told_and_costs_no_number(tmp_path, monkeypatch):
         raise ValueError("no such luck")
 
     flown = flight().flown  # before what fits it is replaced
-    monkeypatch.setattr(job, "fit_trajectories", lambda *_, **__: flown)
+    monkeypatch.setattr(job, "output_error_fit", lambda *_, **__: flown)
     monkeypatch.setattr(job, "fly_page", fails)
     found = job.fly(records(), CARD, out=tmp_path, figures=False)
     said = "report.html was not written: ValueError: no such luck"
@@ -186,7 +186,7 @@ def test_a_page_that_fails_is_told_and_costs_no_number(tmp_path, monkeypatch):
     assert json.loads((tmp_path / RESULTS).read_text())["failures"] == list(found.failures)
     assert not (tmp_path / "report.html").exists()
     monkeypatch.undo()
-    monkeypatch.setattr(job, "fit_trajectories", lambda *_, **__: flown)
+    monkeypatch.setattr(job, "output_error_fit", lambda *_, **__: flown)
     found = job.fly(records(), CARD, out=tmp_path, figures=False)
     assert (found.notes, found.failures) == ((), ())
     assert not (tmp_path / "error.txt").exists()  # of the run before
