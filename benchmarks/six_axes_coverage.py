@@ -34,7 +34,6 @@ from wing_first import FLOWN as STALLS
 
 from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.compiled_programs import give_back_memory
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
 from bayes_aero.jobs import fly as flying
@@ -132,7 +131,6 @@ def run(kind: str, count: int, out: Path, *, flights: bool) -> None:
     done = len(path.read_text().splitlines()) if path.exists() else 0
     for seed in range(FIRST[kind] + done, FIRST[kind] + count):
         row = case(kind, seed, flights=flights)
-        give_back_memory()
         with path.open("a") as file:
             file.write(json.dumps(row) + "\n")
 
