@@ -16,7 +16,7 @@ def verdict_sentence(d: Diagnosis) -> str:
     sure = [c for c in d.causes if c.sure]
     names = f": {several(_named(c, len(sure) <= FEW) for c in sure)}{_doubtful(d)}"
     changes = [f"{one.parameter} changes {'at' if one.between else 'in'} {one.manoeuvre}" for one in d.changes]
-    unknown = several([*sorted({f"{u.coefficient} over {u.channel}" for u in d.unknown}), *changes])
+    unknown = several([*sorted({f"{u.coefficient} over {u.channel}" for u in d.unknown}), *dict.fromkeys(changes)])
     left = f" ({unknown})" if unknown else ""
     if d.tested is not None:
         return _flown_verdict(d, d.tested, len(sure), names, left)
