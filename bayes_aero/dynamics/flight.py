@@ -264,8 +264,7 @@ def aircraft_dynamics(
 ) -> AircraftDynamics:
     """The dynamics of a model for what these flights have recorded; raises `InputError` where they cannot be flown.
 
-    `outputs` of `ON_REQUEST` are simulated beside the usual ones. States that are `held` (default: those that
-    the card holds) are as recorded.
+    `outputs` of `ON_REQUEST` are simulated, too. States that are `held` (default: by the card) are as recorded.
     """
     held = flights.held if held is None else tuple(held)
     own = held_states(model.axes, held)

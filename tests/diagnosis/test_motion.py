@@ -132,7 +132,7 @@ def test_the_free_response_of_another_simulator_has_the_eigenvalue_of_the_model(
     assert rows["period"].measured[0] == pytest.approx(2.0 * math.pi / roll.imag, rel=2e-3)
     assert rows["damping ratio"].measured[0] == pytest.approx(-roll.real / abs(roll), rel=1e-2)
     assert rows["time to half or double"].measured[0] == pytest.approx(math.log(2.0) / -roll.real, rel=1e-2)
-    assert "cycles, the test asks for 6" in rows["period"].remark
+    assert "cycles, the test requires 6" in rows["period"].remark
     assert all(row.within and row.simulated == pytest.approx(row.measured[0], rel=1e-6) for row in rows.values())
 
 

@@ -33,7 +33,7 @@ def mode_table(found: Motion) -> Table:
     """Period and damping, or times, of every mode."""
     rows = mode_rows(found.modes)
     of = columns_of(rows)
-    estimates = "with process noise" if found.filtered else "of output error"
+    estimates = "with process noise, with errors for white innovations" if found.filtered else "of output error"
     note = (
         f"Eigenvalues of {_equations(found)}, for the estimates {estimates}. In brackets: the standard error in units "
         "of the last digit, of first order in the parameters."

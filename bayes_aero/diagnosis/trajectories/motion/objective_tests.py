@@ -18,7 +18,7 @@ from bayes_aero.diagnosis.trajectories.motion.results import Compared
 from bayes_aero.flight import tolerances
 from bayes_aero.flight.tolerances import ObjectiveTest
 
-CYCLES = 6.0  # of a Dutch roll that the test asks for
+CYCLES = 6.0  # of a Dutch roll that the test requires
 FOLLOWS, TOLD = 0.15, 0.05  # amplitude of a control over that of sideslip: no free response, and a remark; our choice
 RELEASED = 20.0  # s of the spiral test
 BANKED = math.radians(5.0)  # rad from which a bank is one to release; our choice
@@ -118,7 +118,7 @@ def _swings(one: Manoeuvre, recorded: Swing, simulated: Swing | None, moves: str
     if simulated is None:
         return "the record swings freely, and the simulation does not"
     test = tolerances.DUTCH_ROLL
-    few = f"{recorded.cycles:.1f} cycles, the test asks for {CYCLES:.0f}" if recorded.cycles < CYCLES else ""
+    few = f"{recorded.cycles:.1f} cycles, the test requires {CYCLES:.0f}" if recorded.cycles < CYCLES else ""
     lacks = "; ".join(remark for remark in (few, moves) if remark)
     own, other = (flown_mode(test.title, x.eigenvalue, x.covariance).quantities for x in (recorded, simulated))
     rows = [
