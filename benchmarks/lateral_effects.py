@@ -1,11 +1,12 @@
 """Hide a lateral effect in flights of another simulator in six degrees of freedom, and diagnose.
 
-    python benchmarks/lateral_effects.py 30 [--first 0] [--out lateral]
+    python benchmarks/lateral_effects.py 120 [--first 0] [--out lateral]
 
 Aircraft are drawn at random and flown by `tests/stranger_six.py`, which shares no code with the package: elevator,
-aileron and rudder, each twice, 25 Hz, white noise. The card has the true model but for one effect of `HIDDEN`: an
-aerodynamic one that is left off the card, an error of a sensor, or `unknown`, a rolling moment that no effect of the
-catalogue makes. Every fourth has nothing hidden. One line of OUT/lateral.jsonl each; goes on where it stopped.
+aileron and rudder, each twice, 25 Hz, white noise. The card has the true model but for one thing. Of four flights one
+has nothing hidden, one something of `UNKNOWN`, which no effect of the catalogue makes, and two an effect of `HIDDEN`:
+an aerodynamic one that is left off the card, or an error of the aircraft's constants or of a sensor.
+One line of OUT/lateral.jsonl each; goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -35,8 +36,10 @@ AERODYNAMIC = {
     "rudder_roll": "Cldr", "aileron_yaw": "Cnda", "rudder_side_force": "CYdr", "roll_rate_yaw": "Cnp",
     "yaw_rate_roll": "Clr", "sideslip_cubed_yaw": "Cnbbb",
 }  # fmt: skip
+AIRCRAFT = {"lateral_cg_shift": ("aside", 0.1), "thrust_asymmetry": ("uneven", 0.1)}  # field of a `Plane`, size
 SENSORS = {  # channel, size and kind of the error
     "sideslip_bias": ("beta", 0.01, "bias"),
+    "sideslip_scale": ("beta", 0.05, "scale"),
     "roll_rate_scale": ("p", 0.05, "scale"),
     "yaw_rate_bias": ("r", 0.004, "bias"),
     "accel_y_bias": ("ay", 0.15, "bias"),
@@ -44,19 +47,32 @@ SENSORS = {  # channel, size and kind of the error
     "aileron_delay": ("aileron", 0.08, "delay"),
     "rudder_delay": ("rudder", 0.08, "delay"),
 }
-HIDDEN = (*AERODYNAMIC, *SENSORS, "unknown")
+HIDDEN = (*AERODYNAMIC, *AIRCRAFT, *SENSORS)
+UNKNOWN = ("altitude_roll", "aileron_sideslip_yaw", "aileron_play", "rudder_play")
+PLAY = 0.01  # rad by which a surface stays behind either way
 
 
 @dataclass(frozen=True)
 class _Odd(Plane):
-    """A rolling moment that comes and goes with the altitude."""
+    """With something that no effect of the catalogue makes.
 
-    odd: float = 0.0
+    A rolling moment that comes and goes with the altitude, a yawing moment of aileron times sideslip, or a surface that
+    does not follow its recorded angle near neutral.
+    """
+
+    odd: str = ""
 
     def loads(self, x: np.ndarray, controls: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of the flight without it, and what it adds."""
+        if self.odd.endswith("_play"):
+            i = 1 if self.odd == "aileron_play" else 2
+            moved = np.sign(controls[i]) * max(0.0, abs(controls[i]) - PLAY)
+            return super().loads(x, np.concatenate([controls[:i], [moved], controls[i + 1 :]]))
         force, moment = super().loads(x, controls)
-        pressure = 0.5 * self.density(x[9]) * float(x[:3] @ x[:3]) * self.S
-        return force, moment + np.array([pressure * self.b * self.odd * np.sin(x[9] / 3.0), 0.0, 0.0])
+        scale = 0.5 * self.density(x[9]) * float(x[:3] @ x[:3]) * self.S * self.b
+        if self.odd == "altitude_roll":
+            return force, moment + np.array([0.002 * scale * np.sin(x[9] / 3.0), 0.0, 0.0])
+        return force, moment + np.array([0.0, 0.0, scale * controls[1] * self.air_data(x)[2]])
 
 
 def _wrong(x: Float[np.ndarray, " n"], kind: str, size: float, dt: float) -> Float[np.ndarray, " n"]:
@@ -67,14 +83,25 @@ def _wrong(x: Float[np.ndarray, " n"], kind: str, size: float, dt: float) -> Flo
     return (1.0 + size) * x if kind == "scale" else x + size
 
 
+def hidden(seed: int) -> str | None:
+    """What this flight hides."""
+    kind, turn = seed % 4, seed // 4
+    return (None, UNKNOWN[turn % len(UNKNOWN)], HIDDEN[2 * turn % len(HIDDEN)], HIDDEN[(2 * turn + 1) % len(HIDDEN)])[
+        kind
+    ]
+
+
 def case(seed: int) -> dict:
     """Draw, fly, record and diagnose."""
-    rng = np.random.default_rng([seed, 21])
-    name = None if seed % 4 == 0 else HIDDEN[(seed - seed // 4 - 1) % len(HIDDEN)]
+    rng, name = np.random.default_rng([seed, 21]), hidden(seed)
     plane = drawn(rng, **ATTACHED, Cnbbb=-1.5 * rng.uniform(0.7, 1.3) if name == "sideslip_cubed_yaw" else 0.0)
     size = getattr(plane, AERODYNAMIC[name]) if name in AERODYNAMIC else None
-    if name == "unknown":
-        plane = _Odd(**{n: getattr(plane, n) for n in Plane.__dataclass_fields__}, odd=0.002)
+    if name in UNKNOWN:
+        plane = _Odd(**{n: getattr(plane, n) for n in Plane.__dataclass_fields__}, odd=name)
+    if name in AIRCRAFT:
+        field, usual = AIRCRAFT[name]
+        size = float(rng.choice([-1.0, 1.0]) * usual * rng.uniform(0.5, 1.5))
+        plane = replace(plane, **{field: size})
     effects = tuple(e for e in (*LONGITUDINAL, *LATERAL) if e != name)
     flights = [fly(plane, kind, rng) for kind in FLOWN]
     if name in SENSORS:
@@ -105,14 +132,17 @@ def report(rows: list[dict]) -> None:
     """Counts, what was taken for what, and a line for each that was not named alone."""
     silent = [r for r in rows if r["hidden"] is None]
     print(f"nothing hidden: silent {sum(r['verdict'] == 'no_effect' for r in silent)} of {len(silent)}")
-    unknown = [r for r in rows if r["hidden"] == "unknown"]
-    print(f"in no catalogue: unexplained {sum(bool(r['unexplained']) for r in unknown)} of {len(unknown)}")
-    some = [r for r in rows if r["hidden"] not in (None, "unknown")]
+    unknown = [r for r in rows if r["hidden"] in UNKNOWN]
+    told = sum(bool(r["unexplained"]) for r in unknown)
+    print(
+        f"in no catalogue: unexplained {told} of {len(unknown)}, a cause named {sum(bool(r['causes']) for r in unknown)}"
+    )
+    some = [r for r in rows if r["hidden"] in HIDDEN]
     alone = [r for r in some if list(r["causes"]) == [r["hidden"]] and r["verdict"] == "explained"]
     print(f"one effect: named {sum(r['hidden'] in r['causes'] for r in some)} of {len(some)}, alone {len(alone)}")
     inside = [abs(m - r["size"]) < 1.96 * s for r in alone for m, s in list(r["causes"][r["hidden"]].values())[:1]]
     print(f"its 95 % interval holds the size {sum(inside)} of {len(inside)}")
-    for (hidden, taken), count in sorted(Counter((r["hidden"], tuple(r["causes"])) for r in some).items()):
+    for (hidden, taken), count in sorted(Counter((r["hidden"], tuple(r["causes"])) for r in (*some, *unknown)).items()):
         print(f"  {hidden}: {', '.join(taken) or 'nothing'} ({count})")
 
 
