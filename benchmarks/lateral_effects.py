@@ -134,9 +134,8 @@ def report(rows: list[dict]) -> None:
     print(f"nothing hidden: silent {sum(r['verdict'] == 'no_effect' for r in silent)} of {len(silent)}")
     unknown = [r for r in rows if r["hidden"] in UNKNOWN]
     told = sum(bool(r["unexplained"]) for r in unknown)
-    print(
-        f"in no catalogue: unexplained {told} of {len(unknown)}, a cause named {sum(bool(r['causes']) for r in unknown)}"
-    )
+    named = sum(bool(r["causes"]) for r in unknown)
+    print(f"in no catalogue: unexplained {told} of {len(unknown)}, a cause named {named}")
     some = [r for r in rows if r["hidden"] in HIDDEN]
     alone = [r for r in some if list(r["causes"]) == [r["hidden"]] and r["verdict"] == "explained"]
     print(f"one effect: named {sum(r['hidden'] in r['causes'] for r in some)} of {len(some)}, alone {len(alone)}")
