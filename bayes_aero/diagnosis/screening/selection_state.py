@@ -226,23 +226,29 @@ def refitted(state: SelectionState) -> tuple[SelectionState, Fit]:
 def optimum(state: SelectionState, folds: Sequence[int], most: int = REFITS) -> Float[np.ndarray, " k"]:
     """Gauss-Newton on all active parameters, fitted to the chosen folds, each step kept inside the bounds.
 
-    A step that does not lower the deviance is shortened; it ends when a step gains less than `ENOUGH`.
+    A step that does not lower the deviance is shortened. The last step is one that would gain less than `ENOUGH`.
     """
     bounds = np.array([p.bounds for p in state.full.model.free])
     columns = state.columns()
     at = columns[columns < len(state.theta)]
-    theta, here = state.theta, local_fit(state, state.theta, at, folds)
+
+    def stepped(share: float) -> Float[np.ndarray, " k"]:
+        after = theta.copy()
+        after[at] = np.clip(theta[at] + share * fit.step[: len(at)], bounds[at, 0] + 1e-9, bounds[at, 1] - 1e-9)
+        return after
+
+    theta, (fit, value) = state.theta, _fit_at(state, state.theta, at, folds, (state.residual, state.S[:, :, at]))
     for _ in range(most):
-        fit, value = here
+        if value - fit.deviance < ENOUGH:
+            return stepped(1.0)
         for share in (1.0, 0.5, 0.2, 0.05):
-            trial = theta.copy()
-            trial[at] = np.clip(theta[at] + share * fit.step[: len(at)], bounds[at, 0] + 1e-9, bounds[at, 1] - 1e-9)
-            new = local_fit(state, trial, at, folds)
-            if new[1] < value:
+            trial = stepped(share)
+            there, lower = local_fit(state, trial, at, folds)
+            if lower < value:
                 break
-        if not new[1] < value:
+        else:
             break
-        theta, gained, here = trial, value - new[1], new
+        gained, theta, fit, value = value - lower, trial, there, lower
         if gained < ENOUGH:
             break
     return theta
@@ -258,7 +264,19 @@ def local_fit(
     """Regression on the columns `at` at `theta`, and the deviance there; with variances it finds, or `held` ones."""
     keep = [state.responses.outputs.index(name) for name in state.outputs]
     residual, S = state.responses.linearise(theta, at)
-    residual, S = residual[:, keep], np.where(np.isfinite(S), S, 0.0)[:, keep]
+    return _fit_at(state, theta, at, folds, (residual[:, keep], np.where(np.isfinite(S), S, 0.0)[:, keep]), held)
+
+
+def _fit_at(
+    state: SelectionState,
+    theta: Float[np.ndarray, " k"],
+    at: Int[np.ndarray, " a"],
+    folds: Sequence[int],
+    linear: tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c a"]],
+    held: Float[np.ndarray, " c"] | None = None,
+) -> tuple[Fit, float]:
+    """The same from residuals at `theta` and sensitivities to the columns `at` (`linear`)."""
+    residual, S = linear
     S = np.concatenate([S, state.S[:, :, state.offsets]], axis=2)
     products = Products.of(
         residual / state.noise_growth, S / state.noise_growth[:, :, None], [state.folds[f] for f in folds]

@@ -16,7 +16,14 @@ from jaxtyping import Float
 from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.consistency.sensor_errors import check_sensors
 from bayes_aero.diagnosis.screening.screening import screen
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised, local_fit, optimum, refitted
+from bayes_aero.diagnosis.screening.selection_state import (
+    SelectionState,
+    linearised,
+    local_fit,
+    moved,
+    optimum,
+    refitted,
+)
 from bayes_aero.diagnosis.selection.block_jackknife import widened
 from bayes_aero.diagnosis.selection.forward_selection import Extension, forward_selection, nats_gained, removed
 from bayes_aero.inference.variance.variance_inflation import nats
@@ -138,7 +145,7 @@ def _path_gain(sensors: Extension, name: str) -> float:
 
 def _deviance(card: SelectionState, without: Sequence[str]) -> float:
     """Of the coefficients under the card's effects alone, these corrections of sensors taken back."""
-    state = replace(card, theta=card.full.at_neutral(card.theta, without))
+    state = moved(card, card.full.at_neutral(card.theta, without))
     columns = state.columns()
     best, folds = optimum(state, range(len(state.folds))), range(len(state.folds))
     return local_fit(state, best, columns[columns < len(best)], folds)[1]
