@@ -40,7 +40,7 @@ def test_processes_end_with_a_parent_that_is_killed():
 
 def test_nothing_watches_in_the_process_itself(monkeypatch):
     monkeypatch.setattr(orphan.os, "_exit", lambda code: pytest.fail(f"left with {code}"))
-    monkeypatch.setattr(orphan, "LOOK", 0.01)
-    orphan.leave_with(os.getpid())
+    monkeypatch.setattr(orphan, "POLL_SECONDS", 0.01)
+    orphan.exit_with(os.getpid())
     time.sleep(0.1)
     assert orphan._watched == set()

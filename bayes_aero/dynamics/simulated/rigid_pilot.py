@@ -110,7 +110,7 @@ def fly_rigid(
     start = jnp.array([trim.state.get(name, 0.0) for name in body.start])
     fast = lag * float(aircraft.chord) / trim.state["airspeed"]
     parts = int(np.clip(np.ceil(2.0 * dt / fast), 1, FINEST)) if lag > 0.0 else 1
-    found = _flown(body, body.begun(body.settled(start, first)), inputs, jnp.asarray(dt), parts)
+    found = _flown(body, body.state_at_start(body.complete_start(start, first)), inputs, jnp.asarray(dt), parts)
     flight = {name: np.asarray(x) for name, x in (inputs | found.outputs).items()}
     flight |= {name: np.unwrap(flight[name]) for name in ("phi", "psi")}
     density, sound = (np.asarray(x) for x in air(found.outputs["altitude"]))

@@ -136,7 +136,7 @@ def _linear(
         u |= dict(zip(controls, z[len(angles) + 1 :], strict=True)) | {"thrust": thrust}
         u |= {f"thrust_{n}": 0.5 * thrust * (1.0 + f * condition.unequal) for n, f in (("left", 1.0), ("right", -1.0))}
         x = jnp.stack([jnp.asarray(s.get(name, 0.0), float) for name in body.start])
-        state = body.begun(body.settled(x, u))
+        state = body.state_at_start(body.complete_start(x, u))
         rates = dict(zip(body.states, body.motion(state, u)[0], strict=True))
         climb = rates["altitude"] / condition.airspeed - jnp.sin(condition.climb)
         return jnp.stack([*(rates[name] for name in ("airspeed", "alpha", "beta", "p", "q", "r")), climb])

@@ -8,13 +8,13 @@ from enum import Enum
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.inference.likelihood.restraints import Bounded, PriorConflict
+from bayes_aero.inference.likelihood.restraints import ActiveBound, PriorConflict
 from bayes_aero.inference.scores import Scores
 from bayes_aero.inference.variance.inseparable import Inseparable, inseparable
 from bayes_aero.parameter import Parameter, Role
 
-FEWEST_BLOCKS = 10  # of 0.2 s for each parameter, below which intervals rest on too little; our choice
-LARGE_BIAS = 0.75  # share of the corrected deviation, which contains the bias
+FEWEST_BLOCKS = 10  # of 0.2 s for each parameter, below which a record is too short for intervals; our choice
+LARGE_BIAS = 0.75  # of the corrected standard error, which contains the bias
 
 
 class MleStatus(Enum):
@@ -38,8 +38,8 @@ class MleResult:
     `covariance` (k, k) is that of Cramer and Rao, for white residuals; `corrected` (k, k) counts their autocorrelation
     over `blocks` blocks of 0.2 s. `R` (3,) are the residual variances of CL, CD, Cm, `eigenvalues` (k,) those of the
     information matrix scaled to unit diagonal, `separation` the range of X. `fit` and `lag1` are by coefficient,
-    `starts` the cost and status of each start. `bounded` are parameters at their bounds, `conflicts` priors that the
-    record contradicts. `bias` (k,) from recording noise is subtracted from `estimate`; None: not computed.
+    `starts` the cost and status of each start. `active_bounds` are parameters at their bounds, `conflicts` priors that
+    the record contradicts. `bias` (k,) from recording noise is subtracted from `estimate`; None: not computed.
     """
 
     parameters: tuple[Parameter, ...]
@@ -55,7 +55,7 @@ class MleResult:
     fit: dict[str, Scores]
     lag1: dict[str, float]
     starts: tuple[tuple[float, str], ...]
-    bounded: tuple[Bounded, ...] = ()
+    active_bounds: tuple[ActiveBound, ...] = ()
     conflicts: tuple[PriorConflict, ...] = ()
     blocks: int | None = None
     bias: Float[np.ndarray, " k"] | None = None
@@ -126,12 +126,11 @@ class MleResult:
                 size = f"{bound / abs(value):.0%} of it" if near else f"{bound:.2g}, its estimate {value:.2g}"
                 said.append(f"{name} is not identified: its Cramer-Rao standard error is {size}.")
         bias = np.zeros(len(self.names)) if self.bias is None else self.bias
-        for name, moved, sd in zip(self.names, bias, self.crb_corrected, strict=True):
-            if abs(moved) > LARGE_BIAS * sd:
+        for name, error, sd in zip(self.names, bias, self.crb_corrected, strict=True):
+            if abs(error) > LARGE_BIAS * sd:
                 said.append(
-                    f"Noise of the recorded signals biases {name} by {moved:+.2g}, most of its corrected standard "
-                    f"error; the "
-                    "bias is subtracted to first order only. Records with less noise are needed."
+                    f"Noise of the recorded signals biases {name} by {error:+.2g}, most of its corrected standard "
+                    "error; the bias is subtracted to first order only. Records with less noise are needed."
                 )
         said += [f"{a} and {b} are correlated by {value:+.3f}." for a, b, value in self.strong_correlations()]
         return said

@@ -34,7 +34,7 @@ def parameter_table(flown: TrajectoryFit) -> Table:
     fit, errors = flown.fit, "standard error"
     start, estimate, crb, sd = (list(map(float, x)) for x in (flown.start, fit.estimate, fit.crb, fit.sd_corrected))
     priors = [prior_text(p.prior if flown.setting.priors else None) for p in fit.parameters]
-    marked = dict(zip(MARKS, (fit.held, fit.at_bound, fit.undetermined), strict=True))
+    marked = dict(zip(MARKS, (fit.held_by_prior, fit.at_bound, fit.undetermined), strict=True))
     remarks = [", ".join(MARKS[mark] for mark, some in marked.items() if name in some) for name in fit.names]
     return Table(
         [

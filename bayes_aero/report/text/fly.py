@@ -57,8 +57,8 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool =
         said.append(f"Residuals grow where the flow has separated ({told}): these samples have less weight.")
     estimates = zip(fit.names, fit.estimate, fit.sd_corrected, strict=True)
     said += sign_sentences({name: (float(value), float(sd)) for name, value, sd in estimates}, fit.parameters)
-    if fit.held and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
-        said.append(f"The trajectories contain little information on {several(fit.held)}; the prior decides.")
+    if fit.held_by_prior and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
+        said.append(f"The trajectories contain little information on {several(fit.held_by_prior)}; the prior decides.")
     if fit.undetermined and flown.converged:
         said.append(
             f"The trajectories do not determine {several(fit.undetermined)}, and there are no priors: these values "

@@ -41,7 +41,7 @@ def verdict(identification: Identification) -> list[str]:
             *chains,
             *split_verdict(identification),
         ]
-    signs += [*bound_sentences(mle.bounded), *conflict_sentences(mle.conflicts)]
+    signs += [*bound_sentences(mle.active_bounds), *conflict_sentences(mle.conflicts)]
     signs += inseparable_sentences(mle.inseparable)
     truth = _truth(identification)
     colour = _colour(identification)

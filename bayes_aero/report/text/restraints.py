@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import pandas as pd
 
-from bayes_aero.inference.likelihood.restraints import SENSITIVE, Bounded, PriorConflict
+from bayes_aero.inference.likelihood.restraints import SENSITIVITY_LIMIT, ActiveBound, PriorConflict
 from bayes_aero.inference.variance.inseparable import Inseparable
 from bayes_aero.parameter import Parameter
 from bayes_aero.report.text.phrases import several
@@ -19,7 +19,7 @@ def conflict_sentences(conflicts: Sequence[PriorConflict]) -> list[str]:
     """A sentence for each prior that the record contradicts."""
     return [
         f"The card's prior on {c.name}, {c.prior[0]:.4g} ± {c.prior[1]:.2g}{_unit(c.unit)} ({c.source}), contradicts "
-        f"the record: the likelihood alone gives {c.likelihood[0]:.4g} ± {c.likelihood[1]:.2g}, {c.apart:.1f} "
+        f"the record: the likelihood alone gives {c.likelihood[0]:.4g} ± {c.likelihood[1]:.2g}, {c.distance:.1f} "
         f"combined standard errors away. The prior shifts the posterior of {c.name} and of correlated parameters. "
         "Widen the prior, or find the reason why the record differs."
         for c in conflicts
@@ -38,23 +38,23 @@ def leaning_sentences(table: pd.DataFrame, conflicts: Sequence[PriorConflict]) -
         return ()
     prior, data = (table[part].astype(float).to_dict() for part in ("prior", "likelihood"))
     own = several(f"{n} {prior[n]:.2f} to the prior, {data[n]:.2f} to the data" for n in names)
-    others = [str(n) for n in prior if n not in names and prior[n] >= SENSITIVE]
+    others = [str(n) for n in prior if n not in names and prior[n] >= SENSITIVITY_LIMIT]
     more = f" Priors also move {several(others)}." if others else ""
-    return (f"Sensitivity of the posterior by power-scaling ({SENSITIVE:g} and above matters): {own}.{more}",)
+    return (f"Sensitivity of the posterior by power-scaling ({SENSITIVITY_LIMIT:g} and above matters): {own}.{more}",)
 
 
-def bound_sentences(found: Sequence[Bounded]) -> list[str]:
+def bound_sentences(found: Sequence[ActiveBound]) -> list[str]:
     """A sentence for each parameter at its bound."""
     said = []
     for b in found:
         side = "lower" if b.lower else "upper"
         text = (
             f"{b.name} is at its {side} bound, {b.bound:.4g}{_unit(b.unit)}: its interval is not reliable. Without the "
-            f"bound it would be about {b.without:.4g} (to first order)"
+            f"bound it would be about {b.unbounded:.4g} (to first order)"
         )
-        if b.pushed:
-            pushed = several(f"{n} ({-x:+.1f} corrected standard errors)" for n, x in b.pushed.items())
-            text += f"; the bound moves {pushed}"
+        if b.shifts:
+            shifts = several(f"{n} ({-x:+.1f} corrected standard errors)" for n, x in b.shifts.items())
+            text += f"; the bound moves {shifts}"
         said.append(f"{text}. Widen the bound, or fix {b.name}.")
     return said
 
