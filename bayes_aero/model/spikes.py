@@ -18,10 +18,8 @@ STEP_WINDOW, STEP_RANK = 7, 2  # the typical step is the third smallest of seven
 STEP_FACTOR = 2.5  # typical steps from the median, at least
 END_SAMPLES = 5  # samples at either end that are not repaired
 LOCAL_WINDOW = 51  # samples of the local standard deviation
-STEPPED_SHARE, SMALL_STEP = (
-    0.4,
-    0.1,
-)  # a channel is quantised if this share of its steps is below this part of the large ones
+STEPPED_SHARE = 0.4  # share of small steps from which a channel is quantised
+SMALL_STEP = 0.1  # of the large steps
 
 
 def _step_size(steps: Float[np.ndarray, " n"]) -> float:
@@ -44,11 +42,12 @@ def without_spikes(
 ) -> tuple[dict[str, Shaped[np.ndarray, " n"]], dict[str, int]]:
     """Replace isolated spikes by the median of their neighbours; the count of replaced samples by channel.
 
-    A sample is a spike if it lies `SPIKE_FACTOR` local deviations from the median of five, and stands out of how fast
-    the channel moves there. Steps, buffet and the sharp peaks of a doublet are kept: a median follows the first, the
-    local deviation grows with the second, and the third are no further from the median than the channel goes in a
-    sample. Nor are some steps of a quantised channel a spike, nor the `END_SAMPLES` samples next to either end, which
-    smoothing leaves rough and which have neighbours on one side. Source: Hampel's identifier.
+    A sample is a spike if it differs from the median of five by more than `SPIKE_FACTOR` local standard deviations and
+    by more than `STEP_FACTOR` typical steps of the channel. Steps, buffet and the sharp peaks of a doublet are kept:
+    the median follows a step, the local deviation grows with buffet, and a peak differs from the median by no more than
+    the channel changes in a sample. A few steps of a quantised channel are no spike. The `END_SAMPLES` at either end
+    are not repaired, because smoothing does not reach them and their neighbours are on one side. Source: Hampel's
+    identifier.
     """
     repaired_channels, count = {name: np.asarray(x) for name, x in channels.items()}, {}
     for name in (name for name in SPIKED if name in repaired_channels):

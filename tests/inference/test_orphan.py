@@ -15,10 +15,10 @@ from bayes_aero.inference import parent_watchdog as orphan
 PARENT = """
 import os, time
 from joblib import Parallel, delayed, parallel_config
-from bayes_aero.inference.parent_watchdog import leave_with
+from bayes_aero.inference.parent_watchdog import exit_with
 
 def work(parent):
-    leave_with(parent)
+    exit_with(parent)
     print(os.getpid(), flush=True)
     time.sleep(600.0)
 

@@ -196,11 +196,9 @@ def search_modes(
         if all(abs(mode.log_density - known.log_density) > SAME_LOG_DENSITY for known in distinct):
             distinct.append(mode)
     mass = np.exp([mode.log_mass - distinct[0].log_mass for mode in distinct])
-    near = (
-        found[0].status is ModeStatus.CONVERGED
-        and abs(found[0].log_density - distinct[0].log_density) <= SAME_LOG_DENSITY
-    )
-    return replace(found[0] if near else distinct[0], other_share=float(1.0 - 1.0 / mass.sum()))
+    difference = abs(found[0].log_density - distinct[0].log_density)
+    same = found[0].status is ModeStatus.CONVERGED and difference <= SAME_LOG_DENSITY
+    return replace(found[0] if same else distinct[0], other_share=float(1.0 - 1.0 / mass.sum()))
 
 
 def other_modes(mode: Mode, where: str) -> tuple[str, ...]:

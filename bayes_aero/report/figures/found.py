@@ -176,9 +176,9 @@ def _sizes(cause: Cause) -> str:
     sizes = {name: size_text(x.mean, x.sd, x.unit) for name, x in cause.parameters.items()}
     if len(sizes) < 2:
         return "".join(sizes.values())
-    told = [f"{name} = {x}" for name, x in sizes.items()]
-    line = ", ".join(told)
-    return line if WIDTH * len(line) < 1.0 else "\n".join(told)
+    listed = [f"{name} = {x}" for name, x in sizes.items()]
+    line = ", ".join(listed)
+    return line if WIDTH * len(line) < 1.0 else "\n".join(listed)
 
 
 DIAGNOSIS_FIGURES = {"found": found, "found_narrow": found_narrow}

@@ -179,8 +179,8 @@ def section(key: str, title: str, make: Callable[[], Iterable[Block]]) -> Sectio
     try:
         return Section(key, title, tuple(make()))
     except Exception as reason:  # whatever it is, the other sections stand; it is told in its place
-        told = failure(f"The part {title!r} of the page was not made", reason)
-        return Section(key, title, (Unmade(told, "warning", failure=told),))
+        message = failure(f"The part {title!r} of the page was not made", reason)
+        return Section(key, title, (Unmade(message, "warning", failure=message),))
 
 
 def filled(*sections: Section) -> tuple[Section, ...]:

@@ -67,9 +67,9 @@ def _uses(report: CheckReport) -> list[str]:
 
 def recorded(records: list[FlightRecord]) -> tuple[Block, ...]:
     """Each record's main channels over time; the first few where there are many."""
-    shown, told = first([record.name for record in records])
+    shown, remark = first([record.name for record in records])
     plots = [_plot(record, f"time-recorded-{order}") for order, record in enumerate(records[: len(shown)])]
-    return (*(plot for plot in plots if plot is not None), *told)
+    return (*(plot for plot in plots if plot is not None), *remark)
 
 
 def _plot(record: FlightRecord, key: str) -> Plot | None:

@@ -41,10 +41,10 @@ def effects_page(
 
 def picture_words(found: Sequence[Described]) -> tuple[str, str]:
     """Caption and alternative text of the picture of channels."""
-    told = several(f"{channel} by {kinds.total()}" for channel, kinds in needed(found).items())
+    listed = several(f"{channel} by {kinds.total()}" for channel, kinds in needed(found).items())
     return (
         "Effects that need each recorded channel. All need time and the channels that form CL, CD and Cm.",
-        f"Bars: effects that need each channel, by kind of effect. Needed are {told}.",
+        f"Bars: effects that need each channel, by kind of effect. Needed are {listed}.",
     )
 
 

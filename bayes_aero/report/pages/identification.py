@@ -149,8 +149,8 @@ def _warnings(run: Identification) -> list[str]:
 def _histories(run: Identification) -> list[Block]:
     o = run.observations
     fitted, measured = run.fitted, np.asarray(o.measured)
-    shown, told = first(o.names)
-    plots: list[Block] = [*told]
+    shown, listed = first(o.names)
+    plots: list[Block] = [*listed]
     for number, name in enumerate(shown):
         mine = o.manoeuvre == number
         panels = [

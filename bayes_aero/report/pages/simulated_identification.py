@@ -21,7 +21,7 @@ def given_flights(paths: Sequence[Path], card: Card) -> tuple[Block, ...]:
     if not paths:
         return ()
     units = {name: STANDARD_CHANNELS[name].unit for name in paths[0].errors}
-    _, told = first([path.manoeuvre for path in paths])
+    _, listed = first([path.manoeuvre for path in paths])
     said = (
         "A simulation with the fitted coefficients and the recorded inputs from the measured initial state, without "
         "correction by measurements. Small errors of a coefficient accumulate here, so trajectories can drift although "
@@ -42,4 +42,4 @@ def given_flights(paths: Sequence[Path], card: Card) -> tuple[Block, ...]:
         for path in paths
         if not path.inside
     ]
-    return (Text(said), *lost, *told, *plots, page_table(given_table(paths)), *sources(card, units))
+    return (Text(said), *lost, *listed, *plots, page_table(given_table(paths)), *sources(card, units))

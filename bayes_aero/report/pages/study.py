@@ -25,7 +25,7 @@ APART = 1.5  # times the units' own deviation, from which their scatter is told
 
 
 @dataclass(frozen=True)
-class StudyTold:
+class StudyContext:
     """A study's name, its tables (columns as in units.csv and summary.csv), where they are, and what is known of it."""
 
     title: str
@@ -36,26 +36,26 @@ class StudyTold:
     facts: Mapping[str, str]
 
 
-def study_page(told: StudyTold) -> Page:
+def study_page(context: StudyContext) -> Page:
     """The page; nothing on it that the tables do not have."""
-    found = estimates(told.units, told.results)
+    found = estimates(context.units, context.results)
     return Page(
-        title=f"Study: {told.title}",
-        subtitle=f"{len(told.units)} units, each a run of {told.task}",
-        verdict=study_headline(told),
-        lead=_lead(found, told.folder),
+        title=f"Study: {context.title}",
+        subtitle=f"{len(context.units)} units, each a run of {context.task}",
+        verdict=study_headline(context),
+        lead=_lead(found, context.folder),
         sections=filled(
-            section("findings", "Findings over all units", lambda: bullets(_findings(told, found))),
+            section("findings", "Findings over all units", lambda: bullets(_findings(context, found))),
             section("across", "Scatter and intervals", lambda: _across(found)),
-            section("units", "The units", lambda: (_units(told.units, told.folder),)),
-            section("provenance", "Provenance", lambda: (Facts(tuple(told.facts.items())),)),
+            section("units", "The units", lambda: (_units(context.units, context.folder),)),
+            section("provenance", "Provenance", lambda: (Facts(tuple(context.facts.items())),)),
         ),
     )
 
 
-def study_headline(told: StudyTold) -> str:
+def study_headline(context: StudyContext) -> str:
     """State of the study and joint results of its units, in one sentence."""
-    return f"{'; '.join([_progress(told.units), *_short(told)])}."
+    return f"{'; '.join([_progress(context.units), *_short(context)])}."
 
 
 def _progress(units: pd.DataFrame) -> str:
@@ -66,9 +66,9 @@ def _progress(units: pd.DataFrame) -> str:
     return f"{done} of {total} units are done ({several(f'{n} {state}' for state, n in states.items())})"
 
 
-def _short(told: StudyTold) -> list[str]:
+def _short(context: StudyContext) -> list[str]:
     """Verdicts, the cause that most units name, the parameter that scatters farthest beyond its intervals."""
-    verdicts, causes, done = _counted(told)
+    verdicts, causes, done = _counted(context)
     said = []
     if verdicts:
         all_same = len(verdicts) == 1 and done > 1
@@ -76,7 +76,7 @@ def _short(told: StudyTold) -> list[str]:
     if causes:
         cause, n = causes.most_common(1)[0]
         said.append(f"{cause} is named in {n} of {done}")
-    compared, beyond = _beyond(estimates(told.units, told.results))
+    compared, beyond = _beyond(estimates(context.units, context.results))
     if beyond:
         worst = max(beyond, key=lambda e: e.scatter / e.claimed)
         ratio = f"{worst.scatter / worst.claimed:.1f} times its intervals"
@@ -90,10 +90,10 @@ def _words(verdict: str) -> str:
     return verdict.replace("_", " ")
 
 
-def _counted(told: StudyTold) -> tuple[Counter[str], Counter[str], int]:
+def _counted(context: StudyContext) -> tuple[Counter[str], Counter[str], int]:
     """Units by verdict, units by the causes that they name, and how many are done."""
-    done = told.units[told.units["state"] == "done"]
-    pairs = set(zip(told.results["cause"], told.results["unit"], strict=True))
+    done = context.units[context.units["state"] == "done"]
+    pairs = set(zip(context.results["cause"], context.results["unit"], strict=True))
     return Counter(v for v in done["verdict"] if v), Counter(cause for cause, _ in sorted(pairs) if cause), len(done)
 
 
@@ -103,9 +103,9 @@ def _beyond(found: list[Estimates]) -> tuple[list[Estimates], list[Estimates]]:
     return compared, [e for e in compared if e.scatter > APART * e.claimed]
 
 
-def _findings(told: StudyTold, found: list[Estimates]) -> list[str]:
+def _findings(context: StudyContext, found: list[Estimates]) -> list[str]:
     """Verdicts by number, causes by how many units name them, and parameters that scatter beyond their intervals."""
-    verdicts, causes, done = _counted(told)
+    verdicts, causes, done = _counted(context)
     said = []
     if verdicts:
         said.append(f"Verdicts: {several(f'{n} {_words(verdict)}' for verdict, n in verdicts.most_common())}.")

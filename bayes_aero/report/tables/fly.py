@@ -78,13 +78,13 @@ def prior_text(prior: Prior | None) -> str:
     if prior is None:
         return "none"
     location, scale = prior.location, prior.scale
-    told = {
+    text = {
         "normal": f"{location:.4g} ± {scale:.4g}",
         "lognormal": f"{location:.4g} × e^±{scale:.4g}",
         "halfnormal": f"{location:.4g} + |{scale:.4g}|",
         "uniform": f"{location:.4g} to {location + scale:.4g}",
     }[prior.family]
-    return f"{told}, {'card' if prior.by_card else 'default'}"
+    return f"{text}, {'card' if prior.by_card else 'default'}"
 
 
 def _fit(e: Estimate) -> str:

@@ -24,8 +24,8 @@ def mode_rows(modes: tuple[FlownMode, ...]) -> list[tuple[FlownMode, str, Estima
     rows = []
     for mode in modes:
         read = SWINGS if mode.eigenvalue.imag > 0.0 else SPIRALS if mode.name == "spiral" else DECAYS
-        told = [(mode, n, Estimate(*x)) for n, x in mode.quantities.items() if n in (*read, "time_to_double")]
-        rows += told or [(mode, "", Estimate(math.nan, math.nan))]
+        quantities = [(mode, n, Estimate(*x)) for n, x in mode.quantities.items() if n in (*read, "time_to_double")]
+        rows += quantities or [(mode, "", Estimate(math.nan, math.nan))]
     return rows
 
 

@@ -36,10 +36,10 @@ def drift_sentences(found: Drift) -> list[str]:
     if not found.usable:
         return [f"Whether {several(names)} changed cannot be said: a fit with drifting parameters did not converge."]
     if found.coloured:
-        told = several([f"{name} ({found.autocorrelation[name]:.2f})" for name in found.coloured])
+        listed = several([f"{name} ({found.autocorrelation[name]:.2f})" for name in found.coloured])
         return [
             f"Whether {several(names)} changed cannot be said: with the drift innovations are autocorrelated, too "
-            f"(neighbouring samples of {told}), and the test assumes white ones."
+            f"(neighbouring samples of {listed}), and the test assumes white ones."
         ]
     said = [_told(name, parameter) for name, parameter in found.parameters.items()]
     if not found.changed and found.p < DRIFT_LEVEL:

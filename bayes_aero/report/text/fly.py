@@ -53,8 +53,8 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool =
         )
     swollen = {name: times for name, times in flown.noise_growth.items() if times > SWOLLEN}
     if swollen:
-        told = several(f"{SYMBOLS.get(name, name)} {short(times)} times" for name, times in swollen.items())
-        said.append(f"Residuals grow where the flow has separated ({told}): these samples have less weight.")
+        listed = several(f"{SYMBOLS.get(name, name)} {short(times)} times" for name, times in swollen.items())
+        said.append(f"Residuals grow where the flow has separated ({listed}): these samples have less weight.")
     estimates = zip(fit.names, fit.estimate, fit.sd_corrected, strict=True)
     said += sign_sentences({name: (float(value), float(sd)) for name, value, sd in estimates}, fit.parameters)
     if fit.held_by_prior and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
@@ -79,7 +79,7 @@ def disagreement_sentences(found: Sequence[Disagreement], hindered: str = "") ->
     """
     if not found:
         return []
-    told = several(
+    listed = several(
         f"{d.name} {d.coefficients[0]:.3g} ± {d.coefficients[1]:.2g} from the coefficients, {d.trajectories[0]:.3g} ± "
         f"{d.trajectories[1]:.2g} from trajectories{'' if d.unit == '1' else f' {d.unit}'} ({d.apart:.1f} combined "
         "standard errors apart)"
@@ -87,9 +87,9 @@ def disagreement_sentences(found: Sequence[Disagreement], hindered: str = "") ->
     )
     look = "check looks for an error of a sensor" if hindered else "check and diagnose look for the last two"
     return [
-        f"The coefficients of the same record, as identify fits them, disagree with the trajectories: {told}. Neither "
-        "interval covers the difference. Possible causes are turbulence, a sensor error or an effect that the model "
-        f"lacks; {look}."
+        f"The coefficients of the same record, as identify fits them, disagree with the trajectories: {listed}. "
+        "Neither interval covers the difference. Possible causes are turbulence, a sensor error or an effect that the "
+        f"model lacks; {look}."
     ]
 
 
@@ -118,8 +118,8 @@ def outside(flown: TrajectoryFit) -> dict[str, float]:
     paths = [p for p in flown.paths if p.model == FITTED and p.inside]
     shares = {}
     for output in flown.outputs:
-        told = [(p.errors[output].within, len(p.time)) for p in paths]
-        within = [(share, n) for share, n in told if share is not None]
+        listed = [(p.errors[output].within, len(p.time)) for p in paths]
+        within = [(share, n) for share, n in listed if share is not None]
         if within:
             shares[output] = 1.0 - float(np.average([s for s, _ in within], weights=[n for _, n in within]))
     return shares
@@ -130,20 +130,20 @@ def _wanting(flown: TrajectoryFit, hindered: str) -> list[str]:
     shares = {name: share for name, share in outside(flown).items() if share > OFTEN}
     if not (shares and flown.converged):  # what has not converged may still come nearer
         return []
-    told = several(f"{SYMBOLS.get(name, name)} {share:.0%} of the time" for name, share in shares.items())
+    listed = several(f"{SYMBOLS.get(name, name)} {share:.0%} of the time" for name, share in shares.items())
     if flown.of_path:
-        return [f"The flight path is outside its tolerances ({told}): an error of a sensor or of the air is missing."]
+        return [f"The flight path is outside its tolerances ({listed}): an error of a sensor or of the air is missing."]
     looks = f", and diagnose cannot look for it: {hindered}" if hindered else "; bayes-aero diagnose looks for it"
     where = looks if flown.by_effects else ""
-    return [f"The fitted model is outside its tolerances ({told}): the model lacks an effect{where}."]
+    return [f"The fitted model is outside its tolerances ({listed}): the model lacks an effect{where}."]
 
 
 def _off(flown: TrajectoryFit) -> str:
     """How far from the measurements the fit is where it converged."""
     if flown.fit.status is not OutputErrorStatus.CONVERGED:
         return ""
-    told = []
+    listed = []
     for output, (_, rms) in errors_of_all(flown).items():
         unit, factor = for_people(flown.units[output])
-        told.append(f"{SYMBOLS.get(output, output)} {short(factor * rms)}{'' if unit == '1' else ' ' + unit}")
-    return f"; the RMS error of the trajectories is {several(told)}"
+        listed.append(f"{SYMBOLS.get(output, output)} {short(factor * rms)}{'' if unit == '1' else ' ' + unit}")
+    return f"; the RMS error of the trajectories is {several(listed)}"

@@ -20,15 +20,15 @@ def motion_sentences(found: Motion | None) -> list[str]:
         said.append(f"The fitted model does not meet objective tests: {several(missed)}.")
     short = dict.fromkeys((row.manoeuvre, row.remark) for row in found.tests if row.quantity == "period" and row.remark)
     if short:
-        told = "; ".join(f"{manoeuvre}: {remark}" for manoeuvre, remark in short)
-        said.append(f"Free responses fall short of {DUTCH_ROLL.entry} ({told}).")
+        listed = "; ".join(f"{manoeuvre}: {remark}" for manoeuvre, remark in short)
+        said.append(f"Free responses fall short of {DUTCH_ROLL.entry} ({listed}).")
     free = found.untested.get(DUTCH_ROLL.name, {})
     if free:
-        told = "; ".join(f"{why} ({several(manoeuvres)})" for why, manoeuvres in free.items())
-        said.append(f"No free response shows the Dutch roll: {told}.")
+        listed = "; ".join(f"{why} ({several(manoeuvres)})" for why, manoeuvres in free.items())
+        said.append(f"No free response shows the Dutch roll: {listed}.")
     shown = {f"{row.entry} {row.test}" for row in found.tests}
     gone = {name: reasons for name, reasons in found.untested.items() if name not in {*shown, DUTCH_ROLL.name}}
     if gone:
-        told = several(f"{name} ({'; '.join(reasons)})" for name, reasons in gone.items())
-        said.append(f"Objective tests that no manoeuvre shows: {told}.")
+        listed = several(f"{name} ({'; '.join(reasons)})" for name, reasons in gone.items())
+        said.append(f"Objective tests that no manoeuvre shows: {listed}.")
     return said

@@ -52,13 +52,12 @@ def settled_sentences(
     if not fit.preferred:
         return [why.strip()] if asked else []
     other = {d.name: fit.estimates[d.name] for d in found if d.name in fit.estimates}
-    told = several(f"{name} {x:.4g} ± {sd:.2g}" for name, (x, sd) in other.items())
+    listed = several(f"{name} {x:.4g} ± {sd:.2g}" for name, (x, sd) in other.items())
     if apart:
-        said = (
-            f"With process noise {several(apart)} still differ{'s' * (len(apart) == 1)} from the coefficients ({told})"
-        )
+        verb = "differs" if len(apart) == 1 else "differ"
+        said = f"With process noise {several(apart)} still {verb} from the coefficients ({listed})"
         return [(why if asked else "") + f"{said}: the model lacks an effect, or a sensor is wrong."]
-    said = f"With process noise {names} agree{'s' * (len(found) == 1)} with the coefficients ({told})"
+    said = f"With process noise {names} agree{'s' * (len(found) == 1)} with the coefficients ({listed})"
     return [(why if asked else "") + f"{said}: prefer them to those of output error."]
 
 

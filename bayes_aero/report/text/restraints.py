@@ -63,14 +63,14 @@ def inseparable_sentences(found: Sequence[Inseparable]) -> list[str]:
     """A sentence for each set of parameters that the record cannot separate."""
     said = []
     for one in found:
-        told = several(
+        listed = several(
             f"{name} {x:.3g} ± {sd:.2g}{_unit(unit)}"
             for name, unit, (x, sd) in zip(one.names, one.units, one.estimates, strict=True)
         )
         low, high = (f"{x:.0f}" if x >= 10.0 else f"{x:.2g}" for x in (min(one.wider), max(one.wider)))
         times = low if low == high else f"{low} to {high}"
         said.append(
-            f"The record cannot separate {several(one.names)} ({told}): if the others were known, each interval "
+            f"The record cannot separate {several(one.names)} ({listed}): if the others were known, each interval "
             f"would be "
             f"{times} times narrower. Fly manoeuvres that excite them differently, fix one, or give one a prior."
         )

@@ -25,7 +25,7 @@ def simulation_gain(flown: Trajectories) -> str:
     """
     if not all(p.inside for p in flown.paths if p.split == "hold_out"):
         return ""
-    told = []
+    listed = []
     for output in flown.outputs:
         rms = {m: [p.errors[output].rms for p in flown.paths if (p.model, p.split) == (m, "hold_out")] for m in MODELS}
         if not all(rms.values()) or not np.isfinite([x for values in rms.values() for x in values]).all():
@@ -33,13 +33,13 @@ def simulation_gain(flown: Trajectories) -> str:
         unit, factor = for_people(STANDARD_CHANNELS[output].unit)
         before, after = (short(factor * float(np.sqrt(np.mean(np.square(rms[m]))))) for m in MODELS)
         if before != after:
-            told.append(f"{SYMBOLS.get(output, output)} from {before} to {after} {unit}")
-    if not told:
+            listed.append(f"{SYMBOLS.get(output, output)} from {before} to {after} {unit}")
+    if not listed:
         return ""
     besides = [f"with {flown.lag.effect}"] if flown.lag is not None and flown.lag.kept else []
     besides += [f"without {several(flown.out)}"] if flown.out else []
     model = f" ({several(besides)})" if besides else ""
-    said = f"On hold-out flights the extended model{model} changes the RMS error of the simulation: {several(told)}."
+    said = f"On hold-out flights the extended model{model} changes the RMS error of the simulation: {several(listed)}."
     return " ".join([said, *status_sentences(flown)])
 
 
@@ -68,19 +68,19 @@ def _tolerance_sentences(flown: Trajectories) -> list[str]:
     leaves = "leaves" if len(outside) == 1 else "leave"
     said = [f"In the hold-out simulation {several(outside)} {leaves} the flight envelope."] if outside else []
     inside = [p for p in unseen if p.inside]
-    told = []
+    listed = []
     for output in flown.outputs:
         shares = {p.manoeuvre: x for p in inside if (x := p.errors[output].within) is not None}
         if not shares:
             continue
         worst = min(shares, key=lambda name: shares[name])
         where = f" (least, {worst})" if len(shares) > 1 and shares[worst] < max(shares.values()) else ""
-        told.append(f"{SYMBOLS.get(output, output)} {shares[worst]:.0%}{where}")
-    if told:
+        listed.append(f"{SYMBOLS.get(output, output)} {shares[worst]:.0%}{where}")
+    if listed:
         what = "every flight is" if len(inside) > 1 else f"{inside[0].manoeuvre} is"
         said.append(
             f"In the hold-out simulation {what} within tolerance for at least this share of the time: "
-            f"{', '.join(told)}. "
+            f"{', '.join(listed)}. "
             f"{tolerance_origin({n: e.tolerance for n, e in inside[0].errors.items() if e.tolerance is not None})}"
         )
     return said
@@ -131,8 +131,8 @@ def cause_sentences(flown: Trajectories) -> list[str]:
     if kept:
         finite = [e for e in kept if math.isfinite(missed[e][0])]  # without the others the flight leaves its envelope
         least = min(finite, key=lambda e: missed[e][0] / missed[e][1], default=None)
-        told = f" (least for {least}, by {missed[least][0]:.0f} ± {missed[least][1]:.0f} nats)" if least else ""
-        said.append(f"Removing {several(kept)} degrades the prediction of hold-out trajectories{told}.")
+        listed = f" (least for {least}, by {missed[least][0]:.0f} ± {missed[least][1]:.0f} nats)" if least else ""
+        said.append(f"Removing {several(kept)} degrades the prediction of hold-out trajectories{listed}.")
     return said
 
 

@@ -68,23 +68,23 @@ def _remaining(tested: Tested) -> str:
     """Outputs whose error exceeds the noise, on hold-out flights where there are any."""
     unseen = all(math.isfinite(tested.outputs[name].unseen) for name in tested.beyond)
     where = "on hold-out flights, RMS" if unseen else "RMS"
-    told = [
+    listed = [
         f"{SYMBOLS.get(name, name)} {_size(name, one.unseen if unseen else one.fitted)}"
         for name, one in tested.outputs.items()
         if one.beyond
     ]
-    return f"{where}: {several(told)}"
+    return f"{where}: {several(listed)}"
 
 
 def tested_sentences(d: Diagnosis) -> list[str]:
     """The error of each output against the noise of its sensor, from trajectories alone."""
     if d.tested is None or not d.tested.outputs:
         return []
-    told = [
+    listed = [
         f"{SYMBOLS.get(name, name)} {_size(name, one.fitted)} (noise {_size(name, one.noise)})"
         for name, one in d.tested.outputs.items()
     ]
-    said = f"The RMS error of the extended model, fitted to all flights, is {several(told)}."
+    said = f"The RMS error of the extended model, fitted to all flights, is {several(listed)}."
     if d.tested.beyond:
         said += (
             f" More than half of the mean square error of {several(SYMBOLS.get(n, n) for n in d.tested.beyond)} is not "
