@@ -155,6 +155,24 @@ class Prepared(NamedTuple):
     measured: Float[Array, "w n c"]
     scale: Float[Array, "w n c"]
 
+    @property
+    def first_inputs(self) -> dict[str, Float[Array, " w"]]:
+        """Inputs at the first sample of each segment."""
+        return {name: x[:, 0] for name, x in self.drives.items()}
+
+    @property
+    def initial_states(self) -> Float[Array, "w s"]:
+        """Initial states of the filter, with states without a sensor filled in."""
+        return jax.vmap(self.sensed.complete_start)(self.begin, self.first_inputs)
+
+    def initial_covariance(self, states: Float[Array, "w s"], deviation: Float[Array, " s"]) -> Float[Array, "w s s"]:
+        """Covariance of the initial `states`; `deviation`: standard deviations of the measured ones, (s,), SI."""
+        return jax.vmap(lambda x, u: self.sensed.start_covariance(x, u, deviation))(states, self.first_inputs)
+
+    def noise_variance(self, R: Float[Array, " c"], growth: Float[np.ndarray, "w n c"]) -> Float[Array, "w n c"]:
+        """Variances of the noise of the corrected outputs; `R`: of the recorded outputs in attached flow, (c,)."""
+        return R * (self.scale * jnp.asarray(growth)) ** 2
+
 
 def prepare(flown: SegmentTrajectories, theta: Float[Array, " k"]) -> Prepared:
     """The system at `theta`, and the record corrected by its sensor errors."""

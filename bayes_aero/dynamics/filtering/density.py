@@ -107,18 +107,15 @@ def _backward(slope: NoisePoint, cotangent: Array, *_: Any):
 def _filter_inputs(point: NoisePoint, flown: SegmentTrajectories, start_deviation: Array) -> _FilterInputs:
     prepared = prepare(flown, point.theta)
     true = jnp.where(jnp.asarray(flown.inside)[:, :, None], prepared.true, jnp.nan)
-    first = {name: y[:, 0] for name, y in prepared.drives.items()}
-    begin = jax.vmap(prepared.sensed.complete_start)(prepared.begin, first)
-    covariance = jax.vmap(lambda x, u: prepared.sensed.start_covariance(x, u, start_deviation))(begin, first)
-    variance = point.R * (prepared.scale * jnp.asarray(flown.noise_growth)) ** 2
+    begin = prepared.initial_states
     return _FilterInputs(
         prepared.sensed,
         begin,
-        covariance,
+        prepared.initial_covariance(begin, start_deviation),
         prepared.drives,
         later(prepared.drives, flown.held),
         true,
-        variance,
+        prepared.noise_variance(point.R, flown.noise_growth),
         prepared.scale,
     )
 

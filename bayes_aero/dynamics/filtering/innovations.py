@@ -192,7 +192,7 @@ def observer_of(
     def one(x, P, u, noise, used):
         return Observer(*gains(P, linearised_outputs(prepared.sensed, x, u, flown.outputs)[1], noise, used))
 
-    noise = R * (prepared.scale * jnp.asarray(flown.noise_growth)) ** 2
+    noise = prepared.noise_variance(R, flown.noise_growth)
     each = jax.vmap(jax.vmap(one))
     return each(found.predicted, found.predicted_covariance, prepared.drives, noise, found.used)
 

@@ -80,8 +80,7 @@ def linearise(
         prepared = prepare(flown, theta)
         *_, true, _ = segment_inputs(flown, prepared, jnp.zeros((len(flown.index), 1)))
         outputs, ahead = _along(flown, prepared, before, after)
-        first = {name: y[:, 0] for name, y in prepared.drives.items()}
-        return true - outputs, ahead, jax.vmap(prepared.sensed.complete_start)(prepared.begin, first), prepared.scale
+        return true - outputs, ahead, prepared.initial_states, prepared.scale
 
     matrix, transition = known or state_derivatives(flown, theta, before, after)
     found, drives = jax.vmap(lambda t: jax.jvp(by_parameters, (theta,), (t,)), out_axes=(None, -1))(directions)
@@ -153,10 +152,8 @@ def disturbances_along(
     prepared = prepare(flown, theta)
     each = jax.vmap(jax.vmap(lambda x, u: (prepared.sensed.noise_density(x, u), prepared.sensed.decay(x, u))))
     density, decay = each(path, prepared.drives)
-    first = {name: y[:, 0] for name, y in prepared.drives.items()}
-    begins = jax.vmap(prepared.sensed.complete_start)(prepared.begin, first)
-    begin = jax.vmap(lambda x, u: prepared.sensed.start_covariance(x, u, start_deviation))(begins, first)
-    noise = R * (prepared.scale * jnp.asarray(flown.noise_growth)) ** 2
+    noise = prepared.noise_variance(R, flown.noise_growth)
+    begin = prepared.initial_covariance(prepared.initial_states, start_deviation)
     return Disturbances(F**2 + density, noise, begin, decay)
 
 
