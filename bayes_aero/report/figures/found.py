@@ -24,7 +24,7 @@ WIDTH = 0.021  # of a letter, in widths of the widest bar
 
 @dataclass(frozen=True)
 class Telling:
-    """What shows the error best: a quantity of a manoeuvre, measured, and by each model with a note of its error."""
+    """The quantity with the largest gain in one manoeuvre: measured, and by each model with a note of its error."""
 
     quantity: str
     label: str

@@ -1,4 +1,4 @@
-"""Whether predictions hold what was measured: histograms of the probability integral transform, and innovations."""
+"""Calibration of predictions: histograms of the probability integral transform, and quantiles of innovations."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def one_step_quantiles(found: ProcessNoise) -> Figure:
 
 
 def what_predicts(identification: Identification) -> str:
-    """The distribution that is asked, in a few words."""
+    """The predictive distribution, in a few words."""
     return "posterior predictive" if identification.noise is Colour.WHITE else "one-step-ahead posterior predictive"
 
 
@@ -100,7 +100,7 @@ def pit_words(identification: Identification) -> tuple[str, str]:
 
 
 def _independence(t: PitResult, names: Sequence[str]) -> str:
-    """Whether the band may be taken at its word."""
+    """Whether neighbours are independent, as the band assumes."""
     limit = max(SLIGHT, CHANCE / np.sqrt(len(t.values)))
     coloured = [n for n, r in zip(names, t.correlation, strict=True) if abs(r) > limit]
     if not coloured:

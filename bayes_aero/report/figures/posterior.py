@@ -1,4 +1,4 @@
-"""Do the chains mix, and what shape is the posterior: trace, rank and pair plots, by arviz_plots."""
+"""Mixing of the chains and shape of the posterior: trace, rank and pair plots, by arviz_plots."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def _posterior(identification: Identification, engine: str) -> Posterior:
 
 
 def _thinned(posterior: Posterior, names: list[str], most: int) -> xr.DataTree:
-    """Every so-manieth draw of `names`, so that a chain keeps at most `most`; the posterior group alone."""
+    """The posterior group with draws of `names`, thinned evenly to at most `most` a chain."""
     dataset = posterior.tree["posterior"].to_dataset()[names]
     step = max(1, -(-dataset.sizes["draw"] // most))
     thin = dataset.isel(draw=slice(None, None, step))

@@ -205,7 +205,7 @@ def _gusts(context: FlyContext) -> tuple[Block, ...]:
     largest = several(
         [f"{name} {value:.2g}{' m/s' if name.startswith('gust') else ''}" for name, value in most.items()]
     )
-    caption = "Gusts met by each manoeuvre: mean and 95 % band, from all samples (Rauch-Tung-Striebel smoother)."
+    caption = "Estimated gusts of each manoeuvre: mean and 95 % band, from all samples (Rauch-Tung-Striebel smoother)."
     return Gallery(
         context.figures, {"gusts": (caption, f"Time histories of the gusts; largest in magnitude: {largest}.")}
     )("gusts")
@@ -264,7 +264,7 @@ def _drift(context: FlyContext) -> tuple[Block, ...]:
     by = several(
         [f"{name} {c.size[0]:.2g} in {m}" for name, p in found.parameters.items() for m, c in p.changes.items()]
     )
-    alt = f"Time histories of the parameters that drift. Changes from begin to end, SI: {by}."
+    alt = f"Time histories of the parameters that drift. Changes from start to end, SI: {by}."
     pictures = Gallery(context.figures, {"drift": (caption, alt)})("drift")
     return (*bullets(drift_sentences(found)), page_table(tables.drift_table(found)), *pictures)
 

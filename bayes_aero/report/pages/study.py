@@ -21,12 +21,12 @@ from bayes_aero.report.tables.table import Table, columns_of
 from bayes_aero.report.text.phrases import number, plain_unit, several
 
 MOST_UNITS, MOST_ROWS = 200, 300  # of a table on the page; the files have all
-APART = 1.5  # times the units' own deviation, from which their scatter is told
+MIN_RATIO = 1.5  # scatter between units over their standard errors from which it is reported
 
 
 @dataclass(frozen=True)
 class StudyContext:
-    """A study's name, its tables (columns as in units.csv and summary.csv), where they are, and what is known of it."""
+    """A study's title, task, tables (columns as in units.csv and summary.csv), folder, and facts for the provenance."""
 
     title: str
     task: str
@@ -37,7 +37,7 @@ class StudyContext:
 
 
 def study_page(context: StudyContext) -> Page:
-    """The page; nothing on it that the tables do not have."""
+    """The page of a study, from its tables."""
     found = estimates(context.units, context.results)
     return Page(
         title=f"Study: {context.title}",
@@ -82,7 +82,7 @@ def _short(context: StudyContext) -> list[str]:
         ratio = f"{worst.scatter / worst.claimed:.1f} times its intervals"
         said.append(f"{worst.label} differs between units by {ratio}")
     elif compared:
-        said.append(f"no parameter differs between units by more than {APART:g} times its intervals")
+        said.append(f"no parameter differs between units by more than {MIN_RATIO:g} times its intervals")
     return said
 
 
@@ -100,7 +100,7 @@ def _counted(context: StudyContext) -> tuple[Counter[str], Counter[str], int]:
 def _beyond(found: list[Estimates]) -> tuple[list[Estimates], list[Estimates]]:
     """Estimates that several units have, by their most trusted method; those that scatter beyond their intervals."""
     compared = [group[0] for _, group in panels_of(found) if group and len(group[0].value) > 1]
-    return compared, [e for e in compared if e.scatter > APART * e.claimed]
+    return compared, [e for e in compared if e.scatter > MIN_RATIO * e.claimed]
 
 
 def _findings(context: StudyContext, found: list[Estimates]) -> list[str]:
@@ -162,7 +162,7 @@ def _across(found: list[Estimates]) -> tuple[Block, ...]:
 
 
 def _units(units: pd.DataFrame, folder: Path) -> Block:
-    """Those that are not done first, as many as a page bears; a name leads to the unit's own report."""
+    """Table of the units, those that are not done first; a name is a link to the unit's report."""
     shown = units.assign(number=np.arange(1, len(units) + 1))
     shown = shown.sort_values("state", key=lambda s: s == "done", kind="stable").head(MOST_UNITS)
     of, left = columns_of(shown.to_dict("records")), len(units) - len(shown)
@@ -182,5 +182,5 @@ def _units(units: pd.DataFrame, folder: Path) -> Block:
 
 
 def _report(folder: Path, unit: str) -> str:
-    """Where a unit's own page is, from the study's; empty where it has none."""
+    """Relative path of a unit's page; empty where it has none."""
     return f"units/{quote(unit)}/report.html" if (folder / "units" / unit / "report.html").is_file() else ""

@@ -1,4 +1,4 @@
-"""What a fit with process noise tells beside its estimates: posterior by both samplers, one-step predictions."""
+"""Tables of a fit with process noise: posterior by both samplers, one-step predictions."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def posterior_table(posteriors: Mapping[str, Posterior]) -> Table:
 
 
 def estimate_of(m: Marginal) -> Estimate:
-    """A marginal as tables show it."""
+    """A marginal as a cell of a table."""
     return Estimate(m.mean, m.sd, *m.ci95)
 
 
@@ -95,7 +95,7 @@ def one_step_table(found: OneStep, units: Mapping[str, str]) -> Table:
 
 
 def _per_cent(e: Estimate) -> str:
-    """With one digit of the standard error."""
+    """A share with one digit of its standard error."""
     return f"{e.centre:.0f}({e.sd:.0f})" if e.sd >= 0.95 else f"{e.centre:.1f}({10.0 * e.sd:.0f})"
 
 

@@ -1,4 +1,4 @@
-"""Tables of a fit to trajectories: parameters, errors, tolerances, initial states, and process noise beside it."""
+"""Tables of a fit to trajectories: parameters, errors, tolerances, initial states, and process noise."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from bayes_aero.report.tables.table import (
 from bayes_aero.report.text.phrases import axis_label, decimals, for_people, number, plain_unit, short
 
 MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound", "undetermined": "not determined"}
-UNKNOWN = 100.0  # times the value from which its deviation says only that it is not known
+MAX_RELATIVE_ERROR = 100.0  # standard error over value from which digits of the value are not shown
 
 
 def parameter_table(flown: TrajectoryFit) -> Table:
@@ -89,7 +89,7 @@ def prior_text(prior: Prior | None) -> str:
 
 def _fit(e: Estimate) -> str:
     """As many digits as the standard error allows; three if it is far larger than the value."""
-    return f"{e.centre:.{decimals(e.sd)}f}" if 0.0 < e.sd < UNKNOWN * abs(e.centre) else number(e.centre, 3)
+    return f"{e.centre:.{decimals(e.sd)}f}" if 0.0 < e.sd < MAX_RELATIVE_ERROR * abs(e.centre) else number(e.centre, 3)
 
 
 def _known(e: Estimate) -> str:
@@ -266,7 +266,7 @@ class _Changed(NamedTuple):
 
 
 def drift_table(found: Drift) -> Table:
-    """Every drifting parameter and manoeuvre: how fast it drifts, whether it must, and its change.
+    """Every drifting parameter and manoeuvre: intensity of the drift, its p-value, and the change.
 
     Where innovations are not white there are no p-values.
     """

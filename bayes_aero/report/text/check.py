@@ -11,7 +11,7 @@ from bayes_aero.flight.reading.inspection import RecordReport
 from bayes_aero.report.text.consistency import consistency_sentences
 from bayes_aero.report.text.phrases import for_people, not_testable_sentences, several
 
-MOST_PARTS = 12  # of a file that are listed in words; the JSON has all
+MAX_PARTS = 12  # of a file in a sentence; the JSON has all
 
 
 def part_sentences(record: RecordReport) -> list[str]:
@@ -20,15 +20,15 @@ def part_sentences(record: RecordReport) -> list[str]:
     for what, words in (("in flight", "parts in flight"), ("manoeuvre", "manoeuvres")):
         parts = [f"{record.path}@{p.part}" for p in record.proposals if p.what == what]
         if parts:
-            more = f" and {len(parts) - MOST_PARTS} more" if len(parts) > MOST_PARTS else ""
-            said.append(f"{words}: {', '.join(parts[:MOST_PARTS])}{more}")
+            more = f" and {len(parts) - MAX_PARTS} more" if len(parts) > MAX_PARTS else ""
+            said.append(f"{words}: {', '.join(parts[:MAX_PARTS])}{more}")
     if said:
         said.append("give these parts instead of the file, or list them on the card under [segments]")
     return said
 
 
 def card_sentences(report: CheckReport) -> list[str]:
-    """What the card itself adds to the files."""
+    """Channels that the card adds to the files."""
     card = report.card
     said = [f"constant from the card: {name} = {value:g}{_behind(name)}" for name, value in card.constants.items()]
     for rule in dict.fromkeys(card.derived.values()):
@@ -51,13 +51,13 @@ def _behind(channel: str) -> str:
 
 
 def use_sentences(report: CheckReport) -> list[str]:
-    """What the records can be used for, and what cannot be tested on them."""
+    """Possible uses of the records, and effects that cannot be tested on them."""
     said = [f"{name}: possible" if not why else f"{name}: not possible, {why}" for name, why in report.uses.items()]
     return [*report.left_out, *said, *not_testable_sentences(report.not_testable)]
 
 
 def sensor_sentences(report: CheckReport) -> list[str]:
-    """Whether the sensors agree, the answer first; then which errors are found though they are within the noise."""
+    """Whether the sensors agree, and errors that are found although they are within the noise."""
     said = consistency_sentences(report.consistency, corrects=False)
     if report.sensors.errors and not report.consistency.disagrees:
         said.append("Errors within this noise, which diagnose includes:")
@@ -82,7 +82,7 @@ def headline(report: CheckReport) -> str:
             Agreement.EXPLAINED: f"; the sensors disagree ({several(report.sensors.errors)})",
             Agreement.UNEXPLAINED: ", but the sensors disagree and no known error explains it",
         }.get(report.consistency.agreement, "")
-        if any(finding.grave for finding in report.health):  # an error of a sensor would be what the card gets wrong
+        if any(finding.grave for finding in report.health):  # the apparent sensor error would be an error of the card
             wrong = ", but first correct the card or the file: channels are faulty (see the warnings)"
         return f"Usable for {', '.join(able)}{wrong}."
     problems = [p for r in report.records for p in r.problems] or [f"{n}: {w}" for n, w in report.uses.items() if w]

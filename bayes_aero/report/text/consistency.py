@@ -18,7 +18,7 @@ FOLLOWS = {
     "beta": "lateral acceleration (ay), yaw rate (r) and bank angle (phi)",
     "phi": "roll rate (p) and yaw rate (r)",
 }
-"""What each channel of the flight path must follow."""
+"""Channels from which each channel of the flight path follows."""
 
 
 def consistency_sentences(found: Consistency, *, corrects: bool) -> list[str]:
@@ -65,7 +65,7 @@ def _departure(d: Departure) -> str:
 
 
 def _limits(found: Consistency) -> list[str]:
-    """What could not be checked, and what was assumed."""
+    """Channels that could not be checked, and channels that were taken as zero."""
     said = []
     if found.unchecked:
         verb = "were" if len(found.unchecked) > 1 else "was"

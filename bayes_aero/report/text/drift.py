@@ -1,4 +1,4 @@
-"""Did a parameter change during a record, which one, when, and by how much: in sentences."""
+"""Changes of parameters during a record in sentences: whether, which, when, and by how much."""
 
 from __future__ import annotations
 
@@ -31,25 +31,26 @@ REASONS = {
 
 
 def drift_sentences(found: Drift) -> list[str]:
-    """One for each parameter, and on which assumption they rest; or why nothing can be said."""
+    """A sentence for each parameter, and the assumption of the test; or why there is no test."""
     names = list(found.parameters)
     if not found.usable:
         return [f"Whether {several(names)} changed cannot be said: a fit with drifting parameters did not converge."]
     if found.coloured:
         listed = several([f"{name} ({found.autocorrelation[name]:.2f})" for name in found.coloured])
         return [
-            f"Whether {several(names)} changed cannot be said: with the drift innovations are autocorrelated, too "
-            f"(neighbouring samples of {listed}), and the test assumes white ones."
+            f"Whether {several(names)} changed cannot be said: also with the drift, innovations are autocorrelated "
+            f"(neighbouring samples of {listed}), and the test assumes white innovations."
         ]
     said = [_told(name, parameter) for name, parameter in found.parameters.items()]
     if not found.changed and found.p < DRIFT_LEVEL:
         said.append(
-            f"One of {several(names)} changed ({_p(found.p)} for all together), and the record does not tell which."
+            f"One of {several(names)} changed ({_p(found.p)} for all together), but the record does not determine "
+            "which."
         )
     family = f", {len(names)} parameters together (Holm)" if len(names) > 1 else ""
     said.append(
-        f"These p-values are of likelihood ratios{family}, for white innovations, and those of this fit are. A drift "
-        "stands for whatever changes slowly, also for an effect that the model lacks."
+        f"These p-values are those of likelihood ratios{family} for white innovations, as this fit has. A drift may "
+        "also represent a slow effect that the model lacks."
     )
     return said
 
@@ -71,7 +72,7 @@ def _told(name: str, found: Drifted) -> str:
 def _by(change: DriftChange, unit: str) -> str:
     tenth, half, most = change.times
     return (
-        f"by {size_text(*change.size, unit)} from begin to end, half of it by {half:.1f} s "
+        f"by {size_text(*change.size, unit)} from start to end, half of it by {half:.1f} s "
         f"(a tenth by {tenth:.1f} s, nine tenths by {most:.1f} s)"
     )
 
@@ -81,7 +82,7 @@ def _p(p: float) -> str:
 
 
 def change_sentences(found: Sequence[ParameterChange]) -> list[str]:
-    """Parameters that change according to a diagnosis: when, from what to what, and what may be behind it."""
+    """Parameters that change according to a diagnosis: when, by how much, and possible reasons."""
     return [_change(one) for one in found]
 
 
@@ -104,5 +105,5 @@ def _change(found: ParameterChange) -> str:
     if found.ambiguous_with:
         said += f" On this record {several(found.ambiguous_with)} would explain the data about as well."
     if found.parameter in REASONS:
-        said += f" Possible reasons are {REASONS[found.parameter]}; the record does not tell which."
+        said += f" Possible reasons are {REASONS[found.parameter]}; the record does not determine which."
     return f"{said} `bayes-aero fly --drift {found.parameter}` shows it over time."

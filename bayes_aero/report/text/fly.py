@@ -11,31 +11,32 @@ from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatu
 from bayes_aero.report.text.phrases import SYMBOLS, for_people, several, short
 from bayes_aero.report.text.restraints import inseparable_sentences, sign_sentences
 
-COLOURED = 1.5  # variance inflation from which a sentence is written; our choice
-OFTEN = 0.5  # share of the time outside a tolerance from which a sentence is written; our choice
+MIN_INFLATION = 1.5  # variance inflation from which a sentence is written; our choice
+MAX_OUTSIDE = 0.5  # share of the time outside a tolerance from which a sentence is written; our choice
 ADVICE = (
     " Gusts or errors of the model cause this, and bias output error: the option --process-noise fits the same model "
     "in disturbed air."
 )
-SWOLLEN = 2.0  # noise growth in fully separated flow from which a sentence is written; our choice
+MIN_GROWTH = 2.0  # noise growth in fully separated flow from which a sentence is written; our choice
 
 
 def errors_of_all(flown: TrajectoryFit) -> dict[str, tuple[float, float]]:
-    """Root mean square error of each output over all manoeuvres, SI: at the first values, and of the fit."""
+    """Root mean square error of each output over all manoeuvres, SI: at the starting values, and of the fit."""
 
     def rms(model: str, output: str) -> float:
         paths = [p for p in flown.paths if p.model == model]
         samples = np.array([len(p.time) for p in paths])
         return float(np.sqrt(np.average(np.square([p.errors[output].rms for p in paths]), weights=samples)))
 
-    with np.errstate(over="ignore", invalid="ignore"):  # the first values may fly anywhere
+    with np.errstate(over="ignore", invalid="ignore"):  # a simulation with the starting values may diverge
         return {output: (rms(START, output), rms(FITTED, output)) for output in flown.outputs}
 
 
 def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool = False) -> list[str]:
-    """How the fit ended, its errors, the variance inflation, what is not identified, what left the envelope.
+    """Sentences on the end of the fit, its errors, the variance inflation, unidentified parameters, and manoeuvres
+    outside the envelope.
 
-    `hindered` is why diagnose cannot use the records; empty if it can. `disturbed`: process noise was asked for.
+    `hindered` is why diagnose cannot use the records; empty if it can. `disturbed`: process noise is fitted, too.
     """
     fit = flown.fit
     bound = f" ({several(fit.at_bound)})" if fit.at_bound else ""
@@ -44,16 +45,16 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool =
         said = [f"The fit failed: {fit.status.value}."]
     said += _settings(flown)
     said += _wanting(flown, hindered)
-    if flown.variance_inflation >= COLOURED and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
+    if flown.variance_inflation >= MIN_INFLATION and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         said.append(
             f"The residuals are autocorrelated. The variance inflation is {short(flown.variance_inflation)} in the "
             f"median, and the "
             "Cramér-Rao bound is too small; use the corrected standard error."
             f"{'' if disturbed or flown.of_path else ADVICE}"
         )
-    swollen = {name: times for name, times in flown.noise_growth.items() if times > SWOLLEN}
-    if swollen:
-        listed = several(f"{SYMBOLS.get(name, name)} {short(times)} times" for name, times in swollen.items())
+    growth = {name: times for name, times in flown.noise_growth.items() if times > MIN_GROWTH}
+    if growth:
+        listed = several(f"{SYMBOLS.get(name, name)} {short(times)} times" for name, times in growth.items())
         said.append(f"Residuals grow where the flow has separated ({listed}): these samples have less weight.")
     estimates = zip(fit.names, fit.estimate, fit.sd_corrected, strict=True)
     said += sign_sentences({name: (float(value), float(sd)) for name, value, sd in estimates}, fit.parameters)
@@ -126,9 +127,9 @@ def outside(flown: TrajectoryFit) -> dict[str, float]:
 
 
 def _wanting(flown: TrajectoryFit, hindered: str) -> list[str]:
-    """That the model lacks an effect, if its best fit is mostly outside the tolerances."""
-    shares = {name: share for name, share in outside(flown).items() if share > OFTEN}
-    if not (shares and flown.converged):  # what has not converged may still come nearer
+    """A sentence on a lacking effect, if the fit is mostly outside the tolerances."""
+    shares = {name: share for name, share in outside(flown).items() if share > MAX_OUTSIDE}
+    if not (shares and flown.converged):  # a fit that has not converged may still improve
         return []
     listed = several(f"{SYMBOLS.get(name, name)} {share:.0%} of the time" for name, share in shares.items())
     if flown.of_path:
@@ -139,7 +140,7 @@ def _wanting(flown: TrajectoryFit, hindered: str) -> list[str]:
 
 
 def _off(flown: TrajectoryFit) -> str:
-    """How far from the measurements the fit is where it converged."""
+    """Errors of a converged fit."""
     if flown.fit.status is not OutputErrorStatus.CONVERGED:
         return ""
     listed = []

@@ -24,8 +24,8 @@ from bayes_aero.report.text.restraints import bound_sentences, conflict_sentence
 from bayes_aero.report.text.samplers import agreement_of_engines, unfinished
 
 # What counts as a disagreement: our choice, wide enough not to report sampling error or chance.
-FACTOR = 1.25  # two standard errors whose ratio is within this, either way, agree
-LIMIT = 3.0  # standard errors of a difference beyond which two values differ
+FACTOR = 1.25  # ratio of two standard errors, either way, up to which they agree
+LIMIT = 3.0  # standard errors of a difference from which two values differ
 
 
 def verdict(identification: Identification) -> list[str]:

@@ -12,7 +12,7 @@ from bayes_aero.inference.variance.inseparable import Inseparable
 from bayes_aero.parameter import Parameter
 from bayes_aero.report.text.phrases import several
 
-SURE = 3.0  # standard errors from zero
+MIN_ERRORS = 3.0  # standard errors from zero from which a sign is wrong
 
 
 def conflict_sentences(conflicts: Sequence[PriorConflict]) -> list[str]:
@@ -82,11 +82,11 @@ def _unit(unit: str) -> str:
 
 
 def sign_sentences(estimates: Mapping[str, tuple[float, float]], parameters: Iterable[Parameter]) -> list[str]:
-    """A sentence for every estimate that no aircraft has.
+    """A sentence for every estimate that is impossible for an aircraft.
 
     Args:
         estimates: value and standard error by name, in SI.
-        parameters: what the effects declare of their sign and limits.
+        parameters: with the signs and limits that the effects declare.
     """
     asked = [(p, *estimates[p.name]) for p in parameters if p.name in estimates]
     wrong = [
@@ -94,7 +94,7 @@ def sign_sentences(estimates: Mapping[str, tuple[float, float]], parameters: Ite
         f"in the file, "
         "write sign = -1 at that channel on the card."
         for p, value, deviation in asked
-        if p.sign is not None and p.sign.side * value < -SURE * deviation
+        if p.sign is not None and p.sign.side * value < -MIN_ERRORS * deviation
     ]
     return wrong + [
         f"{p.name} = {value:.4g} is impossible: {p.limits.reason}. Do not use these numbers. Look for a faulty channel "
@@ -106,6 +106,6 @@ def sign_sentences(estimates: Mapping[str, tuple[float, float]], parameters: Ite
 
 
 def _beyond(limit: float, value: float, deviation: float, side: float) -> bool:
-    """Whether a value lies beyond the limit on that side, surely or by more than twice the limit."""
-    margin = SURE * deviation if math.isfinite(deviation) else 0.0
+    """Whether a value is beyond the limit on that side, significantly or by more than twice the limit."""
+    margin = MIN_ERRORS * deviation if math.isfinite(deviation) else 0.0
     return bool(side * (value - limit) > (min(margin, 2.0 * abs(limit)) if limit else margin))

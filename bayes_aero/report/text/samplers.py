@@ -10,7 +10,10 @@ import numpy as np
 from bayes_aero.inference.posterior.posterior import Posterior, PosteriorStatus
 from bayes_aero.report.tables.comparison import engine_label
 
-MEANS, SDS = 0.2, 0.15  # engines agree when means are this close in sd, and sds in relative terms; our choice
+MEANS, SDS = (
+    0.2,
+    0.15,
+)  # of agreement: difference of means in standard deviations, relative difference of these; our choice
 
 
 def unfinished(posteriors: Mapping[str, Posterior]) -> list[str]:

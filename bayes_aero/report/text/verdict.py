@@ -8,13 +8,13 @@ from bayes_aero.diagnosis.result import Cause, Diagnosis, Tested, Verdict
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.report.text.phrases import SYMBOLS, for_people, several, short, size_text
 
-FEW = 3  # causes whose sizes stand in the verdict
+MAX_SIZED = 3  # causes whose sizes are in the verdict
 
 
 def verdict_sentence(d: Diagnosis) -> str:
     """The causes that explain the model error, those that are only named, and the unexplained structure."""
     sure = [c for c in d.causes if c.sure]
-    names = f": {several(_named(c, len(sure) <= FEW) for c in sure)}{_doubtful(d)}"
+    names = f": {several(_named(c, len(sure) <= MAX_SIZED) for c in sure)}{_doubtful(d)}"
     changes = [f"{one.parameter} changes {'at' if one.between else 'in'} {one.manoeuvre}" for one in d.changes]
     unknown = several([*sorted({f"{u.coefficient} over {u.channel}" for u in d.unknown}), *dict.fromkeys(changes)])
     left = f" ({unknown})" if unknown else ""
