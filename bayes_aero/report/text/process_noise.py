@@ -10,9 +10,7 @@ from bayes_aero.inference.scores import COLOURED_INNOVATIONS, Calibration, OneSt
 from bayes_aero.report.text.phrases import SYMBOLS, several
 from bayes_aero.report.text.samplers import agreement_of_engines, unfinished
 
-MIN_DIFFERENCE = (
-    3.0  # combined standard errors between two estimates from which a sentence names a parameter; our choice
-)
+MIN_DIFFERENCE = 3.0  # combined standard errors of two estimates from which a parameter is named; our choice
 LEVEL = 0.95  # of the intervals whose shares a sentence states
 FAULTS = {
     Calibration.TOO_NARROW: "intervals of {} are too narrow",
@@ -29,8 +27,8 @@ def gust_sentences(gusts: Mapping[str, float], fit: ProcessNoise | None = None) 
         return []
     estimated = several(f"{name} {size:.2g} m/s" for name, size in gusts.items())
     said = (
-        f"The flight path alone, without aerodynamics, shows gusts (standard deviation: {estimated}). Such a record needs "
-        "process noise; --no-process-noise leaves it out."
+        f"The flight path alone, without aerodynamics, shows gusts (standard deviation: {estimated}). Such a record "
+        "needs process noise; --no-process-noise leaves it out."
     )
     better = " Use the estimates with process noise: in gusts those of output error are biased."
     return [said + (better if fit is not None and fit.preferred else "")]

@@ -10,10 +10,8 @@ import numpy as np
 from bayes_aero.inference.posterior.posterior import Posterior, PosteriorStatus
 from bayes_aero.report.tables.comparison import engine_label
 
-MEANS, SDS = (
-    0.2,
-    0.15,
-)  # of agreement: difference of means in standard deviations, relative difference of these; our choice
+MEANS = 0.2  # difference of means, in standard deviations, up to which samplers agree; our choice
+SDS = 0.15  # relative difference of standard deviations up to which samplers agree; our choice
 
 
 def unfinished(posteriors: Mapping[str, Posterior]) -> list[str]:
