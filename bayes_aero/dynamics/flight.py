@@ -12,8 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from bayes_aero.dynamics.aircraft.effect_system import MIN_LAG, EffectSystem
-from bayes_aero.dynamics.aircraft.lags import refuse_lags
+from bayes_aero.dynamics.aircraft.effect_system import MIN_LAG, EffectSystem, refuse_lags
 from bayes_aero.dynamics.aircraft.longitudinal import LATERAL, Longitudinal
 from bayes_aero.dynamics.aircraft.prescribed import SIDE, lateral_drives, rigid_drives, rigid_outputs
 from bayes_aero.dynamics.aircraft.rigid_body import RigidBody, held_states
@@ -262,16 +261,9 @@ class AircraftDynamics(EffectDynamics):
 def aircraft_dynamics(
     model: Model, flights: Flights, outputs: Sequence[str] = (), held: Sequence[str] | None = None
 ) -> AircraftDynamics:
-    """The dynamics of a model for the recorded channels of these flights.
+    """The dynamics of a model for the recorded channels of these flights, with `outputs` of `ON_REQUEST`.
 
-    Args:
-        model: with its effects.
-        flights: recorded manoeuvres.
-        outputs: those of `ON_REQUEST` are simulated, too.
-        held: states that are prescribed as recorded; default: by the card.
-
-    Raises:
-        InputError: a channel is missing, or gusts act on a held state.
+    States that are `held` (default: by the card) are prescribed as recorded. Raises `InputError` for missing channels.
     """
     held = flights.held if held is None else tuple(held)
     own = held_states(model.axes, held)

@@ -13,6 +13,9 @@ from jaxtyping import Array, Float
 from bayes_aero.dynamics.aircraft.gusts import InGusts
 from bayes_aero.dynamics.system import Row
 from bayes_aero.effect import Stage
+from bayes_aero.errors import InputError
+from bayes_aero.model.model import Model
+from bayes_aero.parameter import Role
 from bayes_aero.physics.atmosphere import air
 
 POINTS = ("X", "X_right", "X_left")  # states of separation points: of the whole wing, or of either one
@@ -89,3 +92,17 @@ class EffectSystem(InGusts):
         static = self.model.static_points(self.values, s, self.aircraft)
         lag = jnp.maximum(self.model.lag(self.values), MIN_LAG) * self.aircraft.chord / s["airspeed"]
         return [(value - state[name]) / lag for name, value in zip(self.points, static, strict=True)]
+
+
+def refuse_lags(model: Model) -> None:
+    """Refuse a lag without a time constant.
+
+    Raises:
+        InputError: the model has such a lag.
+    """
+    for effect in model.acting:
+        if effect.stage is Stage.LAG and not any(p.role is Role.LAG for p in effect.parameters):
+            raise InputError(
+                f"effect {effect.name} is a lag of the separation point that cannot be flown: none of its parameters "
+                "has the role lag"
+            )
