@@ -202,10 +202,10 @@ def simulate(flown: SegmentTrajectories, theta: Float[Array, " k"], departure: F
 
     def fly(start, correction, inputs, dt):
         first = {name: x[0] for name, x in inputs.items()}
-        wanted = (*flown.outputs, *flown.dynamics.unmeasured)
+        names = (*flown.outputs, *flown.dynamics.unmeasured)
         begin = prepared.system.complete_start(start, first) + correction
         state = prepared.system.state_at_start(begin)
-        return integrate(prepared.system, state, inputs, dt, flown.substeps, wanted, held=flown.held), begin
+        return integrate(prepared.system, state, inputs, dt, flown.substeps, names, held=flown.held), begin
 
     trajectory, begin = jax.vmap(fly)(prepared.begin, departure, prepared.drives, jnp.asarray(flown.dt))
     modelled = jnp.stack([trajectory.outputs[name] for name in flown.outputs], axis=2)

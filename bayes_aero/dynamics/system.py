@@ -97,8 +97,8 @@ def integrate(
     """
     now = {name: jnp.asarray(x) for name, x in inputs.items()}
     every = jax.eval_shape(lambda x, u: motion(system, x, u), start, {name: x[0] for name, x in now.items()})[1]
-    wanted = tuple(every if outputs is None else outputs)
-    return Trajectory(*_flight(system, start, now, dt=jnp.asarray(dt), substeps=substeps, outputs=wanted, held=held))
+    chosen = tuple(every if outputs is None else outputs)
+    return Trajectory(*_flight(system, start, now, dt=jnp.asarray(dt), substeps=substeps, outputs=chosen, held=held))
 
 
 def advance(system: System, x: Any, now: Row, then: Row, dt: Any, substeps: int) -> Array:
@@ -119,7 +119,7 @@ def _stages(system: System, x: Any, now: Row, then: Row, dt: Any, substeps: int,
     """
     h = dt / substeps
 
-    def further(carry, stage):
+    def one_sample(carry, stage):
         begin, gathered, point = carry
         share, ahead, weight, last = stage
         k, outputs = motion(system, point, between(now, then, share))
@@ -128,7 +128,7 @@ def _stages(system: System, x: Any, now: Row, then: Row, dt: Any, substeps: int,
         ahead = jnp.where(last, 0.0, ahead)
         return (begin, jnp.where(last, 0.0, gathered), begin + ahead * h * k), read(outputs)
 
-    (after, _, _), found = jax.lax.scan(further, (x, jnp.zeros_like(x), x), stage_table(substeps))
+    (after, _, _), found = jax.lax.scan(one_sample, (x, jnp.zeros_like(x), x), stage_table(substeps))
     return after, found
 
 
@@ -138,11 +138,11 @@ def _flight(system, start, inputs, *, dt, substeps, outputs, held):
     bounds = [system.envelope.get(name, (-STATE_LIMIT, STATE_LIMIT)) for name in system.states]
     lower, upper = (jnp.array([b[i] for b in bounds]) for i in (0, 1))
 
-    def further(x, rows):
+    def one_sample(x, rows):
         now, then = rows
         return advance(system, x, now, then, dt, substeps), x
 
-    _, x = jax.lax.scan(further, start, (inputs, later(inputs, held)))
+    _, x = jax.lax.scan(one_sample, start, (inputs, later(inputs, held)))
     sound = jnp.all(jnp.isfinite(x), axis=1)
     sound &= jnp.all((x >= lower) & (x <= upper), axis=1) | (jnp.arange(len(x)) == 0)
     inside = jnp.cumsum(~sound) == 0
@@ -161,7 +161,7 @@ def _flight_jvp(primals, tangents, *, dt, substeps, outputs, held):
     t_inputs = {name: t for name, t in t_inputs.items() if t is not None}
     t_start = jnp.zeros_like(start) if t_start is None else t_start
     row = jax.tree.map(lambda y: y[None], (flown[0], flown[2], inputs, dt))
-    moved = jax.tree.map(lambda y: y[None], (t_start, t_inputs))
+    tangents = jax.tree.map(lambda y: y[None], (t_start, t_inputs))
     along = tangent_flight(substeps, outputs, held)
-    dx, found = jax.tree.map(lambda y: y[0], along(system, *row, t_system, *moved))
+    dx, found = jax.tree.map(lambda y: y[0], along(system, *row, t_system, *tangents))
     return flown, (dx, found, None)

@@ -120,16 +120,18 @@ def _along(
     t_u = {name: jnp.moveaxis(t, 1, -1) for name, t in at(t_first, later(t_first, held)).items()}  # m w n d
     points = _stage_points(system, x, u, h, table)
     read = tuple(name for name in outputs if name not in system.state_outputs)
-    moving, still = eqx.partition(system, jax.tree.map(lambda t: t is not None, t_system, is_leaf=lambda t: t is None))
+    dynamic, static = eqx.partition(
+        system, jax.tree.map(lambda t: t is not None, t_system, is_leaf=lambda t: t is None)
+    )
 
     def own(made):
         """Derivatives of what is `made` (r,): by the state, by the system's numbers (p,), by inputs."""
 
         def at(x, u):
-            def all_of(x, moving, inputs):
-                return made(*motion(eqx.combine(moving, still), x, u | inputs))
+            def all_of(x, dynamic, inputs):
+                return made(*motion(eqx.combine(dynamic, static), x, u | inputs))
 
-            size, back = jax.vjp(all_of, x, moving, {name: u[name] for name in t_u})
+            size, back = jax.vjp(all_of, x, dynamic, {name: u[name] for name in t_u})
             by_x, by_system, by_u = jax.vmap(back)(jnp.eye(len(size)))
             return by_x, _flat(by_system, len(size)), by_u
 
@@ -170,7 +172,7 @@ def _stage_points(
     """States at all Runge-Kutta stages, all samples at once."""
     slope = jax.vmap(jax.vmap(lambda x, u: motion(system, x, u)[0]))
 
-    def further(carry, stage):
+    def one_stage(carry, stage):
         begin, gathered, point = carry
         u, ahead, weight, last = stage
         k = slope(point, u)
@@ -178,7 +180,7 @@ def _stage_points(
         begin = jnp.where(last, begin + h / 6.0 * gathered, begin)
         return (begin, jnp.where(last, 0.0, gathered), begin + jnp.where(last, 0.0, ahead) * h * k), point
 
-    return jax.lax.scan(further, (x, jnp.zeros_like(x), x), (u, *table))[1]
+    return jax.lax.scan(one_stage, (x, jnp.zeros_like(x), x), (u, *table))[1]
 
 
 def _recurrence(
@@ -192,7 +194,7 @@ def _recurrence(
     def along(segment):
         A, b, begin, h = segment
 
-        def further(dx, row):
+        def one_stage(dx, row):
             A, b = row
             new = dx
             for i in range(0, A.shape[0], 4):
@@ -203,7 +205,7 @@ def _recurrence(
                 new = new + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
             return new, dx
 
-        return jax.lax.scan(further, begin, (A, b))[1]
+        return jax.lax.scan(one_stage, begin, (A, b))[1]
 
     # One segment after the other: of many at once XLA makes slower code for the small products.
     return jax.lax.map(along, (A, b, begin, h))

@@ -87,15 +87,15 @@ class ResidualModel(ABC):
             columns: indices of the parameters of S, (j,); default: all. `DIRECTIONS_PER_CALL` of them are computed at a
                 time, so that any choice uses one compiled function.
         """
-        wanted = np.arange(len(theta)) if columns is None else np.asarray(columns)
+        indices = np.arange(len(theta)) if columns is None else np.asarray(columns)
         residual, S, slopes = None, None, self.slopes_at(theta)
         size = DIRECTIONS_PER_CALL
-        places = [part[i : i + size] for part in self.separate_sets(wanted) for i in range(0, len(part), size)]
+        places = [part[i : i + size] for part in self.separate_sets(indices) for i in range(0, len(part), size)]
         for place in places or [np.arange(0)]:
             directions = np.zeros((size, len(theta)))
-            directions[np.arange(len(place)), wanted[place]] = 1.0
+            directions[np.arange(len(place)), indices[place]] = 1.0
             residual, slope = slopes(directions)
-            S = np.empty((*residual.shape, len(wanted))) if S is None else S
+            S = np.empty((*residual.shape, len(indices))) if S is None else S
             S[:, :, place] = np.moveaxis(slope[: len(place)], 0, 2)
         assert residual is not None
         assert S is not None

@@ -200,16 +200,16 @@ def _linear(begin: Array, covariance: Array, noise: Any, dt: Array, path: _Path,
     @jax.checkpoint
     def one_sample(carry, row):
         x, P, total = carry
-        here, before, after, (variance, scale) = row
-        held = jax.lax.stop_gradient(here)
+        local, before, after, (variance, scale) = row
+        held = jax.lax.stop_gradient(local)
         dx = x - before
-        matrix, residual = here.matrix + here.matrix_slope @ dx, here.residual - held.matrix @ dx
+        matrix, residual = local.matrix + local.matrix_slope @ dx, local.residual - held.matrix @ dx
         correction, P, e, S, used = correct(P, matrix, residual, variance)
         dx = x + correction - after
-        transition, density = here.transition + here.transition_slope @ dx, here.density + here.density_slope @ dx
+        transition, density = local.transition + local.transition_slope @ dx, local.density + local.density_slope @ dx
         P = predicted_covariance(transition, P, density, dt)
         total = total + log_density_terms(e / scale, S / scale**2, used)
-        return (here.predicted + held.transition @ dx, P, total), None
+        return (local.predicted + held.transition @ dx, P, total), None
 
     start = (begin, covariance, jnp.zeros(()))
     return jax.lax.scan(one_sample, start, (local, path.before, path.after, noise))[0][2]

@@ -108,9 +108,9 @@ def steady_innovations(
     prepared = prepare(flown, theta)
     names = flown.outputs
 
-    def predict(start, away, inputs, dt, true, scale):
+    def predict(start, correction, inputs, dt, true, scale):
         first = {name: y[0] for name, y in inputs.items()}
-        begin = prepared.sensed.complete_start(start, first) + away
+        begin = prepared.sensed.complete_start(start, first) + correction
         K, C = steady_gain(prepared.sensed, begin, first, dt, F, R, names)
 
         def one_sample(x, rows):

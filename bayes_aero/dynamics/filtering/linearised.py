@@ -84,7 +84,7 @@ def linearise(
 
     matrix, transition = known or state_derivatives(flown, theta, before, after)
     found, drives = jax.vmap(lambda t: jax.jvp(by_parameters, (theta,), (t,)), out_axes=(None, -1))(directions)
-    (residual, ahead, begin, scale), (away, drive, begin_drive, scale_drive) = found, drives
+    (residual, ahead, begin, scale), (deviation, drive, begin_drive, scale_drive) = found, drives
     finite = lambda y: jnp.where(jnp.isfinite(y), y, 0.0)  # noqa: E731
     return Linearised(
         before,
@@ -94,7 +94,7 @@ def linearise(
         drive,
         residual,
         finite(matrix),
-        -finite(away),
+        -finite(deviation),
         begin,
         begin_drive,
         scale,
@@ -117,14 +117,14 @@ def observer_derivatives(lin: Linearised, by: Observer) -> Float[Array, "w n c d
 
     def one(begin, *rows):
         def one_sample(dx, row):
-            Phi, drive, C, direct, there, K = row
-            de = jnp.where(there[:, None], -direct - C @ dx, 0.0)
+            Phi, drive, C, direct, used, K = row
+            de = jnp.where(used[:, None], -direct - C @ dx, 0.0)
             return Phi @ (dx + K @ de) + drive, de
 
         return jax.lax.scan(one_sample, begin, rows)[1]
 
-    there = jnp.isfinite(lin.residual)
-    return jax.vmap(one)(lin.begin_drive, lin.transition, lin.drive, lin.matrix, lin.direct, there, by.gain)
+    used = jnp.isfinite(lin.residual)
+    return jax.vmap(one)(lin.begin_drive, lin.transition, lin.drive, lin.matrix, lin.direct, used, by.gain)
 
 
 class Disturbances(NamedTuple):
@@ -180,9 +180,9 @@ def _one_segment(lin: Linearised, noise: Disturbances, dt: Any):
     def one_sample(carry, row):
         mean, P = carry  # (s, 1 + d): the predicted state and its derivatives
         before, after, ahead, Phi, drive, residual, C, direct, density, variance, decay = row
-        use = jnp.isfinite(residual)
-        away = mean.at[:, 0].add(-before)
-        e = jnp.concatenate([jnp.where(use, residual, 0.0)[:, None], -direct], axis=1) - C @ away
+        used_now = jnp.isfinite(residual)
+        deviation = mean.at[:, 0].add(-before)
+        e = jnp.concatenate([jnp.where(used_now, residual, 0.0)[:, None], -direct], axis=1) - C @ deviation
 
         def one(carry, output):
             correction, P = carry
@@ -193,7 +193,7 @@ def _one_segment(lin: Linearised, noise: Disturbances, dt: Any):
             carry = correction + jnp.outer(K, y), P - jnp.outer(K, Ph)
             return carry, (jnp.where(used, y, 0.0), jnp.where(used, S, 1.0))
 
-        (correction, P), (found, S) = jax.lax.scan(one, (jnp.zeros_like(mean), P), (C, e, variance, use))
+        (correction, P), (found, S) = jax.lax.scan(one, (jnp.zeros_like(mean), P), (C, e, variance, used_now))
         autonomous, decayed = decay > 0.0, jnp.exp(-decay * dt)
         Phi = jnp.where((identity > 0.0) & autonomous, jnp.diag(decayed), Phi)
         ahead = jnp.where(autonomous, decayed * after, ahead)
@@ -231,22 +231,22 @@ def _slopes_of_segment(lin: Linearised, noise: Disturbances, slopes: Disturbance
     def one_sample(carry, row):
         mean, P, dmean, dP = carry
         before, after, ahead, Phi, residual, C, (density, variance, decay), towards = row
-        use = jnp.isfinite(residual)
-        e = jnp.where(use, residual, 0.0) - C @ (mean - before)
+        used_now = jnp.isfinite(residual)
+        e = jnp.where(used_now, residual, 0.0) - C @ (mean - before)
 
         def one(carry, output):
             correction, P, dmean, dP = carry
-            h, y, r, there, dr = output
+            h, y, r, used, dr = output
             y, dy = y - h @ correction, -(h @ dmean)
             Ph, dPh = P @ h, jnp.sum(dP * h[:, None], axis=1)
             S, dS = h @ Ph + r, h @ dPh + dr
-            K = jnp.where(there, Ph / S, 0.0)
-            dK = jnp.where(there, (dPh - K[:, None] * dS) / S, 0.0)
+            K = jnp.where(used, Ph / S, 0.0)
+            dK = jnp.where(used, (dPh - K[:, None] * dS) / S, 0.0)
             dP = dP - dK[:, None] * Ph[:, None] - K[:, None, None] * dPh
             after = (correction + K * y, P - jnp.outer(K, Ph), dmean + dK * y + K[:, None] * dy, dP)
             return after, (dy, dS)
 
-        rows = (C, e, variance, use, towards.variance)
+        rows = (C, e, variance, used_now, towards.variance)
         (correction, P, dmean, dP), found = jax.lax.scan(one, (jnp.zeros(s), P, dmean, dP), rows, unroll=True)
         autonomous, decayed = decay > 0.0, jnp.exp(-decay * dt)
         dkept = jnp.where(autonomous, -dt * decayed, 0.0)[:, None] * towards.decay

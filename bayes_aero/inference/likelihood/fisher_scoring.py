@@ -81,11 +81,11 @@ def minimise(
     Returns:
         The last point, its evaluation, whether the search converged, and the number of steps.
     """
-    here, cost, damping, steps = evaluate(point), problem.cost(point), FIRST_DAMPING, 0
-    moving, converged, curvature = problem.moving, False, here.information
-    while steps < MAX_ITERATIONS and math.isfinite(here.cost) and np.all(np.isfinite(curvature)):
+    current, cost, damping, steps = evaluate(point), problem.cost(point), FIRST_DAMPING, 0
+    moving, converged, curvature = problem.moving, False, current.information
+    while steps < MAX_ITERATIONS and math.isfinite(current.cost) and np.all(np.isfinite(curvature)):
         steps += 1
-        A, g = curvature[np.ix_(moving, moving)], -here.gradient[moving]
+        A, g = curvature[np.ix_(moving, moving)], -current.gradient[moving]
         limits = np.clip((problem.bounds - point[:, None]).T, -problem.step_limit, problem.step_limit).T[moving]
         if expected_gain(A, g, bounded_step(A, g, limits, 0.0)) < tolerance:
             converged = True
@@ -100,15 +100,15 @@ def minimise(
             damping *= 10.0
         else:
             break
-        gain, change, gradient, point, cost = cost - trial_cost, trial - point, here.gradient, trial, trial_cost
+        gain, change, gradient, point, cost = cost - trial_cost, trial - point, current.gradient, trial, trial_cost
         too_long = gain < POOR_RATIO * expected_gain(A, g, step)
         damping = max(10.0 * damping, POOR_DAMPING) if too_long else max(MIN_DAMPING, 0.1 * damping)
-        here = evaluate(point)
+        current = evaluate(point)
         if approximate and gain < tolerance:
             converged = True
             break
-        curvature = here.information if approximate else bfgs_update(curvature, change, here.gradient - gradient)
-    return point, here._replace(cost=cost if math.isfinite(here.cost) else here.cost), converged, steps
+        curvature = current.information if approximate else bfgs_update(curvature, change, current.gradient - gradient)
+    return point, current._replace(cost=cost if math.isfinite(current.cost) else current.cost), converged, steps
 
 
 def bfgs_update(

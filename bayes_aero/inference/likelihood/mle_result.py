@@ -105,9 +105,9 @@ class MleResult:
 
     def warnings(self) -> list[str]:
         """Warnings for the user of the numbers, one sentence each."""
-        said = [] if self.status is MleStatus.CONVERGED else [f"Maximum likelihood: {self.status.value}."]
+        sentences = [] if self.status is MleStatus.CONVERGED else [f"Maximum likelihood: {self.status.value}."]
         if self.blocks is not None and self.blocks < FEWEST_BLOCKS * len(self.names):
-            said.append(
+            sentences.append(
                 f"The record is too short for reliable intervals: it has {self.blocks} blocks of 0.2 s for "
                 f"{len(self.names)} parameters, and at least {FEWEST_BLOCKS} for each parameter are needed; add "
                 "manoeuvres or fix parameters."
@@ -116,7 +116,7 @@ class MleResult:
         breaks = [p.name for p in self.parameters if p.role is Role.BREAK_ANGLE]
         if breaks and low > 0.5:
             shape = [p.name for p in self.parameters if p.role in (Role.ABRUPTNESS, Role.BREAK_ANGLE)]
-            said.append(
+            sentences.append(
                 f"The angle of attack never approached {' or '.join(breaks)}: X stays between {low:.2f} and "
                 f"{high:.2f}, so {', '.join(shape)} and the terms with 1 - X depend on the onset of separation alone."
             )
@@ -124,13 +124,13 @@ class MleResult:
             if bound > 0.5 * abs(value):
                 near = bound < 10.0 * abs(value)  # at a bound of zero a share of the estimate is infinite
                 size = f"{bound / abs(value):.0%} of it" if near else f"{bound:.2g}, its estimate {value:.2g}"
-                said.append(f"{name} is not identified: its Cramer-Rao standard error is {size}.")
+                sentences.append(f"{name} is not identified: its Cramer-Rao standard error is {size}.")
         bias = np.zeros(len(self.names)) if self.bias is None else self.bias
         for name, error, sd in zip(self.names, bias, self.crb_corrected, strict=True):
             if abs(error) > LARGE_BIAS * sd:
-                said.append(
+                sentences.append(
                     f"Noise of the recorded signals biases {name} by {error:+.2g}, most of its corrected standard "
                     "error; the bias is subtracted to first order only. Records with less noise are needed."
                 )
-        said += [f"{a} and {b} are correlated by {value:+.3f}." for a, b, value in self.strong_correlations()]
-        return said
+        sentences += [f"{a} and {b} are correlated by {value:+.3f}." for a, b, value in self.strong_correlations()]
+        return sentences

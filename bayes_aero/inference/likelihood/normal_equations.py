@@ -145,9 +145,9 @@ class NormalEquations:
         gram = np.einsum("wia,wcij,wjb->wcab", transform, point.products.gram, transform, optimize=True)
         columns = []
         for rows, part in zip(self._rows, point.products.columns, strict=True):
-            moved = part.copy()
-            moved[..., 0] -= np.einsum("wncj,wj->wnc", part[..., 1:], all_steps[rows])
-            columns.append(moved)
+            shifted = part.copy()
+            shifted[..., 0] -= np.einsum("wncj,wj->wnc", part[..., 1:], all_steps[rows])
+            columns.append(shifted)
         products = point.products._replace(gram=gram, columns=tuple(columns))
         return _point(point.theta + step, point.departure + own, products, self.prior, self.noise_growth)
 

@@ -77,13 +77,13 @@ def fit_output_error(
     prior = replace(prior, mean=np.where(held_mask, theta, prior.mean))  # held parameters add nothing to the cost
     w, s = flown.index.shape[0], len(flown.dynamics.start)
     equations = NormalEquations(flown, prior)
-    here = equations.evaluate(np.clip(theta, lower, upper), np.zeros((w, s)) if departure is None else departure)
+    point = equations.evaluate(np.clip(theta, lower, upper), np.zeros((w, s)) if departure is None else departure)
     damping, converged, active = FIRST_DAMPING, False, np.zeros(len(free), bool)
     count = 0
-    while count < max_iterations and math.isfinite(here.cost) and not (stopped and stopped()):
+    while count < max_iterations and math.isfinite(point.cost) and not (stopped and stopped()):
         count += 1
-        A, g, states = reduced_equations(here, prior)
-        active = held_mask | ((here.theta <= lower) & (g < 0.0)) | ((here.theta >= upper) & (g > 0.0))
+        A, g, states = reduced_equations(point, prior)
+        active = held_mask | ((point.theta <= lower) & (g < 0.0)) | ((point.theta >= upper) & (g > 0.0))
         moving = np.flatnonzero(~active)
         newton = solve(A[np.ix_(moving, moving)], g[moving], 0.0)
         gain = 0.5 * float(newton @ g[moving]) + states.gain
@@ -92,18 +92,18 @@ def fit_output_error(
             if gain < TOLERANCE:
                 step = np.zeros(len(free))
                 step[moving] = newton
-                step = np.clip(here.theta + step, lower, upper) - here.theta
-                here = equations.extrapolate(here, step, states.step(step))
+                step = np.clip(point.theta + step, lower, upper) - point.theta
+                point = equations.extrapolate(point, step, states.step(step))
             break
         accepted = None
         for _ in range(12):
             step = np.zeros(len(free))
             step[moving] = solve(A[np.ix_(moving, moving)], g[moving], damping)
-            step = np.clip(here.theta + step, lower, upper) - here.theta
-            new = equations.evaluate(here.theta + step, here.departure + states.step(step))
+            step = np.clip(point.theta + step, lower, upper) - point.theta
+            new = equations.evaluate(point.theta + step, point.departure + states.step(step))
             expected = step @ g - 0.5 * step @ A @ step + states.gain
-            ratio = (here.cost - new.cost) / max(expected, TINY)
-            if new.cost < here.cost and ratio > MIN_GAIN_RATIO:
+            ratio = (point.cost - new.cost) / max(expected, TINY)
+            if new.cost < point.cost and ratio > MIN_GAIN_RATIO:
                 accepted = new
                 break
             damping = max(MIN_DAMPING, 4.0 * damping)
@@ -111,8 +111,8 @@ def fit_output_error(
             converged = bool(0.0 <= gain < 1e-2 * max(1.0, prior_weight))
             break
         damping = damping / 10.0 if ratio > 0.75 else damping if ratio > 0.3 else max(MIN_DAMPING, 2.0 * damping)
-        here = accepted
-    return result_at(flown, here, prior, converged=converged, iterations=count, active=active, held=held_mask)
+        point = accepted
+    return result_at(flown, point, prior, converged=converged, iterations=count, active=active, held=held_mask)
 
 
 def fit_cascade(

@@ -169,17 +169,17 @@ def fit_prediction_error(
     theta = np.array([(held or {}).get(p.name, x) for p, x in zip(free, theta, strict=True)])
     point = np.concatenate([theta, np.log(np.maximum(F, MIN_NOISE)), np.log(np.maximum(R, MIN_NOISE))])
     point[problem.k :] = np.maximum(point[problem.k :], problem.bounds[problem.k :, 0])
-    point, here, converged, first_steps = minimise(
+    point, current, converged, first_steps = minimise(
         problem, point, problem.evaluate_held_gains, HELD_GAINS_TOLERANCE, approximate=True
     )
     steps = 0
     if exact:
-        point, here, converged, steps = minimise(problem, point, problem.evaluate, TOLERANCE)
+        point, current, converged, steps = minimise(problem, point, problem.evaluate, TOLERANCE)
     status = PredictionErrorStatus.CONVERGED if converged else PredictionErrorStatus.NOT_CONVERGED
-    if not math.isfinite(here.cost):
+    if not math.isfinite(current.cost):
         status = PredictionErrorStatus.DIVERGED
     k, s, moving = problem.k, problem.s, problem.moving
-    covariance = covariance_of(here.information, moving)
+    covariance = covariance_of(current.information, moving)
     return PredictionErrorResult(
         tuple(p.name for p in free),
         flown.dynamics.states,
@@ -188,8 +188,8 @@ def fit_prediction_error(
         np.where(F > 0.0, np.exp(point[k : k + s]), 0.0),
         np.exp(point[k + s :]),
         covariance,
-        problem.prior_cost(point) - here.cost,
-        here.cost,
+        problem.prior_cost(point) - current.cost,
+        current.cost,
         problem.path(point)[1],
         status,
         first_steps + steps,

@@ -152,12 +152,12 @@ def _election(ax: Axes, ranking: Ranking, view: View) -> None:
         wide = WIDTH * max(map(len, text.split("\n"))) * widest
         if wide < x:
             ink = "white" if s.effect in named and not chance else "black"
-            look = {"x": x - 0.01 * widest, "ha": "right", "color": ink}
+            style = {"x": x - 0.01 * widest, "ha": "right", "color": ink}
         elif x + wide < widest:
-            look = {"x": x + 0.01 * widest, "ha": "left", "color": "black", "bbox": TIGHT}
+            style = {"x": x + 0.01 * widest, "ha": "left", "color": "black", "bbox": TIGHT}
         else:  # room neither in the bar nor beside it
-            look = {"x": 1.02 * widest, "ha": "right", "color": "black", "bbox": TIGHT}
-        ax.text(y=y, s=text, va="center", fontsize=6.0 if "\n" in text else 7.5, zorder=5, **look)
+            style = {"x": 1.02 * widest, "ha": "right", "color": "black", "bbox": TIGHT}
+        ax.text(y=y, s=text, va="center", fontsize=6.0 if "\n" in text else 7.5, zorder=5, **style)
     if np.isfinite(ranking.threshold):
         text = f"pale: score below {ranking.threshold:.1f}, which noise\nalone exceeds in 5 % of replicates"
         if (left := len(ranking.candidate_scores) - len(leaders)) > 0:

@@ -165,9 +165,9 @@ def pair_of(posteriors: Mapping[str, Posterior]) -> Figure:
 
 def _pair(engine: str, posterior: Posterior, names: list[str]) -> Figure:
     side = 1.15 * len(names) + 1.0
-    look = {"alpha": 0.25, "size": 3.0, "color": COLOURS.get(engine, COLOURS["mle"]), "edgecolor": "none"}
+    style = {"alpha": 0.25, "size": 3.0, "color": COLOURS.get(engine, COLOURS["mle"]), "edgecolor": "none"}
     tree = _thinned(posterior, names, PAIR_DRAWS)
-    return _draw("pair", tree, (side, side), visuals={"scatter": look, "dist": {"color": look["color"]}})
+    return _draw("pair", tree, (side, side), visuals={"scatter": style, "dist": {"color": style["color"]}})
 
 
 def _label_matrix(identification: Identification, figure: Figure, names: list[str]) -> None:

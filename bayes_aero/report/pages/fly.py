@@ -55,7 +55,7 @@ class FlyContext:
     card: Card
     records: Sequence[FlightRecord]
     source: Mapping[str, Any]
-    said: Sequence[str]
+    sentences: Sequence[str]
     notes: Sequence[str] = ()
     figures: Mapping[str, Path] = field(default_factory=dict)  # those drawn, by stem
     consistency: Consistency | None = None
@@ -135,13 +135,13 @@ def _flights(flown: TrajectoryFit) -> tuple[Block, ...]:
     began = "from the measured initial state" if free else "from the fixed initial state"
     what_fits = "parameters and initial state" if free else "parameters"
     what = "Recorded accelerations and rates" if flown.of_path else "The recorded inputs"
-    said = (
+    sentences = (
         f"{what} drive the simulation, without correction by measurements: with the first values of the parameters "
         f"{began} (dashed), and with {what_fits} fitted. The error of the fit is shaded."
     )
     if any(error.tolerance is not None for path in flown.paths for error in path.errors.values()):
-        said += " The grey band is the tolerance about the measurement."
-    return (Text(said), *remark, *plots)
+        sentences += " The grey band is the tolerance about the measurement."
+    return (Text(sentences), *remark, *plots)
 
 
 def _inputs(flown: TrajectoryFit, order: int) -> list[Panel]:

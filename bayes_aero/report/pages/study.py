@@ -69,21 +69,23 @@ def _progress(units: pd.DataFrame) -> str:
 def _short(context: StudyContext) -> list[str]:
     """Verdicts, the cause that most units name, the parameter that scatters farthest beyond its intervals."""
     verdicts, causes, done = _counted(context)
-    said = []
+    sentences = []
     if verdicts:
         all_same = len(verdicts) == 1 and done > 1
-        said.append(several(f"{'all' if all_same else n} {_words(verdict)}" for verdict, n in verdicts.most_common()))
+        sentences.append(
+            several(f"{'all' if all_same else n} {_words(verdict)}" for verdict, n in verdicts.most_common())
+        )
     if causes:
         cause, n = causes.most_common(1)[0]
-        said.append(f"{cause} is named in {n} of {done}")
+        sentences.append(f"{cause} is named in {n} of {done}")
     compared, beyond = _beyond(estimates(context.units, context.results))
     if beyond:
         worst = max(beyond, key=lambda e: e.scatter / e.claimed)
         ratio = f"{worst.scatter / worst.claimed:.1f} times its intervals"
-        said.append(f"{worst.label} differs between units by {ratio}")
+        sentences.append(f"{worst.label} differs between units by {ratio}")
     elif compared:
-        said.append(f"no parameter differs between units by more than {MIN_RATIO:g} times its intervals")
-    return said
+        sentences.append(f"no parameter differs between units by more than {MIN_RATIO:g} times its intervals")
+    return sentences
 
 
 def _words(verdict: str) -> str:
@@ -106,20 +108,20 @@ def _beyond(found: list[Estimates]) -> tuple[list[Estimates], list[Estimates]]:
 def _findings(context: StudyContext, found: list[Estimates]) -> list[str]:
     """Verdicts by number, causes by how many units name them, and parameters that scatter beyond their intervals."""
     verdicts, causes, done = _counted(context)
-    said = []
+    sentences = []
     if verdicts:
-        said.append(f"Verdicts: {several(f'{n} {_words(verdict)}' for verdict, n in verdicts.most_common())}.")
+        sentences.append(f"Verdicts: {several(f'{n} {_words(verdict)}' for verdict, n in verdicts.most_common())}.")
     if causes:
         listed = several(f"{cause} {n}" for cause, n in causes.most_common())
-        said.append(f"Causes, in how many units of {done}: {listed}.")
+        sentences.append(f"Causes, in how many units of {done}: {listed}.")
     _, beyond = _beyond(found)
     if beyond:
         listed = several(f"{e.label} ({e.scatter / e.claimed:.1f} times)" for e in beyond)
-        said.append(
+        sentences.append(
             f"Estimates differ between units by more than their own standard errors: {listed}. Units that differ in "
             "records, effects or cards may do so; the same record under other seeds should not."
         )
-    return said
+    return sentences
 
 
 def _lead(found: list[Estimates], folder: Path) -> tuple[Block, ...]:
@@ -141,17 +143,17 @@ def _lead(found: list[Estimates], folder: Path) -> tuple[Block, ...]:
 def _across(found: list[Estimates]) -> tuple[Block, ...]:
     if not found:
         return ()
-    of = columns_of(found[:MOST_ROWS])
+    column = columns_of(found[:MOST_ROWS])
     table = Table(
         [
-            of(lambda e: e.label, page="parameter"),
-            of(lambda e: e.method, page="method", words=True),
-            of(lambda e: len(e.value), page="units"),
-            of(lambda e: float(np.mean(e.value)), page="mean", form=4),
-            of(lambda e: plain_unit(e.si), page="unit", words=True),
-            of(lambda e: e.scatter, page="scatter", form=2),
-            of(lambda e: e.claimed, page="standard error", form=2),
-            of(lambda e: e.scatter / e.claimed if e.claimed > 0.0 else None, page="ratio", form=2),
+            column(lambda e: e.label, page="parameter"),
+            column(lambda e: e.method, page="method", words=True),
+            column(lambda e: len(e.value), page="units"),
+            column(lambda e: float(np.mean(e.value)), page="mean", form=4),
+            column(lambda e: plain_unit(e.si), page="unit", words=True),
+            column(lambda e: e.scatter, page="scatter", form=2),
+            column(lambda e: e.claimed, page="standard error", form=2),
+            column(lambda e: e.scatter / e.claimed if e.claimed > 0.0 else None, page="ratio", form=2),
         ],
         "Estimates of all units by parameter and method",
         "Scatter: standard deviation between units. Standard error: root mean square of those of the units. A "
@@ -165,15 +167,15 @@ def _units(units: pd.DataFrame, folder: Path) -> Block:
     """Table of the units, those that are not done first; a name is a link to the unit's report."""
     shown = units.assign(number=np.arange(1, len(units) + 1))
     shown = shown.sort_values("state", key=lambda s: s == "done", kind="stable").head(MOST_UNITS)
-    of, left = columns_of(shown.to_dict("records")), len(units) - len(shown)
+    column, left = columns_of(shown.to_dict("records")), len(units) - len(shown)
     table = Table(
         [
-            of(lambda row: row["unit"], page="unit"),
-            of(lambda row: row["number"], page="number"),
-            of(lambda row: row["state"], page="state", words=True),
-            of(lambda row: row["seconds"], page="time", form=lambda seconds: f"{seconds:.0f} s"),
-            of(lambda row: row["verdict"] or None, page="verdict", words=True),
-            of(lambda row: row["error"] or None, page="error", words=True),
+            column(lambda row: row["unit"], page="unit"),
+            column(lambda row: row["number"], page="number"),
+            column(lambda row: row["state"], page="state", words=True),
+            column(lambda row: row["seconds"], page="time", form=lambda seconds: f"{seconds:.0f} s"),
+            column(lambda row: row["verdict"] or None, page="verdict", words=True),
+            column(lambda row: row["error"] or None, page="error", words=True),
         ],
         "Units of the study",
         f"{left} more are in units.csv." if left else "",

@@ -61,10 +61,10 @@ def one_step_table(found: OneStep, units: Mapping[str, str]) -> Table:
         for name, one in found.outputs.items()
     ]
     rows += [("all together", 1.0, found.together)] if len(rows) > 1 else []
-    of = columns_of(rows)
+    column = columns_of(rows)
     levels = [f"{100.0 * share.level:.0f} %" for share in found.together.shares]
     inside = (
-        of(
+        column(
             lambda r, k=k: Estimate(100.0 * r[2].shares[k].share, 100.0 * r[2].shares[k].sd),
             "",
             head,
@@ -81,11 +81,11 @@ def one_step_table(found: OneStep, units: Mapping[str, str]) -> Table:
     )
     return Table(
         [
-            of(lambda r: r[0], "", "output", ""),
-            of(lambda r: None if r[2].rms is None else r[1] * r[2].rms, "", "RMS", "RMS", _size),
-            of(lambda r: Estimate(*r[2].ratio), "", "e/sd", "e/sd", in_brackets),
+            column(lambda r: r[0], "", "output", ""),
+            column(lambda r: None if r[2].rms is None else r[1] * r[2].rms, "", "RMS", "RMS", _size),
+            column(lambda r: Estimate(*r[2].ratio), "", "e/sd", "e/sd", in_brackets),
             *inside,
-            of(lambda r: CALIBRATION[r[2].calibration], "", "predictions", "predictions"),
+            column(lambda r: CALIBRATION[r[2].calibration], "", "predictions", "predictions"),
         ],
         "Errors, and innovations inside their predictive intervals",
         note,

@@ -41,18 +41,18 @@ def drift_sentences(found: Drift) -> list[str]:
             f"Whether {several(names)} changed cannot be said: also with the drift, innovations are autocorrelated "
             f"(neighbouring samples of {listed}), and the test assumes white innovations."
         ]
-    said = [_told(name, parameter) for name, parameter in found.parameters.items()]
+    sentences = [_told(name, parameter) for name, parameter in found.parameters.items()]
     if not found.changed and found.p < DRIFT_LEVEL:
-        said.append(
+        sentences.append(
             f"One of {several(names)} changed ({_p(found.p)} for all together), but the record does not determine "
             "which."
         )
     family = f", {len(names)} parameters together (Holm)" if len(names) > 1 else ""
-    said.append(
+    sentences.append(
         f"These p-values are those of likelihood ratios{family} for white innovations, as this fit has. A drift may "
         "also represent a slow effect that the model lacks."
     )
-    return said
+    return sentences
 
 
 def _told(name: str, found: Drifted) -> str:
@@ -97,13 +97,13 @@ def _change(found: ParameterChange) -> str:
         else f"at {found.at:.1f} s of {found.manoeuvre}{span}"
     )
     back = "" if found.lasts else ", and the value before in later records"
-    said = (
+    sentences = (
         f"Changed: {found.parameter} has another value {when}: {size_text(*found.before, found.unit)} before, "
         f"{size_text(*found.after, found.unit)} after{back}, a change of {size_text(*found.size, found.unit)} "
         f"({found.share:.0%} of the remaining variance)."
     )
     if found.ambiguous_with:
-        said += f" On this record {several(found.ambiguous_with)} would explain the data about as well."
+        sentences += f" On this record {several(found.ambiguous_with)} would explain the data about as well."
     if found.parameter in REASONS:
-        said += f" Possible reasons are {REASONS[found.parameter]}; the record does not determine which."
-    return f"{said} `bayes-aero fly --drift {found.parameter}` shows it over time."
+        sentences += f" Possible reasons are {REASONS[found.parameter]}; the record does not determine which."
+    return f"{sentences} `bayes-aero fly --drift {found.parameter}` shows it over time."

@@ -40,13 +40,13 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool =
     """
     fit = flown.fit
     bound = f" ({several(fit.at_bound)})" if fit.at_bound else ""
-    said = [f"The fit {fit.status.value}{bound}{_off(flown)}."]
+    sentences = [f"The fit {fit.status.value}{bound}{_off(flown)}."]
     if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
-        said = [f"The fit failed: {fit.status.value}."]
-    said += _settings(flown)
-    said += _wanting(flown, hindered)
+        sentences = [f"The fit failed: {fit.status.value}."]
+    sentences += _settings(flown)
+    sentences += _wanting(flown, hindered)
     if flown.variance_inflation >= MIN_INFLATION and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
-        said.append(
+        sentences.append(
             f"The residuals are autocorrelated. The variance inflation is {short(flown.variance_inflation)} in the "
             f"median, and the "
             "Cramér-Rao bound is too small; use the corrected standard error."
@@ -55,22 +55,24 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool =
     growth = {name: times for name, times in flown.noise_growth.items() if times > MIN_GROWTH}
     if growth:
         listed = several(f"{SYMBOLS.get(name, name)} {short(times)} times" for name, times in growth.items())
-        said.append(f"Residuals grow where the flow has separated ({listed}): these samples have less weight.")
+        sentences.append(f"Residuals grow where the flow has separated ({listed}): these samples have less weight.")
     estimates = zip(fit.names, fit.estimate, fit.sd_corrected, strict=True)
-    said += sign_sentences({name: (float(value), float(sd)) for name, value, sd in estimates}, fit.parameters)
+    sentences += sign_sentences({name: (float(value), float(sd)) for name, value, sd in estimates}, fit.parameters)
     if fit.held_by_prior and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
-        said.append(f"The trajectories contain little information on {several(fit.held_by_prior)}; the prior decides.")
+        sentences.append(
+            f"The trajectories contain little information on {several(fit.held_by_prior)}; the prior decides."
+        )
     if fit.undetermined and flown.converged:
-        said.append(
+        sentences.append(
             f"The trajectories do not determine {several(fit.undetermined)}, and there are no priors: these values "
             "are not usable. Fix them on the card, or fit with priors."
         )
     if flown.converged:
-        said += inseparable_sentences(fit.inseparable)
+        sentences += inseparable_sentences(fit.inseparable)
     lost = [p.manoeuvre for p in flown.paths if p.model == FITTED and not p.inside]
     if lost:
-        said.append(f"Outside the flight envelope at the end of the fit: {several(lost)}.")
-    return said
+        sentences.append(f"Outside the flight envelope at the end of the fit: {several(lost)}.")
+    return sentences
 
 
 def disagreement_sentences(found: Sequence[Disagreement], hindered: str = "") -> list[str]:
@@ -99,19 +101,19 @@ def _settings(flown: TrajectoryFit) -> list[str]:
     if flown.fit.status is OutputErrorStatus.LEFT_ENVELOPE:
         return []
     outputs = several(SYMBOLS.get(name, name) for name in flown.fit.flown.outputs)
-    said = [f"det R is {flown.fit.det_R:.5g} (residual covariance of {outputs}, SI and radians)."]
+    sentences = [f"det R is {flown.fit.det_R:.5g} (residual covariance of {outputs}, SI and radians)."]
     how = [] if flown.setting.priors else ["without priors"]
     how += [] if flown.setting.initial is None else ["with initial states fixed"]
     how += ["with inputs held between samples"] if flown.setting.held else []
-    said += [f"It was fitted {several(how)}."] if how else []
+    sentences += [f"It was fitted {several(how)}."] if how else []
     if flown.setting.held:
         late = 0.5 * float(np.median(np.asarray(flown.fit.flown.dt)))
-        said.append(
+        sentences.append(
             f"Held inputs act half a sample ({late:.2g} s) later than interpolated ones, which moves the derivatives "
             "of fast controls. That is right for a command that a digital system holds until the next sample, and "
             "wrong for a recorded position of a surface: leave --inputs held out for that."
         )
-    return said
+    return sentences
 
 
 def outside(flown: TrajectoryFit) -> dict[str, float]:

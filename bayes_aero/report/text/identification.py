@@ -47,9 +47,9 @@ def verdict(identification: Identification) -> list[str]:
     colour = _colour(identification)
     against = [*colour, *(_white(identification) if colour else [])]
     against += [*_noise_model(identification), *between_manoeuvres(identification, LIMIT)]
-    said = against or _agreement(identification)
-    said += [*left_out(identification), *chains]
-    return [*signs, *truth, *identification.preparation, *said, *split_verdict(identification), *mle.warnings()]
+    sentences = against or _agreement(identification)
+    sentences += [*left_out(identification), *chains]
+    return [*signs, *truth, *identification.preparation, *sentences, *split_verdict(identification), *mle.warnings()]
 
 
 def _by_key(identification: Identification) -> dict[str, Method]:
@@ -149,7 +149,7 @@ def _noise_model(identification: Identification) -> list[str]:
     far = max(in_crb, key=lambda n: in_crb[n])
     middle = float(np.median(list(in_crb.values())))
     thinned = "" if identification.noise is Colour.WHITE else ", and a coloured one uses one sample in five"
-    said = [
+    sentences = [
         f"The {noise_label(identification.noise)} posterior's standard deviations are {median:.2g} times the "
         f"corrected bounds "
         f"in the median ({worst:.2g} times for {name}): another noise model weighs the data differently{thinned}. "
@@ -157,11 +157,11 @@ def _noise_model(identification: Identification) -> list[str]:
         f"{_plain(in_crb[far])} for {far}."
     ]
     if beyond:
-        said.append(
+        sentences.append(
             f"The difference exceeds the intervals of {several(f'{n} ({z:.1f})' for n, z in beyond.items())}, in "
             f"combined standard errors. {_why_apart(identification)} Neither interval covers this."
         )
-    return said
+    return sentences
 
 
 def _why_apart(identification: Identification) -> str:

@@ -26,12 +26,12 @@ def gust_sentences(gusts: Mapping[str, float], fit: ProcessNoise | None = None) 
     if not gusts:
         return []
     estimated = several(f"{name} {size:.2g} m/s" for name, size in gusts.items())
-    said = (
+    sentences = (
         f"The flight path alone, without aerodynamics, shows gusts (standard deviation: {estimated}). Such a record "
         "needs process noise; --no-process-noise leaves it out."
     )
     better = " Use the estimates with process noise: in gusts those of output error are biased."
-    return [said + (better if fit is not None and fit.preferred else "")]
+    return [sentences + (better if fit is not None and fit.preferred else "")]
 
 
 def settled_sentences(
@@ -55,10 +55,10 @@ def settled_sentences(
     listed = several(f"{name} {x:.4g} ± {sd:.2g}" for name, (x, sd) in other.items())
     if apart:
         verb = "differs" if len(apart) == 1 else "differ"
-        said = f"With process noise {several(apart)} still {verb} from the coefficients ({listed})"
-        return [(why if asked else "") + f"{said}: the model lacks an effect, or a sensor is wrong."]
-    said = f"With process noise {names} agree{'s' * (len(found) == 1)} with the coefficients ({listed})"
-    return [(why if asked else "") + f"{said}: prefer them to those of output error."]
+        sentences = f"With process noise {several(apart)} still {verb} from the coefficients ({listed})"
+        return [(why if asked else "") + f"{sentences}: the model lacks an effect, or a sensor is wrong."]
+    sentences = f"With process noise {names} agree{'s' * (len(found) == 1)} with the coefficients ({listed})"
+    return [(why if asked else "") + f"{sentences}: prefer them to those of output error."]
 
 
 def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[str]:
@@ -66,9 +66,9 @@ def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[s
     if not found.converged:
         return [f"The fit with process noise is not usable: {found.status}."]
     if found.gain <= 0.0:
-        said = ["Process noise does not increase the likelihood of the trajectories: output error is adequate."]
-        return said + _predicted(found)
-    said = [
+        sentences = ["Process noise does not increase the likelihood of the trajectories: output error is adequate."]
+        return sentences + _predicted(found)
+    sentences = [
         f"With process noise the log likelihood is {found.gain:.0f} nats higher than by output error, both for white "
         "residuals. Turbulence causes this, and so do errors of the model."
     ]
@@ -78,19 +78,19 @@ def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[s
         other, other_sd = found.estimates.get(name, (float(estimate), float(sd)))
         if abs(other - estimate) > MIN_DIFFERENCE * float((sd**2 + other_sd**2) ** 0.5):
             changed.append(f"{name} {other:.4g} ± {other_sd:.2g} (output error {estimate:.4g} ± {sd:.2g})")
-    said += _estimated_gusts(found)
+    sentences += _estimated_gusts(found)
     if changed:
-        said.append(
+        sentences.append(
             f"Parameters that process noise changes by more than {MIN_DIFFERENCE:g} standard errors: "
             f"{several(changed)}."
         )
     coloured = [f"{name} ({r:.2f})" for name, r in found.autocorrelation.items() if abs(r) > COLOURED_INNOVATIONS]
     if coloured:
-        said.append(
+        sentences.append(
             f"Innovations are autocorrelated (neighbouring samples of {several(coloured)}): a disturbance, or an error "
             "of the model or of a sensor, is not modelled, and these standard errors are too small."
         )
-    return said + _predicted(found)
+    return sentences + _predicted(found)
 
 
 def prediction_sentences(found: OneStep) -> list[str]:
@@ -142,10 +142,10 @@ def _estimated_gusts(found: ProcessNoise) -> list[str]:
             estimated.append(f"{word} {intensity:.2f} ± {sd:.2g} m/s (scale length {length:.0f} ± {length_sd:.0f} m)")
         else:
             undetected.append(word)
-    said = [f"Estimated gusts, standard deviation: {several(estimated)}."] if estimated else []
+    sentences = [f"Estimated gusts, standard deviation: {several(estimated)}."] if estimated else []
     if undetected:
-        said.append(f"No {' and no '.join(undetected)} gusts are distinguishable from noise of the states.")
-    return said + _buffet(found)
+        sentences.append(f"No {' and no '.join(undetected)} gusts are distinguishable from noise of the states.")
+    return sentences + _buffet(found)
 
 
 def _buffet(found: ProcessNoise) -> list[str]:

@@ -45,7 +45,7 @@ def leaning_sentences(table: pd.DataFrame, conflicts: Sequence[PriorConflict]) -
 
 def bound_sentences(found: Sequence[ActiveBound]) -> list[str]:
     """A sentence for each parameter at its bound."""
-    said = []
+    sentences = []
     for b in found:
         side = "lower" if b.lower else "upper"
         text = (
@@ -55,13 +55,13 @@ def bound_sentences(found: Sequence[ActiveBound]) -> list[str]:
         if b.shifts:
             shifts = several(f"{n} ({-x:+.1f} corrected standard errors)" for n, x in b.shifts.items())
             text += f"; the bound moves {shifts}"
-        said.append(f"{text}. Widen the bound, or fix {b.name}.")
-    return said
+        sentences.append(f"{text}. Widen the bound, or fix {b.name}.")
+    return sentences
 
 
 def inseparable_sentences(found: Sequence[Inseparable]) -> list[str]:
     """A sentence for each set of parameters that the record cannot separate."""
-    said = []
+    sentences = []
     for one in found:
         listed = several(
             f"{name} {x:.3g} ± {sd:.2g}{_unit(unit)}"
@@ -69,12 +69,12 @@ def inseparable_sentences(found: Sequence[Inseparable]) -> list[str]:
         )
         low, high = (f"{x:.0f}" if x >= 10.0 else f"{x:.2g}" for x in (min(one.wider), max(one.wider)))
         times = low if low == high else f"{low} to {high}"
-        said.append(
+        sentences.append(
             f"The record cannot separate {several(one.names)} ({listed}): if the others were known, each interval "
             f"would be "
             f"{times} times narrower. Fly manoeuvres that excite them differently, fix one, or give one a prior."
         )
-    return said
+    return sentences
 
 
 def _unit(unit: str) -> str:
