@@ -169,7 +169,9 @@ class Prepared(NamedTuple):
         """Covariance of the initial `states`; `deviation`: standard deviations of the measured ones, (s,), SI."""
         return jax.vmap(lambda x, u: self.sensed.start_covariance(x, u, deviation))(states, self.first_inputs)
 
-    def noise_variance(self, R: Float[Array, " c"], growth: Float[np.ndarray, "w n c"]) -> Float[Array, "w n c"]:
+    def noise_variance(
+        self, R: Float[Array, " c"], growth: Float[Array, "w n c"] | Float[np.ndarray, "w n c"]
+    ) -> Float[Array, "w n c"]:
         """Variances of the noise of the corrected outputs; `R`: of the recorded outputs in attached flow, (c,)."""
         return R * (self.scale * jnp.asarray(growth)) ** 2
 

@@ -151,7 +151,7 @@ def value_and_slope(f: Callable[[Array], Array], x: Float[Array, " s"]) -> tuple
 
 
 def correct(
-    P: Float[Array, "s s"], C: Float[Array, "c s"], change: Float[Array, " c"], variance: Float[Array, " c"]
+    P: Float[Array, "s s"], C: Float[Array, "c s"], residual: Float[Array, " c"], variance: Float[Array, " c"]
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Correction of the state by the outputs of one sample.
 
@@ -167,17 +167,17 @@ def correct(
         Correction of the state (s,), covariance after it (s, s), innovations (c,), their variances (c,), and which
         outputs were measured (c,).
     """
-    used = jnp.isfinite(change)
+    used = jnp.isfinite(residual)
 
     def one(carry, output):
         correction, P = carry
-        h, change, r, use = output
-        e, Ph = change - jnp.sum(h * correction), jnp.sum(P * h, axis=1)
+        h, residual, r, use = output
+        e, Ph = residual - jnp.sum(h * correction), jnp.sum(P * h, axis=1)
         S = jnp.sum(h * Ph) + r
         K = jnp.where(use, Ph / S, 0.0)
         return (correction + K * e, P - K[:, None] * Ph), (jnp.where(use, e, 0.0), jnp.where(use, S, 1.0))
 
-    rows = (C, jnp.where(used, change, 0.0), variance, used)
+    rows = (C, jnp.where(used, residual, 0.0), variance, used)
     (correction, P), (e, S) = jax.lax.scan(one, (jnp.zeros(len(P)), P), rows, unroll=True)
     return correction, P, e, S, used
 

@@ -125,7 +125,7 @@ class Pooled:
     status: str
 
     @classmethod
-    def column(cls, folds: Sequence[Validation]) -> Pooled:
+    def of(cls, folds: Sequence[Validation]) -> Pooled:
         """Scores over all points; coverage is weighted by points, and `k_hat` is the largest."""
         measured, gp, mle = (np.concatenate([getattr(v, key) for v in folds]) for key in ("measured", "gp", "mle"))
         weights = [len(v.measured) for v in folds]
