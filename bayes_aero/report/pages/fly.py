@@ -68,7 +68,7 @@ class FlyContext:
 
 def fly_page(flown: TrajectoryFit, context: FlyContext) -> Page:
     """The page; nothing on it but the fit's own numbers."""
-    verdict, *rest = context.said
+    verdict, *rest = context.sentences
     return Page(
         title=f"{'Flight path' if flown.of_path else 'Trajectories'}: {context.card.title}",
         subtitle="Errors of sensors, from recorded accelerations and rates"
