@@ -34,7 +34,7 @@ from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.reading.read_record import read_records
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.likelihood.mle import fit_alone, fit_mle
+from bayes_aero.inference.likelihood.mle import fit_each_manoeuvre, fit_mle
 from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
 from bayes_aero.inference.posterior.ensemble import sample_ensemble
 from bayes_aero.inference.posterior.laplace import density_start, other_modes, search_modes
@@ -124,7 +124,7 @@ def fit(
     joint = fit_mle(model, observations, seed=seed)
     if forming is Forming.MATCHED:
         joint = without_noise_bias(joint, without_spikes, card, model, seed=seed)
-    alone = fit_alone(model, observations, seed=seed)
+    alone = fit_each_manoeuvre(model, observations, seed=seed)
     found = Identification(
         card,
         model,

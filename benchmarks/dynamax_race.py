@@ -29,10 +29,10 @@ import numpy as np
 
 import bayes_aero as ba
 from bayes_aero.diagnosis.trajectories.trajectory_fit import fit_trajectories
-from bayes_aero.dynamics.filtering.kalman import gathered_noise, outputs_at
+from bayes_aero.dynamics.filtering.kalman import discrete_noise, outputs_at
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
-from bayes_aero.dynamics.segments import prepared
+from bayes_aero.dynamics.segments import prepare
 from bayes_aero.dynamics.system import advance
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.likelihood.disturbed import FIRST_F, FIRST_R
@@ -60,9 +60,9 @@ class DynamaxDensity(InnovationsDensity):
         from dynamax.nonlinear_gaussian_ssm import ParamsNLGSSM, extended_kalman_filter
 
         flown, k, c = self.flown, len(self.flown.dynamics.free), len(self.flown.outputs)
-        ready = prepared(flown, x[:k])
-        system, names, dt = ready.system, list(ready.drives), flown.dt[0]
-        now = jnp.stack([ready.drives[name][0] for name in names], axis=1)
+        prepared = prepare(flown, x[:k])
+        system, names, dt = prepared.system, list(prepared.drives), flown.dt[0]
+        now = jnp.stack([prepared.drives[name][0] for name in names], axis=1)
         row = lambda u: dict(zip(names, u, strict=True))  # noqa: E731
         F2 = x[k:-c] ** 2
         ahead = jnp.concatenate([now[1:], now[-1:]])
@@ -70,9 +70,9 @@ class DynamaxDensity(InnovationsDensity):
         def moved(x, now, then):
             return advance(system, x, row(now), row(then), dt, 1)
 
-        Q = jax.vmap(lambda *y: gathered_noise(jax.jacfwd(moved)(*y), F2, dt))(self.path, now, ahead)
+        Q = jax.vmap(lambda *y: discrete_noise(jax.jacfwd(moved)(*y), F2, dt))(self.path, now, ahead)
         first = row(now[0])
-        begin = system.settled(ready.begin[0], first)
+        begin = system.complete_start(prepared.begin[0], first)
         params = ParamsNLGSSM(
             initial_mean=begin,
             initial_covariance=system.start_covariance(begin, first, jnp.asarray(self.deviation)),
@@ -82,7 +82,7 @@ class DynamaxDensity(InnovationsDensity):
             emission_covariance=jnp.diag((x[-c:] / self.sd) ** 2),
         )
         inputs = jnp.concatenate([jnp.concatenate([now[:1], now[:-1]]), now], axis=1)
-        found = extended_kalman_filter(params, ready.true[0] / self.sd, inputs, output_fields=[])
+        found = extended_kalman_filter(params, prepared.true[0] / self.sd, inputs, output_fields=[])
         total = found.marginal_loglik - len(now) * jnp.sum(jnp.log(self.sd))
         return jnp.where(jnp.isfinite(total), total, -jnp.inf)
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from bayes_aero.dynamics.aircraft.gusts import FLOW
 from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.segments import SegmentTrajectories, prepared, segments, simulate
+from bayes_aero.dynamics.segments import SegmentTrajectories, prepare, segments, simulate
 from bayes_aero.dynamics.tangent import later
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card.card import read_card
@@ -55,7 +55,7 @@ def step(system: Any, x: Any, now: Any, then: Any, dt: Any) -> Any:
 @eqx.filter_jit
 def bare(flown: SegmentTrajectories, theta: Any) -> Any:
     """Outputs' derivatives by parameters and initial states."""
-    ready, dynamics, k = prepared(flown, theta), flown.dynamics, len(theta)
+    prepared, dynamics, k = prepare(flown, theta), flown.dynamics, len(theta)
 
     def outputs(z):
         system = dynamics.system(dynamics.values(z[:k]), flown.flights.aircraft)
@@ -65,9 +65,9 @@ def bare(flown: SegmentTrajectories, theta: Any) -> Any:
                 found = system.motion(x, rows[0])[1]
                 return step(system, x, rows[0], rows[1], dt), jnp.stack([found[name] for name in flown.outputs])
 
-            return jax.lax.scan(further, system.begun(start + z[k:]), (inputs, later(inputs)))[1]
+            return jax.lax.scan(further, system.state_at_start(start + z[k:]), (inputs, later(inputs)))[1]
 
-        return jax.vmap(one)(ready.begin, ready.drives, jnp.asarray(flown.dt))
+        return jax.vmap(one)(prepared.begin, prepared.drives, jnp.asarray(flown.dt))
 
     return jax.jacfwd(outputs)(jnp.concatenate([theta, jnp.zeros(len(dynamics.start))]))
 

@@ -74,7 +74,7 @@ def samples(n: int) -> dict[str, float]:
     clock("mode")
     target = ensemble._Target(density, mode)
     walkers = 2 * (density.size + 2)
-    proposal = ensemble._Independent(np.zeros(density.size), np.eye(density.size))
+    proposal = ensemble._IndependenceProposal(np.zeros(density.size), np.eye(density.size))
     samplers = [ensemble._sampler(target, walkers, proposal, i) for i in range(ensemble.EnsembleLength().ensembles)]
     begin = 0.5 * np.random.default_rng(0).standard_normal((len(samplers), walkers, density.size))
     ensemble._advance(samplers, 2, begin)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_aero.dynamics.segments import SegmentTrajectories, simulate
-from bayes_aero.inference.likelihood.normal_equations import departures
+from bayes_aero.inference.likelihood.normal_equations import initial_state_sd
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult
 from bayes_aero.model.log_density import LogDensity
 from bayes_aero.parameter import Parameter, Prior
@@ -45,7 +45,7 @@ class TrajectoryDensity(LogDensity):
                 Prior("normal", 0.0, float(deviation)),
             )
             for row in range(len(self.flown.index))
-            for name, deviation in zip(dynamics.states, departures(dynamics), strict=True)
+            for name, deviation in zip(dynamics.states, initial_state_sd(dynamics), strict=True)
         ]  # fmt: skip
         noise = [
             Parameter(

@@ -76,7 +76,7 @@ def motion(seed: int) -> dict[str, np.ndarray]:
     }  # fmt: skip
 
 
-def flies(effect: Effect) -> bool:
+def can_simulate(effect: Effect) -> bool:
     """Whether these records have what an effect acts through."""
     have = {*motion(0), *CONTROLS, "ax", "ay", "az"}
     return effect.disturbance is None and set(effect.channels) <= have
@@ -85,7 +85,7 @@ def flies(effect: Effect) -> bool:
 @lru_cache
 def models() -> tuple[Model, Model]:
     """Everything of both axes that flies, and that misrecords."""
-    known = [e for e in CATALOGUE.values() if flies(e)]
+    known = [e for e in CATALOGUE.values() if can_simulate(e)]
     channel = [e for e in known if e.stage is Stage.CHANNEL]
     return Model.of([e for e in known if e not in channel], axes=BOTH), Model.of(channel, axes=BOTH)
 

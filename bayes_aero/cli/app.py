@@ -20,7 +20,7 @@ from bayes_aero.cli.run import run
 from bayes_aero.cli.simulate import simulate
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED, InterruptionError
 from bayes_aero.errors import DefectError, InputError, plain_line
-from bayes_aero.study.jit_cache import keep_compiled
+from bayes_aero.study.jit_cache import enable_cache
 
 TRACEBACK = "BAYES_AERO_TRACEBACK"
 """Set in the environment, an unexpected failure shows where in the program it happened."""
@@ -67,7 +67,7 @@ for command in (identify, diagnose, fly, path, simulate, run, card, check, effec
 
 def main() -> None:
     """Entry point: bad input is one sentence and exit status 2, Ctrl-C is 130."""
-    keep_compiled()
+    enable_cache()
     try:
         app(prog_name=app.info.name)
     except InputError as error:

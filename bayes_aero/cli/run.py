@@ -18,7 +18,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.progress import Progress
 
 if TYPE_CHECKING:
-    from bayes_aero.study.run import Doer, Planned
+    from bayes_aero.study.run import Planned, UnitRunner
     from bayes_aero.study.study import Study
 
 SILENCE = 15.0  # seconds without workers after which that is told also where there is no terminal
@@ -108,14 +108,14 @@ def _done(
         with (
             interruptible(resume),
             bar("reading", over=3600.0) as show,
-            _cluster(workers, memory, scheduler, folder / UNITS, show) as doer,
+            _cluster(workers, memory, scheduler, folder / UNITS, show) as runner,
         ):
             told = run_study(
                 asked,
                 folder,
                 planned,
-                tell=lambda n, of, unit, stage: show(f"{n + 1}/{of} {unit.name}: {stage}", n / max(of, 1)),
-                doer=doer,
+                report=lambda n, of, unit, stage: show(f"{n + 1}/{of} {unit.name}: {stage}", n / max(of, 1)),
+                runner=runner,
             )
             show("report", 1.0)
             return told, *put_report(asked, folder)
@@ -156,7 +156,7 @@ def _check(dry_run: bool, verify: bool, workers: int | None, memory: str | None,
 @contextmanager
 def _cluster(
     workers: int | None, memory: str | None, scheduler: str | None, units: Path, show: Progress
-) -> Iterator[Doer | None]:
+) -> Iterator[UnitRunner | None]:
     """What does the units: a Dask cluster where one is asked for."""
     if not workers and not scheduler:
         yield None
@@ -178,11 +178,11 @@ def _cluster(
 
     if workers:
         show(f"starting {workers} workers", 0.0)
-        begun = cluster.local(workers, cluster.memory_of(memory, workers), units, tell)
+        runners = cluster.local(workers, cluster.memory_of(memory, workers), units, tell)
     else:
-        begun = cluster.remote(str(scheduler), units, tell)
-    with begun as doer:
-        yield doer
+        runners = cluster.remote(str(scheduler), units, tell)
+    with runners as runner:
+        yield runner
 
 
 def _row(p: Planned) -> dict[str, Any]:
@@ -210,14 +210,14 @@ def _listed(console: Console, planned: list[Planned]) -> None:
 
 
 def _verify(console: Console, study: Study, planned: list[Planned], out: Path, json: bool) -> None:
-    from bayes_aero.study.verify import NOTHING, verify_unit
+    from bayes_aero.study.verify import EMPTY_STATES, verify_unit
 
     rows = []
     with interruptible(lambda: "verification writes nothing; give the same command again"), bar("verifying") as show:
         for number, p in enumerate(planned):
             show(f"{number + 1}/{len(planned)} {p.unit.name}", number / len(planned))
             differences = verify_unit(p.unit, p.folder)
-            state = "incomparable" if p.state.word in NOTHING else "differs" if differences else "same"
+            state = "incomparable" if p.state.word in EMPTY_STATES else "differs" if differences else "same"
             rows.append({"name": p.unit.name, "state": state, "differences": differences})
             console.print(f"{MARKS[state]} {p.unit.name}", soft_wrap=True)
             for sentence in differences:

@@ -21,8 +21,8 @@ from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, auto
 from bayes_aero.diagnosis.screening.regression import inverse
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
 from bayes_aero.diagnosis.settings import ENOUGH
-from bayes_aero.dynamics.simulated.manoeuvres import MOVED, fly_standard
-from bayes_aero.dynamics.simulated.rigid_manoeuvres import TURNED, fly_rigid_standard
+from bayes_aero.dynamics.simulated.manoeuvres import EXCITED_CHANNELS, fly_standard
+from bayes_aero.dynamics.simulated.rigid_manoeuvres import LATERAL_EXCITED_CHANNELS, fly_rigid_standard
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.axes import Axis
@@ -126,8 +126,10 @@ def standard(state: SelectionState, effects: Sequence[str], *, amplitude: float 
     start = _start({name: float(np.mean(np.asarray(x)[:begin])) for name, x in flights.channels.items()})
     dt = float(np.median(np.asarray(flights.channels["dt"])))
     aircraft = small.actual_aircraft(values, flights.aircraft)
-    by, moved = (fly_rigid_standard, MOVED | TURNED) if rigid else (fly_standard, MOVED)
-    flown, refused = by(small, values, aircraft, **start, dt=dt, amplitude=amplitude)
+    moved = EXCITED_CHANNELS | (LATERAL_EXCITED_CHANNELS if rigid else {})
+    flown, refused = (fly_rigid_standard if rigid else fly_standard)(
+        small, values, aircraft, **start, dt=dt, amplitude=amplitude
+    )
     unseen = {name: moved[name] for name in flown if name in moved and moved[name] not in flights.recorded}
     refused |= {name: f"{channel} was not recorded" for name, channel in unseen.items()}
     recorded = {name: _recorded(flights, channels, dt) for name, channels in flown.items() if name not in unseen}

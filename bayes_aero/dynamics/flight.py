@@ -1,4 +1,4 @@
-"""What is flown and how it is measured, for any parameter values: the bridge from a model to its trajectories."""
+"""Dynamics of an aircraft model: states, inputs, outputs and sensor errors for any parameter values."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from bayes_aero.dynamics.aircraft.effect_system import LEAST_LAG, EffectSystem
-from bayes_aero.dynamics.aircraft.lags import refuse_lags
+from bayes_aero.dynamics.aircraft.effect_system import MIN_LAG, EffectSystem, refuse_lags
 from bayes_aero.dynamics.aircraft.longitudinal import LATERAL, Longitudinal
 from bayes_aero.dynamics.aircraft.prescribed import SIDE, lateral_drives, rigid_drives, rigid_outputs
 from bayes_aero.dynamics.aircraft.rigid_body import RigidBody, held_states
@@ -30,9 +29,9 @@ from bayes_aero.parameter import Parameter, Role
 
 Values = Mapping[str, Any]
 OUTPUTS = ("airspeed", "alpha", "theta", "q", "altitude", "ax", "az")
-ON_REQUEST = ("p_dot", "q_dot", "r_dot")  # mostly differentiated rates, which say nothing new
-FINEST = 8  # integration steps a sample
-DERIVED = ("alpha_dot", "q_dot", "X", "mach", "density")  # the simulation makes them itself
+ON_REQUEST = ("p_dot", "q_dot", "r_dot")  # mostly differentiated rates, without information of their own
+MAX_SUBSTEPS = 8  # integration steps a sample
+DERIVED = ("alpha_dot", "q_dot", "X", "mach", "density")  # computed by the simulation
 
 
 class Dynamics(ABC):
@@ -44,7 +43,7 @@ class Dynamics(ABC):
         """The free parameters, in the order of every parameter vector."""
 
     @property
-    def of_disturbances(self) -> frozenset[str]:
+    def disturbance_parameters(self) -> frozenset[str]:
         """Names of the free parameters that belong to disturbances."""
         return frozenset()
 
@@ -55,27 +54,27 @@ class Dynamics(ABC):
 
     @property
     def start(self) -> tuple[str, ...]:
-        """What a manoeuvre's beginning is given in: channels, one for each state that is one; see `System.start`."""
+        """Channels that give the initial state of a manoeuvre; see `System.start`."""
         return self.states
 
     @property
     def units(self) -> Mapping[str, str]:
-        """SI units of states that are channels of the card's own; the program knows those of the others."""
+        """SI units of states that are channels of the card; the units of standard channels are known."""
         return {}
 
     @property
     @abstractmethod
     def inputs(self) -> tuple[str, ...]:
-        """Channels that it needs beside its states; a record without one of them cannot be flown."""
+        """Input channels; a record without one of them cannot be simulated."""
 
     @property
     @abstractmethod
     def outputs(self) -> tuple[str, ...]:
-        """What it can be compared with: names of channels."""
+        """Channels that are simulated and can be compared with the record."""
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
-        """Outputs that no sensor shows and on which the noise of the others may depend."""
+        """Outputs without a sensor on which the noise of the others may depend."""
         return ()
 
     @abstractmethod
@@ -84,14 +83,14 @@ class Dynamics(ABC):
 
     @abstractmethod
     def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:
-        """Inputs of the simulation from the true channels, manoeuvres end to end."""
+        """Inputs of the simulation from the corrected channels, manoeuvres end to end."""
 
     def corrected(self, values: Values, channels: Mapping[str, Array], aircraft: Aircraft) -> Mapping[str, Array]:  # noqa: ARG002
-        """The recorded channels made true."""
+        """The recorded channels corrected for the model's sensor errors."""
         return channels
 
     def scales(self, values: Values, flights: Flights) -> Mapping[str, Array]:  # noqa: ARG002
-        """How much a unit of each recorded output has become by the correction."""
+        """Derivatives of the corrected outputs by the recorded ones."""
         return {}
 
     def delays(self, outputs: Sequence[str]) -> Mapping[str, str]:  # noqa: ARG002
@@ -108,9 +107,9 @@ class Dynamics(ABC):
         """All parameter values by name, from the vector of the free ones."""
 
     def substeps(self, theta: Any, flights: Flights) -> int:
-        """Integration steps a sample that follow the system's fast states, at most `FINEST`."""
+        """Integration steps a sample that follow the system's fast states, at most `MAX_SUBSTEPS`."""
         step = self.slowest_step(self.values(jnp.asarray(theta)), flights)
-        return int(np.clip(np.ceil(float(np.max(flights.channels["dt"])) / step), 1, FINEST))
+        return int(np.clip(np.ceil(float(np.max(flights.channels["dt"])) / step), 1, MAX_SUBSTEPS))
 
     def slowest_step(self, values: Values, flights: Flights) -> float:  # noqa: ARG002
         """Longest integration step in s that follows the system's fast states."""
@@ -119,21 +118,21 @@ class Dynamics(ABC):
 
 @dataclass(frozen=True)
 class EffectDynamics(Dynamics):
-    """Dynamics under a model of effects: errors of sensors are taken out of the record, gusts are disturbances."""
+    """Dynamics of a model of effects: sensor errors are corrected in the record, gusts are disturbances."""
 
     model: Model
 
     @property
     def meets_gusts(self) -> bool:
-        """Whether what gusts change is simulated."""
+        """Whether airspeed and alpha, which gusts change, are simulated."""
         return True
 
     def for_filter(self) -> EffectDynamics:
-        """The same with states that sensors show, which a filter corrects."""
+        """The same with measured states, which a filter can correct."""
         return self
 
     @property
-    def of_disturbances(self) -> frozenset[str]:
+    def disturbance_parameters(self) -> frozenset[str]:
         """Those of gusts."""
         return frozenset(p.name for e in self.model.acting if e.disturbance is not None for p in e.parameters)
 
@@ -142,13 +141,13 @@ class EffectDynamics(Dynamics):
         return self.model.corrected(values, channels, aircraft)
 
     def scales(self, values: Values, flights: Flights) -> Mapping[str, Array]:
-        """By the same effects."""
+        """Derivatives of the corrected outputs by the recorded ones."""
         if not any(e.stage is Stage.CHANNEL for e in self.model.acting):
             return {}
         return response_scales(self.model, values, flights.channels, flights.aircraft, self.outputs)
 
     def delays(self, outputs: Sequence[str]) -> Mapping[str, str]:
-        """By the same effects."""
+        """Parameters of delay effects by output."""
         return {
             e.channels[0]: p.name
             for e in self.model.acting
@@ -159,11 +158,11 @@ class EffectDynamics(Dynamics):
 
 @dataclass(frozen=True)
 class AircraftDynamics(EffectDynamics):
-    """Motion under a model of effects; `altitude` says whether the altitude is a state.
+    """Motion of an aircraft under a model of effects; `altitude`: whether the altitude is a state.
 
-    `further` are outputs beside the usual ones, of `ON_REQUEST`. A model with the lateral axis flies in six degrees of
-    freedom, one without in three: what it does laterally is prescribed as recorded. States that are `held` are
-    prescribed, too. `heading`, `euler`: see `RigidBody`.
+    `further`: additional outputs of `ON_REQUEST`. A model with the lateral axis has six degrees of freedom. A model
+    without it has three, and its lateral motion is prescribed as recorded. States that are `held` are prescribed, too.
+    `heading`, `euler`: see `RigidBody`.
     """
 
     model: Model
@@ -180,7 +179,7 @@ class AircraftDynamics(EffectDynamics):
 
     @property
     def rigid(self) -> bool:
-        """Whether it is flown as a rigid body; else in the plane of symmetry."""
+        """Whether it has six degrees of freedom; else it moves in the plane of symmetry."""
         return bool(self.held) or Axis.LATERAL in self.model.axes
 
     @cached_property
@@ -189,7 +188,7 @@ class AircraftDynamics(EffectDynamics):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Flight states, gusts, and separation points that lag."""
+        """Flight states, gusts, and separation points with a lag."""
         return self._pattern.states
 
     @property
@@ -199,7 +198,7 @@ class AircraftDynamics(EffectDynamics):
 
     @cached_property
     def prescribed(self) -> tuple[str, ...]:
-        """States of a rigid body that are as recorded."""
+        """States of a rigid body that are prescribed as recorded."""
         return held_states(self.model.axes, self.held) if self.rigid else ()
 
     @property
@@ -213,7 +212,7 @@ class AircraftDynamics(EffectDynamics):
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """What the effects ask for and the simulation does not make itself, and what is held of a rigid body."""
+        """Channels that the effects read and the simulation does not compute, and held states of a rigid body."""
         made = {*self.start, *DERIVED, *LATERAL, "dt", "start", "elapsed", "first", "last"}
         acting = [e for e in self.model.acting if e.stage > Stage.INFLOW]
         asked = (c for e in acting for c in e.channels if c not in made)
@@ -221,14 +220,14 @@ class AircraftDynamics(EffectDynamics):
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Flight states and accelerations at the sensor, and what was asked for beside them."""
+        """Flight states, accelerations at the sensor, and the outputs on request."""
         if self.rigid:
             return (*rigid_outputs(self.model.axes, self.start), *self.further)
         return (*(name for name in OUTPUTS if name != "altitude" or self.altitude), *self.further)
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
-        """The separation point: noise grows as the flow separates."""
+        """The separation point, with which the noise grows."""
         return ("X",)
 
     def values(self, theta: Any) -> dict[str, Any]:
@@ -236,14 +235,14 @@ class AircraftDynamics(EffectDynamics):
         return self.model.values(theta)
 
     def system(self, values: Values, aircraft: Aircraft) -> EffectSystem:
-        """The aircraft as it is at these values."""
+        """The aircraft at these parameter values."""
         actual = self.model.actual_aircraft(values, aircraft) if values else aircraft
         if not self.rigid:
             return Longitudinal(self.model, dict(values), actual, self.altitude)
         return RigidBody(self.model, dict(values), actual, self.altitude, self.prescribed, self.heading, self.euler)
 
     def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
-        """What is prescribed as recorded, with its derivatives where they are asked for.
+        """Prescribed channels, with the derivatives that the effects read.
 
         Without `ay` also the rate of sideslip, if p, r and phi are known: the lateral force follows from these.
         """
@@ -255,16 +254,16 @@ class AircraftDynamics(EffectDynamics):
         """Half the time constant of the separation point's lag at the highest airspeed."""
         if not self._pattern.lagged:
             return np.inf
-        lag = max(float(self.model.lag(values)), LEAST_LAG)
+        lag = max(float(self.model.lag(values)), MIN_LAG)
         return 0.5 * lag * float(flights.aircraft.chord) / float(flights.channels["airspeed"].max())
 
 
 def aircraft_dynamics(
     model: Model, flights: Flights, outputs: Sequence[str] = (), held: Sequence[str] | None = None
 ) -> AircraftDynamics:
-    """The dynamics of a model for what these flights have recorded; raises `InputError` where they cannot be flown.
+    """The dynamics of a model for the recorded channels of these flights, with `outputs` of `ON_REQUEST`.
 
-    `outputs` of `ON_REQUEST` are simulated, too. States that are `held` (default: by the card) are as recorded.
+    States that are `held` (default: by the card) are prescribed as recorded. Raises `InputError` for missing channels.
     """
     held = flights.held if held is None else tuple(held)
     own = held_states(model.axes, held)
@@ -294,7 +293,7 @@ def aircraft_dynamics(
 
 
 def taken_as_zero(flights: Recorded) -> list[str]:
-    """Lateral channels that were not recorded, so that the aircraft is flown without them."""
+    """Lateral channels that were not recorded and are taken as zero in the simulation."""
     missing = [name for name in SIDE if name not in flights.channels]
     slips = "beta" in flights.channels  # without sideslip no lateral force enters the longitudinal motion
     return [*missing, "ay"] if missing and slips and "ay" not in flights.channels else missing

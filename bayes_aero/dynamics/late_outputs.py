@@ -1,4 +1,4 @@
-"""Outputs that a recorder shows late, for a filter that knows the state of this instant alone."""
+"""Delayed outputs of recorders, for a filter that has only the present state."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from bayes_aero.dynamics.system import Row, System
 
 
 class LateOutputs(System):
-    """A system whose outputs named in `delays` (s) are those of before: y(t - delay) to the first order.
+    """A system with outputs delayed by `delays` (s): y(t - delay) to first order.
 
-    Good while the delay is short against the motion: of a sinusoid of 1 rad/s and a delay of .1 s it misses .5 %.
+    The delay must be short against the motion: for a sinusoid of 1 rad/s and a delay of 0.1 s the error is 0.5 %.
     """
 
     plain: System
@@ -22,21 +22,21 @@ class LateOutputs(System):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """As they are."""
+        """Those of `plain`."""
         return self.plain.states
 
     @property
     def envelope(self) -> Mapping[str, tuple[float, float]]:
-        """As it is."""
+        """That of `plain`."""
         return self.plain.envelope
 
     @property
-    def shown(self) -> tuple[str, ...]:
-        """Those that are on time."""
-        return tuple(name for name in self.plain.shown if name not in self.delays)
+    def state_outputs(self) -> tuple[str, ...]:
+        """State outputs without a delay."""
+        return tuple(name for name in self.plain.state_outputs if name not in self.delays)
 
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
-        """As it is, with late outputs."""
+        """That of `plain`, with delayed outputs."""
         rate, now = self.plain.motion(x, u)
         state = dict(zip(self.states, x, strict=True))
 
@@ -47,18 +47,18 @@ class LateOutputs(System):
         slope = jax.jvp(late, (x,), (rate,))[1]
         return rate, now | {n: (state | now)[n] - delay * slope[n] for n, delay in self.delays.items()}
 
-    def settled(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
-        """As it is."""
-        return self.plain.settled(x, u)
+    def complete_start(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
+        """That of `plain`."""
+        return self.plain.complete_start(x, u)
 
     def noise_density(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
-        """As it is."""
+        """That of `plain`."""
         return self.plain.noise_density(x, u)
 
     def decay(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
-        """As it is."""
+        """That of `plain`."""
         return self.plain.decay(x, u)
 
     def start_covariance(self, x: Float[Array, " s"], u: Row, deviation: Float[Array, " s"]) -> Float[Array, "s s"]:
-        """As it is."""
+        """That of `plain`."""
         return self.plain.start_covariance(x, u, deviation)

@@ -25,18 +25,18 @@ from bayes_aero.model.joined_channels import Flights
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.units import si_unit
 
-WIDE = 1000.0  # SI: beyond any derivative of an aircraft, az per alpha of a fighter too
+FLAT_SD = 1000.0  # SI: larger than any derivative of an aircraft, also az per alpha of a fighter
 
 
 class LinearSystem(System):
     """Rates of the states, then further outputs: `matrix` (rows, columns) times states, inputs and one.
 
-    An output that is a state as well is what the record shows beyond the state.
+    The row of an output that is also a state is added to the state.
     """
 
     matrix: Float[Array, "r c"]
     named: tuple[str, ...] = eqx.field(static=True)
-    driven: tuple[str, ...] = eqx.field(static=True)
+    inputs_read: tuple[str, ...] = eqx.field(static=True)
     read: tuple[str, ...] = eqx.field(static=True)
 
     @property
@@ -45,14 +45,14 @@ class LinearSystem(System):
         return self.named
 
     @property
-    def shown(self) -> tuple[str, ...]:
-        """States of which the record shows no more."""
+    def state_outputs(self) -> tuple[str, ...]:
+        """States without a row of their own among the outputs."""
         return tuple(name for name in self.named if name not in self.read)
 
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
-        """One product; of so few elements, a sum compiles better than a call of the matrix library."""
+        """Rates and outputs by one product; for so few elements a sum compiles better than a matrix product."""
         one = jnp.ones_like(x[0])
-        column = jnp.concatenate([x, jnp.stack([*(u[name] for name in self.driven), one])])
+        column = jnp.concatenate([x, jnp.stack([*(u[name] for name in self.inputs_read), one])])
         rows = jnp.sum(self.matrix * column[None, :], axis=1)
         s = len(self.named)
         states = dict(zip(self.named, x, strict=True))
@@ -62,9 +62,9 @@ class LinearSystem(System):
 
 @dataclass(frozen=True)
 class LinearDynamics(Dynamics):
-    """A card's linear rows with their parameters; `fixed` parameters keep their value, the rest are free.
+    """A card's linear rows with their parameters; `fixed` parameters keep their value, the others are free.
 
-    A constant that differs between manoeuvres is a parameter for each of them, and reaches the system as an input.
+    A constant that differs between manoeuvres has a parameter for each of them and is an input of the system.
     """
 
     rows: LinearCard
@@ -74,7 +74,7 @@ class LinearDynamics(Dynamics):
 
     @property
     def units(self) -> Mapping[str, str]:
-        """Of all its states."""
+        """SI units of all states."""
         return dict(self.named)
 
     @property
@@ -84,7 +84,7 @@ class LinearDynamics(Dynamics):
 
     @property
     def free(self) -> tuple[Parameter, ...]:
-        """In the order in which the card first writes them."""
+        """Free parameters in the order of the card."""
         free = [p for p in self.parameters if p.name not in self.fixed]
         many = {name: self._own(name) for name in self.rows.by_manoeuvre}
         return tuple(replace(p, name=name) for p in free for name in many.get(p.name, [p.name]))
@@ -105,30 +105,30 @@ class LinearDynamics(Dynamics):
         return tuple(dict.fromkeys((*self.rows.states, *self.rows.outputs)))
 
     def values(self, theta: Any) -> dict[str, Any]:
-        """The fixed ones and the free ones."""
+        """Values of fixed and free parameters by name."""
         return self.fixed | {name: theta[i] for i, name in enumerate(self.names)}
 
     def system(self, values: Values, aircraft: Aircraft) -> System:  # noqa: ARG002
-        """The matrix filled in; where one channel has several terms in a row they add."""
+        """The system with its matrix; several terms of one channel in a row are added."""
         own = self.rows.by_manoeuvre
-        driven = (*self.inputs, *own)
-        columns = (*self.states, *driven, ONE)
+        inputs_read = (*self.inputs, *own)
+        columns = (*self.states, *inputs_read, ONE)
         terms = [(i, t) for i, (_, row) in enumerate(self.rows.rows) for t in row]
         across = [columns.index(t.parameter if t.parameter in own else t.channel) for _, t in terms]
         sizes = [t.factor * (1.0 if t.parameter in own else values[t.parameter]) for _, t in terms]
         entries = jnp.stack([jnp.asarray(size, float) for size in sizes])
         places = jnp.array([i for i, _ in terms]), jnp.array(across)
         matrix = jnp.zeros((len(self.rows.rows), len(columns))).at[places].add(entries)
-        return LinearSystem(matrix, self.states, driven, self.rows.outputs)
+        return LinearSystem(matrix, self.states, inputs_read, self.rows.outputs)
 
     def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
-        """Its inputs as recorded, and a constant: a system without inputs, too, must know how many samples to fly."""
+        """Recorded inputs, and a constant, which gives the number of samples where there are no inputs."""
         which = np.repeat(np.arange(len(self.lengths)), self.lengths)
         own = {name: jnp.stack([values[n] for n in self._own(name)])[which] for name in self.rows.by_manoeuvre}
         return {name: channels[name] for name in self.inputs} | own | {ONE: jnp.ones_like(channels["dt"])}
 
     def delays(self, outputs: Sequence[str]) -> Mapping[str, str]:
-        """As the card names them."""
+        """Delay parameters of the card by output."""
         return {output: parameter for output, parameter in self.rows.delays if output in outputs}
 
     def _own(self, name: str) -> list[str]:
@@ -136,7 +136,7 @@ class LinearDynamics(Dynamics):
 
 
 def linear_dynamics(card: Card, lengths: tuple[int, ...] = (1,)) -> LinearDynamics:
-    """The linear system that a card states, its starts, bounds and priors in place.
+    """The linear system of a card, with its starting values, bounds and priors.
 
     `lengths` are the samples of the manoeuvres, for constants that differ between them.
     """
@@ -146,7 +146,7 @@ def linear_dynamics(card: Card, lengths: tuple[int, ...] = (1,)) -> LinearDynami
     parameters = []
     for name in card.linear.parameters:
         unit, text = _meaning(name, card.linear, units)
-        parameter = Parameter(name, unit, 0.0, 0.0, text, Prior("normal", 0.0, WIDE, "flat in effect; our choice"))
+        parameter = Parameter(name, unit, 0.0, 0.0, text, Prior("normal", 0.0, FLAT_SD, "flat in effect; our choice"))
         change = card.changes.get(name)
         given = {} if change is None else {key: value for key, value in vars(change).items() if value is not None}
         try:
@@ -158,7 +158,7 @@ def linear_dynamics(card: Card, lengths: tuple[int, ...] = (1,)) -> LinearDynami
 
 
 def _meaning(name: str, rows: LinearCard, units: Mapping[str, str]) -> tuple[str, str]:
-    """Unit of a parameter and what it does, by the first term that has it."""
+    """Unit and description of a parameter, from its first term."""
     for output, parameter in rows.delays:
         if parameter == name:
             return "s", f"delay of recorded {output}"

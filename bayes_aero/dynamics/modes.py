@@ -30,7 +30,7 @@ from bayes_aero.physics.atmosphere import GRAVITY
 LATERAL = ("beta", "p", "r", "phi")
 SPEEDS, HEAVES = ("airspeed", "u"), ("alpha", "w")  # u and w of cards with velocities in body axes, m/s
 LONGITUDINAL = (*SPEEDS, *HEAVES, "q", "theta")
-WITHOUT_FORCE = ("psi", "altitude")  # no force depends on the one, and on the other next to none
+WITHOUT_FORCE = ("psi", "altitude")  # no force depends on psi, and hardly any on altitude
 
 SHORT_PERIOD, PHUGOID, DUTCH_ROLL, ROLL, SPIRAL, OTHER = (
     "short period", "phugoid", "Dutch roll", "roll", "spiral", "other",
@@ -47,8 +47,8 @@ class Mode:
 
 @dataclass(frozen=True)
 class Steady:
-    """Straight level flight about which motion is linearised: airspeed m/s, altitude m; alpha in rad is that of cards
-    without the longitudinal axis, which have no trim of their own."""
+    """Straight level flight about which motion is linearised: airspeed m/s, altitude m, alpha rad. Alpha is used for
+    cards without the longitudinal axis, which have no trim."""
 
     airspeed: float
     altitude: float
@@ -94,7 +94,7 @@ def named_modes(A: Float[np.ndarray, "s s"], states: Sequence[str], airspeed: fl
     Args:
         A: derivative of the rates of `states` by them, SI.
         states: names of the channels.
-        airspeed: in m/s, by which the speed is made comparable to angles.
+        airspeed: m/s; scales velocities to angles.
 
     Returns:
         The modes; one whose motion no name fits is called "other".
@@ -122,39 +122,40 @@ Found = list[tuple[complex, dict[str, float]]]
 
 
 def _share(motion: Mapping[str, float], names: Sequence[str]) -> float:
-    """Of the squared motion, that of `names`."""
+    """Share of `names` in the squared motion."""
     return sum(motion.get(n, 0.0) ** 2 for n in names) / sum(x**2 for x in motion.values())
 
 
 def _longitudinal(found: Found) -> list[Mode]:
-    """The faster oscillation is the short period, the slower one the phugoid; alone, what alpha says beside speed."""
-    swinging = [k for k, (value, _) in enumerate(found) if value.imag > 0.0]
-    both = dict(zip(swinging, (SHORT_PERIOD, PHUGOID), strict=False)) if len(swinging) > 1 else {}
-    told = []
+    """The faster oscillation is the short period, the slower one the phugoid. A single one is the short period if alpha
+    varies more than speed."""
+    oscillations = [k for k, (value, _) in enumerate(found) if value.imag > 0.0]
+    both = dict(zip(oscillations, (SHORT_PERIOD, PHUGOID), strict=False)) if len(oscillations) > 1 else {}
+    named = []
     for k, (value, motion) in enumerate(found):
         name = SHORT_PERIOD if _share(motion, HEAVES) >= _share(motion, SPEEDS) else PHUGOID
         known = _share(motion, LONGITUDINAL) > 0.5
         aperiodic = "" if value.imag > 0.0 else ", aperiodic"
-        told.append(Mode(both.get(k, f"{name}{aperiodic}" if known else OTHER), value))
-    return told
+        named.append(Mode(both.get(k, f"{name}{aperiodic}" if known else OTHER), value))
+    return named
 
 
 def _lateral(found: Found, states: Sequence[str]) -> list[Mode]:
-    """The oscillation with most sideslip is the Dutch roll; of the others the fastest is the roll mode.
+    """The oscillation with most sideslip is the Dutch roll; the fastest aperiodic mode is the roll mode.
 
     Without sideslip there is neither a Dutch roll nor a spiral, without bank no spiral.
     """
-    swinging = sorted((one for one in found if one[0].imag > 0.0), key=lambda one: -_share(one[1], ("beta",)))
-    alone = [one for one in found if one[0].imag == 0.0]
+    oscillations = sorted((one for one in found if one[0].imag > 0.0), key=lambda one: -_share(one[1], ("beta",)))
+    aperiodic = [one for one in found if one[0].imag == 0.0]
     names = (DUTCH_ROLL, "lateral phugoid") if "beta" in states else ()
-    told = [Mode(names[k] if k < len(names) else OTHER, value) for k, (value, _) in enumerate(swinging)]
-    first = min(alone, key=lambda one: -_share(one[1], ("p",))) if "beta" not in states and alone else None
-    rolls = first or (alone[0] if alone else None)
-    spirals = alone[-1] if {"beta", "phi"} <= set(states) and len(alone) > 1 else None
-    for one in alone:
-        name = ROLL if one is rolls and "p" in states else SPIRAL if one is spirals else OTHER
-        told.append(Mode(name, one[0]))
-    return told
+    named = [Mode(names[k] if k < len(names) else OTHER, value) for k, (value, _) in enumerate(oscillations)]
+    first = min(aperiodic, key=lambda one: -_share(one[1], ("p",))) if "beta" not in states and aperiodic else None
+    roll = first or (aperiodic[0] if aperiodic else None)
+    spiral = aperiodic[-1] if {"beta", "phi"} <= set(states) and len(aperiodic) > 1 else None
+    for one in aperiodic:
+        name = ROLL if one is roll and "p" in states else SPIRAL if one is spiral else OTHER
+        named.append(Mode(name, one[0]))
+    return named
 
 
 def _of_system(
@@ -166,7 +167,7 @@ def _of_system(
 
 
 def _prescribed(steady: Steady) -> tuple[dict[str, Any], dict[str, Any]]:
-    """State and inputs of level flight whose longitudinal motion is given."""
+    """State and inputs of level flight with prescribed longitudinal motion."""
     u = dict.fromkeys((*CONTROLS, "aileron", "rudder", *SURFACES, "q", "alpha_dot", "p_dot", "q_dot", "r_dot"), 0.0)
     u |= {"airspeed": steady.airspeed, "alpha": steady.alpha, "theta": steady.alpha, "altitude": steady.altitude}
     u |= {"force_x": GRAVITY * math.sin(steady.alpha), "force_z": -GRAVITY * math.cos(steady.alpha), "thrust": 0.0}
@@ -177,7 +178,7 @@ def _prescribed(steady: Steady) -> tuple[dict[str, Any], dict[str, Any]]:
 def _trimmed(
     model: Model, values: Mapping[str, Any], aircraft: Aircraft, steady: Steady
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The same in trim."""
+    """State and inputs of level flight in trim."""
     trim = rigid_trim(model, values, aircraft, Condition(steady.airspeed, steady.altitude))
     u = {name: trim.controls.get(name, 0.0) for name in (*CONTROLS, "aileron", "rudder", *SURFACES)}
     u |= {"thrust": trim.thrust, "altitude": trim.state["altitude"]}
@@ -190,7 +191,7 @@ def _body(model: Model, values: Mapping[str, Any], aircraft: Aircraft, held: tup
 
 
 def _moving(model: Model, held: tuple[str, ...]) -> tuple[str, ...]:
-    """States without gusts, which are none of the aircraft's motion."""
+    """States without gusts."""
     gusts = {d.state for d in model.disturbances}
     return tuple(n for n in _body(model, {}, NO_AIRCRAFT, held).start if n not in gusts)
 
@@ -206,11 +207,11 @@ def _linearised(
 ) -> Float[Array, "s s"]:
     """Derivative of the rates of the moving states by them, altitude and controls held."""
     body, moving = _body(model, values, aircraft, held), _moving(model, held)
-    start = body.settled(jnp.stack([jnp.asarray(x.get(name, 0.0), float) for name in body.start]), dict(u))
+    start = body.complete_start(jnp.stack([jnp.asarray(x.get(name, 0.0), float) for name in body.start]), dict(u))
     places = jnp.array([body.start.index(n) for n in moving])
 
     def rates(part):
-        found = body.motion(body.begun(start.at[places].set(part)), dict(u))[0]
+        found = body.motion(body.state_at_start(start.at[places].set(part)), dict(u))[0]
         return found[places]
 
     return jax.jacfwd(rates)(start[places])

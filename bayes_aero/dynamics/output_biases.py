@@ -1,6 +1,6 @@
-"""Constant errors of recorded outputs, one for each manoeuvre: classic companions of output error's initial states.
+"""Constant errors of recorded outputs, one for each manoeuvre, estimated together with the initial states.
 
-`WrappedDynamics` is what dynamics with an addition share.
+`WrappedDynamics` is the base of dynamics that extend others.
 """
 
 from __future__ import annotations
@@ -24,89 +24,89 @@ from bayes_aero.parameter import Parameter, Prior
 
 @dataclass(frozen=True)
 class WrappedDynamics(Dynamics):
-    """Other dynamics with something added; all that is not added is theirs."""
+    """Extension of other dynamics, `plain`; everything that a subclass does not define is that of `plain`."""
 
     plain: Dynamics
 
     @property
     def free(self) -> tuple[Parameter, ...]:
-        """Theirs."""
+        """Those of `plain`."""
         return self.plain.free
 
     @property
-    def of_disturbances(self) -> frozenset[str]:
-        """Theirs."""
-        return self.plain.of_disturbances
+    def disturbance_parameters(self) -> frozenset[str]:
+        """Those of `plain`."""
+        return self.plain.disturbance_parameters
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Theirs."""
+        """Those of `plain`."""
         return self.plain.states
 
     @property
     def start(self) -> tuple[str, ...]:
-        """Theirs."""
+        """Those of `plain`."""
         return self.plain.start
 
     @property
     def units(self) -> Mapping[str, str]:
-        """Theirs."""
+        """Those of `plain`."""
         return self.plain.units
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Theirs."""
+        """Those of `plain`."""
         return self.plain.inputs
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Theirs."""
+        """Those of `plain`."""
         return self.plain.outputs
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
-        """Theirs."""
+        """Those of `plain`."""
         return self.plain.unmeasured
 
     def values(self, theta: Any) -> dict[str, Any]:
-        """Theirs."""
+        """Those of `plain`."""
         return self.plain.values(theta)
 
     def system(self, values: Values, aircraft: Aircraft) -> System:
-        """Theirs."""
+        """Those of `plain`."""
         return self.plain.system(values, aircraft)
 
     def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:
-        """Theirs."""
+        """Those of `plain`."""
         return self.plain.drives(values, channels, flights)
 
     def corrected(self, values: Values, channels: Mapping[str, Array], aircraft: Aircraft) -> Mapping[str, Array]:
-        """As they correct them."""
+        """Those of `plain`."""
         return self.plain.corrected(values, channels, aircraft)
 
     def scales(self, values: Values, flights: Flights) -> Mapping[str, Array]:
-        """Theirs."""
+        """Those of `plain`."""
         return self.plain.scales(values, flights)
 
     def delays(self, outputs: Sequence[str]) -> Mapping[str, str]:
-        """Theirs."""
+        """Those of `plain`."""
         return self.plain.delays(outputs)
 
     def slowest_step(self, values: Values, flights: Flights) -> float:
-        """Theirs."""
+        """Those of `plain`."""
         return self.plain.slowest_step(values, flights)
 
 
 @dataclass(frozen=True)
 class BiasedDynamics(WrappedDynamics):
-    """Dynamics whose named outputs are recorded with a bias of each manoeuvre's own; parameters bias_output_number."""
+    """Dynamics with biased recorded outputs, a bias for each manoeuvre; parameters bias_output_number."""
 
     biased: tuple[tuple[str, Prior], ...]
     lengths: tuple[int, ...]  # samples of the manoeuvres
 
     @property
     def manoeuvres(self) -> int:
-        """How many there are."""
+        """Number of manoeuvres."""
         return len(self.lengths)
 
     @property
@@ -120,35 +120,41 @@ class BiasedDynamics(WrappedDynamics):
         return (*self.plain.free, *biases)
 
     def values(self, theta: Any) -> dict[str, Any]:
-        """Of the dynamics, and the biases."""
+        """Values of the dynamics, and the biases."""
         k = len(self.plain.free)
         return self.plain.values(theta[:k]) | {name: theta[i] for i, name in enumerate(self.names) if i >= k}
 
     def corrected(self, values: Values, channels: Mapping[str, Array], aircraft: Aircraft) -> Mapping[str, Array]:
-        """The record without its biases, made true: the measured initial state, too, is read from that."""
-        freed = dict(channels)
+        """The corrected record without its biases, from which the measured initial state is also taken."""
+        unbiased = dict(channels)
         for name, _ in self.biased:
             sizes = jnp.stack([values[_name(name, k)] for k in range(self.manoeuvres)])
-            freed[name] = channels[name] - sizes[np.repeat(np.arange(self.manoeuvres), self.lengths)]
-        return self.plain.corrected(values, freed, aircraft)
+            unbiased[name] = channels[name] - sizes[np.repeat(np.arange(self.manoeuvres), self.lengths)]
+        return self.plain.corrected(values, unbiased, aircraft)
 
 
 def biased_dynamics(dynamics: Dynamics, flights: Flights, priors: Mapping[str, Prior]) -> Dynamics:
-    """The dynamics with a bias of each named output for each manoeuvre, under these priors (SI); without any, as is."""
+    """The dynamics with a bias of each named output for each manoeuvre, with these priors (SI).
+
+    Raises:
+        InputError: an output was not recorded or is not simulated.
+    """
     for name in priors:
         if name not in dynamics.outputs or name not in flights.channels:
-            there = ", ".join(n for n in dynamics.outputs if n in flights.channels)
-            raise InputError(f"{name} cannot have a bias: it was not recorded or is not simulated; there are {there}")
+            possible = ", ".join(n for n in dynamics.outputs if n in flights.channels)
+            raise InputError(
+                f"{name} cannot have a bias: it was not recorded or is not simulated; there are {possible}"
+            )
     return BiasedDynamics(dynamics, tuple(priors.items()), flights.lengths) if priors else dynamics
 
 
 def unbiased(dynamics: Dynamics) -> Dynamics:
-    """What is recorded with biases, or the dynamics themselves."""
+    """The dynamics without the biases of outputs."""
     return dynamics.plain if isinstance(dynamics, BiasedDynamics) else dynamics
 
 
 def with_biases_of(other: Dynamics, plain: Dynamics) -> Dynamics:
-    """`plain` recorded with the biases of `other`, if that has any."""
+    """`plain` with the biases of `other`, if it has any."""
     return replace(other, plain=plain) if isinstance(other, BiasedDynamics) else plain
 
 

@@ -1,4 +1,6 @@
-"""Channels of a trajectory: what it is compared with, and what none can be without. Without JAX, for light commands."""
+"""Channels of a trajectory: outputs, and channels that every simulation needs. Without JAX, so that commands start
+fast.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +16,11 @@ OF_AXIS: Mapping[Axis, tuple[str, ...]] = {
     Axis.LONGITUDINAL: FLIGHT,
     Axis.LATERAL: tuple(dict.fromkeys((*FLIGHT, *RIGID, "phi"))),
 }
-"""Channels without which the motion of an axis cannot be flown."""
+"""Channels without which the motion of an axis cannot be simulated."""
 
 
 def needed_channels(axes: Collection[Axis]) -> tuple[str, ...]:
-    """Channels without which no aircraft is flown whose model has these axes: where it begins, and given forces."""
+    """Channels that a simulation of these axes needs: initial states, and forces of axes without a model."""
     if Axis.LATERAL not in axes:
         return (*FLIGHT, "thrust", "density")
     forces = () if Axis.LONGITUDINAL in axes else FORCES[Axis.LONGITUDINAL]

@@ -1,4 +1,4 @@
-"""Stretches of flight that are simulated from their own initial state: whole manoeuvres, or windows of them."""
+"""Segments of flight, each simulated from its own initial state: whole manoeuvres, or windows of them."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.joined_records import cuts_of
 from bayes_aero.physics.filters import advance
 
-BEGIN = 0.5  # s over which the measured initial state is read off a straight line
+START_SECONDS = 0.5  # s; the measured initial state is that of a straight line fitted to this time
 
 
 class SegmentTrajectories(eqx.Module):
-    """Segments of flights, a row each, filled up to one length with their last sample; `inside` marks the real ones.
+    """Segments of flights, one a row, padded to one length with their last sample; `inside` marks the real samples.
 
-    `noise_growth` is how many times an output's noise is that of attached flow at each sample; one where it is steady.
-    `fixed`: each segment begins at its first sample, but for states that are given here (SI), one value for all or one
-    for each segment; None: its initial state is the measured one (see `simulate`) and a departure that is fitted.
-    Inputs are linear between samples, or `held`.
+    `noise_growth`: noise of each output over that in attached flow, by sample; 1 where it is constant. `fixed`: each
+    segment starts at its first sample, except for the states given here (SI), one value for all segments or one for
+    each; None: the initial state is the measured one (see `simulate`) plus a fitted correction. Inputs are linear
+    between samples, or `held`.
     """
 
     flights: Flights
@@ -47,7 +47,7 @@ class SegmentTrajectories(eqx.Module):
 
     @property
     def nameless(self) -> SegmentTrajectories:
-        """The same of flights without names; see there."""
+        """The same without names of the flights; see `Flights.nameless`."""
         return replace(self, flights=self.flights.nameless)
 
     @property
@@ -72,9 +72,9 @@ class SegmentTrajectories(eqx.Module):
 
 
 class Simulated(NamedTuple):
-    """Trajectories (w, n, ...), what was recorded, residuals by output, referred to the record, and where it began.
+    """Trajectories (w, n, ...), recorded outputs, residuals in units of the recorded channels, and initial states.
 
-    Recorded minus residual is what the instruments would have shown of the simulated flight.
+    Recorded minus residual is the simulated output with the model's sensor errors.
     """
 
     trajectory: Trajectory
@@ -109,8 +109,8 @@ def segments(
         )
     for name in fixed or {}:
         if name not in dynamics.start or name in POINTS:
-            there = ", ".join(n for n in dynamics.start if n not in POINTS)
-            raise InputError(f"the initial state has {name}, which is no state of the model; there are {there}")
+            states = ", ".join(n for n in dynamics.start if n not in POINTS)
+            raise InputError(f"the initial state has {name}, which is no state of the model; there are {states}")
     rows, dts = [], []
     for number in range(len(flights.lengths)) if manoeuvres is None else manoeuvres:
         own = np.flatnonzero(flights.manoeuvre == number)
@@ -121,7 +121,7 @@ def segments(
     longest = max(len(row) for row in rows)
     index = np.stack([np.append(row, np.full(longest - len(row), row[-1])) for row in rows])
     inside = np.stack([np.arange(longest) < len(row) for row in rows])
-    begin = max(2, min(round(BEGIN / float(np.median(dts))) + 1, int(inside.sum(axis=1).min())))
+    begin = max(2, min(round(START_SECONDS / float(np.median(dts))) + 1, int(inside.sum(axis=1).min())))
     steady = np.ones((*index.shape, len(chosen)))
     given = None if fixed is None else tuple(sorted((n, _plain(x, len(rows))) for n, x in fixed.items()))
     return SegmentTrajectories(
@@ -139,12 +139,12 @@ def _plain(given: float | Sequence[float], count: int) -> float | tuple[float, .
 
 
 class Prepared(NamedTuple):
-    """What a simulation of the segments needs at one theta: initial states (w, b), inputs, outputs made true, as they
-    were recorded, and how much a unit of each became by that (w, n, c).
+    """Inputs of a simulation of the segments at one theta: system, initial states (w, b), inputs, corrected and
+    recorded outputs, and the derivatives `scale` of the corrected outputs by the recorded ones (w, n, c).
 
-    `true` still has the delays of recorders: what is shown of the flight is delayed, not the record. Interpolation
-    averages noise, so that a record would have less of it at half a sample than at none, and a fit would prefer such a
-    delay. `sensed` is the system with late outputs, for a filter.
+    Delays of recorders are not corrected in `true`; the simulated outputs are delayed instead. Interpolating the record
+    would average its noise, least at zero delay and most at half a sample, so that a fit would prefer such a delay.
+    `sensed` is the system with delayed outputs, for a filter.
     """
 
     system: System
@@ -155,9 +155,29 @@ class Prepared(NamedTuple):
     measured: Float[Array, "w n c"]
     scale: Float[Array, "w n c"]
 
+    @property
+    def first_inputs(self) -> dict[str, Float[Array, " w"]]:
+        """Inputs at the first sample of each segment."""
+        return {name: x[:, 0] for name, x in self.drives.items()}
 
-def prepared(flown: SegmentTrajectories, theta: Float[Array, " k"]) -> Prepared:
-    """The system at `theta`, and the record as it makes it true."""
+    @property
+    def initial_states(self) -> Float[Array, "w s"]:
+        """Initial states of the filter, with states without a sensor filled in."""
+        return jax.vmap(self.sensed.complete_start)(self.begin, self.first_inputs)
+
+    def initial_covariance(self, states: Float[Array, "w s"], deviation: Float[Array, " s"]) -> Float[Array, "w s s"]:
+        """Covariance of the initial `states`; `deviation`: standard deviations of the measured ones, (s,), SI."""
+        return jax.vmap(lambda x, u: self.sensed.start_covariance(x, u, deviation))(states, self.first_inputs)
+
+    def noise_variance(
+        self, R: Float[Array, " c"], growth: Float[Array, "w n c"] | Float[np.ndarray, "w n c"]
+    ) -> Float[Array, "w n c"]:
+        """Variances of the noise of the corrected outputs; `R`: of the recorded outputs in attached flow, (c,)."""
+        return R * (self.scale * jnp.asarray(growth)) ** 2
+
+
+def prepare(flown: SegmentTrajectories, theta: Float[Array, " k"]) -> Prepared:
+    """The system at `theta`, and the record corrected by its sensor errors."""
     dynamics, flights = flown.dynamics, flown.flights
     values = dynamics.values(theta)
     channels = dynamics.corrected(values, flights.channels, flights.aircraft)
@@ -179,22 +199,22 @@ def prepared(flown: SegmentTrajectories, theta: Float[Array, " k"]) -> Prepared:
 
 
 def simulate(flown: SegmentTrajectories, theta: Float[Array, " k"], departure: Float[Array, "w b"]) -> Simulated:
-    """Fly every segment from its initial state, the measured or the fixed one, plus `departure`."""
-    ready = prepared(flown, theta)
+    """Simulate every segment from its initial state, the measured or the fixed one, plus `departure`."""
+    prepared = prepare(flown, theta)
 
-    def fly(start, away, inputs, dt):
+    def fly(start, correction, inputs, dt):
         first = {name: x[0] for name, x in inputs.items()}
-        wanted = (*flown.outputs, *flown.dynamics.unmeasured)
-        begin = ready.system.settled(start, first) + away
-        state = ready.system.begun(begin)
-        return integrate(ready.system, state, inputs, dt, flown.substeps, wanted, held=flown.held), begin
+        names = (*flown.outputs, *flown.dynamics.unmeasured)
+        begin = prepared.system.complete_start(start, first) + correction
+        state = prepared.system.state_at_start(begin)
+        return integrate(prepared.system, state, inputs, dt, flown.substeps, names, held=flown.held), begin
 
-    trajectory, begin = jax.vmap(fly)(ready.begin, departure, ready.drives, jnp.asarray(flown.dt))
+    trajectory, begin = jax.vmap(fly)(prepared.begin, departure, prepared.drives, jnp.asarray(flown.dt))
     modelled = jnp.stack([trajectory.outputs[name] for name in flown.outputs], axis=2)
-    residual = (ready.true - modelled) / ready.scale
-    if isinstance(ready.sensed, LateOutputs):
-        residual = _late(flown, ready.sensed.delays, ready.measured, residual)
-    return Simulated(trajectory, ready.measured, jnp.where(flown.inside[:, :, None], residual, 0.0), begin)
+    residual = (prepared.true - modelled) / prepared.scale
+    if isinstance(prepared.sensed, LateOutputs):
+        residual = _late(flown, prepared.sensed.delays, prepared.measured, residual)
+    return Simulated(trajectory, prepared.measured, jnp.where(flown.inside[:, :, None], residual, 0.0), begin)
 
 
 def _late(
@@ -203,12 +223,12 @@ def _late(
     measured: Float[Array, "w n c"],
     residual: Float[Array, "w n c"],
 ) -> Float[Array, "w n c"]:
-    """Residuals where recorders are late: what is shown of the flight without delay is shifted."""
+    """Residuals with delayed recorders: the simulated outputs are delayed."""
     last, dt = jnp.asarray(flown.inside.sum(axis=1) - 1), jnp.asarray(flown.dt)
     for c, name in enumerate(flown.outputs):
         if name in delays:
-            shown = measured[:, :, c] - residual[:, :, c]
-            shifted = jax.vmap(_delayed, (0, None, 0, 0))(shown, delays[name], dt, last)
+            simulated = measured[:, :, c] - residual[:, :, c]
+            shifted = jax.vmap(_delayed, (0, None, 0, 0))(simulated, delays[name], dt, last)
             residual = residual.at[:, :, c].set(measured[:, :, c] - shifted)
     return residual
 
@@ -220,19 +240,20 @@ def _delayed(x: Float[Array, " n"], seconds: Any, dt: Any, last: Any) -> Float[A
 
 
 def _measured_start(flown: SegmentTrajectories, channels) -> Float[Array, "w b"]:
-    """Value at the first sample of a straight line through the first half second; zero where nothing was recorded.
+    """Initial states: values at the first sample of a straight line through the first half second; zero where not
+    recorded.
 
-    A fixed initial state is the given one, and the first sample itself where none is given.
+    Fixed initial states are the given ones, and the first sample where none is given.
     """
     if flown.fixed is not None:
-        given, here = dict(flown.fixed), flown.index[:, 0]
-        nothing = jnp.zeros(len(here))
-        own = [channels[n][here] if n in channels else nothing for n in flown.dynamics.start]
+        given, first_row = dict(flown.fixed), flown.index[:, 0]
+        nothing = jnp.zeros(len(first_row))
+        own = [channels[n][first_row] if n in channels else nothing for n in flown.dynamics.start]
         named = zip(flown.dynamics.start, own, strict=True)
         return jnp.stack([nothing + np.array(given[n]) if n in given else x for n, x in named], axis=1)
     count = flown.begin
     t = np.arange(count) - (count - 1) / 2.0
     weight = jnp.asarray(1.0 / count + (t[0] * t) / np.sum(t**2))
-    here = flown.index[:, :count]
-    nothing = jnp.zeros(len(here))
-    return jnp.stack([channels[n][here] @ weight if n in channels else nothing for n in flown.dynamics.start], axis=1)
+    rows = flown.index[:, :count]
+    nothing = jnp.zeros(len(rows))
+    return jnp.stack([channels[n][rows] @ weight if n in channels else nothing for n in flown.dynamics.start], axis=1)

@@ -1,8 +1,8 @@
-"""Sensitivities of a flight whose states are known: the derivative of its integration, for a fraction of its time.
+"""Sensitivities of a simulated trajectory: the derivative of its integration, in a fraction of the time.
 
-The loop of `system.integrate` has a derivative that needs no loop but a linear one: those of `motion` at every stage of
-every sample are had at once, backward, for it has fewer results than there are parameters; then products of s by s
-follow each other. Directions are the last axis.
+The states are known, so the derivatives of `motion` at all stages of all samples are computed at once, in reverse mode,
+because `motion` has fewer results than parameters. Only a linear recurrence of s by s matrices remains as a loop over
+the samples. Directions are the last axis.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Channels = Mapping[str, Any]
 
 
 def later(inputs: Channels, held: bool = False) -> dict[str, Array]:
-    """Inputs a sample later, the last stay; or the same ones where they are `held`. Samples are the last axis."""
+    """Inputs one sample later, the last one repeated; the same inputs where they are `held`. Samples: last axis."""
     if held:
         return dict(inputs)
     return {name: jnp.concatenate([x[..., 1:], x[..., -1:]], axis=-1) for name, x in inputs.items()}
@@ -35,13 +35,13 @@ def between(now: Channels, then: Channels, share: Any) -> dict[str, Any]:
 
 @eqx.filter_jit
 def motion(system: Any, x: Array, u: Channels) -> tuple[Array, dict[str, Array]]:
-    """`system.motion`, traced once for all places that ask for it."""
+    """`system.motion`, traced once for all callers."""
     return system.motion(x, u)
 
 
 def stage_table(substeps: int) -> tuple[Array, Array, Array, Array]:
-    """Of all stages (4 `substeps`) of a sample: share of the way to the next sample, step to the next stage, weight,
-    and whether a Runge-Kutta step ends there."""
+    """For all stages (4 `substeps`) of a sample: share of the sample time, step to the next stage, weight, and whether
+    a Runge-Kutta step ends there."""
     shares = jnp.array([(number + node) / substeps for number in range(substeps) for node in NODES])
     ahead, weights, last = (jnp.tile(jnp.array(row), substeps) for row in (AHEAD, WEIGHTS, (False, False, False, True)))
     return shares, ahead, weights, last
@@ -51,7 +51,7 @@ def stage_table(substeps: int) -> tuple[Array, Array, Array, Array]:
 def tangent_flight(substeps: int, outputs: tuple[str, ...], held: bool = False):
     """Derivative of states (w, n, s) and `outputs` (w, n) of w segments in one direction.
 
-    Under `jax.vmap` segments are laid beside segments, and directions beside directions.
+    Under `jax.vmap` segments are joined along the segments' axis, directions along the directions' axis.
     """
 
     @jax.custom_batching.custom_vmap
@@ -83,13 +83,13 @@ def tangent_flight(substeps: int, outputs: tuple[str, ...], held: bool = False):
 
 
 def _last(tree: Any, marks: Any, size: int) -> Any:
-    """Directions, which come first or not at all, as the last axis."""
+    """Move directions from the first axis to the last; repeat where there is no such axis."""
     give = lambda t, m: jnp.moveaxis(t, 0, -1) if m else jnp.broadcast_to(t[..., None], (*t.shape, size))  # noqa: E731
     return jax.tree.map(give, tree, marks)
 
 
 def _laid(tree: Any, marks: Any, size: int) -> Any:
-    """A new axis of segments merged with the one that is there."""
+    """Merge a new axis of segments with the existing one."""
 
     def give(t, m):
         wide = t if m else jnp.broadcast_to(t, (size, *t.shape))
@@ -119,17 +119,19 @@ def _along(
     t_first = {name: jnp.moveaxis(t, -1, 0) for name, t in t_inputs.items()}
     t_u = {name: jnp.moveaxis(t, 1, -1) for name, t in at(t_first, later(t_first, held)).items()}  # m w n d
     points = _stage_points(system, x, u, h, table)
-    read = tuple(name for name in outputs if name not in system.shown)
-    moving, still = eqx.partition(system, jax.tree.map(lambda t: t is not None, t_system, is_leaf=lambda t: t is None))
+    read = tuple(name for name in outputs if name not in system.state_outputs)
+    dynamic, static = eqx.partition(
+        system, jax.tree.map(lambda t: t is not None, t_system, is_leaf=lambda t: t is None)
+    )
 
     def own(made):
         """Derivatives of what is `made` (r,): by the state, by the system's numbers (p,), by inputs."""
 
         def at(x, u):
-            def all_of(x, moving, inputs):
-                return made(*motion(eqx.combine(moving, still), x, u | inputs))
+            def all_of(x, dynamic, inputs):
+                return made(*motion(eqx.combine(dynamic, static), x, u | inputs))
 
-            size, back = jax.vjp(all_of, x, moving, {name: u[name] for name in t_u})
+            size, back = jax.vjp(all_of, x, dynamic, {name: u[name] for name in t_u})
             by_x, by_system, by_u = jax.vmap(back)(jnp.eye(len(size)))
             return by_x, _flat(by_system, len(size)), by_u
 
@@ -167,10 +169,10 @@ def _flat(tree: Any, rows: int) -> Float[Array, "r p"]:
 def _stage_points(
     system: Any, x: Float[Array, "w n s"], u: Channels, h: Any, table: Sequence[Array]
 ) -> Float[Array, "m w n s"]:
-    """Where the integration asks for the motion, all samples at once."""
+    """States at all Runge-Kutta stages, all samples at once."""
     slope = jax.vmap(jax.vmap(lambda x, u: motion(system, x, u)[0]))
 
-    def further(carry, stage):
+    def one_stage(carry, stage):
         begin, gathered, point = carry
         u, ahead, weight, last = stage
         k = slope(point, u)
@@ -178,7 +180,7 @@ def _stage_points(
         begin = jnp.where(last, begin + h / 6.0 * gathered, begin)
         return (begin, jnp.where(last, 0.0, gathered), begin + jnp.where(last, 0.0, ahead) * h * k), point
 
-    return jax.lax.scan(further, (x, jnp.zeros_like(x), x), (u, *table))[1]
+    return jax.lax.scan(one_stage, (x, jnp.zeros_like(x), x), (u, *table))[1]
 
 
 def _recurrence(
@@ -192,7 +194,7 @@ def _recurrence(
     def along(segment):
         A, b, begin, h = segment
 
-        def further(dx, row):
+        def one_stage(dx, row):
             A, b = row
             new = dx
             for i in range(0, A.shape[0], 4):
@@ -203,7 +205,7 @@ def _recurrence(
                 new = new + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
             return new, dx
 
-        return jax.lax.scan(further, begin, (A, b))[1]
+        return jax.lax.scan(one_stage, begin, (A, b))[1]
 
     # One segment after the other: of many at once XLA makes slower code for the small products.
     return jax.lax.map(along, (A, b, begin, h))

@@ -1,4 +1,4 @@
-"""Everything one identification run found, as plain results: what reports are written from."""
+"""Results of one identification run, from which reports are written."""
 
 from __future__ import annotations
 
@@ -74,8 +74,8 @@ class Interval:
 class Stall:
     """The steady stall of one model. Angles in rad, rates in rad/s; bands are the 2.5, 50 and 97.5 % quantiles.
 
-    `CL_max` and `alpha_max` are over all draws. `at_edge` is the share of draws whose maximum is the first or last
-    angle flown: the true one lies beyond, so `CL_max` is then only a lower limit.
+    `CL_max` and `alpha_max` are over all draws. `at_edge` is the share of draws with their maximum at the first or last
+    recorded angle; the true maximum is beyond it, and `CL_max` is then only a lower limit.
     """
 
     alpha: Float[np.ndarray, " g"]
@@ -95,13 +95,13 @@ class Stall:
 
     @property
     def seen(self) -> bool:
-        """Whether the maximum lies inside the angles flown for (nearly) every draw."""
+        """Whether the maximum lies inside the recorded angles for nearly every draw."""
         return self.at_edge < 0.025
 
 
 @dataclass(frozen=True)
 class Histogram:
-    """Bars of density 1 where values are uniform, and the band that all of them keep to if these are independent."""
+    """Histogram with density 1 for uniform values, and the band that contains all bars of independent values."""
 
     edges: Float[np.ndarray, " b1"]
     height: Float[np.ndarray, " b"]
@@ -110,7 +110,7 @@ class Histogram:
 
     @property
     def outside(self) -> int:
-        """How many bars leave the band."""
+        """Number of bars outside the band."""
         return int(np.sum((self.height < self.lower) | (self.height > self.upper)))
 
 
@@ -131,11 +131,10 @@ class Identification:
 
     `alone` holds the maximum-likelihood fit of each manoeuvre by itself. `posteriors` has `emcee` and `nuts` under
     the chosen noise model `noise`, and `white`, by emcee, where that is another one. `stall` and `pit` are over the
-    draws of the first of them. `preparation` tells, in words, what the way the coefficients were formed does to the
-    estimates.
-    `forming` is how. `health` is what is wrong with the records' channels, and `consistency` whether the sensors agree.
-    `failures` has a sentence on each part that failed unexpectedly. `truth` has the parameters (SI and radians) that
-    simulated records were flown with.
+    draws of the first of them. `forming` is how the coefficients were formed, and `preparation` has sentences on its
+    effect on the estimates. `health` has the faults of the records' channels, and `consistency` whether the sensors
+    agree. `failures` has a sentence on each part that failed unexpectedly. `truth` has the true parameters of simulated
+    records, SI and radians.
     """
 
     card: Card

@@ -1,4 +1,4 @@
-"""Processes whose parent was killed: they would wait for ever to hand over what nobody fetches."""
+"""End of processes whose parent was killed; they would wait for ever to return their results."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import os
 import threading
 import time
 
-LOOK = 1.0  # s between looks
+POLL_SECONDS = 1.0
 _watched: set[int] = set()
 
 
-def leave_with(parent: int) -> None:
-    """Have this process end soon after its parent, whatever it does then; nothing happens in the parent itself."""
+def exit_with(parent: int) -> None:
+    """End this process soon after its parent has ended; without effect in the parent itself."""
     if os.getppid() != parent or parent in _watched:
         return
     _watched.add(parent)
@@ -20,5 +20,5 @@ def leave_with(parent: int) -> None:
 
 def _watch(parent: int) -> None:
     while os.getppid() == parent:
-        time.sleep(LOOK)
+        time.sleep(POLL_SECONDS)
     os._exit(1)

@@ -1,5 +1,5 @@
-"""How well predictions follow measurements: the four numbers and the coverages of the validation table, log scores,
-and whether a filter's one-step predictions are calibrated."""
+"""Scores of predictions against measurements: the four numbers and the coverages of the validation table, log scores,
+and the calibration of one-step predictions."""
 
 import enum
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from bayes_aero.arrays import Array
 from bayes_aero.errors import InputError
-from bayes_aero.inference.variance.coloured_bounds import deviation_of_sum
+from bayes_aero.inference.variance.coloured_bounds import standard_error_of_sum
 
 __all__ = [
     "COLOURED_INNOVATIONS",
@@ -33,7 +33,7 @@ COLOURED_INNOVATIONS = 0.3  # correlation of neighbouring innovations beyond whi
 
 
 class ScoreStatus(enum.Enum):
-    """Whether every score means something; the value says what to do when it does not."""
+    """Whether every score is defined; the value is the text for the user."""
 
     ok = "All four scores are defined."
     constant_measurement = "The measured channel does not vary: r and R2 are undefined; compare RMSE with the noise."
@@ -63,14 +63,14 @@ class Calibration(enum.Enum):
     TOO_NARROW = "too_narrow"
     TOO_WIDE = "too_wide"
     NOT_NORMAL = "not_normal"  # too narrow at one level, too wide at another
-    COLOURED = "coloured"  # right on the average, but an error tells of the next one
+    COLOURED = "coloured"  # correct on average, but autocorrelated
     UNDECIDED = "undecided"
 
 
 @dataclass(frozen=True)
 class Share:
-    """Share of the innovations inside the central interval of probability `level`; its standard error, and the p-value
-    of calibrated predictions, both with the autocorrelation counted."""
+    """Share of the innovations inside the central interval of probability `level`; its standard error and the p-value
+    of calibrated predictions, both corrected for autocorrelation."""
 
     level: float
     share: float
@@ -80,17 +80,17 @@ class Share:
 
 @dataclass(frozen=True)
 class Predicted:
-    """One output, or all together.
+    """One-step predictions of one output, or of all outputs together.
 
     Attributes:
-        count: innovations.
+        count: number of innovations.
         rms: root mean square of measured minus predicted from the samples before, SI; None of all together.
         ratio: root mean square of innovations over their predicted standard deviations (1: calibrated), and its
             standard error.
         shares: inside central intervals, by level.
-        calibration: what they say.
-        quantiles: normal score, quantile of the innovations over their predicted standard deviations, and the band
-            that all quantiles of calibrated ones keep to with a probability of 95 %: as rows.
+        calibration: by the shares and the autocorrelation.
+        quantiles: as rows: normal score, quantile of the innovations over their predicted standard deviations, and the
+            band that contains all quantiles of calibrated predictions with a probability of 95 %.
     """
 
     count: int
@@ -160,16 +160,16 @@ def log_density(error: Float[Array, "*n"], variance: Float[Array, "*#n"]) -> Flo
 def log_score_gain(
     before: Float[np.ndarray, " m"], after: Float[np.ndarray, " m"], inflation: float, lengths: Sequence[int]
 ) -> tuple[float, float]:
-    """Log score that one prediction gains on another by the same hold-out data, and its standard error, nats.
+    """Gain in log score of one prediction over another of the same hold-out data, and its standard error, nats.
 
     Args:
-        before: log density of each sample under the one.
-        after: under the other.
+        before: log density of each sample under the first prediction, (m,).
+        after: log density of each sample under the second prediction, (m,).
         inflation: variance inflation, by which the gain is divided.
-        lengths: of the stretches, one after the other, that are independent.
+        lengths: numbers of samples of the independent stretches, one after the other.
     """
     difference = (after - before) / inflation
-    return float(difference.sum()), deviation_of_sum(difference, lengths)
+    return float(difference.sum()), standard_error_of_sum(difference, lengths)
 
 
 def interval_coverage(

@@ -1,8 +1,8 @@
-"""Ways to hold data back: at random as published, in contiguous blocks, or a whole manoeuvre.
+"""Splits into training and hold-out data: at random as published, in contiguous blocks, or by manoeuvre.
 
-A random split of 25 Hz flight data is close to no split at all: nearly every held-back sample has a neighbour
-40 ms away in the training set, with residuals whose lag-1 correlation reaches 0.98. Its scores measure
-interpolation between neighbours. `block` leaves only the block edges leaky; `manoeuvre` leaves nothing.
+A random split of 25 Hz flight data is hardly a split: nearly every hold-out sample has a neighbour 40 ms away in the
+training set, with residuals whose lag-1 correlation reaches 0.98. Its scores measure interpolation between neighbours.
+With `block` only samples near block edges have such neighbours, with `manoeuvre` none.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ SplitKind = Literal["random", "block", "manoeuvre"]
 Index = Int[np.ndarray, " n"] | Int[jax.Array, " n"]
 
 TRAIN_SHARE = 0.7  # the seed paper's 70/30
-MOST_FOLDS = 10  # of manoeuvres; more than so many are held back in groups, or training grows with their square
+MAX_FOLDS = 10  # of manoeuvres; more manoeuvres are held out in groups
 BLOCK_SECONDS = 4.0  # our choice: about 100 samples, longer than the memory of the residuals (1-2 s)
 
 
@@ -105,7 +105,7 @@ def _manoeuvre(index: np.ndarray) -> list[Split]:
             "A manoeuvre split needs at least two records, one to train on and one to predict; "
             "add a record or use the block split."
         )
-    if names.size <= MOST_FOLDS:
+    if names.size <= MAX_FOLDS:
         return [_split(f"manoeuvre {held}", index != held) for held in names]
-    groups = np.array_split(names, MOST_FOLDS)
+    groups = np.array_split(names, MAX_FOLDS)
     return [_split(f"manoeuvres {held[0]} to {held[-1]}", ~np.isin(index, held)) for held in groups]

@@ -1,7 +1,7 @@
 """The stall in two numbers with intervals: the highest steady lift coefficient, and the angle at which it is reached.
 
-Quasi-steady: CL(alpha) at alpha-dot = 0 and zero rates, all else at its median near the stall. The maximum is
-sought over the angles that were flown; where it lies at their edge the record does not show it, and that is counted.
+Quasi-steady: CL(alpha) at alpha-dot = 0 and zero rates, all other signals at their median near the stall. The maximum
+is sought over the recorded angles; where it is at their edge, the record does not contain the stall.
 """
 
 from __future__ import annotations
@@ -54,12 +54,13 @@ def stall_of(model: Model, draws: Float[np.ndarray, "m k"], signals: Mapping[str
 
 
 def stall_of_posterior(model: Model, posterior: Posterior, signals: Mapping[str, Any], aircraft: Aircraft) -> Stall:
-    """The same from a posterior, whose noise parameters are left aside."""
+    """`stall_of` the draws of a posterior, without its noise parameters."""
     return stall_of(model, posterior.draws()[:, [posterior.names.index(n) for n in model.names]], signals, aircraft)
 
 
 def maxima(x: Float[np.ndarray, " g"], y: Float[np.ndarray, "m g"]):
-    """Largest value of every row, where it is (a parabola through three points of even spacing), and if at an edge."""
+    """Maximum of every row, its position (by a parabola through three points of even spacing), and whether it is at an
+    edge."""
     i = np.argmax(y, axis=1)
     edge = (i == 0) | (i == len(x) - 1)
     j = np.clip(i, 1, len(x) - 2)

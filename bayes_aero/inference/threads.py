@@ -1,4 +1,4 @@
-"""How many cores this process may keep busy, and when linear algebra should not try."""
+"""Number of cores that this process may use, and limits on the threads of linear algebra."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ WORTH_THREADS = 2500  # rows of a matrix below which a second BLAS thread costs 
 
 
 def cores() -> int:
-    """Those that the variable BAYES_AERO_CORES allows, else all that the system allows this process.
+    """Number of cores by the variable BAYES_AERO_CORES, else all that the system allows this process.
 
-    A worker of a cluster is given one: the other cores belong to its neighbours.
+    A worker of a cluster has one core; the others belong to other workers.
     """
     allowed = os.environ.get(VARIABLE, "")
     return max(1, int(allowed)) if allowed.isdecimal() else cpu_count()
@@ -25,9 +25,9 @@ def cores() -> int:
 
 @contextmanager
 def blas_threads(rows: int) -> Iterator[None]:
-    """While it lasts, one BLAS thread works on matrices of so few `rows` that several would wait for each other.
+    """Context (or decorator) with one BLAS thread for matrices of few `rows`, on which several wait for each other.
 
-    Larger ones are left to as many as BLAS was started with. It serves as a decorator, too.
+    Larger matrices keep the number of threads with which BLAS was started.
     """
     if rows >= WORTH_THREADS:
         yield
@@ -38,5 +38,5 @@ def blas_threads(rows: int) -> Iterator[None]:
 
 @lru_cache
 def _libraries() -> ThreadpoolController:
-    """The BLAS libraries that NumPy and SciPy brought, looked for once."""
+    """The BLAS libraries of NumPy and SciPy, found once."""
     return ThreadpoolController()

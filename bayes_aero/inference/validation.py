@@ -1,4 +1,4 @@
-"""Gaussian processes beside maximum likelihood, trained and tested on the same points, for every kind of split."""
+"""Validation of Gaussian processes and of maximum likelihood on the same hold-out samples, for every kind of split."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from bayes_aero.inference.gp.fit import MAX_SAMPLES, too_many
 from bayes_aero.inference.identification import GPReport, Validation
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.inference.likelihood.mle_result import MleResult
-from bayes_aero.inference.parent_watchdog import leave_with
+from bayes_aero.inference.parent_watchdog import exit_with
 from bayes_aero.inference.scores import score
 from bayes_aero.inference.splits import BLOCK_SECONDS, Split, SplitKind, make_splits, too_short
 from bayes_aero.inference.threads import cores
@@ -103,7 +103,7 @@ def validate(
 
 
 def _allowed(observations: Observations, chosen: SplitKind) -> tuple[tuple[SplitKind, ...], SplitKind, tuple[str, ...]]:
-    """The splits that the records allow, the chosen one or what stands for it, and what is said of the others."""
+    """The splits that the records allow, the chosen one or its replacement, and sentences on the others."""
     kinds: tuple[SplitKind, ...] = KINDS
     if len(observations.names) < 2:
         kinds = tuple(kind for kind in kinds if kind != "manoeuvre")
@@ -120,7 +120,7 @@ def _allowed(observations: Observations, chosen: SplitKind) -> tuple[tuple[Split
 
 
 def _all_trained(work: Sequence[_Work], largest: int, progress: Progress | None) -> dict[tuple[str, int, int], Any]:
-    """What `_trained` returns, by kind of split, fold and coefficient."""
+    """Results of `_trained` by kind of split, fold and coefficient."""
     trained: dict[tuple[str, int, int], Any] = {}
     jobs = _processes(len(work), largest)
     if work[0].tidy:
@@ -143,7 +143,7 @@ def _all_trained(work: Sequence[_Work], largest: int, progress: Progress | None)
 
 
 def _processes(tasks: int, n: int) -> int:
-    """As many processes as there are cores and memory for: eight n x n matrices and the compiler's gigabyte each."""
+    """Number of processes by cores and memory: each takes eight n x n matrices and 1 GiB for the compiler."""
     if n < WORTH_PROCESSES:
         return 1
     each = 8 * 8 * n**2 + 2**30
@@ -162,7 +162,7 @@ class _Task(NamedTuple):
 
 
 class _Work(NamedTuple):
-    """A task with all that it needs, for it is done elsewhere; `z` is its coefficient, `parent` who waits for it."""
+    """A task with its data, for another process; `z` is its coefficient, `parent` the id of the calling process."""
 
     X: Float[np.ndarray, "n d"]
     z: Float[np.ndarray, " n"]
@@ -183,7 +183,7 @@ def _mle_prediction(model: Model, observations: Observations, mle: MleResult, fo
 
 def _trained(work: _Work) -> tuple[GPFit | None, dict[str, Any]]:
     """The fit, if it was sampled, and the process's part of a `Validation`."""
-    leave_with(work.parent)
+    exit_with(work.parent)
     X, z, fold, sampled = work.X, work.z, work.fold, work.task.sampled
     fit = fit_gp(
         X[fold.train_idx],
@@ -214,6 +214,6 @@ def _trained(work: _Work) -> tuple[GPFit | None, dict[str, Any]]:
 
 
 def _status(fit: GPFit, sampled: bool) -> str:
-    """How it ended and, where it is approximated, how well."""
+    """How the fit ended and, where the process is approximated, the error of the approximation."""
     ended = fit.status.value if sampled else fit.map_status.value
     return ended if fit.approximation is None else f"{ended} Approximated: {fit.approximation.sentence}."

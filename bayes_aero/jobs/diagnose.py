@@ -17,7 +17,7 @@ from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.diagnosis.trajectories.noise_check import with_tested
 from bayes_aero.diagnosis.view.models import view_of
 from bayes_aero.diagnosis.view.results import DiagnosisView
-from bayes_aero.dynamics.simulated.plant import flies
+from bayes_aero.dynamics.simulated.plant import can_simulate
 from bayes_aero.effect import Kind
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
@@ -52,7 +52,7 @@ def hide_one(card: Card, seed: int, **options: Any) -> tuple[Hidden, list[Flight
         for e in CATALOGUE.values()
         if e.candidate
         and e.acts_on(FLOWN_AXES)
-        and flies(e)
+        and can_simulate(e)
         and e.kind is not Kind.NOISE
         and draw_hidden(np.random.default_rng(0), e.name)
         and _absent(card, e.name)

@@ -38,7 +38,7 @@ from bayes_aero.report.figures.process_noise import drift as drift_figure
 from bayes_aero.report.figures.process_noise import gusts
 from bayes_aero.report.figures.trajectories import fly_figures
 from bayes_aero.report.html.page import put_page
-from bayes_aero.report.pages.fly import FlyTold, fly_page
+from bayes_aero.report.pages.fly import FlyContext, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.tables.filtered import posterior_table
 from bayes_aero.report.tables.fly import drift_history_table, gust_table, parameter_table
@@ -220,7 +220,7 @@ def _written(
     if progress:
         progress("report", 0.95)
     shown = {path.stem: path for path in drawn}
-    told = FlyTold(
+    told = FlyContext(
         card,
         records,
         source,

@@ -18,7 +18,7 @@ from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.reading.common_rate import rate_notes
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.identification import Identification, Stall
-from bayes_aero.inference.likelihood.mle import MOST_ALONE, fit_alone, fit_mle
+from bayes_aero.inference.likelihood.mle import MAX_SEPARATE_FITS, fit_each_manoeuvre, fit_mle
 from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
 from bayes_aero.inference.posterior.checkpoint import Checkpoint
 from bayes_aero.inference.posterior.ensemble import sample_ensemble
@@ -138,7 +138,7 @@ class _Job:
                 )
                 failures += failed
             alone, failed = self.attempt(
-                "Manoeuvres were not fitted alone", lambda: fit_alone(model, observations, seed=seed), {}
+                "Manoeuvres were not fitted alone", lambda: fit_each_manoeuvre(model, observations, seed=seed), {}
             )
             failures += failed
             preparation = () if matched else filter_mismatch_notes(self.repaired, self.card, model, mle)
@@ -258,8 +258,8 @@ class _Job:
 def _many(manoeuvres: int) -> tuple[str, ...]:
     """What is left out because there are so many."""
     said = []
-    if manoeuvres > MOST_ALONE:
-        said.append(f"{manoeuvres} manoeuvres are fitted jointly; beyond {MOST_ALONE} none is fitted by itself.")
+    if manoeuvres > MAX_SEPARATE_FITS:
+        said.append(f"{manoeuvres} manoeuvres are fitted jointly; beyond {MAX_SEPARATE_FITS} none is fitted by itself.")
     if manoeuvres > MOST_MANOEUVRES:
         said.append(f"Figures with a panel for each manoeuvre are drawn for up to {MOST_MANOEUVRES} of them.")
     return tuple(said)

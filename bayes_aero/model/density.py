@@ -1,4 +1,4 @@
-"""The density: log-likelihood plus log-prior of a model on observations, written once for every engine."""
+"""Posterior log-density of a model on observations: log-likelihood plus log-prior, for all samplers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Density(LogDensity):
     """Posterior log-density of the free model parameters and the noise parameters.
 
     Vectors `x` hold model parameters first, then noise (`parameters` gives the order). The observations are array
-    leaves: another data set of the same size does not compile anew.
+    leaves, so that data sets of one size share compiled programs.
     """
 
     observations: Observations = eqx.field(converter=lambda given: given.nameless)
@@ -36,12 +36,12 @@ class Density(LogDensity):
     def of(
         cls, observations: Observations, model: Model, noise: Noise, bias: Float[np.ndarray, " p"] | None = None
     ) -> Density:
-        """The density of a record under `noise`; under coloured noise it takes the record at the filters' rate.
+        """The density of a record under `noise`; coloured noise uses one sample in `FILTER_STEP`.
 
-        Cm is formed from a smoothed and differentiated rate, which ties neighbouring samples together in a way that no
-        short autoregression describes: given every sample, it takes the smoothness for persistence and then listens to
-        sample-to-sample changes alone, where filtered and unfiltered signals disagree. One sample in `FILTER_STEP`
-        keeps the band that the filter passes, in which the coloured model holds.
+        Cm is formed from a smoothed and differentiated rate. The smoothing correlates neighbouring samples in a way
+        that no short autoregression describes. With every sample the autoregression would fit the smoothness, and the
+        likelihood would weigh only changes from sample to sample, in which filtered and unfiltered signals differ. One
+        sample in `FILTER_STEP` keeps the band that the filter passes, in which the coloured model holds.
         """
         known = None if bias is None else jnp.asarray(bias)
         own = replace(noise, coefficients=observations.coefficients)
@@ -85,11 +85,11 @@ class Density(LogDensity):
         """Sum of `pointwise`, taken before the coefficients are put side by side: almost twice as fast."""
         return sum((jnp.sum(one) for one in self._by_coefficient(x, self.noise.log_density)), start=jnp.zeros(()))
 
-    def _by_coefficient(self, x: Float[Array, " k"], told: Callable[..., Any]) -> list[Any]:
-        """What the noise model tells of the residuals of each coefficient."""
+    def _by_coefficient(self, x: Float[Array, " k"], function: Callable[..., Any]) -> list[Any]:
+        """A function of the noise model for the residuals of each coefficient."""
         o, known, values = self.observations, self._flow(x), self.values(x)
         residuals = {name: o.measured[:, c] - known[name] for c, name in enumerate(self.model.coefficients)}
-        return [told(name, values, residual, known["X"], o.start) for name, residual in residuals.items()]
+        return [function(name, values, residual, known["X"], o.start) for name, residual in residuals.items()]
 
     def _flow(self, x: Float[Array, " k"]) -> Mapping[str, Array]:
         """The coefficients and the separation point."""

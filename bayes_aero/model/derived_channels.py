@@ -1,4 +1,4 @@
-"""Channels of a record with what its card adds: constants, what is derived from others, tables, sums."""
+"""Channels of a record with the additions of its card: constants, derived channels, tables, sums."""
 
 from __future__ import annotations
 

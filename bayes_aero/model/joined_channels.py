@@ -1,4 +1,4 @@
-"""Recorded channels of several manoeuvres, end to end: what effects that act on the record itself work on."""
+"""Recorded channels of several manoeuvres, end to end, as JAX arrays, for effects that act on the record."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Flights(eqx.Module):
 
     @property
     def nameless(self) -> Flights:
-        """The same without names, on which no number depends: compiled programs then serve records of any name."""
+        """The same without names, so that records of any name share compiled programs."""
         return replace(self, names=())
 
     def with_slopes(self, channels: Mapping[str, Array]) -> dict[str, Array]:
@@ -71,12 +71,12 @@ class Flights(eqx.Module):
 def response_scales(
     model: Model, values: Mapping[str, Any], channels: Mapping[str, Array], aircraft: Aircraft, names: Sequence[str]
 ) -> dict[str, Array]:
-    """Derivative of each corrected channel of `names` with respect to its recorded self: what its unit has become."""
+    """Derivative of each corrected channel of `names` with respect to the recorded channel."""
 
     def correct(name, series):
         return model.corrected(values, {**channels, name: series}, aircraft)[name]
 
-    # One channel at a time: what another channel adds to it (the vane's angle its pitch rate) is not its unit.
+    # One channel at a time: the influence of other channels (pitch rate on the vane's angle) does not count.
     own = {name: channels[name] for name in names if name in channels}
     return {name: jax.jvp(partial(correct, name), (x,), (jnp.ones_like(x),))[1] for name, x in own.items()}
 
@@ -90,7 +90,7 @@ def join(records: Sequence[FlightRecord], card: Card, required: Sequence[str] = 
 
 
 def despiked(flights: Flights) -> tuple[Flights, dict[str, int]]:
-    """The manoeuvres as `without_spikes` mends them, and its count of replaced samples by channel."""
+    """The manoeuvres without spikes, and the number of replaced samples by channel; see `without_spikes`."""
     channels, count = without_spikes(flights.channels, flights.lengths)
     mended = {name: jnp.asarray(channels[name]) if name in count else x for name, x in flights.channels.items()}
     return replace(flights, channels=mended), count

@@ -1,4 +1,4 @@
-"""Recorded channels of several manoeuvres, end to end, as NumPy arrays: what is checked before anything is fitted."""
+"""Recorded channels of several manoeuvres, end to end, as NumPy arrays, for checks without JAX."""
 
 from __future__ import annotations
 
@@ -74,7 +74,11 @@ class Joined:
 
 
 def joined(records: Sequence[FlightRecord], card: Card, required: Sequence[str] = REQUIRED) -> Joined:
-    """Lay the records end to end; channels that are not in every record are left out, `required` ones missed."""
+    """Join the records end to end; channels that are not in every record are left out.
+
+    Raises:
+        InputError: there is no record, two have one name, or a `required` channel is missing.
+    """
     if not records:
         raise InputError("there is no flight record to work on; name at least one file")
     named_apart(records)
@@ -110,7 +114,7 @@ MARKS = ("dt", "start", "elapsed", "first", "last")
 
 
 def plain_marks(n: int, dt: float, first: int) -> dict[str, Shaped[np.ndarray, " n"]]:
-    """What effects of stage CHANNEL find beside the channels of one manoeuvre of `n` samples, the first at `first`."""
+    """Marks for effects of stage CHANNEL of one manoeuvre of `n` samples, the first at index `first`."""
     index = np.arange(n)
     return {
         "dt": np.full(n, dt),
@@ -122,18 +126,18 @@ def plain_marks(n: int, dt: float, first: int) -> dict[str, Shaped[np.ndarray, "
 
 
 def repaired(flights: Joined) -> tuple[Joined, dict[str, int]]:
-    """The manoeuvres as `without_spikes` mends them, and its count."""
+    """The manoeuvres without spikes, and the number of replaced samples by channel; see `without_spikes`."""
     channels, count = without_spikes(flights.channels, flights.lengths)
     return replace(flights, channels=channels), count
 
 
-SHORTEST = 0.5  # of a window: a shorter rest at the end of a manoeuvre joins the window before it
+MIN_WINDOW_SHARE = 0.5  # of a window: a shorter remainder at the end of a manoeuvre joins the window before it
 
 
 def cuts_of(samples: int, dt: float, window: float | None) -> list[int]:
-    """Where windows of about `window` s (None: all) of a manoeuvre of so many samples begin."""
+    """First samples of windows of about `window` s (None: one window) of a manoeuvre of so many samples."""
     length = samples if window is None else max(2, round(window / dt))
     cuts = list(range(0, samples, length))
-    if len(cuts) > 1 and samples - cuts[-1] < SHORTEST * length:
+    if len(cuts) > 1 and samples - cuts[-1] < MIN_WINDOW_SHARE * length:
         cuts.pop()
     return cuts

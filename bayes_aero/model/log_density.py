@@ -13,7 +13,7 @@ from bayes_aero.parameter import Parameter, from_unbounded, to_unbounded
 
 
 class LogDensity(eqx.Module):
-    """What every sampler needs: vectors `x` are in SI, `u` the same point mapped onto the whole real line."""
+    """Log-density for samplers: vectors `x` are in SI, `u` is the same point mapped onto the whole real line."""
 
     @property
     @abstractmethod
@@ -23,7 +23,7 @@ class LogDensity(eqx.Module):
     @property
     @abstractmethod
     def noise_label(self) -> str:
-        """What the noise is taken to be, in a word."""
+        """The assumed noise, in a word."""
 
     @abstractmethod
     def log_likelihood(self, x: Float[Array, " k"]) -> Float[Array, ""]:

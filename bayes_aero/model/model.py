@@ -142,7 +142,7 @@ class Model:
         """Effects that are not fixed at neutral, on the model's axes."""
         return tuple(e for e in self.effects if e.acts_on(self.axes) and not self._absent(e))
 
-    def playing(self, role: Role) -> tuple[str, ...]:
+    def with_role(self, role: Role) -> tuple[str, ...]:
         """Names of the parameters with a role, of effects that act."""
         return tuple(p.name for effect in self.acting for p in effect.parameters if p.role is role)
 
@@ -152,22 +152,22 @@ class Model:
         return tuple(e.disturbance for e in self.acting if e.disturbance is not None)
 
     @property
-    def shaken(self) -> bool:
-        """Whether a random process disturbs the forces themselves: buffet."""
+    def has_buffet(self) -> bool:
+        """Whether a random process disturbs the forces (buffet)."""
         return any(e.disturbance is not None and e.stage > Stage.INFLOW for e in self.acting)
 
     @cached_property
     def two_wings(self) -> bool:
-        """Whether an effect tells the incidence of the right wing from that of the left one."""
+        """Whether an effect gives the right and the left wing different incidences."""
         return any(WINGS[0] in e.example.increments for e in self.acting)
 
     def break_angle(self, values: Mapping[str, Any]) -> float:
-        """Angle of attack at which the flow separates, rad: infinite where it never does; the least of several."""
-        return min((float(values[name]) for name in self.playing(Role.BREAK_ANGLE)), default=math.inf)
+        """Angle of attack at which the flow separates, rad: infinite if it never does; the smallest of several."""
+        return min((float(values[name]) for name in self.with_role(Role.BREAK_ANGLE)), default=math.inf)
 
     def lag(self, values: Mapping[str, Any]) -> Any:
         """Time constant of the separation point, chords travelled: 0 without a lag; those of several lags add."""
-        return sum((values[name] for name in self.playing(Role.LAG)), 0.0)
+        return sum((values[name] for name in self.with_role(Role.LAG)), 0.0)
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -179,11 +179,12 @@ class Model:
         return dict(self.fixed) | {name: theta[i] for i, name in enumerate(self.names)}
 
     def corrected(self, values: Mapping[str, Any], channels: Mapping[str, Any], aircraft: Aircraft) -> dict[str, Any]:
-        """Recorded channels made true: every effect of stage CHANNEL sees what was recorded, and all are added.
+        """Recorded channels corrected for sensor errors: each effect of stage CHANNEL reads the recorded channels, and
+        all corrections are added.
 
         `channels` are whole manoeuvres end to end, in SI, with the marks that `Stage` names. A delay and a bias of one
-        channel thus commute exactly; a scale and a bias of one channel do to first order. So does a bias of a rate
-        beside a vane that the rate moves: a card that fixes both states the angle between them as a bias of the vane.
+        channel thus commute exactly, a scale and a bias of one channel to first order. A bias of a rate and the
+        position of a vane, whose angle depends on that rate, commute to first order, too.
         """
         return self._run((Stage.CHANNEL,), channels, values, channels, aircraft)
 
@@ -198,11 +199,11 @@ class Model:
         return self._run((Stage.INFLOW,), over_ground, values, signals, aircraft)
 
     def static_separation(self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft) -> Any:
-        """The separation point that a steady flow would have: every stage before its lag; the mean of two wings."""
+        """The separation point of a steady flow, without lag; the mean of two wings."""
         return self._separated((Stage.SEPARATION,), values, signals, aircraft)["X"]
 
     def static_points(self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft) -> tuple[Any, ...]:
-        """The same point by point: the one, or those of the right and the left wing."""
+        """Separation points of a steady flow: one, or those of the right and the left wing."""
         known = self._separated((Stage.SEPARATION,), values, signals, aircraft)
         half = known["X_difference"] / 2.0
         return (known["X"] + half, known["X"] - half) if self.two_wings else (known["X"],)
@@ -218,10 +219,10 @@ class Model:
         aircraft: Aircraft,
         X: Float[Array, "*#n"] | tuple[Float[Array, "*#n"], Float[Array, "*#n"]] | None = None,
     ) -> dict[str, Any]:
-        """Everything the effects build: X, the attached lift, the coefficients (see `effect.Known`).
+        """The flow by all effects: X, the attached lift, the coefficients (see `effect.Known`).
 
-        `X` given, as a simulation does that carries it as a state, takes the place of the stages that build it. Of two
-        wings it is those of the right and the left one, or their mean: their difference is then the static one.
+        `X` is given where it is a state of a simulation, and replaces the stages that compute it. With two wings it has
+        the values of the right and the left wing, or is their mean; their difference is then the static one.
         """
         if X is None:
             known = self._separated((Stage.SEPARATION, Stage.LAG), values, signals, aircraft)
@@ -238,7 +239,7 @@ class Model:
     def _separated(
         self, stages: tuple[Stage, ...], values: Mapping[str, Any], signals: Signals, aircraft: Aircraft
     ) -> dict[str, Any]:
-        """What there is after these stages of separation; of two wings, each at its own incidence, X is the mean."""
+        """The flow after these stages of separation; with two wings X is the mean of both at their own incidence."""
         known = self._run((Stage.INCIDENCE,), self._neutral(signals), values, signals, aircraft)
         if not self.two_wings:
             return self._run(stages, known, values, signals, aircraft)
@@ -285,7 +286,7 @@ class Model:
         return namespace(known["CL"]).stack([known[name] for name in self.coefficients], axis=-1)
 
     def _absent(self, effect: Effect) -> bool:
-        """True for an effect all of whose parameters are fixed at neutral: it need not be computed at all."""
+        """Whether all parameters of the effect are fixed at neutral, so that it need not be computed."""
         return bool(effect.parameters) and effect.absent_in(dict(self.fixed))
 
 

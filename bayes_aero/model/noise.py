@@ -16,14 +16,14 @@ from bayes_aero.physics.filters import recurrence
 
 
 class Colour(StrEnum):
-    """How the residuals of one coefficient are taken to be distributed."""
+    """Assumed distribution of the residuals of one coefficient."""
 
     WHITE = "white"  # independent, one variance
     AR1 = "ar1"  # r[k] = rho r[k-1] + e[k], stationary within a manoeuvre
     BUFFET_AR1 = "buffet-ar1"  # the same, its standard deviation growing as 1 + buffet (1 - X)
 
 
-DEFAULT = Colour.BUFFET_AR1  # near the stall the vane's noise, too, is multiplied by a steep model
+DEFAULT = Colour.BUFFET_AR1  # near the stall a steep model also amplifies the noise of the vane
 
 
 @dataclass(frozen=True)
@@ -51,23 +51,23 @@ class Noise:
         X: Float[Array, " n"],
         start: Bool[Array, " n"],
     ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-        """Innovations of one coefficient over their standard deviation, and the logarithm of that deviation.
+        """Innovations of one coefficient over their standard deviation, and the logarithm of that standard deviation.
 
-        `residual` is measured minus modelled. At `start` the innovation is the residual itself, with the stationary
-        deviation, so manoeuvres are independent and the density is exact rather than conditional.
+        `residual` is measured minus modelled. At `start` the innovation is the residual itself with the stationary
+        standard deviation, so that manoeuvres are independent and the density is exact.
         """
         sigma = values[f"sigma_{name}"]
-        log_swell = jnp.zeros(())
+        log_growth = jnp.zeros(())
         if self.colour is Colour.BUFFET_AR1:
             noise_growth = 1.0 + values[f"buffet_{name}"] * (1.0 - X)
-            residual, log_swell = residual / noise_growth, jnp.log(noise_growth)
+            residual, log_growth = residual / noise_growth, jnp.log(noise_growth)
         if self.colour is Colour.WHITE:
             return residual / sigma, jnp.broadcast_to(jnp.log(sigma), residual.shape)
         rho = values[f"rho_{name}"]
-        fresh = jnp.sqrt(1.0 - rho**2)
+        innovation_sd = jnp.sqrt(1.0 - rho**2)
         before = jnp.concatenate([jnp.zeros(1), residual[:-1]])
-        z = jnp.where(start, residual, (residual - rho * before) / fresh) / sigma
-        return z, jnp.where(start, jnp.log(sigma), jnp.log(sigma * fresh)) + log_swell
+        z = jnp.where(start, residual, (residual - rho * before) / innovation_sd) / sigma
+        return z, jnp.where(start, jnp.log(sigma), jnp.log(sigma * innovation_sd)) + log_growth
 
     def log_density(
         self,

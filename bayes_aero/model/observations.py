@@ -34,15 +34,15 @@ from bayes_aero.physics.filters import FILTER_STEP
 class Forming(StrEnum):
     """How coefficients are formed from the record."""
 
-    MATCHED = "matched"  # all signals at a common rate and filtered alike, those that the model answers to as well
+    MATCHED = "matched"  # all signals at a common rate and filtered alike, also the inputs of the model
     PUBLISHED = "published"  # as the published ATTAS coefficients: accelerations filtered, controls and rates not
 
 
 class Observations(eqx.Module):
     """Samples of all manoeuvres laid end to end; `start` marks the first sample of each.
 
-    Nothing reaches across a seam: filters ran per manoeuvre, and whatever has memory (lags, coloured noise) starts
-    anew where `start` is true. `measured` holds the `coefficients` named.
+    Manoeuvres are independent: they are filtered one by one, and lags and coloured noise start again where `start` is
+    true. `measured` holds the named `coefficients`.
     """
 
     signals: dict[str, Array]
@@ -89,7 +89,7 @@ class Observations(eqx.Module):
         )
 
     def restarted(self, start: Bool[np.ndarray, " n"]) -> Observations:
-        """The same samples with other marks for where memory starts anew."""
+        """The same samples with other marks of where lags and coloured noise start again."""
         flags = jnp.asarray(start)
         return eqx.tree_at(lambda o: (o.start, o.signals["start"]), self, (flags, flags))
 
@@ -111,7 +111,7 @@ class Observations(eqx.Module):
 
 
 def marks(n: int, dt: float, first: int = 0) -> dict[str, Array]:
-    """What effects of stage CHANNEL find beside the channels of one manoeuvre of `n` samples, the first at `first`."""
+    """Marks for effects of stage CHANNEL of one manoeuvre of `n` samples, the first at index `first`."""
     return {name: jnp.asarray(values) for name, values in plain_marks(n, dt, first).items()}
 
 
@@ -134,7 +134,7 @@ def observe(
     forming = Forming(forming)
     if forming is Forming.MATCHED:
         records = at_common_rate(records)
-    values = _settled(model)
+    values = _fixed_values(model)
     aircraft = model.actual_aircraft(values, card.aircraft)
     parts, offset = [], 0
     for record in records:
@@ -148,12 +148,12 @@ def observe(
         offset += record.n
     shared = set.intersection(*(set(part) for part in parts))
     joined = {key: jnp.asarray(np.concatenate([part[key] for part in parts])) for key in sorted(shared)}
-    beside = {key: joined.pop(key) for key in MARKS}
-    signals, measured = _formed(model, forming, values, joined, beside, aircraft)
+    marks_by_name = {key: joined.pop(key) for key in MARKS}
+    signals, measured = _formed(model, forming, values, joined, marks_by_name, aircraft)
     return Observations(
-        signals=dict(sorted((signals | {key: beside[key] for key in ("dt", "start")}).items())),
+        signals=dict(sorted((signals | {key: marks_by_name[key] for key in ("dt", "start")}).items())),
         measured=measured,
-        start=beside["start"],
+        start=marks_by_name["start"],
         manoeuvre=np.repeat(np.arange(len(records)), [record.n for record in records]),
         time=np.concatenate([np.asarray(record.time) for record in records]),
         aircraft=aircraft,
@@ -168,12 +168,12 @@ def _formed(
     forming: Forming,
     values: Mapping[str, Any],
     joined: Mapping[str, Array],
-    beside: Mapping[str, Array],
+    marks_by_name: Mapping[str, Array],
     aircraft: Aircraft,
 ) -> tuple[dict[str, Array], Float[Array, "n c"]]:
-    """Conditioned signals and the coefficients: one program, where step by step each would be one."""
-    true = model.corrected(values, {**joined, **beside}, aircraft)
-    channels, ends = {key: true[key] for key in joined}, [beside[key] for key in ("dt", "first", "last")]
+    """Conditioned signals and coefficients, compiled as one program."""
+    true = model.corrected(values, {**joined, **marks_by_name}, aircraft)
+    channels, ends = {key: true[key] for key in joined}, [marks_by_name[key] for key in ("dt", "first", "last")]
     if forming is Forming.MATCHED:
         signals = alike_joined(channels, aircraft.accelerometer, *ends)
     else:
@@ -181,7 +181,7 @@ def _formed(
     return signals, stacked_coefficients(signals, aircraft, model.coefficients)
 
 
-def _settled(model: Model) -> dict[str, Any]:
+def _fixed_values(model: Model) -> dict[str, Any]:
     """The model's fixed values; effects before the coefficients must have no free parameter."""
     fixed = dict(model.fixed)
     for effect in model.effects:

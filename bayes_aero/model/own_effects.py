@@ -1,4 +1,4 @@
-"""A user's own effects: Python files that a card names, found as the built-in ones are."""
+"""A user's own effects: Python files that a card names."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from bayes_aero.effect import Effect
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 
-MOST_BYTES = 1 << 20
+MAX_BYTES = 1 << 20
 
 
 def own_effects(files: Sequence[Path]) -> dict[str, Effect]:
     """Every `Effect` at the top level of `files`, by name.
 
-    The files are run: they are code. Whoever names a card by its path trusts its files; a study must be told to. Read
-    once for each content, so that the same effect is the same object, and what was compiled for it serves again.
+    The files are Python code and are run. A card given by its path is trusted; a study needs --trust-effects. Each
+    content is run once, so that an effect is always the same object and its compiled programs are used again.
     """
     found: dict[str, Effect] = {}
     for path in files:
@@ -45,9 +45,9 @@ def _text(path: Path) -> str:
     if not path.is_file():
         raise FileNotFoundError("there is no such file")
     with path.open("rb") as handle:
-        raw = handle.read(MOST_BYTES + 1)
-    if len(raw) > MOST_BYTES:
-        raise ValueError(f"it has more than {MOST_BYTES} bytes")
+        raw = handle.read(MAX_BYTES + 1)
+    if len(raw) > MAX_BYTES:
+        raise ValueError(f"it has more than {MAX_BYTES} bytes")
     return raw.decode("utf-8")
 
 

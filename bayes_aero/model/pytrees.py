@@ -1,4 +1,4 @@
-"""Plain classes that JAX must take apart. Whatever holds one of them in a compiled program imports this module."""
+"""Registration of plain classes as JAX pytrees; imported by every module that has them in compiled programs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def _parts(aircraft: Aircraft) -> tuple[list[tuple[Any, Any]], None]:
 
 
 def _whole(_: None, parts: Iterable[Any]) -> Aircraft:
-    """Without the checks of a constructor: JAX puts marks of its own in the place of numbers."""
+    """An aircraft without the constructor's checks, because JAX replaces numbers by tracers."""
     aircraft = object.__new__(Aircraft)
     for name, part in zip(_NAMES, parts, strict=True):
         object.__setattr__(aircraft, name, part)

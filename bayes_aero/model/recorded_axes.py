@@ -1,4 +1,4 @@
-"""A card on records that lack what one of its axes needs."""
+"""Removal of an axis from a card where records lack its channels."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ def on_recorded_axes(
 ) -> tuple[Card, tuple[str, ...]]:
     """The card without an axis whose channels some record lacks, and a sentence on each that is left out.
 
-    A card of one axis, or one whose axes all lack channels, stays as it is: whoever needs them says what is missing.
+    A card of one axis, or one whose axes all lack channels, is unchanged; the missing channels are reported later.
 
     Args:
         card: aircraft and model.
         records: flights, at least one.
         needed: channels that each axis needs beside those of its effects; default: for the coefficients.
-        made: channels of effects that need not be recorded, for they follow from others.
+        made: channels that effects read and that are computed from others.
 
     Returns:
-        The card to work with, and what a user must be told.
+        The card without these axes, and a sentence for each of them.
     """
     if len(card.axes) < 2 or not records:
         return card, ()

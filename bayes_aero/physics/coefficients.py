@@ -3,7 +3,7 @@
 Signals are conditioned in one of three ways. `condition_joined`: as the published ATTAS coefficients were formed:
 alpha, beta, V smoothed; alpha-dot the derivative of smoothed alpha; p, q, r smoothed and differentiated for the angular
 accelerations, unsmoothed where they enter kinematics. `alike_joined`: every channel smoothed alike.
-`unsmoothed_joined`: none, for whoever smooths the difference of what is measured and modelled.
+`unsmoothed_joined`: none, where the difference of measured and modelled coefficients is smoothed later.
 Source: Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, ch. 12 and its companion data set.
 """
 
@@ -89,13 +89,13 @@ def unsmoothed_joined(
     last: Int[Array, " n"],
     recorded: Mapping[str, Array] | None = None,
 ) -> dict[str, Array]:
-    """Channels as they are, manoeuvres laid end to end, and the derivatives of `condition_joined`.
+    """Unsmoothed channels, manoeuvres laid end to end, and the derivatives of `condition_joined`.
 
-    For whoever smooths the difference of what is measured and modelled: what the filter takes from one it then takes
-    from the other, whatever is not linear included. As published a smoothed pitch acceleration stands against an
-    elevator as recorded and the lift of a smoothed angle of attack against a lift as recorded, and what moves fast
-    comes out too small. alpha-dot is the one exception, for models bend its noise: see `alpha_rate`. `recorded` are the
-    channels as they were recorded, where `channels` are corrected ones: its regression is of them.
+    The difference of measured and modelled coefficients is smoothed later, so that the filter acts on both sides alike,
+    also on non-linear terms. The published method compares a smoothed pitch acceleration with an unsmoothed elevator,
+    and the lift of a smoothed angle of attack with unsmoothed lift, so that fast effects are underestimated. Only
+    alpha-dot is formed in another way, because its noise would bias non-linear models: see `alpha_rate`. `recorded` are
+    the uncorrected channels, on which the regression of alpha-dot is based.
     """
 
     def with_slopes(given: Mapping[str, Array]) -> dict[str, Array]:
@@ -118,7 +118,7 @@ def alike_joined(
     """Every channel smoothed by the one filter, manoeuvres laid end to end, with the derivatives of `condition_joined`.
 
     The filter is linear, so a coefficient that is a sum of terms is, once filtered, the sum of its filtered terms:
-    what is formed from these signals and what a model makes of them are treated alike. alpha-dot: `alpha_rate`.
+    measured and modelled coefficients are filtered alike. alpha-dot: `alpha_rate`.
     """
     raw = unsmoothed_joined(channels, accelerometer, dt, first, last)
     names = [*channels, "alpha_dot"]

@@ -20,24 +20,28 @@ from bayes_aero.physics.forces import lateral_force, moments, specific_force
 from bayes_aero.physics.kinematics import RATES, Rotation, angular_accelerations, down_of, lever_arm
 
 TOLERANCE = 1e-12  # rad/s, of alpha-dot
-UNIQUE = 0.1  # least slope of the equation of alpha-dot; at zero two motions meet
-MOST = 60  # iterations: bisection alone would need 50
+MIN_SLOPE = 0.1  # of the equation of alpha-dot; at zero the motion is not unique
+MAX_ITERATIONS = 60  # iterations: bisection alone would need 50
 LONGITUDINAL = (Axis.LONGITUDINAL,)
 
 
 class Motion(NamedTuple):
-    """Flow at one instant (the coefficients and all else that effects build); specific force at the CG along body axes,
-    m/s2; time derivatives of airspeed (m/s2), alpha, beta (rad/s) and altitude (m/s); p_dot, q_dot, r_dot, rad/s2."""
+    """Motion at one instant.
+
+    `flow`: coefficients and other quantities of the effects; `force`: specific force at the CG along body axes, m/s2;
+    `rates`: time derivatives of airspeed (m/s2), alpha, beta (rad/s) and altitude (m/s); `rotation`: p_dot, q_dot,
+    r_dot, rad/s2.
+    """
 
     flow: Mapping[str, Any]
     force: tuple[Any, Any, Any]
     rates: Mapping[str, Any]
-    turning: tuple[Any, Any, Any]
+    rotation: tuple[Any, Any, Any]
 
     @property
     def q_dot(self) -> Any:
         """Pitch acceleration, rad/s2."""
-        return self.turning[1]
+        return self.rotation[1]
 
 
 def motion_of_aircraft(
@@ -56,13 +60,13 @@ def motion_of_aircraft(
     lateral one follows from `ay` at the accelerometer, else from the sideslip's rate `beta_dot`, else it is 0.
 
     Args:
-        flow: what effects build, the coefficients among it, at an alpha-dot in rad/s.
-        air: `alpha`, `airspeed` and `density` of the air that is met, and `thrust`; SI.
+        flow: coefficients and other quantities of the effects, as a function of alpha-dot in rad/s.
+        air: `alpha`, `airspeed` and `density` of the flow, and `thrust`; SI.
         path: the motion over ground, SI: `airspeed`, `alpha`, `beta`, `p`, `q`, `r`, and `theta` and `phi` or `down`,
             the direction of gravity in body axes; the angular accelerations of `prescribed` rates (else 0).
-        aircraft: the actual one.
-        implicit: whether the flow depends on alpha-dot at all.
-        axes: whose coefficients the flow has.
+        aircraft: with its corrected constants.
+        implicit: whether the flow depends on alpha-dot.
+        axes: axes whose coefficients the flow has.
         prescribed: rates of `p`, `q`, `r` that are given, and `alpha`, if it is, with its rate `alpha_dot`.
     """
     nothing = jnp.zeros_like(air["alpha"])
@@ -96,50 +100,49 @@ def motion_of_aircraft(
     rates = rates_of(force) | {"beta": sideslip_rate(path, force, down)} | ({} if rate is None else {"alpha": rate})
     given = {f"{n}_dot": path.get(f"{n}_dot", nothing) for n in RATES if n in prescribed}
     acting = moments(known, force, air, aircraft)
-    turning = angular_accelerations(acting, tuple(path[n] for n in RATES), aircraft, given)  # type: ignore[arg-type]
-    return Motion(known, force, rates, turning)
+    rotation = angular_accelerations(acting, tuple(path[n] for n in RATES), aircraft, given)  # type: ignore[arg-type]
+    return Motion(known, force, rates, rotation)
 
 
 def accelerometers(now: Motion, path: Mapping[str, Any], aircraft: Aircraft) -> dict[str, Any]:
-    """What accelerometers away from the CG feel, m/s2; `path` has the rates p, q, r."""
-    p_dot, q_dot, r_dot = now.turning
+    """Specific force at the accelerometers, m/s2; `path` has the rates p, q, r."""
+    p_dot, q_dot, r_dot = now.rotation
     arm = lever_arm(Rotation(path["p"], path["q"], path["r"], p_dot, q_dot, r_dot), aircraft.accelerometer)
     return {name: f + x for name, f, x in zip(("ax", "ay", "az"), now.force, arm, strict=True)}
 
 
 def alpha_dot(rate_of: Callable[[Any], Any]) -> Float[Array, ""]:
-    """Solve rate = rate_of(rate): through the separation point lift depends on alpha-dot itself.
+    """Solve rate = rate_of(rate), because lift depends on alpha-dot through the separation point.
 
-    As a rule the right side falls as alpha-dot rises (more separation costs lift while alpha falls): the root lies
-    between zero and rate_of(0). Where it rises (a negative `CLadot` or hysteresis time) the root lies beyond, and soon
-    the motion is not unique any more: then the result is not a number. Newton's steps that leave the shrinking bracket
-    are replaced by its middle. A fixed-point iteration, of gain 0.9 to 2.7, would not do. Derivatives are those of the
-    implicit function.
+    Usually the right side decreases with alpha-dot, and the root is between zero and rate_of(0). Where it increases (a
+    negative `CLadot` or hysteresis time) the root is beyond, and for a larger slope the motion is not unique: the
+    result is then NaN. Newton steps that leave the bracket are replaced by bisection. A fixed-point iteration would not
+    converge (gain 0.9 to 2.7). Derivatives are those of the implicit function.
     """
 
     def bracketed(excess, first):
-        def going(state):
+        def not_converged(state):
             _, _, _, step, _, count = state
-            return (jnp.abs(step) > TOLERANCE) & (count < MOST)
+            return (jnp.abs(step) > TOLERANCE) & (count < MAX_ITERATIONS)
 
-        def closer(state):
-            low, high, rate, _, least, count = state
+        def iterate(state):
+            low, high, rate, _, min_slope, count = state
             value, slope = jax.jvp(excess, (rate,), (jnp.ones_like(rate),))
             low, high = jnp.where(value < 0.0, rate, low), jnp.where(value > 0.0, rate, high)
             newton = rate - value / jnp.where(slope > 0.0, slope, 1.0)
             outside = (newton < low) | (newton > high) | ~(slope > 0.0)
             new = jnp.where(outside, 0.5 * (low + high), newton)
-            return low, high, new, new - rate, jnp.minimum(slope, least), count + 1
+            return low, high, new, new - rate, jnp.minimum(slope, min_slope), count + 1
 
-        endless = jnp.full_like(first, jnp.inf)
-        farthest = first / UNIQUE  # of a slope that is nowhere less
-        begin = (jnp.minimum(farthest, 0.0), jnp.maximum(farthest, 0.0), 0.5 * first, endless, endless, 0)
-        _, _, rate, _, least, _ = jax.lax.while_loop(going, closer, begin)
-        return rate, least
+        infinite = jnp.full_like(first, jnp.inf)
+        bound = first / MIN_SLOPE  # of the root, if the slope is nowhere smaller
+        begin = (jnp.minimum(bound, 0.0), jnp.maximum(bound, 0.0), 0.5 * first, infinite, infinite, 0)
+        _, _, rate, _, min_slope, _ = jax.lax.while_loop(not_converged, iterate, begin)
+        return rate, min_slope
 
     first = rate_of(jnp.zeros(()))
     root = jax.lax.custom_root(
         lambda rate: rate - rate_of(rate), first, bracketed, lambda g, y: y / g(1.0), has_aux=True
     )
-    rate, least = root  # type: ignore[misc]
-    return jnp.where(least > UNIQUE, rate, jnp.nan)
+    rate, min_slope = root  # type: ignore[misc]
+    return jnp.where(min_slope > MIN_SLOPE, rate, jnp.nan)

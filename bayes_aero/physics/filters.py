@@ -113,7 +113,7 @@ def differentiate_joined(
 
 
 def inside_joined(n: int, first: Int[Array, " n"], last: Int[Array, " n"]) -> Int[Array, " n"]:
-    """Samples to the nearer end of the manoeuvre."""
+    """Number of samples to the nearer end of the manoeuvre."""
     xp = namespace(first, last)
     place = xp.arange(n)
     return xp.minimum(place - first, last - place)

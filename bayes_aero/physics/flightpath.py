@@ -1,4 +1,4 @@
-"""Flight-path kinematics: how attitude, airspeed, flow angle and height must move if the sensors agree.
+"""Flight-path kinematics: time derivatives of attitude, airspeed, flow angles and altitude from inertial sensors.
 
 No aerodynamics: rates and specific forces at the centre of gravity give the derivatives of what other sensors measure.
 Flat earth, air mass at rest. Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 10.

@@ -1,4 +1,4 @@
-"""From coefficients to accelerations: what `coefficients` takes apart, put together.
+"""Forces and moments from coefficients; the inverse of `coefficients`.
 
 Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 3.
 """
@@ -53,7 +53,7 @@ def moments(
         flow: Cl, Cm, Cn about the aircraft's reference point.
         force: specific force at the centre of gravity, body axes, m/s2; thrust is taken out of it.
         signals: `airspeed`, `density` and `thrust`, SI, with `thrust_left` and `thrust_right` where known.
-        aircraft: the actual one.
+        aircraft: with its corrected constants.
     """
     a = aircraft
     area = 0.5 * signals["density"] * jnp.square(signals["airspeed"]) * a.wing_area

@@ -1,4 +1,4 @@
-"""Moments of a left and a right wing that do not carry the same."""
+"""Moments due to a difference between the right and the left wing."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ CENTROID = 4.0 / (3.0 * math.pi)  # of half an elliptic lift distribution, share
 def moments_of_difference(CL: Samples, CD: Samples, alpha: Samples, aircraft: Aircraft) -> dict[str, Samples]:
     """Cl and Cn of differences of lift and drag, right less left wing.
 
-    `CL` and `CD` are those of a whole wing of which both halves were like the right one, less those of one like the
-    left: either half carries half of its own, at `CENTROID`. Moments are about body axes.
+    `CL` and `CD` are coefficients of a wing with both halves like the right one, less those with both halves like the
+    left one. The force of a half acts at `CENTROID`. Moments are about body axes.
     """
     CX = CL * xp.sin(alpha) - CD * xp.cos(alpha)
     CZ = -CL * xp.cos(alpha) - CD * xp.sin(alpha)

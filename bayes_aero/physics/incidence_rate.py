@@ -1,6 +1,7 @@
-"""Rate of change of the angle of attack from vane, gyro and accelerometer, its noise apart from that of lift.
+"""Rate of change of the angle of attack from vane, gyro and accelerometer, with noise independent of that of lift.
 
-Newton's law across the flight path: alpha-dot is pitch rate, less what specific force and gravity turn the path by.
+Newton's law normal to the flight path: alpha-dot is the pitch rate less the rotation of the path by specific force and
+gravity.
 """
 
 from __future__ import annotations
@@ -16,17 +17,17 @@ from bayes_aero.physics.filters import LONG_REACH, differentiate_joined, inside_
 from bayes_aero.physics.kinematics import RATES, Rotation, lever_arm
 
 KNOTS = (0.4, 0.6, 0.75, 0.85, 0.93)  # shares of the samples at lower alpha; dense where the flow separates
-CURVES = 2  # times the one-sided hysteresis is taken from the last alpha-dot
+ITERATIONS = 2  # of the regression, because the hysteresis depends on alpha-dot
 RIDGE = 1e-6  # of the mean square of a column
 
 Operator = Callable[[Float[Array, " n"]], Float[Array, " n"]]
 
 
 class LiftRegression(NamedTuple):
-    """What the specific force adds to alpha-dot, regressed on what lift depends on.
+    """Regression of the part of alpha-dot due to specific force on the variables on which lift depends.
 
-    `share` (c,) of each cause (see `_causes`), `knots` (j,) in rad, and the part of alpha-dot (n,) in rad/s that the
-    hysteresis was taken with.
+    `share` (c,): coefficients of the regressors (see `_causes`); `knots` (j,), rad; `before` (n,): the part of
+    alpha-dot due to specific force, rad/s, with which the hysteresis was computed.
     """
 
     share: Float[Array, " c"]
@@ -43,16 +44,16 @@ def alpha_rate(
 ) -> Float[Array, " n"]:
     """alpha-dot, rad/s, of manoeuvres laid end to end: slow part from the vane, fast part from gyro and lift.
 
-    A vane's noise, differentiated, is several times that of gyro and accelerometer, and a one-sided hysteresis makes a
-    bias of it; offsets of gyro and accelerometer and gravity are slow. The part that the specific force adds is not
-    taken as measured, for it is the measured lift: a lift coefficient that is explained by it is explained by its own
-    noise, and lift due to pitch rate and to alpha-dot then come out large, with opposite signs. It is regressed on what
-    lift depends on (angle of attack in pieces, their hysteresis, elevator, pitch rate), and the regression is taken:
-    two-stage least squares. Near the ends of a manoeuvre the smoothed vane alone.
+    The differentiated noise of a vane is several times that of gyro and accelerometer, and a one-sided hysteresis turns
+    it into a bias. Offsets of gyro and accelerometer, and gravity, are slow. The measured part due to specific force is
+    the measured lift; as a regressor of the lift coefficient it would explain the noise of the lift, and the estimates
+    of lift due to pitch rate and to alpha-dot would be large with opposite signs. It is therefore regressed on the
+    variables on which lift depends (angle of attack in pieces, their hysteresis, elevator, pitch rate), and the
+    prediction is used: two-stage least squares. Near the ends of a manoeuvre only the smoothed vane is used.
 
     Args:
         s: channels (n,), SI, with `p_dot`, `q_dot`, `r_dot` in rad/s2.
-        regression: of the record as it was recorded (`lift_regression`), held whatever is corrected in `s`.
+        regression: `lift_regression` of the uncorrected record; it is not changed by corrections of `s`.
         dt: sampling interval, s.
         first, last: the ends of each sample's manoeuvre.
 
@@ -71,7 +72,7 @@ def lift_regression(
     first: Int[Array, " n"],
     last: Int[Array, " n"],
 ) -> LiftRegression:
-    """Regression of the fast part that specific force adds to alpha-dot on lift's causes; arguments as `alpha_rate`.
+    """Regression of the fast part of alpha-dot due to specific force on the causes of lift; arguments as `alpha_rate`.
 
     `accelerometer` is its position from the CG, m.
     """
@@ -83,7 +84,7 @@ def lift_regression(
     knots = jnp.quantile(smoothed["alpha"], jnp.asarray(KNOTS))
     before = part = jnp.zeros_like(base)
     share = jnp.zeros(0)
-    for _ in range(CURVES):
+    for _ in range(ITERATIONS):
         causes = _causes(smoothed, smooth(base + part), knots)
         even = jax.vmap(fast)(causes, causes)
         size = jnp.sqrt(jnp.mean(even**2, axis=1) + 1e-30)
@@ -98,7 +99,7 @@ def lift_regression(
 def _parts(
     s: Mapping[str, Array], dt: Float[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"]
 ) -> tuple[Operator, Callable[[Array, Array], Array], Float[Array, " n"]]:
-    """The smoothing filter, what takes the fast part of a signal, and alpha-dot without the specific force's part."""
+    """The smoothing filter, the high-pass filter, and alpha-dot without the part due to specific force."""
 
     def smooth(x):
         return smooth_joined(x, first, last)
@@ -117,14 +118,14 @@ def _parts(
 
 
 def _from_force(s: Mapping[str, Array], accelerometer: tuple[Any, Any, Any]) -> Float[Array, " n"]:
-    """What specific force at the CG adds to alpha-dot, rad/s."""
+    """Part of alpha-dot due to specific force at the CG, rad/s."""
     rotation = Rotation(*(s[name] for name in (*RATES, *(f"{name}_dot" for name in RATES))))
     arm_x, _, arm_z = lever_arm(rotation, accelerometer)
     return ((s["az"] - arm_z) * jnp.cos(s["alpha"]) - (s["ax"] - arm_x) * jnp.sin(s["alpha"])) / s["airspeed"]
 
 
 def _causes(s: Mapping[str, Array], rate: Float[Array, " n"], knots: Float[Array, " j"]) -> Float[Array, "c n"]:
-    """What lift over mass and airspeed depends on: rows of a regression."""
+    """Regressors of lift over mass and airspeed, as rows."""
     weight = s["density"] * s["airspeed"]
     pieces = jnp.maximum(s["alpha"] - knots[:, None], 0.0)
     falling = jnp.minimum(rate, 0.0)

@@ -1,4 +1,4 @@
-"""Rigid-body kinematics and dynamics: attitude, angular accelerations, what an accelerometer off the CG feels."""
+"""Rigid-body kinematics and dynamics: attitude, angular accelerations, lever arm of accelerometers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Rotation(NamedTuple):
 
 
 def inertial_moments(rotation: Rotation, aircraft: Aircraft) -> tuple[Samples, Samples, Samples]:
-    """Moments about body x, y and z (N m) that this rotation takes: I omega_dot + omega x (I omega).
+    """Moments about body x, y and z (N m) of a rotation: I omega_dot + omega x (I omega).
 
     Full inertia tensor; Ixy, Ixz, Iyz are the integrals of the products (a nose-down principal axis has Ixz > 0).
     Source: Etkin and Reid, *Dynamics of Flight*, 3rd ed. 1996, eq. 4.3,5.
@@ -48,7 +48,7 @@ def angular_accelerations(
     """p_dot, q_dot, r_dot (rad/s2) from moments about the CG (N m): Euler's equations, `inertial_moments` solved.
 
     `rates` are p, q, r in rad/s. `given` has the accelerations `p_dot`, `q_dot`, `r_dot` of axes whose rate is
-    prescribed; the moment about such an axis is whatever it takes.
+    prescribed; the moment about such an axis is then not used.
     """
     a, nothing = aircraft, xp.zeros_like(rates[0])
     turning = inertial_moments(Rotation(*rates, nothing, nothing, nothing), a)
@@ -83,7 +83,7 @@ def euler_rates(
 
 
 class Attitude(NamedTuple):
-    """A quaternion from earth to body axes, of any length: e0 the scalar part. Without a singularity.
+    """A quaternion from earth to body axes, of any length, with scalar part e0; without a singularity.
 
     Source: Stevens, Lewis, Johnson, *Aircraft Control and Simulation*, 3rd ed. 2016, ch. 1.8.
     """

@@ -1,8 +1,8 @@
-"""Rates and speeds free of units, as aerodynamic derivatives take them.
+"""Nondimensional rates and speeds of aerodynamic derivatives.
 
-Texts differ in the length (chord, half chord, any other) and in the speed (of the moment, of the trim point); a card
-says which under [aircraft] as `rate_length`, `lateral_rate_length` and `reference_speed`. By default they are made free
-of units as q c/V, p b/2V and r b/2V.
+Texts differ in the length (chord, half chord, another one) and in the speed (present, or of the trim point). A card
+states them under [aircraft] as `rate_length`, `lateral_rate_length` and `reference_speed`. Defaults are q c/V, p b/2V
+and r b/2V.
 """
 
 from __future__ import annotations

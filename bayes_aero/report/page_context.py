@@ -1,4 +1,4 @@
-"""What the page of a diagnosis shows beside the finding itself."""
+"""Data of a diagnosis page in addition to the diagnosis."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bayes_aero.flight.record import FlightRecord
 
 @dataclass(frozen=True)
 class PageContext:
-    """What a diagnosis page needs beside the finding; `notes` are stages that were left out and why."""
+    """Data of a diagnosis page in addition to the diagnosis; `notes` are stages that were left out, with the reason."""
 
     card: Card
     records: Sequence[FlightRecord]
@@ -27,4 +27,4 @@ class PageContext:
     notes: Sequence[str] = ()
     consistency: Consistency | None = None
     failures: Sequence[str] = ()  # parts that failed unexpectedly
-    health: Sequence[HealthFinding] = ()  # what is wrong with channels
+    health: Sequence[HealthFinding] = ()  # faults of channels

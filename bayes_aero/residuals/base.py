@@ -1,4 +1,4 @@
-"""What criticism needs of anything measured and modelled: residuals at parameters, and their sensitivities."""
+"""Residual models: residuals of a model on a record at given parameters, and their sensitivities."""
 
 from __future__ import annotations
 
@@ -14,18 +14,20 @@ from bayes_aero.model.joined_records import Recorded
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import FILTER_STEP
 
-CHUNK = 16  # directions per call
+DIRECTIONS_PER_CALL = 16
 
 
 class ResidualModel(ABC):
-    """Outputs of flights under one model of many effects, as means over m blocks of samples; a dataclass that has both
-    (in JAX an `equinox.Module`)."""
+    """Residuals of flights under one model of many effects, as means over m blocks of samples.
+
+    An implementation is a dataclass (with JAX an `equinox.Module`) with the fields `flights` and `model`.
+    """
 
     flights: Recorded
     model: Model
 
     def with_channels(self, channels: Mapping[str, Array]) -> ResidualModel:
-        """The same of flights with these channels."""
+        """The same model on flights with these channels."""
         flights = replace(self.flights, channels=dict(channels))  # pyright: ignore[reportArgumentType]
         return replace(self, flights=flights)  # pyright: ignore[reportArgumentType]
 
@@ -46,7 +48,7 @@ class ResidualModel(ABC):
 
     @property
     def stretch(self) -> Int[np.ndarray, " m"] | None:
-        """The stretch of each block, where residuals begin anew with every stretch and no stationary colour holds."""
+        """The stretch of each block, where residuals start again in every stretch and are not stationary; else None."""
         return None
 
     @abstractmethod
@@ -55,24 +57,24 @@ class ResidualModel(ABC):
 
     @abstractmethod
     def evaluate(self, theta: Float[Array, " k"]) -> tuple[Float[Array, "m c"], Mapping[str, Array]]:
-        """Residuals at parameters `theta` (the model's free ones), and what explains them, by name, at full rate."""
+        """Residuals at the free parameters `theta`, and signals that describe them by name, at the recorded rate."""
 
     @abstractmethod
     def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:
-        """Sensitivities to what is no parameter and free in every fit: where integrals began."""
+        """Sensitivities to quantities that are free in every fit and no parameters: initial values of integrals."""
 
     @abstractmethod
     def slopes(
         self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
-        """Residuals and minus their derivatives in `CHUNK` directions."""
+        """Residuals and minus their derivatives in `DIRECTIONS_PER_CALL` directions."""
 
-    def sloped(self, theta: Float[np.ndarray, " k"]) -> Callable[[Float[np.ndarray, "d k"]], tuple]:
-        """`slopes` at these parameters, for one set of directions after the other."""
+    def slopes_at(self, theta: Float[np.ndarray, " k"]) -> Callable[[Float[np.ndarray, "d k"]], tuple]:
+        """`slopes` at these parameters as a function of the directions."""
         return lambda directions: self.slopes(theta, directions)
 
-    def apart(self, columns: Int[np.ndarray, " j"]) -> list[Int[np.ndarray, " i"]]:
-        """Places among `columns` in sets that are to be taken by themselves, for one of them may cost less."""
+    def separate_sets(self, columns: Int[np.ndarray, " j"]) -> list[Int[np.ndarray, " i"]]:
+        """Indices of `columns` in sets of equal cost, each of which is computed by itself."""
         return [np.arange(len(columns))]
 
     def linearise(
@@ -80,17 +82,20 @@ class ResidualModel(ABC):
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c j"]]:
         """Residuals (measured minus modelled) and minus their derivative, so that new = old - S (theta' - theta).
 
-        `columns` chooses parameters (default: all). They are taken `CHUNK` at a time, so any choice runs the one
-        compiled function.
+        Args:
+            theta: free parameters, (k,).
+            columns: indices of the parameters of S, (j,); default: all. `DIRECTIONS_PER_CALL` of them are computed at a
+                time, so that any choice uses one compiled function.
         """
-        wanted = np.arange(len(theta)) if columns is None else np.asarray(columns)
-        residual, S, slopes = None, None, self.sloped(theta)
-        places = [part[i : i + CHUNK] for part in self.apart(wanted) for i in range(0, len(part), CHUNK)]
+        indices = np.arange(len(theta)) if columns is None else np.asarray(columns)
+        residual, S, slopes = None, None, self.slopes_at(theta)
+        size = DIRECTIONS_PER_CALL
+        places = [part[i : i + size] for part in self.separate_sets(indices) for i in range(0, len(part), size)]
         for place in places or [np.arange(0)]:
-            directions = np.zeros((CHUNK, len(theta)))
-            directions[np.arange(len(place)), wanted[place]] = 1.0
+            directions = np.zeros((size, len(theta)))
+            directions[np.arange(len(place)), indices[place]] = 1.0
             residual, slope = slopes(directions)
-            S = np.empty((*residual.shape, len(wanted))) if S is None else S
+            S = np.empty((*residual.shape, len(indices))) if S is None else S
             S[:, :, place] = np.moveaxis(slope[: len(place)], 0, 2)
         assert residual is not None
         assert S is not None
@@ -98,7 +103,7 @@ class ResidualModel(ABC):
 
 
 class Blockwise(ResidualModel):
-    """Means over blocks of `FILTER_STEP` samples, the rate that the reconstruction's filters pass."""
+    """Means over blocks of `FILTER_STEP` samples: the rate that the smoothing filters pass."""
 
     @property
     def manoeuvre(self) -> Int[np.ndarray, " m"]:
@@ -111,7 +116,7 @@ class Blockwise(ResidualModel):
         return FILTER_STEP * float(np.median(np.asarray(self.flights.channels["dt"])))
 
     def block(self, x: Float[Array, "n ..."]) -> Float[Array, "m ..."]:
-        """Means over blocks, manoeuvre by manoeuvre; the last samples that fill no block are left out."""
+        """Means over blocks, manoeuvre by manoeuvre; the last samples of an incomplete block are left out."""
         begin, parts = 0, []
         for length in self.flights.lengths:
             m = length // FILTER_STEP
@@ -121,7 +126,7 @@ class Blockwise(ResidualModel):
         return namespace(x).concatenate(parts)
 
     def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:  # noqa: ARG002
-        """A constant for each manoeuvre and flight-path output: where the integral began."""
+        """A constant for each manoeuvre and flight-path output: the initial value of the integral."""
         manoeuvre = self.manoeuvre
         path = [c for c, name in enumerate(outputs) if name not in self.model.coefficients]
         S = np.zeros((len(manoeuvre), len(outputs), (int(manoeuvre[-1]) + 1) * len(path)))

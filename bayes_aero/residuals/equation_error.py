@@ -1,7 +1,7 @@
-"""Everything measured beside everything modelled, as a function of every effect's parameters at once.
+"""Equation error: measured minus modelled coefficients and flight path, as a function of the parameters of all effects.
 
-Outputs are the coefficients and, where attitude and height were recorded, the flight-path integrals. One
-compiled function gives the residuals and their sensitivity to all parameters of all effects, active or not.
+Outputs are the coefficients and, where attitude and altitude were recorded, the flight-path integrals. One compiled
+function gives the residuals and their sensitivities to all parameters of all effects, active or not.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from bayes_aero.physics.flightpath import LATERAL, PATH
 from bayes_aero.residuals.base import Blockwise
 from bayes_aero.residuals.flight_path import differences, flight_path
 
-GROUP = 4  # directions at a time: most calls ask for no more, and the others lose nothing
+DIRECTIONS_AT_ONCE = 4  # most calls need no more, and larger ones are no slower
 RESPONSE = ("q", *PATH, *LATERAL)  # measured channels whose own scale an effect may change
 LATERAL_RESPONSE = ("p", "r", "ay")  # and those of the lateral axis
 
@@ -32,21 +32,21 @@ LATERAL_RESPONSE = ("p", "r", "ay")  # and those of the lateral axis
 class EquationError(Blockwise, eqx.Module):
     """Residuals of one set of flights under one model of many effects.
 
-    Residuals are averaged over m blocks. They are referred to the response as recorded: a coefficient's residual is
-    multiplied by how much more (or less) of it one unit of measured acceleration makes under the card's values than
-    under the effect's, so that an effect that rescales the measurement cannot win by shrinking its noise. This is
-    the likelihood's Jacobian term.
+    Residuals are averaged over m blocks. They are in units of the recorded response: the residual of a coefficient is
+    multiplied by the ratio of its derivatives by the recorded acceleration, with the card's values over with the
+    effect's. Otherwise an effect that rescales the measurement could improve the fit by shrinking its noise. This is
+    the Jacobian term of the likelihood.
     """
 
     flights: Flights
     model: Model = eqx.field(static=True)
-    measuring: tuple[int, ...] = eqx.field(static=True)  # parameters that what is measured depends on, not only flow
+    measuring: tuple[int, ...] = eqx.field(static=True)  # parameters on which the measured coefficients depend
     path: tuple[str, ...] = eqx.field(static=True)  # flight-path outputs
 
     @classmethod
     def of(cls, flights: Flights, model: Model) -> EquationError:
         """`flights` under `model`."""
-        return cls(flights, model, _measuring(model, flights), flight_path(flights))
+        return cls(flights, model, _measurement_parameters(model, flights), flight_path(flights))
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -56,7 +56,7 @@ class EquationError(Blockwise, eqx.Module):
     def evaluate(
         self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
     ) -> tuple[Float[Array, "m c"], dict[str, Array]]:
-        """Residuals at parameters `theta` (the model's free ones), and what explains them, by name, at full rate."""
+        """Residuals at the free parameters `theta`, and signals that describe them by name, at the recorded rate."""
         return _evaluate(self._nameless, theta)
 
     def slopes(
@@ -67,8 +67,9 @@ class EquationError(Blockwise, eqx.Module):
         residual, slope = linearised(self._nameless, jnp.asarray(theta), jnp.asarray(directions))
         return np.asarray(residual), np.asarray(slope)
 
-    def apart(self, columns: Int[np.ndarray, " j"]) -> list[Int[np.ndarray, " i"]]:
-        """Parameters of the flow alone cost a fourth of those that move what is measured."""
+    def separate_sets(self, columns: Int[np.ndarray, " j"]) -> list[Int[np.ndarray, " i"]]:
+        """Parameters that change only the modelled coefficients cost a fourth of those that change the measured
+        ones."""
         measuring = np.isin(columns, self.measuring)
         return [np.flatnonzero(measuring), np.flatnonzero(~measuring)]
 
@@ -77,8 +78,8 @@ class EquationError(Blockwise, eqx.Module):
         return replace(self, flights=self.flights.nameless)
 
 
-def _measuring(model: Model, flights: Flights) -> tuple[int, ...]:
-    """Free parameters that some effect on the record or the aircraft reads."""
+def _measurement_parameters(model: Model, flights: Flights) -> tuple[int, ...]:
+    """Indices of the free parameters of effects on the record or on the aircraft."""
 
     def measured(*theta):
         values = dict(model.fixed) | dict(zip(model.names, theta, strict=True))
@@ -94,8 +95,8 @@ def _response(model: Model) -> tuple[str, ...]:
     return RESPONSE if Axis.LATERAL not in model.axes else tuple(dict.fromkeys((*RESPONSE, *LATERAL_RESPONSE)))
 
 
-def _measured(responses: EquationError, values: Mapping[str, Any], channels: Mapping[str, Array]):
-    """Corrected signals of every flight, and the aircraft as it is."""
+def _corrected_signals(responses: EquationError, values: Mapping[str, Any], channels: Mapping[str, Array]):
+    """Corrected signals of all flights, and the aircraft with its corrected constants."""
     corrected = responses.model.corrected(values, channels, responses.flights.aircraft)
     return responses.flights.with_slopes(corrected), responses.model.actual_aircraft(values, responses.flights.aircraft)
 
@@ -105,8 +106,8 @@ def _modelled(responses: EquationError, values, signals, aircraft):
     return jnp.stack([known[name] for name in responses.model.coefficients], axis=-1), known["X"]
 
 
-def _referred(responses: EquationError, signals, aircraft, scales):
-    """Factors (n, c) that refer residuals of coefficients to the response as recorded."""
+def _response_factors(responses: EquationError, signals, aircraft, scales):
+    """Factors (n, c) that convert residuals of coefficients to units of the recorded response."""
     f = responses.flights
     pressure = signals["density"] * jnp.square(signals["airspeed"])
     nominal = f.channels["density"] * jnp.square(f.channels["airspeed"])
@@ -122,14 +123,14 @@ def _referred(responses: EquationError, signals, aircraft, scales):
 
 
 def _residuals(responses: EquationError, theta):
-    """Residuals of blocks, and everything that explains them."""
+    """Residuals of blocks, and signals that describe them."""
     f, model = responses.flights, responses.model
     values = model.values(theta)
-    signals, aircraft = _measured(responses, values, f.channels)
+    signals, aircraft = _corrected_signals(responses, values, f.channels)
     measured = stacked_coefficients(signals, aircraft, model.coefficients)
     modelled, X = _modelled(responses, values, signals, aircraft)
     scales = response_scales(model, values, f.channels, f.aircraft, _response(model))
-    columns = [(measured - modelled) * _referred(responses, signals, aircraft, scales)]
+    columns = [(measured - modelled) * _response_factors(responses, signals, aircraft, scales)]
     if responses.path:
         columns.append(differences(responses.path, signals, aircraft, scales))
     residual = f.smoothed(jnp.concatenate(columns, axis=1))
@@ -150,18 +151,18 @@ def _linearise(responses: EquationError, theta, directions):
 
 @eqx.filter_jit
 def _linearise_flow(responses: EquationError, theta, directions):
-    """As `_linearise`, in directions that leave everything measured as it is."""
+    """As `_linearise`, in directions that do not change the measured coefficients."""
     f, model = responses.flights, responses.model
     values = model.values(theta)
-    signals, aircraft = _measured(responses, values, f.channels)
+    signals, aircraft = _corrected_signals(responses, values, f.channels)
     scales = response_scales(model, values, f.channels, f.aircraft, _response(model))
-    referred = _referred(responses, signals, aircraft, scales)
+    factors = _response_factors(responses, signals, aircraft, scales)
 
     def flow(t):
-        return _modelled(responses, model.values(t), signals, aircraft)[0] * referred
+        return _modelled(responses, model.values(t), signals, aircraft)[0] * factors
 
-    def blocks(moved):
-        return responses.block(f.smoothed(moved))
+    def blocks(coefficients):
+        return responses.block(f.smoothed(coefficients))
 
     _, slope = jax.linearize(flow, theta)
     coefficients_alone = _along(lambda d: blocks(slope(d)), directions)
@@ -171,10 +172,10 @@ def _linearise_flow(responses: EquationError, theta, directions):
 
 
 def _along(slope: Callable[[Array], Array], directions: Float[Array, "d k"]) -> Float[Array, "d m c"]:
-    """Slopes in all directions, `GROUP` at a time; zero and not computed in groups of no direction at the end."""
-    groups = directions.reshape(-1, GROUP, directions.shape[1])
+    """Slopes in all directions, `DIRECTIONS_AT_ONCE` at a time; groups of zero directions at the end are skipped."""
+    groups = directions.reshape(-1, DIRECTIONS_AT_ONCE, directions.shape[1])
     used = jnp.sum(jnp.any(groups != 0.0, axis=(1, 2)))
     shape = jax.eval_shape(slope, directions[0])
-    nothing = jnp.zeros((len(groups), GROUP, *shape.shape), shape.dtype)
+    nothing = jnp.zeros((len(groups), DIRECTIONS_AT_ONCE, *shape.shape), shape.dtype)
     found = jax.lax.fori_loop(0, used, lambda i, x: x.at[i].set(jax.vmap(slope)(groups[i])), nothing)
     return found.reshape(-1, *shape.shape)

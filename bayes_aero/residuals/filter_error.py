@@ -1,8 +1,8 @@
-"""Filter error: innovations of whole manoeuvres, what a filter did not foresee one sample ahead.
+"""Filter error: innovations of whole manoeuvres, the errors of one-step predictions by a Kalman filter.
 
-The gains are those of an extended Kalman filter at one set of parameters, and stay while parameters vary. Innovations
-of a model without error are white, whatever the air does; an effect that it lacks makes them follow their cause.
-Source: Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, ch. 5.
+The gains are those of an extended Kalman filter at one set of parameters; they are held while the parameters vary. The
+innovations of a correct model are white, also in turbulence. An effect that the model lacks correlates them with its
+input. Source: Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, ch. 5.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from bayes_aero.dynamics.filtering.innovations import Observer, observed, observer
+from bayes_aero.dynamics.filtering.innovations import Observer, observer_of, run_observer
 from bayes_aero.dynamics.filtering.kalman import Filtered
-from bayes_aero.dynamics.filtering.linearised import by_state, linearised, observer_slopes
+from bayes_aero.dynamics.filtering.linearised import linearise, observer_derivatives, state_derivatives
 from bayes_aero.dynamics.flight import AircraftDynamics
-from bayes_aero.dynamics.segments import SegmentTrajectories, prepared
+from bayes_aero.dynamics.segments import SegmentTrajectories, prepare
 from bayes_aero.residuals.output_error import OutputError
 
 
 class FilterError(OutputError):
     """Whitened innovations, m samples.
 
-    They are not averaged over blocks, as outputs are: the sensitivity to an error of a sensor holds that sensor's noise
-    up to the sample before, and a mean would correlate it with the noise that it is to explain.
+    They are not averaged over blocks as outputs are. The sensitivity to a sensor error contains the noise of that
+    sensor up to the sample before; a block mean would correlate it with the noise of the residual.
     """
 
     by: Observer
@@ -42,9 +42,14 @@ class FilterError(OutputError):
         found: Filtered,
         dynamics: AircraftDynamics,
     ) -> FilterError:
-        """Of a filter that followed segments `cut` at `theta` and `R` and gave `found`, under wider `dynamics`.
+        """Innovations of a filtered record under extended dynamics.
 
-        These have the states of the filter, but perhaps not all: gusts of no intensity are none.
+        Args:
+            cut: the filtered segments.
+            theta: parameters of the filter.
+            R: variances of the measurement noise, (c,), SI.
+            found: the result of the filter.
+            dynamics: with more effects. They may lack states of the filter, such as gusts without intensity.
         """
         by = _observer(cut.nameless, jnp.asarray(theta), jnp.asarray(R), found)
         rows = np.array([cut.dynamics.states.index(name) for name in dynamics.states])
@@ -59,7 +64,7 @@ class FilterError(OutputError):
 
     @property
     def seconds(self) -> float:
-        """From sample to sample."""
+        """Sample time, s."""
         return float(np.median(self.windows.dt))
 
     def _mean(self, x: Float[Array, "w n ..."]) -> Float[Array, "m ..."]:
@@ -67,27 +72,27 @@ class FilterError(OutputError):
 
     @property
     def stretch(self) -> None:
-        """None: innovations do not gather."""
+        """None: innovations are stationary."""
         return
 
     def residual(self, theta: Any, shared: Any) -> Float[Array, "m c"]:  # noqa: ARG002
         """Whitened innovations at these parameters."""
         flown = self.flown
-        e = observed(flown, theta, self.by).innovation
-        return self._whitened(e[..., None], prepared(flown, theta).scale)[..., 0]
+        e = run_observer(flown, theta, self.by).innovation
+        return self._whitened(e[..., None], prepare(flown, theta).scale)[..., 0]
 
     def _whitened(self, e: Float[Array, "w n c d"], scale: Float[Array, "w n c"]) -> Float[Array, "m c d"]:
-        """Referred to the record."""
+        """Whitened, in units of the recorded channels."""
         return self._mean(jnp.einsum("wnij,wnjd->wnid", self.by.whitening, e / scale[..., None]))
 
     def slopes(
         self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
         """Residuals and minus their derivatives in these directions, along the path of the observer."""
-        return self.sloped(theta)(directions)
+        return self.slopes_at(theta)(directions)
 
-    def sloped(self, theta: Float[np.ndarray, " k"]) -> Callable[[Float[np.ndarray, "d k"]], tuple]:
-        """The path, and all that follows it alone, is found once."""
+    def slopes_at(self, theta: Float[np.ndarray, " k"]) -> Callable[[Float[np.ndarray, "d k"]], tuple]:
+        """`slopes` as a function of the directions; the path and its derivatives by the state are computed once."""
         nameless, at = self._nameless, jnp.asarray(theta)
         assert isinstance(nameless, FilterError)
         path, known = _path(nameless, at)
@@ -99,26 +104,28 @@ class FilterError(OutputError):
         return slopes
 
     def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:  # noqa: ARG002
-        """None: the filter finds where a manoeuvre began."""
+        """None: the filter estimates the initial state."""
         return np.zeros((len(self.place), len(outputs), 0))
 
 
 @eqx.filter_jit
 def _observer(flown, theta, R, found):
-    return observer(flown, theta, R, found)
+    return observer_of(flown, theta, R, found)
 
 
 @eqx.filter_jit
 def _path(responses: FilterError, theta):
-    path = observed(responses.flown, theta, responses.by)
-    return path, by_state(responses.flown, theta, path.before, path.after)
+    path = run_observer(responses.flown, theta, responses.by)
+    return path, state_derivatives(responses.flown, theta, path.before, path.after)
 
 
 @eqx.filter_jit
 def _slopes(responses: FilterError, theta, path, known, directions):
-    lin = linearised(responses.flown, theta, path.before, path.after, directions, known)
+    lin = linearise(responses.flown, theta, path.before, path.after, directions, known)
     e = path.innovation[..., None]
-    # An error of scale makes the record's noise larger with its signal: without this term it would explain noise.
+    # A scale error changes the noise of the record with its signal; without this term it would fit noise.
     grown = e * lin.scale_drive / lin.scale[..., None]
-    found = responses._whitened(jnp.concatenate([e, observer_slopes(lin, responses.by) - grown], axis=-1), lin.scale)
+    found = responses._whitened(
+        jnp.concatenate([e, observer_derivatives(lin, responses.by) - grown], axis=-1), lin.scale
+    )
     return found[..., 0], found[..., 1:]

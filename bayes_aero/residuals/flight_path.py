@@ -1,7 +1,7 @@
-"""What the flight path leaves of recorded channels, as a function of the parameters of every error of a sensor.
+"""Flight-path error: recorded minus integrated channels, as a function of the parameters of all sensor errors.
 
-In NumPy, without JAX: a check of records takes no longer than its libraries take to load. Slopes are differences, for a
-path is all but linear in the errors of its sensors.
+In NumPy, without JAX, so that a check of records starts fast. Slopes are finite differences, because a flight path is
+nearly linear in the errors of its sensors.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from bayes_aero.physics.flightpath import ANGLES, as_symmetric, integral, path_o
 from bayes_aero.physics.kinematics import RATES
 from bayes_aero.residuals.base import Blockwise
 
-KEPT = 256  # residuals that are kept; a slope needs one for each direction
-LEVEL = np.radians(5.0)  # of bank: wings that move less count as level where bank was not recorded
-STEP = 1e-6  # of a parameter's prior deviation, and of a channel's largest value: differences are as good as slopes
-ON_RECORD = (Stage.CHANNEL, Stage.AIRCRAFT)  # stages that the flight path feels
+CACHE_SIZE = 256  # stored residuals; a slope needs one for each direction
+LEVEL_BANK = np.radians(5.0)  # change of bank below which wings count as level where bank was not recorded
+STEP = 1e-6  # of the differences: of a parameter's prior standard deviation, and of a channel's largest value
+RECORD_STAGES = (Stage.CHANNEL, Stage.AIRCRAFT)  # stages that change the flight path
 
 
 def flight_path(flights: Recorded) -> tuple[str, ...]:
-    """Flight-path outputs of these flights: none where they rolled and nobody knows how far."""
+    """Flight-path outputs of these flights; none where they rolled and the bank angle is unknown."""
     return () if rolled_unseen(flights) else path_outputs(flights.channels)
 
 
 def rolled_unseen(flights: Recorded) -> bool:
-    """Whether the roll rate of some manoeuvre changes a bank angle that was not recorded, a drift apart."""
+    """Whether a roll rate, less its mean, changes a bank angle that was not recorded."""
     if "phi" in flights.channels or "p" not in flights.channels:
         return False
     p, dt = (np.split(np.asarray(flights.channels[n]), np.cumsum(flights.lengths)[:-1]) for n in ("p", "dt"))
-    return any(np.ptp(np.cumsum((x - x.mean()) * step)) > LEVEL for x, step in zip(p, dt, strict=True))
+    return any(np.ptp(np.cumsum((x - x.mean()) * step)) > LEVEL_BANK for x, step in zip(p, dt, strict=True))
 
 
 def differences(
@@ -55,20 +55,20 @@ def differences(
     Args:
         outputs: flight-path outputs to form.
         s: corrected signals (n,) with `p_dot`, `q_dot`, `r_dot` and the marks of `effect.Stage`.
-        aircraft: as it is.
-        scales: what a unit of each recorded channel has become by the correction; one where it is not there.
+        aircraft: with its corrected constants.
+        scales: derivatives of the corrected channels by the recorded ones; 1 where a channel is not named.
         sines: see `path_rates`.
     """
     rates = path_rates(as_symmetric(s), aircraft, sines)
-    left = [
+    residuals = [
         (s[name] - integral(rates[name], s["dt"], s["start"], s["first"])) / scales.get(name, 1.0) for name in outputs
     ]
-    return namespace(*left).stack(left, axis=1)
+    return namespace(*residuals).stack(residuals, axis=1)
 
 
 @dataclass(frozen=True)
 class FlightPathError(Blockwise):
-    """Residuals of the flight path of `flights` under `model`; effects of later stages do nothing."""
+    """Residuals of the flight path of `flights` under `model`; only effects of `RECORD_STAGES` change them."""
 
     flights: Joined
     model: Model
@@ -87,7 +87,7 @@ class FlightPathError(Blockwise):
         return cls(plain, model, flight_path(flights))
 
     def evaluate(self, theta: Float[Array, " k"]) -> tuple[Float[np.ndarray, "m c"], Mapping[str, Array]]:
-        """Residuals of blocks; nothing explains them but the parameters."""
+        """Residuals of blocks; there are no further signals."""
         return self._residual(np.asarray(theta)), {}
 
     def slopes(
@@ -96,17 +96,17 @@ class FlightPathError(Blockwise):
         """Residuals and minus their derivatives in these directions."""
         theta = np.asarray(theta)
         residual = self._residual(theta)
-        found = np.zeros((len(directions), *residual.shape))
-        felt = np.isin(self.model.names, [p.name for e in self._on_record for p in e.parameters])
+        slope = np.zeros((len(directions), *residual.shape))
+        affected = np.isin(self.model.names, [p.name for e in self._on_record for p in e.parameters])
         spread = np.array([p.prior.normal[1] for p in self.model.free])
         for number, direction in enumerate(np.asarray(directions)):
-            if np.any(direction[felt]):
+            if np.any(direction[affected]):
                 step = STEP / float(np.max(np.abs(direction) / spread))
-                found[number] = (residual - self._residual(theta + step * direction)) / step
-        return residual, found
+                slope[number] = (residual - self._residual(theta + step * direction)) / step
+        return residual, slope
 
     @cached_property
-    def _slopes(self) -> dict[str, Float[np.ndarray, " n"]]:
+    def _recorded_slopes(self) -> dict[str, Float[np.ndarray, " n"]]:
         """Angular accelerations as recorded."""
         ends = [self.flights.channels[name] for name in ("dt", "first", "last")]
         return {name: differentiate_joined(self.flights.channels[name], *ends) for name in RATES}
@@ -117,7 +117,7 @@ class FlightPathError(Blockwise):
         return {name: (np.sin(self.flights.channels[name]), np.cos(self.flights.channels[name])) for name in ANGLES}
 
     def _sines_of(self, signals: Mapping[str, np.ndarray]) -> tuple[Float[np.ndarray, " n"], ...]:
-        """The same of corrected angles, most of which are as recorded."""
+        """Sine and cosine of corrected angles; those of uncorrected angles are stored."""
         return tuple(
             x
             for name in ANGLES
@@ -130,55 +130,55 @@ class FlightPathError(Blockwise):
 
     @cached_property
     def _on_record(self) -> tuple[Effect, ...]:
-        return tuple(e for e in self.model.acting if e.stage in ON_RECORD)
+        return tuple(e for e in self.model.acting if e.stage in RECORD_STAGES)
 
     @cached_property
-    def _kept(self) -> dict[bytes, Float[np.ndarray, "m c"]]:
+    def _cache(self) -> dict[bytes, Float[np.ndarray, "m c"]]:
         """Residuals by parameter vector, the latest last."""
         return {}
 
     def _residual(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, "m c"]:
-        """Residuals at a parameter vector, read only; searches ask for the same ones again and again."""
+        """Residuals at a parameter vector, read only; stored, because searches repeat the same vectors."""
         key = theta.tobytes()
-        found = self._kept.pop(key, None)
-        if found is None:
-            found = self._evaluated(theta)
-            found.flags.writeable = False
-        self._kept[key] = found
-        while len(self._kept) > KEPT:
-            del self._kept[next(iter(self._kept))]
-        return found
+        residual = self._cache.pop(key, None)
+        if residual is None:
+            residual = self._evaluate(theta)
+            residual.flags.writeable = False
+        self._cache[key] = residual
+        while len(self._cache) > CACHE_SIZE:
+            del self._cache[next(iter(self._cache))]
+        return residual
 
-    def _evaluated(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, "m c"]:
+    def _evaluate(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, "m c"]:
         f, values = self.flights, self.model.values(theta)
         present = tuple(e for e in self._on_record if not e.absent_in(values))
         model = Model(present, tuple(p for e in present for p in e.parameters))
-        signals = _plain(model.corrected(values, f.channels, f.aircraft))
+        signals = _as_numpy(model.corrected(values, f.channels, f.aircraft))
         ends = [f.channels[name] for name in ("dt", "first", "last")]
         for name in RATES:
             same = signals[name] is f.channels[name]
-            signals[f"{name}_dot"] = self._slopes[name] if same else differentiate_joined(signals[name], *ends)
+            signals[f"{name}_dot"] = self._recorded_slopes[name] if same else differentiate_joined(signals[name], *ends)
         scales = self._scales(model, values, signals)
-        left = differences(
+        residuals = differences(
             self.outputs, signals, model.actual_aircraft(values, f.aircraft), scales, self._sines_of(signals)
         )
-        return self.block(np.stack([smooth_joined(x, *ends[1:]) for x in left.T], axis=1))
+        return self.block(np.stack([smooth_joined(x, *ends[1:]) for x in residuals.T], axis=1))
 
     def _scales(
         self, model: Model, values: Mapping[str, Any], corrected: Mapping[str, np.ndarray]
     ) -> dict[str, Float[np.ndarray, " n"]]:
-        """What a unit of each channel has become that the model corrects."""
-        f, found = self.flights, {}
+        """Derivatives of the corrected channels by the recorded ones."""
+        f, scales = self.flights, {}
         for name in (name for name in self.outputs if corrected[name] is not f.channels[name]):
             step = STEP * float(np.max(np.abs(f.channels[name])))
             up, down = (
-                _plain(model.corrected(values, {**f.channels, name: f.channels[name] + by}, f.aircraft))[name]
+                _as_numpy(model.corrected(values, {**f.channels, name: f.channels[name] + by}, f.aircraft))[name]
                 for by in (step, -step)
             )
-            found[name] = (up - down) / (2.0 * step)
-        return found
+            scales[name] = (up - down) / (2.0 * step)
+        return scales
 
 
-def _plain(channels: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """A user's own effects may answer in JAX."""
+def _as_numpy(channels: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """NumPy arrays; a user's own effects may return JAX arrays."""
     return {name: np.asarray(x) for name, x in channels.items()}

@@ -1,6 +1,6 @@
-"""Output error: recorded channels less simulated ones, in windows that each begin at a state of their own.
+"""Output error: recorded minus simulated channels, in windows with an initial state each.
 
-Less is seen than in coefficients: a trajectory integrates what a coefficient shows at once.
+It is less sensitive than equation error, because a trajectory integrates the error of a coefficient.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from bayes_aero.dynamics.segments import SegmentTrajectories, segments, simulate
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import FILTER_STEP
-from bayes_aero.residuals.base import CHUNK, ResidualModel
+from bayes_aero.residuals.base import DIRECTIONS_PER_CALL, ResidualModel
 from bayes_aero.residuals.windows import WINDOW
 
 
@@ -29,7 +29,7 @@ class OutputError(ResidualModel, eqx.Module):
 
     flights: Flights
     windows: SegmentTrajectories
-    place: Int[np.ndarray, " m"]  # of every block that is whole, among all
+    place: Int[np.ndarray, " m"]  # indices of the complete blocks
     model: Model = eqx.field(static=True)
 
     @classmethod
@@ -64,7 +64,7 @@ class OutputError(ResidualModel, eqx.Module):
 
     @property
     def stretch(self) -> Int[np.ndarray, " m"]:
-        """The window of each block: what disturbs the flight gathers from its beginning on."""
+        """The window of each block; in a window the effects of disturbances accumulate from its start."""
         return np.repeat(np.arange(len(self.windows.index)), self.windows.index.shape[1] // FILTER_STEP)[self.place]
 
     @property
@@ -83,7 +83,7 @@ class OutputError(ResidualModel, eqx.Module):
     def evaluate(
         self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
     ) -> tuple[Float[Array, "m c"], Mapping[str, Array]]:
-        """Residuals of the windows, begun at their measured states."""
+        """Residuals of the windows from their measured initial states."""
         return _evaluate(self._nameless, jnp.asarray(theta)), {}
 
     def slopes(
@@ -97,8 +97,9 @@ class OutputError(ResidualModel, eqx.Module):
     def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:
         """Sensitivities to the initial state of each window."""
         keep = [self.outputs.index(name) for name in outputs]
-        begun = np.eye(len(self.windows.dynamics.start))
-        parts = [self._state_slopes(theta, begun[i : i + CHUNK]) for i in range(0, len(begun), CHUNK)]
+        initial_directions = np.eye(len(self.windows.dynamics.start))
+        starts = range(0, len(initial_directions), DIRECTIONS_PER_CALL)
+        parts = [self._state_slopes(theta, initial_directions[i : i + DIRECTIONS_PER_CALL]) for i in starts]
         slope = np.concatenate(parts)[:, :, keep]  # s m c
         window = self.stretch
         s, m, c = slope.shape
@@ -109,16 +110,16 @@ class OutputError(ResidualModel, eqx.Module):
         return S
 
     def _state_slopes(
-        self, theta: Float[np.ndarray, " k"], begun: Float[np.ndarray, "d s"]
+        self, theta: Float[np.ndarray, " k"], initial_directions: Float[np.ndarray, "d s"]
     ) -> Float[np.ndarray, "d m c"]:
         """Minus the derivatives in directions of the initial state, by the program of `slopes`."""
-        along = np.zeros((CHUNK, begun.shape[1]))
-        along[: len(begun)] = begun
-        arguments = map(jnp.asarray, (theta, np.zeros((CHUNK, len(theta))), along))
-        return -np.asarray(_slopes(self._nameless, *arguments)[1])[: len(begun)]
+        along = np.zeros((DIRECTIONS_PER_CALL, initial_directions.shape[1]))
+        along[: len(initial_directions)] = initial_directions
+        arguments = map(jnp.asarray, (theta, np.zeros((DIRECTIONS_PER_CALL, len(theta))), along))
+        return -np.asarray(_slopes(self._nameless, *arguments)[1])[: len(initial_directions)]
 
     def residual(self, theta: Any, shared: Any) -> Float[Array, "m c"]:
-        """At these parameters; every window's initial state departs by `shared` (s,)."""
+        """Residuals at these parameters with the initial state of every window changed by `shared` (s,)."""
         found = simulate(self.flown, theta, jnp.zeros((len(self.windows.index), 1)) + shared)
         return self._mean(found.residual)
 
@@ -129,8 +130,8 @@ def _evaluate(responses: OutputError, theta):
 
 
 @eqx.filter_jit
-def _slopes(responses: OutputError, theta, directions, begun):
-    """Along parameters and initial states at once: one program to compile for both."""
-    point = (theta, jnp.zeros(begun.shape[1]))
+def _slopes(responses: OutputError, theta, directions, initial_directions):
+    """Derivatives by parameters and initial states together, so that one program serves both."""
+    point = (theta, jnp.zeros(initial_directions.shape[1]))
     one = lambda *d: jax.jvp(responses.residual, point, d)  # noqa: E731
-    return jax.vmap(one, out_axes=(None, 0))(directions, begun)
+    return jax.vmap(one, out_axes=(None, 0))(directions, initial_directions)

@@ -1,4 +1,4 @@
-"""Windows by which effects are judged where there are no accelerometers."""
+"""Windows of output error, between which the scatter tests effects where there are no accelerometers."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_records import cuts_of
 
-WINDOW = 10.0  # s: long enough to integrate what is wrong, short enough to stay near the flight
+WINDOW = 10.0  # s: long enough to integrate model errors, short enough to stay near the record
 
 
 def too_few_windows(records: Sequence[FlightRecord]) -> str:
-    """Why effects cannot be judged by how far windows agree about them; empty where they can."""
+    """Why effects cannot be tested by the scatter between windows; empty where they can."""
     if sum(len(cuts_of(record.n, record.dt, WINDOW)) for record in records) > 1:
         return ""
     seconds = records[0].time[-1] - records[0].time[0]

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.dynamics.simulated.plant import flies, refuse_unflown
+from bayes_aero.dynamics.simulated.plant import can_simulate, refuse_unsimulated
 from bayes_aero.dynamics.simulated.simulate import FlightState, fly_together, outside
 from bayes_aero.dynamics.simulated.trim import level_speed
 from bayes_aero.effect import Effect, Kind, Stage
@@ -208,7 +208,7 @@ def _known(name: str) -> Effect:
 def _flown(name: str) -> Effect:
     """An effect that the simulated aircraft has: its lateral motion is prescribed."""
     effect = _known(name)
-    refuse_unflown(effect)
+    refuse_unsimulated(effect)
     if not effect.acts_on(FLOWN_AXES):
         raise InputError(f"the simulated aircraft cannot fly effect {name}: its lateral motion is prescribed")
     return effect
@@ -220,7 +220,7 @@ def _models(beyond: tuple[Effect, ...]) -> tuple[Model, Model, Model]:
     known = [e for e in CATALOGUE.values() if e.acts_on(FLOWN_AXES)]
     channel = [e for e in known if e.stage is Stage.CHANNEL]
     return (
-        Model.of([*(e for e in known if flies(e)), *beyond]),
+        Model.of([*(e for e in known if can_simulate(e)), *beyond]),
         Model.of([e for e in channel if e.kind is not Kind.PROPULSION]),
         Model.of([e for e in channel if e.kind is Kind.PROPULSION]),
     )

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayes_aero.dynamics.simulated.manoeuvres import standard_pilots
-from bayes_aero.dynamics.simulated.plant import SIGNALS, refuse_unflown
+from bayes_aero.dynamics.simulated.plant import SIGNALS, refuse_unsimulated
 from bayes_aero.dynamics.simulated.rigid_manoeuvres import rigid_pilots
 from bayes_aero.dynamics.simulated.rigid_pilot import fly_rigid
 from bayes_aero.dynamics.simulated.rigid_trim import Condition, RigidTrim, rigid_trim
@@ -63,7 +63,7 @@ def synthetic(request: Request, card: Card, known: Mapping[str, Effect], name: s
     installed = _installed(card, known)
     chosen = [known[n] for n in dict.fromkeys((*base, *installed, *request.effects))]
     for effect in chosen:
-        refuse_unflown(effect, SIGNALS | {"aileron"} if rigid else SIGNALS)
+        refuse_unsimulated(effect, SIGNALS | {"aileron"} if rigid else SIGNALS)
     axes = tuple(Axis) if rigid else (Axis.LONGITUDINAL,)
     flown_model = Model.of([e for e in chosen if e.stage is not Stage.CHANNEL], axes=axes)
     faults = [e for e in chosen if e.stage is Stage.CHANNEL]

@@ -1,4 +1,4 @@
-"""One unit of a study: what it was made from, whether it still stands, and how it is done, whole or not at all."""
+"""One unit of a study: its inputs, whether its results are up to date, and how it is run, whole or not at all."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from bayes_aero.study.study import Unit, card_of
 
 SCHEMA = "bayes_aero/unit/1"
 MANIFEST = "unit.json"
-LEAST_FREE = 1 << 20  # bytes on the disk below which no unit is begun
+MIN_FREE_BYTES = 1 << 20  # of the disk, below which no unit starts
 Task = Callable[[Unit, Path, Progress | None], None]
 
 
@@ -38,7 +38,7 @@ class CaseState:
 
 
 def fingerprint(unit: Unit) -> dict[str, Any]:
-    """Hashes of all that the unit's numbers depend on, but the versions of libraries."""
+    """Hashes of all inputs on which the unit's numbers depend, without the versions of libraries."""
     card = read_card(unit.card)
     return {
         "settings": unit.settings,
@@ -50,7 +50,7 @@ def fingerprint(unit: Unit) -> dict[str, Any]:
 
 
 def state_of(unit: Unit, folder: Path) -> CaseState:
-    """Whether the unit's folder holds its results, made from the inputs as they are now."""
+    """Whether the unit's folder has its results, computed from the present inputs."""
     manifest = folder / MANIFEST
     if not manifest.is_file():
         return CaseState("missing")
@@ -87,45 +87,50 @@ def _what_changed(changed: list[str], here: Mapping[str, Any], before: Mapping[s
 def run_unit(
     given: Mapping[str, Any], folder: str, *, task: Task | None = None, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """Do a unit (`Unit.as_json`) into `folder`, which appears when it is complete: with results, or with error.txt.
+    """Run a unit (`Unit.as_json`) into `folder`, which appears when it is complete, with results or with error.txt.
 
-    A pure function of its description and the files it names, fit to be sent to another process. Returns name, state,
-    seconds and error. A disk on which nothing can be written is no failure of the unit: it is told, and nothing stays.
+    A pure function of its description and of the files that it names, so that another process can run it. Returns name,
+    state, seconds and error.
+
+    Raises:
+        InputError: the disk cannot be written to; this is no failure of the unit, and no file remains.
     """
-    found = _made(Unit.of_json(given), Path(folder), lambda unit, out: _attempt(unit, out, task or perform, progress))
+    found = _write_unit(
+        Unit.of_json(given), Path(folder), lambda unit, out: _attempt(unit, out, task or run_task, progress)
+    )
     if "jax" in sys.modules:
         from bayes_aero.inference.compiled_programs import full_of_programs, give_back_memory
 
-        if full_of_programs():  # units of many shapes compile many programs
+        if full_of_programs():  # units of many sizes compile many programs
             give_back_memory()
     return found
 
 
 def fail_unit(given: Mapping[str, Any], folder: str, error: str) -> dict[str, Any]:
-    """Put on record that a unit failed where it could not say so itself, as one that kills its process."""
+    """Record the failure of a unit that could not do so itself, as one that ended its process."""
 
     def written(_: Unit, out: Path) -> str:
         write_text(f"{error}\n", out / ERROR)
         return error
 
-    return _made(Unit.of_json(given), Path(folder), written)
+    return _write_unit(Unit.of_json(given), Path(folder), written)
 
 
-def _made(unit: Unit, target: Path, attempt: Callable[[Unit, Path], str]) -> dict[str, Any]:
+def _write_unit(unit: Unit, target: Path, attempt: Callable[[Unit, Path], str]) -> dict[str, Any]:
     began, partial = time.perf_counter(), beside(target)
     shutil.rmtree(partial, ignore_errors=True)
     try:
         partial.mkdir(parents=True)
-        if shutil.disk_usage(partial).free < LEAST_FREE:
-            raise InputError(_full(target))
+        if shutil.disk_usage(partial).free < MIN_FREE_BYTES:
+            raise InputError(_disk_full(target))
         made_from = fingerprint(unit)
         error = attempt(unit, partial)
         seconds = round(time.perf_counter() - began, 2)
-        _seal(partial, unit, made_from, error, seconds)
+        _write_manifest(partial, unit, made_from, error, seconds)
         put_folder(partial, target)
     except Exception as reason:
         if no_space(reason):
-            raise InputError(_full(target)) from None
+            raise InputError(_disk_full(target)) from None
         if isinstance(reason, OSError):
             raise InputError(
                 f"cannot write to {target.parent} ({reason.strerror}); mend that and give the same command again"
@@ -136,21 +141,24 @@ def _made(unit: Unit, target: Path, attempt: Callable[[Unit, Path], str]) -> dic
     return {"name": unit.name, "state": "failed" if error else "done", "seconds": seconds, "error": error}
 
 
-def _full(target: Path) -> str:
+def _disk_full(target: Path) -> str:
     return (
         f"the disk of {target.parent} is full; units that were done are kept: free some space and give the same "
         "command again"
     )
 
 
-def perform(unit: Unit, out: Path, progress: Progress | None = None) -> None:
-    """The unit's own work: everything that it writes lies in `out`."""
+def run_task(unit: Unit, out: Path, progress: Progress | None = None) -> None:
+    """Run the task of a unit; all its files are in `out`."""
     from bayes_aero.flight.reading.read_record import read_records
     from bayes_aero.jobs.diagnose import diagnose_records
     from bayes_aero.jobs.fly import fly_records
     from bayes_aero.jobs.identify import identify
     from bayes_aero.jobs.options import DiagnoseOptions, FlyOptions, IdentifyOptions
-    from bayes_aero.model.noise import DEFAULT, Colour  # here, since whoever only hands units out needs none of these
+    from bayes_aero.model.noise import (  # imported here, because a driver of a cluster needs none of these
+        DEFAULT,
+        Colour,
+    )
 
     card = card_of(unit)
     options = dict(unit.options)
@@ -161,7 +169,7 @@ def perform(unit: Unit, out: Path, progress: Progress | None = None) -> None:
     job: Any
     if unit.task == "identify":
         noise: Any = {"noise": Colour(unit.noise or DEFAULT), "split": unit.split or "random"}
-        # A unit is done anew: its folder is another one, so no chain is there to go on with.
+        # A unit runs again in a new folder, in which there is no chain to continue.
         job, asked = identify, IdentifyOptions(seed=unit.seed, resume=False, **noise, **options)
     elif unit.task == "diagnose":
         job, asked = diagnose_records, DiagnoseOptions(seed=unit.seed, **options)
@@ -171,7 +179,7 @@ def perform(unit: Unit, out: Path, progress: Progress | None = None) -> None:
 
 
 def _attempt(unit: Unit, out: Path, task: Task, progress: Progress | None) -> str:
-    """Empty, or why it failed; bad input in a sentence, a defect with where it happened."""
+    """Run the task; return an empty text, or why it failed: a sentence for bad input, a traceback for a defect."""
     try:
         task(unit, out, progress)
     except InputError as reason:
@@ -179,7 +187,7 @@ def _attempt(unit: Unit, out: Path, task: Task, progress: Progress | None) -> st
             raise
         write_text(f"{reason}\n", out / ERROR)
         return str(reason)
-    except Exception as reason:  # the study goes on; the unit keeps the whole story
+    except Exception as reason:  # the study continues; the unit's folder has the traceback
         if no_space(reason):
             raise
         write_text(traceback.format_exc(), out / ERROR)
@@ -187,7 +195,7 @@ def _attempt(unit: Unit, out: Path, task: Task, progress: Progress | None) -> st
     return ""
 
 
-def _seal(partial: Path, unit: Unit, made_from: Mapping[str, Any], error: str, seconds: float) -> None:
+def _write_manifest(partial: Path, unit: Unit, made_from: Mapping[str, Any], error: str, seconds: float) -> None:
     """The manifest, written last."""
     files = sorted(p for p in partial.rglob("*") if p.is_file())
     content = {

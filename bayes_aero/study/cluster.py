@@ -1,4 +1,4 @@
-"""A study's units on a Dask cluster: one of this machine's, or any that answers at an address."""
+"""A study's units on a Dask cluster: workers of this machine, or a scheduler at an address."""
 
 from __future__ import annotations
 
@@ -24,23 +24,21 @@ from distributed.system import MEMORY_LIMIT
 from bayes_aero.errors import InputError
 from bayes_aero.jobs.io.atomic_write import sweep
 from bayes_aero.study.case import fail_unit
-from bayes_aero.study.run import Doer, StoppedError
+from bayes_aero.study.run import StoppedError, UnitRunner
 from bayes_aero.study.worker import Driver, variables, work
 
-Told = Callable[[int, int, str], None]
-"""Is told how many units are done, of how many, and what goes on."""
+Report = Callable[[int, int, str], None]
+"""Called with the number of finished units, of all units, and a text on the progress."""
 
-LEAST_MEMORY = 10**9  # bytes: what a worker takes that has compiled one model
-LOOK, COUNT, PAUSE = (
-    0.02,
-    1.0,
-    0.5,
-)  # seconds between looks at units in work, at how many workers there are, at a lost line
-PATIENCE = 120.0  # seconds in which a worker of this machine that died is started again
-STUMBLES = 5  # lost connections in a row after which the study is given up
-QUIET = ("distributed", "tornado", "asyncio")
+MIN_MEMORY = 10**9  # bytes of a worker that has compiled one model
+POLL_SECONDS = 0.02  # between checks of the running units
+COUNT_SECONDS = 1.0  # between counts of the workers
+RECONNECT_SECONDS = 0.5  # between checks of a lost connection
+WORKER_TIMEOUT = 120.0  # s, for the restart of a worker of this machine that died
+MAX_RECONNECTS = 5  # lost connections in a row after which the study stops
+LOGGERS = ("distributed", "tornado", "asyncio")
 OWN_CLUSTER = {
-    # Units hold no data that could be moved to disk or given away: a worker that is paused would never come back.
+    # Units have no data to move to disk or to other workers: a paused worker would never resume.
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
@@ -56,30 +54,32 @@ def memory_of(given: str | None, workers: int) -> int:
         size = parse_bytes(given) if given else int(MEMORY_LIMIT // workers)
     except ValueError:
         raise InputError(f"--memory {given!r} is no size; write e.g. 4GiB, for each worker") from None
-    if size < LEAST_MEMORY:
+    if size < MIN_MEMORY:
         fewer = "give --memory at least 1GB" if given else "give fewer --workers"
         raise InputError(f"{format_bytes(size)} for each worker are too little to compile a model in; {fewer}")
     return size
 
 
 @contextmanager
-def local(workers: int, memory: int, units: Path, tell: Told) -> Iterator[Doer]:
-    """Worker processes of this machine, one thread each, that end with the block."""
+def local(workers: int, memory: int, units: Path, report: Report) -> Iterator[UnitRunner]:
+    """Worker processes of this machine, one thread each, which end with the context."""
     with ExitStack() as stack:
         stack.callback(sweep, units)
-        stack.enter_context(_quiet())
+        stack.enter_context(_logs_silenced())
         stack.enter_context(dask.config.set(OWN_CLUSTER))
         try:
-            client = _begun(stack, workers, memory)
+            client = _start_cluster(stack, workers, memory)
         except (OSError, RuntimeError) as reason:
             raise InputError(
                 f"{workers} workers cannot be started here ({_short(reason)}); mend that, or leave --workers out"
             ) from None
-        yield _doer(client, units, tell, f"give each worker more than --memory {format_bytes(memory)}", PATIENCE)
+        yield _runner(
+            client, units, report, f"give each worker more than --memory {format_bytes(memory)}", WORKER_TIMEOUT
+        )
 
 
-def _begun(stack: ExitStack, workers: int, memory: int) -> Client:
-    with _deaf():
+def _start_cluster(stack: ExitStack, workers: int, memory: int) -> Client:
+    with _interrupts_blocked():
         cluster = LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
@@ -98,10 +98,10 @@ def _begun(stack: ExitStack, workers: int, memory: int) -> Client:
 
 
 @contextmanager
-def remote(address: str, units: Path, tell: Told) -> Iterator[Doer]:
-    """The workers of a scheduler that runs already, now or later; they stay."""
+def remote(address: str, units: Path, report: Report) -> Iterator[UnitRunner]:
+    """The present and later workers of a running scheduler; they are not ended."""
     gc.collect()  # a client that failed closes itself when it is collected, and deadlocks where another one is starting
-    with _quiet():
+    with _logs_silenced():
         try:
             client = Client(address, set_as_default=False)  # else a failed one stays the default
         except (OSError, ValueError, TypeError, ImportError) as reason:
@@ -110,35 +110,35 @@ def remote(address: str, units: Path, tell: Told) -> Iterator[Doer]:
                 "address is the one that it printed, e.g. tcp://node1:8786"
             ) from None
         try:
-            yield _doer(client, units, tell, "give its workers more memory")
+            yield _runner(client, units, report, "give its workers more memory")
         finally:
             _close(client)
 
 
-def _doer(client: Client, units: Path, tell: Told, remedy: str, patience: float = float("inf")) -> Doer:
-    def do(given: Iterable[tuple[Mapping[str, Any], str]]) -> Iterator[Mapping[str, Any]]:
+def _runner(client: Client, units: Path, report: Report, remedy: str, timeout: float = float("inf")) -> UnitRunner:
+    def run_units(given: Iterable[tuple[Mapping[str, Any], str]]) -> Iterator[Mapping[str, Any]]:
         driver = Driver.of(units)
         try:
-            yield from _Study(client, driver, tell, remedy, patience).done(list(given))
+            yield from _Study(client, driver, report, remedy, timeout).outcomes(list(given))
         finally:
             Path(driver.token).unlink(missing_ok=True)
             sweep(units)
 
-    return do
+    return run_units
 
 
 class _Study:
-    """Units handed out as workers become free: one for each, so that a dying worker takes no other unit with it."""
+    """Submission of units to free workers: one unit for each, so that the death of a worker affects no other unit."""
 
-    def __init__(self, client: Client, driver: Driver, tell: Told, remedy: str, patience: float) -> None:
-        self.client, self.driver, self.tell, self.remedy = client, driver, tell, remedy
+    def __init__(self, client: Client, driver: Driver, report: Report, remedy: str, timeout: float) -> None:
+        self.client, self.driver, self.report, self.remedy = client, driver, report, remedy
         self.address = client.scheduler.addr if client.scheduler else "the scheduler"
         self.running: dict[Future, tuple[Mapping[str, Any], str]] = {}
-        self.workers, self.counted, self.stumbled = 0, -COUNT, 0
-        self.patience, self.seen = patience, time.monotonic()
+        self.workers, self.counted, self.reconnects = 0, -COUNT_SECONDS, 0
+        self.timeout, self.seen = timeout, time.monotonic()
 
-    def done(self, given: list[tuple[Mapping[str, Any], str]]) -> Iterator[Mapping[str, Any]]:
-        """What `run_unit` returns for each unit, as they end."""
+    def outcomes(self, given: list[tuple[Mapping[str, Any], str]]) -> Iterator[Mapping[str, Any]]:
+        """Results of `run_unit` in the order in which the units end."""
         waiting, finished = deque(given), 0
         while waiting or self.running:
             try:
@@ -147,7 +147,7 @@ class _Study:
                     self.running[self._submit(*waiting[0])] = waiting[0]
                     waiting.popleft()
                 ended = {future: self._outcome(future, *unit) for future, unit in self.running.items() if future.done()}
-                self.stumbled = 0
+                self.reconnects = 0
             except (InputError, StoppedError):
                 raise
             except Exception as reason:  # whatever a client without its scheduler raises
@@ -160,18 +160,18 @@ class _Study:
                 finished += 1
                 yield outcome
             what = f"{len(self.running)} in work on {self.workers} workers"
-            self.tell(finished, len(given), what if self.workers else f"waiting for workers at {self.address}")
+            self.report(finished, len(given), what if self.workers else f"waiting for workers at {self.address}")
             if not ended:
-                time.sleep(LOOK)
+                time.sleep(POLL_SECONDS)
 
     def _count(self) -> None:
-        """How many processes there are to work, asked now and then."""
-        if time.monotonic() - self.counted > COUNT:
+        """Update the number of workers every `COUNT_SECONDS`."""
+        if time.monotonic() - self.counted > COUNT_SECONDS:
             self.workers, self.counted = len(cast("dict[str, int]", self.client.nthreads())), time.monotonic()
             if self.workers:
                 self.seen = self.counted
-            elif self.counted - self.seen > self.patience:
-                raise StoppedError(f"all workers have ended, and none could be started again in {self.patience:.0f} s")
+            elif self.counted - self.seen > self.timeout:
+                raise StoppedError(f"all workers have ended, and none could be started again in {self.timeout:.0f} s")
 
     def _submit(self, given: Mapping[str, Any], folder: str) -> Future:
         text, place = json.dumps(given), str(Path(folder).resolve())
@@ -196,33 +196,33 @@ class _Study:
         )
 
     def _reconnect(self, reason: Exception, finished: int, total: int) -> None:
-        """Wait for the client, which itself looks for its scheduler for a while, and give up when it does."""
-        self.counted, self.stumbled = -COUNT, self.stumbled + 1
-        time.sleep(PAUSE)  # the client may not have noticed yet
+        """Wait while the client tries to reconnect; stop the study when it gives up."""
+        self.counted, self.reconnects = -COUNT_SECONDS, self.reconnects + 1
+        time.sleep(RECONNECT_SECONDS)  # the client may not have noticed yet
         while self.client.status == "connecting":
-            self.tell(finished, total, f"the connection to {self.address} is lost, reconnecting")
-            time.sleep(PAUSE)
+            self.report(finished, total, f"the connection to {self.address} is lost, reconnecting")
+            time.sleep(RECONNECT_SECONDS)
         if self.client.status != "running":
             raise StoppedError(f"the scheduler at {self.address} is lost")
-        if self.stumbled > STUMBLES:
+        if self.reconnects > MAX_RECONNECTS:
             raise StoppedError(f"the scheduler at {self.address} does not respond correctly ({_short(reason)})")
 
 
 def _work(given: str, folder: str, driver: Driver) -> dict[str, Any]:
-    """What is sent to a worker."""
+    """The function that a worker runs."""
     limit = getattr(get_worker().memory_manager, "memory_limit", None)
     return work(json.loads(given), folder, driver, limit)
 
 
 def _close(what: Client | LocalCluster) -> None:
-    """Leave, letting go of the units that are in work."""
+    """Close, without waiting for running units."""
     with suppress(Exception):
         what.close(timeout=5)
 
 
 @contextmanager
-def _deaf() -> Iterator[None]:
-    """Threads and processes begun meanwhile do not hear Ctrl-C, which is for this program to answer."""
+def _interrupts_blocked() -> Iterator[None]:
+    """Threads and processes that start in this context do not receive Ctrl-C, which this program handles."""
     if not hasattr(signal, "pthread_sigmask") or threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -235,9 +235,9 @@ def _deaf() -> Iterator[None]:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
-    """What Dask logs of lost connections and dead workers is told in our own words."""
-    names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in QUIET]
+def _logs_silenced() -> Iterator[None]:
+    """Silence Dask's logs of lost connections and dead workers, which are reported by this program."""
+    names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in LOGGERS]
     loggers = [logging.getLogger(name) for name in names]
     before = [logger.level for logger in loggers]
     for logger in loggers:
@@ -250,6 +250,6 @@ def _quiet() -> Iterator[None]:
 
 
 def _short(reason: BaseException) -> str:
-    """The first sentence of what Dask says."""
+    """The first sentence of an error of Dask."""
     lines = str(reason).strip().splitlines() or [type(reason).__name__]
     return lines[0].partition(". ")[0].strip().rstrip(".:")

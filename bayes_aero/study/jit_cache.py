@@ -1,4 +1,4 @@
-"""Where compiled programs are kept, so that what one process has compiled the next one reads."""
+"""Cache of compiled programs on disk, shared between processes."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ import platformdirs
 
 CACHE = "BAYES_AERO_CACHE"
 FOLDER = "JAX_COMPILATION_CACHE_DIR"
-LEAST = "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"
-WORTH_KEEPING = "0.2"  # s of compilation: half of a command's, in a tenth of the files
+MIN_SECONDS = "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"
+SECONDS = "0.2"  # s of compilation: half of a command's, in a tenth of the files
 
 
 def cache_folder() -> Path:
-    """Where compiled programs are kept: JAX's own variable, else BAYES_AERO_CACHE, else the user's cache folder.
+    """Folder of compiled programs: JAX's variable, else BAYES_AERO_CACHE, else the user's cache folder.
 
-    Ours has a folder for each kind of processor, since a program compiled for one may not run on another.
+    The latter two have a folder for each kind of processor, because a program compiled for one may not run on another.
     """
     given = os.environ.get(FOLDER)
     if given:
@@ -29,8 +29,8 @@ def cache_folder() -> Path:
     return root / "compiled" / _processor()
 
 
-def keep_compiled() -> None:
-    """Let this process keep what it compiles; without effect once JAX is loaded, or where the folder cannot be made."""
+def enable_cache() -> None:
+    """Store the compiled programs of this process; no effect once JAX is loaded, or without a writable folder."""
     if "jax" in sys.modules:
         return
     folder = cache_folder()
@@ -39,23 +39,23 @@ def keep_compiled() -> None:
     except OSError:
         return
     os.environ.setdefault(FOLDER, str(folder))
-    os.environ.setdefault(LEAST, WORTH_KEEPING)
-    forgive()
+    os.environ.setdefault(MIN_SECONDS, SECONDS)
+    ignore_cache_errors()
 
 
-def forgive() -> None:
-    """Say nothing of an entry that cannot be read or written.
+def ignore_cache_errors() -> None:
+    """Ignore entries of the cache that cannot be read or written.
 
-    A neighbour may still be writing it, or have died of it: it is compiled here, which is all that is lost.
+    Another process may be writing the entry or may have died while writing; the program is then compiled again.
     """
     warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache", UserWarning)
 
 
 def _processor() -> str:
-    """A name for this kind of processor: its make, and what it can do."""
+    """A name for this kind of processor, by its model and features."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        told = "\n".join(sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))}))
+        described = "\n".join(sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))}))
     except OSError:
-        told = platform.processor()
-    return f"{platform.machine()}-{hashlib.sha256(told.encode()).hexdigest()[:8]}"
+        described = platform.processor()
+    return f"{platform.machine()}-{hashlib.sha256(described.encode()).hexdigest()[:8]}"

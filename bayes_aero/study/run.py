@@ -1,4 +1,4 @@
-"""A study's units, done one after the other or by whatever maps `run_unit` over them; resumed by doing it again."""
+"""Runs a study: its units one after the other, or by a cluster; a repeated run resumes it."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from bayes_aero.study.study import Study, Unit
 from bayes_aero.study.summary import write_summary
 
 UNITS, COPY = "units", "study.toml"
-Told = Callable[[int, int, Unit, str], None]
-"""Is told how many units are done, of how many, which one is in work, and its stage."""
+Report = Callable[[int, int, Unit, str], None]
+"""Called with the number of finished units, of all units, the running unit, and its stage."""
 
 
 class StoppedError(Exception):
-    """Why the rest of a study cannot be done now, in one sentence; what is finished is kept."""
+    """Why the rest of a study cannot run now, in one sentence; finished units are kept."""
 
 
-Doer = Callable[[Iterable[tuple[Mapping[str, Any], str]]], Iterator[Mapping[str, Any]]]
-"""Takes (description, folder) of units and yields what `run_unit` returns, in any order: here a cluster goes in."""
+UnitRunner = Callable[[Iterable[tuple[Mapping[str, Any], str]]], Iterator[Mapping[str, Any]]]
+"""Takes (description, folder) of units and yields the results of `run_unit` in any order, as a cluster does."""
 
 
 @dataclass(frozen=True)
 class Planned:
-    """A unit, its folder and the state in which it was found."""
+    """A unit, its folder and its state."""
 
     unit: Unit
     folder: Path
@@ -56,18 +56,23 @@ def leftovers(study: Study, out: Path) -> list[str]:
 
 
 def run_study(
-    study: Study, out: Path, planned: Sequence[Planned], *, tell: Told | None = None, doer: Doer | None = None
+    study: Study,
+    out: Path,
+    planned: Sequence[Planned],
+    *,
+    report: Report | None = None,
+    runner: UnitRunner | None = None,
 ) -> dict[str, Mapping[str, Any]]:
-    """Do the units that are not done; returns what each said, by name. The summary is written in any case."""
+    """Run the units that are not done; return the result of each by name. The summary is written in any case."""
     prepare(study, out)
     due = [p for p in planned if p.state.word != "done"]
     said: dict[str, Mapping[str, Any]] = {}
     work = [(p.unit.as_json(), str(p.folder)) for p in due]
     try:
-        for outcome in (doer or partial(_one_by_one, tell=tell))(work):
+        for outcome in (runner or partial(_one_by_one, report=report))(work):
             said[str(outcome["name"])] = outcome
     except BaseException:
-        with suppress(OSError):  # what stopped the study is told, not that its tables could not be written either
+        with suppress(OSError):  # the reason why the study stopped is reported instead
             write_summary(study.units, out / UNITS, out)
         raise
     try:
@@ -95,14 +100,14 @@ def prepare(study: Study, out: Path) -> None:
         raise InputError(f"cannot write to {out} ({error.strerror}); give another folder with --out") from None
 
 
-def _one_by_one(work: Iterable[tuple[Mapping[str, Any], str]], tell: Told | None) -> Iterator[Mapping[str, Any]]:
+def _one_by_one(work: Iterable[tuple[Mapping[str, Any], str]], report: Report | None) -> Iterator[Mapping[str, Any]]:
     units = list(work)
     for number, (given, folder) in enumerate(units):
         unit = Unit.of_json(given)
 
         def progress(text: str, _: float, number: int = number, unit: Unit = unit) -> None:
-            if tell:
-                tell(number, len(units), unit, text)
+            if report:
+                report(number, len(units), unit, text)
 
         progress("reading", 0.0)
         yield run_unit(given, folder, progress=progress)

@@ -53,17 +53,17 @@ CHOICES = {
     "initial_state": ("free", "fixed"),
     "inputs": ("linear", "held"),
 }
-MOST_UNITS = 100_000
-LARGEST_SEED = 2**32 - 1  # that every generator takes
-LONGEST = 90  # characters of a unit's name before its hash
+MAX_UNITS = 100_000
+MAX_SEED = 2**32 - 1  # that every generator takes
+MAX_NAME_LENGTH = 90  # characters of a unit's name before its hash
 
 
 @dataclass(frozen=True)
 class Unit:
-    """One job, complete in itself: plain data that can be sent to another process as JSON.
+    """One job as plain data, which can be sent to another process as JSON.
 
-    `records` and `card` are absolute paths; `shown` are the records as the study's folder sees them, which with all
-    else but the paths makes the identity of the unit.
+    `records` and `card` are absolute paths; `shown` are the records relative to the study's folder. The identity of the
+    unit consists of `shown` and everything else except the absolute paths.
     """
 
     name: str
@@ -91,7 +91,7 @@ class Unit:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What was chosen for it, without the paths of a machine."""
+        """Settings of the unit, without the paths of a machine."""
         own = {key: value for key, value in self.as_json().items() if key not in ("name", "shown", "card_name")}
         own |= {"records": list(self.shown), "card": self.card_name}
         return {key: value for key, value in own.items() if value is not None}
@@ -109,10 +109,13 @@ class Study:
 
 
 def read_study(path: Path, *, trust_effects: bool = False) -> Study:
-    """Read and check a study; whatever is wrong is one sentence.
+    """Read and check a study.
 
-    A card that names effect files is refused unless `trust_effects`: they are code, and the user has named the study
-    only, not them and not the card.
+    A card that names effect files is refused unless `trust_effects`: they are code, and the user has named only the
+    study.
+
+    Raises:
+        InputError: the study is wrong.
     """
     raw, table = read_table(path, "study")
     where = f"study {path}"
@@ -137,8 +140,8 @@ def read_study(path: Path, *, trust_effects: bool = False) -> Study:
     count = 1
     for axis in axes:
         count *= len(axis)
-    if count > MOST_UNITS:
-        raise InputError(f"{where}: it makes {count} units, more than {MOST_UNITS}; split it into several studies")
+    if count > MAX_UNITS:
+        raise InputError(f"{where}: it makes {count} units, more than {MAX_UNITS}; split it into several studies")
     units = tuple(_unit(task, path.parent, options, choice) for choice in itertools.product(*axes))
     return Study(path, hashlib.sha256(raw).hexdigest(), str(table.get("title", path.stem)), task, units)
 
@@ -163,7 +166,7 @@ def _unit(
     parts = [segment_of(records[0]).label + more, Path(card[0]).stem, *effects, noise, split, f"seed{seed}"]
     words = "-".join(re.sub(r"[^A-Za-z0-9+_.]", "_", part) for part in parts if part)
     identity = hashlib.sha256(json.dumps(unit.settings, sort_keys=True).encode()).hexdigest()[:8]
-    return replace(unit, name=f"{safe_name(words[:LONGEST])}-{identity}")
+    return replace(unit, name=f"{safe_name(words[:MAX_NAME_LENGTH])}-{identity}")
 
 
 def _known(table: Mapping[str, Any], known: Sequence[str], where: str, what: str) -> None:
@@ -268,8 +271,8 @@ def _chosen(given: Any, known: Sequence[str], where: str, key: str) -> list[str]
 
 def _seeds(given: Any, where: str) -> list[int]:
     for seed in _list(given, int, where, "seeds"):
-        if not 0 <= seed <= LARGEST_SEED:
-            raise InputError(f"{where}: seeds lists {seed}; a seed lies between 0 and {LARGEST_SEED}")
+        if not 0 <= seed <= MAX_SEED:
+            raise InputError(f"{where}: seeds lists {seed}; a seed lies between 0 and {MAX_SEED}")
     return given
 
 

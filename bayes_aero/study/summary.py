@@ -108,10 +108,10 @@ def _estimates(found: dict[str, Any], methods: dict[str, str]) -> Iterator[dict[
 
 def _filtered(found: dict[str, Any]) -> dict[str, Any]:
     """The estimates with process noise in the form of the others; nothing where they were not asked for."""
-    told = found.get("process_noise") or {}
+    filtered = found.get("process_noise") or {}
     units = {name: p["unit"] for name, p in found.get("parameters", {}).items()}
-    rows = {n: {"unit": units[n], "estimate": x, "sd": sd} for n, (x, sd) in told.get("estimates", {}).items()}
-    return {"parameters": rows, "status": told.get("status")}
+    rows = {n: {"unit": units[n], "estimate": x, "sd": sd} for n, (x, sd) in filtered.get("estimates", {}).items()}
+    return {"parameters": rows, "status": filtered.get("status")}
 
 
 def _parameters(found: dict[str, Any]) -> Iterator[dict[str, Any]]:

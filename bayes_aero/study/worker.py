@@ -1,4 +1,5 @@
-"""A unit done in a process of a cluster: same versions, same files, one core, a bounded memory, compiled only once."""
+"""A unit run by a worker of a cluster: same versions, shared files, one core, limited memory, shared compiled
+programs."""
 
 from __future__ import annotations
 
@@ -25,38 +26,38 @@ from bayes_aero.jobs.io.atomic_write import beside, host, sweep
 from bayes_aero.jobs.provenance.environment import environment
 from bayes_aero.jobs.provenance.provenance import PACKAGES
 from bayes_aero.study.case import run_unit
-from bayes_aero.study.jit_cache import FOLDER, cache_folder, forgive
+from bayes_aero.study.jit_cache import FOLDER, cache_folder, ignore_cache_errors
 
 THREADS = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 XLA = "--xla_cpu_multi_thread_eigen=false"
-FULL_SHARE = 0.6  # of a worker's memory, beyond which it forgets what it has compiled
-PATIENCE = 5.0  # seconds in which a shared file system shows a new file
-_ALONE = threading.Lock()
+MAX_MEMORY_SHARE = 0.6  # of a worker's memory, above which its compiled programs are freed
+FILE_TIMEOUT = 5.0  # s, until a shared file system shows a new file
+_LOCK = threading.Lock()
 
 
 @dataclass(frozen=True)
 class Driver:
-    """What a worker must have in common with the program that drives the study."""
+    """The program that drives the study: versions and folders that a worker must share, and its command."""
 
-    made_of: Mapping[str, str]
+    versions: Mapping[str, str]
     token: str
-    word: str
+    key: str
     command: tuple[str, ...]
 
     @classmethod
     def of(cls, units: Path) -> Driver:
-        """This process; puts into the folder of units the file by which workers know it."""
-        token, word = beside(units.resolve() / "driver"), uuid.uuid4().hex
+        """This process; writes a file into the folder of units by which workers recognise it."""
+        token, key = beside(units.resolve() / "driver"), uuid.uuid4().hex
         try:
-            token.write_text(word, encoding="utf-8")
+            token.write_text(key, encoding="utf-8")
         except OSError as reason:
             raise InputError(
                 f"cannot write to {units} ({reason.strerror}); mend that and give the same command again"
             ) from None
-        return cls(made_of(), str(token), word, tuple(sys.argv))
+        return cls(versions_of(), str(token), key, tuple(sys.argv))
 
 
-def made_of() -> dict[str, str]:
+def versions_of() -> dict[str, str]:
     """Versions on which numbers depend, and this package's own source."""
     here = environment()
     found = {"Python": ".".join(platform.python_version_tuple()[:2])}
@@ -66,7 +67,7 @@ def made_of() -> dict[str, str]:
 
 
 def variables() -> dict[str, str]:
-    """What to set before a worker's process starts, so that it keeps to one core and shares what is compiled."""
+    """Environment variables of a worker: one core, and the shared cache of compiled programs."""
     flags = os.environ.get("XLA_FLAGS", "")
     return {
         **THREADS,
@@ -78,21 +79,21 @@ def variables() -> dict[str, str]:
 
 
 def work(given: Mapping[str, Any], folder: str, driver: Driver, memory: int | None) -> dict[str, Any]:
-    """`run_unit` for a driver elsewhere, one at a time in a process that may take `memory` bytes."""
-    with _ALONE:
-        _join(driver)
-        before, sys.argv = sys.argv, list(driver.command)  # what provenance calls the command
+    """`run_unit` for a driver on another machine, one at a time, in a process with at most `memory` bytes."""
+    with _LOCK:
+        _check_driver(driver)
+        before, sys.argv = sys.argv, list(driver.command)  # the command in the provenance
         try:
             return run_unit(given, folder)
         finally:
             sys.argv = before
-            if memory and psutil.Process().memory_info().rss > FULL_SHARE * memory:
+            if memory and psutil.Process().memory_info().rss > MAX_MEMORY_SHARE * memory:
                 compiled_programs.give_back_memory()
 
 
 @cache
-def _settled() -> None:
-    """Once for a process: the cache of compiled programs, and one core, as far as it is not too late for that."""
+def _configure() -> None:
+    """Configure this process once: the cache of compiled programs, and one core where JAX is not yet loaded."""
     for name, value in variables().items():
         os.environ.setdefault(name, value)
     folder = os.environ[FOLDER]
@@ -100,34 +101,34 @@ def _settled() -> None:
         jax.config.update("jax_compilation_cache_dir", folder)
         compilation_cache.reset_cache()
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    forgive()
+    ignore_cache_errors()
 
 
-_JOINED: set[str] = set()
+_CHECKED: set[str] = set()
 
 
-def _join(driver: Driver) -> None:
-    """Once for a driver: refuse other versions and folders that are not shared, and clear up after the dead."""
-    if driver.word in _JOINED:
+def _check_driver(driver: Driver) -> None:
+    """Check a driver once: refuse other versions and folders that are not shared, and delete files of dead runs."""
+    if driver.key in _CHECKED:
         return
-    here = made_of()
-    other = [f"{name} {here.get(name, 'none')} for {v}" for name, v in driver.made_of.items() if here.get(name) != v]
+    here = versions_of()
+    other = [f"{name} {here.get(name, 'none')} for {v}" for name, v in driver.versions.items() if here.get(name) != v]
     if other:
         raise InputError(
             f"a worker on {host()} has {', '.join(other)}, and its numbers would differ; install there what "
             "environment/requirements.txt beside the results names"
         )
-    _see(Path(driver.token), driver.word)
+    _wait_for_token(Path(driver.token), driver.key)
     sweep(Path(driver.token).parent)
-    _settled()
-    _JOINED.add(driver.word)
+    _configure()
+    _CHECKED.add(driver.key)
 
 
-def _see(token: Path, word: str) -> None:
-    until = time.monotonic() + PATIENCE
+def _wait_for_token(token: Path, key: str) -> None:
+    until = time.monotonic() + FILE_TIMEOUT
     while True:
         try:
-            if token.read_text(encoding="utf-8") == word:
+            if token.read_text(encoding="utf-8") == key:
                 return
         except OSError:
             pass

@@ -48,7 +48,7 @@ def test_in_calm_air_process_noise_changes_nothing(program, tmp_path):
     for name, predicted in one_step["outputs"].items():
         assert predicted["rms"] == pytest.approx(NOISE[name], rel=0.15)  # the state is known far better
         assert [share["level"] for share in predicted["shares"]] == [0.5, 0.9, 0.95, 0.99]
-    assert any(sentence.startswith("One-step predictions: of α ") for sentence in found["sentences"])
+    assert any("inside their 95 % intervals: α " in sentence for sentence in found["sentences"])
     page = page_of(tmp_path / "out")
     assert "with process noise" in page
     assert "inside the interval, %" in page

@@ -53,7 +53,7 @@ def calls(monkeypatch):
         parameters = {"CLa": {"estimate": number / 7.0, "crb": 0.1, "crb_corrected": 0.2, "unit": "1/rad"}}
         write_json({"mle": {"status": "converged", "parameters": parameters}}, out / "results.json")
 
-    monkeypatch.setattr(units, "perform", quick)
+    monkeypatch.setattr(units, "run_task", quick)
     return done
 
 
@@ -83,7 +83,7 @@ def test_a_study_is_done_once_and_redone_where_its_inputs_changed(program, folde
 
 
 def test_an_interrupted_study_goes_on_where_it_stopped(program, folder, calls, monkeypatch):
-    quick = units.perform
+    quick = units.run_task
 
     def interrupted(unit, out, *_):
         if unit.shown[0].endswith("sound.csv"):
@@ -91,13 +91,13 @@ def test_an_interrupted_study_goes_on_where_it_stopped(program, folder, calls, m
             raise KeyboardInterrupt
         quick(unit, out)
 
-    monkeypatch.setattr(units, "perform", interrupted)
+    monkeypatch.setattr(units, "run_task", interrupted)
     done = program("run", "study.toml")
     assert done.code == 130
     assert "1 of 2 units are done" in done.err
     assert "same command" in done.err
     assert len(list((folder / "study_results" / "units").iterdir())) == 1  # nothing half done
-    monkeypatch.setattr(units, "perform", quick)
+    monkeypatch.setattr(units, "run_task", quick)
     assert program("run", "study.toml").code == 0
     assert calls == ["flights/biased.csv", "flights/sound.csv"]
     table = pd.read_csv(folder / "study_results" / "units.csv")
@@ -109,14 +109,14 @@ def test_an_interrupted_study_goes_on_where_it_stopped(program, folder, calls, m
 
 @pytest.mark.usefixtures("calls")
 def test_a_unit_that_fails_says_why_and_stops_nobody(program, folder, monkeypatch):
-    quick = units.perform
+    quick = units.run_task
 
     def failing(unit, out, *_):
         if unit.shown[0].endswith("biased.csv"):
             raise InputError("this record is too short; give a longer one")
         quick(unit, out)
 
-    monkeypatch.setattr(units, "perform", failing)
+    monkeypatch.setattr(units, "run_task", failing)
     done = program("run", "study.toml")
     assert done.code == 1
     assert "this record is too short" in done.out
@@ -128,7 +128,7 @@ def test_a_unit_that_fails_says_why_and_stops_nobody(program, folder, monkeypatc
     assert verified.code == 1
     assert json.loads(verified.out)["counts"] == {"same": 1, "incomparable": 1}
     assert "1 the same, 0 differ, 1 without results to compare." in program("run", "study.toml", "--verify").out
-    monkeypatch.setattr(units, "perform", quick)
+    monkeypatch.setattr(units, "run_task", quick)
     assert program("run", "study.toml").code == 0  # tried again
     assert states(program, "--dry-run")["biased"]["state"] == "done"
 
@@ -158,10 +158,10 @@ def test_a_draw_that_comes_out_otherwise_is_found(program, monkeypatch):
         tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={"made": str(time.time())}), "/posterior": draws})
         tree.to_netcdf(out / "posterior.nc", engine="h5netcdf")
 
-    monkeypatch.setattr(units, "perform", drawn)
+    monkeypatch.setattr(units, "run_task", drawn)
     program("run", "study.toml")
     assert program("run", "study.toml", "--verify").code == 0
-    monkeypatch.setattr(units, "perform", lambda *given: drawn(*given, first=1.0 + 1e-12))
+    monkeypatch.setattr(units, "run_task", lambda *given: drawn(*given, first=1.0 + 1e-12))
     done = program("run", "study.toml", "--verify")
     assert done.code == 1
     assert "posterior.nc: posterior/CLa differs at 1 of 3 places, first at (0,)" in done.out.replace("\n", " ")

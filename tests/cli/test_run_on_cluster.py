@@ -196,7 +196,7 @@ def same(place, undisturbed):
 
 
 def test_a_cluster_gives_the_numbers_of_one_process(program, folder, undisturbed, monkeypatch):
-    monkeypatch.setattr(units, "perform", units.perform)  # put back after the test
+    monkeypatch.setattr(units, "run_task", units.run_task)  # put back after the test
     runpy.run_path(str(QUICK))
     monkeypatch.chdir(folder)
     assert program("run", "study.toml").code == 0

@@ -34,7 +34,7 @@ def quick(monkeypatch):
     def perform(unit, out, *_):
         write_json({"effects": len(units.card_of(unit).effects)}, out / "results.json")
 
-    monkeypatch.setattr(units, "perform", perform)
+    monkeypatch.setattr(units, "run_task", perform)
 
 
 def test_a_card_that_lies_about_is_not_taken(program, trap):

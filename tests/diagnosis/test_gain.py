@@ -11,7 +11,7 @@ from test_mixing import part
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection.cross_validation import LeftOut
 from bayes_aero.diagnosis.view.holdout import compared
-from bayes_aero.inference.variance.coloured_bounds import deviation_of_sum
+from bayes_aero.inference.variance.coloured_bounds import standard_error_of_sum
 from bayes_aero.physics.coefficient_names import NAMES
 
 LENGTHS = (600, 400)
@@ -28,7 +28,7 @@ def test_deviation_of_a_coloured_sum_is_its_closed_form(a):
     """Var of a sum of n values of AR(1) with unit innovations: n (1-a^2) - 2a(1 - a^n), over (1-a)^2 (1-a^2)."""
     exact = sum((n * (1 - a**2) - 2 * a * (1 - a**n)) / ((1 - a) ** 2 * (1 - a**2)) for n in LENGTHS)
     rng = np.random.default_rng(4132)
-    found = np.mean([deviation_of_sum(ar1(rng, a), LENGTHS) ** 2 for _ in range(300)])
+    found = np.mean([standard_error_of_sum(ar1(rng, a), LENGTHS) ** 2 for _ in range(300)])
     assert found == pytest.approx(exact, rel=0.2)  # low by a few per cent: the mean is taken out, lags are tapered
 
 
@@ -36,8 +36,8 @@ def test_stretches_that_are_not_neighbours_are_independent():
     """A series that jumps between its stretches: as one the colour counts across the jumps, as twenty it does not."""
     rng = np.random.default_rng(7)
     values = np.repeat(rng.standard_normal(20), 50)
-    apart = deviation_of_sum(values, [50] * 20)
-    assert apart < deviation_of_sum(values, [len(values)])
+    apart = standard_error_of_sum(values, [50] * 20)
+    assert apart < standard_error_of_sum(values, [len(values)])
 
 
 def test_a_comparison_by_manoeuvre_is_the_difference_of_plain_scores():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from lateral_flight import LATERAL_TRUTH, flies, flown, three_axis_card, values
+from lateral_flight import LATERAL_TRUTH, can_simulate, flown, three_axis_card, values
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model
 from bayes_aero.diagnosis.screening.screening import screen
@@ -17,7 +17,7 @@ from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
 from bayes_aero.residuals.equation_error import EquationError
 
-LATERAL = [e for e in CATALOGUE.values() if e.axes == (Axis.LATERAL,) and e.parameters and flies(e)]
+LATERAL = [e for e in CATALOGUE.values() if e.axes == (Axis.LATERAL,) and e.parameters and can_simulate(e)]
 BASE = [e.name for e in LATERAL if {p.name for p in e.parameters} & set(LATERAL_TRUTH)]
 CANDIDATES = [e.name for e in LATERAL if e.name not in BASE]
 ABSORBED = {  # by parameters of the card, whatever their size

@@ -10,7 +10,7 @@ from bayes_aero.diagnosis.screening.autocorrelation import (
     autocorrelations_of,
 )
 from bayes_aero.diagnosis.screening.regression import Products, inverse
-from bayes_aero.inference.variance.autoregression import ORDER, ROOT
+from bayes_aero.inference.variance.autoregression import MAX_ROOT, ORDER
 
 
 @pytest.fixture(params=[3, 4])
@@ -102,7 +102,7 @@ def test_records_fitted_together_are_fitted_each_by_itself():
         np.testing.assert_allclose(one.phi[0], expected, rtol=1e-6)
         left = rows[:, ORDER] - rows[:, ORDER - 1 :: -1] @ expected
         assert one.sigma[0] == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-6)
-    assert np.abs(np.roots(np.append(1.0, -found[2].phi[0]))).max() == pytest.approx(ROOT, rel=1e-6)
+    assert np.abs(np.roots(np.append(1.0, -found[2].phi[0]))).max() == pytest.approx(MAX_ROOT, rel=1e-6)
 
 
 def test_middles_are_the_blocks_of_the_whole(problem):

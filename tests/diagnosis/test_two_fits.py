@@ -31,7 +31,7 @@ def fits(status=MleStatus.CONVERGED, converged=True, at_bound=(), held=()):
         estimate=np.array([3.37, -25.3]),
         sd_corrected=np.array([0.15, 2.0]),
         at_bound=at_bound,
-        held=held,
+        held_by_prior=held,
     )
     return one, Mock(spec=TrajectoryFit, fit=fit, converged=converged)
 

@@ -12,12 +12,12 @@ from scipy.stats import chi2
 
 from bayes_aero.diagnosis.trajectories.process_noise import at_bound, holm
 from bayes_aero.dynamics.filtering.drifting import drifting
-from bayes_aero.dynamics.filtering.innovations import filtered
-from bayes_aero.dynamics.filtering.kalman import log_likelihood, outputs_at, smoothed
+from bayes_aero.dynamics.filtering.innovations import filter_segments
+from bayes_aero.dynamics.filtering.kalman import log_likelihood, outputs_at, smooth
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
-from bayes_aero.dynamics.segments import prepared, segments
+from bayes_aero.dynamics.segments import prepare, segments
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
@@ -74,11 +74,11 @@ def test_a_drifting_constant_is_the_local_level_of_another_library(scalar):
     flown, z = scalar
     moving = replace(flown, dynamics=drifting(flown.dynamics, ["bias"]))
     deviation, F, R = jnp.array([0.05, 0.0]), jnp.array([0.0, SIGMA]), jnp.array([SD**2])
-    found = filtered(moving, jnp.array([BIAS]), deviation, F, R)
+    found = filter_segments(moving, jnp.array([BIAS]), deviation, F, R)
     one = type(found)(*(x[0] for x in found))
     theirs = local_level(z, SIGMA, SD**2, level=BIAS)
     assert float(log_likelihood(one)) == pytest.approx(theirs.llf, rel=1e-8)
-    x, P = smoothed(one)
+    x, P = smooth(one)
     np.testing.assert_allclose(BIAS + x[:, 1], theirs.smoothed_state[0], rtol=1e-8)
     np.testing.assert_allclose(P[1:, 1, 1], theirs.smoothed_state_cov[0, 0, 1:], rtol=1e-8)
     assert float(P[0, 1, 1]) == 0.0
@@ -145,15 +145,15 @@ def test_a_sensor_that_has_drifted_reads_as_one_with_another_bias():
     plain = segments(flights, aircraft_dynamics(model, flights), outputs=outputs)
     theta = np.array([p.start for p in plain.dynamics.free])
     moved = theta + away @ np.array([[p == name for p in plain.dynamics.names] for name in names])
-    drifted = prepared(replace(plain, dynamics=drifting(plain.dynamics, names)), jnp.asarray(theta))
-    there, here = prepared(plain, jnp.asarray(moved)), prepared(plain, jnp.asarray(theta))
+    drifted = prepare(replace(plain, dynamics=drifting(plain.dynamics, names)), jnp.asarray(theta))
+    there, here = prepare(plain, jnp.asarray(moved)), prepare(plain, jnp.asarray(theta))
     x = jnp.array([103.0, 0.10, 0.09, 0.01, 0.8])  # the last is the separation point
     assert there.system.states[-1] == "X"
     k, rows = 20, {}
-    for name, ready, state in (("drifted", drifted, jnp.append(x, away)), ("moved", there, x), ("still", here, x)):
-        u = {channel: y[0, k] for channel, y in ready.drives.items()}
-        rate, _ = ready.system.motion(state, u)
-        rows[name] = [*(ready.true[0, k] - outputs_at(ready.system, state, u, plain.outputs)), *rate[:5]]
+    for name, prepared, state in (("drifted", drifted, jnp.append(x, away)), ("moved", there, x), ("still", here, x)):
+        u = {channel: y[0, k] for channel, y in prepared.drives.items()}
+        rate, _ = prepared.system.motion(state, u)
+        rows[name] = [*(prepared.true[0, k] - outputs_at(prepared.system, state, u, plain.outputs)), *rate[:5]]
     np.testing.assert_allclose(rows["drifted"], rows["moved"], rtol=1e-9, atol=1e-12)
     assert np.all(
         np.abs(np.array(rows["moved"]) - np.array(rows["still"]))[[3, 9, 10]] > 1e-3

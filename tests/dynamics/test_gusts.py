@@ -9,7 +9,7 @@ import pytest
 from jax.scipy.linalg import expm
 
 from bayes_aero.dynamics.aircraft.longitudinal import Longitudinal
-from bayes_aero.dynamics.filtering.kalman import gathered_noise
+from bayes_aero.dynamics.filtering.kalman import discrete_noise
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.model.model import Model
 
@@ -113,6 +113,6 @@ def test_noise_that_a_sample_gathers_is_van_loan_s_integral():
     both = np.asarray(expm(jnp.asarray(block)))
     transition = both[3:, 3:].T
     exact = transition @ both[:3, 3:]
-    found = np.asarray(gathered_noise(jnp.asarray(transition), jnp.asarray(np.diag(W)), dt))
+    found = np.asarray(discrete_noise(jnp.asarray(transition), jnp.asarray(np.diag(W)), dt))
     np.testing.assert_allclose(found[1:, 1:], exact[1:, 1:], rtol=2e-3)
     assert found[0, 0] < 1.3 * exact[0, 0]  # of the fifth power of dt

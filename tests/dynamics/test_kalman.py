@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from bayes_aero.dynamics.filtering.kalman import (
-    Begin,
+    InitialState,
     Measured,
     Sampling,
+    discrete_noise,
+    discrete_noise_slopes,
     gains,
-    gathered_noise,
-    gathered_slopes,
     kalman_filter,
     log_likelihood,
-    smoothed,
+    smooth,
 )
 from bayes_aero.dynamics.linear import LinearSystem
 from bayes_aero.dynamics.system import advance, integrate
@@ -56,7 +56,7 @@ def record(system):
 @eqx.filter_jit
 def compiled(system, start, P0, inputs, z, F, R):
     measured = Measured(z, jnp.tile(jnp.asarray(R), (N, 1)))
-    return kalman_filter(system, Begin(start, P0), inputs, measured, F, NAMES, Sampling(DT))
+    return kalman_filter(system, InitialState(start, P0), inputs, measured, F, NAMES, Sampling(DT))
 
 
 def filtered(system, record, F=F, R=R, P0=P0, start=START):
@@ -85,7 +85,7 @@ def discrete(system, inputs):
     offset = np.array([step(np.zeros(2), k) for k in range(N)])
     transition = np.array([step(e, 0) - offset[0] for e in np.eye(2)]).T
     # test_gusts holds gathered_noise against Van Loan's integral.
-    noise = np.asarray(gathered_noise(jnp.asarray(transition), jnp.asarray(F**2), DT))
+    noise = np.asarray(discrete_noise(jnp.asarray(transition), jnp.asarray(F**2), DT))
     return transition, offset, noise
 
 
@@ -107,7 +107,7 @@ def test_a_linear_system_agrees_with_statsmodels(system, record):
     np.testing.assert_allclose(ours.predicted, theirs.predicted_state.T[:-1], rtol=1e-8, atol=1e-8)
     np.testing.assert_allclose(ours.state, theirs.filtered_state.T, rtol=1e-8, atol=1e-8)
     np.testing.assert_allclose(ours.covariance, np.moveaxis(theirs.filtered_state_cov, 2, 0), rtol=1e-8, atol=1e-12)
-    x, P = smoothed(ours)
+    x, P = smooth(ours)
     np.testing.assert_allclose(x, theirs.smoothed_state.T, rtol=1e-7, atol=1e-8)
     np.testing.assert_allclose(P, np.moveaxis(theirs.smoothed_state_cov, 2, 0), rtol=1e-7, atol=1e-10)
 
@@ -182,11 +182,11 @@ def test_gathered_noise_has_the_derivative_of_finite_differences():
     transition, density = np.eye(3) + 0.1 * rng.normal(size=(3, 3)), rng.uniform(0.1, 1.0, 3)
     decayed, by, step = rng.normal(size=(3, 2)), rng.normal(size=(3, 2)), 1e-5
     A, D, W, E = map(jnp.asarray, (transition, decayed, density, by))
-    found = gathered_slopes(A, D, W, E, 0.04)
+    found = discrete_noise_slopes(A, D, W, E, 0.04)
 
     def at(far, m):
         moved = transition + far * np.diag(decayed[:, m])
-        return gathered_noise(jnp.asarray(moved), jnp.asarray(density + far * by[:, m]), 0.04)
+        return discrete_noise(jnp.asarray(moved), jnp.asarray(density + far * by[:, m]), 0.04)
 
     for m in range(2):
         np.testing.assert_allclose(found[..., m], (at(step, m) - at(-step, m)) / (2.0 * step), rtol=1e-7, atol=1e-10)

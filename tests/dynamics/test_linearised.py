@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.dynamics.filtering.linearised import Disturbances, Linearised, linear_innovations, noise_slopes
+from bayes_aero.dynamics.filtering.linearised import Disturbances, Linearised, linear_innovations, noise_derivatives
 
 W, N, S, C, M = 2, 40, 3, 4, 5  # segments, samples, states, outputs, directions
 DT = jnp.array([0.04, 0.05])
@@ -49,7 +49,7 @@ def drawn():
 
 def test_the_derivative_by_the_noise_is_that_of_forward_differentiation(drawn):
     lin, noise, slopes = drawn
-    found = noise_slopes(lin, noise, slopes, DT)
+    found = noise_derivatives(lin, noise, slopes, DT)
     for m in range(M):
         along = Disturbances(*(x[..., m] for x in slopes))
         _, (e, variance) = jax.jvp(lambda noise: linear_innovations(lin, noise, DT), (noise,), (along,))

@@ -31,8 +31,8 @@ def body(plane, model=None, **options):
     return RigidBody(model, six.values(plane, model), six.aircraft(plane), **options)
 
 
-def begun(system, **start):
-    return system.begun(jnp.array([float(start.get(name, 0.0)) for name in system.start]))
+def state_at_start(system, **start):
+    return system.state_at_start(jnp.array([float(start.get(name, 0.0)) for name in system.start]))
 
 
 def turning(n, plane=ODD, **rates):
@@ -52,7 +52,7 @@ def test_a_body_without_torque_keeps_its_angular_momentum_and_energy():
     """Tumbling through the vertical, about no principal axis."""
     n, dt = 1501, 0.01
     system, u = turning(n)
-    found = fly(system, begun(system, p=1.1, q=0.9, r=-0.6, phi=0.2, theta=0.3), u, dt).outputs
+    found = fly(system, state_at_start(system, p=1.1, q=0.9, r=-0.6, phi=0.2, theta=0.3), u, dt).outputs
     assert float(jnp.abs(found["theta"]).max()) > np.radians(80.0)
     spin = np.stack([found[n] for n in ("p", "q", "r")], axis=1)
     momentum = spin @ ODD.tensor()
@@ -67,7 +67,7 @@ def test_a_symmetric_top_precesses_as_the_closed_form_says():
     n, dt, p = 1001, 0.01, 2.0
     top = Plane(**six.ATTACHED, Iy=4e5, Iz=4e5, Ixz=0.0)
     system, u = turning(n, top)
-    found = fly(system, begun(system, p=p, q=0.5), u, dt).outputs
+    found = fly(system, state_at_start(system, p=p, q=0.5), u, dt).outputs
     t = np.arange(n) * dt
     rate = (top.Iz - top.Ix) / top.Iy * p
     np.testing.assert_allclose(found["p"], p, rtol=1e-12)
@@ -82,7 +82,7 @@ def test_attitude_goes_through_the_vertical():
     """Two loops at a steady pitch rate begun in a bank: beyond 90 degrees bank and heading turn over by half a turn."""
     n, dt, q = 801, 0.02, 0.8
     system, u = turning(n, p=0.0, q=q, r=0.0)
-    found = fly(system, begun(system, theta=0.1), u, dt).outputs
+    found = fly(system, state_at_start(system, theta=0.1), u, dt).outputs
     pitch = 0.1 + q * np.arange(n) * dt
     assert pitch[-1] > 4.0 * np.pi
     np.testing.assert_allclose(np.sin(found["theta"]), np.sin(pitch), atol=1e-9)
@@ -96,7 +96,7 @@ def test_attitude_follows_any_rates():
     t = np.arange(n) * dt
     rates = {"p": 0.5 * np.sin(2.0 * t), "q": 1.2 + 0.3 * np.cos(t), "r": 0.2 * np.cos(3.0 * t)}
     system, u = turning(n, **rates)
-    found = fly(system, begun(system, phi=0.1, theta=-0.2, psi=1.0), u, dt).outputs
+    found = fly(system, state_at_start(system, phi=0.1, theta=-0.2, psi=1.0), u, dt).outputs
     middle = np.stack([0.5 * (x[1:] + x[:-1]) for x in rates.values()], axis=1)
     turned = Rotation.from_euler("ZYX", [1.0, -0.2, 0.1])
     for step in Rotation.from_rotvec(dt * middle):
@@ -110,7 +110,7 @@ def test_bank_and_heading_are_shown_to_the_turn_of_the_record():
     system, u = turning(n, p=0.0, q=0.0, r=r)
     heading = 5.0 * np.pi + 0.2 + r * np.arange(n) * dt
     u |= {"near_psi": jnp.asarray(heading + 0.1), "near_phi": jnp.full(n, -4.0 * np.pi)}
-    found = fly(system, begun(system, psi=np.pi + 0.2), u, dt).outputs
+    found = fly(system, state_at_start(system, psi=np.pi + 0.2), u, dt).outputs
     np.testing.assert_allclose(found["psi"], heading, atol=1e-9)
     np.testing.assert_allclose(found["phi"], -4.0 * np.pi, atol=1e-9)
 
@@ -135,7 +135,7 @@ def test_without_lateral_input_it_is_longitudinal_motion(stall):
     for system in (flat, whole):
         start = jnp.array([float(START.get(n, 0.0)) for n in system.start])
         first = {name: x[0] for name, x in u.items()}
-        ends.append(fly(system, system.begun(system.settled(start, first)), u, 0.04, 3).outputs)
+        ends.append(fly(system, system.state_at_start(system.complete_start(start, first)), u, 0.04, 3).outputs)
     assert float(jnp.ptp(ends[0]["X"])) > 0.1 or not stall
     for name, x in ends[0].items():
         np.testing.assert_allclose(ends[1][name], x, rtol=1e-9, atol=1e-9, err_msg=name)
@@ -171,7 +171,7 @@ def test_a_centre_of_gravity_aside_and_uneven_engines_turn_it_as_another_simulat
     x[[1, 3, 4, 5]] = 3.0, 0.1, 0.05, -0.04
     theirs, first = odd.rates(x, controls), odd.sensed(x, controls)
     u = {name: jnp.asarray(y) for name, y in first.items() if name in stranger_six.CONTROLS or name == "thrust"}
-    _, found = system.motion(begun(system, **first), model.corrected(known, u, system.aircraft))
+    _, found = system.motion(state_at_start(system, **first), model.corrected(known, u, system.aircraft))
     np.testing.assert_allclose([found[f"{n}_dot"] for n in ("p", "q", "r")], theirs[3:6], rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(
         [found[n] for n in ("ax", "ay", "az")], [first[n] for n in ("ax", "ay", "az")], rtol=1e-6
@@ -193,7 +193,7 @@ def test_it_flies_as_another_simulator_does(flown, euler):
     system = body(ODD, euler=euler)
     for flight in flown.values():
         u = {name: x for name, x in six.channels(flight).items() if name != "density"}
-        found = fly(system, begun(system, **{n: flight[n][0] for n in system.start}), u, 0.04, 2).outputs
+        found = fly(system, state_at_start(system, **{n: flight[n][0] for n in system.start}), u, 0.04, 2).outputs
         for name in SEEN:
             np.testing.assert_allclose(found[name], flight[name], rtol=2e-7, atol=2e-7, err_msg=name)
     assert np.ptp(flown["aileron"]["p"]) > 0.2
@@ -210,7 +210,7 @@ def test_the_integration_is_that_of_an_adaptive_one():
     first = plane.sensed(x, controls)
     system = body(plane)
     u = {name: jnp.full(n, first[name]) for name in six.channels(dict.fromkeys(first, 0.0)) if name != "density"}
-    found = fly(system, begun(system, **first), u, dt).outputs
+    found = fly(system, state_at_start(system, **first), u, dt).outputs
     for name, value in plane.sensed(exact, controls).items():
         if name in SEEN:
             np.testing.assert_allclose(found[name][-1], value, rtol=2e-7, atol=2e-7, err_msg=name)
@@ -224,7 +224,7 @@ def test_coefficients_are_taken_apart_again(flown):
     moved_point = eqx.tree_at(lambda s: s.aircraft.reference_point, system, (0.2, -0.1, 0.15))
     flight = flown["rudder"]
     u = {name: x for name, x in six.channels(flight).items() if name != "density"}
-    found = fly(moved_point, begun(system, **{n: flight[n][0] for n in system.start}), u, 0.04).outputs
+    found = fly(moved_point, state_at_start(system, **{n: flight[n][0] for n in system.start}), u, 0.04).outputs
     signals = found | u | {"density": jnp.asarray([plane.density(float(h)) for h in found["altitude"]])}
     apart = coefficients(signals, moved_point.aircraft)
     for name in ("CL", "CD", "Cm", "CY", "Cl", "Cn"):

@@ -58,7 +58,7 @@ def body(plane=PLANE, effects=(*STALL, *APART), **options):
     return RigidBody(model, known, six.aircraft(plane), **options)
 
 
-def begun(system, **start):
+def state_at_start(system, **start):
     return jnp.array([float(start.get(name, 0.0)) for name in system.start])
 
 
@@ -71,8 +71,8 @@ def test_two_lags_fly_as_those_of_another_simulator(flight, euler):
     system, u = body(euler=euler), inputs(flight)
     assert system.states[-2:] == ("X_right", "X_left")
     first = {name: x[0] for name, x in u.items()}
-    start = system.settled(begun(system, **{n: x[0] for n, x in flight.items()}), first)
-    found = fly(system, system.begun(start), u, DT, 2)
+    start = system.complete_start(state_at_start(system, **{n: x[0] for n, x in flight.items()}), first)
+    found = fly(system, system.state_at_start(start), u, DT, 2)
     assert found.outputs["X"].min() < 0.5
     assert np.abs(found.states[:, -2] - found.states[:, -1]).max() > 0.1
     for name in SEEN:
@@ -89,9 +89,9 @@ def test_rates_of_both_points_and_of_the_body_are_those_of_another_simulator(fli
     theirs = PLANE.rates(
         np.array([*velocity, *turning, points[1], points[0]]), np.array([now[n] for n in stranger_six.CONTROLS])
     )
-    start = begun(system, **now, X_right=points[0], X_left=points[1])
+    start = state_at_start(system, **now, X_right=points[0], X_left=points[1])
     u = {name: x[k] for name, x in inputs(flight).items()}
-    rates, _ = system.motion(system.begun(start), u)
+    rates, _ = system.motion(system.state_at_start(start), u)
     ours = dict(zip(system.states, np.asarray(rates), strict=True))
     np.testing.assert_allclose([ours["X_left"], ours["X_right"]], theirs[10:], rtol=1e-8)
     np.testing.assert_allclose([ours[n] for n in ("p", "q", "r")], theirs[3:6], rtol=1e-6)
@@ -107,9 +107,9 @@ def test_wings_that_nothing_tells_apart_fly_as_one():
     ends = []
     for effects in (STALL, (*STALL, *APART)):
         system = body(even, effects)
-        start = begun(system, airspeed=95.0, alpha=0.12, theta=0.12, altitude=4000.0)
-        start = system.settled(start, {name: x[0] for name, x in u.items()})
-        ends.append((system.states, fly(system, system.begun(start), u, DT, 3)))
+        start = state_at_start(system, airspeed=95.0, alpha=0.12, theta=0.12, altitude=4000.0)
+        start = system.complete_start(start, {name: x[0] for name, x in u.items()})
+        ends.append((system.states, fly(system, system.state_at_start(start), u, DT, 3)))
     (one, whole), (two, wings) = ends
     assert (one[-1:], two[-2:]) == (("X",), ("X_right", "X_left"))
     assert whole.outputs["X"].min() < 0.5
@@ -123,8 +123,8 @@ def test_coefficients_of_the_record_are_those_of_the_simulation(flight):
     """The lag of sampled static points against the states that were integrated; linear between samples."""
     system, u = body(), inputs(flight)
     first = {name: x[0] for name, x in u.items()}
-    start = system.settled(begun(system, **{n: x[0] for n, x in flight.items()}), first)
-    found = fly(system, system.begun(start), u, DT, 2)
+    start = system.complete_start(state_at_start(system, **{n: x[0] for n, x in flight.items()}), first)
+    found = fly(system, system.state_at_start(start), u, DT, 2)
     n = len(flight["time"])
     signals = found.outputs | u | {"dt": jnp.full(n, DT), "start": jnp.arange(n) == 0}
     known = system.model.flow(system.values, signals, system.aircraft)

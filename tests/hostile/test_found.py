@@ -201,7 +201,7 @@ def test_damaged_json_in_a_results_folder(tmp_path, monkeypatch, content):
         manifest = {"files": {name: ""}, "made_from": made_from, "state": "done"}
         unit.write_json(manifest, tmp_path / unit.MANIFEST)
         assert unit.state_of(one, tmp_path).word == "damaged"
-    monkeypatch.setattr(unit, "perform", lambda *_: None)
+    monkeypatch.setattr(unit, "run_task", lambda *_: None)
     assert verify_unit(one, tmp_path)
 
 

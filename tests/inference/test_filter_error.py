@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from bayes_aero.dynamics.filtering.innovations import filtered, riccati, steady_innovations
+from bayes_aero.dynamics.filtering.innovations import filter_segments, riccati, steady_innovations
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.output_biases import biased_dynamics
@@ -19,7 +19,7 @@ from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import segments, simulate
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.reading.read_record import read_record
-from bayes_aero.inference.likelihood.filter_error import FilterErrorStatus, fit_filter_error, limited_step
+from bayes_aero.inference.likelihood.filter_error import FilterErrorStatus, constrained_step, fit_filter_error
 from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
 
@@ -84,7 +84,7 @@ def test_without_process_noise_it_is_output_error():
     R = jnp.asarray(residual.reshape(-1, 7).var(axis=0))
     steady = steady_innovations(whole, theta, nothing, jnp.full(4, 1e-30), R)
     np.testing.assert_allclose(steady.innovation, residual, rtol=1e-8, atol=1e-8)
-    varying = filtered(whole, theta, jnp.zeros(4), jnp.zeros(4), R)
+    varying = filter_segments(whole, theta, jnp.zeros(4), jnp.zeros(4), R)
     np.testing.assert_allclose(varying.innovation, residual, rtol=1e-8, atol=1e-8)
 
 
@@ -112,10 +112,10 @@ def test_a_limited_step_meets_the_conditions_of_karush_kuhn_and_tucker():
     for _ in range(20):
         J = rng.standard_normal((9, 6))
         A, g = J.T @ J, rng.standard_normal(6)
-        slopes, room = rng.standard_normal((3, 6)), rng.uniform(0.0, 0.2, 3)
-        step = limited_step(A, g, slopes, room)
-        assert np.all(slopes @ step <= room + 1e-8)
-        active = slopes @ step > room - 1e-8
+        slopes, margin = rng.standard_normal((3, 6)), rng.uniform(0.0, 0.2, 3)
+        step = constrained_step(A, g, slopes, margin)
+        assert np.all(slopes @ step <= margin + 1e-8)
+        active = slopes @ step > margin - 1e-8
         force = np.linalg.lstsq(slopes[active].T, g - A @ step, rcond=None)[0]
         assert np.all(force > -1e-8)
         np.testing.assert_allclose(slopes[active].T @ force, g - A @ step, atol=1e-7)

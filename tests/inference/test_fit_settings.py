@@ -136,7 +136,7 @@ def test_without_priors_what_the_record_does_not_tell_is_said_and_has_no_deviati
     found = fly([record], card_of(SHORT_PERIOD), priors=False)
     fit = found.flown.fit
     assert set(fit.undetermined) == {"Zde", "Mde"}
-    assert fit.held == ()
+    assert fit.held_by_prior == ()
     rows = parameter_rows(found.flown)
     for name, row in rows.items():
         assert row["undetermined"] == (name in fit.undetermined)

@@ -14,7 +14,7 @@ from linear_cards import FIRST_ORDER, card_of, disturbed_first_order
 from scipy import stats
 
 from bayes_aero.dynamics.filtering.density import NoisePoint, innovations_density
-from bayes_aero.dynamics.filtering.innovations import filtered
+from bayes_aero.dynamics.filtering.innovations import filter_segments
 from bayes_aero.dynamics.filtering.kalman import log_likelihood
 from bayes_aero.dynamics.flight import Dynamics
 from bayes_aero.dynamics.linear import linear_dynamics
@@ -177,7 +177,7 @@ def pendulum():
 def both(flown, x):
     point = NoisePoint(x[:2], x[2:4], x[4:])
     lean = innovations_density(flown, point, jnp.array([0.1, 0.2]))
-    found = filtered(flown, x[:2], jnp.array([0.1, 0.2]), x[2:4], x[4:])
+    found = filter_segments(flown, x[:2], jnp.array([0.1, 0.2]), x[2:4], x[4:])
     return lean, jnp.sum(jax.vmap(log_likelihood)(found))
 
 

@@ -44,14 +44,14 @@ class Mixture(LogDensity):
 def test_the_mode_with_most_of_the_probability_is_taken_and_the_rest_is_told(left, at):
     mode = search_modes(Mixture(left), np.array([2.0 if left > 0.5 else -1.5]), 10, draws=30)
     assert mode.u[0] == pytest.approx(at, abs=0.01)
-    assert mode.elsewhere == pytest.approx(min(left, 1.0 - left), abs=0.01)
+    assert mode.other_share == pytest.approx(min(left, 1.0 - left), abs=0.01)
     (said,) = other_modes(mode, "emcee")
-    assert f"{mode.elsewhere:.0%}" in said
+    assert f"{mode.other_share:.0%}" in said
 
 
 def test_one_mode_is_one_however_often_it_is_found():
     alone = search_modes(Mixture(1.0 - 1e-9), np.array([-1.4]), 10, draws=30)
-    assert alone.elsewhere < 1e-6
+    assert alone.other_share < 1e-6
     assert other_modes(alone, "emcee") == ()
     assert alone.u[0] == find_mode(Mixture(1.0 - 1e-9), np.array([-1.4])).u[0]  # that of the start, to the last digit
 

@@ -19,11 +19,11 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 from scipy.stats import binom, norm
 
-from bayes_aero.dynamics.filtering.innovations import filtered, prediction_errors
+from bayes_aero.dynamics.filtering.innovations import filter_segments, prediction_errors
 from bayes_aero.dynamics.filtering.kalman import Filtered
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments
-from bayes_aero.inference.one_step import LEVELS, one_step, transform
+from bayes_aero.inference.one_step import LEVELS, one_step, probability_transform
 from bayes_aero.inference.scores import Calibration
 from bayes_aero.model.joined_channels import join
 
@@ -83,7 +83,7 @@ def predicted(flown, noise: float):
     theta = jnp.asarray([SHORT_PERIOD_TRUTH[name] for name in flown.dynamics.names])
     R = noise * np.array([NOISE[name] for name in flown.outputs]) ** 2
     begin = jnp.sqrt(jnp.asarray(R[[flown.outputs.index(n) for n in ("alpha", "q")]]))
-    found = filtered(flown, theta, begin, jnp.asarray(F), jnp.asarray(R))
+    found = filter_segments(flown, theta, begin, jnp.asarray(F), jnp.asarray(R))
     return one_step(found, np.asarray(prediction_errors(flown.nameless, theta, found)), flown.outputs)
 
 
@@ -94,14 +94,14 @@ def test_the_transform_is_that_of_a_scalar_filter_by_hand():
     channels["elevator"] = np.zeros(n)
     card = card_of(FIRST_ORDER)
     flown = segments(join([record_of(channels, dt=0.05)], card, ()), linear_dynamics(card))
-    found = filtered(flown, jnp.array([Zalpha]), jnp.array([0.002]), jnp.array([force]), jnp.array([sd**2]))
+    found = filter_segments(flown, jnp.array([Zalpha]), jnp.array([0.002]), jnp.array([force]), jnp.array([sd**2]))
     x, P, phi, expected, errors = float(found.predicted[0, 0, 0]), 0.002**2, np.exp(Zalpha * 0.05), [], []
     for z in channels["alpha"]:
         S, K = P + sd**2, P / (P + sd**2)
         expected.append(norm.cdf((z - x) / np.sqrt(S)))
         errors.append(z - x)
         x, P = phi * (x + K * (z - x)), phi**2 * (1.0 - K) * P + force**2 * (phi**2 - 1.0) / (2.0 * Zalpha)
-    assert transform(found)[0, :, 0] == pytest.approx(np.array(expected), abs=1e-5)
+    assert probability_transform(found)[0, :, 0] == pytest.approx(np.array(expected), abs=1e-5)
     away = np.asarray(prediction_errors(flown.nameless, jnp.array([Zalpha]), found))
     assert away[0, :, 0] == pytest.approx(np.array(errors), abs=1e-7)
     told = one_step(found, away, flown.outputs)
@@ -112,7 +112,7 @@ def test_errors_of_an_output_do_not_know_the_other_outputs_of_their_sample(flown
     """Its innovation does: the first output's are equal, the last one's are smaller than its error."""
     theta = jnp.asarray([SHORT_PERIOD_TRUTH[name] for name in flown.dynamics.names])
     R = jnp.asarray([NOISE[name] ** 2 for name in flown.outputs])
-    found = filtered(flown, theta, jnp.full(2, 0.002), jnp.asarray(F), R)
+    found = filter_segments(flown, theta, jnp.full(2, 0.002), jnp.asarray(F), R)
     errors, known = np.asarray(prediction_errors(flown.nameless, theta, found))[0], np.asarray(found.innovation)[0]
     assert errors[:, 0] == pytest.approx(known[:, 0], abs=1e-12)
     assert np.std(known[:, -1]) < 0.99 * np.std(errors[:, -1])
@@ -207,7 +207,7 @@ def test_what_was_not_measured_does_not_count():
     kept = z[np.isfinite(z)]
     assert found.outputs["y0"].count == len(kept) == 300
     assert found.outputs["y0"].shares[1].share == np.mean(np.abs(kept) < norm.ppf(0.95))
-    assert np.isnan(transform(innovations(z))[0, 0, 0])
+    assert np.isnan(probability_transform(innovations(z))[0, 0, 0])
 
 
 def test_too_few_are_not_judged():

@@ -15,10 +15,10 @@ from bayes_aero.inference import parent_watchdog as orphan
 PARENT = """
 import os, time
 from joblib import Parallel, delayed, parallel_config
-from bayes_aero.inference.parent_watchdog import leave_with
+from bayes_aero.inference.parent_watchdog import exit_with
 
 def work(parent):
-    leave_with(parent)
+    exit_with(parent)
     print(os.getpid(), flush=True)
     time.sleep(600.0)
 
@@ -40,7 +40,7 @@ def test_processes_end_with_a_parent_that_is_killed():
 
 def test_nothing_watches_in_the_process_itself(monkeypatch):
     monkeypatch.setattr(orphan.os, "_exit", lambda code: pytest.fail(f"left with {code}"))
-    monkeypatch.setattr(orphan, "LOOK", 0.01)
-    orphan.leave_with(os.getpid())
+    monkeypatch.setattr(orphan, "POLL_SECONDS", 0.01)
+    orphan.exit_with(os.getpid())
     time.sleep(0.1)
     assert orphan._watched == set()

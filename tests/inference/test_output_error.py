@@ -26,7 +26,7 @@ from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.errors import InputError
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.normal_equations import DEPARTURE, NormalEquations, Priors
+from bayes_aero.inference.likelihood.normal_equations import INITIAL_STATE_SD, NormalEquations, Priors
 from bayes_aero.inference.likelihood.output_error import fit_cascade, fit_output_error, trajectories
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 from bayes_aero.model.joined_channels import join
@@ -69,7 +69,7 @@ def test_the_short_period_is_recovered_from_a_start_of_zeros(short_period):
         k = found.names.index(name)
         assert found.estimate[k] == pytest.approx(SHORT_PERIOD_TRUTH[name], rel=0.05)
     np.testing.assert_allclose(np.sqrt(found.R), [NOISE[name] for name in found.flown.outputs], rtol=0.1)
-    assert found.held == ()
+    assert found.held_by_prior == ()
 
 
 def test_lateral_motion_is_recovered(lateral):
@@ -99,8 +99,8 @@ def test_it_stopped_at_the_optimum(short_period):
             assert cost(moved) > here + 0.3, found.names[k]
 
 
-def test_what_is_told_of_the_last_step_is_what_is_flown_there(short_period, lateral):
-    """It is taken without a look."""
+def test_the_extrapolated_last_step_is_that_of_a_simulation(short_period, lateral):
+    """The last step is extrapolated, not evaluated."""
     for found in (short_period[1], lateral):
         flown = trajectories(found.flown, jnp.asarray(found.estimate), jnp.asarray(found.departure)).residual
         inside = found.flown.inside
@@ -111,20 +111,20 @@ def test_what_is_told_of_the_last_step_is_what_is_flown_there(short_period, late
         np.testing.assert_allclose(np.mean(told**2, axis=0), found.R, rtol=1e-6)
 
 
-def test_a_step_of_the_initial_states_needs_no_look_where_the_system_is_linear():
+def test_the_extrapolation_of_initial_states_is_exact_where_the_system_is_linear():
     flown = flown_of(SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH), 3, window=4.0)
     rng = np.random.default_rng(4132)
     theta = np.array([SHORT_PERIOD_TRUTH[p.name] for p in flown.dynamics.free])
     w, s = flown.index.shape[0], len(flown.dynamics.states)
-    look, steps = NormalEquations(flown, Priors.of(flown, 1.0)), 0.02 * rng.standard_normal((2, w, s))
-    here, there = look(theta, steps[0]), look(theta, steps[0] + steps[1])
-    found = look.ahead(here, np.zeros(len(theta)), steps[1])
+    equations, steps = NormalEquations(flown, Priors.of(flown, 1.0)), 0.02 * rng.standard_normal((2, w, s))
+    here, there = equations.evaluate(theta, steps[0]), equations.evaluate(theta, steps[0] + steps[1])
+    found = equations.extrapolate(here, np.zeros(len(theta)), steps[1])
     assert abs(there.cost - here.cost) > 1.0
     assert found.cost == pytest.approx(there.cost, rel=1e-9)
     states = [0, *range(1 + len(theta), 1 + len(theta) + s)]  # sensitivities to parameters do change
-    gram, seen = (point.normal.gram[:, :, 0, states] for point in (found, there))
+    gram, seen = (point.products.gram[:, :, 0, states] for point in (found, there))
     np.testing.assert_allclose(gram, seen, rtol=1e-6, atol=1e-9)
-    for a, b in zip(found.normal.columns, there.normal.columns, strict=True):
+    for a, b in zip(found.products.columns, there.products.columns, strict=True):
         np.testing.assert_allclose(a[..., 0], b[..., 0], atol=1e-9)
 
 
@@ -145,7 +145,7 @@ def test_deviations_are_those_of_a_fisher_information_by_differences():
         return np.concatenate([flight[name] / np.sqrt(R) for name, R in zip(("alpha", "q"), found.R, strict=True)])
 
     S = np.stack([(respond(base + step) - respond(base - step)) / 2e-6 for step in 1e-6 * np.eye(len(base))], axis=1)
-    start = [DEPARTURE[name] ** -2 for name in ("alpha", "q")]  # what the sensors say of the initial state
+    start = [INITIAL_STATE_SD[name] ** -2 for name in ("alpha", "q")]  # what the sensors say of the initial state
     information = S.T @ S + np.diag([*np.zeros(len(names)), *start])
     expected = np.sqrt(np.diag(np.linalg.inv(information)))[:-2]
     got = [found.sd[found.names.index(name)] for name in names]
@@ -165,7 +165,7 @@ def test_what_the_record_does_not_move_is_held_by_its_prior(short_period):
     free = short_period_flight(truth | {"Zde": 0.0, "Mde": 0.0}, x0=(0.08, -0.05))
     free["elevator"] = np.zeros(len(free["elevator"]))
     found = fit_output_error(flown_of(text + prior, free, 4, ("alpha", "q")))
-    assert set(found.held) == {"Zde", "Mde", "az0"}  # az is not compared here
+    assert set(found.held_by_prior) == {"Zde", "Mde", "az0"}  # az is not compared here
     estimate = dict(zip(found.names, found.estimate, strict=True))
     assert estimate["Mde"] == pytest.approx(-2.5, abs=1e-6)
     assert estimate["Zde"] == pytest.approx(0.1, abs=1e-6)
@@ -175,7 +175,7 @@ def test_what_the_record_does_not_move_is_held_by_its_prior(short_period):
     for name in ("Zalpha", "Malpha", "Mq"):
         k = found.names.index(name)
         assert abs(found.estimate[k] - truth[name]) < 4.0 * found.sd[k] < 0.4 * abs(truth[name])
-    assert "Mde" not in short_period[1].held
+    assert "Mde" not in short_period[1].held_by_prior
 
 
 def test_a_parameter_that_is_held_keeps_its_value(short_period):
@@ -340,7 +340,7 @@ def test_a_second_of_flight_without_input_is_fitted_and_says_what_it_cannot_tell
     """25 samples before the elevator moves: numbers are finite, and its derivatives are held by their priors."""
     found = fit_output_error(flown_of(SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH, n=25), 6, ("alpha", "q")))
     assert found.status is OutputErrorStatus.CONVERGED
-    assert {"Zde", "Mde", "az0"} <= set(found.held)
+    assert {"Zde", "Mde", "az0"} <= set(found.held_by_prior)
     for array in (found.estimate, found.sd, found.sd_corrected, found.departure, found.rms):
         assert np.all(np.isfinite(array))
 

@@ -13,8 +13,15 @@ from bayes_aero.dynamics.system import advance
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood import prediction_error
+from bayes_aero.inference.likelihood.fisher_scoring import (
+    MAX_ITERATIONS,
+    Evaluation,
+    bfgs_update,
+    bounded_step,
+    covariance_of,
+    minimise,
+)
 from bayes_aero.inference.likelihood.prediction_error import PredictionErrorStatus, fit_prediction_error
-from bayes_aero.inference.likelihood.scoring import MAX_ITERATIONS, Seen, bent, boxed_step, covariance_of, scored
 from bayes_aero.model.joined_channels import join
 
 TRUTH = {"Zw": -1.4249, "Zde": -6.2632, "Mw": -0.05, "Mq": -3.7067, "Mde": -12.78}  # as the unstable card, made stable
@@ -65,7 +72,7 @@ def test_the_truth_is_recovered(flown):
 def test_the_gradient_is_that_of_finite_differences(flown):
     point = np.array([*(0.9 * TRUTH[n] for n in flown.dynamics.names), *np.log(F), *np.log(R)])
     problem = prediction_error._Problem.of(flown.nameless, None, {}, F > 0.0, True)
-    gradient = problem.look(point).gradient
+    gradient = problem.evaluate(point).gradient
     for i, g in enumerate(gradient):
         h = 1e-5 * max(1.0, abs(point[i])) * (np.arange(len(point)) == i)
         difference = (problem.cost(point + h) - problem.cost(point - h)) / (2.0 * h.sum())
@@ -103,20 +110,20 @@ class Overshooting:
         rng = np.random.default_rng(5)
         factor = rng.standard_normal((6, 6))
         self.information, self.times, self.moving = factor @ factor.T + np.eye(6), times, np.full(6, True)
-        self.bounds, self.most = np.tile([-np.inf, np.inf], (6, 1)), np.full(6, np.inf)
+        self.bounds, self.step_limit = np.tile([-np.inf, np.inf], (6, 1)), np.full(6, np.inf)
 
     def cost(self, point):
         return 0.5 * self.times * float(point @ self.information @ point)
 
-    def look(self, point):
-        return Seen(self.cost(point), self.times * self.information @ point, self.information)
+    def evaluate(self, point):
+        return Evaluation(self.cost(point), self.times * self.information @ point, self.information)
 
 
 @pytest.mark.parametrize("times", [0.5, 1.0, 1.97])
 def test_steps_that_go_too_far_are_shortened(times):
     """Newton's steps from 30 would take log(1e6) / log(1 / 0.97^2) = 227 steps by an information half of what it is."""
     problem = Overshooting(times)
-    _, here, converged, steps = scored(problem, np.full(6, 30.0), problem.look, 1e-3)
+    _, here, converged, steps = minimise(problem, np.full(6, 30.0), problem.evaluate, 1e-3)
     assert converged
     assert steps < MAX_ITERATIONS / 2
     assert here.cost < 0.01
@@ -129,7 +136,7 @@ def test_a_step_in_its_room_meets_the_conditions_of_karush_kuhn_and_tucker():
         A, g = factor.T @ factor, rng.standard_normal(8) * np.logspace(0.0, 8.0, 8)
         newton = np.linalg.solve(A, g)
         room = np.sort(newton[:, None] * rng.uniform(-1.5, 1.5, (8, 2)), axis=1) + np.array([-1e-9, 1e-9])
-        step = boxed_step(A, g, room, 0.0)
+        step = bounded_step(A, g, room, 0.0)
         left, tolerance = (g - A @ step) / np.sqrt(np.diag(A)), 1e-6 * np.linalg.norm(g / np.sqrt(np.diag(A)))
         low, high = np.isclose(step, room[:, 0], rtol=1e-9), np.isclose(step, room[:, 1], rtol=1e-9)
         assert np.all((step > room[:, 0] - 1e-9 * abs(room[:, 0])) & (step < room[:, 1] + 1e-9 * abs(room[:, 1])))
@@ -145,10 +152,10 @@ def test_a_corrected_curvature_has_the_change_of_the_gradient_and_stays_positive
         factor, step = rng.standard_normal((6, 6)), rng.standard_normal(6)
         A = factor @ factor.T + np.eye(6)
         change = A @ step + 0.3 * rng.standard_normal(6) * np.linalg.norm(A @ step)
-        B = bent(A, step, change)
+        B = bfgs_update(A, step, change)
         if step @ change > 0.2 * step @ A @ step:
             np.testing.assert_allclose(B @ step, change, rtol=1e-9, atol=1e-9 * float(np.linalg.norm(change)))
-        assert np.min(np.linalg.eigvalsh(bent(A, step, -change))) > 0.0
+        assert np.min(np.linalg.eigvalsh(bfgs_update(A, step, -change))) > 0.0
 
 
 class Bowl(Overshooting):
@@ -161,15 +168,18 @@ class Bowl(Overshooting):
     def cost(self, point):
         return 0.5 * float(point @ self.curvature @ point)
 
-    def look(self, point):
-        return Seen(self.cost(point), self.curvature @ point, self.information)
+    def evaluate(self, point):
+        return Evaluation(self.cost(point), self.curvature @ point, self.information)
 
 
 def test_gradients_mend_an_information_that_is_not_the_curvature():
     """Off by factors of .2 to 5; steps by the information alone crawl along the flat direction."""
     bowl = Bowl([5.0, 0.05, 0.2, 3.0])
-    steps = {near: scored(bowl, np.full(6, 10.0), bowl.look, 1e-6, near=near)[3] for near in (False, True)}
-    assert scored(bowl, np.full(6, 10.0), bowl.look, 1e-6)[1].cost < 1e-5
+    steps = {
+        approximate: minimise(bowl, np.full(6, 10.0), bowl.evaluate, 1e-6, approximate=approximate)[3]
+        for approximate in (False, True)
+    }
+    assert minimise(bowl, np.full(6, 10.0), bowl.evaluate, 1e-6)[1].cost < 1e-5
     assert 2 * steps[False] < steps[True]
 
 

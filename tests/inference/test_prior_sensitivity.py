@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from bayes_aero.inference.posterior.assembly import Drawn, assemble
-from bayes_aero.inference.posterior.prior_sensitivity import Leaning, prior_sensitivity
+from bayes_aero.inference.posterior.prior_sensitivity import Dependence, prior_sensitivity
 from bayes_aero.model.log_density import LogDensity
 from bayes_aero.parameter import Parameter, Prior
 
@@ -29,7 +29,7 @@ class Mean(LogDensity):
 
 @pytest.mark.parametrize(
     ("width", "says"),
-    [(100.0, Leaning.DATA), (0.2, Leaning.BOTH), (0.005, Leaning.PRIOR)],
+    [(100.0, Dependence.DATA), (0.2, Dependence.BOTH), (0.005, Dependence.PRIOR)],
 )
 def test_a_prior_is_told_by_its_width(width, says):
     """Draws from the closed form: precision 25 + width^-2, mean 25 over it."""

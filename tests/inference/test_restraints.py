@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bayes_aero.inference.likelihood.restraints import bounded, prior_conflicts
+from bayes_aero.inference.likelihood.restraints import active_bounds, prior_conflicts
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.report.text.restraints import bound_sentences, conflict_sentences, leaning_sentences
 
@@ -16,7 +16,7 @@ def parameter(name, prior=None, bounds=(-np.inf, np.inf)):
 def test_a_prior_that_the_record_contradicts_is_named_with_its_distance():
     prior = Prior("normal", 2.5, 0.02, "wind tunnel")
     (found,) = prior_conflicts([parameter("CLa", prior), parameter("Cmq")], np.array([3.55, -8.0]), np.array([0.03, 1]))
-    assert found.apart == pytest.approx(1.05 / np.hypot(0.02, 0.03))
+    assert found.distance == pytest.approx(1.05 / np.hypot(0.02, 0.03))
     (said,) = conflict_sentences([found])
     assert "CLa" in said
     assert "wind tunnel" in said
@@ -43,12 +43,12 @@ def test_lifting_the_bound_of_a_linear_fit_gives_the_free_fit():
     held = np.array([3.2, X[:, 1] @ (y - 3.2 * X[:, 0]) / (X[:, 1] @ X[:, 1])])
     gradient = X.T @ (y - X @ held) / 0.01
     sd = np.sqrt(np.diag(np.linalg.inv(A)))
-    (found,) = bounded(
+    (found,) = active_bounds(
         [parameter("CLa", bounds=(2.5, 3.2)), parameter("CLaM")], held, gradient, np.linalg.inv(A), sd, [True, False]
     )
     assert (found.name, found.bound, found.lower) == ("CLa", 3.2, False)
-    assert found.without == pytest.approx(free[0], rel=1e-9)
-    assert found.pushed["CLaM"] == pytest.approx((free[1] - held[1]) / sd[1], rel=1e-9)
+    assert found.unbounded == pytest.approx(free[0], rel=1e-9)
+    assert found.shifts["CLaM"] == pytest.approx((free[1] - held[1]) / sd[1], rel=1e-9)
     (said,) = bound_sentences([found])
     assert "upper bound, 3.2" in said
     assert "CLaM" in said

@@ -11,7 +11,7 @@ from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, s
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.inference.likelihood.output_error import fit_output_error
-from bayes_aero.inference.variance.noise_growth import MOST, SeparatedFlow
+from bayes_aero.inference.variance.noise_growth import MAX_GROWTH, SeparatedFlow
 from bayes_aero.model.joined_channels import join
 
 NOISE = {"alpha": 0.002, "q": 0.003}
@@ -50,7 +50,7 @@ def test_nothing_missed_does_not_grow_and_growth_has_an_end():
     inside = np.ones((1, N), bool)
     assert not SeparatedFlow(np.zeros((1, N, 1)), APART[None], inside).growths().any()
     only = (APART[None, :, None] + 1e-9) * np.ones((1, N, 1))
-    assert SeparatedFlow(only, APART[None], inside).growths() == pytest.approx(MOST, rel=1e-3)
+    assert SeparatedFlow(only, APART[None], inside).growths() == pytest.approx(MAX_GROWTH, rel=1e-3)
 
 
 def test_a_segment_that_is_left_out_has_no_say():

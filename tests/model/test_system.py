@@ -103,7 +103,7 @@ def test_substeps_are_steps():
 def test_flight_is_integrated_to_fourth_order(card, more):
     """Richardson: inputs are linear within a sample, so its subdivision halves the step of a smooth problem."""
     flown = system((*LINEAR, *more), card.aircraft, tau1=30.0)
-    begin = flown.settled(jnp.concatenate([start(), jnp.ones(int(bool(more)))]), instant(0.0, 0.0))
+    begin = flown.complete_start(jnp.concatenate([start(), jnp.ones(int(bool(more)))]), instant(0.0, 0.0))
     found = [fly(flown, begin, inputs(80, 0.2), 0.2, substeps=k).states for k in (1, 2, 4)]
     first, second = (np.abs(np.asarray(a - b)).max(axis=0) for a, b in pairwise(found))
     assert np.all(second > 1e-9)
@@ -253,7 +253,7 @@ def test_the_separation_point_lags_as_a_state(card):
     static = 0.5 * (1.0 - np.tanh(40.0 * (felt - TRUTH["alpha_star"])))
     assert float(derivative[-1]) == pytest.approx((static - 0.4) * 75.0 / (15.0 * card.aircraft.chord), rel=1e-9)
     at_rest = 0.5 * (1.0 - np.tanh(40.0 * (0.29 - TRUTH["alpha_star"])))
-    assert float(flown.settled(x, u)[-1]) == pytest.approx(at_rest, rel=1e-12)
+    assert float(flown.complete_start(x, u)[-1]) == pytest.approx(at_rest, rel=1e-12)
     assert float(s["X"]) == 0.4
 
 
@@ -273,7 +273,7 @@ def test_sensitivities_are_those_of_finite_differences(card, lag):
         flown = Longitudinal(model, values, card.aircraft, True)
         x = jnp.concatenate([start(V=90.0, alpha=0.2, theta=0.2), jnp.full(int(lag > 0.0), 1.0)])
         first = {name: value[0] for name, value in u.items()}
-        found = integrate(flown, flown.settled(x, first), u, DT)
+        found = integrate(flown, flown.complete_start(x, first), u, DT)
         return jnp.stack([found.outputs[name] for name in ("airspeed", "alpha", "theta", "q", "az", "X")], axis=1)
 
     nominal = respond(base)

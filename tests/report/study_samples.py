@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from bayes_aero.report.pages.study import StudyTold
+from bayes_aero.report.pages.study import StudyContext
 
 N = 7
 COLUMNS = ["unit", "cause", "parameter", "method", "value", "sd", "unit_of_value", "low95", "high95"]
@@ -31,4 +31,6 @@ def told(folder, n=N, failed=(), seed=5):
             row = {"unit": name, "cause": "", "parameter": parameter, "method": "mle_corrected", "value": x, "sd": sd}
             row |= {"unit_of_value": "1/rad", "low95": x - 1.96 * sd, "high95": x + 1.96 * sd}
             rows += [row] if state == "done" else []
-    return StudyTold("fleet", "identify", units, pd.DataFrame(rows, columns=COLUMNS), folder, {"Study": "study.toml"})
+    return StudyContext(
+        "fleet", "identify", units, pd.DataFrame(rows, columns=COLUMNS), folder, {"Study": "study.toml"}
+    )

@@ -39,11 +39,15 @@ def of(found: OneStep | None) -> ProcessNoise:
 
 def test_shares_are_told_with_their_errors():
     first, _ = prediction_sentences(predictions())
-    assert first == "One-step predictions: of α 93 % (± 2) and q 93 % (± 2) lie in their 95 % intervals."
+    assert first == (
+        "One-step predictions: share of the samples inside their 95 % intervals: α 93 % (± 2) and q 93 % (± 2)."
+    )
     few = predictions()
     sharp = replace(SHARES[2], share=0.9512, sd=0.0031)
     found = replace(few, outputs={"q": replace(few.outputs["q"], shares=(*SHARES[:2], sharp, SHARES[3]))})
-    assert prediction_sentences(found)[0] == "One-step predictions: of q 95.1 % (± 0.3) lie in their 95 % intervals."
+    assert prediction_sentences(found)[0] == (
+        "One-step predictions: share of the samples inside their 95 % intervals: q 95.1 % (± 0.3)."
+    )
 
 
 @pytest.mark.parametrize(

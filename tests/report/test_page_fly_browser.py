@@ -17,7 +17,7 @@ from flown_samples import CARD, flight, records
 
 from bayes_aero.jobs.provenance.provenance import provenance
 from bayes_aero.report.html.page import write_page
-from bayes_aero.report.pages.fly import FlyTold, fly_page
+from bayes_aero.report.pages.fly import FlyContext, fly_page
 
 pytestmark = needed
 
@@ -26,7 +26,7 @@ pytestmark = needed
 def report(tmp_path_factory):
     found = flight()
     source = provenance(CARD, records(), 0, {"windows": 12.0})
-    page = fly_page(found.flown, FlyTold(CARD, records(), source, found.sentences, ("A note.",)))
+    page = fly_page(found.flown, FlyContext(CARD, records(), source, found.sentences, ("A note.",)))
     return write_page(page, tmp_path_factory.mktemp("fly") / "report.html")
 
 

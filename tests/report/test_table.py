@@ -14,7 +14,7 @@ from rich.console import Console
 from bayes_aero.diagnosis.trajectories.results import GustHistory, ProcessNoise
 from bayes_aero.report.html.page_table import page_table
 from bayes_aero.report.tables.fly import error_table, gust_table
-from bayes_aero.report.tables.table import Change, Column, Estimate, Table, columns_of, told, write_csv
+from bayes_aero.report.tables.table import Change, Column, Estimate, Table, cell_text, columns_of, write_csv
 from bayes_aero.report.text.phrases import plus_minus
 
 
@@ -87,7 +87,7 @@ def test_rows_stand_below_a_name_only_where_there_are_several():
 @pytest.mark.parametrize("value", [None, math.nan, math.inf, Estimate(math.nan, 1.0)])
 @pytest.mark.parametrize("form", ["", ".3f", 3, lambda x: f"{x:.3f}"])
 def test_what_is_no_number_is_a_dash(value, form):
-    assert told(value, form) == "–"
+    assert cell_text(value, form) == "–"
 
 
 def test_a_narrow_terminal_folds_changes_and_loses_no_digit():

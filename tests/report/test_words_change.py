@@ -35,8 +35,8 @@ def test_a_change_is_told_with_its_time_values_and_possible_reasons():
     assert change_sentences([CHANGE]) == [
         "Changed: Cm0 has another value at 43.0 s of run2 (95 %: 42.8 to 43.4 s): 0.0591 ± 0.0011 before, "
         "0.0651 ± 0.0012 after, a change of 0.00600 ± 0.00050 (62% of the remaining variance). Possible reasons are a "
-        "stuck tab, another setting of trim or flaps, or a shift of the centre of gravity; the record does not tell "
-        "which. `bayes-aero fly --drift Cm0` shows it over time."
+        "stuck tab, another setting of trim or flaps, or a shift of the centre of gravity; the record does not "
+        "determine which. `bayes-aero fly --drift Cm0` shows it over time."
     ]
 
 

@@ -24,7 +24,7 @@ def drift(p, *changes, ratio=30.0, together=1e-6, **more):
 def test_a_change_is_told_with_its_size_and_times():
     said = drift_sentences(drift(1e-6, MOVED))
     assert said[0] == (
-        "Cm0 changed during the record (p = 1e-06) by -0.0121 ± 0.0018 from begin to end, half of it by 35.1 s "
+        "Cm0 changed during the record (p = 1e-06) by -0.0121 ± 0.0018 from start to end, half of it by 35.1 s "
         "(a tenth by 33.0 s, nine tenths by 55.1 s)."
     )
     assert "white innovations" in said[1]
@@ -38,7 +38,7 @@ def test_a_parameter_that_came_back_is_told_where_it_was_farthest():
 
 def test_of_several_manoeuvres_those_are_named_in_which_it_changed():
     (said, _) = drift_sentences(drift(0.001, MOVED, STILL))
-    assert said.startswith("Cm0 changed during the records (p = 0.001): in one by -0.0121 ± 0.0018 from begin to end")
+    assert said.startswith("Cm0 changed during the records (p = 0.001): in one by -0.0121 ± 0.0018 from start to end")
     assert "two" not in said
 
 

@@ -21,8 +21,8 @@ from bayes_aero.study.worker import Driver, work
 @pytest.fixture
 def driver(tmp_path, monkeypatch):
     """One whose folder is seen, and a worker that does nothing but tell what it was asked for."""
-    monkeypatch.setattr(worker, "_settled", lambda: None)
-    monkeypatch.setattr(worker, "PATIENCE", 0.1)
+    monkeypatch.setattr(worker, "_configure", lambda: None)
+    monkeypatch.setattr(worker, "FILE_TIMEOUT", 0.1)
     monkeypatch.setattr(worker, "run_unit", lambda given, _: {"name": given["name"], "argv": list(sys.argv)})
     return Driver.of(tmp_path)
 
@@ -36,8 +36,10 @@ def test_a_unit_tells_the_command_of_its_driver(driver):
 
 @pytest.mark.parametrize("package", ["jax", "bayes_aero"])
 def test_other_versions_are_refused(driver, package):
-    other = replace(driver, made_of={**driver.made_of, package: "0.0.1"})
-    with pytest.raises(InputError, match=rf"has {package} {driver.made_of[package].split()[0]}.* for 0.0.1, .*numbers"):
+    other = replace(driver, versions={**driver.versions, package: "0.0.1"})
+    with pytest.raises(
+        InputError, match=rf"has {package} {driver.versions[package].split()[0]}.* for 0.0.1, .*numbers"
+    ):
         work({"name": "one"}, "", other, None)
 
 
@@ -79,7 +81,7 @@ def test_a_worker_keeps_to_the_cores_that_it_is_given(monkeypatch):
     assert 1 <= cores() <= (os.cpu_count() or 1)
 
 
-WORKER = "from bayes_aero.study import worker; worker._settled()\n"
+WORKER = "from bayes_aero.study import worker; worker._configure()\n"
 COMMAND = """import sys; from bayes_aero.cli import main; sys.argv[1:] = ["--version"]
 try: main()
 except SystemExit: pass
@@ -98,7 +100,7 @@ def test_one_process_compiles_for_the_next(begins, tmp_path):
         "print(seen.count('cache_hits'), seen.count('cache_misses'))\n"
     )
     settings = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_COMPILATION", "XLA_"))}
-    settings |= {"JAX_PLATFORMS": "cpu", "BAYES_AERO_CACHE": str(tmp_path), compiled.LEAST: "0"}
+    settings |= {"JAX_PLATFORMS": "cpu", "BAYES_AERO_CACHE": str(tmp_path), compiled.MIN_SECONDS: "0"}
     told = []
     for _ in range(2):
         ended = subprocess.run(
@@ -117,5 +119,5 @@ def test_a_cache_that_cannot_be_made_is_done_without(monkeypatch, tmp_path):
     monkeypatch.setenv("BAYES_AERO_CACHE", str(tmp_path / "file"))
     monkeypatch.delenv(compiled.FOLDER, raising=False)
     monkeypatch.delitem(sys.modules, "jax")
-    compiled.keep_compiled()
+    compiled.enable_cache()
     assert compiled.FOLDER not in os.environ

@@ -12,8 +12,8 @@ from jaxtyping import Float
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.inference.variance.autoregression import (
     autoregression,
-    driven,
-    stationary,
+    filtered_noise,
+    stationary_coefficients,
     stationary_series,
 )
 
@@ -142,7 +142,7 @@ class Middle:
         """The columns as the autoregression of each colour filters them."""
         phi = np.stack([colour.phi[self.output].T for colour in colours], axis=1)
         sigma = np.stack([colour.sigma[self.output] for colour in colours])
-        return driven(phi, sigma * self.rows[:, None, :])
+        return filtered_noise(phi, sigma * self.rows[:, None, :])
 
 
 def autocorrelation_of(residual: Float[np.ndarray, "m c"], folds: Sequence[slice]) -> Autocorrelation:
@@ -166,6 +166,6 @@ def unbiased(colour: Autocorrelation, again: Sequence[Autocorrelation]) -> Autoc
     Coefficients are shifted by their mean bias, their roots drawn inside `ROOT`; sigma is divided by its mean ratio.
     """
     shift = colour.phi - np.mean([c.phi for c in again], axis=0)
-    phi = stationary(colour.phi + shift)
+    phi = stationary_coefficients(colour.phi + shift)
     ratio = np.mean([c.sigma for c in again], axis=0) / colour.sigma
     return Autocorrelation(phi, colour.sigma / ratio)

@@ -58,7 +58,7 @@ def search_innovations(
     # A start is enough. Gusts move a flight away from its simulation by less the shorter that is.
     start = np.array([p.start for p in base.free])
     brief = segments(flights, base, window=FIRST[-1], substeps=base.substeps(start, flights))
-    fit = fit_output_error(brief, most=START_STEPS)
+    fit = fit_output_error(brief, max_iterations=START_STEPS)
     if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
         raise InputError(f"card {card.name}: {fit.status.value}")
     full = without_lags(candidate_model(model, flights, extra, settings))
@@ -123,7 +123,7 @@ def _followed(
     dynamics = replace(flown.base, model=model)
     start = np.array([known[name] for name in names if name not in out])
     whole = segments(flown.flights, dynamics, substeps=dynamics.substeps(start, flown.flights))
-    gusty, filtered = fit_disturbed(whole, start, flown.R, exact=False, near=before)
+    gusty, filtered = fit_disturbed(whole, start, flown.R, exact=False, similar=before)
     if filtered.status is PredictionErrorStatus.DIVERGED:
         raise InputError(f"process noise cannot be estimated: {filtered.status.value}")
     return _state(_in_gusts(full, gusty.dynamics), gusty, filtered, flown.base, active), filtered

@@ -28,7 +28,7 @@ from bayes_aero.diagnosis.screening.screening import (
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, refitted
 from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain, truncated
 from bayes_aero.effect import Effect, Stage
-from bayes_aero.inference.variance.variance_inflation import nats, typical
+from bayes_aero.inference.variance.variance_inflation import median_inflation, nats
 from bayes_aero.progress import Progress
 
 
@@ -135,7 +135,9 @@ def _between_sizes(state: SelectionState, fit: Fit) -> dict[str, Size]:
 
 def _inflation(state: SelectionState, fit: Fit) -> float:
     """Variance inflation in the median over the candidates."""
-    return typical(np.array([s.variance_inflation for s in screen(state, fit, seed=0, nulls=False).candidate_scores]))
+    return median_inflation(
+        np.array([s.variance_inflation for s in screen(state, fit, seed=0, nulls=False).candidate_scores])
+    )
 
 
 def _election(state: SelectionState, fit: Fit, seed: int, first: bool) -> Step:

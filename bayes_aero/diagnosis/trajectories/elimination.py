@@ -20,7 +20,7 @@ from bayes_aero.diagnosis.trajectories.holdout_fits import CandidateFit, Noise, 
 from bayes_aero.diagnosis.trajectories.log_score import HoldoutScore, holdout_gain
 from bayes_aero.effect import Effect
 from bayes_aero.inference.likelihood.mle import solve
-from bayes_aero.inference.likelihood.normal_equations import NormalEquations, Point, by_segment
+from bayes_aero.inference.likelihood.normal_equations import NormalEquations, Point, segment_equations
 from bayes_aero.inference.likelihood.output_error import fit_output_error
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult
 from bayes_aero.parameter import departure
@@ -89,17 +89,17 @@ class _Flight:
         return {name: x for e, values in self.neutral.items() if e not in effects for name, x in values.items()}
 
     @cached_property
-    def looks(self) -> tuple[Point, Point]:
-        """From the optimum: with the initial states found there, and with the measured ones."""
+    def equations_at_optimum(self) -> tuple[Point, Point]:
+        """The normal equations at the optimum: with the fitted initial states, and with the measured ones."""
         fit = self.contender.fit
-        look = NormalEquations(fit.flown, fit.priors)
-        return look(fit.estimate, fit.departure), look(fit.estimate, np.zeros_like(fit.departure))
+        equations, measured = NormalEquations(fit.flown, fit.priors), np.zeros_like(fit.departure)
+        return equations.evaluate(fit.estimate, fit.departure), equations.evaluate(fit.estimate, measured)
 
     def first_order(self, effects: Sequence[str]) -> HoldoutScore:
         """Residuals linear in the parameters where all segments are fitted; parameters at a bound stay there."""
-        fit, (here, still) = self.contender.fit, self.looks
-        A, g, _ = by_segment(here, fit.priors)
-        columns = np.concatenate(still.normal.columns)
+        fit, (fitted, measured) = self.contender.fit, self.equations_at_optimum
+        A, g, _ = segment_equations(fitted, fit.priors)
+        columns = np.concatenate(measured.products.columns)
         left = []
         for k, inside in enumerate(fit.flown.inside):
             others = np.arange(len(A)) != k

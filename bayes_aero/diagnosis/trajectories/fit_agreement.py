@@ -8,7 +8,7 @@ import numpy as np
 
 from bayes_aero.diagnosis.trajectories.results import Disagreement, ProcessNoise, TrajectoryFit
 from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
-from bayes_aero.inference.likelihood.restraints import AGAINST
+from bayes_aero.inference.likelihood.restraints import CONFLICT_LIMIT
 
 WORTH = 0.03  # of an estimate, a difference that matters to a simulation; our choice
 
@@ -27,7 +27,7 @@ def fit_disagreements(coefficients: MleResult, flown: TrajectoryFit) -> tuple[Di
     if coefficients.status not in (MleStatus.CONVERGED, MleStatus.AT_BOUND) or not flown.converged:
         return ()
     fit, found = flown.fit, []
-    bound = {*coefficients.at_bound, *fit.at_bound, *fit.held}
+    bound = {*coefficients.at_bound, *fit.at_bound, *fit.held_by_prior}
     one = dict(
         zip(coefficients.names, zip(coefficients.estimate, coefficients.crb_corrected, strict=True), strict=True)
     )
@@ -46,4 +46,4 @@ def fit_disagreements(coefficients: MleResult, flown: TrajectoryFit) -> tuple[Di
 def _agree(one: tuple[float, float], other: tuple[float, float]) -> bool:
     """Whether two estimates, each with its standard error, differ by no more than chance or `WORTH`."""
     (x, sd), (y, its) = one, other
-    return abs(x - y) <= max(AGAINST * float(np.hypot(sd, its)), WORTH * max(abs(x), abs(y)))
+    return abs(x - y) <= max(CONFLICT_LIMIT * float(np.hypot(sd, its)), WORTH * max(abs(x), abs(y)))

@@ -61,7 +61,10 @@ class CandidateFit:
         if not self.own:
             return {}
         part = fit_output_error(
-            masked(self.fit.flown, segment, keep=False), start=self.fit.estimate, departure=self.fit.departure, most=0
+            masked(self.fit.flown, segment, keep=False),
+            start=self.fit.estimate,
+            departure=self.fit.departure,
+            max_iterations=0,
         )
         told = zip(self.fit.names, self.fit.estimate, part.crb, self.fit.crb, strict=True)
         with np.errstate(invalid="ignore"):

@@ -21,7 +21,7 @@ from scipy.stats import chi2
 from bayes_aero.diagnosis.trajectories.drift import Drift, DriftChange, Drifted, DriftHistory
 from bayes_aero.diagnosis.trajectories.results import GustHistory, ProcessNoise, TrajectoryFit
 from bayes_aero.dynamics.filtering.innovations import neighbour_correlation, prediction_errors
-from bayes_aero.dynamics.filtering.kalman import smoothed
+from bayes_aero.dynamics.filtering.kalman import smooth
 from bayes_aero.dynamics.flight import EffectDynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.likelihood.disturbed import fit_disturbed
@@ -68,7 +68,7 @@ def _told(
         np.log(fit.flown.noise_growth[inside]).sum()
     )
     estimates = {n: (float(x), float(s)) for n, x, s in zip(found.names, found.estimate, found.sd, strict=True)}
-    own = set(fit.flown.dynamics.names) - gusty.dynamics.of_disturbances
+    own = set(fit.flown.dynamics.names) - gusty.dynamics.disturbance_parameters
     converged = found.status is PredictionErrorStatus.CONVERGED
     theirs = [i for i, name in enumerate(found.names) if name in own]
     return ProcessNoise(
@@ -92,7 +92,7 @@ def _predictions(gusty: SegmentTrajectories, found: PredictionErrorResult) -> On
     return one_step(found.found, np.asarray(errors), found.outputs)
 
 
-_smoothed = eqx.filter_jit(jax.vmap(smoothed))
+_smoothed = eqx.filter_jit(jax.vmap(smooth))
 
 
 def _histories(gusty: SegmentTrajectories, found: PredictionErrorResult) -> tuple[GustHistory, ...]:
@@ -125,7 +125,7 @@ def with_drift(
     *,
     priors: bool = True,
 ) -> Drift:
-    """Fit with parameters `names` drifting, beside the fit `still` without; see `fit_drifting`."""
+    """Fit with parameters `names` drifting, compared with the fit `still` without drift; see `fit_drifting`."""
     found = fit_drifting(flown, still, names, priors=priors)
     fit, path = found.fit, histories(found)
     p = holm(np.array([at_bound(float(r)) for r in found.ratios]))

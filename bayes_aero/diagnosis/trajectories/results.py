@@ -15,7 +15,7 @@ from bayes_aero.diagnosis.trajectories.drift import Drift
 from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.output_biases import unbiased
 from bayes_aero.dynamics.path.flight_path import PathDynamics
-from bayes_aero.inference.likelihood.normal_equations import departures
+from bayes_aero.inference.likelihood.normal_equations import initial_state_sd
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
 from bayes_aero.inference.scores import OneStep
 
@@ -93,7 +93,7 @@ class Estimates:
         """The estimates of a fit without the parameters that are `gone`."""
         values = {n: float(x) for n, x in zip(fit.names, fit.estimate, strict=True) if n not in gone}
         units = {p.name: p.unit for p in fit.parameters if p.name in values}
-        return cls(values, units, fit.status, fit.at_bound, tuple(n for n in fit.held if n in values))
+        return cls(values, units, fit.status, fit.at_bound, tuple(n for n in fit.held_by_prior if n in values))
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ class TrajectoryFit:
         dynamics = self.fit.flown.dynamics
         if not self.setting.priors or self.setting.initial is not None:
             return {}
-        return dict(zip(dynamics.start, map(float, departures(dynamics)), strict=True))
+        return dict(zip(dynamics.start, map(float, initial_state_sd(dynamics)), strict=True))
 
     @property
     def manoeuvres(self) -> tuple[str, ...]:

@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayes_aero.inference.likelihood.output_error_result import THINNED, OutputErrorResult
+from bayes_aero.inference.likelihood.output_error_result import THINNING, OutputErrorResult
 from bayes_aero.inference.variance.coloured_bounds import corrected_covariance
-from bayes_aero.inference.variance.variance_inflation import typical, variance_inflation
+from bayes_aero.inference.variance.variance_inflation import median_inflation, variance_inflation
 
 
 def trajectory_variance_inflation(fit: OutputErrorResult) -> float:
     """Variance inflation in the median over the parameters.
 
-    From Morelli and Klein's corrected covariance on means over `THINNED` samples (of white residuals a fifth of the
+    From Morelli and Klein's corrected covariance on means over `THINNING` samples (of white residuals a fifth of the
     variance is left there); the segments' states are among the parameters, unless they are fixed.
     """
     flown, k = fit.flown, len(fit.estimate)
-    residual, S = fit.thinned[..., 0], fit.thinned[..., 1:]
+    residual, S = fit.thinned_columns[..., 0], fit.thinned_columns[..., 1:]
     if fit.priors.fixed:
         S = S[..., :k]
     m = S.shape[1]
-    inside = flown.inside[:, : m * THINNED].reshape(len(S), m, THINNED).all(axis=2)
+    inside = flown.inside[:, : m * THINNING].reshape(len(S), m, THINNING).all(axis=2)
     w, n, c, wide = S.shape
     own = np.zeros((w, n, c, k + w * (wide - k)))
     own[..., :k] = S[..., :k]
@@ -37,4 +37,4 @@ def trajectory_variance_inflation(fit: OutputErrorResult) -> float:
     D = D / np.outer(scale, scale)
     corrected = corrected_covariance(D, flat[:, :, used], fit.R, r, np.repeat(np.arange(w), n)[keep], start)
     parameters = int(np.sum(used[:k]))
-    return typical(THINNED * variance_inflation(np.diag(corrected), np.diag(D))[:parameters])
+    return median_inflation(THINNING * variance_inflation(np.diag(corrected), np.diag(D))[:parameters])

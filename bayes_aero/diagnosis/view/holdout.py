@@ -12,7 +12,7 @@ from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection.cross_validation import LeftOut, measured_blocks
 from bayes_aero.diagnosis.view.results import Compared, HoldoutScores, View
 from bayes_aero.inference.scores import Scores, score
-from bayes_aero.inference.variance.coloured_bounds import deviation_of_sum
+from bayes_aero.inference.variance.coloured_bounds import standard_error_of_sum
 
 
 def holdout_scores(view: View) -> HoldoutScores:
@@ -50,9 +50,9 @@ def compared(
     return {
         name: Compared(
             float(density[:, c].sum()),
-            deviation_of_sum(density[:, c], [n]),
+            standard_error_of_sum(density[:, c], [n]),
             float(squares[:, c].sum()),
-            deviation_of_sum(squares[:, c], [n]),
+            standard_error_of_sum(squares[:, c], [n]),
         )
         for c, name in enumerate(state.outputs)
     }

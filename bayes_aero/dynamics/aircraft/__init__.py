@@ -1,1 +1,1 @@
-"""Aircraft that fly under a model of effects: equations of motion in three and in six degrees of freedom."""
+"""Equations of motion of an aircraft model of effects, in three and in six degrees of freedom."""

@@ -1,4 +1,4 @@
-"""Systems that fly through gusts: their states over ground, and the flow that vane, pitot tube and wing have."""
+"""Systems in gusts: states over ground, and the flow at vane, pitot tube and wing."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bayes_aero.dynamics.system import Row, System
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
 
-FLOW = ("airspeed", "alpha", "beta")  # what gusts change; their states are over ground
+FLOW = ("airspeed", "alpha", "beta")  # changed by gusts; as states they are over ground
 
 
 class InGusts(System):
@@ -27,11 +27,11 @@ class InGusts(System):
 
     @abstractmethod
     def flow_signals(self, x: Float[Array, " s"], u: Row) -> dict[str, Any]:
-        """States and inputs by name, `FLOW` as the flow has them."""
+        """States and inputs by name; `FLOW` of the flow, not over ground."""
 
     @property
-    def shown(self) -> tuple[str, ...]:
-        """All, but in gusts vane and pitot tube show the flow."""
+    def state_outputs(self) -> tuple[str, ...]:
+        """All states; in gusts all but `FLOW`, because vane and pitot tube measure the flow."""
         return tuple(name for name in self.states if not (self.model.disturbances and name in FLOW))
 
     def noise_density(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
@@ -46,7 +46,7 @@ class InGusts(System):
         return jnp.stack([rate.get(name, jnp.zeros_like(x[0])) for name in self.states])
 
     def start_covariance(self, x: Float[Array, " s"], u: Row, deviation: Float[Array, " s"]) -> Float[Array, "s s"]:
-        """Gusts begin anywhere in their stationary distribution; the flow was measured, the motion over ground not."""
+        """Gusts start in their stationary distribution; the flow was measured, the motion over ground was not."""
         intensity = {d.state: self.values[d.intensity] for d in self.model.disturbances}
         spread = jnp.stack([intensity.get(name, y) for name, y in zip(self.states, deviation, strict=True)])
         own = tuple(name for name in FLOW if name in self.states)
@@ -60,9 +60,9 @@ class InGusts(System):
         return factor @ factor.T
 
     def mean_gust_rates(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> tuple[list[Any], Any]:
-        """Mean rates of the gust states, and that of alpha which they bring; their white noise has no rate.
+        """Mean rates of the gust states, and the rate of alpha due to them, without their white noise.
 
-        `state` is over ground, `s` has the flow.
+        `state` is over ground, `s` contains the flow.
         """
         gusts = {d.state: state[d.state] for d in self.model.disturbances}
         decay = {d.state: -d.rate(self.values, s, self.aircraft) * state[d.state] for d in self.model.disturbances}

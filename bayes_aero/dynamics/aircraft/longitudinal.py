@@ -1,9 +1,9 @@
-"""The aircraft flown through recorded inputs: longitudinal equations of motion with the effects of any model.
+"""Longitudinal equations of motion with the effects of any model.
 
-States airspeed, alpha, theta, q, altitude, the gusts of the model and, where the separation point lags, X. What the
-aircraft does laterally is prescribed as recorded: p, r, beta, phi and the lateral specific force, which follows from
-the others where no accelerometer gives it. Flat earth. In gusts airspeed and alpha are states over ground; vane, pitot
-tube and aerodynamics have those of the flow. A gust is the same over the whole aircraft, and does not turn it.
+States are airspeed, alpha, theta, q, altitude, the gusts of the model and, with a lag, the separation point X. The
+lateral motion is prescribed as recorded: p, r, beta, phi and the lateral specific force, which follows from the others
+where no accelerometer measures it. Flat earth. In gusts the states airspeed and alpha are over ground; vane, pitot tube
+and aerodynamics use those of the flow. A gust is uniform over the aircraft and has no angular velocity.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from bayes_aero.physics.equations_of_motion import accelerometers, motion_of_air
 from bayes_aero.physics.kinematics import RATES, euler_rates
 
 ENVELOPE = {"airspeed": (5.0, 1500.0), "alpha": (-1.0, 1.2), "theta": (-1.5, 1.5), "q": (-4.0, 4.0), "X": (-0.5, 1.5)}
-LATERAL = ("p", "r", "p_dot", "r_dot", "beta", "phi", "ay")  # at rest where they were not recorded
+LATERAL = ("p", "r", "p_dot", "r_dot", "beta", "phi", "ay")  # zero where they were not recorded
 
 
 class Longitudinal(EffectSystem):
-    """One aircraft with its model at given parameter values; `aircraft` is the actual one."""
+    """An aircraft with its model at given parameter values; `aircraft` has the corrected constants."""
 
     model: Model = eqx.field(static=True)
     values: dict[str, Any]
@@ -37,12 +37,12 @@ class Longitudinal(EffectSystem):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Flight states, gusts, and X where it lags."""
+        """Flight states, gusts, and the separation point with a lag."""
         return (*FLIGHT, *self.after)
 
     @property
     def envelope(self) -> Mapping[str, tuple[float, float]]:
-        """Far beyond any flight: where the equations lose their meaning."""
+        """Bounds far beyond any flight."""
         return ENVELOPE
 
     def named(self, x: Float[Array, " s"]) -> dict[str, Any]:
@@ -50,7 +50,7 @@ class Longitudinal(EffectSystem):
         return dict(zip(self.states, x, strict=True))
 
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
-        """Derivative of the state, and everything that can be measured."""
+        """Derivative of the state, and all outputs."""
         state, s = self.named(x), self.flow_signals(x, u)
         decay, gust_rate = self.mean_gust_rates(state, s)
         path = dict.fromkeys((name for name in LATERAL if name != "ay"), jnp.zeros_like(s["alpha"])) | s
@@ -70,6 +70,6 @@ class Longitudinal(EffectSystem):
         derivative += decay
         derivative += self.separation_rates(state, s | {"alpha_dot": rate})
         outputs = state | {name: s[name] for name in ("airspeed", "alpha")}
-        felt = accelerometers(now, path, self.aircraft)
-        outputs |= {"ax": felt["ax"], "az": felt["az"], "q_dot": now.q_dot, "alpha_dot": rate}
+        force = accelerometers(now, path, self.aircraft)
+        outputs |= {"ax": force["ax"], "az": force["az"], "q_dot": now.q_dot, "alpha_dot": rate}
         return jnp.stack(derivative), outputs | {name: known[name] for name in ("X", "CL", "CD", "Cm")}

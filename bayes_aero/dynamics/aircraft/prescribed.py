@@ -1,4 +1,4 @@
-"""What of an aircraft's motion is prescribed as recorded, and what its simulation is compared with."""
+"""Prescribed motion of an aircraft as recorded, and the outputs of its simulation."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from bayes_aero.model.joined_channels import Flights
 from bayes_aero.physics.filters import differentiate, smooth
 from bayes_aero.physics.kinematics import RATES, Rotation, lever_arm
 
-SIDE = ("p", "r", "beta", "phi")  # of these the lateral force follows where no accelerometer gives it
+SIDE = ("p", "r", "beta", "phi")  # the lateral force follows from these where no accelerometer measures it
 ENGINES = ("thrust", "thrust_left", "thrust_right")
 
 
 def lateral_drives(inputs: Sequence[str], channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:
-    """Recorded channels that are no states of longitudinal motion; lateral accelerations; the speed of sound."""
+    """Inputs of longitudinal motion: recorded channels, angular accelerations p_dot and r_dot, the speed of sound."""
     found = {name: channels[name] for name in (*inputs, *LATERAL, "thrust", "density") if name in channels}
     for name in ("p", "r"):
         if name in channels:
@@ -35,7 +35,7 @@ def rigid_drives(
     channels: Mapping[str, Array],
     flights: Flights,
 ) -> dict[str, Array]:
-    """Recorded channels that a rigid body needs: what is held, with its rate, and forces of axes without a model."""
+    """Inputs of a rigid body: recorded channels, held states with their rates, forces of axes without a model."""
     found = {name: channels[name] for name in (*inputs, *ENGINES, "density") if name in channels}
     sloped = [n for n in (*RATES, "alpha") if n in held and n in channels]
     found |= {f"{name}_dot": _slope(channels[name], flights) for name in sloped}
@@ -52,14 +52,14 @@ def rigid_drives(
 
 
 def rigid_outputs(axes: Collection[Axis], start: Collection[str]) -> tuple[str, ...]:
-    """What a rigid body is compared with: what is simulated, and the forces that the model has."""
+    """Outputs of a rigid body: simulated states, and accelerations of the modelled axes."""
     forces = {name for axis, names in FORCES.items() if axis in axes for name in names}
     simulated = (n for n in (*RIGID, *ANGLES, "altitude") if n in start)
     return (*simulated, *(n for n in ("ax", "ay", "az") if n in forces))
 
 
 def _side(channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:
-    """The rate of sideslip, where the lateral force is to follow from it."""
+    """The rate of sideslip, where the lateral force follows from it."""
     if "ay" in channels or not all(name in channels for name in SIDE):
         return {}
     return {"beta_dot": _slope(channels["beta"], flights)}

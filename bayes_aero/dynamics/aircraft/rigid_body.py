@@ -1,8 +1,8 @@
 """The aircraft in six degrees of freedom, with the effects of any model; any of its states may be held to the record.
 
-States airspeed, alpha, beta, p, q, r, the attitude as a quaternion, altitude, the gusts of the model and X where it
-lags. What is held is prescribed as recorded, and its rate follows from the record. Forces and moments of an axis that
-the model does not have are those of the accelerometers and of the prescribed rates. Flat earth.
+States are airspeed, alpha, beta, p, q, r, the attitude as a quaternion, altitude, the gusts of the model and, with a
+lag, the separation point X. Held states and their rates are prescribed as recorded. Forces and moments of an axis
+without a model are those of the accelerometers and of the prescribed rates. Flat earth.
 """
 
 from __future__ import annotations
@@ -41,18 +41,18 @@ TURN = 2.0 * math.pi
 
 
 def held_states(axes: Iterable[Axis], more: Iterable[str] = ()) -> tuple[str, ...]:
-    """What is held to the record: the states of axes that are not modelled, and `more`."""
+    """States that are held to the record: those of axes without a model, and `more`."""
     modelled = set(axes)
     held = {name for axis, names in HELD.items() if axis not in modelled for name in names} | set(more)
     return tuple(name for name in HOLDABLE if name in held)
 
 
 class RigidBody(EffectSystem):
-    """One aircraft with its model at given parameter values; `aircraft` is the actual one.
+    """An aircraft with its model at given parameter values; `aircraft` has the corrected constants.
 
-    Without `heading` it begins at zero and is no output. Euler angles are the states of attitude where one of them is
-    `held`, or where `euler` asks for it: a filter corrects what sensors show. They are singular at 90 deg of pitch.
-    Bank and heading are shown within half a turn of the inputs `near_phi` and `near_psi`, where there are any.
+    Without `heading` the heading starts at zero and is no output. The states of attitude are Euler angles where one of
+    them is `held`, or with `euler`, so that a filter can correct measured states. They are singular at 90 deg of pitch.
+    The outputs bank and heading are within half a turn of the inputs `near_phi` and `near_psi`, where there are any.
     """
 
     model: Model = eqx.field(static=True)
@@ -70,12 +70,12 @@ class RigidBody(EffectSystem):
 
     @property
     def angles(self) -> tuple[str, ...]:
-        """Angles of the attitude that are simulated and shown."""
+        """Simulated angles of attitude."""
         return tuple(n for n in ANGLES if n not in self.held and (n != "psi" or self.heading))
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Flight states, attitude, altitude, gusts, and separation points that lag."""
+        """Flight states, attitude, altitude, gusts, and lagged separation points."""
         attitude = self.angles if self.by_angles else QUATERNION
         return (*(n for n in RIGID if n not in self.held), *attitude, *self.after)
 
@@ -86,17 +86,17 @@ class RigidBody(EffectSystem):
 
     @property
     def envelope(self) -> Mapping[str, tuple[float, float]]:
-        """Far beyond any flight: where the equations lose their meaning."""
+        """Bounds far beyond any flight."""
         return ENVELOPE
 
     @property
-    def shown(self) -> tuple[str, ...]:
-        """Those that sensors show as they are."""
-        apart = (*QUATERNION, "phi", "psi")  # angles are shown to the turn
-        return tuple(name for name in super().shown if name not in apart)
+    def state_outputs(self) -> tuple[str, ...]:
+        """States that sensors measure directly; bank and heading are computed to the turn."""
+        computed = (*QUATERNION, "phi", "psi")
+        return tuple(name for name in super().state_outputs if name not in computed)
 
-    def begun(self, start: Float[Array, " b"]) -> Float[Array, " s"]:
-        """The state, from one with angles of attitude."""
+    def state_at_start(self, start: Float[Array, " b"]) -> Float[Array, " s"]:
+        """The state vector from an initial state with angles of attitude."""
         if self.by_angles:
             return start
         given = dict(zip(self.start, start, strict=True))
@@ -113,12 +113,12 @@ class RigidBody(EffectSystem):
         return state | dict(zip(ANGLES, attitude.angles, strict=True)) | {"down": attitude.down}
 
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
-        """Derivative of the state, and everything that can be measured."""
+        """Derivative of the state, and all outputs."""
         rates, outputs = self.rates(x, u)
         return jnp.stack(rates), outputs
 
     def rates(self, x: Float[Array, " s"], u: Row) -> tuple[list[Any], dict[str, Any]]:
-        """The same, state by state."""
+        """Derivatives of the states one by one, and all outputs."""
         state, s = self.named(x), self.flow_signals(x, u)
         nothing = jnp.zeros_like(s["alpha"])
         decay, gust_rate = self.mean_gust_rates(state, s) if self.model.disturbances else ([], nothing)
@@ -135,15 +135,15 @@ class RigidBody(EffectSystem):
             prescribed=self.held,
         )
         alpha_dot = now.rates["alpha"] + gust_rate
-        changing = dict(now.rates) | dict(zip(RATES, now.turning, strict=True))
+        changing = dict(now.rates) | dict(zip(RATES, now.rotation, strict=True))
         derivative = [changing[name] for name in RIGID if name not in self.held]
         derivative += self._attitude_rates(x, path)
         if self.altitude:
             derivative.append(changing["altitude"])
         derivative += decay
         derivative += self.separation_rates(state, s | {"alpha_dot": alpha_dot})
-        turning = {f"{n}_dot": x for n, x in zip(RATES, now.turning, strict=True)}
-        outputs = accelerometers(now, path, self.aircraft) | turning | {"alpha_dot": alpha_dot}
+        accelerations = {f"{n}_dot": x for n, x in zip(RATES, now.rotation, strict=True)}
+        outputs = accelerometers(now, path, self.aircraft) | accelerations | {"alpha_dot": alpha_dot}
         outputs |= {n: s[n] for n in (*RIGID, "theta", "altitude") if n in s}
         outputs |= {n: _near(path[n], u.get(f"near_{n}")) for n in ("phi", "psi") if n in path}
         return derivative, outputs | {n: now.flow[n] for n in ("X", *self.model.coefficients)}
@@ -158,5 +158,5 @@ class RigidBody(EffectSystem):
 
 
 def _near(angle: Any, other: Any) -> Any:
-    """The angle, whole turns added, that is nearest to `other`; both in rad."""
+    """The angle plus whole turns that is nearest to `other`, rad."""
     return angle if other is None else angle + TURN * jnp.round((other - angle) / TURN)

@@ -1,8 +1,10 @@
-"""Parameters that drift: each is its value at the begin of a manoeuvre plus a random walk, a state of the filter.
+"""Drifting parameters: each is its value at the start of a manoeuvre plus a random walk, which is a state of the
+filter.
 
 The value at time t is theta + d(t) with d(0) = 0 and dd = sigma dW; sigma is the filter's process noise of that state,
-unit of the parameter per square root of a second. Parameters of errors of the record act through the derivative of the
-corrected channels, exact where these are linear in them. Source: Ljung, *System Identification*, 2nd ed. 1999, ch. 11.
+unit of the parameter per square root of a second. Parameters of sensor errors act through the derivatives of the
+corrected channels, which is exact where the channels are linear in them. Source: Ljung, *System Identification*, 2nd
+ed. 1999, ch. 11.
 """
 
 from __future__ import annotations
@@ -26,8 +28,9 @@ from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.joined_channels import Flights
 
 PREFIX = "drift "  # of the states' names; no channel has a space in its name
-SEEN, DRIVING = "seen by ", "driven by "  # parameter and channel: inputs with the derivative of a true channel
-MOST = 4  # each makes the filter larger, and one record does not tell many apart; our choice
+# Prefixes of inputs that hold the derivative of a corrected channel by a parameter: of an output, of an input.
+OUTPUT_SLOPE, INPUT_SLOPE = "output slope ", "input slope "
+MAX_DRIFTING = 4  # each enlarges the filter, and one record cannot distinguish many; our choice
 
 
 class DriftingSystem(System):
@@ -49,25 +52,25 @@ class DriftingSystem(System):
         return self._at(jnp.zeros(len(self.drifting))).envelope
 
     @property
-    def shown(self) -> tuple[str, ...]:
-        """None: what a sensor shows of a state may drift, too."""
+    def state_outputs(self) -> tuple[str, ...]:
+        """None: the sensor of a state may drift, too."""
         return ()
 
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
-        """That of the system with the parameters of this instant; drifts have no rate."""
-        own, system, seen, drives = self._now(x, u)
+        """That of the system with the parameters of this instant; the rates of the drifts are zero."""
+        own, system, errors, drives = self._now(x, u)
         rate, outputs = system.motion(own, drives)
-        outputs |= {name: y for name, y in zip(system.states, own, strict=True) if name in system.shown}
-        outputs |= {name: outputs[name] - moved for name, moved in seen.items() if name in outputs}
+        outputs |= {name: y for name, y in zip(system.states, own, strict=True) if name in system.state_outputs}
+        outputs |= {name: outputs[name] - error for name, error in errors.items() if name in outputs}
         return self._filled(rate), outputs
 
-    def settled(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
-        """As the system begins."""
+    def complete_start(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
+        """That of the system; the drifts are unchanged."""
         own, system, _, drives = self._now(x, u)
-        return x.at[: len(own)].set(system.settled(own, drives))
+        return x.at[: len(own)].set(system.complete_start(own, drives))
 
     def noise_density(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
-        """That of the system; what drives the drifts is the filter's own."""
+        """That of the system; the filter adds the noise of the drifts."""
         own, system, _, drives = self._now(x, u)
         return self._filled(system.noise_density(own, drives))
 
@@ -77,22 +80,22 @@ class DriftingSystem(System):
         return self._filled(system.decay(own, drives))
 
     def start_covariance(self, x: Float[Array, " s"], u: Row, deviation: Float[Array, " s"]) -> Float[Array, "s s"]:
-        """That of the system; drifts begin at zero."""
+        """That of the system; drifts are zero at the start."""
         own, system, _, drives = self._now(x, u)
         s = len(own)
         return jnp.zeros((len(x), len(x))).at[:s, :s].set(system.start_covariance(own, drives, deviation[:s]))
 
     def _now(self, x: Array, u: Row) -> tuple[Array, System, dict[str, Any], dict[str, Any]]:
-        """The system's own state, the system, by how much sensors of outputs have drifted, and its inputs."""
+        """The state of the system without drifts, the system, the drifts of the outputs' sensors, and the inputs."""
         s = len(self.plain.states)
         drift = dict(zip(self.drifting, x[s:], strict=True))
-        seen: dict[str, Any] = {}
-        drives = {name: y for name, y in u.items() if not name.startswith((SEEN, DRIVING))}
-        for kind, moved in ((SEEN, seen), (DRIVING, drives)):
+        errors: dict[str, Any] = {}
+        drives = {name: y for name, y in u.items() if not name.startswith((OUTPUT_SLOPE, INPUT_SLOPE))}
+        for kind, changed in ((OUTPUT_SLOPE, errors), (INPUT_SLOPE, drives)):
             for name in (name for name in u if name.startswith(kind)):
                 parameter, channel = name.removeprefix(kind).split(" ", 1)
-                moved[channel] = moved.get(channel, 0.0) + u[name] * drift[parameter]
-        return x[:s], self._at(x[s:]), seen, drives
+                changed[channel] = changed.get(channel, 0.0) + u[name] * drift[parameter]
+        return x[:s], self._at(x[s:]), errors, drives
 
     def _at(self, drift: Array) -> System:
         now = {name: self.values[name] + d for name, d in zip(self.drifting, drift, strict=True)}
@@ -104,7 +107,7 @@ class DriftingSystem(System):
 
 @dataclass(frozen=True)
 class DriftingDynamics(WrappedDynamics):
-    """Dynamics of which some free parameters drift; `of_record` are those among them that correct the record."""
+    """Dynamics with drifting free parameters; `of_record` are the drifting parameters of sensor errors."""
 
     drifting: tuple[str, ...]
     of_record: tuple[str, ...] = ()
@@ -124,19 +127,19 @@ class DriftingDynamics(WrappedDynamics):
         return DriftingSystem(self.plain, self.drifting, dict(values), aircraft)
 
     def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:
-        """Those of the dynamics, and the derivatives of true channels by the parameters of the record."""
+        """Those of the dynamics, and the derivatives of the corrected channels by the parameters `of_record`."""
         found = self.plain.drives(values, channels, flights)
         for parameter in self.of_record:
 
             def true(x: Any, parameter: str = parameter) -> tuple[dict[str, Array], dict[str, Array]]:
-                moved = dict(values) | {parameter: x}
-                corrected = self.plain.corrected(moved, flights.channels, flights.aircraft)
-                seen = {name: corrected[name] for name in self.outputs if name in flights.channels}
-                return seen, self.plain.drives(moved, corrected, flights)
+                changed = dict(values) | {parameter: x}
+                corrected = self.plain.corrected(changed, flights.channels, flights.aircraft)
+                outputs = {name: corrected[name] for name in self.outputs if name in flights.channels}
+                return outputs, self.plain.drives(changed, corrected, flights)
 
             x = jnp.asarray(values[parameter], float)
             _, slopes = jax.jvp(true, (x,), (jnp.ones_like(x),))
-            for kind, slope in zip((SEEN, DRIVING), slopes, strict=True):
+            for kind, slope in zip((OUTPUT_SLOPE, INPUT_SLOPE), slopes, strict=True):
                 found |= {f"{kind}{parameter} {channel}": y for channel, y in slope.items()}
         return found
 
@@ -147,7 +150,7 @@ def drifting(dynamics: Dynamics, names: Sequence[str], fixed: Collection[str] = 
     Args:
         dynamics: of effects or linear.
         names: free parameters, none twice.
-        fixed: parameters that are fixed, for what is said of them.
+        fixed: parameters that the card fixes, for the error message.
 
     Raises:
         InputError: a parameter is unknown, fixed or one of a disturbance, or there are too many.
@@ -160,14 +163,14 @@ def drifting(dynamics: Dynamics, names: Sequence[str], fixed: Collection[str] = 
 
 
 def refuse(dynamics: Dynamics, names: Sequence[str], fixed: Collection[str] = ()) -> None:
-    """Say what cannot drift; see `drifting`."""
-    free = [name for name in unbiased(dynamics).names if name not in dynamics.of_disturbances]
-    if not names or len(names) > MOST:
-        raise InputError(f"{len(names)} parameters are named to drift; name one to {MOST}, separated by commas")
+    """Raise `InputError` for parameters that cannot drift; see `drifting`."""
+    free = [name for name in unbiased(dynamics).names if name not in dynamics.disturbance_parameters]
+    if not names or len(names) > MAX_DRIFTING:
+        raise InputError(f"{len(names)} parameters are named to drift; name one to {MAX_DRIFTING}, separated by commas")
     for name in names:
         if name in fixed:
             raise InputError(f"the parameter {name} cannot drift: the card fixes it; take it out of the card's fixed")
-        if name in dynamics.of_disturbances:
+        if name in dynamics.disturbance_parameters:
             raise InputError(f"the parameter {name} cannot drift: it belongs to a disturbance; name another one")
         if name not in free:
             close = get_close_matches(name, free, n=1)

@@ -1,7 +1,7 @@
-"""Innovations: measured minus predicted one step ahead. States are corrected at each sample.
+"""Innovations: measured minus predicted one sample ahead. The state is corrected at each sample.
 
-The gain is constant, from the steady state of the filter linearised at the segment's first sample, or the one of an
-extended Kalman filter at each sample. Source: Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, ch. 5.
+The gain is constant, that of the steady filter linearised at the segment's first sample, or varies with each sample as
+in an extended Kalman filter. Source: Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, ch. 5.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from bayes_aero.dynamics.filtering.kalman import (
-    Begin,
     Filtered,
+    InitialState,
     Measured,
     Sampling,
     gains,
     kalman_filter,
+    linearised_outputs,
     outputs_at,
-    seen_at,
 )
-from bayes_aero.dynamics.segments import Prepared, SegmentTrajectories, prepared
+from bayes_aero.dynamics.segments import Prepared, SegmentTrajectories, prepare
 from bayes_aero.dynamics.system import System, advance
 from bayes_aero.dynamics.tangent import later, motion
 
@@ -33,13 +33,13 @@ DOUBLINGS, RELATIVE, TINY = 60, 1e-14, 1e-300  # of the Riccati iteration, each 
 
 class Innovations(NamedTuple):
     """Innovations (w, n, c), referred to the record as in `segments.simulate`; states (w, n, s) before each sample;
-    whether these are finite; the gain (w, s, c) and the share of each state's error that it takes away, diag(K C)."""
+    whether these are finite; the gain (w, s, c) and the share of each state's error that it corrects, diag(K C)."""
 
     innovation: Float[Array, "w n c"]
     states: Float[Array, "w n s"]
     inside: Bool[Array, "w n"]
     gain: Float[Array, "w s c"]
-    taken: Float[Array, "w s"]
+    correction_share: Float[Array, "w s"]
 
 
 @jax.custom_jvp
@@ -60,18 +60,18 @@ def riccati(A: Float[Array, "s s"], G: Float[Array, "s s"], Q: Float[Array, "s s
     E = one + 2.0 * shift * W.T
     first = (E, 2.0 * shift * inverse @ G @ W, 2.0 * shift * W @ Q @ inverse)
 
-    def going(carry):
-        *_, moved, count = carry
-        return (moved > RELATIVE) & (count < DOUBLINGS)
+    def not_converged(carry):
+        *_, change, count = carry
+        return (change > RELATIVE) & (count < DOUBLINGS)
 
-    def doubled(carry):
+    def double(carry):
         E, G, H, _, count = carry
         both = jnp.linalg.inv(one + G @ H)
-        added = E.T @ H @ both @ E
-        moved = jnp.max(jnp.abs(added)) / jnp.maximum(jnp.max(jnp.abs(H + added)), TINY)
-        return E @ both @ E, G + E @ both @ G @ E.T, H + added, moved, count + 1
+        increment = E.T @ H @ both @ E
+        change = jnp.max(jnp.abs(increment)) / jnp.maximum(jnp.max(jnp.abs(H + increment)), TINY)
+        return E @ both @ E, G + E @ both @ G @ E.T, H + increment, change, count + 1
 
-    P = jax.lax.while_loop(going, doubled, (*first, jnp.asarray(jnp.inf), 0))[2]
+    P = jax.lax.while_loop(not_converged, double, (*first, jnp.asarray(jnp.inf), 0))[2]
     return 0.5 * (P + P.T)
 
 
@@ -105,28 +105,28 @@ def steady_innovations(
     R: Float[Array, " c"],
 ) -> Innovations:
     """One-step predictions of every segment with its steady gain; R (c,): variances of the innovations."""
-    ready = prepared(flown, theta)
+    prepared = prepare(flown, theta)
     names = flown.outputs
 
-    def predict(start, away, inputs, dt, true, scale):
+    def predict(start, correction, inputs, dt, true, scale):
         first = {name: y[0] for name, y in inputs.items()}
-        begin = ready.sensed.settled(start, first) + away
-        K, C = steady_gain(ready.sensed, begin, first, dt, F, R, names)
+        begin = prepared.sensed.complete_start(start, first) + correction
+        K, C = steady_gain(prepared.sensed, begin, first, dt, F, R, names)
 
-        def further(x, rows):
+        def one_sample(x, rows):
             now, then, z, unit = rows
-            e = z - outputs_at(ready.sensed, x, now, names)
+            e = z - outputs_at(prepared.sensed, x, now, names)
             e = jnp.where(jnp.isfinite(z), e, 0.0)
-            ahead = advance(ready.sensed, x + K @ e, now, then, dt, flown.substeps)
+            ahead = advance(prepared.sensed, x + K @ e, now, then, dt, flown.substeps)
             return ahead, (x, e / unit)
 
-        _, (x, e) = jax.lax.scan(further, begin, (inputs, later(inputs, flown.held), true, scale))
+        _, (x, e) = jax.lax.scan(one_sample, begin, (inputs, later(inputs, flown.held), true, scale))
         return e, x, jnp.all(jnp.isfinite(x), axis=1), K, jnp.sum(K * C.T, axis=1)
 
-    return Innovations(*jax.vmap(predict)(*rows_of(flown, ready, departure)))
+    return Innovations(*jax.vmap(predict)(*segment_inputs(flown, prepared, departure)))
 
 
-def filtered(
+def filter_segments(
     flown: SegmentTrajectories,
     theta: Float[Array, " k"],
     start_deviation: Float[Array, " s"],
@@ -136,19 +136,19 @@ def filtered(
     """Every segment by the extended Kalman filter, from its measured initial state; (w, ...) in front of every array.
 
     `start_deviation`: standard deviation of that state, SI; `R`: variances of the measurement noise in attached flow.
-    Innovations and their variances are referred to the record: those of a record that an error of scale has made
-    smaller are no likelier for being small.
+    Innovations and their variances are in units of the recorded channels. Otherwise a scale error that makes the
+    corrected channels smaller would increase the likelihood.
     """
-    ready = prepared(flown, theta)
+    prepared = prepare(flown, theta)
 
     def one(*row):
         start, _, inputs, dt, true, scale, growth = row
         first = {name: y[0] for name, y in inputs.items()}
-        begin = ready.sensed.settled(start, first)
+        begin = prepared.sensed.complete_start(start, first)
         noise = R * (scale * growth) ** 2
         found = kalman_filter(
-            ready.sensed,
-            Begin(begin, ready.sensed.start_covariance(begin, first, start_deviation)),
+            prepared.sensed,
+            InitialState(begin, prepared.sensed.start_covariance(begin, first, start_deviation)),
             inputs,
             Measured(true, noise),
             F,
@@ -158,40 +158,43 @@ def filtered(
         return found._replace(innovation=found.innovation / scale, variance=found.variance / scale**2)
 
     nothing = jnp.zeros((len(flown.index), len(start_deviation)))
-    rows = (*rows_of(flown, ready, nothing), jnp.asarray(flown.noise_growth))
+    rows = (*segment_inputs(flown, prepared, nothing), jnp.asarray(flown.noise_growth))
     return jax.vmap(one)(*rows)
 
 
 @eqx.filter_jit
 def prediction_errors(flown: SegmentTrajectories, theta: Float[Array, " k"], found: Filtered) -> Float[Array, "w n c"]:
-    """Measured minus predicted from the samples before, referred to the record, NaN where missing.
+    """Measured minus predicted from the samples before, in units of the recorded channels, NaN where missing.
 
-    `found` is what `filtered` found at `theta`. Its innovations are less what outputs of the same sample tell of them.
+    `found` is the result of `filter_segments` at `theta`. Its innovations are smaller, because each is also predicted
+    from the outputs before it in the same sample.
     """
-    ready = prepared(flown, theta)
-    *_, true, scale = rows_of(flown, ready, jnp.zeros((len(flown.index), 1)))
-    outputs = jax.vmap(jax.vmap(lambda x, u: outputs_at(ready.sensed, x, u, flown.outputs)))
-    return (true - outputs(found.predicted, ready.drives)) / scale
+    prepared = prepare(flown, theta)
+    *_, true, scale = segment_inputs(flown, prepared, jnp.zeros((len(flown.index), 1)))
+    outputs = jax.vmap(jax.vmap(lambda x, u: outputs_at(prepared.sensed, x, u, flown.outputs)))
+    return (true - outputs(found.predicted, prepared.drives)) / scale
 
 
 class Observer(NamedTuple):
-    """Gains (w, n, s, c) by which each sample's innovations correct the state, and `whitening` (w, n, c, c): it times
-    the innovations are uncorrelated, each its output's innovation less what those before it tell of it."""
+    """Gains (w, n, s, c) of each sample, and `whitening` (w, n, c, c): its product with the innovations is
+    uncorrelated, each output predicted also from the outputs before it in the same sample."""
 
     gain: Float[Array, "w n s c"]
     whitening: Float[Array, "w n c c"]
 
 
-def observer(flown: SegmentTrajectories, theta: Float[Array, " k"], R: Float[Array, " c"], found: Filtered) -> Observer:
-    """The gains that `filtered` used at `theta` and `R`, to be held while parameters vary; `found` is its result."""
-    ready = prepared(flown, theta)
+def observer_of(
+    flown: SegmentTrajectories, theta: Float[Array, " k"], R: Float[Array, " c"], found: Filtered
+) -> Observer:
+    """The gains of `filter_segments` at `theta` and `R`, to be held while parameters vary; `found` is its result."""
+    prepared = prepare(flown, theta)
 
     def one(x, P, u, noise, used):
-        return Observer(*gains(P, seen_at(ready.sensed, x, u, flown.outputs)[1], noise, used))
+        return Observer(*gains(P, linearised_outputs(prepared.sensed, x, u, flown.outputs)[1], noise, used))
 
-    noise = R * (ready.scale * jnp.asarray(flown.noise_growth)) ** 2
+    noise = prepared.noise_variance(R, flown.noise_growth)
     each = jax.vmap(jax.vmap(one))
-    return each(found.predicted, found.predicted_covariance, ready.drives, noise, found.used)
+    return each(found.predicted, found.predicted_covariance, prepared.drives, noise, found.used)
 
 
 class Observed(NamedTuple):
@@ -202,40 +205,40 @@ class Observed(NamedTuple):
     after: Float[Array, "w n s"]
 
 
-def observed(flown: SegmentTrajectories, theta: Float[Array, " k"], by: Observer) -> Observed:
-    """Every segment followed by an observer whose gains are held."""
-    ready = prepared(flown, theta)
+def run_observer(flown: SegmentTrajectories, theta: Float[Array, " k"], by: Observer) -> Observed:
+    """Innovations of every segment by an observer with given gains."""
+    prepared = prepare(flown, theta)
     names = flown.outputs
 
     def predict(start, _, inputs, dt, true, __, gain):
         first = {name: y[0] for name, y in inputs.items()}
 
-        def further(x, rows):
+        def one_sample(x, rows):
             now, then, z, K = rows
-            e = z - outputs_at(ready.sensed, x, now, names)
+            e = z - outputs_at(prepared.sensed, x, now, names)
             e = jnp.where(jnp.isfinite(z), e, 0.0)
-            corrected = x + K @ e
-            return advance(ready.sensed, corrected, now, then, dt, flown.substeps), Observed(e, x, corrected)
+            estimate = x + K @ e
+            return advance(prepared.sensed, estimate, now, then, dt, flown.substeps), Observed(e, x, estimate)
 
         rows = (inputs, later(inputs, flown.held), true, gain)
-        return jax.lax.scan(further, ready.sensed.settled(start, first), rows)[1]
+        return jax.lax.scan(one_sample, prepared.sensed.complete_start(start, first), rows)[1]
 
-    start, nothing, inputs, dt, true, scale = rows_of(flown, ready, jnp.zeros((len(flown.index), 1)))
+    start, nothing, inputs, dt, true, scale = segment_inputs(flown, prepared, jnp.zeros((len(flown.index), 1)))
     return jax.vmap(predict)(start, nothing, inputs, dt, true, scale, by.gain)
 
 
-def rows_of(flown: SegmentTrajectories, ready: Prepared, departure: Float[Array, "w s"]) -> tuple[Any, ...]:
-    """What each segment needs; samples that only fill it up are missing."""
-    true = jnp.where(jnp.asarray(flown.inside)[:, :, None], ready.true, jnp.nan)
-    return ready.begin, departure, ready.drives, jnp.asarray(flown.dt), true, ready.scale
+def segment_inputs(flown: SegmentTrajectories, prepared: Prepared, departure: Float[Array, "w s"]) -> tuple[Any, ...]:
+    """Initial states, inputs and outputs by segment; outputs of padding samples are NaN."""
+    true = jnp.where(jnp.asarray(flown.inside)[:, :, None], prepared.true, jnp.nan)
+    return prepared.begin, departure, prepared.drives, jnp.asarray(flown.dt), true, prepared.scale
 
 
 def measurement_matrix(flown: SegmentTrajectories, theta: Float[Array, " k"]) -> Float[Array, "c s"]:
     """C = dg/dx (c, s) at the first sample of the first segment."""
-    ready = prepared(flown, theta)
-    first = {name: y[0, 0] for name, y in ready.drives.items()}
-    begin = ready.sensed.settled(ready.begin[0], first)
-    return jax.jacfwd(lambda x: outputs_at(ready.sensed, x, first, flown.outputs))(begin)
+    prepared = prepare(flown, theta)
+    first = {name: y[0, 0] for name, y in prepared.drives.items()}
+    begin = prepared.sensed.complete_start(prepared.begin[0], first)
+    return jax.jacfwd(lambda x: outputs_at(prepared.sensed, x, first, flown.outputs))(begin)
 
 
 def neighbour_correlation(found: Filtered) -> Float[np.ndarray, " c"]:

@@ -1,8 +1,8 @@
-"""A filter made linear along its own path: all samples' derivatives at once, then products of small matrices.
+"""Filter linearised along its own path: derivatives of all samples at once, then products of small matrices.
 
-The extended Kalman filter follows a flight sample by sample. Along that path the motion is linear in small changes of
-state and parameters, and the filter of the linear system has the same innovations. Changes of parameters, of process
-noise and of measurement noise are followed by it for a fraction of the time. Source: Jazwinski, *Stochastic Processes
+The extended Kalman filter runs sample by sample. Along its path the motion is linear in small changes of state and
+parameters, and the filter of the linearised system has the same innovations. It gives the effect of changes of
+parameters, process noise and measurement noise in a fraction of the time. Source: Jazwinski, *Stochastic Processes
 and Filtering Theory*, 1970, ch. 8.
 """
 
@@ -14,19 +14,19 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from bayes_aero.dynamics.filtering.innovations import Observer, rows_of
-from bayes_aero.dynamics.filtering.kalman import gathered_noise, gathered_slopes, outputs_at
-from bayes_aero.dynamics.segments import Prepared, SegmentTrajectories, prepared
+from bayes_aero.dynamics.filtering.innovations import Observer, segment_inputs
+from bayes_aero.dynamics.filtering.kalman import discrete_noise, discrete_noise_slopes, outputs_at
+from bayes_aero.dynamics.segments import Prepared, SegmentTrajectories, prepare
 from bayes_aero.dynamics.system import advance
 from bayes_aero.dynamics.tangent import later
 
 
 class Linearised(NamedTuple):
-    """Segments along a path, in d directions of the parameters.
+    """Segments linearised along a path, with derivatives in d directions of the parameters.
 
-    `before`, `after`: the states at which outputs and motion are linear; `ahead`: a sample after `after`; `residual`:
-    measured minus outputs at `before`, NaN where missing; `begin`: the state in which the segments begin; `scale`: what
-    a unit of each recorded output has become.
+    `before`, `after`: states before and after the correction, at which outputs and motion are linearised; `ahead`: the
+    state one sample after `after`; `residual`: measured minus outputs at `before`, NaN where missing; `begin`: initial
+    states; `scale`: derivative of the corrected outputs by the recorded ones.
     """
 
     before: Float[Array, "w n s"]
@@ -43,49 +43,48 @@ class Linearised(NamedTuple):
     scale_drive: Float[Array, "w n c d"]
 
 
-class ByState(NamedTuple):
-    """Derivatives by the state of outputs at the states before a correction and of the motion after it."""
+class StateDerivatives(NamedTuple):
+    """Derivatives by the state: of the outputs before a correction, and of the next state after it."""
 
     matrix: Float[Array, "w n c s"]
     transition: Float[Array, "w n s s"]
 
 
-def by_state(
+def state_derivatives(
     flown: SegmentTrajectories, theta: Float[Array, " k"], before: Float[Array, "w n s"], after: Float[Array, "w n s"]
-) -> ByState:
-    """Of every sample at once, at parameters `theta`."""
-    ready = prepared(flown, theta)
+) -> StateDerivatives:
+    """Derivatives by the state of all samples at once, at parameters `theta`."""
+    prepared = prepare(flown, theta)
     along = lambda e: jax.jvp(  # noqa: E731
-        lambda *x: _along(flown, ready, *x),
+        lambda *x: _along(flown, prepared, *x),
         (before, after),
         tuple(jnp.broadcast_to(e, x.shape) for x in (before, after)),
     )[1]
-    return ByState(*jax.vmap(along, out_axes=-1)(jnp.eye(before.shape[-1])))
+    return StateDerivatives(*jax.vmap(along, out_axes=-1)(jnp.eye(before.shape[-1])))
 
 
-def linearised(
+def linearise(
     flown: SegmentTrajectories,
     theta: Float[Array, " k"],
     before: Float[Array, "w n s"],
     after: Float[Array, "w n s"],
     directions: Float[Array, "d k"],
-    known: ByState | None = None,
+    known: StateDerivatives | None = None,
 ) -> Linearised:
-    """Derivatives at the states `before` (of outputs) and `after` (of motion), at parameters `theta`.
+    """Linearise outputs at the states `before` and the motion at the states `after`, at parameters `theta`.
 
-    Those by the state may be `known`.
+    `known`: the derivatives by the state, where they were computed before.
     """
 
     def by_parameters(theta):
-        ready = prepared(flown, theta)
-        *_, true, _ = rows_of(flown, ready, jnp.zeros((len(flown.index), 1)))
-        outputs, ahead = _along(flown, ready, before, after)
-        first = {name: y[:, 0] for name, y in ready.drives.items()}
-        return true - outputs, ahead, jax.vmap(ready.sensed.settled)(ready.begin, first), ready.scale
+        prepared = prepare(flown, theta)
+        *_, true, _ = segment_inputs(flown, prepared, jnp.zeros((len(flown.index), 1)))
+        outputs, ahead = _along(flown, prepared, before, after)
+        return true - outputs, ahead, prepared.initial_states, prepared.scale
 
-    matrix, transition = known or by_state(flown, theta, before, after)
+    matrix, transition = known or state_derivatives(flown, theta, before, after)
     found, drives = jax.vmap(lambda t: jax.jvp(by_parameters, (theta,), (t,)), out_axes=(None, -1))(directions)
-    (residual, ahead, begin, scale), (away, drive, begin_drive, scale_drive) = found, drives
+    (residual, ahead, begin, scale), (deviation, drive, begin_drive, scale_drive) = found, drives
     finite = lambda y: jnp.where(jnp.isfinite(y), y, 0.0)  # noqa: E731
     return Linearised(
         before,
@@ -95,7 +94,7 @@ def linearised(
         drive,
         residual,
         finite(matrix),
-        -finite(away),
+        -finite(deviation),
         begin,
         begin_drive,
         scale,
@@ -103,36 +102,36 @@ def linearised(
     )
 
 
-def _along(flown: SegmentTrajectories, ready: Prepared, before: Array, after: Array) -> tuple[Array, Array]:
+def _along(flown: SegmentTrajectories, prepared: Prepared, before: Array, after: Array) -> tuple[Array, Array]:
     """Outputs at `before`, and the state a sample after `after`."""
     dt = jnp.broadcast_to(jnp.asarray(flown.dt)[:, None], after.shape[:2])
     each = lambda f: jax.vmap(jax.vmap(f))  # noqa: E731
-    outputs = each(lambda x, u: outputs_at(ready.sensed, x, u, flown.outputs))
-    move = each(lambda x, now, then, dt: advance(ready.sensed, x, now, then, dt, flown.substeps))
-    now = ready.drives
+    outputs = each(lambda x, u: outputs_at(prepared.sensed, x, u, flown.outputs))
+    move = each(lambda x, now, then, dt: advance(prepared.sensed, x, now, then, dt, flown.substeps))
+    now = prepared.drives
     return outputs(before, now), move(after, now, later(now, flown.held), dt)
 
 
-def observer_slopes(lin: Linearised, by: Observer) -> Float[Array, "w n c d"]:
-    """Derivatives of the innovations of an observer, of which `lin` is linear along the path, in its d directions."""
+def observer_derivatives(lin: Linearised, by: Observer) -> Float[Array, "w n c d"]:
+    """Derivatives of the innovations of an observer in the d directions of `lin`, linearised along its path."""
 
     def one(begin, *rows):
-        def further(dx, row):
-            Phi, drive, C, direct, there, K = row
-            de = jnp.where(there[:, None], -direct - C @ dx, 0.0)
+        def one_sample(dx, row):
+            Phi, drive, C, direct, used, K = row
+            de = jnp.where(used[:, None], -direct - C @ dx, 0.0)
             return Phi @ (dx + K @ de) + drive, de
 
-        return jax.lax.scan(further, begin, rows)[1]
+        return jax.lax.scan(one_sample, begin, rows)[1]
 
-    there = jnp.isfinite(lin.residual)
-    return jax.vmap(one)(lin.begin_drive, lin.transition, lin.drive, lin.matrix, lin.direct, there, by.gain)
+    used = jnp.isfinite(lin.residual)
+    return jax.vmap(one)(lin.begin_drive, lin.transition, lin.drive, lin.matrix, lin.direct, used, by.gain)
 
 
 class Disturbances(NamedTuple):
-    """What drives and blurs linearised segments.
+    """Noise of linearised segments.
 
-    Spectral densities by state (w, n, s), variances of the outputs (w, n, c), covariance of the begin (w, s, s), and
-    decay (w, n, s), 1/s, of states that are processes of their own.
+    Spectral densities by state (w, n, s), variances of the outputs (w, n, c), covariance of the initial state
+    (w, s, s), and decay (w, n, s), 1/s, of states that are random processes.
     """
 
     density: Float[Array, "w n s"]
@@ -141,7 +140,7 @@ class Disturbances(NamedTuple):
     decay: Float[Array, "w n s"]
 
 
-def disturbances(
+def disturbances_along(
     flown: SegmentTrajectories,
     theta: Float[Array, " k"],
     path: Float[Array, "w n s"],
@@ -149,14 +148,12 @@ def disturbances(
     F: Float[Array, " s"],
     R: Float[Array, " c"],
 ) -> Disturbances:
-    """As `filtered` has them, at the states of `path`."""
-    ready = prepared(flown, theta)
-    each = jax.vmap(jax.vmap(lambda x, u: (ready.sensed.noise_density(x, u), ready.sensed.decay(x, u))))
-    density, decay = each(path, ready.drives)
-    first = {name: y[:, 0] for name, y in ready.drives.items()}
-    begins = jax.vmap(ready.sensed.settled)(ready.begin, first)
-    begin = jax.vmap(lambda x, u: ready.sensed.start_covariance(x, u, start_deviation))(begins, first)
-    noise = R * (ready.scale * jnp.asarray(flown.noise_growth)) ** 2
+    """The noise of `filter_segments` at the states of `path`."""
+    prepared = prepare(flown, theta)
+    each = jax.vmap(jax.vmap(lambda x, u: (prepared.sensed.noise_density(x, u), prepared.sensed.decay(x, u))))
+    density, decay = each(path, prepared.drives)
+    noise = prepared.noise_variance(R, flown.noise_growth)
+    begin = prepared.initial_covariance(prepared.initial_states, start_deviation)
     return Disturbances(F**2 + density, noise, begin, decay)
 
 
@@ -165,8 +162,8 @@ def linear_innovations(
 ) -> tuple[Float[Array, "w n c m"], Float[Array, "w n c"]]:
     """Innovations (w, n, c, 1 + d) and their variances (w, n, c), each output given those before it in its sample.
 
-    The first column are the innovations, the others their derivatives by the d directions, at gains that these do not
-    move; all referred to the record. Missing samples have innovation 0 and variance 1.
+    The first column has the innovations, the others their derivatives in the d directions at constant gains; all in
+    units of the recorded channels. Missing samples have innovation 0 and variance 1.
     """
     found, S = jax.vmap(_one_segment)(lin, noise, dt)
     e, slopes = found[..., :1], found[..., 1:]
@@ -178,43 +175,45 @@ def linear_innovations(
 
 def _one_segment(lin: Linearised, noise: Disturbances, dt: Any):
     s = lin.before.shape[-1]
-    still = jnp.eye(s)
+    identity = jnp.eye(s)
 
-    def further(carry, row):
+    def one_sample(carry, row):
         mean, P = carry  # (s, 1 + d): the predicted state and its derivatives
         before, after, ahead, Phi, drive, residual, C, direct, density, variance, decay = row
-        use = jnp.isfinite(residual)
-        away = mean.at[:, 0].add(-before)
-        e = jnp.concatenate([jnp.where(use, residual, 0.0)[:, None], -direct], axis=1) - C @ away
+        used_now = jnp.isfinite(residual)
+        deviation = mean.at[:, 0].add(-before)
+        e = jnp.concatenate([jnp.where(used_now, residual, 0.0)[:, None], -direct], axis=1) - C @ deviation
 
         def one(carry, output):
-            moved, P = carry
-            h, y, r, there = output
-            y, Ph = y - h @ moved, P @ h
+            correction, P = carry
+            h, y, r, used = output
+            y, Ph = y - h @ correction, P @ h
             S = h @ Ph + r
-            K = jnp.where(there, Ph / S, 0.0)
-            return (moved + jnp.outer(K, y), P - jnp.outer(K, Ph)), (jnp.where(there, y, 0.0), jnp.where(there, S, 1.0))
+            K = jnp.where(used, Ph / S, 0.0)
+            carry = correction + jnp.outer(K, y), P - jnp.outer(K, Ph)
+            return carry, (jnp.where(used, y, 0.0), jnp.where(used, S, 1.0))
 
-        (moved, P), (found, S) = jax.lax.scan(one, (jnp.zeros_like(mean), P), (C, e, variance, use))
-        alone, kept = decay > 0.0, jnp.exp(-decay * dt)
-        Phi, ahead = jnp.where((still > 0.0) & alone, jnp.diag(kept), Phi), jnp.where(alone, kept * after, ahead)
-        mean = Phi @ (mean + moved).at[:, 0].add(-after)
+        (correction, P), (found, S) = jax.lax.scan(one, (jnp.zeros_like(mean), P), (C, e, variance, used_now))
+        autonomous, decayed = decay > 0.0, jnp.exp(-decay * dt)
+        Phi = jnp.where((identity > 0.0) & autonomous, jnp.diag(decayed), Phi)
+        ahead = jnp.where(autonomous, decayed * after, ahead)
+        mean = Phi @ (mean + correction).at[:, 0].add(-after)
         mean = mean + jnp.concatenate([ahead[:, None], drive], axis=1)
-        P = Phi @ P @ Phi.T + gathered_noise(Phi, density, dt)
+        P = Phi @ P @ Phi.T + discrete_noise(Phi, density, dt)
         return (mean, 0.5 * (P + P.T)), (found, S)
 
     begin = jnp.concatenate([lin.begin[:, None], lin.begin_drive], axis=1)
     rows = (lin.before, lin.after, lin.ahead, lin.transition, lin.drive, lin.residual, lin.matrix, lin.direct)
     rows = (*rows, noise.density, noise.variance, noise.decay)
-    return jax.lax.scan(further, (begin, noise.begin), rows)[1]
+    return jax.lax.scan(one_sample, (begin, noise.begin), rows)[1]
 
 
-def noise_slopes(
+def noise_derivatives(
     lin: Linearised, noise: Disturbances, slopes: Disturbances, dt: Float[Array, " w"]
 ) -> tuple[Float[Array, "w n c m"], Float[Array, "w n c m"]]:
-    """Derivatives of innovations and of their variances by what the noise depends on, referred to the record.
+    """Derivatives of innovations and of their variances by parameters of the noise, in units of the recorded channels.
 
-    `slopes` are those of `noise` in m directions, the last axis. The path and the motion along it are held.
+    `slopes` are the derivatives of `noise` in m directions, the last axis. The path and the motion along it are held.
     """
     de, dS = jax.vmap(_slopes_of_segment)(lin, noise, slopes, dt)
     used = jnp.isfinite(lin.residual)[..., None]
@@ -223,48 +222,48 @@ def noise_slopes(
 
 
 def _slopes_of_segment(lin: Linearised, noise: Disturbances, slopes: Disturbances, dt: Any):
-    """The derivative of `_one_segment`, written out: directions are the last axis of every product.
+    """The derivative of `_one_segment` in closed form; directions are the last axis of every product.
 
-    By forward differentiation each direction has its own small products, which takes twice as long.
+    Forward differentiation has separate small products for each direction and takes twice as long.
     """
     s, m = lin.before.shape[-1], slopes.begin.shape[-1]
 
-    def further(carry, row):
+    def one_sample(carry, row):
         mean, P, dmean, dP = carry
         before, after, ahead, Phi, residual, C, (density, variance, decay), towards = row
-        use = jnp.isfinite(residual)
-        e = jnp.where(use, residual, 0.0) - C @ (mean - before)
+        used_now = jnp.isfinite(residual)
+        e = jnp.where(used_now, residual, 0.0) - C @ (mean - before)
 
         def one(carry, output):
-            moved, P, dmean, dP = carry
-            h, y, r, there, dr = output
-            y, dy = y - h @ moved, -(h @ dmean)
+            correction, P, dmean, dP = carry
+            h, y, r, used, dr = output
+            y, dy = y - h @ correction, -(h @ dmean)
             Ph, dPh = P @ h, jnp.sum(dP * h[:, None], axis=1)
             S, dS = h @ Ph + r, h @ dPh + dr
-            K = jnp.where(there, Ph / S, 0.0)
-            dK = jnp.where(there, (dPh - K[:, None] * dS) / S, 0.0)
+            K = jnp.where(used, Ph / S, 0.0)
+            dK = jnp.where(used, (dPh - K[:, None] * dS) / S, 0.0)
             dP = dP - dK[:, None] * Ph[:, None] - K[:, None, None] * dPh
-            after = (moved + K * y, P - jnp.outer(K, Ph), dmean + dK * y + K[:, None] * dy, dP)
+            after = (correction + K * y, P - jnp.outer(K, Ph), dmean + dK * y + K[:, None] * dy, dP)
             return after, (dy, dS)
 
-        rows = (C, e, variance, use, towards.variance)
-        (moved, P, dmean, dP), found = jax.lax.scan(one, (jnp.zeros(s), P, dmean, dP), rows, unroll=True)
-        alone, kept = decay > 0.0, jnp.exp(-decay * dt)
-        dkept = jnp.where(alone, -dt * kept, 0.0)[:, None] * towards.decay
-        Phi = jnp.where((jnp.eye(s) > 0.0) & alone, jnp.diag(kept), Phi)
-        ahead = jnp.where(alone, kept * after, ahead)
-        estimate = mean + moved
+        rows = (C, e, variance, used_now, towards.variance)
+        (correction, P, dmean, dP), found = jax.lax.scan(one, (jnp.zeros(s), P, dmean, dP), rows, unroll=True)
+        autonomous, decayed = decay > 0.0, jnp.exp(-decay * dt)
+        dkept = jnp.where(autonomous, -dt * decayed, 0.0)[:, None] * towards.decay
+        Phi = jnp.where((jnp.eye(s) > 0.0) & autonomous, jnp.diag(decayed), Phi)
+        ahead = jnp.where(autonomous, decayed * after, ahead)
+        estimate = mean + correction
         dmean = Phi @ dmean + dkept * estimate[:, None]
         turned = P @ Phi.T
         dP = (Phi @ dP.reshape(s, s * m)).reshape(s, s, m)
         dP = jnp.moveaxis(dP, 1, 0).reshape(s, s * m)
         dP = (Phi @ dP).reshape(s, s, m)  # its first two axes are the other way round, and it is symmetric
         side = dkept[:, None] * turned[:, :, None]
-        dP = dP + side + jnp.moveaxis(side, 0, 1) + gathered_slopes(Phi, dkept, density, towards.density, dt)
-        P = Phi @ turned + gathered_noise(Phi, density, dt)
+        dP = dP + side + jnp.moveaxis(side, 0, 1) + discrete_noise_slopes(Phi, dkept, density, towards.density, dt)
+        P = Phi @ turned + discrete_noise(Phi, density, dt)
         return (Phi @ (estimate - after) + ahead, 0.5 * (P + P.T), dmean, dP), found
 
     begin = (lin.begin, noise.begin, jnp.zeros((s, m)), slopes.begin)
     rows = (lin.before, lin.after, lin.ahead, lin.transition, lin.residual, lin.matrix)
     rows = (*rows, (noise.density, noise.variance, noise.decay), slopes._replace(begin=jnp.zeros(len(lin.before))))
-    return jax.lax.scan(further, begin, rows)[1]
+    return jax.lax.scan(one_sample, begin, rows)[1]

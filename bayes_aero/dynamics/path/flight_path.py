@@ -1,9 +1,9 @@
-"""The flight path of the recorded accelerations and rates: kinematics without aerodynamics, for any of its states.
+"""The flight path of recorded accelerations and rates: kinematics without aerodynamics.
 
-States are what other sensors show of it: airspeed, alpha, theta, and as far as recorded beta, phi, psi and altitude;
-gusts beside them. Accelerometers and gyros drive it. Errors of sensors are effects that make the record true.
-Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 10; Mulder et al. 1999, Prog. Aerosp. Sci. 35,
-591 (flight-path reconstruction).
+States are the quantities that other sensors measure: airspeed, alpha, theta, and as far as recorded beta, phi, psi and
+altitude; and gusts. Inputs are the accelerometers and gyros. Sensor errors are effects that correct the record. Source:
+Klein and Morelli, *Aircraft System Identification*, 2006, ch. 10; Mulder et al. 1999, Prog. Aerosp. Sci. 35, 591
+(flight-path reconstruction).
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from bayes_aero.physics.flightpath import STRAIGHT, as_symmetric, lateral_motion
 from bayes_aero.physics.kinematics import RATES, Rotation, euler_rates, lever_arm
 
 INERTIAL = frozenset(("ax", "ay", "az", "p", "q", "r"))
-JUMP = 0.2  # rad from sample to sample: no aircraft turns like that
+JUMP = 0.2  # rad from sample to sample: faster than any aircraft turns
 FORCES = ("force_x", "force_y", "force_z")  # specific force at the centre of gravity
 
 
 class FlightPath(InGusts):
-    """Motion that accelerometers and gyros tell; `named` are its states without gusts."""
+    """Motion from accelerometers and gyros; `named` are its states without gusts."""
 
     model: Model = eqx.field(static=True)
     values: dict[str, Any]
@@ -49,12 +49,12 @@ class FlightPath(InGusts):
         return (*self.named, *(d.state for d in self.model.disturbances))
 
     def flow_signals(self, x: Float[Array, " s"], u: Row) -> dict[str, Any]:
-        """States and inputs by name, airspeed and alpha as the flow has them."""
+        """States and inputs by name; airspeed, alpha and beta of the flow, not over ground."""
         s = dict(u) | dict(zip(self.states, x, strict=True))
         return s | self.model.inflow(self.values, s, self.aircraft)
 
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
-        """Derivative of the state, and everything that is measured."""
+        """Derivative of the state, and the measured quantities."""
         state = dict(zip(self.states, x, strict=True))
         s, flow = dict(u) | state, self.flow_signals(x, u)
         force = (u["force_x"], u["force_y"], u["force_z"])
@@ -68,10 +68,10 @@ class FlightPath(InGusts):
 
 @dataclass(frozen=True)
 class PathDynamics(EffectDynamics):
-    """The flight path under a model of errors of sensors and of gusts.
+    """The flight path under a model of sensor errors and of gusts.
 
-    `own` are parameters that each manoeuvre has for itself; their effects must work sample by sample, as constant
-    errors do. `lengths` are the manoeuvres' samples.
+    `own` are parameters with a value for each manoeuvre; their effects must act sample by sample, as constant errors
+    do. `lengths` are the numbers of samples of the manoeuvres.
     """
 
     model: Model
@@ -81,12 +81,12 @@ class PathDynamics(EffectDynamics):
 
     @cached_property
     def free(self) -> tuple[Parameter, ...]:
-        """Common ones, then those of each manoeuvre."""
+        """Common parameters, then those of each manoeuvre."""
         several = len(self.lengths) > 1
         common = [p for p in self.model.free if not (several and p.name in self.own)]
         each = [p for p in self.model.free if several and p.name in self.own]
-        of = [replace(p, name=_name(p.name, k)) for p in each for k in range(len(self.lengths))]
-        return (*common, *of)
+        by_manoeuvre = [replace(p, name=_name(p.name, k)) for p in each for k in range(len(self.lengths))]
+        return (*common, *by_manoeuvre)
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -104,7 +104,7 @@ class PathDynamics(EffectDynamics):
         return self.named
 
     def values(self, theta: Any) -> dict[str, Any]:
-        """By name; a parameter that each manoeuvre has for itself by sample, (n,)."""
+        """Values by name; a parameter of each manoeuvre as a value for each sample, (n,)."""
         found = dict(self.model.fixed) | {name: theta[i] for i, name in enumerate(self.names)}
         count = len(self.lengths)
         for name in (n for n in self.own if _name(n, 0) in found):
@@ -113,14 +113,15 @@ class PathDynamics(EffectDynamics):
         return found
 
     def system(self, values: Values, aircraft: Aircraft) -> System:
-        """Gusts at these values; errors of sensors are taken out of the record."""
-        kept = {n: values[n] for n in self.of_disturbances | {d.intensity for d in self.model.disturbances}}
+        """The flight path with gusts of these values; sensor errors are corrected in the record."""
+        kept = {n: values[n] for n in self.disturbance_parameters | {d.intensity for d in self.model.disturbances}}
         return FlightPath(self.model, kept, aircraft, self.named)
 
     def corrected(self, values: Values, channels: Mapping[str, Array], aircraft: Aircraft) -> Mapping[str, Array]:
-        """By the model's effects that act on channels.
+        """The record corrected by the model's effects on channels.
 
-        Those of accelerometers and gyros come first: a vane away from the centre of gravity shows the true rates.
+        Errors of accelerometers and gyros are corrected first, because a vane away from the centre of gravity senses
+        the true rates.
         """
         for part in self._in_order:
             channels = part.corrected(values, channels, aircraft)
@@ -134,25 +135,25 @@ class PathDynamics(EffectDynamics):
         return Model.of(inertial, axes=tuple(Axis)), Model.of(rest, axes=tuple(Axis))
 
     def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
-        """Specific force at the centre of gravity, rates, and what of the path is prescribed as recorded."""
+        """Specific force at the centre of gravity, rates, and prescribed quantities of the path."""
         true = as_symmetric(channels)
         ends = [channels[name] for name in ("dt", "first", "last")]
         slope = lambda x: differentiate_joined(smooth_joined(x, *ends[1:]), *ends)  # noqa: E731
         p, q, r = (true[name] for name in RATES)
-        felt = lever_arm(Rotation(p, q, r, *(slope(x) for x in (p, q, r))), flights.aircraft.accelerometer)
-        force = {n: true[a] - x for n, a, x in zip(FORCES, ("ax", "ay", "az"), felt, strict=True)}
+        arm = lever_arm(Rotation(p, q, r, *(slope(x) for x in (p, q, r))), flights.aircraft.accelerometer)
+        force = {n: true[a] - x for n, a, x in zip(FORCES, ("ax", "ay", "az"), arm, strict=True)}
         given = (*RATES, *(name for name in STRAIGHT if name not in (*self.named, "ay", *RATES)))
         return force | {name: true[name] for name in given}
 
 
 def path_states(flights: Flights) -> tuple[str, ...]:
-    """What these flights recorded of their path; none where it cannot be followed."""
+    """Recorded quantities of the flight path; none where it cannot be integrated."""
     found = path_outputs({name: np.asarray(x) for name, x in flights.channels.items()})
     return (*found, *(("psi",) if "phi" in found and heading(flights) is not None else ()))
 
 
 def heading(flights: Flights) -> Float[np.ndarray, " n"] | None:
-    """The heading without jumps of a half or a full turn; None where it was not recorded or goes on jumping."""
+    """The heading without jumps of a half or a full turn; None where it was not recorded or still jumps."""
     if "psi" not in flights.channels:
         return None
     parts = np.split(np.asarray(flights.channels["psi"]), np.cumsum(flights.lengths)[:-1])

@@ -1,4 +1,4 @@
-"""Errors of sensors that a flight-path reconstruction estimates: those of the catalogue that these flights can show."""
+"""Sensor errors that a flight-path reconstruction estimates: those of the catalogue that the recorded channels show."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ COMMON = (
     "vane_position", "alpha_scale", "alpha_bias", "alpha_delay", "sideslip_scale", "sideslip_bias", "airspeed_scale",
     "pitch_attitude_bias", "bank_angle_bias",
 )  # fmt: skip
-"""Errors of an installation, alike in all manoeuvres."""
+"""Errors of an installation, equal in all manoeuvres."""
 OWN = (
     "accel_x_bias", "accel_y_bias", "accel_z_bias", "roll_rate_bias", "pitch_rate_bias", "yaw_rate_bias",
     "vertical_wind",
@@ -26,26 +26,26 @@ OWN = (
 """Errors that drift from one manoeuvre to the next, and the wind."""
 SHOWN_BY = {"sideslip_scale": "beta", "sideslip_bias": "beta", "accel_y_bias": "beta", "yaw_rate_bias": "beta",
             "bank_angle_bias": "phi", "roll_rate_bias": "phi"}  # fmt: skip
-"""Of errors of lateral sensors: the state without which nothing depends on them."""
+"""For errors of lateral sensors, the state that depends on them."""
 MARKS = {"dt", "start", "first", "last", "elapsed"}
 
 
 def path_dynamics(flights: Flights, card: Card) -> tuple[Flights, PathDynamics]:
-    """The flight path of these flights, which have all it needs, with the errors that their sensors may have.
+    """The flight path of these flights with the possible errors of their sensors.
 
-    Effects that the card states keep what it says of their parameters: `vane_position` fixed stays fixed.
+    Effects of the card keep the card's parameters: `vane_position` fixed stays fixed.
 
     Returns:
         The flights, their heading without jumps of a half or a full turn, and the dynamics.
     """
     states = path_states(flights)
-    there = {*flights.recorded, *MARKS}
+    recorded = {*flights.recorded, *MARKS}
     chosen = [
         name
         for name in (*COMMON, *OWN)
-        if set(CATALOGUE[name].channels) <= there and SHOWN_BY.get(name, states[0]) in states
+        if set(CATALOGUE[name].channels) <= recorded and SHOWN_BY.get(name, states[0]) in states
     ]
-    model = Model.of(chosen, axes=tuple(Axis))  # the path feels all
+    model = Model.of(chosen, axes=tuple(Axis))  # the path depends on all axes
     if card.linear is None:
         stated = Model.from_card(card)
         errors = [e for e in stated.effects if e.stage is Stage.CHANNEL]

@@ -1,6 +1,6 @@
-"""Flight-test inputs: their shapes, and the standard ones, flown in the simulator from trimmed level flight.
+"""Flight-test inputs: their shapes, and the standard inputs, simulated from trimmed level flight.
 
-What each excites: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 9; Jategaonkar, *Flight Vehicle System
+Their excitation: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 9; Jategaonkar, *Flight Vehicle System
 Identification*, 2nd ed. 2015, ch. 2. Amplitudes are our choice: those of a transport in a flight test.
 """
 
@@ -20,12 +20,14 @@ from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air
 
-SECONDS = 60.0  # s, length of every manoeuvre: one shape, one compiled function
-RUN_IN = 5.0  # s flown before the record begins
+SECONDS = 60.0  # s, of every manoeuvre, so that one compiled function serves all
+RUN_IN = 5.0  # s of simulation before the record starts
 TIGHT, LOOSE = (0.7, 0.2, 0.15), (0.05, 0.0, 0.0)  # elevator gains on alpha, q and the integral of alpha
 STALL_BEYOND, STALL_RISE = np.deg2rad(2.0), np.deg2rad(8.0)  # beyond alpha*, or beyond trim without separation
 ENVELOPE = {"alpha": (-0.1, 0.45), "airspeed": (45.0, 250.0)}  # rad, m/s: outside, the manoeuvre is refused
-MOVED = {"stabilizer_steps": "stabilizer", "sideslip": "beta", "bank_to_bank": "phi"}  # beside elevator and thrust
+EXCITED_CHANNELS = {"stabilizer_steps": "stabilizer", "sideslip": "beta", "bank_to_bank": "phi"}
+"""Channels that a manoeuvre excites in addition to elevator and thrust."""
+
 
 Series = Float[np.ndarray, " n"]
 Pulse = tuple[float, float, float]
@@ -64,23 +66,27 @@ def rounded(signal: Series, seconds: float, dt: float) -> Series:
     return np.convolve(padded, window / window.sum(), mode="valid")
 
 
-def commands(time: Series, trim: Trim, stall: float, lean: float, amplitude: float = 1.0) -> dict[str, Pilot]:
+def commands(
+    time: Series, trim: Trim, stall: float, bank_per_sideslip: float, amplitude: float = 1.0
+) -> dict[str, Pilot]:
     """The standard inputs by name, from `trim`.
 
-    `stall` is how far (rad) the slow sweep rises above trim, `lean` the bank per sideslip that keeps the heading.
-    `amplitude` multiplies all of them.
+    `stall` (rad): rise of alpha of the slow sweep above trim; `bank_per_sideslip`: bank that keeps the heading.
+    `amplitude` multiplies all inputs.
     """
     rest, dt, deg = np.zeros_like(time), float(time[1] - time[0]), np.pi / 180.0
 
     def held(parts: list[Pulse], smooth: float) -> Series:
         return rounded(amplitude * pulses(time, parts), smooth, dt)
 
-    def pilot(gains: tuple[float, ...] = TIGHT, alpha: Series = rest, thrust: Series = rest, **moved: Series) -> Pilot:
-        """Departures from trim, thrust as a share of it."""
+    def pilot(
+        gains: tuple[float, ...] = TIGHT, alpha: Series = rest, thrust: Series = rest, **signals: Series
+    ) -> Pilot:
+        """A pilot with changes from trim; thrust as a share of that in trim."""
         power = trim.thrust * np.maximum(1.0 + thrust, 0.1)
         feedback = dict(zip(("alpha_gain", "rate_gain", "trim_gain"), gains, strict=True))
-        still = dict.fromkeys(("excitation", "phi", "beta", "stabilizer"), rest)
-        return Pilot(trim.alpha + alpha, power, **still | feedback | moved)
+        zeros = dict.fromkeys(("excitation", "phi", "beta", "stabilizer"), rest)
+        return Pilot(trim.alpha + alpha, power, **zeros | feedback | signals)
 
     doublets = [pulse for t in (5.0, 32.0) for pulse in steps((t, 2.5 * deg), (t + 1.5, -2.5 * deg), (t + 3.0, 0.0))]
     multistep = [pulse for t in (5.0, 32.0) for pulse in three_two_one_one(t, 0.8, 2.0 * deg)]
@@ -94,7 +100,7 @@ def commands(time: Series, trim: Trim, stall: float, lean: float, amplitude: flo
         "elevator_3211": pilot(LOOSE, excitation=held(multistep, 0.4)),
         "slow_stall": pilot(alpha=amplitude * ramps(time, sweep), thrust=idle),
         "thrust_steps": pilot(thrust=power),
-        "sideslip": pilot(beta=sideslip, phi=lean * sideslip),
+        "sideslip": pilot(beta=sideslip, phi=bank_per_sideslip * sideslip),
         "bank_to_bank": pilot(phi=bank),
         "stabilizer_steps": pilot(stabilizer=held(steps((5.0, 1.0 * deg), (22.0, -1.0 * deg), (40.0, 0.0)), 2.0)),
         "speed_change": pilot(LOOSE, excitation=held(steps((5.0, 1.0 * deg), (12.0, 0.0)), 1.0)),
@@ -102,7 +108,7 @@ def commands(time: Series, trim: Trim, stall: float, lean: float, amplitude: flo
 
 
 def stall_rise(model: Model, values: Mapping[str, Any], alpha: float) -> float:
-    """How far the slow sweep rises above the `alpha` of trim, rad."""
+    """Rise of the slow sweep above the `alpha` of trim, rad."""
     stall = model.break_angle(values) + STALL_BEYOND
     return stall - alpha if stall < ENVELOPE["alpha"][1] else STALL_RISE
 
@@ -116,16 +122,16 @@ def standard_pilots(
     altitude: float,
     amplitude: float = 1.0,
 ) -> tuple[dict[str, Pilot], FlightState]:
-    """Who flies each of `commands` with this model, and the level flight in which all begin.
+    """The pilot of each of `commands` with this model, and the level flight in which all start.
 
     `airspeed` in m/s, `altitude` in m. Raises `InputError` where the model cannot be trimmed.
     """
     trim = trimmed(model, values, aircraft, airspeed, altitude)
     rise = stall_rise(model, values, trim.alpha)
     pressure = 0.5 * float(air(jnp.asarray(altitude))[0]) * airspeed**2
-    lean = -pressure * float(aircraft.wing_area) * SIDE_FORCE / (float(aircraft.mass) * GRAVITY)
+    bank_per_sideslip = -pressure * float(aircraft.wing_area) * SIDE_FORCE / (float(aircraft.mass) * GRAVITY)
     start = FlightState(airspeed, trim.alpha, trim.alpha, 0.0, altitude, trim=trim.command)
-    return commands(time, trim, rise, lean, amplitude), start
+    return commands(time, trim, rise, bank_per_sideslip, amplitude), start
 
 
 def fly_standard(

@@ -1,7 +1,7 @@
-"""The simulated aircraft: what a pilot does to it, the turn that it is made to fly, and what disturbs its coefficients.
+"""The simulated aircraft in three degrees of freedom: pilot, prescribed turn, and disturbances of the coefficients.
 
-Bank angle and sideslip are prescribed with their rates; the aircraft yaws as they require (see `Plant.turn`). Flat
-earth, no wind. The equations of motion are those of `physics.equations_of_motion`.
+Bank angle and sideslip are prescribed with their rates; the yaw rate follows from them (see `Plant.turn`). Flat earth,
+no wind. The equations of motion are those of `physics.equations_of_motion`.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from bayes_aero.physics.atmosphere import GRAVITY, air
 from bayes_aero.physics.equations_of_motion import accelerometers, motion_of_aircraft
 from bayes_aero.physics.kinematics import euler_rates
 
-SIDE_FORCE = -0.7  # 1/rad, CY per sideslip of a transport; our choice, it only sets how much yaw goes with sideslip
+SIDE_FORCE = -0.7  # 1/rad, CY per sideslip of a transport; our choice, it sets only the yaw rate in sideslip
 
-CONTROLS = ("elevator", "stabilizer")  # with which the pilot may pitch, the first that does
+CONTROLS = ("elevator", "stabilizer")  # of the pitching moment; the pilot uses the first one with an effect
 SIGNALS = frozenset(
     [
         "time",
@@ -53,24 +53,24 @@ SIGNALS = frozenset(
         "thrust",
     ]
 )
-"""What the effects of the simulated aircraft may read while it flies; it has no canard."""
+"""Signals that effects may read in the simulation; there is no canard."""
 
 
-def flies(effect: Effect, signals: frozenset[str] = SIGNALS) -> bool:
-    """Whether the simulated aircraft has what an effect acts through."""
+def can_simulate(effect: Effect, signals: frozenset[str] = SIGNALS) -> bool:
+    """Whether the simulation has all channels of an effect."""
     return effect.stage <= Stage.AIRCRAFT or set(effect.channels) <= signals
 
 
-def refuse_unflown(effect: Effect, signals: frozenset[str] = SIGNALS) -> None:
-    """`InputError` for an effect that the simulated aircraft cannot fly."""
-    if not flies(effect, signals):
+def refuse_unsimulated(effect: Effect, signals: frozenset[str] = SIGNALS) -> None:
+    """Raise `InputError` for an effect with channels that the simulation lacks."""
+    if not can_simulate(effect, signals):
         lacks = ", ".join(channel for channel in effect.channels if channel not in signals)
         raise InputError(f"the simulated aircraft cannot fly effect {effect.name}: it has no {lacks}; ask for another")
 
 
 class FlightState(NamedTuple):
-    """Airspeed m/s, alpha, theta rad, q rad/s, altitude m, the separation point that lags if it does, and the command
-    that the pilot has trimmed to, rad."""
+    """Airspeed m/s, alpha, theta rad, q rad/s, altitude m, the lagged separation point, and the pilot's trim command,
+    rad."""
 
     airspeed: Any
     alpha: Any
@@ -86,15 +86,17 @@ TURNING = {"phi": "phi_rate", "phi_rate": "phi_acceleration", "beta": "beta_dot"
 INPUTS = (
     "time", *PRESCRIBED, *dict.fromkeys((*TURNING, *TURNING.values())), "alpha_led", "command", "dCL", "dCD", "dCm",
 )  # fmt: skip
-"""Of `Plant`, SI: the stabilizer beside the pilot's command; bank and sideslip with their derivatives; the alpha that
-the pilot is to lead along, and his command beside feedback and trim; the disturbances of the coefficients."""
+"""Inputs of `Plant`, SI: the stabilizer in addition to the pilot's command; bank and sideslip with their derivatives;
+the commanded alpha `alpha_led`, and the pilot's command in addition to feedback and trim; disturbances of the
+coefficients.
+"""
 
 
 class Plant(System):
-    """The aircraft with its model, ready to be evaluated at one instant.
+    """The aircraft with its model.
 
-    `gains` are those of the feedback on alpha, q and the integral of alpha; the disturbance grows by `buffet` times
-    1 - X. `shares` are those of the pilot's command in each of `CONTROLS`.
+    `gains`: of the feedback on alpha, q and the integral of alpha. The disturbance is multiplied by 1 + `buffet`
+    (1 - X). `shares`: of the pilot's command in each of `CONTROLS`.
     """
 
     model: Model = eqx.field(static=True)
@@ -122,16 +124,17 @@ class Plant(System):
         derivative = FlightState(**rates, lagged_X=X_dot, trim=self.gains[2] * (state.alpha - u["alpha_led"]))
         change = rates | {name: u[rate] for name, rate in TURNING.items()}
         turning = jax.jvp(self.turn, ({name: s[name] for name in change},), (change,))[1]
-        now = now._replace(turning=(turning["p"], now.q_dot, turning["r"]))
-        felt = accelerometers(now, s, self.aircraft)
-        outputs = s | felt | {"alpha_dot": rates["alpha"], "q_dot": now.q_dot}
+        now = now._replace(rotation=(turning["p"], now.q_dot, turning["r"]))
+        accelerations = accelerometers(now, s, self.aircraft)
+        outputs = s | accelerations | {"alpha_dot": rates["alpha"], "q_dot": now.q_dot}
         return jnp.stack(derivative), outputs | {name: now.flow[name] for name in ("X", "CL", "CD", "Cm")}
 
     def turn(self, s: Mapping[str, Any]) -> dict[str, Any]:
-        """Roll, yaw (body axes) and turn rate of a flight with this bank and sideslip: Euler's and the side force's.
+        """Roll, yaw (body axes) and turn rate of a flight with this bank and sideslip, from the kinematic equations and
+        the equation of side force.
 
-        The latter is V (r cos alpha - p sin alpha + beta-dot) = g cos theta sin phi + Y/m with Y that of the sideslip:
-        without sideslip a coordinated turn. It leaves out V-dot tan beta; the side force recorded by `ay` does not.
+        The latter is V (r cos alpha - p sin alpha + beta-dot) = g cos theta sin phi + Y/m with Y due to sideslip:
+        without sideslip a coordinated turn. It neglects V-dot tan beta; the side force recorded by `ay` does not.
         """
         V, phi, theta, q = s["airspeed"], s["phi"], s["theta"], s["q"]
         side = 0.5 * air(s["altitude"])[0] * V * self.aircraft.wing_area * SIDE_FORCE * s["beta"] / self.aircraft.mass
@@ -144,7 +147,7 @@ class Plant(System):
         return {"p": p, "r": r, "psi_dot": psi_dot}
 
     def _signals(self, state: FlightState, u: Row) -> dict[str, Any]:
-        """What effects may depend on but alpha-dot, by the names of the recorded channels, and all of `u`."""
+        """Signals that effects may read, without alpha-dot, by the names of recorded channels; and all of `u`."""
         density, sound = air(state.altitude)
         s = dict(u) | {name: getattr(state, name) for name in ("airspeed", "alpha", "theta", "q", "altitude")}
         feedback = self.gains[0] * (state.alpha - u["alpha_led"]) + self.gains[1] * state.q
@@ -153,7 +156,7 @@ class Plant(System):
         return s | controls | {"density": density, "mach": state.airspeed / sound} | self.turn(s)
 
     def _flow(self, state: FlightState, s: Mapping[str, Any], alpha_dot: Any) -> dict[str, Any]:
-        """What the effects build at this alpha-dot, disturbed, and the separation point that steady flow would have."""
+        """Flow by the effects at this alpha-dot with disturbances, and the separation point of steady flow."""
         s = dict(s) | {"alpha_dot": alpha_dot}
         static = self.model.static_separation(self.values, s, self.aircraft)
         X = jnp.where(self.model.lag(self.values) > 0.0, state.lagged_X, static)

@@ -18,7 +18,7 @@ from bayes_aero.dynamics.simulated.manoeuvres import (
     stall_rise,
     steps,
 )
-from bayes_aero.dynamics.simulated.plant import SIGNALS, refuse_unflown
+from bayes_aero.dynamics.simulated.plant import SIGNALS, refuse_unsimulated
 from bayes_aero.dynamics.simulated.rigid_pilot import fly_rigid
 from bayes_aero.dynamics.simulated.rigid_trim import Condition, RigidTrim, rigid_trim
 from bayes_aero.dynamics.simulated.simulate import Pilot, outside
@@ -27,12 +27,12 @@ from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
 
 LATERAL = ("aileron_doublet", "rudder_doublet", "stall_with_bank", "engine_steps")
-SLIP = 0.05  # rad, at which the bank of a steady sideslip is asked for
+REFERENCE_SIDESLIP = 0.05  # rad, of the steady sideslip that gives the bank per sideslip
 AILERON, RUDDER = np.deg2rad(5.0), np.deg2rad(3.0)  # amplitudes of a transport in a flight test; our choice
 BANK, UNEVEN = np.deg2rad(15.0), 0.3  # in the stall; of the left engine's thrust less the right one's over their sum
-TURNED = {"aileron_doublet": "aileron", "rudder_doublet": "rudder", "engine_steps": "thrust_left"}
-"""Channels in which each moves, beside `manoeuvres.MOVED`."""
-LIMITS = ENVELOPE | {"beta": (-0.35, 0.35), "phi": (-1.2, 1.2)}  # rad: outside, the manoeuvre is refused
+LATERAL_EXCITED_CHANNELS = {"aileron_doublet": "aileron", "rudder_doublet": "rudder", "engine_steps": "thrust_left"}
+"""Channels that each manoeuvre excites, in addition to `manoeuvres.EXCITED_CHANNELS`."""
+ENVELOPE_SIX = ENVELOPE | {"beta": (-0.35, 0.35), "phi": (-1.2, 1.2)}  # rad: outside, the manoeuvre is refused
 
 
 def rigid_pilots(
@@ -44,17 +44,17 @@ def rigid_pilots(
     altitude: float,
     amplitude: float = 1.0,
 ) -> tuple[dict[str, Pilot], RigidTrim]:
-    """Who flies each manoeuvre, and the level flight in which all begin; arguments as `standard_pilots`."""
+    """The pilot of each manoeuvre, and the level flight in which all start; arguments as `standard_pilots`."""
     trim = rigid_trim(model, values, aircraft, Condition(airspeed, altitude))
-    slipping = rigid_trim(model, values, aircraft, Condition(airspeed, altitude, sideslip=SLIP))
-    lean = (slipping.state["phi"] - trim.state["phi"]) / SLIP
+    sideslipping = rigid_trim(model, values, aircraft, Condition(airspeed, altitude, sideslip=REFERENCE_SIDESLIP))
+    bank_per_sideslip = (sideslipping.state["phi"] - trim.state["phi"]) / REFERENCE_SIDESLIP
     level = Trim(trim.state["alpha"], trim.thrust, 0.0)
-    pilots = commands(time, level, stall_rise(model, values, level.alpha), lean, amplitude)
+    pilots = commands(time, level, stall_rise(model, values, level.alpha), bank_per_sideslip, amplitude)
     return pilots | lateral_commands(time, level, pilots["slow_stall"], amplitude), trim
 
 
 def lateral_commands(time: Series, trim: Trim, stalling: Pilot, amplitude: float = 1.0) -> dict[str, Pilot]:
-    """Doublets of aileron and rudder, a short one and a long one; a stall, as `stalling`, in bank; uneven engines."""
+    """Short and long doublets of aileron and rudder; the stall of `stalling` in banked flight; unequal engines."""
     dt = float(time[1] - time[0])
 
     def doublets(size: float) -> Series:
@@ -66,8 +66,8 @@ def lateral_commands(time: Series, trim: Trim, stalling: Pilot, amplitude: float
     def held(smooth: float, *points: tuple[float, float]) -> Series:
         return rounded(amplitude * pulses(time, steps(*points)), smooth, dt)
 
-    still = np.zeros_like(time)
-    level = Pilot(trim.alpha + still, trim.thrust + still, alpha_gain=0.05, rate_gain=0.0)
+    zeros = np.zeros_like(time)
+    level = Pilot(trim.alpha + zeros, trim.thrust + zeros, alpha_gain=0.05, rate_gain=0.0)
     return {
         "aileron_doublet": level._replace(aileron=doublets(AILERON)),
         "rudder_doublet": level._replace(rudder=doublets(RUDDER)),
@@ -88,7 +88,7 @@ def fly_rigid_standard(
 ) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, str]]:
     """As `fly_standard`, in six degrees of freedom: a model of both axes, and the manoeuvres of `LATERAL` as well."""
     for effect in model.acting:
-        refuse_unflown(effect, SIGNALS | {"aileron", "thrust_left", "thrust_right"})
+        refuse_unsimulated(effect, SIGNALS | {"aileron", "thrust_left", "thrust_right"})
     n, before = round(SECONDS / dt) + 1, round(RUN_IN / dt)
     time = (np.arange(n + before) - before) * dt
     pilots, trim = rigid_pilots(model, values, aircraft, time, airspeed, altitude, amplitude)
@@ -96,7 +96,7 @@ def fly_rigid_standard(
     for name, pilot in pilots.items():
         flight = fly_rigid(model, values, aircraft, pilot, trim, dt)
         channels = {key: x[before:] for key, x in flight.items() if np.ndim(x) == 1}
-        if left := outside(channels, LIMITS):
+        if left := outside(channels, ENVELOPE_SIX):
             refused[name] = f"it leaves its envelope: {left}"
         else:
             flown[name] = channels | {"aileron_left": -channels["aileron"], "aileron_right": channels["aileron"]}

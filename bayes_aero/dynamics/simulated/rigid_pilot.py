@@ -1,6 +1,8 @@
-"""Fly a model in six degrees of freedom: controls about a trim, with a pilot who leads alpha, bank and sideslip.
+"""Simulation of a model in six degrees of freedom: controls about a trim, with a pilot who controls alpha, bank,
+sideslip.
 
-The same `Pilot` as in three degrees of freedom: what is prescribed there is commanded here. Flat earth, no wind.
+The same `Pilot` as in three degrees of freedom; bank and sideslip are commanded here, not prescribed. Flat earth, no
+wind.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from jaxtyping import Array, Float
 
 from bayes_aero.dynamics.aircraft.rigid_body import RigidBody
 from bayes_aero.dynamics.simulated.plant import CONTROLS
-from bayes_aero.dynamics.simulated.rigid_trim import SURFACES, Condition, RigidTrim, rigid_trim, signs
+from bayes_aero.dynamics.simulated.rigid_trim import SURFACES, Condition, RigidTrim, control_signs, rigid_trim
 from bayes_aero.dynamics.simulated.simulate import Pilot
 from bayes_aero.dynamics.system import Row, integrate
 from bayes_aero.effect import Stage
@@ -24,18 +26,18 @@ from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air
 
 BANK, ROLL, SLIP, YAW = 0.6, 0.5, 0.5, 0.7  # aileron per bank and roll rate, rudder per sideslip and yaw rate; s
-MEASURED = ("aileron", "rudder")
-DISTURBED = ("CL", "CD", "Cm")
-FINEST = 16  # steps of integration a sample, for a separation point of little lag
-MOST = 0.5  # rad of any control
-SLIPPED = 0.05  # rad, at which the controls of a steady sideslip are asked for
+LATERAL_CONTROLS = ("aileron", "rudder")
+DISTURBED_COEFFICIENTS = ("CL", "CD", "Cm")
+MAX_SUBSTEPS = 16  # integration steps a sample, for a separation point with a short lag
+MAX_DEFLECTION = 0.5  # rad of any control
+REFERENCE_SIDESLIP = 0.05  # rad, of the steady sideslip that gives the controls per sideslip
 
 
 class PilotedBody(RigidBody):
-    """A rigid body whose controls follow from its state and commands; the last state is the pilot's trim in pitch, rad.
+    """A rigid body with feedback of its state to the controls; the pilot's pitch trim, rad, is a further state.
 
-    `gains` are those of the elevator on alpha, q and the integral of alpha. `pilots` has, by moment, the control that
-    makes it and the sign of its effect. The disturbance grows by `buffet` times 1 - X.
+    `gains`: of the elevator on alpha, q and the integral of alpha. `pilots`: for each moment, its control and the sign
+    of the control's effect. The disturbance is multiplied by 1 + `buffet` (1 - X).
     """
 
     gains: Any = (0.0, 0.0, 0.0)
@@ -44,12 +46,12 @@ class PilotedBody(RigidBody):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Those of the body, separation points that lag last, and the trim before them."""
+        """States of the body, the trim, and lagged separation points."""
         return self._with_trim(super().states)
 
     @property
     def start(self) -> tuple[str, ...]:
-        """The same, the attitude in angles."""
+        """The states with angles of attitude."""
         return self._with_trim(super().start)
 
     def _with_trim(self, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -57,17 +59,17 @@ class PilotedBody(RigidBody):
         return (*names[:flying], "trim", *names[flying:])
 
     def flow_signals(self, x: Float[Array, " s"], u: Row) -> dict[str, Any]:
-        """With the controls as the pilot moves them."""
+        """Signals of the flow, with the pilot's controls."""
         return super().flow_signals(x, dict(u) | self._controls(self.named(x), u))
 
     def flow(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> dict[str, Any]:
-        """With what disturbs it."""
+        """Flow with the disturbances of the coefficients."""
         known = super().flow(state, s)
         growth = 1.0 + self.buffet * (1.0 - known["X"])
-        return known | {name: known[name] + growth * s[f"d{name}"] for name in DISTURBED}
+        return known | {name: known[name] + growth * s[f"d{name}"] for name in DISTURBED_COEFFICIENTS}
 
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
-        """With the controls among the outputs."""
+        """Derivative of the state, and outputs with the controls."""
         state = self.named(x)
         rates, outputs = self.rates(x, u)
         rates.insert(self.states.index("trim"), self.gains[2] * (state["alpha"] - u["led_alpha"]))
@@ -75,42 +77,46 @@ class PilotedBody(RigidBody):
 
     def _controls(self, state: Mapping[str, Any], u: Row) -> dict[str, Any]:
         """Deflections, rad: command and feedback."""
-        away = {name: state[name] - u[f"led_{name}"] for name in ("alpha", "beta", "phi")}
-        pitch = -self.gains[0] * away["alpha"] - self.gains[1] * state["q"] - state["trim"]
-        roll = -BANK * away["phi"] - ROLL * state["p"]
-        yaw = SLIP * away["beta"] - YAW * (state["r"] - u["led_r"])
-        wanted = {"Cm": pitch, "Cl": roll, "Cn": yaw}
-        moved = {control: sign * wanted[moment] for moment, control, sign in self.pilots}
-        names = (*CONTROLS, *MEASURED)
-        return {n: u[n] + jnp.clip(moved[n], -MOST, MOST) if n in moved else u[n] for n in names}
+        errors = {name: state[name] - u[f"led_{name}"] for name in ("alpha", "beta", "phi")}
+        pitch = -self.gains[0] * errors["alpha"] - self.gains[1] * state["q"] - state["trim"]
+        roll = -BANK * errors["phi"] - ROLL * state["p"]
+        yaw = SLIP * errors["beta"] - YAW * (state["r"] - u["led_r"])
+        commands = {"Cm": pitch, "Cl": roll, "Cn": yaw}
+        deflections = {control: sign * commands[moment] for moment, control, sign in self.pilots}
+        names = (*CONTROLS, *LATERAL_CONTROLS)
+        return {
+            n: u[n] + jnp.clip(deflections[n], -MAX_DEFLECTION, MAX_DEFLECTION) if n in deflections else u[n]
+            for n in names
+        }
 
 
 def fly_rigid(
     model: Model, values: Mapping[str, Any], aircraft: Aircraft, pilot: Pilot, trim: RigidTrim, dt: float
 ) -> dict[str, Float[np.ndarray, " n"]]:
-    """Every signal of the flight by the names of recorded channels, and the coefficients and X; (n,), SI.
+    """Simulate a flight from `trim`; commanded bank gives a coordinated turn.
 
-    It begins in `trim`, from which controls depart; what is led in bank turns as a coordinated turn does.
+    Returns:
+        All signals by the names of recorded channels, the coefficients and X; (n,), SI.
     """
     values = {name: jnp.asarray(x, float) for name, x in values.items()}
     lag = float(model.lag(values))
-    if lag == 0.0:  # a separation point that does not lag is no state
+    if lag == 0.0:  # a separation point without lag is no state
         model = Model.of([e for e in model.effects if e.stage is not Stage.LAG], axes=model.axes)
-    chosen = signs(model, values, aircraft, trim.state["airspeed"])
+    chosen = control_signs(model, values, aircraft, trim.state["airspeed"])
     pilots = tuple((moment, control, sign) for moment, (control, sign) in chosen.items())
     gains = tuple(jnp.asarray(x, float) for x in (pilot.alpha_gain, pilot.rate_gain, pilot.trim_gain))
     body = PilotedBody(model, values, aircraft, gains=gains, buffet=jnp.asarray(pilot.buffet, float), pilots=pilots)
     inputs = _inputs(pilot, trim, chosen)
-    condition = Condition(trim.state["airspeed"], trim.state["altitude"], trim.state["beta"] + SLIPPED)
-    slipping = rigid_trim(model, values, aircraft, condition).controls if np.any(inputs["led_beta"]) else {}
-    for name in MEASURED:
-        slope = (slipping.get(name, 0.0) - trim.controls.get(name, 0.0)) / SLIPPED
-        inputs[name] = inputs[name] + (slope * inputs["led_beta"] if slipping else 0.0)
+    condition = Condition(trim.state["airspeed"], trim.state["altitude"], trim.state["beta"] + REFERENCE_SIDESLIP)
+    sideslipping = rigid_trim(model, values, aircraft, condition).controls if np.any(inputs["led_beta"]) else {}
+    for name in LATERAL_CONTROLS:
+        slope = (sideslipping.get(name, 0.0) - trim.controls.get(name, 0.0)) / REFERENCE_SIDESLIP
+        inputs[name] = inputs[name] + (slope * inputs["led_beta"] if sideslipping else 0.0)
     first = {name: x[0] for name, x in inputs.items()}
     start = jnp.array([trim.state.get(name, 0.0) for name in body.start])
     fast = lag * float(aircraft.chord) / trim.state["airspeed"]
-    parts = int(np.clip(np.ceil(2.0 * dt / fast), 1, FINEST)) if lag > 0.0 else 1
-    found = _flown(body, body.begun(body.settled(start, first)), inputs, jnp.asarray(dt), parts)
+    parts = int(np.clip(np.ceil(2.0 * dt / fast), 1, MAX_SUBSTEPS)) if lag > 0.0 else 1
+    found = _integrate(body, body.state_at_start(body.complete_start(start, first)), inputs, jnp.asarray(dt), parts)
     flight = {name: np.asarray(x) for name, x in (inputs | found.outputs).items()}
     flight |= {name: np.unwrap(flight[name]) for name in ("phi", "psi")}
     density, sound = (np.asarray(x) for x in air(found.outputs["altitude"]))
@@ -118,18 +124,18 @@ def fly_rigid(
     return {name: np.where(found.inside, x, np.nan) for name, x in flight.items()}
 
 
-_flown = eqx.filter_jit(integrate)
+_integrate = eqx.filter_jit(integrate)
 
 
 def _inputs(pilot: Pilot, trim: RigidTrim, chosen: Mapping[str, tuple[str, float]]) -> dict[str, Float[Array, " n"]]:
-    """Those of `PilotedBody`: commands about the trim, and thrust."""
+    """Inputs of `PilotedBody`: commands about the trim, and thrust."""
     n = np.asarray(pilot.alpha).shape[0]
     whole = lambda x: jnp.broadcast_to(jnp.asarray(x, float), n)  # noqa: E731
     disturbance = jnp.broadcast_to(jnp.asarray(pilot.disturbance, float), (n, 3)).T
-    u = {name: whole(trim.controls.get(name, 0.0)) for name in (*CONTROLS, *MEASURED)}
+    u = {name: whole(trim.controls.get(name, 0.0)) for name in (*CONTROLS, *LATERAL_CONTROLS)}
     pitch, sign = chosen.get("Cm", ("elevator", -1.0))
     u[pitch] = u[pitch] - sign * whole(pilot.excitation)  # a positive command pitches down
-    u |= {name: u[name] + whole(getattr(pilot, name)) for name in ("stabilizer", *MEASURED)}
+    u |= {name: u[name] + whole(getattr(pilot, name)) for name in ("stabilizer", *LATERAL_CONTROLS)}
     surfaces = {name: whole(getattr(pilot, name.split("_")[0], 0.0)) for name in SURFACES if name != "time"}
     speed, phi = trim.state["airspeed"], whole(pilot.phi)
     led = {"led_alpha": whole(pilot.alpha), "led_beta": whole(pilot.beta), "led_phi": phi}
@@ -137,5 +143,5 @@ def _inputs(pilot: Pilot, trim: RigidTrim, chosen: Mapping[str, tuple[str, float
     thrust = whole(pilot.thrust)
     more = thrust * whole(pilot.uneven)
     engines = {"thrust_left": 0.5 * (thrust + more), "thrust_right": 0.5 * (thrust - more), "thrust": thrust}
-    noise = dict(zip((f"d{name}" for name in DISTURBED), disturbance, strict=True))
+    noise = dict(zip((f"d{name}" for name in DISTURBED_COEFFICIENTS), disturbance, strict=True))
     return u | surfaces | led | engines | noise

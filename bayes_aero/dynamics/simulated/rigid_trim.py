@@ -21,12 +21,12 @@ from bayes_aero.physics.atmosphere import GRAVITY
 from bayes_aero.physics.kinematics import RATES, down_of
 
 MOMENTS = ("Cm", "Cl", "Cn")
-STEPS, FARTHEST = 60, 0.1  # of Newton's method, and how far one goes: rad, or shares of the weight
-SETTLED = 1e-9  # m/s2, rad/s2
-RANGE = {"alpha": 0.6, "beta": 0.6, "phi": 1.4, "theta": 1.4}  # rad, either side of zero
-TRAVEL = 1.0  # rad, of a control
+MAX_ITERATIONS, MAX_STEP = 60, 0.1  # of Newton's method; rad, or shares of the weight
+TOLERANCE = 1e-9  # m/s2, rad/s2
+ANGLE_LIMITS = {"alpha": 0.6, "beta": 0.6, "phi": 1.4, "theta": 1.4}  # rad, either side of zero
+MAX_DEFLECTION = 1.0  # rad, of a control
 
-SURFACES = ("spoiler_left", "spoiler_right", "dlc_left", "dlc_right", "flap", "time")  # at rest
+SURFACES = ("spoiler_left", "spoiler_right", "dlc_left", "dlc_right", "flap", "time")  # zero in trim
 
 Values = Mapping[str, Any]
 
@@ -48,7 +48,7 @@ class Condition:
     unequal: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what leaves too much or too little open."""
+        """Check that exactly one of sideslip, bank and turn rate is free."""
         if sum(x is None for x in (self.sideslip, self.bank, self.turn_rate)) != 1:
             raise InputError("steady flight has two of sideslip, bank and turn rate given; the third one follows")
 
@@ -62,8 +62,8 @@ class RigidTrim:
     thrust: float
 
 
-def signs(model: Model, values: Values, aircraft: Aircraft, airspeed: float) -> dict[str, tuple[str, float]]:
-    """By moment coefficient the control with most effect on it, and the sign of it; without those that have none."""
+def control_signs(model: Model, values: Values, aircraft: Aircraft, airspeed: float) -> dict[str, tuple[str, float]]:
+    """For each moment coefficient the first control with an effect on it, and the sign of the effect."""
     rest = {n: jnp.zeros(()) for n in (*SIGNALS, *CONTROLS, "aileron", "rudder", "alpha_dot")}
     rest |= {"airspeed": jnp.asarray(airspeed), "density": jnp.ones(()), "mach": jnp.asarray(0.3)}
 
@@ -93,24 +93,24 @@ def rigid_trim(model: Model, values: Values, aircraft: Aircraft, condition: Cond
         InputError: there is no such flight, or no control balances a moment.
     """
     values = {name: jnp.asarray(x, float) for name, x in values.items()}
-    controls = tuple(name for name, _ in signs(model, values, aircraft, condition.airspeed).values())
+    controls = tuple(name for name, _ in control_signs(model, values, aircraft, condition.airspeed).values())
     body = RigidBody(model, values, aircraft)
-    angles = ("alpha", "theta", *(n for n, x in _open(condition).items() if x is None))
+    angles = ("alpha", "theta", *(n for n, x in _given_or_free(condition).items() if x is None))
     unknown = np.zeros(len(angles) + 1 + len(controls))
     unknown[:2], unknown[len(angles)] = 0.08, 0.1
-    for _ in range(STEPS):
-        unbalanced, slope = _linear(body, condition, angles, controls, jnp.asarray(unknown))
-        unbalanced, slope = np.asarray(unbalanced), np.asarray(slope)
-        if not (np.all(np.isfinite(unbalanced)) and np.all(np.isfinite(slope))):
+    for _ in range(MAX_ITERATIONS):
+        imbalance, slope = _linear(body, condition, angles, controls, jnp.asarray(unknown))
+        imbalance, slope = np.asarray(imbalance), np.asarray(slope)
+        if not (np.all(np.isfinite(imbalance)) and np.all(np.isfinite(slope))):
             break
-        if np.max(np.abs(unbalanced)) < SETTLED:
-            return _checked(condition, angles, controls, unknown, float(aircraft.mass) * GRAVITY)
-        step = -np.linalg.lstsq(slope, unbalanced, rcond=1e-12)[0]
-        unknown = unknown + step * min(1.0, FARTHEST / max(np.max(np.abs(step)), 1e-12))
+        if np.max(np.abs(imbalance)) < TOLERANCE:
+            return _trim_within_limits(condition, angles, controls, unknown, float(aircraft.mass) * GRAVITY)
+        step = -np.linalg.lstsq(slope, imbalance, rcond=1e-12)[0]
+        unknown = unknown + step * min(1.0, MAX_STEP / max(np.max(np.abs(step)), 1e-12))
     raise InputError(_refusal(condition, controls))
 
 
-def _open(condition: Condition) -> dict[str, float | None]:
+def _given_or_free(condition: Condition) -> dict[str, float | None]:
     return {"beta": condition.sideslip, "phi": condition.bank, "turn_rate": condition.turn_rate}
 
 
@@ -122,12 +122,12 @@ def _linear(
     controls: tuple[str, ...],
     unknown: Float[Array, " k"],
 ):
-    """What is not balanced, and its derivative."""
-    given = {name: jnp.asarray(x, float) for name, x in _open(condition).items() if x is not None}
+    """Accelerations and climb that are not balanced, and their derivative by the unknowns."""
+    given = {name: jnp.asarray(x, float) for name, x in _given_or_free(condition).items() if x is not None}
     given |= {"airspeed": jnp.asarray(condition.airspeed), "altitude": jnp.asarray(condition.altitude)}
     weight = body.aircraft.mass * GRAVITY
 
-    def unbalanced(z):
+    def imbalance(z):
         s = given | dict(zip(angles, z, strict=False))
         turn = s.pop("turn_rate")
         thrust = z[len(angles)] * weight
@@ -136,31 +136,31 @@ def _linear(
         u |= dict(zip(controls, z[len(angles) + 1 :], strict=True)) | {"thrust": thrust}
         u |= {f"thrust_{n}": 0.5 * thrust * (1.0 + f * condition.unequal) for n, f in (("left", 1.0), ("right", -1.0))}
         x = jnp.stack([jnp.asarray(s.get(name, 0.0), float) for name in body.start])
-        state = body.begun(body.settled(x, u))
+        state = body.state_at_start(body.complete_start(x, u))
         rates = dict(zip(body.states, body.motion(state, u)[0], strict=True))
         climb = rates["altitude"] / condition.airspeed - jnp.sin(condition.climb)
         return jnp.stack([*(rates[name] for name in ("airspeed", "alpha", "beta", "p", "q", "r")), climb])
 
-    return unbalanced(unknown), jax.jacfwd(unbalanced)(unknown)
+    return imbalance(unknown), jax.jacfwd(imbalance)(unknown)
 
 
-def _checked(
+def _trim_within_limits(
     condition: Condition,
     angles: tuple[str, ...],
     controls: tuple[str, ...],
     found: Float[np.ndarray, " k"],
     weight: float,
 ) -> RigidTrim:
-    given = _open(condition) | dict(zip(angles, map(float, found), strict=False))
+    given = _given_or_free(condition) | dict(zip(angles, map(float, found), strict=False))
     turn, theta, phi = (float(given[n] or 0.0) for n in ("turn_rate", "theta", "phi"))
-    moved = dict(zip(controls, map(float, found[len(angles) + 1 :]), strict=True))
-    inside = all(abs(float(given[n] or 0.0)) < most for n, most in RANGE.items())
-    if not inside or any(abs(x) > TRAVEL for x in moved.values()):
+    deflections = dict(zip(controls, map(float, found[len(angles) + 1 :]), strict=True))
+    inside = all(abs(float(given[n] or 0.0)) < most for n, most in ANGLE_LIMITS.items())
+    if not inside or any(abs(x) > MAX_DEFLECTION for x in deflections.values()):
         raise InputError(_refusal(condition, controls))
     state = {n: float(given[n] or 0.0) for n in ("alpha", "beta", "phi", "theta")}
     state |= {"airspeed": condition.airspeed, "altitude": condition.altitude, "psi": 0.0}
     state |= {n: turn * float(x) for n, x in zip(RATES, down_of(np.float64(phi), np.float64(theta)), strict=True)}
-    return RigidTrim(state, moved, float(found[len(angles)]) * weight)
+    return RigidTrim(state, deflections, float(found[len(angles)]) * weight)
 
 
 def _refusal(condition: Condition, controls: tuple[str, ...]) -> str:

@@ -1,4 +1,4 @@
-"""Fly a model: longitudinal equations of motion, with the same effects that the coefficient fit uses.
+"""Simulation of a model: longitudinal equations of motion, with the effects of the coefficient fit.
 
 Bank angle and sideslip are prescribed (see `plant`). Flat earth, no wind.
 """
@@ -26,12 +26,12 @@ __all__ = ["FlightState", "Pilot", "fly", "fly_together", "outside"]
 
 
 class Pilot(NamedTuple):
-    """What is flown: alpha is led along `alpha` (rad) by a command of trim + gains x errors + `excitation` (rad).
+    """Commands of a simulated flight: alpha follows `alpha` (rad) by trim + gains x errors + `excitation` (rad).
 
-    `thrust` in N; `disturbance` (n, 3) is added to CL, CD, Cm, 1 + `buffet` (1 - X) times. Bank `phi` and sideslip
-    `beta` (rad) are flown exactly, so they must be smooth: they are differentiated. `stabilizer`, `rudder`, `aileron`,
-    `spoiler`, `dlc`, `flap` (rad) only reach the effects. `trim_gain` (1/s) leads alpha by its integral too, as a pilot
-    who trims. `uneven` is the left engine's thrust less the right one's over their sum, which turns a rigid body alone.
+    `thrust` in N; `disturbance` (n, 3) times 1 + `buffet` (1 - X) is added to CL, CD, Cm. Bank `phi` and sideslip
+    `beta` (rad) are prescribed and must be smooth, because they are differentiated. `stabilizer`, `rudder`, `aileron`,
+    `spoiler`, `dlc`, `flap` (rad) act only through effects. `trim_gain` (1/s): feedback on the integral of alpha, as by
+    trimming. `uneven`: the left engine's thrust less the right one's over their sum; it acts only on a rigid body.
     Arrays have one row per sample.
     """
 
@@ -57,13 +57,13 @@ class Pilot(NamedTuple):
 def fly(
     model: Model, values: Mapping[str, Any], aircraft: Aircraft, pilot: Pilot, start: FlightState, dt: float
 ) -> dict[str, Float[Array, " n"]]:
-    """Every signal of the flight by the names of recorded channels, and CL, CD, Cm, X; (n,), SI.
+    """All signals of the flight by the names of recorded channels, and CL, CD, Cm, X; (n,), SI.
 
-    Whatever comes from outside is linear between samples. Held over a step it would lag its own record by half a step,
-    which a critic of the flight finds as a delay of the elevator.
+    Inputs are linear between samples. Held inputs would lag their record by half a sample, which a diagnosis finds as a
+    delay of the elevator.
     """
     numbers, pilot, start = jax.tree.map(lambda x: jnp.asarray(x, float), (dict(values), pilot, start))
-    return _alone(model, numbers, aircraft, pilot, start, jnp.asarray(dt))
+    return _fly_one(model, numbers, aircraft, pilot, start, jnp.asarray(dt))
 
 
 def fly_together(
@@ -74,14 +74,16 @@ def fly_together(
     starts: Sequence[FlightState],
     dt: float,
 ) -> list[dict[str, np.ndarray]]:
-    """As `fly`, several flights of one length side by side."""
+    """As `fly`, for several flights of one length."""
     numbers = {name: jnp.asarray(x, float) for name, x in values.items()}
     rows = [jax.tree.map(lambda *x: np.stack([np.asarray(y, float) for y in x]), *row) for row in (pilots, starts)]
-    flights = {name: np.asarray(x) for name, x in _together(model, numbers, aircraft, *rows, jnp.asarray(dt)).items()}
+    flights = {
+        name: np.asarray(x) for name, x in _fly_several(model, numbers, aircraft, *rows, jnp.asarray(dt)).items()
+    }
     return [{name: x[k] for name, x in flights.items()} for k in range(len(pilots))]
 
 
-def _flown(model: Model, values: dict[str, Any], aircraft: Aircraft, pilot: Pilot, start: FlightState, dt: Any):
+def _fly(model: Model, values: dict[str, Any], aircraft: Aircraft, pilot: Pilot, start: FlightState, dt: Any):
     shares, command = lead(model, values, aircraft, pilot.alpha, start.airspeed, start.altitude)
     gains = (pilot.alpha_gain, pilot.rate_gain, pilot.trim_gain)
     plant = Plant(model, values, aircraft, gains, pilot.buffet, shares)  # type: ignore[arg-type]
@@ -91,12 +93,12 @@ def _flown(model: Model, values: dict[str, Any], aircraft: Aircraft, pilot: Pilo
     return found | {"psi": jnp.cumsum(jnp.pad(0.5 * dt * (turn[1:] + turn[:-1]), (1, 0)))}
 
 
-_alone = eqx.filter_jit(_flown)
-_together = eqx.filter_jit(eqx.filter_vmap(_flown, in_axes=(None, None, None, 0, 0, None)))
+_fly_one = eqx.filter_jit(_fly)
+_fly_several = eqx.filter_jit(eqx.filter_vmap(_fly, in_axes=(None, None, None, 0, 0, None)))
 
 
 def outside(flight: Mapping[str, np.ndarray], envelope: Mapping[str, tuple[float, float]]) -> str | None:
-    """Which channel leaves its range, in words; None where all stay inside."""
+    """The first channel outside its range, in words; None where all are inside."""
     for name, (lower, upper) in envelope.items():
         x = flight[name]
         if not (np.all(np.isfinite(x)) and x.min() >= lower and x.max() <= upper):
@@ -105,7 +107,7 @@ def outside(flight: Mapping[str, np.ndarray], envelope: Mapping[str, tuple[float
 
 
 def _inputs(pilot: Pilot, command: Float[Array, " n"], dt: Any) -> dict[str, Float[Array, " n"]]:
-    """Those of `Plant`."""
+    """Inputs of `Plant`."""
     n = pilot.alpha.shape[0]
     disturbance = jnp.broadcast_to(pilot.disturbance, (n, 3)).T
     pilot = Pilot(*(jnp.broadcast_to(x, n) if jnp.ndim(x) == 0 else x for x in pilot))

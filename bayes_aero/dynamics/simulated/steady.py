@@ -1,4 +1,4 @@
-"""Steady flow: what a model says of lift, drag and separation when the angle of attack stays where it is."""
+"""Steady flow: lift, drag and separation of a model at constant angle of attack."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from jaxtyping import Array, Float
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
 
-NEAR_STALL = 0.1  # share of the samples, those of the most lift, whose conditions stand for the stall's
+NEAR_STALL = 0.1  # share of the samples, those with the largest lift, that represent the conditions at the stall
 RATES = ("alpha_dot", "beta_dot", "p", "q", "r", "p_dot", "q_dot", "r_dot")
 
 
 def conditions(signals: Mapping[str, Any]) -> dict[str, float]:
-    """One value of every signal (SI): its median where lift is in its highest tenth; rates are zero.
+    """One value of every signal (SI): its median over the tenth of the samples with the largest lift; rates are zero.
 
-    Lift, not angle of attack: deep in the stall the elevator is far from where it was at the largest lift. Without an
-    accelerometer the angle of attack has to do.
+    Lift is used and not angle of attack, because in a deep stall the elevator differs from that at the largest lift.
+    Without an accelerometer the angle of attack is used.
     """
     alpha = np.asarray(signals["alpha"])
     lift = alpha
@@ -43,7 +43,7 @@ def steady_flow(
     reference: Mapping[str, Any],
     aircraft: Aircraft,
 ) -> dict[str, Float[Array, " g"]]:
-    """X, CL, CD, Cm over `alpha` (rad), every other signal held at `reference`; separation follows without a lag.
+    """X, CL, CD, Cm over `alpha` (rad), all other signals at `reference`; separation without lag.
 
     `alpha_dot` (rad/s) other than zero gives the quasi-steady flow of a model with hysteresis.
     """

@@ -1,8 +1,8 @@
-"""A fast stand-in for the n x n statistics near the optimum: polynomials in (log l, log g), fitted with gradients.
+"""Emulator (stand-in) of the n x n statistics near the optimum: polynomials in (log l, log g), fitted with gradients.
 
 `logdet` and the logarithmic Cholesky factor of `gram` are smooth functions of u = (log l_1..d, log g), d + 1 numbers;
-every exact evaluation gives their values and all first derivatives, so a few tens of evaluations carry a full
-cubic. The stand-in is never trusted: `reweight.py` measures its error on exact evaluations and removes it.
+every exact evaluation gives their values and all first derivatives, so a few tens of evaluations determine a full
+cubic. `reweight.py` measures the error of the stand-in on exact evaluations and removes it.
 """
 
 import math
@@ -22,13 +22,13 @@ __all__ = ["Emulator", "ExactPoint", "fit_emulator"]
 DEGREE = 4  # also the order of the coefficient tensor below
 # With fewer rows than this times its terms, a degree is too high.
 ROWS_PER_TERM = (0.0, 2.0, 2.0, 2.0, 3.0)
-REACH = 2.0  # the stand-in is believed this far (whitened) around each supporting point
-SUPPORT_GAP = 12.0  # nats below the best point within which a point supports; beyond, it only trains, and weakly
+REACH = 2.0  # whitened distance from a supporting point up to which the stand-in is used
+SUPPORT_GAP = 12.0  # nats below the best point up to which a point supports; others train with a small weight
 PAD = 64  # the list of supporting points is padded to this times a power of two: few lengths, few compiled samplers
 
 
 class ExactPoint(NamedTuple):
-    """One exact evaluation kept for training: u, the statistics and, where it was paid for, their derivatives."""
+    """One exact evaluation for training: u, the statistics and, where they were computed, their derivatives."""
 
     u: Float[np.ndarray, " u"]
     stats: ReducedStats
@@ -48,14 +48,14 @@ class Emulator(eqx.Module):
     support: Float[Array, "points u"]
 
     def __call__(self, u: Float[Array, " u"]) -> tuple[Float[Array, ""], Float[Array, "m m"], Float[Array, ""]]:
-        """(logdet, gram, penalty) at u; the penalty, <= 0, fences off where no exact point vouches for it."""
+        """(logdet, gram, penalty) at u; the penalty, <= 0, excludes regions far from exact points."""
         t = self.whiten @ (u - self.centre)
         away = t - self.support
         squares = jnp.sum(away * away, axis=1)
         nearest = jnp.argmin(squares)
         distance = jnp.sqrt(squares[nearest] + 1e-12)
         outside = jnp.maximum(distance - REACH, 0.0)
-        t = t - away[nearest] * outside / distance  # a polynomial says nothing far from its data: hold it there
+        t = t - away[nearest] * outside / distance  # a polynomial is wrong far from its data: hold it at the border
         t1 = jnp.append(t, 1.0)
         pairs = (t1[:, None] * t1).ravel()
         z = pairs @ jnp.tensordot(pairs, self.coefficients, 1)
@@ -111,9 +111,9 @@ def design(
 def fit_emulator(
     points: list[ExactPoint], log_posterior: Float[np.ndarray, " points"], degree: int = DEGREE
 ) -> Emulator:
-    """Weighted least squares on values and gradients of `points`; the degree falls to what they can carry.
+    """Weighted least squares on values and gradients of `points`, with the highest degree that they determine.
 
-    `log_posterior` of each point decides how much it counts. Coordinates are whitened by the points near the best.
+    The weight of a point follows from its `log_posterior`. Coordinates are whitened by the points near the best one.
     """
     u, gap = np.array([p.u for p in points]), np.max(log_posterior) - log_posterior
     d = u.shape[1]

@@ -1,4 +1,4 @@
-"""Gaussian-process regression of one output on a few inputs: `fit_gp`, and `GPFit` with what it found.
+"""Gaussian-process regression of one output on a few inputs: `fit_gp`, and its result `GPFit`.
 
 fit = fit_gp(X, y, input_names=("alpha", "elevator", "q", "V"), sample=True, seed=1)
 fit.predict(X_new).mean;  fit.posterior;  fit.status.value;  fit.k_hat
@@ -43,11 +43,11 @@ Vector = Float[np.ndarray, " n"] | Float[jax.Array, " n"]
 class GPFit:
     """A trained GP.
 
-    `optima`: the distinct optima found, best first. `status`: what became of the sampling (`.value` advises).
+    `optima`: the distinct optima found, best first. `status`: result of the sampling (`.value` is advice).
     `posterior`: DataTree with posterior, sample_stats, prior and proposal groups, hyperparameters in physical
     units; None unless the status is accepted. `draws` (S, 2d + 3): the posterior's theta, log scaled, equal weight.
-    Of an approximated process `data` is the subset that the hyperparameters, and so `posterior`, are of; `sparse` holds
-    all samples, from which it predicts, and `approximation` what that costs.
+    Of an approximated process, `data` is the subset on which the hyperparameters and `posterior` are based, `sparse`
+    has all samples for predictions, and `approximation` the error.
     """
 
     input_names: tuple[str, ...]
@@ -124,8 +124,8 @@ def fit_gp(
 
     `sample` adds the posterior of the hyperparameters at all n points to the MAP: exact after re-weighting, or
     refused with a status. `approximate` allows more than `MAX_SAMPLES` samples: hyperparameters from a random part of
-    them, predictions from all through inducing points, the error of that in `approximation`. `progress` is told each
-    step in words; by default a bar, if the terminal is one.
+    them, predictions from all of them through inducing points, with the error in `approximation`. `progress` is called
+    with a text at each step; default: a progress bar on a terminal.
     """
     X, y = np.asarray(X, float), np.asarray(y, float)
     names = tuple(input_names or (f"x{i}" for i in range(X.shape[-1])))
@@ -173,7 +173,7 @@ def _with_inducing_points(fit: GPFit, every: ReducedData, seed: int, tell: Calla
 def _with_mode_of_draws(
     optima: tuple[Optimum, ...], sampled: Sampled, data: ReducedData, priors: Priors
 ) -> tuple[Optimum, ...]:
-    """The optima, and the one above the best exact draw if that is elsewhere: sampling crosses what starts miss."""
+    """The optima, and the optimum near the best exact draw if it is a new one, which the starts did not find."""
     weighted = sampled.weighted
     if weighted is None or sampled.status is not SampleStatus.accepted:
         return optima
@@ -185,7 +185,7 @@ def _with_mode_of_draws(
 
 
 def _check(X: np.ndarray, y: np.ndarray, names: tuple[str, ...], approximate: bool) -> None:
-    """Refuse what cannot be fitted, in one sentence."""
+    """Raise `InputError` for data that cannot be fitted."""
     if X.ndim != 2 or y.shape != X.shape[:1] or len(names) != X.shape[1]:
         raise InputError(f"Inputs {X.shape}, output {y.shape} and {len(names)} input names do not go together.")
     n, d = X.shape
@@ -200,9 +200,9 @@ def _check(X: np.ndarray, y: np.ndarray, names: tuple[str, ...], approximate: bo
 
 
 def too_many(n: int) -> str:
-    """Why so many samples are refused, and what can be had instead."""
+    """Why so many samples are refused, and the alternatives."""
     return (
         f"n = {n} samples exceed the bound of {MAX_SAMPLES} of the exact Gaussian process (about "
         f"{5 * 8 * n**2 / 2**30:.0f} GiB and n^3 time); ask for the approximation through inducing points, whose error "
-        "is measured and told (identify: --approximate-gp; Python: approximate=True), or thin the records"
+        "is measured and reported (identify: --approximate-gp; Python: approximate=True), or thin the records"
     )

@@ -1,4 +1,4 @@
-"""The seed paper's kernel (its "DPSE"), its eleven hyperparameters and the scaling they live in.
+"""The seed paper's kernel ("DPSE"), its eleven hyperparameters and their scaling.
 
 k(x, x') = s0^2 + sum_i s_i^2 x_i x_i' + sf^2 exp(-1/2 sum_i (x_i - x_i')^2 / l_i^2) + sn^2 delta      (Eq. 3-5)
 
@@ -22,7 +22,7 @@ __all__ = ["Scaling", "hyper_names", "length_slice", "noise_to_signal", "scaled_
 
 
 def length_slice(d: int) -> slice:
-    """Where the d log length scales sit in theta."""
+    """Positions of the d log length scales in theta."""
     return slice(d + 2, 2 * d + 2)
 
 
@@ -55,7 +55,7 @@ def scaled_distance_kernel(a: Float[np.ndarray, "n d"], b: Float[np.ndarray, "m 
 
 @dataclass(frozen=True, eq=False)
 class Scaling:
-    """Training mean (d,) and sd (d,) of the inputs, rms of the output: the way to scaled units and back."""
+    """Training mean (d,) and sd (d,) of the inputs, rms of the output: conversion to scaled units and back."""
 
     mean: Float[np.ndarray, " d"]
     sd: Float[np.ndarray, " d"]

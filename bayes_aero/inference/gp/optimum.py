@@ -1,4 +1,4 @@
-"""The most probable hyperparameters: many cheap starts on thinned data, the best few polished at all n points.
+"""The most probable hyperparameters: many fast starts on thinned data, the best few refined at all n points.
 
 Only u = (log l, log g) is searched at n x n cost. For each u the other d + 2 hyperparameters are brought to their own
 optimum, which costs no factorisation, and the derivative of the profile is the partial derivative there
@@ -25,7 +25,7 @@ __all__ = ["MapStatus", "Optimum", "curvature", "find_map", "maximise"]
 LENGTH_BOUNDS = (-4.6, 6.9)  # log of scaled length scales: 0.01 to 1000 sd of the input
 NOISE_BOUNDS = (-20.0, 16.0)  # log sn^2/sf^2; the lower end keeps R factorisable in double precision
 SCREEN_SIZE, MIDDLE_SIZE = 300, 1000
-GRADIENT_LEFT = 0.05  # nats per unit of u at which BFGS stops: under 0.01 nat below the optimum
+GRADIENT_TOLERANCE = 0.05  # nats per unit of u at which BFGS stops: under 0.01 nat below the optimum
 DIFFERENCE_STEP = 0.05  # of log l and log g, for the curvature at an optimum
 SAME_OPTIMUM = 0.5  # two optima closer than this in every log l and log g are one
 
@@ -74,7 +74,7 @@ class Profile:
         self.points: list[ExactPoint] = []
 
     def inner(self, u: Float[np.ndarray, " u"], stats: ReducedStats) -> Slopes:
-        """The log posterior at the best w for this u, which `self.w` then is."""
+        """The log posterior at the optimal w for this u; stores it in `self.w`."""
         try:
             self.w, found = best_sizes(self.w, u, stats, self.n, self.priors)
         except np.linalg.LinAlgError:
@@ -123,7 +123,7 @@ def maximise(
     if covariance is None:
         method, options = "L-BFGS-B", {"ftol": tolerance, "gtol": 1e-4, "maxls": 25}
     else:
-        method, options = "BFGS", {"hess_inv0": covariance, "gtol": GRADIENT_LEFT}
+        method, options = "BFGS", {"hess_inv0": covariance, "gtol": GRADIENT_TOLERANCE}
     options["maxiter"] = max_iterations
     limits = box if covariance is None else None
     try:
@@ -209,7 +209,7 @@ def _polish(optimum: Optimum, middle: ReducedData, data: ReducedData, priors: Pr
 
 
 def curvature(optimum: Optimum, data: ReducedData, priors: Priors) -> tuple[Float[np.ndarray, "u u"], list[ExactPoint]]:
-    """Laplace covariance of u (its open directions held to an sd of 1.5), and the exact points it was got from."""
+    """Laplace covariance of u (standard deviation at most 1.5 in undetermined directions), and its exact points."""
     profile = Profile(data, priors, optimum.theta[: data.x.shape[1] + 2].copy())
     u = optimum.u
     _, base, _ = profile(u)

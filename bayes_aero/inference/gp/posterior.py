@@ -1,4 +1,4 @@
-"""The course of full Bayes over the hyperparameters: train a stand-in, sample it, check it, remove its error."""
+"""Posterior of the hyperparameters: train a stand-in, sample it, check it, remove its error."""
 
 from collections.abc import Callable
 from functools import partial
@@ -22,12 +22,12 @@ DESIGN_SPREAD = 1.4  # the design is drawn this many times wider than the Laplac
 # A stand-in whose log density scatters by more is trained further, 12 gradients, before 128 exact draws judge it: on
 # CD a scatter of 0.16 was refused after them.
 PILOT_ERROR = 0.1
-IMPROBABLE = 30.0  # nats below the best point, beyond which a point no longer trains the stand-in
+MAX_GAP = 30.0  # nats below the best point, beyond which a point no longer trains the stand-in
 RHAT_LIMIT, ESS_LIMIT = 1.01, 400.0
 
 
 class Budget(NamedTuple):
-    """What full Bayes may spend: design points and pilots cost a gradient, exact draws a factorisation each;
+    """Budget of the sampling: design points and pilots cost a gradient, exact draws a factorisation each;
     rounds of training at most, and extensions of a NUTS run that has not mixed."""
 
     design: int = 52
@@ -105,16 +105,16 @@ def sample_posterior(
 
 
 def _mixed(chains: Chains) -> bool:
-    """Whether the chains agree and hold enough independent draws (Vehtari et al. 2021)."""
+    """Whether the chains agree and have enough independent draws (Vehtari et al. 2021)."""
     return bool(np.max(chains.rhat) <= RHAT_LIMIT and np.min(chains.ess) >= ESS_LIMIT)
 
 
 def _train(points: list[ExactPoint], optimum: Optimum, data: ReducedData, priors: Priors) -> Emulator:
-    """Stand-in from the exact points, without those so improbable that they would only bend and widen it."""
+    """Stand-in from the exact points, without very improbable ones, which would distort it."""
     usable = [p for p in points if p.stats.ok]
     profile = Profile(data, priors, optimum.theta[: data.x.shape[1] + 2].copy())
     level = np.array([profile.inner(p.u, p.stats).value for p in usable])
-    kept = level > np.max(level) - IMPROBABLE
+    kept = level > np.max(level) - MAX_GAP
     return fit_emulator([p for p, k in zip(usable, kept, strict=True) if k], level[kept])
 
 

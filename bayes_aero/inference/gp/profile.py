@@ -1,4 +1,4 @@
-"""The most probable s0, s_i and sf at given length scales and noise-to-signal ratio: Newton's method, written out.
+"""The most probable s0, s_i and sf at given length scales and noise-to-signal ratio, by Newton's method.
 
 The density is `density.small_posterior`, of a dozen unknowns at most and asked for tens of thousands of times: calls
 into compiled code, and compiling it anew for every number of inputs, would cost more than the sums. With r = s/sf,
@@ -20,10 +20,10 @@ from bayes_aero.inference.gp.priors import Priors
 from bayes_aero.inference.gp.reduced import ReducedStats
 
 SD_BOUNDS = (-10.0, 6.0)  # log of scaled sds: 5e-5 to 400 times the output's rms
-LEFT = 1e-12  # of the posterior's size (1000 nats at least), that the last Newton step may promise; it is taken
-LEAST_CURVATURE = 1e-3  # of a direction, so that a step along a nearly flat one ends somewhere
-LONGEST, FIRST = 4.0, 2.0  # of a step, in log units
-SHORTEST, MOST_STEPS = 1e-9, 100
+GAIN_TOLERANCE = 1e-12  # expected gain of the last Newton step, relative to the log posterior (at least 1000 nats)
+MIN_CURVATURE = 1e-3  # of a direction, so that steps along nearly flat ones stay finite
+MAX_STEP, FIRST_STEP = 4.0, 2.0  # in log units
+MIN_STEP, MAX_STEPS = 1e-9, 100
 
 
 class Slopes(NamedTuple):
@@ -90,22 +90,22 @@ def best_sizes(
     """
     low, high = SD_BOUNDS
     w = np.clip(w, low, high)
-    at, radius = slopes(w, u, stats, n, priors), FIRST
-    for _ in range(MOST_STEPS):
+    at, radius = slopes(w, u, stats, n, priors), FIRST_STEP
+    for _ in range(MAX_STEPS):
         held = ((w <= low) & (at.by_w < 0.0)) | ((w >= high) & (at.by_w > 0.0))
         g = np.where(held, 0.0, at.by_w)
         H = np.where(held[:, None] | held, 0.0, at.by_w_twice)
         values, vectors = np.linalg.eigh(H)
-        step = vectors @ (vectors.T @ g / np.maximum(np.abs(values), LEAST_CURVATURE))
+        step = vectors @ (vectors.T @ g / np.maximum(np.abs(values), MIN_CURVATURE))
         promised, length = g @ step, np.max(np.abs(step))
         step *= min(1.0, radius / max(length, 1e-300))
         there = np.clip(w + step, low, high)
         new = _slopes_or_none(there, u, stats, n, priors)
         if new is not None and new.value >= at.value:
-            w, at, radius = there, new, min(2.0 * radius, LONGEST)
+            w, at, radius = there, new, min(2.0 * radius, MAX_STEP)
         else:
             radius = 0.25 * min(length, radius)
-        if promised < LEFT * max(1e3, abs(at.value)) or radius < SHORTEST:
+        if promised < GAIN_TOLERANCE * max(1e3, abs(at.value)) or radius < MIN_STEP:
             break
     return w, at
 

@@ -23,12 +23,12 @@ from bayes_aero.inference.gp.reduced import ReducedData
 __all__ = ["SUBSET", "Approximation", "SparseData", "choose_inducing", "measured_error", "sparse_parts"]
 
 SUBSET = 3000  # samples, drawn at random, on which the hyperparameters are found exactly
-MOST_INDUCING = 600
+MAX_INDUCING = 600
 CANDIDATES = 10_000  # samples among which inducing points are chosen
-LEFT = 1e-3  # of the noise's variance: no more points are added when all leave less
+MAX_RESIDUAL_VARIANCE = 1e-3  # of the noise's variance: no more points are added when all leave less
 JITTER = 1e-8  # of the signal's variance, on the diagonal of K_zz
-BLOCK = 8192  # samples at a time
-CHECKED = 1000  # samples at which the error is measured
+BLOCK_SAMPLES = 8192  # samples at a time
+CHECK_SAMPLES = 1000  # samples at which the error is measured
 
 
 class SparseData(NamedTuple):
@@ -66,11 +66,11 @@ class Approximation:
 
 
 def choose_inducing(
-    theta: Float[np.ndarray, " p"], x: Float[np.ndarray, "n d"], seed: int, most: int = MOST_INDUCING
+    theta: Float[np.ndarray, " p"], x: Float[np.ndarray, "n d"], seed: int, most: int = MAX_INDUCING
 ) -> Float[np.ndarray, "q d"]:
     """At most `most` of the samples x (scaled), each where those before leave most of SE's variance."""
     u = noise_to_signal(theta)
-    length, enough = np.exp(u[:-1]), LEFT * np.exp(u[-1])
+    length, enough = np.exp(u[:-1]), MAX_RESIDUAL_VARIANCE * np.exp(u[-1])
     if len(x) > CANDIDATES:
         x = x[np.sort(np.random.default_rng(seed).choice(len(x), CANDIDATES, replace=False))]
     scaled = x / length
@@ -103,8 +103,8 @@ def _factorise(u: Float[np.ndarray, " u"], data: SparseData) -> _Factor:
     z = data.z / length
     lower = cholesky(scaled_distance_kernel(z, z) + JITTER * np.eye(len(z)), lower=True)
     vv, v_fy = np.zeros((len(z), len(z))), np.zeros((len(z), data.fy.shape[1]))
-    for begin in range(0, len(data.x), BLOCK):
-        part = slice(begin, begin + BLOCK)
+    for begin in range(0, len(data.x), BLOCK_SAMPLES):
+        part = slice(begin, begin + BLOCK_SAMPLES)
         v = solve_triangular(lower, scaled_distance_kernel(z, data.x[part] / length), lower=True, check_finite=False)
         vv += v @ v.T
         v_fy += v @ data.fy[part]
@@ -130,8 +130,8 @@ def sparse_parts(
     by_basis = cho_solve((factor.inner, True), factor.v_fy * root) / g  # B^-1 V [F y] / g
     by_rest = by_basis[:, d + 1] - by_basis[:, : d + 1] @ weight
     means, variances = [], []
-    for begin in range(0, len(x_new), BLOCK):
-        new_x = x_new[begin : begin + BLOCK]
+    for begin in range(0, len(x_new), BLOCK_SAMPLES):
+        new_x = x_new[begin : begin + BLOCK_SAMPLES]
         v = scaled_distance_kernel(data.z / length, new_x / length)
         v = solve_triangular(factor.lower, v, lower=True, check_finite=False)
         new = np.column_stack([np.ones(len(new_x)), new_x]) * root[: d + 1]
@@ -144,7 +144,7 @@ def sparse_parts(
 
 def measured_error(theta: Float[np.ndarray, " p"], data: SparseData, subset: ReducedData, seed: int) -> Approximation:
     """Compare with the exact process on `subset`, and with half the inducing points on all samples."""
-    rows = np.random.default_rng([seed, 1]).choice(len(data.x), min(CHECKED, len(data.x)), replace=False)
+    rows = np.random.default_rng([seed, 1]).choice(len(data.x), min(CHECK_SAMPLES, len(data.x)), replace=False)
     new, noise = data.x[rows], float(np.exp(2.0 * theta[-1]))
     exact = gaussian_parts(theta, subset, new)
     same = sparse_parts(theta, SparseData(subset.x, subset.fy, data.z), new)

@@ -1,4 +1,4 @@
-"""A fit with all that may disturb a flight: gusts, and noise of the states for what gusts do not explain."""
+"""A fit with all disturbances of a flight: gusts, and process noise of the states for what gusts do not explain."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult, fit_prediction_error
 
 GUSTS = ("vertical_gust", "longitudinal_gust")
-FIRST_F, FIRST_R = 0.3, 0.1  # of output error's residuals: process noise in a second, share that is measurement noise
-LEAST = 0.1  # of these, with which a fit begins beside another
-BESIDE_GUSTS = 0.03  # the first of these in gusts: begun larger, noise of the states takes the place of a gust
+FIRST_F = 0.3  # process noise at the start of a fit, in standard deviations of output error's residuals a second
+FIRST_F_GUSTS = 0.03  # the same in gusts: from a larger value, process noise of the states takes the place of a gust
+FIRST_R = 0.1  # measurement noise at the start, as a share of the variance of output error's residuals
+MIN_SHARE = 0.1  # of these starting values, below which a fit never starts
 
 
 def disturbed(flown: SegmentTrajectories) -> SegmentTrajectories:
-    """The same segments in gusts; linear systems have none of their own.
+    """The same segments in gusts; linear systems have no gusts.
 
-    Where the model has buffet the noise of the sensors does not grow as the flow separates.
+    Where the model has buffet, the noise of the sensors does not grow as the flow separates.
     """
     dynamics = flown.dynamics
     if not isinstance(dynamics, EffectDynamics):
@@ -31,7 +32,7 @@ def disturbed(flown: SegmentTrajectories) -> SegmentTrajectories:
     gusts = (*GUSTS, *(("lateral_gust",) if "beta" in dynamics.states and "beta" in flown.outputs else ()))
     absent = [name for name in gusts if name not in {e.name for e in dynamics.model.acting}]
     model = dynamics.model.extended(*absent)
-    steady = np.ones_like(flown.noise_growth) if model.shaken else flown.noise_growth
+    steady = np.ones_like(flown.noise_growth) if model.has_buffet else flown.noise_growth
     return replace(flown, dynamics=replace(dynamics, model=model), noise_growth=steady)
 
 
@@ -42,11 +43,11 @@ def fit_disturbed(
     *,
     priors: bool = True,
     exact: bool = True,
-    near: PredictionErrorResult | None = None,
+    similar: PredictionErrorResult | None = None,
 ) -> tuple[SegmentTrajectories, PredictionErrorResult]:
-    """Fit with process noise, from what output error found.
+    """Fit with process noise, from the estimates of output error.
 
-    States that are compared with a sensor have noise of their own; gusts are driven by theirs; others follow.
+    States that a sensor measures have process noise of their own; gusts have theirs; other states have none.
 
     Args:
         flown: segments of flights.
@@ -54,7 +55,7 @@ def fit_disturbed(
         R: variances of its residuals, (c,), SI.
         priors: whether the parameters' priors count.
         exact: as of `fit_prediction_error`.
-        near: a fit of a model that differs by an effect; gusts and noise begin there.
+        similar: a fit of a model that differs by one effect; gusts and noise start from its estimates.
 
     Returns:
         The segments in gusts, and the fit.
@@ -63,22 +64,26 @@ def fit_disturbed(
     known = dict(zip(flown.dynamics.names, estimate, strict=True))
     start = np.array([known.get(p.name, p.start) for p in gusty.dynamics.free])
     sd = np.sqrt(R)
-    first = FIRST_F if gusty.dynamics.names == flown.dynamics.names else BESIDE_GUSTS
+    first = FIRST_F if gusty.dynamics.names == flown.dynamics.names else FIRST_F_GUSTS
     F = np.array([first * sd[outputs.index(n)] if n in outputs else 0.0 for n in gusty.dynamics.states])
     R = FIRST_R * R
-    if near is not None:
-        start, F, R = _begun(near, gusty.dynamics, start, F)
+    if similar is not None:
+        start, F, R = _start_from(similar, gusty.dynamics, start, F)
     return gusty, fit_prediction_error(gusty, F, R, start=start, priors=priors, exact=exact)
 
 
-def _begun(
-    near: PredictionErrorResult, dynamics: Dynamics, start: Float[np.ndarray, " k"], F: Float[np.ndarray, " s"]
+def _start_from(
+    similar: PredictionErrorResult, dynamics: Dynamics, start: Float[np.ndarray, " k"], F: Float[np.ndarray, " s"]
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " s"], Float[np.ndarray, " c"]]:
-    """Gusts, process noise and measurement noise of a fit; none so small that the likelihood would be flat there."""
-    known = {n: float(x) for n, x in zip(near.names, near.estimate, strict=True) if n in dynamics.of_disturbances}
-    noise = dict(zip(near.states, near.F, strict=True))
+    """Gusts, process noise and measurement noise of a similar fit, none so small that the likelihood is flat."""
+    known = {
+        n: float(x)
+        for n, x in zip(similar.names, similar.estimate, strict=True)
+        if n in dynamics.disturbance_parameters
+    }
+    noise = dict(zip(similar.states, similar.F, strict=True))
     start = np.array(
-        [max(known[n], LEAST * x) if n in known else x for n, x in zip(dynamics.names, start, strict=True)]
+        [max(known[n], MIN_SHARE * x) if n in known else x for n, x in zip(dynamics.names, start, strict=True)]
     )
-    F = np.array([max(float(noise.get(n, x)), LEAST * x) for n, x in zip(dynamics.states, F, strict=True)])
-    return start, F, near.R
+    F = np.array([max(float(noise.get(n, x)), MIN_SHARE * x) for n, x in zip(dynamics.states, F, strict=True)])
+    return start, F, similar.R

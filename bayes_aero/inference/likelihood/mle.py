@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
-from bayes_aero.inference.likelihood.restraints import bounded, prior_conflicts
+from bayes_aero.inference.likelihood.restraints import active_bounds, prior_conflicts
 from bayes_aero.inference.likelihood.sensitivity import data_of, evaluate, full_steps
 from bayes_aero.inference.scores import score
 from bayes_aero.inference.variance.robust_bounds import robust_covariance
@@ -24,10 +24,10 @@ from bayes_aero.model.observations import Observations
 from bayes_aero.parameter import Role
 
 MAX_ITERATIONS = 100
-DECREMENT = 1e-7  # expected gain in log-likelihood of one more step, at which it stops: 5e-4 of a Cramer-Rao deviation
+TOLERANCE = 1e-7  # expected gain in log-likelihood of one more step: 5e-4 Cramer-Rao standard errors
 SINGULAR = 1e-11  # smallest eigenvalue of the information scaled to unit diagonal
-MOST_ALONE = 24  # manoeuvres that are fitted one by one, too
-FROZEN_X = 0.05  # a separation point that moves less than this over a record says nothing of the stall
+MAX_SEPARATE_FITS = 24  # manoeuvres that are also fitted one by one
+MIN_X_RANGE = 0.05  # range of the separation point over a record below which the stall is not identified
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class _Descent:
 def solve(A: np.ndarray, g: np.ndarray, damping: float) -> np.ndarray:
     """(A + damping diag A)^-1 g with unit-diagonal scaling; least squares where A is singular."""
     size, tiny = np.diag(A), np.finfo(float).tiny
-    # A diagonal that rounding has eaten (of an unstable flight) counts as the largest, lest its row overflow.
+    # A diagonal element lost to rounding (unstable flight) is replaced by the largest, so that its row stays finite.
     scale = np.sqrt(np.where(size > 0.0, np.maximum(size, tiny), np.max(size, initial=tiny)))
     scaled = A / np.outer(scale, scale) + damping * np.eye(len(g))
     return np.linalg.lstsq(scaled, g / scale, rcond=1e-14)[0] / scale
@@ -51,13 +51,13 @@ def solve(A: np.ndarray, g: np.ndarray, damping: float) -> np.ndarray:
 def descend(model: Model, observations: Observations, start: Float[np.ndarray, " k"]) -> _Descent:
     """Gauss-Newton from one start: full step, halved steps, then Levenberg-Marquardt; bounds by an active set.
 
-    Full steps run compiled for as long as they gain and stay inside the bounds; the rest of the way is walked here.
+    Full steps run compiled as long as they lower the cost and stay inside the bounds; the remaining steps run here.
     """
     data = data_of(model, observations)
     lower, upper = (np.array([p.bounds[i] for p in model.free]) for i in (0, 1))
-    point = full_steps(data, np.clip(start, lower, upper), lower, upper, DECREMENT, MAX_ITERATIONS)
+    point = full_steps(data, np.clip(start, lower, upper), lower, upper, TOLERANCE, MAX_ITERATIONS)
     active = np.zeros(len(start), bool)
-    for iteration in range(point.taken + 1, MAX_ITERATIONS + 1):
+    for iteration in range(point.steps + 1, MAX_ITERATIONS + 1):
         theta, A, g = point.theta, point.information, point.gradient
         if not (np.isfinite(point.cost) and np.all(np.isfinite(A))):
             return _Descent(theta, np.inf, False, iteration, active)
@@ -65,14 +65,14 @@ def descend(model: Model, observations: Observations, start: Float[np.ndarray, "
         free = np.flatnonzero(~active)
         newton = solve(A[np.ix_(free, free)], g[free], 0.0)
         gain = 0.5 * newton @ g[free]
-        if gain < DECREMENT:
+        if gain < TOLERANCE:
             return _Descent(theta, point.cost, True, iteration, active)
         steps = (newton * size for size in (1.0, 0.5, 0.25, 0.125))
         damped = (solve(A[np.ix_(free, free)], g[free], 10.0**k) for k in range(-3, 6))
         for step in chain(steps, damped):
             trial = theta.copy()
             trial[free] = np.clip(theta[free] + step, lower[free], upper[free])
-            found = full_steps(data, trial, lower, upper, DECREMENT, 0)
+            found = full_steps(data, trial, lower, upper, TOLERANCE, 0)
             if found.cost < point.cost:
                 break
         else:
@@ -92,14 +92,14 @@ def _starts(model: Model, count: int, seed: int) -> list[np.ndarray]:
 
 
 def _degenerate(model: Model, observations: Observations, descent: _Descent) -> bool:
-    """True where the fit explains the record by flow that never changes its separation."""
+    """Whether the separation point is constant in the fit, or its break angle is at a bound."""
     if not np.isfinite(descent.cost):
         return True
     breaks = [p.role is Role.BREAK_ANGLE for p in model.free]
     if not any(breaks):
         return False
     X = np.asarray(evaluate(data_of(model, observations), jnp.asarray(descent.theta))[2])
-    return bool(np.any(descent.active & breaks) or np.ptp(X) < FROZEN_X)
+    return bool(np.any(descent.active & breaks) or np.ptp(X) < MIN_X_RANGE)
 
 
 def fit_mle(
@@ -112,39 +112,39 @@ def fit_mle(
 ) -> MleResult:
     """Maximum-likelihood estimate of the model's free parameters.
 
-    Starts from `start` (default: the card's) and from `extra_starts` prior draws; among the optima in which the
-    separation point moves, the one with the smallest det R is kept, so a start that degenerates is recovered from.
+    Starts from `start` (default: the card's) and from `extra_starts` prior draws. The result is the optimum with the
+    smallest det R among those in which the separation point varies.
     """
     starts = _starts(model, extra_starts, seed)
     if start is not None:
         starts[0] = np.asarray(start, float)
     runs = [descend(model, observations, s) for s in starts]
-    sound = [not _degenerate(model, observations, run) for run in runs]
-    usable = [run for run, good in zip(runs, sound, strict=True) if good and run.converged]
-    usable = usable or [run for run, good in zip(runs, sound, strict=True) if good] or runs
+    regular = [not _degenerate(model, observations, run) for run in runs]
+    usable = [run for run, good in zip(runs, regular, strict=True) if good and run.converged]
+    usable = usable or [run for run, good in zip(runs, regular, strict=True) if good] or runs
     best = min(usable, key=lambda run: run.cost)
     table = tuple(
         (run.cost, "degenerate" if not good else "converged" if run.converged else "not converged")
-        for run, good in zip(runs, sound, strict=True)
+        for run, good in zip(runs, regular, strict=True)
     )
-    return _report(model, observations, best, any(sound), table)
+    return _result(model, observations, best, any(regular), table)
 
 
-def fit_alone(model: Model, observations: Observations, *, seed: int = 0) -> dict[str, MleResult]:
-    """Each manoeuvre by itself, by name; none where there is one only, or more than `MOST_ALONE`.
+def fit_each_manoeuvre(model: Model, observations: Observations, *, seed: int = 0) -> dict[str, MleResult]:
+    """Fits of single manoeuvres by name; none where there is only one, or more than `MAX_SEPARATE_FITS`.
 
-    Every length of a manoeuvre is compiled anew, some seconds each.
+    Each length of a manoeuvre is compiled again, which takes some seconds.
     """
     count = len(observations.names)
-    alone = range(count) if 1 < count <= MOST_ALONE else range(0)
-    return {observations.names[i]: fit_mle(model, observations.only(i), seed=seed) for i in alone}
+    manoeuvres = range(count) if 1 < count <= MAX_SEPARATE_FITS else range(0)
+    return {observations.names[i]: fit_mle(model, observations.only(i), seed=seed) for i in manoeuvres}
 
 
-def _report(
-    model: Model, observations: Observations, best: _Descent, sound: bool, table: Sequence[tuple[float, str]]
+def _result(
+    model: Model, observations: Observations, best: _Descent, regular: bool, table: Sequence[tuple[float, str]]
 ) -> MleResult:
     data = data_of(model, observations)
-    point = full_steps(data, best.theta, best.theta, best.theta, DECREMENT, 0)
+    point = full_steps(data, best.theta, best.theta, best.theta, TOLERANCE, 0)
     R, A = point.R, point.information
     residual, S, X = map(np.asarray, evaluate(data, jnp.asarray(best.theta)))
     measured = np.asarray(observations.measured)
@@ -157,7 +157,7 @@ def _report(
     corrected, blocks = robust_covariance(
         inverse, S, R, residual, observations.manoeuvre, np.asarray(observations.start), observations.dt
     )
-    if not sound:
+    if not regular:
         status = MleStatus.STALL_NOT_IDENTIFIED
     elif singular:
         status = MleStatus.SINGULAR
@@ -187,6 +187,8 @@ def _report(
         lag1=lag1,
         starts=tuple(table),
         blocks=blocks,
-        bounded=bounded(model.free, best.theta, point.gradient, inverse, np.sqrt(np.diag(corrected)), best.active),
+        active_bounds=active_bounds(
+            model.free, best.theta, point.gradient, inverse, np.sqrt(np.diag(corrected)), best.active
+        ),
         conflicts=prior_conflicts(model.free, best.theta, np.sqrt(np.diag(corrected))) if best.converged else (),
     )

@@ -8,13 +8,13 @@ from enum import Enum
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.inference.likelihood.restraints import Bounded, PriorConflict
+from bayes_aero.inference.likelihood.restraints import ActiveBound, PriorConflict
 from bayes_aero.inference.scores import Scores
 from bayes_aero.inference.variance.inseparable import Inseparable, inseparable
 from bayes_aero.parameter import Parameter, Role
 
-FEWEST_BLOCKS = 10  # of 0.2 s for each parameter, below which intervals rest on too little; our choice
-LARGE_BIAS = 0.75  # share of the corrected deviation, which contains the bias
+FEWEST_BLOCKS = 10  # of 0.2 s for each parameter, below which a record is too short for intervals; our choice
+LARGE_BIAS = 0.75  # of the corrected standard error, which contains the bias
 
 
 class MleStatus(Enum):
@@ -38,8 +38,8 @@ class MleResult:
     `covariance` (k, k) is that of Cramer and Rao, for white residuals; `corrected` (k, k) counts their autocorrelation
     over `blocks` blocks of 0.2 s. `R` (3,) are the residual variances of CL, CD, Cm, `eigenvalues` (k,) those of the
     information matrix scaled to unit diagonal, `separation` the range of X. `fit` and `lag1` are by coefficient,
-    `starts` the cost and status of each start. `bounded` are parameters at their bounds, `conflicts` priors that the
-    record contradicts. `bias` (k,) from recording noise is subtracted from `estimate`; None: not computed.
+    `starts` the cost and status of each start. `active_bounds` are parameters at their bounds, `conflicts` priors that
+    the record contradicts. `bias` (k,) from recording noise is subtracted from `estimate`; None: not computed.
     """
 
     parameters: tuple[Parameter, ...]
@@ -55,7 +55,7 @@ class MleResult:
     fit: dict[str, Scores]
     lag1: dict[str, float]
     starts: tuple[tuple[float, str], ...]
-    bounded: tuple[Bounded, ...] = ()
+    active_bounds: tuple[ActiveBound, ...] = ()
     conflicts: tuple[PriorConflict, ...] = ()
     blocks: int | None = None
     bias: Float[np.ndarray, " k"] | None = None
@@ -105,9 +105,9 @@ class MleResult:
 
     def warnings(self) -> list[str]:
         """Warnings for the user of the numbers, one sentence each."""
-        said = [] if self.status is MleStatus.CONVERGED else [f"Maximum likelihood: {self.status.value}."]
+        sentences = [] if self.status is MleStatus.CONVERGED else [f"Maximum likelihood: {self.status.value}."]
         if self.blocks is not None and self.blocks < FEWEST_BLOCKS * len(self.names):
-            said.append(
+            sentences.append(
                 f"The record is too short for reliable intervals: it has {self.blocks} blocks of 0.2 s for "
                 f"{len(self.names)} parameters, and at least {FEWEST_BLOCKS} for each parameter are needed; add "
                 "manoeuvres or fix parameters."
@@ -116,7 +116,7 @@ class MleResult:
         breaks = [p.name for p in self.parameters if p.role is Role.BREAK_ANGLE]
         if breaks and low > 0.5:
             shape = [p.name for p in self.parameters if p.role in (Role.ABRUPTNESS, Role.BREAK_ANGLE)]
-            said.append(
+            sentences.append(
                 f"The angle of attack never approached {' or '.join(breaks)}: X stays between {low:.2f} and "
                 f"{high:.2f}, so {', '.join(shape)} and the terms with 1 - X depend on the onset of separation alone."
             )
@@ -124,14 +124,13 @@ class MleResult:
             if bound > 0.5 * abs(value):
                 near = bound < 10.0 * abs(value)  # at a bound of zero a share of the estimate is infinite
                 size = f"{bound / abs(value):.0%} of it" if near else f"{bound:.2g}, its estimate {value:.2g}"
-                said.append(f"{name} is not identified: its Cramer-Rao standard error is {size}.")
+                sentences.append(f"{name} is not identified: its Cramer-Rao standard error is {size}.")
         bias = np.zeros(len(self.names)) if self.bias is None else self.bias
-        for name, moved, sd in zip(self.names, bias, self.crb_corrected, strict=True):
-            if abs(moved) > LARGE_BIAS * sd:
-                said.append(
-                    f"Noise of the recorded signals biases {name} by {moved:+.2g}, most of its corrected standard "
-                    f"error; the "
-                    "bias is subtracted to first order only. Records with less noise are needed."
+        for name, error, sd in zip(self.names, bias, self.crb_corrected, strict=True):
+            if abs(error) > LARGE_BIAS * sd:
+                sentences.append(
+                    f"Noise of the recorded signals biases {name} by {error:+.2g}, most of its corrected standard "
+                    "error; the bias is subtracted to first order only. Records with less noise are needed."
                 )
-        said += [f"{a} and {b} are correlated by {value:+.3f}." for a, b, value in self.strong_correlations()]
-        return said
+        sentences += [f"{a} and {b} are correlated by {value:+.3f}." for a, b, value in self.strong_correlations()]
+        return sentences

@@ -1,7 +1,7 @@
-"""The bias that noise of the recorded signals gives the estimates, and estimates without it.
+"""Bias of the estimates by noise of the recorded signals, and estimates without it.
 
-The model's inputs are recorded with noise. Least squares on such regressors is not consistent, and its residuals do not
-show it: near the stall the vane's noise draws tau2 and Cmq towards zero by half a deviation.
+The model's inputs are recorded with noise. Least squares on noisy regressors is not consistent, and its residuals do
+not show it: near the stall the noise of the vane biases tau2 and Cmq towards zero by half a standard error.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Forming, observe
 
-PAIRS = 5  # of records with the same noise added and subtracted, which cancels what is linear in it
+PAIRS = 5  # of records with the same noise added and subtracted, so that the linear part cancels
 
 
 def without_noise_bias(
     mle: MleResult, records: Sequence[FlightRecord], card: Card, model: Model, *, seed: int = 0
 ) -> MleResult:
-    """The estimate without the bias from recording noise; the corrected covariance counts the bias as a deviation.
+    """The estimate without the bias by recording noise; the corrected covariance includes the squared bias.
 
-    White noise of the size that each channel has is added once more, and the coefficients are formed and fitted anew:
-    the estimate moves by about as much as the noise that is there has moved it, for the bias grows with the noise's
-    variance. That is true to first order, so the bias itself counts as a deviation. A fit that has not converged, with
-    the noise or without, is returned as it is.
+    White noise with the standard deviation of each channel's noise is added to the records, and the coefficients are
+    formed and fitted again. The bias is proportional to the variance of the noise, so the estimate changes by about the
+    bias that the recorded noise has caused. This holds to first order; the covariance therefore includes the squared
+    bias. A fit that has not converged, with or without the added noise, is returned unchanged.
 
     Args:
         mle: the fit to the coefficients of `records`, formed as `matched`.
-        records: as they were fitted.
-        card: theirs.
-        model: as fitted.
-        seed: of the noise.
+        records: the fitted records.
+        card: of the records.
+        model: the fitted model.
+        seed: of the added noise.
 
     Source: simulation extrapolation (SIMEX), Cook and Stefanski, J. Am. Stat. Assoc. 89 (1994) 1314.
     """
@@ -60,7 +60,7 @@ def without_noise_bias(
 
 
 def _noise(record: FlightRecord, rng: np.random.Generator) -> dict[str, Float[np.ndarray, " n"]]:
-    """White noise of the size that each channel has."""
+    """White noise with the standard deviation of each channel's noise."""
     sizes = {name: noise_of(x) for name, x in record.channels.items()}
     return {name: sd * rng.standard_normal(record.n) for name, sd in sizes.items() if sd > 0.0}
 

@@ -1,6 +1,6 @@
-"""Normal equations of an output-error step: residuals, sensitivities, their products, and the priors.
+"""Normal equations of an output-error step: inner products of residuals and sensitivities, with the priors.
 
-Initial states belong to one segment each and are eliminated there.
+Each segment has its own initial state, which is eliminated from the equations of that segment.
 """
 
 from __future__ import annotations
@@ -23,27 +23,30 @@ from bayes_aero.dynamics.flight import Dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, simulate
 from bayes_aero.inference.threads import cores
 
-DEPARTURE = {"airspeed": 1.0, "alpha": 0.01, "theta": 0.01, "q": 0.01, "altitude": 3.0} | dict.fromkeys(POINTS, 0.1)
-"""Standard deviation of the measured initial state, SI: what the sensors of a flight test allow; our choice."""
-OTHER_DEPARTURE = {"m/s": 1.0, "m": 3.0}  # by the unit of a state of another name
-REST_DEPARTURE = 0.05
-TINY, HUGE = 1e-300, 1e100  # a sensitivity beyond HUGE is that of a motion that is not unique
-TRACE = 1e-12  # of a diagonal: beyond rounding, within nothing that a record tells
-OUTSIDE = 1e6  # cost of a trajectory that is all outside the envelope: worse than any inside
+INITIAL_STATE_SD = {"airspeed": 1.0, "alpha": 0.01, "theta": 0.01, "q": 0.01, "altitude": 3.0} | dict.fromkeys(
+    POINTS, 0.1
+)
+"""Standard deviation of the measured initial state, SI: the accuracy of flight-test sensors; our choice."""
+INITIAL_STATE_SD_BY_UNIT = {"m/s": 1.0, "m": 3.0}  # of states with another name, by unit
+DEFAULT_INITIAL_STATE_SD = 0.05
+TINY = 1e-300
+MAX_GRAM = 1e100  # inner products beyond this: the motion is not unique
+REGULARISATION = 1e-12  # added to a diagonal, relative: above rounding, below the information of any record
+ENVELOPE_PENALTY = 1e6  # cost of a trajectory that is wholly outside the envelope: worse than any inside
 
 
-def departures(dynamics: Dynamics) -> Float[np.ndarray, " s"]:
+def initial_state_sd(dynamics: Dynamics) -> Float[np.ndarray, " s"]:
     """Standard deviations of the measured initial state, SI."""
-    own = {name: OTHER_DEPARTURE.get(unit, REST_DEPARTURE) for name, unit in dynamics.units.items()}
-    return np.array([DEPARTURE.get(name, own.get(name, REST_DEPARTURE)) for name in dynamics.start])
+    own = {name: INITIAL_STATE_SD_BY_UNIT.get(unit, DEFAULT_INITIAL_STATE_SD) for name, unit in dynamics.units.items()}
+    return np.array([INITIAL_STATE_SD.get(name, own.get(name, DEFAULT_INITIAL_STATE_SD)) for name in dynamics.start])
 
 
 @dataclass(frozen=True)
 class Priors:
-    """Normal priors of the step: mean and precision of theta (k,) and of the states' departures (s,).
+    """Normal priors: mean and precision of theta (k,), precision of the corrections of the initial states (s,).
 
-    Precisions have been multiplied by `weight`: what coloured residuals cost the likelihood; 0: there are no priors.
-    `fixed`: the initial states do not depart from where they begin.
+    The precisions are multiplied by `weight`, the variance inflation of coloured residuals; 0: no priors. `fixed`: the
+    initial states are not corrected.
     """
 
     mean: Float[np.ndarray, " k"]
@@ -54,19 +57,20 @@ class Priors:
 
     @classmethod
     def of(cls, flown: SegmentTrajectories, weight: float, without: Collection[str] = ()) -> Priors:
-        """All priors as normals, counted `weight` times; parameters `without` one have none."""
+        """Normal approximations of all priors, times `weight`; the parameters `without` have no prior."""
         pairs = np.array([p.prior.normal for p in flown.dynamics.free]).reshape(-1, 2)
-        deviations = departures(flown.dynamics)
-        believed = np.array([p.name not in without for p in flown.dynamics.free], float)
-        precisions = weight * believed * pairs[:, 1] ** -2.0, weight * deviations**-2.0
+        deviations = initial_state_sd(flown.dynamics)
+        with_prior = np.array([p.name not in without for p in flown.dynamics.free], float)
+        precisions = weight * with_prior * pairs[:, 1] ** -2.0, weight * deviations**-2.0
         return cls(pairs[:, 0], *precisions, weight, flown.fixed is not None)
 
 
-class Normal(NamedTuple):
-    """Inner products of residual and sensitivities: (w, c, 1 + k + s, 1 + k + s), samples (w,), and what was inside.
+class InnerProducts(NamedTuple):
+    """Inner products of residuals and sensitivities of w segments, c outputs, k parameters and s initial states.
 
-    `columns` are residual and sensitivities themselves, (w, n, c, 1 + k + s) in parts that follow each other along w,
-    both in deviations of attached flow where the noise swells.
+    `gram` (w, c, 1 + k + s, 1 + k + s): products; the residual comes first. `count` (w,): samples. `inside`: share of
+    the samples inside the envelope. `columns`: residuals and sensitivities, (w, n, c, 1 + k + s), in parts along w,
+    divided by the noise growth.
     """
 
     gram: Float[np.ndarray, "w c j j"]
@@ -76,8 +80,8 @@ class Normal(NamedTuple):
 
 
 @eqx.filter_jit
-def _normal(flown: SegmentTrajectories, theta: Float[Array, " k"], departure: Float[Array, "w s"]):
-    """Grams, samples inside the envelope, columns; sensitivities forward, in all directions at once."""
+def _inner_products(flown: SegmentTrajectories, theta: Float[Array, " k"], departure: Float[Array, "w s"]):
+    """Gram matrices, samples inside the envelope, and columns; forward sensitivities, all directions at once."""
     k, s = theta.shape[0], departure.shape[1]
 
     def residual(theta, shared):
@@ -92,10 +96,10 @@ def _normal(flown: SegmentTrajectories, theta: Float[Array, " k"], departure: Fl
 
 
 class NormalEquations:
-    """Looks at one set of segments from many points; the segments are shared out among the cores.
+    """Normal equations of one set of segments, evaluated at many points; the segments are divided among the cores.
 
-    XLA leaves a scan to one of them. The first look is taken part by part, lest every thread compile for itself. A part
-    of which no sample counts is not flown: it says nothing.
+    XLA runs a scan on one core. The first evaluation takes the parts one by one, so that only one thread compiles. A
+    part without samples is not simulated.
     """
 
     def __init__(self, flown: SegmentTrajectories, prior: Priors):
@@ -112,12 +116,12 @@ class NormalEquations:
         }
         self._compiled = False
 
-    def __call__(self, theta: Float[np.ndarray, " k"], departure: Float[np.ndarray, "w s"]) -> Point:
-        """Cost and normal equations there."""
+    def evaluate(self, theta: Float[np.ndarray, " k"], departure: Float[np.ndarray, "w s"]) -> Point:
+        """Cost and normal equations at parameters and initial states."""
         at, w = jnp.asarray(theta), len(departure)
 
         def one(number):
-            found = _normal(self._parts[number], at, jnp.asarray(departure[self._rows[number]]))
+            found = _inner_products(self._parts[number], at, jnp.asarray(departure[self._rows[number]]))
             return tuple(np.asarray(x) for x in found)
 
         if len(self._parts) > 1 and self._compiled:
@@ -126,53 +130,55 @@ class NormalEquations:
         else:
             found = {number: one(number) for number in self._parts}
         self._compiled = True
-        silent = tuple(np.zeros_like(x) for x in next(iter(found.values())))
-        gram, within, columns = zip(*(found.get(i, silent) for i in range(len(self._rows))), strict=True)
+        zeros = tuple(np.zeros_like(x) for x in next(iter(found.values())))
+        gram, within, columns = zip(*(found.get(i, zeros) for i in range(len(self._rows))), strict=True)
         gram, within = np.concatenate(gram)[:w], np.concatenate(within)[:w]
-        normal = Normal(gram, self.count, float(within.sum() / self.count.sum()), columns)
-        return _point(theta, departure, normal, self.prior, self.noise_growth)
+        products = InnerProducts(gram, self.count, float(within.sum() / self.count.sum()), columns)
+        return _point(theta, departure, products, self.prior, self.noise_growth)
 
-    def ahead(self, point: Point, step: Float[np.ndarray, " k"], own: Float[np.ndarray, "w s"]) -> Point:
-        """What would be seen after a step of parameters and initial states so short that residuals are linear in it."""
+    def extrapolate(self, point: Point, step: Float[np.ndarray, " k"], own: Float[np.ndarray, "w s"]) -> Point:
+        """Normal equations after a short step of parameters and initial states, with residuals linear in the step."""
         w = len(own)
         all_steps = np.concatenate([np.tile(step, (w, 1)), own], axis=1)
-        turned = np.tile(np.eye(1 + all_steps.shape[1]), (w, 1, 1))
-        turned[:, 1:, 0] = -all_steps
-        gram = np.einsum("wia,wcij,wjb->wcab", turned, point.normal.gram, turned, optimize=True)
+        transform = np.tile(np.eye(1 + all_steps.shape[1]), (w, 1, 1))
+        transform[:, 1:, 0] = -all_steps
+        gram = np.einsum("wia,wcij,wjb->wcab", transform, point.products.gram, transform, optimize=True)
         columns = []
-        for rows, part in zip(self._rows, point.normal.columns, strict=True):
-            moved = part.copy()
-            moved[..., 0] -= np.einsum("wncj,wj->wnc", part[..., 1:], all_steps[rows])
-            columns.append(moved)
-        normal = point.normal._replace(gram=gram, columns=tuple(columns))
-        return _point(point.theta + step, point.departure + own, normal, self.prior, self.noise_growth)
+        for rows, part in zip(self._rows, point.products.columns, strict=True):
+            shifted = part.copy()
+            shifted[..., 0] -= np.einsum("wncj,wj->wnc", part[..., 1:], all_steps[rows])
+            columns.append(shifted)
+        products = point.products._replace(gram=gram, columns=tuple(columns))
+        return _point(point.theta + step, point.departure + own, products, self.prior, self.noise_growth)
 
 
 class Point(NamedTuple):
-    """Where a look was taken, and what was seen."""
+    """Normal equations at one point: parameters, corrections of the initial states, residual variances R, cost."""
 
     theta: Float[np.ndarray, " k"]
     departure: Float[np.ndarray, "w s"]
-    normal: Normal
+    products: InnerProducts
     R: Float[np.ndarray, " c"]
     cost: float
 
 
-def _point(theta: np.ndarray, departure: np.ndarray, normal: Normal, prior: Priors, noise_growth: float) -> Point:
-    """`noise_growth`: sum of its logarithms over all samples and outputs, which the likelihood holds."""
-    gram, total = normal.gram, normal.count.sum()
-    if not np.all(np.abs(gram) < HUGE):
-        return Point(theta, departure, normal._replace(inside=0.0), np.ones(gram.shape[1]), math.inf)
+def _point(
+    theta: np.ndarray, departure: np.ndarray, products: InnerProducts, prior: Priors, noise_growth: float
+) -> Point:
+    """`noise_growth`: sum of its logarithms over all samples and outputs, a term of the likelihood."""
+    gram, total = products.gram, products.count.sum()
+    if not np.all(np.abs(gram) < MAX_GRAM):
+        return Point(theta, departure, products._replace(inside=0.0), np.ones(gram.shape[1]), math.inf)
     R = np.maximum(gram[:, :, 0, 0].sum(axis=0) / total, TINY)
     cost = 0.5 * total * float(np.sum(np.log(R))) + noise_growth
     cost += 0.5 * float(prior.precision @ (theta - prior.mean) ** 2) + 0.5 * float(np.sum(departure**2 @ prior.states))
-    if normal.inside < 1.0:
-        cost += OUTSIDE * (1.0 - normal.inside)
-    return Point(theta, departure, normal, R, cost)
+    if products.inside < 1.0:
+        cost += ENVELOPE_PENALTY * (1.0 - products.inside)
+    return Point(theta, departure, products, R, cost)
 
 
-class Local(NamedTuple):
-    """What was eliminated: the segments' own states, given the step of theta."""
+class EliminatedStates(NamedTuple):
+    """Eliminated initial states of the segments, as functions of the step of theta."""
 
     inverse: Float[np.ndarray, "w s s"]
     cross: Float[np.ndarray, "w s k"]
@@ -180,41 +186,45 @@ class Local(NamedTuple):
     gain: float
 
     @classmethod
-    def none(cls, w: int, s: int, k: int) -> Local:
-        """Of initial states that are fixed."""
+    def fixed(cls, w: int, s: int, k: int) -> EliminatedStates:
+        """Initial states that are not corrected."""
         return cls(np.zeros((w, s, s)), np.zeros((w, s, k)), np.zeros((w, s)), 0.0)
 
     def step(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, "w s"]:
-        """Best departure of every segment after a step of theta."""
+        """Optimal step of the initial states (w, s) for a step of theta (k,)."""
         return np.einsum("wij,wj->wi", self.inverse, self.gradient - self.cross @ theta)
 
 
 def _cholesky(own: Float[np.ndarray, "w s s"]) -> Float[np.ndarray, "w s s"]:
-    """Factors; where rounding has eaten the smallest directions of an unstable flight, with a trace of the diagonal."""
-    own = own + np.eye(own.shape[-1]) * (own == 0.0)  # no record and no prior says anything: it stays where it is
+    """Cholesky factors; regularised where rounding makes the matrix of an unstable flight indefinite."""
+    own = own + np.eye(own.shape[-1]) * (own == 0.0)  # a state without information and prior is not corrected
     try:
         return np.linalg.cholesky(own)
     except np.linalg.LinAlgError:
-        return np.linalg.cholesky(own + TRACE * own * np.eye(own.shape[-1]))
+        return np.linalg.cholesky(own + REGULARISATION * own * np.eye(own.shape[-1]))
 
 
-def reduced(point: Point, prior: Priors) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"], Local]:
-    """Information and gradient of theta with every segment's state at its best, priors counted."""
-    A, g, local = by_segment(point, prior)
+def reduced_equations(
+    point: Point, prior: Priors
+) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"], EliminatedStates]:
+    """Information and gradient of theta with the initial states eliminated, including the priors."""
+    A, g, states = segment_equations(point, prior)
     A = A.sum(axis=0) + np.diag(prior.precision)
-    return A, g.sum(axis=0) - prior.precision * (point.theta - prior.mean), local
+    return A, g.sum(axis=0) - prior.precision * (point.theta - prior.mean), states
 
 
-def by_segment(point: Point, prior: Priors) -> tuple[Float[np.ndarray, "w k k"], Float[np.ndarray, "w k"], Local]:
-    """The same of each segment alone, without the priors of theta."""
+def segment_equations(
+    point: Point, prior: Priors
+) -> tuple[Float[np.ndarray, "w k k"], Float[np.ndarray, "w k"], EliminatedStates]:
+    """Information and gradient of theta by segment with the initial states eliminated, without the priors of theta."""
     k = len(point.theta)
-    N = np.einsum("wcij,c->wij", point.normal.gram, 1.0 / point.R)
+    N = np.einsum("wcij,c->wij", point.products.gram, 1.0 / point.R)
     if prior.fixed:
         w, s = point.departure.shape
-        return N[:, 1 : k + 1, 1 : k + 1], N[:, 1 : k + 1, 0], Local.none(w, s, k)
+        return N[:, 1 : k + 1, 1 : k + 1], N[:, 1 : k + 1, 0], EliminatedStates.fixed(w, s, k)
     own = N[:, k + 1 :, k + 1 :] + np.diag(prior.states)
     cross, gradient = N[:, k + 1 :, 1 : k + 1], N[:, k + 1 :, 0] - prior.states * point.departure
-    # By Cholesky factors: where a trial is unstable, A less cross' own^-1 cross loses all its digits otherwise.
+    # Cholesky factors keep the digits of A - cross' own^-1 cross where a trial is unstable.
     L = _cholesky(own)
     Y, y = np.linalg.solve(L, cross), np.linalg.solve(L, gradient[:, :, None])[:, :, 0]
     A = N[:, 1 : k + 1, 1 : k + 1] - np.einsum("wia,wib->wab", Y, Y)
@@ -222,4 +232,4 @@ def by_segment(point: Point, prior: Priors) -> tuple[Float[np.ndarray, "w k k"],
     gain = 0.5 * float(np.sum(y**2))
     inverse = np.linalg.inv(L)
     inverse = np.swapaxes(inverse, 1, 2) @ inverse
-    return A, g, Local(inverse, cross, gradient, gain)
+    return A, g, EliminatedStates(inverse, cross, gradient, gain)

@@ -11,25 +11,26 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from bayes_aero.dynamics.segments import SegmentTrajectories
-from bayes_aero.inference.likelihood.normal_equations import Point, Priors, reduced
+from bayes_aero.inference.likelihood.normal_equations import Point, Priors, reduced_equations
 from bayes_aero.inference.variance.block_jackknife import jackknife_covariance
 from bayes_aero.inference.variance.coloured_bounds import corrected_covariance
 from bayes_aero.inference.variance.inseparable import Inseparable, inseparable
-from bayes_aero.inference.variance.variance_inflation import typical, variance_inflation
+from bayes_aero.inference.variance.variance_inflation import median_inflation, variance_inflation
 from bayes_aero.parameter import Parameter
 
-THINNED = 5  # samples, for the colour of the residuals
-INDEFINITE = -1e-14  # least eigenvalue of a scaled information matrix: below, it is more than rounding of a sound one
-SINGULAR, SHARE = 1e-13, 1e-3  # least eigenvalue of a regular scaled matrix; part of a direction that counts
-STRETCH, STRETCHES = 12.0, 10  # s of flight that the jackknife leaves out at a time, and how many it wants at least
-LEVERAGE = 0.9  # largest share of what is known in any direction that a stretch may take with it
-TRACE = 1e-13  # of a scaled information matrix: beyond rounding, within nothing that a record tells
-COLOURED = 2.0  # variance inflation, in the median, from which the colour of residuals is beyond doubt
-HELD = 0.9  # posterior over prior deviation from which a parameter is said to be held by its prior
+THINNING = 5  # samples averaged for the autocorrelation of the residuals
+INDEFINITE = -1e-14  # eigenvalues of a scaled information matrix below this are not rounding errors
+SINGULAR = 1e-13  # least eigenvalue of a regular scaled information matrix
+MIN_COMPONENT = 1e-3  # least component of a singular direction from which a parameter is undetermined
+BLOCK_SECONDS, MIN_BLOCKS = 12.0, 10  # length of a block of the jackknife, s, and least number of blocks
+MAX_LEVERAGE = 0.9  # largest share of the information in any direction that the jackknife removes with one block
+REGULARISATION = 1e-13  # of a scaled information matrix: above rounding, below the information of any record
+COLOURED_INFLATION = 2.0  # median variance inflation from which residuals are treated as coloured
+PRIOR_RATIO = 0.9  # posterior over prior standard deviation from which a parameter is held by its prior
 
 
 class OutputErrorStatus(Enum):
-    """How the fit ended; the value is what to tell the user."""
+    """How the fit ended; the value is the text for the user."""
 
     CONVERGED = "converged"
     AT_BOUND = "converged with a parameter at its bound: its standard error is not reliable; widen the bound or fix it"
@@ -64,12 +65,12 @@ class OutputErrorResult:
     iterations: int
     at_bound: tuple[str, ...]
     columns: Float[np.ndarray, "w n c j"]
-    eliminated: Float[np.ndarray, "w s k"]  # what a unit of theta moves the best initial states by, but for its sign
-    undetermined: tuple[str, ...] = ()  # without priors: parameters that the record does not determine
+    eliminated: Float[np.ndarray, "w s k"]  # minus the derivative of the optimal initial states by theta
+    undetermined: tuple[str, ...] = ()  # parameters without prior that the record does not determine
 
     @property
     def det_R(self) -> float:
-        """Determinant of the diagonal residual covariance of the fitted outputs, SI: the cost of published programs."""
+        """Determinant of the diagonal residual covariance of the outputs, SI: the cost of published programs."""
         count = self.flown.inside.sum(axis=1)
         return float(np.prod(np.sum(count[:, None] * self.rms**2, axis=0) / count.sum()))
 
@@ -81,10 +82,10 @@ class OutputErrorResult:
     @property
     def sd(self) -> Float[np.ndarray, " k"]:
         """Standard errors with priors, for white residuals, (k,); infinite where undetermined."""
-        return self._known(np.sqrt(np.diag(self.covariance)))
+        return self._finite_if_determined(np.sqrt(np.diag(self.covariance)))
 
-    def _known(self, sd: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-        """Infinite for what is not determined."""
+    def _finite_if_determined(self, sd: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+        """Standard errors with infinity for undetermined parameters."""
         return np.where([name in self.undetermined for name in self.names], np.inf, sd)
 
     @property
@@ -106,13 +107,13 @@ class OutputErrorResult:
         With D = `covariance` it is D (M + P) D: M the scores' covariance under the residuals' autocovariance, P that
         of the priors; D itself where residuals are white. Sources: Maine and Iliff, NASA RP-1077 (1981); Morelli and
         Klein, J. Aircraft 1997. Where residuals are coloured, no variance is below that of the block jackknife
-        (`_left_out`): a trajectory integrates disturbances, and the fit absorbs most of them.
+        (`_jackknife_variances`): a trajectory integrates disturbances, and the fit absorbs most of them.
         """
         if not math.isfinite(self.cost):
             return self.covariance
         k, inside = len(self.estimate), self.flown.inside
         S, own = self.columns[..., 1 : k + 1], self.columns[..., k + 1 :]
-        S = S - np.einsum("wncs,wsk->wnck", own, self.eliminated)  # initial states at their best
+        S = S - np.einsum("wncs,wsk->wnck", own, self.eliminated)  # at optimal initial states
         segment = np.broadcast_to(np.arange(len(inside))[:, None], inside.shape)[inside]
         start = np.diff(segment, prepend=-1) != 0
         D, weight = self.covariance, self.priors.weight
@@ -122,22 +123,22 @@ class OutputErrorResult:
         found = known + corrected_covariance(D, S[inside], self.R, self.columns[..., 0][inside], segment, start)
         own = np.diag(found)
         moving = own > 0.0
-        if typical(variance_inflation(own, np.diag(D))[moving]) < COLOURED:
+        if median_inflation(variance_inflation(own, np.diag(D))[moving]) < COLOURED_INFLATION:
             return found
         wider = np.ones(k)
-        wider[moving] = np.sqrt(np.maximum(1.0, (self._left_out(S) + np.diag(known))[moving] / own[moving]))
+        wider[moving] = np.sqrt(np.maximum(1.0, (self._jackknife_variances(S) + np.diag(known))[moving] / own[moving]))
         return found * np.outer(wider, wider)
 
-    def _left_out(self, S: Float[np.ndarray, "w n c k"]) -> Float[np.ndarray, " k"]:
-        """Variances by the block jackknife, to first order and with the segments' states kept, shape (k,).
+    def _jackknife_variances(self, S: Float[np.ndarray, "w n c k"]) -> Float[np.ndarray, " k"]:
+        """Variances by the block jackknife, to first order and with constant initial states, shape (k,).
 
         A block with nearly all information on a direction (a constant error visible while a motion begins, the only
-        step of a control) counts there as one with `LEVERAGE` of it, because the other blocks cannot test it.
+        step of a control) counts there as one with `MAX_LEVERAGE` of it, because the other blocks cannot test it.
         """
         moving = np.flatnonzero(np.diag(self.covariance) > 0.0)
         counts = self.flown.inside.sum(axis=1)
         seconds = counts * np.asarray(self.flown.dt)
-        length = min(STRETCH, seconds.sum() / STRETCHES)
+        length = min(BLOCK_SECONDS, seconds.sum() / MIN_BLOCKS)
         A, g = [], []
         for row in np.flatnonzero(counts):
             parts = max(1, round(seconds[row] / length))
@@ -149,19 +150,19 @@ class OutputErrorResult:
         if len(moving) and len(A) > 1:
             whole = (self.information + np.diag(self.priors.precision))[np.ix_(moving, moving)]
             scale = 1.0 / np.sqrt(np.diag(whole))
-            lower = np.linalg.cholesky(whole * np.outer(scale, scale) + TRACE * np.eye(len(scale)))
+            lower = np.linalg.cholesky(whole * np.outer(scale, scale) + REGULARISATION * np.eye(len(scale)))
             back = np.linalg.inv(lower)
             share, turned = np.linalg.eigh(back @ (np.array(A) * np.outer(scale, scale)) @ back.T)
             turned = back.T @ turned
-            along = np.einsum("iab,ia->ib", turned, -np.array(g) * scale) / (1.0 - np.minimum(share, LEVERAGE))
+            along = np.einsum("iab,ia->ib", turned, -np.array(g) * scale) / (1.0 - np.minimum(share, MAX_LEVERAGE))
             step = scale * np.einsum("iab,ib->ia", turned, along)
             variance[moving] = np.diag(jackknife_covariance(step - step.mean(axis=0)))
         return variance
 
     @property
     def sd_corrected(self) -> Float[np.ndarray, " k"]:
-        """Standard deviations, priors counted, that allow for the residuals' colour."""
-        return self._known(np.sqrt(np.diag(self.corrected)))
+        """Standard errors with priors, corrected for autocorrelated residuals, (k,); infinite where undetermined."""
+        return self._finite_if_determined(np.sqrt(np.diag(self.corrected)))
 
     @property
     def inseparable(self) -> tuple[Inseparable, ...]:
@@ -170,22 +171,22 @@ class OutputErrorResult:
         return inseparable(self.names, units, self.estimate, self.covariance, self.sd_corrected)
 
     @property
-    def thinned(self) -> Float[np.ndarray, "w m c j"]:
-        """Means of residual and sensitivities over `THINNED` samples."""
+    def thinned_columns(self) -> Float[np.ndarray, "w m c j"]:
+        """Means of residuals and sensitivities over `THINNING` samples."""
         w, n, c, j = self.columns.shape
-        whole = n // THINNED * THINNED
-        return self.columns[:, :whole].reshape(w, -1, THINNED, c, j).mean(axis=2)
+        whole = n // THINNING * THINNING
+        return self.columns[:, :whole].reshape(w, -1, THINNING, c, j).mean(axis=2)
 
     @property
-    def held(self) -> tuple[str, ...]:
-        """Parameters of which the record says next to nothing: their priors hold them."""
+    def held_by_prior(self) -> tuple[str, ...]:
+        """Parameters on which the record has little information, so that the prior decides."""
         with np.errstate(divide="ignore"):
             prior = self.priors.precision**-0.5
-        return tuple(n for n, sd, own in zip(self.names, self.sd, prior, strict=True) if sd > HELD * own)
+        return tuple(n for n, sd, own in zip(self.names, self.sd, prior, strict=True) if sd > PRIOR_RATIO * own)
 
 
-def _sound(A: Float[np.ndarray, "k k"]) -> bool:
-    """Whether an information matrix is one: of an unstable flight rounding may have made it indefinite."""
+def _is_semidefinite(A: Float[np.ndarray, "k k"]) -> bool:
+    """Whether the matrix is positive semidefinite; rounding may make that of an unstable flight indefinite."""
     size = np.diag(A)
     if not np.all(size > 0.0):
         return False
@@ -193,19 +194,19 @@ def _sound(A: Float[np.ndarray, "k k"]) -> bool:
 
 
 def _undetermined(A: Float[np.ndarray, "k k"], moving: Bool[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
-    """Of the `moving` parameters those that an information matrix without priors says nothing of, alone or together."""
+    """The `moving` parameters in singular directions of an information matrix without priors."""
     size = np.diag(A)
     found = moving & (size <= 0.0)
-    told = np.flatnonzero(moving & (size > 0.0))
-    if not len(told):
+    informed = np.flatnonzero(moving & (size > 0.0))
+    if not len(informed):
         return found
-    scale = np.sqrt(size[told])
-    values, vectors = np.linalg.eigh(A[np.ix_(told, told)] / np.outer(scale, scale))
-    found[told] = np.max(np.abs(vectors[:, values < SINGULAR]), axis=1, initial=0.0) > SHARE
+    scale = np.sqrt(size[informed])
+    values, vectors = np.linalg.eigh(A[np.ix_(informed, informed)] / np.outer(scale, scale))
+    found[informed] = np.max(np.abs(vectors[:, values < SINGULAR]), axis=1, initial=0.0) > MIN_COMPONENT
     return found
 
 
-def result_of(
+def result_at(
     flown: SegmentTrajectories,
     point: Point,
     prior: Priors,
@@ -213,28 +214,28 @@ def result_of(
     converged: bool,
     iterations: int,
     active: np.ndarray,
-    rest: np.ndarray,
+    held: np.ndarray,
 ) -> OutputErrorResult:
-    """The result at a point; parameters that `rest` have no deviation, `active` ones lie at a bound."""
+    """The result at a point; `held` parameters have no standard error, `active` ones are at a bound."""
     w, s = point.departure.shape
     A, eliminated = np.diag(prior.precision), np.zeros((w, s, len(point.theta)))
     if math.isfinite(point.cost):
-        found, _, local = reduced(point, prior)
-        told = (np.diag(found) > 0.0) | (prior.precision > 0.0)  # without a prior there may be nothing to know
-        if _sound(found[np.ix_(told, told)]):
-            A, eliminated = found, local.inverse @ local.cross
+        found, _, states = reduced_equations(point, prior)
+        informed = (np.diag(found) > 0.0) | (prior.precision > 0.0)  # a parameter without prior may have no information
+        if _is_semidefinite(found[np.ix_(informed, informed)]):
+            A, eliminated = found, states.inverse @ states.cross
     free = flown.dynamics.free
-    at_bound = tuple(p.name for p, a in zip(free, active & ~rest, strict=True) if a)
-    if point.normal.inside < 1.0:
+    at_bound = tuple(p.name for p, a in zip(free, active & ~held, strict=True) if a)
+    if point.products.inside < 1.0:
         status = OutputErrorStatus.LEFT_ENVELOPE
     elif not converged:
         status = OutputErrorStatus.NOT_CONVERGED
     else:
         status = OutputErrorStatus.AT_BOUND if at_bound else OutputErrorStatus.CONVERGED
-    columns = np.concatenate(point.normal.columns)[:w]
+    columns = np.concatenate(point.products.columns)[:w]
     residual = columns[..., 0] * flown.noise_growth
-    lost = _undetermined(A, ~rest & (prior.precision == 0.0))
-    known = ~rest & ~lost
+    lost = _undetermined(A, ~held & (prior.precision == 0.0))
+    known = ~held & ~lost
     moving = np.ix_(known, known)
     scale = np.sqrt(np.diag(A)[known])
     covariance = np.zeros_like(A)
@@ -249,7 +250,7 @@ def result_of(
         covariance=covariance,
         information=A - np.diag(prior.precision),
         priors=prior,
-        rms=np.sqrt(np.sum(residual**2, axis=1) / np.maximum(point.normal.count, 1.0)[:, None]),
+        rms=np.sqrt(np.sum(residual**2, axis=1) / np.maximum(point.products.count, 1.0)[:, None]),
         status=status,
         iterations=iterations,
         at_bound=at_bound,

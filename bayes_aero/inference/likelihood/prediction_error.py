@@ -19,17 +19,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from bayes_aero.dynamics.filtering.innovations import filtered
+from bayes_aero.dynamics.filtering.innovations import filter_segments
 from bayes_aero.dynamics.filtering.kalman import Filtered, log_likelihood
-from bayes_aero.dynamics.filtering.linearised import disturbances, linear_innovations, linearised, noise_slopes
+from bayes_aero.dynamics.filtering.linearised import (
+    disturbances_along,
+    linear_innovations,
+    linearise,
+    noise_derivatives,
+)
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.flight.health.signals import quantum
-from bayes_aero.inference.likelihood.normal_equations import departures
-from bayes_aero.inference.likelihood.scoring import Seen, covariance_of, scored
+from bayes_aero.inference.likelihood.fisher_scoring import Evaluation, covariance_of, minimise
+from bayes_aero.inference.likelihood.normal_equations import initial_state_sd
 
-LAST, NEAR = 1e-3, 0.3  # gain in log likelihood of the last step, and of the last with gains held
-LEAST, MOST = 1e-12, 2.0  # of F and R; of the change of their logarithms in a step
-ROUNDED = 12.0  # over this, the squared step of a rounded channel is the variance of the rounding
+TOLERANCE, HELD_GAINS_TOLERANCE = 1e-3, 0.3  # of the log likelihood, with exact gradients and with the gains held
+MIN_NOISE = 1e-12  # of F and R
+LOG_STEP_LIMIT = 2.0  # of log F and log R, in one step
+ROUNDING_DIVISOR = 12.0  # the variance of rounding is the squared resolution over this
 
 
 class PredictionErrorStatus(Enum):
@@ -65,23 +71,23 @@ class PredictionErrorResult:
         return np.sqrt(np.diag(self.covariance))[: len(self.names)]
 
 
-def _all(flown, point, start_deviation, k, s):
-    return filtered(flown, point[:k], start_deviation, jnp.exp(point[k : k + s]), jnp.exp(point[k + s :]))
+def _filter(flown, point, start_deviation, k, s):
+    return filter_segments(flown, point[:k], start_deviation, jnp.exp(point[k : k + s]), jnp.exp(point[k + s :]))
 
 
 @eqx.filter_jit
-def _path(flown, point, start_deviation, k, s):
-    """Minus the log likelihood, and the filter's path."""
-    found = _all(flown, point, start_deviation, k, s)
+def _filter_segments(flown, point, start_deviation, k, s):
+    """Minus the log likelihood, and the filtered segments."""
+    found = _filter(flown, point, start_deviation, k, s)
     return -jnp.sum(jax.vmap(log_likelihood)(found)), found
 
 
 @eqx.filter_jit
-def _look(flown, point, start_deviation, k, s):
+def _evaluate(flown, point, start_deviation, k, s):
     """Cost, gradient and expected information."""
 
     def at(point):
-        found = _all(flown, point, start_deviation, k, s)
+        found = _filter(flown, point, start_deviation, k, s)
         return (found.innovation, found.variance), found
 
     directions = jnp.eye(len(point))
@@ -92,22 +98,25 @@ def _look(flown, point, start_deviation, k, s):
 
 
 @eqx.filter_jit
-def _near_look(flown, path, point, start_deviation, k, s, means):
-    """The same along a `path`, for a fraction of the time: gains are held while the parameters `means` (indices) vary,
-    the others, of disturbances and noise, vary in the filter linearised along it."""
+def _evaluate_held_gains(flown, path, point, start_deviation, k, s, means):
+    """Cost, approximate gradient and information along a filtered `path`, for a fraction of the time.
+
+    The gains are held while the parameters `means` (indices) vary. The parameters of disturbances and noise vary in the
+    filter linearised along the path.
+    """
     unit = jnp.eye(len(point))
     means, others = np.array(means, int), np.setdiff1d(np.arange(len(point)), means)
-    lin = linearised(flown, point[:k], path.predicted, path.state, unit[means, :k])
+    lin = linearise(flown, point[:k], path.predicted, path.state, unit[means, :k])
 
     def noise_at(point):
-        return disturbances(
+        return disturbances_along(
             flown, point[:k], path.state, start_deviation, jnp.exp(point[k : k + s]), jnp.exp(point[k + s :])
         )
 
     noise, slopes = jax.vmap(lambda t: jax.jvp(noise_at, (point,), (t,)), out_axes=(None, -1))(unit[others])
     dt = jnp.asarray(flown.dt)
     both, S = linear_innovations(lin, noise, dt)
-    de_others, dS_others = noise_slopes(lin, noise, slopes, dt)
+    de_others, dS_others = noise_derivatives(lin, noise, slopes, dt)
     de = jnp.zeros((*S.shape, len(point))).at[..., means].set(both[..., 1:]).at[..., others].set(de_others)
     dS = jnp.zeros_like(de).at[..., others].set(dS_others)
     return _scores(both[..., 0], S, de, dS, path.used)
@@ -138,36 +147,39 @@ def fit_prediction_error(
 ) -> PredictionErrorResult:
     """Fit all segments together.
 
-    The first steps hold the filter's gains while the parameters of the motion vary; the last do not. The measurement
-    noise of a channel is no less than that of its last digit: a record that was smoothed would have none.
+    The first steps hold the filter's gains while the parameters of the motion vary; the last steps are exact. The
+    measurement noise of a channel is at least that of its resolution: a smoothed record would have no noise.
 
     Args:
         flown: segments of flights.
-        F: process noise by state to start from, (s,), unit of the state per square root of a second; 0: none, held.
+        F: process noise by state to start from, (s,), unit of the state per square root of a second; 0 is held.
         R: variances of the measurement noise to start from, (c,), SI.
-        start: parameters, (k,), default: their own. Those `held` keep their value.
-        start_deviation: standard deviation of the measured initial state, (s,), SI; default: of flight-test sensors,
-            0 where the segments begin at a fixed state.
+        start: parameters, (k,); default: the starting values of the model.
+        start_deviation: standard deviation of the measured initial state, (s,), SI; default: that of flight-test
+            sensors, 0 where the segments begin at a fixed state.
+        held: parameters that are not estimated, and their values.
         priors: whether the parameters' priors count.
-        exact: False ends with the first steps: the estimates are consistent and no maximum of the likelihood.
-        F_held: the process noise keeps its value.
+        exact: False ends after the first steps; the estimates are then consistent but do not maximise the likelihood.
+        F_held: whether the process noise is held.
     """
     F = np.asarray(F, float)
     problem = _Problem.of(flown.nameless, start_deviation, held or {}, (F > 0.0) & (not F_held), priors)
     free = flown.dynamics.free
     theta = np.array([p.start for p in free]) if start is None else np.asarray(start, float)
     theta = np.array([(held or {}).get(p.name, x) for p, x in zip(free, theta, strict=True)])
-    point = np.concatenate([theta, np.log(np.maximum(F, LEAST)), np.log(np.maximum(R, LEAST))])
+    point = np.concatenate([theta, np.log(np.maximum(F, MIN_NOISE)), np.log(np.maximum(R, MIN_NOISE))])
     point[problem.k :] = np.maximum(point[problem.k :], problem.bounds[problem.k :, 0])
-    point, here, converged, near = scored(problem, point, problem.near_look, NEAR, near=True)
+    point, current, converged, first_steps = minimise(
+        problem, point, problem.evaluate_held_gains, HELD_GAINS_TOLERANCE, approximate=True
+    )
     steps = 0
     if exact:
-        point, here, converged, steps = scored(problem, point, problem.look, LAST)
+        point, current, converged, steps = minimise(problem, point, problem.evaluate, TOLERANCE)
     status = PredictionErrorStatus.CONVERGED if converged else PredictionErrorStatus.NOT_CONVERGED
-    if not math.isfinite(here.cost):
+    if not math.isfinite(current.cost):
         status = PredictionErrorStatus.DIVERGED
     k, s, moving = problem.k, problem.s, problem.moving
-    covariance = covariance_of(here.information, moving)
+    covariance = covariance_of(current.information, moving)
     return PredictionErrorResult(
         tuple(p.name for p in free),
         flown.dynamics.states,
@@ -176,16 +188,16 @@ def fit_prediction_error(
         np.where(F > 0.0, np.exp(point[k : k + s]), 0.0),
         np.exp(point[k + s :]),
         covariance,
-        problem.prior_cost(point) - here.cost,
-        here.cost,
+        problem.prior_cost(point) - current.cost,
+        current.cost,
         problem.path(point)[1],
         status,
-        near + steps,
+        first_steps + steps,
     )
 
 
-def _steps(flown: SegmentTrajectories) -> list[float]:
-    """The last digit of each output as recorded, SI; of several manoeuvres the least."""
+def _resolutions(flown: SegmentTrajectories) -> list[float]:
+    """Resolution of each recorded output, SI; the finest of several manoeuvres."""
     flights = flown.flights
     own = [np.flatnonzero(flights.manoeuvre == number) for number in np.unique(flown.manoeuvre)]
     return [min(quantum(np.asarray(flights.channels[name])[rows]) for rows in own) for name in flown.outputs]
@@ -193,7 +205,7 @@ def _steps(flown: SegmentTrajectories) -> list[float]:
 
 @dataclass(frozen=True)
 class _Problem:
-    """What is fitted, and the priors: parameters (k), log F (s), log R (c)."""
+    """Minus the log posterior density of j = k + s + c variables: parameters (k), log F (s), log R (c)."""
 
     flown: SegmentTrajectories
     deviation: Float[Array, " s"]
@@ -212,33 +224,34 @@ class _Problem:
         disturbed: Bool[np.ndarray, " s"],
         priors: bool,
     ) -> _Problem:
-        """Of all parameters but those `held`, the process noise of the states that are `disturbed`, and R."""
+        """Estimate all parameters but those `held`, the process noise of the `disturbed` states, and R."""
         free, k = flown.dynamics.free, len(flown.dynamics.free)
         if deviation is None:
-            deviation = np.zeros(len(disturbed)) if flown.fixed is not None else departures(flown.dynamics)
+            deviation = np.zeros(len(disturbed)) if flown.fixed is not None else initial_state_sd(flown.dynamics)
         moving = np.array([*(p.name not in held for p in free), *disturbed, *([True] * len(flown.outputs))])
         mean, precision = np.zeros(len(moving)), np.zeros(len(moving))
         if priors:
             normals = np.array([p.prior.normal for p in free]).reshape(-1, 2)
             mean[:k], precision[:k] = normals[:, 0], np.where(moving[:k], normals[:, 1] ** -2.0, 0.0)
-        least = [*[LEAST] * len(disturbed), *(max(LEAST, step**2 / ROUNDED) for step in _steps(flown))]
-        bounds = np.array([*(p.bounds for p in free), *((np.log(x), np.inf) for x in least)])
+        rounding = [step**2 / ROUNDING_DIVISOR for step in _resolutions(flown)]
+        smallest = [*[MIN_NOISE] * len(disturbed), *(max(MIN_NOISE, variance) for variance in rounding)]
+        bounds = np.array([*(p.bounds for p in free), *((np.log(x), np.inf) for x in smallest)])
         return cls(flown, jnp.asarray(deviation), moving, mean, precision, bounds)
 
     @property
     def k(self) -> int:
-        """Parameters."""
+        """Number of parameters."""
         return len(self.flown.dynamics.free)
 
     @property
     def s(self) -> int:
-        """States."""
+        """Number of states."""
         return len(self.flown.dynamics.states)
 
     @property
-    def most(self) -> Float[np.ndarray, " j"]:
-        """How far each may go in a step: logarithms no farther than `MOST`."""
-        return np.where(np.arange(len(self.moving)) < self.k, np.inf, MOST)
+    def step_limit(self) -> Float[np.ndarray, " j"]:
+        """Largest change of each variable in one step: `LOG_STEP_LIMIT` for logarithms, none for parameters."""
+        return np.where(np.arange(len(self.moving)) < self.k, np.inf, LOG_STEP_LIMIT)
 
     def prior_cost(self, point: Float[np.ndarray, " j"]) -> float:
         """Minus the log of the priors, but for a constant."""
@@ -249,29 +262,28 @@ class _Problem:
         return self.path(point)[0] + self.prior_cost(point)
 
     def path(self, point: Float[np.ndarray, " j"]) -> tuple[float, Filtered]:
-        """Minus the log likelihood, and the filter's path; of the last point they are kept."""
+        """Minus the log likelihood, and the filtered segments; those of the last point are stored."""
         key = point.tobytes()
         if key not in self._last:
-            cost, found = _path(self.flown, jnp.asarray(point), self.deviation, self.k, self.s)
+            cost, found = _filter_segments(self.flown, jnp.asarray(point), self.deviation, self.k, self.s)
             self._last.clear()
             self._last[key] = float(cost), found
         return self._last[key]
 
-    def look(self, point: Float[np.ndarray, " j"]) -> Seen:
-        """Cost, gradient and information."""
-        return self._seen(point, _look(self.flown, jnp.asarray(point), self.deviation, self.k, self.s))
+    def evaluate(self, point: Float[np.ndarray, " j"]) -> Evaluation:
+        """Cost, gradient and expected information."""
+        return self._with_priors(point, _evaluate(self.flown, jnp.asarray(point), self.deviation, self.k, self.s))
 
-    def near_look(self, point: Float[np.ndarray, " j"]) -> Seen:
-        """The same but for the gradient of the gains by parameters of the motion."""
+    def evaluate_held_gains(self, point: Float[np.ndarray, " j"]) -> Evaluation:
+        """Cost, gradient and information without the derivatives of the gains by the parameters of the motion."""
         dynamics = self.flown.dynamics
-        names = dynamics.of_disturbances
+        names = dynamics.disturbance_parameters
         means = tuple(i for i, p in enumerate(dynamics.free) if p.name not in names)
         path = self.path(point)[1]
-        seen = _near_look(self.flown, path, jnp.asarray(point), self.deviation, self.k, self.s, means)
-        return self._seen(point, seen)
+        likelihood = _evaluate_held_gains(self.flown, path, jnp.asarray(point), self.deviation, self.k, self.s, means)
+        return self._with_priors(point, likelihood)
 
-    def _seen(self, point: Float[np.ndarray, " j"], seen: tuple[Array, Array, Array]) -> Seen:
-        """With the priors."""
-        cost, gradient, information = (np.asarray(x) for x in seen)
+    def _with_priors(self, point: Float[np.ndarray, " j"], likelihood: tuple[Array, Array, Array]) -> Evaluation:
+        cost, gradient, information = (np.asarray(x) for x in likelihood)
         gradient, information = gradient + self.precision * (point - self.mean), information + np.diag(self.precision)
-        return Seen(float(cost) + self.prior_cost(point), gradient, information)
+        return Evaluation(float(cost) + self.prior_cost(point), gradient, information)

@@ -1,4 +1,4 @@
-"""What holds an estimate away from the value that the data support: priors that they contradict, and bounds."""
+"""Restraints on estimates: priors that the data contradict, and active bounds."""
 
 from __future__ import annotations
 
@@ -10,34 +10,38 @@ from jaxtyping import Float
 
 from bayes_aero.parameter import Parameter
 
-AGAINST = 3.0  # combined standard errors between prior and likelihood, beyond which a conflict is named
-SENSITIVE = 0.05  # distance per log2 of the power above which a posterior leans on what was scaled (the paper's)
-PUSHED = 1.0  # corrected standard errors by which lifting a bound moves an estimate that is reported
+CONFLICT_LIMIT = 3.0  # combined standard errors between prior and likelihood, beyond which a conflict is named
+SENSITIVITY_LIMIT = 0.05  # distance per log2 of the power from which a posterior depends on the scaled part (the paper)
+MIN_SHIFT = 1.0  # corrected standard errors; smaller changes of other estimates by a bound are not reported
 
 
 @dataclass(frozen=True)
 class PriorConflict:
-    """A prior (mean, standard deviation) and the likelihood's own estimate, `apart` combined standard errors away."""
+    """A prior (mean, standard deviation), the estimate by likelihood alone, and their distance in combined standard
+    errors."""
 
     name: str
     unit: str
     prior: tuple[float, float]
     likelihood: tuple[float, float]
-    apart: float
+    distance: float
     source: str
 
 
 @dataclass(frozen=True)
-class Bounded:
-    """A parameter at its bound. To first order `without` is its value without it; `pushed` are the other estimates'
-    moves then, in corrected standard errors."""
+class ActiveBound:
+    """A parameter at its bound.
+
+    `unbounded` is the estimate without the bound, `shifts` are the changes of the other estimates without it in
+    corrected standard errors; both to first order.
+    """
 
     name: str
     unit: str
     bound: float
     lower: bool
-    without: float
-    pushed: Mapping[str, float]
+    unbounded: float
+    shifts: Mapping[str, float]
 
 
 def prior_conflicts(
@@ -55,32 +59,32 @@ def prior_conflicts(
         if p.prior.family == "uniform" or not np.isfinite(sd):
             continue
         mean, wide = p.prior.normal
-        away, scatter = x - mean, sd
+        difference, scatter = x - mean, sd
         if p.prior.family == "lognormal" and x > 0.0:  # on the scale on which it is normal
-            away = p.prior.location * np.log(x / p.prior.location)
+            difference = p.prior.location * np.log(x / p.prior.location)
             scatter = sd * p.prior.location / x
-        apart = abs(away) / np.hypot(scatter, wide)
-        if apart > AGAINST:
+        distance = abs(difference) / np.hypot(scatter, wide)
+        if distance > CONFLICT_LIMIT:
             found.append(
-                PriorConflict(p.name, p.unit, (mean, wide), (float(x), float(sd)), float(apart), p.prior.source)
+                PriorConflict(p.name, p.unit, (mean, wide), (float(x), float(sd)), float(distance), p.prior.source)
             )
-    return tuple(sorted(found, key=lambda c: -c.apart))
+    return tuple(sorted(found, key=lambda c: -c.distance))
 
 
-def bounded(
+def active_bounds(
     parameters: Sequence[Parameter],
     estimate: Float[np.ndarray, " k"],
     gradient: Float[np.ndarray, " k"],
     inverse: Float[np.ndarray, "k k"],
     deviation: Float[np.ndarray, " k"],
     active: Sequence[bool] | np.ndarray,
-) -> tuple[Bounded, ...]:
-    """What each active bound does.
+) -> tuple[ActiveBound, ...]:
+    """Effect of each active bound on the estimates.
 
     Args:
         parameters: the free ones.
         estimate: with the bounds.
-        gradient: of the log-likelihood there; it vanishes but for the active parameters.
+        gradient: of the log-likelihood; zero except for the active parameters.
         inverse: of the information, active parameters included.
         deviation: corrected standard errors.
         active: whether a parameter is at its bound.
@@ -91,8 +95,10 @@ def bounded(
         if not np.isfinite(step).all():
             step = np.zeros_like(step)
         moves = {p.name: float(step[j] / deviation[j]) for j, p in enumerate(parameters) if j != i and deviation[j] > 0}
-        pushed = {name: x for name, x in moves.items() if abs(x) > PUSHED}
+        shifts = {name: x for name, x in moves.items() if abs(x) > MIN_SHIFT}
         p, lower = parameters[i], bool(gradient[i] < 0.0)
-        ordered = dict(sorted(pushed.items(), key=lambda item: -abs(item[1])))
-        found.append(Bounded(p.name, p.unit, p.bounds[0 if lower else 1], lower, float(estimate[i] + step[i]), ordered))
+        ordered = dict(sorted(shifts.items(), key=lambda item: -abs(item[1])))
+        found.append(
+            ActiveBound(p.name, p.unit, p.bounds[0 if lower else 1], lower, float(estimate[i] + step[i]), ordered)
+        )
     return tuple(found)

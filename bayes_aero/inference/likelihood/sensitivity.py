@@ -1,4 +1,4 @@
-"""The compiled half of maximum likelihood: sensitivities of the model, and full Gauss-Newton steps with them."""
+"""Compiled functions of the maximum-likelihood fit: sensitivities of the model, and full Gauss-Newton steps."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Observations
 
-MEMORY = 3  # steps that Anderson acceleration looks back on
+ANDERSON_MEMORY = 3  # steps that Anderson acceleration looks back on
 
 
 class Data(eqx.Module):
-    """What a fit needs of the observations: only the signals that the model reads, so that a call hands over little."""
+    """The observations of a fit with only the signals that the model reads, so that calls transfer little data."""
 
     signals: dict[str, Array]
     measured: Float[Array, "n c"]
@@ -35,21 +35,21 @@ def data_of(model: Model, observations: Observations) -> Data:
 
 
 class Point(NamedTuple):
-    """The fit at `theta`, after `taken` steps. The gradient is that of the log-likelihood, R being what it is there."""
+    """The fit at `theta` after `steps` steps. The gradient is that of the log-likelihood at constant R."""
 
     theta: Float[np.ndarray, " k"]
     cost: float  # (n/2) log det R: the concentrated negative log-likelihood without its constant
     R: Float[np.ndarray, " c"]
     information: Float[np.ndarray, "k k"]  # sum S' R^-1 S
     gradient: Float[np.ndarray, " k"]
-    taken: int
+    steps: int
 
 
 def _sensitivities(data: Data, theta: Float[Array, " k"]):
     """Per coefficient the residual (n,) and the sensitivities S (k, n); and the separation point (n,).
 
-    One parameter at a time, for then JAX knows where a derivative is zero or constant and leaves that part out; what
-    the parameters share is compiled once. Parameters before samples: contiguous matrix products.
+    One parameter at a time, so that JAX omits derivatives that are zero or constant; what the parameters share is
+    compiled once. Parameters come before samples, so that matrix products are contiguous.
     """
     values = data.model.values(theta)
 
@@ -65,7 +65,7 @@ def _sensitivities(data: Data, theta: Float[Array, " k"]):
 
 @eqx.filter_jit
 def evaluate(data: Data, theta: Float[Array, " k"]):
-    """Residual (n, c), sensitivities (n, c, k) and separation point (n,): too large to hand over at every step."""
+    """Residual (n, c), sensitivities (n, c, k) and separation point (n,); too large to transfer at every step."""
     residual, S, X = _sensitivities(data, theta)
     return jnp.stack(residual, axis=1), jnp.stack([s.T for s in S], axis=1), X
 
@@ -75,71 +75,71 @@ def full_steps(
     start: Float[np.ndarray, " k"],
     lower: Float[np.ndarray, " k"],
     upper: Float[np.ndarray, " k"],
-    decrement: float,
-    most: int,
+    tolerance: float,
+    max_steps: int,
 ) -> Point:
-    """At most `most` full Gauss-Newton steps from `start`, while each lowers the cost and stays within the bounds.
+    """At most `max_steps` full Gauss-Newton steps from `start`, while each lowers the cost and stays within the bounds.
 
-    Gauss-Newton leaves out the model's curvature, so it ends in steps that shrink by a constant factor; Anderson
-    acceleration (Walker and Ni 2011, SIAM J. Numer. Anal. 49, 1715) reads that factor off the last steps. Ends where a
-    step would gain less than `decrement` in log-likelihood, or before the first step that is not good; `most` = 0 only
-    looks at `start`.
+    Gauss-Newton neglects the model's curvature, so its last steps shrink by a constant factor; Anderson acceleration
+    (Walker and Ni 2011, SIAM J. Numer. Anal. 49, 1715) estimates that factor from the last steps. The loop ends where
+    the expected gain in log-likelihood is below `tolerance`, or before the first step that does not lower the cost.
+    With `max_steps` = 0 only `start` is evaluated.
     """
-    arguments = map(jnp.asarray, (start, lower, upper, decrement, most))  # none static: one compilation
+    arguments = map(jnp.asarray, (start, lower, upper, tolerance, max_steps))  # none static: one compilation
     found = _full_steps(data, *arguments)
-    theta, cost, R, information, gradient, taken = map(np.asarray, found)
-    return Point(theta, float(cost), R, information, gradient, int(taken))
+    theta, cost, R, information, gradient, steps = map(np.asarray, found)
+    return Point(theta, float(cost), R, information, gradient, int(steps))
 
 
 @eqx.filter_jit
-def _full_steps(data: Data, start: Array, lower: Array, upper: Array, decrement: Array, most: Array):
+def _full_steps(data: Data, start: Array, lower: Array, upper: Array, tolerance: Array, max_steps: Array):
     n, k = data.measured.shape[0], start.shape[0]
 
     def newton(point):
         _, _, _, A, g, _ = point
         scale = jnp.sqrt(jnp.diag(A))
-        factor = jnp.linalg.cholesky(A / jnp.outer(scale, scale))  # NaN where singular: the step is then not good
+        factor = jnp.linalg.cholesky(A / jnp.outer(scale, scale))  # NaN where singular: the step is then refused
         step = jax.scipy.linalg.cho_solve((factor, True), g / scale) / scale
         return step, 0.5 * step @ g
 
-    def look(theta, taken):
+    def evaluate_at(theta, steps):
         residual, S, _ = _sensitivities(data, theta)
         R = [jnp.mean(r**2) for r in residual]
         information = sum(s @ s.T / v for s, v in zip(S, R, strict=True))
         gradient = sum(s @ r / v for s, r, v in zip(S, residual, R, strict=True))
         R = jnp.stack(R)
-        return theta, 0.5 * n * jnp.sum(jnp.log(R)), R, information, gradient, taken
+        return theta, 0.5 * n * jnp.sum(jnp.log(R)), R, information, gradient, steps
 
-    def accelerated(point, plain, moves, changes):
+    def accelerated(point, plain, step_memory, change_memory):
         """Anderson's step: that of the combination of the last points at which the next plain step vanishes."""
-        weighed = changes @ point[3]
-        gram = weighed @ changes.T
+        weighed = change_memory @ point[3]
+        gram = weighed @ change_memory.T
         ridge = jnp.finfo(gram.dtype).eps * jnp.trace(gram) + jnp.finfo(gram.dtype).tiny
-        share = jnp.linalg.solve(gram + ridge * jnp.eye(MEMORY), weighed @ plain)
-        step = plain - share @ (moves + changes)
+        share = jnp.linalg.solve(gram + ridge * jnp.eye(ANDERSON_MEMORY), weighed @ plain)
+        step = plain - share @ (step_memory + change_memory)
         return jnp.where(inside(point[0] + step), step, plain)
 
     def inside(theta):
         return jnp.all((theta > lower) & (theta < upper))
 
     def body(state):
-        point, plain, step, moves, changes, _ = state
-        trial = look(point[0] + step, point[-1] + 1)
+        point, plain, step, step_memory, change_memory, _ = state
+        trial = evaluate_at(point[0] + step, point[-1] + 1)
         first = point[-1] < 0
-        good = first | (trial[1] < point[1])
+        accepted = first | (trial[1] < point[1])
         was_plain = jnp.all(step == plain)
-        point = jax.tree.map(lambda new, old: jnp.where(good, new, old), trial, point)
+        point = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), trial, point)
         new, gain = newton(point)
-        remembered = good & ~first
-        moves = jnp.where(remembered, jnp.roll(moves, 1, axis=0).at[0].set(step), 0.0)
-        changes = jnp.where(remembered, jnp.roll(changes, 1, axis=0).at[0].set(new - plain), 0.0)
-        step = accelerated(point, new, moves, changes)
-        # An accelerated step that gains nothing is forgotten with all memory, and the plain one is tried.
-        go_on = (good | ~was_plain) & inside(point[0] + step) & (gain >= decrement) & (point[-1] < most)
-        return point, new, step, moves, changes, go_on
+        stored = accepted & ~first
+        step_memory = jnp.where(stored, jnp.roll(step_memory, 1, axis=0).at[0].set(step), 0.0)
+        change_memory = jnp.where(stored, jnp.roll(change_memory, 1, axis=0).at[0].set(new - plain), 0.0)
+        step = accelerated(point, new, step_memory, change_memory)
+        # An accelerated step without gain is discarded with the memory, and the plain step is tried.
+        go_on = (accepted | ~was_plain) & inside(point[0] + step) & (gain >= tolerance) & (point[-1] < max_steps)
+        return point, new, step, step_memory, change_memory, go_on
 
-    # The loop begins by looking at the start, as if a step of zero led there: so it compiles the sensitivities once.
-    nowhere = (jnp.asarray(start), jnp.inf, jnp.zeros(data.measured.shape[1]), jnp.eye(k), jnp.zeros(k), -1)
-    nothing, empty = jnp.zeros(k), jnp.zeros((MEMORY, k))
-    begin = (nowhere, nothing, nothing, empty, empty, True)
+    # The loop evaluates the start as the result of a zero step, so that the sensitivities are compiled once.
+    no_point = (jnp.asarray(start), jnp.inf, jnp.zeros(data.measured.shape[1]), jnp.eye(k), jnp.zeros(k), -1)
+    nothing, empty = jnp.zeros(k), jnp.zeros((ANDERSON_MEMORY, k))
+    begin = (no_point, nothing, nothing, empty, empty, True)
     return jax.lax.while_loop(lambda state: state[-1], body, begin)[0]

@@ -1,4 +1,4 @@
-"""Draws of a sampler made into a posterior: marginals with diagnostics, and what the draws predict."""
+"""A posterior from the draws of a sampler: marginals with diagnostics, and predictions."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PREDICTIVE_VALUES = 20_000_000  # of each of these groups; a record of 200,000 s
 
 
 class Drawn(NamedTuple):
-    """What a sampler has drawn: x (chain, draw, k), its own statistics and, if known, the marginals."""
+    """Draws x (chain, draw, k) of a sampler, its statistics and, if known, the marginals."""
 
     engine: str
     x: Float[np.ndarray, "chain draw k"]

@@ -1,7 +1,7 @@
-"""A chain on disk as it grows, so that a run that was killed goes on where it stopped and ends in the same chain.
+"""Storage of a growing chain, so that a run that was killed continues where it stopped, with the same chain.
 
-emcee's own HDFBackend opens its file at every step of every ensemble, which costs more than the steps do here, and a
-kill while it writes can spoil all of it. Here every stretch of steps is a file of its own, complete or absent.
+emcee's own HDFBackend opens its file at every step of every ensemble, which takes longer than the steps here, and a
+kill while it writes can destroy the file. Here every stretch of steps is a separate file, complete or absent.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from jaxtyping import Float, Int
 
 from bayes_aero.errors import InputError
 
-ABOUT, BURN_IN, STEPS = "about.json", "burn_in.npz", "steps_{:08d}.npz"
+DESCRIPTION, BURN_IN, STEPS = "about.json", "burn_in.npz", "steps_{:08d}.npz"
 UNREADABLE = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile)
 
 
 @dataclass(frozen=True)
 class BurnIn:
-    """Between two rounds of burning in: the proposal so far, where the walkers stand, and whether it is over."""
+    """State between two rounds of the burn-in: positions of the walkers, the proposal, and whether it is finished."""
 
     begin: Float[np.ndarray, "ensemble walker k"]
     centre: Float[np.ndarray, " k"]
@@ -41,7 +41,7 @@ class BurnIn:
 
 @dataclass(frozen=True)
 class Stretch:
-    """Steps of all ensembles, with what is counted up to their end and the state of each generator there."""
+    """Steps of all ensembles, with counts up to their end and the state of each random generator there."""
 
     chain: Float[np.ndarray, "ensemble step walker k"]
     log_prob: Float[np.ndarray, "ensemble step walker"]
@@ -58,7 +58,7 @@ class Stretch:
 
     @classmethod
     def of(cls, chain: np.ndarray, log_prob: np.ndarray, accepted: np.ndarray, states: Any, rejected: int) -> Stretch:
-        """From what emcee's samplers hold."""
+        """From the state of emcee's samplers."""
         keys = np.stack([state[1] for state in states]).astype(np.int64)
         places = np.array([[float(x) for x in state[2:5]] for state in states])
         return cls(chain, log_prob, accepted, keys, places, rejected)
@@ -68,36 +68,36 @@ Part = TypeVar("Part", BurnIn, Stretch)
 
 
 class Checkpoint:
-    """A folder that belongs to one run: `made_from` are all settings, inputs and versions that its numbers rest on.
+    """A folder of one run: `made_from` are all settings, inputs and versions on which its numbers depend.
 
-    What another run has left there is thrown away. Nothing in it is code: plain arrays and JSON.
+    Files of another run are deleted. The files are plain arrays and JSON, no code.
     """
 
     def __init__(self, folder: Path, made_from: Mapping[str, Any]) -> None:
         self.folder, self.made_from = folder, json.dumps(made_from, sort_keys=True, default=str)
 
     def begin(self, *arrays: np.ndarray) -> tuple[BurnIn | None, Stretch | None]:
-        """What a run from the very same beginning (`arrays` too) has left: its burn-in, and its steps as one."""
+        """Stored burn-in and steps of a run with the same `made_from` and `arrays`; None where there are none."""
         digest = hashlib.sha256(self.made_from.encode())
         for array in arrays:
             digest.update(str(array.shape).encode() + np.ascontiguousarray(array).tobytes())
         identity = digest.hexdigest()
         try:
-            known = json.loads((self.folder / ABOUT).read_text(encoding="utf-8")) == {"made_from": identity}
+            known = json.loads((self.folder / DESCRIPTION).read_text(encoding="utf-8")) == {"made_from": identity}
         except UNREADABLE:
             known = False
         if known:
-            return _read(self.folder / BURN_IN, BurnIn), self._steps()
+            return _read(self.folder / BURN_IN, BurnIn), self._stored_steps()
         shutil.rmtree(self.folder, ignore_errors=True)
         try:
             self.folder.mkdir(parents=True)
-            _write(self.folder / ABOUT, json.dumps({"made_from": identity}).encode())
+            _write(self.folder / DESCRIPTION, json.dumps({"made_from": identity}).encode())
         except OSError as reason:
             raise InputError(f"cannot write to {self.folder} ({reason.strerror}); give another folder") from None
         return None, None
 
-    def _steps(self) -> Stretch | None:
-        """All stretches that follow each other without a hole."""
+    def _stored_steps(self) -> Stretch | None:
+        """All stored stretches without a gap, joined."""
         parts: list[Stretch] = []
         count = 0
         while (part := _read(self.folder / STEPS.format(count), Stretch)) is not None:
@@ -110,20 +110,20 @@ class Checkpoint:
         return Stretch(chain, log_prob, last.accepted, last.keys, last.places, last.rejected)
 
     def keep_burn_in(self, part: BurnIn) -> None:
-        """Put the burn-in so far on disk."""
+        """Store the state of the burn-in."""
         _write(self.folder / BURN_IN, part)
 
     def keep(self, part: Stretch, before: int) -> None:
-        """Put a stretch that follows `before` steps on disk."""
+        """Store a stretch that follows `before` steps."""
         _write(self.folder / STEPS.format(before), part)
 
     def remove(self) -> None:
-        """The run is complete and its results are on disk."""
+        """Delete the folder of a complete run."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
 def _write(path: Path, content: bytes | BurnIn | Stretch) -> None:
-    """Whole or not at all, and on the disk before it has its name."""
+    """Write a file whole or not at all."""
     partial = path.with_name(path.name + ".part")
     with partial.open("wb") as handle:
         if isinstance(content, bytes):

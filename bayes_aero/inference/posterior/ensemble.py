@@ -21,13 +21,13 @@ from bayes_aero.inference.threads import cores
 from bayes_aero.model.log_density import LogDensity
 from bayes_aero.progress import Progress
 
-DEGREES = 5.0  # of freedom of the independence proposal: tails heavier than the posterior's
+DEGREES_OF_FREEDOM = 5.0  # of freedom of the independence proposal: tails heavier than the posterior's
 INDEPENDENT = 0.7  # share of independence moves; the rest is differential evolution, which needs no good proposal
 BURN_IN = 150  # steps of one round
 ROUNDS = 4
-ENOUGH_GAINED = 1.1  # another round follows while the acceptance rises by this factor
-CHUNK = 100
-AUTOCORRELATION_TIMES = 30  # a run must be this long before its autocorrelation time is believed
+MIN_ACCEPTANCE_GAIN = 1.1  # another round follows while the acceptance rises by this factor
+STEPS_PER_CALL = 100
+AUTOCORRELATION_TIMES = 30  # length of a run from which the estimate of its autocorrelation time is used
 
 
 @eqx.filter_jit
@@ -36,7 +36,7 @@ def _log_density(density: LogDensity, u: Float[Array, " k"], factor: Float[Array
     return jax.vmap(lambda row: density(u + factor @ row))(v)
 
 
-class _Independent:
+class _IndependenceProposal:
     """Metropolis-Hastings proposal from one multivariate Student t, the same for every walker."""
 
     def __init__(self, centre: np.ndarray, factor: np.ndarray) -> None:
@@ -44,11 +44,11 @@ class _Independent:
 
     def _log_density(self, v: np.ndarray) -> np.ndarray:
         squared = np.sum(((v - self.centre) @ self.inverse.T) ** 2, axis=1)
-        return -0.5 * (DEGREES + v.shape[1]) * np.log1p(squared / DEGREES)
+        return -0.5 * (DEGREES_OF_FREEDOM + v.shape[1]) * np.log1p(squared / DEGREES_OF_FREEDOM)
 
     def __call__(self, coords: np.ndarray, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
         normal = random.standard_normal(coords.shape)
-        spread = np.sqrt(DEGREES / random.chisquare(DEGREES, size=(len(coords), 1)))
+        spread = np.sqrt(DEGREES_OF_FREEDOM / random.chisquare(DEGREES_OF_FREEDOM, size=(len(coords), 1)))
         proposed = self.centre + (normal * spread) @ self.factor.T
         return proposed, self._log_density(coords) - self._log_density(proposed)
 
@@ -70,11 +70,11 @@ class _Target:
 def _sampler(
     target: _Target,
     walkers: int,
-    proposal: _Independent,
+    proposal: _IndependenceProposal,
     seed: int | None,
     backend: emcee.backends.Backend | None = None,
 ) -> emcee.EnsembleSampler:
-    """With `backend` it goes on behind that chain, from the state of the generator that is kept with it."""
+    """A sampler; with `backend` it continues that chain with the stored state of its random generator."""
     size = target.density.size
     moves = [(emcee.moves.MHMove(proposal), INDEPENDENT), (emcee.moves.DEMove(), 1.0 - INDEPENDENT)]
     sampler = emcee.EnsembleSampler(walkers, size, target, moves=moves, vectorize=True, backend=backend)
@@ -83,13 +83,13 @@ def _sampler(
     return sampler
 
 
-def _burnt_in(
+def _burn_in(
     target: _Target, walkers: int, ensembles: int, seed: int, store: Checkpoint | None, known: BurnIn | None
 ) -> BurnIn:
-    """Where the ensembles begin, with the proposal fitted to what all of them found while burning in.
+    """Starting points of the ensembles, and the proposal fitted to their draws of the burn-in.
 
-    The fit is repeated while it still raises the acceptance much: a skewed posterior is reached in several rounds.
-    `known` is what an earlier run has left of it.
+    The fit is repeated while it increases the acceptance much: a skewed posterior takes several rounds. `known` is the
+    stored state of an earlier run.
     """
     size = target.density.size
     if known is None:
@@ -98,13 +98,13 @@ def _burnt_in(
     target.rejected = known.rejected
     while not known.over:
         number, begin, before = known.rounds, known.begin, known.accepted
-        proposal = _Independent(known.centre, known.factor)
+        proposal = _IndependenceProposal(known.centre, known.factor)
         samplers = [_sampler(target, walkers, proposal, _seed(seed, i, number)) for i in range(ensembles)]
         _advance(samplers, BURN_IN, begin)
         begin = np.stack([np.asarray(s.get_chain())[-1] for s in samplers])
         found = np.concatenate([np.asarray(s.get_chain(discard=BURN_IN // 3, flat=True)) for s in samplers])
         accepted = float(np.mean([s.acceptance_fraction for s in samplers]))
-        over = accepted < ENOUGH_GAINED * before or number + 1 == ROUNDS
+        over = accepted < MIN_ACCEPTANCE_GAIN * before or number + 1 == ROUNDS
         factor = np.linalg.cholesky(np.cov(found.T))
         known = BurnIn(begin, found.mean(axis=0), factor, accepted, number + 1, over, target.rejected)
         if store:
@@ -112,14 +112,14 @@ def _burnt_in(
     return known
 
 
-def _continued(
+def _resume(
     target: _Target, walkers: int, ensembles: int, seed: int, known: BurnIn, steps: Stretch | None
 ) -> list[emcee.EnsembleSampler]:
-    """Samplers after the burn-in, with the steps that they have made already."""
-    proposal = _Independent(known.centre, known.factor)
+    """Samplers after the burn-in, with the steps of an earlier run."""
+    proposal = _IndependenceProposal(known.centre, known.factor)
     if steps is None:
         samplers = [_sampler(target, walkers, proposal, _seed(seed, i, ROUNDS)) for i in range(ensembles)]
-        _advance(samplers, CHUNK, known.begin)
+        _advance(samplers, STEPS_PER_CALL, known.begin)
         return samplers
     target.rejected = steps.rejected
     samplers = []
@@ -132,8 +132,8 @@ def _continued(
     return samplers
 
 
-def _keep(samplers: list[emcee.EnsembleSampler], target: _Target, store: Checkpoint, kept: int) -> int:
-    """Put the steps beyond the `kept` ones on disk; the number of all."""
+def _store_steps(samplers: list[emcee.EnsembleSampler], target: _Target, store: Checkpoint, kept: int) -> int:
+    """Store the steps after the first `kept` ones on disk; return the number of all steps."""
     steps = samplers[0].iteration
     if steps > kept:
         backends = [s.backend for s in samplers]
@@ -144,20 +144,20 @@ def _keep(samplers: list[emcee.EnsembleSampler], target: _Target, store: Checkpo
 
 
 def _seed(seed: int, ensemble: int, number: int) -> int:
-    """A seed of its own for every run, within what the generator takes."""
+    """A different seed for every run, within the range of the generator."""
     return (1000 * seed + 10 * ensemble + number) % 2**32
 
 
 def _advance(samplers: list[emcee.EnsembleSampler], steps: int, begin: np.ndarray | None = None) -> None:
-    """Every ensemble by `steps`, one thread a core: they share nothing, and the density runs outside Python's lock."""
+    """Advance every ensemble by `steps`, one thread a core; the density runs outside Python's lock."""
     starts = [None] * len(samplers) if begin is None else list(begin)
     with ThreadPoolExecutor(min(len(samplers), cores())) as pool:
         list(pool.map(lambda sampler, start: sampler.run_mcmc(start, steps), samplers, starts))
 
 
 def _autocorrelation_time(samplers: list[emcee.EnsembleSampler]) -> float:
-    """Steps, of the slowest parameter, over the walkers of all ensembles, which move alike; infinite while it is not
-    defined, as when a walker has never moved."""
+    """Autocorrelation time of the slowest parameter in steps, over the walkers of all ensembles; infinite where it is
+    not defined, as when a walker has never moved."""
     chain = np.concatenate([np.asarray(s.get_chain()) for s in samplers], axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         slowest = float(np.max(emcee.autocorr.integrated_time(chain, tol=0, quiet=True)))
@@ -165,14 +165,15 @@ def _autocorrelation_time(samplers: list[emcee.EnsembleSampler]) -> float:
 
 
 def _chains(samplers: list[emcee.EnsembleSampler], thin: int) -> Float[np.ndarray, "chain draw k"]:
-    """One chain per ensemble, its walkers end to end: so R-hat compares ensembles and ESS sees each walker's memory."""
+    """One chain per ensemble, its walkers end to end, so that R-hat compares ensembles and ESS accounts for the
+    autocorrelation of each walker."""
     chains = [np.asarray(s.get_chain(thin=thin)) for s in samplers]
     return np.stack([np.swapaxes(chain, 0, 1).reshape(-1, chain.shape[2]) for chain in chains])
 
 
 class EnsembleLength(NamedTuple):
-    """Independent ensembles, the most steps that each makes, and its walkers: by default two for each parameter and
-    four more. Many walkers cost a graphics processor hardly more than one."""
+    """Number of independent ensembles, largest number of steps of each, and walkers of each; default: two for each
+    parameter and four more. On a graphics processor many walkers cost hardly more than one."""
 
     ensembles: int = 4
     max_steps: int = 4000
@@ -192,32 +193,32 @@ def sample_ensemble(
     """Sample until every parameter reaches the targets of ESS and R-hat and the run spans many autocorrelation times.
 
     Moves, chosen by measurement (benchmarks/README.md): independence proposals from a Student t fitted to the burn-in,
-    mixed with differential evolution. The proposal is frozen before the kept draws begin. `progress(text, share)` is
-    called after every stretch of steps. With a `checkpoint` every stretch is on disk before the next begins, and a run
-    that was killed goes on behind the last one, to the chain that it would have had.
+    mixed with differential evolution. The proposal is fixed before the stored draws start. `progress(text, share)` is
+    called after every `STEPS_PER_CALL` steps. With a `checkpoint` these steps are stored before the next ones start; a
+    run that was killed continues from there, with the same chain as without the interruption.
     """
     began = time.perf_counter()
     walkers = length.walkers or 2 * (density.size + 2)
     target = _Target(density, mode)
-    settings = np.array([seed, length.ensembles, walkers, CHUNK, BURN_IN, ROUNDS])
+    settings = np.array([seed, length.ensembles, walkers, STEPS_PER_CALL, BURN_IN, ROUNDS])
     known, steps_made = checkpoint.begin(mode.u, mode.factor, settings) if checkpoint else (None, None)
-    known = _burnt_in(target, walkers, length.ensembles, seed, checkpoint, known)
-    samplers = _continued(target, walkers, length.ensembles, seed, known, steps_made)
+    known = _burn_in(target, walkers, length.ensembles, seed, checkpoint, known)
+    samplers = _resume(target, walkers, length.ensembles, seed, known, steps_made)
     kept = 0 if steps_made is None else samplers[0].iteration
     while True:
         if checkpoint:
-            kept = _keep(samplers, target, checkpoint, kept)
+            kept = _store_steps(samplers, target, checkpoint, kept)
         tau = _autocorrelation_time(samplers)
         steps = samplers[0].iteration
         if progress:
             progress(f"emcee: {steps} steps", min(1.0, steps / (AUTOCORRELATION_TIMES * tau)))
         if steps >= AUTOCORRELATION_TIMES * tau or steps >= length.max_steps:
-            thin = max(1, int(tau / 2)) if np.isfinite(tau) else 1  # draws closer than that say nearly the same
+            thin = max(1, int(tau / 2)) if np.isfinite(tau) else 1  # draws closer than that are nearly equal
             x = np.asarray(constrain_draws(density, jnp.asarray(mode.unwhiten(_chains(samplers, thin)))))
             marginals = diagnose(x, density.names)
             if converged(marginals) or steps >= length.max_steps:
                 break
-        _advance(samplers, CHUNK)
+        _advance(samplers, STEPS_PER_CALL)
     drawn = Drawn("emcee", x, _stats(samplers, thin), marginals)
     posterior = assemble(density, drawn, seed=seed, seconds=time.perf_counter() - began, predictive=predictive)
     posterior.tree.attrs |= {

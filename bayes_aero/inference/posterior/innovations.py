@@ -1,8 +1,8 @@
 """The posterior of a flight fitted with process noise: parameters, process noise and measurement noise, jointly.
 
-The density is that of `likelihood.prediction_error`, with the parameters' own priors instead of their normal
-approximations, and weak ones of the noise: lognormal, so that the posterior is proper where a record does not tell a
-process noise from none.
+The density is that of `likelihood.prediction_error`, with the parameters' priors instead of their normal
+approximations, and weak lognormal priors of the noise, so that the posterior is proper where a process noise is not
+distinguishable from zero.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 from bayes_aero.dynamics.filtering.density import NoisePoint, innovations_density
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.likelihood.disturbed import FIRST_F, FIRST_R
-from bayes_aero.inference.likelihood.normal_equations import departures
+from bayes_aero.inference.likelihood.normal_equations import initial_state_sd
 from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult
 from bayes_aero.inference.posterior.ensemble import EnsembleLength, sample_ensemble
 from bayes_aero.inference.posterior.laplace import find_mode, inside
@@ -28,7 +28,7 @@ from bayes_aero.model.log_density import LogDensity
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.progress import Progress
 
-ENGINES = ("emcee", "nuts")  # the quicker one first
+ENGINES = ("emcee", "nuts")  # the faster one first
 SPREAD = 2.0  # standard deviation of the logarithm of a process or measurement noise: a factor of 50 either way, 95 %
 
 
@@ -41,8 +41,8 @@ class NoiseLevels(NamedTuple):
 
     @classmethod
     def of(cls, R: Float[np.ndarray, " c"], outputs: tuple[str, ...], states: tuple[str, ...]) -> NoiseLevels:
-        """From the variances of output error's residuals: `FIRST_F` of the residual in a second, and `FIRST_R` of its
-        variance, as the fit begins. States that are compared with no sensor have none."""
+        """From the residual variances of output error, by `FIRST_F` and `FIRST_R` as at the start of the fit. States
+        without a sensor have no process noise."""
         sd = dict(zip(outputs, map(float, np.sqrt(R)), strict=True))
         return cls(
             tuple(FIRST_F * sd[name] if name in sd else 0.0 for name in states),
@@ -79,11 +79,11 @@ class InnovationsDensity(LogDensity):
 
     @property
     def disturbed(self) -> Int[np.ndarray, " f"]:
-        """Places of the states that have process noise."""
+        """Indices of the states with process noise."""
         return np.flatnonzero(np.array(self.levels.process) > 0.0)
 
     def log_likelihood(self, x: Float[Array, " k"]) -> Float[Array, ""]:
-        """Of the innovations; minus infinity where the filter diverges."""
+        """Log likelihood of the innovations; minus infinity where the filter diverges."""
         k, c = len(self.flown.dynamics.free), len(self.flown.outputs)
         F = jnp.zeros(len(self.levels.process)).at[self.disturbed].set(x[k:-c])
         point = NoisePoint(x[:k], F, x[-c:] ** 2)
@@ -91,7 +91,7 @@ class InnovationsDensity(LogDensity):
         return jnp.where(jnp.isfinite(total), total, -jnp.inf)
 
     def start(self, fit: PredictionErrorResult) -> Float[np.ndarray, " k"]:
-        """The fit as a point of this density, off the bounds where it is at one."""
+        """The fit as a point of this density, moved inside its bounds."""
         least = np.exp(-2.0 * SPREAD)  # times the median: a process noise of the fit may vanish, a lognormal does not
         F = np.maximum(fit.F, least * np.array(self.levels.process))[self.disturbed]
         free = zip(fit.estimate, self.flown.dynamics.free, strict=True)
@@ -104,7 +104,7 @@ def _noise(name: str, text: str, median: float) -> Parameter:
 
 
 class PosteriorLength(NamedTuple):
-    """Chains of both samplers, for densities that take milliseconds: two each, one a core of a small machine."""
+    """Chains of both samplers for densities that take milliseconds: two each, one for each core of a small machine."""
 
     nuts: NutsLength = NutsLength(chains=2, warmup=100, max_blocks=2)
     emcee: EnsembleLength = EnsembleLength(ensembles=2, max_steps=600)
@@ -122,11 +122,11 @@ def sample_innovations(
 ) -> dict[str, Posterior]:
     """The posterior by emcee and by NUTS, or one of them, from the fit.
 
-    Both work on the scale of the curvature at the mode, which is sought from the fit.
+    Both use coordinates scaled by the curvature at the mode, which is searched from the fit.
 
     Args:
-        flown: the segments that were fitted, of a fit with priors.
-        fit: what `fit_disturbed` found.
+        flown: the fitted segments, of a fit with priors.
+        fit: result of `fit_disturbed`.
         R: variances of output error's residuals, (c,), SI: the scale of the priors of the noise.
         seed: of the samplers.
         length: of the chains.
@@ -146,6 +146,6 @@ def sample_innovations(
 def innovations_posterior(flown: SegmentTrajectories, R: Float[np.ndarray, " c"]) -> InnovationsDensity:
     """The density; `R` (c,) are variances of output error's residuals. A fixed initial state has no deviation."""
     dynamics = flown.dynamics
-    deviation = np.zeros(len(dynamics.states)) if flown.fixed is not None else departures(dynamics)
+    deviation = np.zeros(len(dynamics.states)) if flown.fixed is not None else initial_state_sd(dynamics)
     levels = NoiseLevels.of(R, flown.outputs, dynamics.states)
     return InnovationsDensity(flown.nameless, tuple(map(float, deviation)), levels)

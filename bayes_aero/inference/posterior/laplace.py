@@ -16,15 +16,15 @@ from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.model.log_density import LogDensity
 from bayes_aero.parameter import Prior
 
-DRAWS, FEWEST = 8, 2  # of the prior, from which other modes are looked for
-DEAR = 48_000  # samples times draws
-TELLING = 0.01  # share of the probability
-SAME = 0.05  # of two modes' log-densities: from rounding, no search stops nearer
-FLOOR = 1e-8  # smallest curvature, relative to the largest, that is taken at face value
+PRIOR_DRAWS, MIN_DRAWS = 8, 2  # of the prior, from which other modes are sought
+MAX_SAMPLES_TIMES_DRAWS = 48_000  # fewer draws are used for longer records
+MIN_OTHER_SHARE = 0.01  # of the probability, from which other modes are reported
+SAME_LOG_DENSITY = 0.05  # difference of log-densities below which two modes are one; searches stop no nearer
+MIN_RELATIVE_CURVATURE = 1e-8  # curvatures below this share of the largest count as this
 
 
 class ModeStatus(Enum):
-    """How the search for the mode ended; the value is what to tell the user."""
+    """How the search for the mode ended; the value is the text for the user."""
 
     CONVERGED = "converged"
     NOT_CONVERGED = "the posterior mode was not reached; the samplers start from the best point found"
@@ -35,18 +35,18 @@ class ModeStatus(Enum):
 class Mode:
     """`u` is the mode on the unbounded scale, `factor` the lower Cholesky factor of the inverse curvature there.
 
-    `elsewhere` is the share of the probability that other modes hold which a search has found (`search_modes`).
+    `other_share` is the share of the probability of other modes that `search_modes` found.
     """
 
     u: Float[np.ndarray, " k"]
     factor: Float[np.ndarray, "k k"]
     log_density: float
     status: ModeStatus
-    elsewhere: float = 0.0
+    other_share: float = 0.0
 
     @property
     def log_mass(self) -> float:
-        """Log of the probability around the mode, but for a constant: its density over a normal of its curvature."""
+        """Log of the probability around the mode by its Laplace approximation, without a constant."""
         return self.log_density + float(np.sum(np.log(np.diag(self.factor))))
 
     def unwhiten(self, v: Float[np.ndarray, "*m k"]) -> Float[np.ndarray, "*m k"]:
@@ -84,23 +84,23 @@ def _curvature(density: LogDensity, u: np.ndarray, step: np.ndarray) -> np.ndarr
 def _factor(H: np.ndarray) -> tuple[np.ndarray, bool]:
     """Lower Cholesky factor of |H|^-1; true if H is positive definite.
 
-    Away from the mode H may have negative eigenvalues; their size is still the right scale to move by (saddle-free
-    Newton), so absolute values are taken, and a floor keeps a flat direction finite.
+    Away from the mode H may have negative eigenvalues. Their size is still the right scale of a step (saddle-free
+    Newton), so absolute values are taken; a lower limit keeps flat directions finite.
     """
     known = np.isfinite(H).all(axis=1)
-    if not known.all():  # no density nearby in that direction: taken to be as steep as the steepest
+    if not known.all():  # no density nearby in that direction: the largest curvature is taken
         H = np.where(
             np.outer(known, known), H, np.diag(np.where(known, 0.0, np.abs(np.diag(H)[known]).max(initial=1.0)))
         )
     own = np.abs(np.diag(H))
-    scale = np.sqrt(np.maximum(own, FLOOR**2 * own.max()))
+    scale = np.sqrt(np.maximum(own, MIN_RELATIVE_CURVATURE**2 * own.max()))
     eigenvalues, vectors = np.linalg.eigh(H / np.outer(scale, scale))
-    floor = FLOOR * np.abs(eigenvalues).max()
+    floor = MIN_RELATIVE_CURVATURE * np.abs(eigenvalues).max()
     covariance = (vectors / np.maximum(np.abs(eigenvalues), floor)) @ vectors.T / np.outer(scale, scale)
     return np.linalg.cholesky((covariance + covariance.T) / 2.0), bool(known.all() and eigenvalues[0] > floor)
 
 
-def _climb(density: LogDensity, u: np.ndarray, factor: np.ndarray) -> np.ndarray:
+def _maximise(density: LogDensity, u: np.ndarray, factor: np.ndarray) -> np.ndarray:
     """L-BFGS on coordinates scaled by `factor`."""
 
     def negative(v: np.ndarray) -> tuple[float, np.ndarray]:
@@ -114,9 +114,9 @@ def _climb(density: LogDensity, u: np.ndarray, factor: np.ndarray) -> np.ndarray
 
 
 def density_start(density: LogDensity, mle: MleResult) -> np.ndarray:
-    """Where the search for the posterior mode begins: the maximum-likelihood estimate with its residuals' noise.
+    """Start of the search for the posterior mode: the maximum-likelihood estimate and the noise of its residuals.
 
-    What the flight hardly tells begins where the prior has it: an estimate of it may be anywhere.
+    Estimate and prior are weighted by their precisions, because estimates with little information may be anywhere.
     """
     deviation = dict(zip(mle.fit, np.sqrt(mle.R), strict=True))
     estimate, bound = (dict(zip(mle.names, x, strict=True)) for x in (mle.estimate, mle.crb))
@@ -125,7 +125,7 @@ def density_start(density: LogDensity, mle: MleResult) -> np.ndarray:
         kind, _, coefficient = p.name.partition("_")
         value = p.start
         if p.name in estimate:
-            value = _weighed(estimate[p.name], bound[p.name], p.prior)
+            value = _precision_weighted(estimate[p.name], bound[p.name], p.prior)
         if kind == "sigma" and coefficient in deviation:
             value = deviation[coefficient]
         elif kind == "rho" and coefficient in mle.lag1:
@@ -134,15 +134,15 @@ def density_start(density: LogDensity, mle: MleResult) -> np.ndarray:
     return np.array(start)
 
 
-def _weighed(estimate: float, deviation: float, prior: Prior) -> float:
-    """Mean of an estimate and its prior, each by its precision; the prior's alone where there is no deviation."""
+def _precision_weighted(estimate: float, deviation: float, prior: Prior) -> float:
+    """Precision-weighted mean of an estimate and its prior; the prior mean where the standard error is infinite."""
     mean, wide = prior.normal
     share = 1.0 / (1.0 + (deviation / wide) ** 2) if np.isfinite(deviation) else 0.0
     return mean + share * (estimate - mean)
 
 
 def inside(value: float, bounds: tuple[float, float]) -> float:
-    """Strictly inside the bounds, where the unbounded scale is finite."""
+    """The value moved strictly inside the bounds, where the unbounded scale is finite."""
     lower, upper = bounds
     margin = 1e-3 * min(upper - lower, 1.0 + abs(value))
     return float(np.clip(value, lower + margin, upper - margin))
@@ -151,60 +151,61 @@ def inside(value: float, bounds: tuple[float, float]) -> float:
 def find_mode(density: LogDensity, start: Float[np.ndarray, " k"], *, rounds: int = 12) -> Mode:
     """Maximise the log-density from `start` (x, bounded scale, strictly inside its bounds).
 
-    Each round measures the curvature, takes a Newton step if that gains, else climbs by L-BFGS on the new scale.
+    Each round computes the curvature and takes a Newton step if that increases the density, else steps of L-BFGS.
     """
     u = np.asarray(density.unconstrain(jnp.asarray(start, float)))
     value, slope = value_and_gradient(density, u)
     step = np.full(len(u), 1e-4)
     for _ in range(rounds):
-        factor, sound = _factor(_curvature(density, u, step))
+        factor, positive_definite = _factor(_curvature(density, u, step))
         step = np.minimum(1e-3 * np.sqrt(np.sum(factor**2, axis=1)), 1e-2)
         move = factor @ (factor.T @ slope)
         gain = 0.5 * float(slope @ move)
-        if sound and gain < 1e-7:
+        if positive_definite and gain < 1e-7:
             return Mode(u, factor, float(value), ModeStatus.CONVERGED)
         trial = u + move
         new, new_slope = value_and_gradient(density, trial)
         if not (_usable(new, new_slope) and new > value + 0.5 * gain):
-            trial = _climb(density, u, factor)
+            trial = _maximise(density, u, factor)
             new, new_slope = value_and_gradient(density, trial)
         if not (_usable(new, new_slope) and new > value):
             break
         u, value, slope = trial, new, new_slope
-    factor, sound = _factor(_curvature(density, u, step))
+    factor, positive_definite = _factor(_curvature(density, u, step))
     near = 0.5 * float(slope @ factor @ (factor.T @ slope)) < 1e-3
-    status = ModeStatus.FLAT if not sound else ModeStatus.CONVERGED if near else ModeStatus.NOT_CONVERGED
+    status = ModeStatus.FLAT if not positive_definite else ModeStatus.CONVERGED if near else ModeStatus.NOT_CONVERGED
     return Mode(u, factor, float(value), status)
 
 
 def search_modes(
-    density: LogDensity, start: Float[np.ndarray, " k"], samples: int, *, seed: int = 0, draws: int = DRAWS
+    density: LogDensity, start: Float[np.ndarray, " k"], samples: int, *, seed: int = 0, draws: int = PRIOR_DRAWS
 ) -> Mode:
-    """The mode around which most of the probability lies, of those climbed to from `start` and from prior draws.
+    """The mode with most of the probability, of the modes reached from `start` and from prior draws.
 
-    A sampler that begins in one mode does not find the others and says that it has converged, so they are looked for
-    before. Fewer draws are tried where `samples` make each of them dear.
+    A sampler that starts in one mode does not find the others and still reports convergence. They are therefore sought
+    before. Fewer draws are used where there are many `samples`.
     """
-    count = max(FEWEST, min(draws, DEAR // max(samples, 1)))
+    count = max(MIN_DRAWS, min(draws, MAX_SAMPLES_TIMES_DRAWS // max(samples, 1)))
     others = density.sample_prior(np.random.default_rng([seed, 9]), count)
     found = [find_mode(density, x) for x in (start, *others)]
-    sound = [mode for mode in found if mode.status is ModeStatus.CONVERGED]
-    if not sound:
+    positive_definite = [mode for mode in found if mode.status is ModeStatus.CONVERGED]
+    if not positive_definite:
         return max(found, key=lambda mode: mode.log_density)
-    apart: list[Mode] = []
-    for mode in sorted(sound, key=lambda mode: -mode.log_mass):
-        if all(abs(mode.log_density - known.log_density) > SAME for known in apart):
-            apart.append(mode)
-    mass = np.exp([mode.log_mass - apart[0].log_mass for mode in apart])
-    near = found[0].status is ModeStatus.CONVERGED and abs(found[0].log_density - apart[0].log_density) <= SAME
-    return replace(found[0] if near else apart[0], elsewhere=float(1.0 - 1.0 / mass.sum()))
+    distinct: list[Mode] = []
+    for mode in sorted(positive_definite, key=lambda mode: -mode.log_mass):
+        if all(abs(mode.log_density - known.log_density) > SAME_LOG_DENSITY for known in distinct):
+            distinct.append(mode)
+    mass = np.exp([mode.log_mass - distinct[0].log_mass for mode in distinct])
+    difference = abs(found[0].log_density - distinct[0].log_density)
+    same = found[0].status is ModeStatus.CONVERGED and difference <= SAME_LOG_DENSITY
+    return replace(found[0] if same else distinct[0], other_share=float(1.0 - 1.0 / mass.sum()))
 
 
 def other_modes(mode: Mode, where: str) -> tuple[str, ...]:
-    """A sentence where other modes hold more of the probability than a table of estimates may leave out."""
-    if mode.elsewhere < TELLING:
+    """A sentence where other modes have more than `MIN_OTHER_SHARE` of the probability."""
+    if mode.other_share < MIN_OTHER_SHARE:
         return ()
     return (
-        f"{where}: the posterior has more than one mode; about {mode.elsewhere:.0%} of the probability lies outside "
-        "that which was sampled (by the modes' curvature), so intervals may leave out other values of the parameters.",
+        f"{where}: the posterior has more than one mode; about {mode.other_share:.0%} of the probability lies outside "
+        "the sampled one (by the modes' curvature), so the intervals may exclude other values of the parameters.",
     )

@@ -1,8 +1,8 @@
-"""Probability integral transform: where each measured coefficient falls in what the posterior predicted for it.
+"""Probability integral transform of each measured coefficient under its predictive distribution.
 
-Under a right model the values are uniform. Each sample is predicted one step ahead, given those before it in its
-manoeuvre; under white noise these say nothing, and the values are those of the predictive distribution itself. Sources:
-Dawid 1984, J. R. Stat. Soc. A 147, 278; Diebold, Gunther and Tay 1998, Int. Econ. Rev. 39, 863.
+Under a correct model the values are uniform. Each sample is predicted one step ahead, given those before it in its
+manoeuvre; under white noise they carry no information, and the values are those of the predictive distribution.
+Sources: Dawid 1984, J. R. Stat. Soc. A 147, 278; Diebold, Gunther and Tay 1998, Int. Econ. Rev. 39, 863.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from bayes_aero.inference.identification import Histogram, Identification, PitRe
 from bayes_aero.model.density import Density
 from bayes_aero.model.noise import Colour, Noise
 
-DRAWS = 200  # of the posterior: a sample's probability hardly varies among them; our choice
-MOST_BINS, LEAST_IN_BIN = 20, 20
+DRAWS = 200  # of the posterior: the probability of a sample hardly varies between them; our choice
+MAX_BINS, MIN_PER_BIN = 20, 20
 BAND = 0.95  # that all bars of uniform values lie inside
 
 
@@ -58,7 +58,7 @@ def _mean(density: Density, x: Float[Array, "m k"]) -> Float[Array, "n c"]:
 def histogram(values: Float[np.ndarray, " n"]) -> Histogram:
     """Bars of `values`, with a band by Bonferroni: exact for one bar, a little wide for all together."""
     n = len(values)
-    bins = int(np.clip(n // LEAST_IN_BIN, 2, MOST_BINS))
+    bins = int(np.clip(n // MIN_PER_BIN, 2, MAX_BINS))
     count, edges = np.histogram(values, bins=bins, range=(0.0, 1.0))
     tail = 0.5 * (1.0 - BAND) / bins
     lower, upper = binom.ppf([tail, 1.0 - tail], n, 1.0 / bins)

@@ -35,7 +35,7 @@ class Marginal:
 
     @property
     def ess(self) -> float:
-        """Effective sample size of centre or tails, whichever is less."""
+        """Effective sample size of centre or tails, whichever is smaller."""
         return min(self.ess_bulk, self.ess_tail)
 
 

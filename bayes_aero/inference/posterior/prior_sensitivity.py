@@ -1,4 +1,4 @@
-"""How much a posterior leans on its priors: power-scaling of prior and likelihood.
+"""Sensitivity of a posterior to its priors: power-scaling of prior and likelihood.
 
 Source: Kallioinen, Paananen, Burkner and Vehtari 2024, Stat. Comput. 34, 57; `psense` of ArviZ, by Pareto-smoothed
 importance weights, without sampling again.
@@ -17,27 +17,28 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Array, Float
 
-from bayes_aero.inference.likelihood.restraints import SENSITIVE
+from bayes_aero.inference.likelihood.restraints import SENSITIVITY_LIMIT
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.model.log_density import LogDensity
 
 DRAWS = 4000
 
 
-class Leaning(Enum):
-    """What the two sensitivities say together; the value is what to tell the user."""
+class Dependence(Enum):
+    """Whether the data or the prior decide a parameter, by its two sensitivities; the value is the text for the
+    user."""
 
     DATA = "the data decide"
     BOTH = "prior and data conflict, or the prior is informative compared with the data"
     PRIOR = "the prior decides; the record contains little information on this parameter"
-    NEITHER = "neither moves it: check its chains"
+    NEITHER = "neither changes it: check its chains"
 
 
 def prior_sensitivity(density: LogDensity, posterior: Posterior) -> pd.DataFrame:
-    """A row per parameter: sensitivity to the prior, to the likelihood, and what that says (`Leaning`).
+    """A row per parameter: sensitivity to the prior, to the likelihood, and the conclusion (`Dependence`).
 
-    All priors are scaled together. `posterior` is one of `density`. The draws' own Monte Carlo error is in the numbers:
-    about 0.01 for some thousand draws.
+    All priors are scaled together. `posterior` is one of `density`. The Monte Carlo error of the sensitivities is about
+    0.01 for some thousand draws.
     """
     tree = posterior.tree["posterior"].to_dataset()
     step = max(1, tree.sizes["chain"] * tree.sizes["draw"] // DRAWS)
@@ -52,14 +53,14 @@ def prior_sensitivity(density: LogDensity, posterior: Posterior) -> pd.DataFrame
     found = {part: azs.psense(both, group=part) for part in ("prior", "likelihood")}
     rows = {name: {part: float(found[part][name]) for part in found} for name in density.names}
     table = pd.DataFrame.from_dict(rows, orient="index")
-    table["says"] = [_leaning(*row).value for row in table.to_numpy()]
+    table["says"] = [_dependence(*row).value for row in table.to_numpy()]
     return table
 
 
-def _leaning(prior: float, likelihood: float) -> Leaning:
-    if likelihood >= SENSITIVE:
-        return Leaning.BOTH if prior >= SENSITIVE else Leaning.DATA
-    return Leaning.PRIOR if prior >= SENSITIVE else Leaning.NEITHER
+def _dependence(prior: float, likelihood: float) -> Dependence:
+    if likelihood >= SENSITIVITY_LIMIT:
+        return Dependence.BOTH if prior >= SENSITIVITY_LIMIT else Dependence.DATA
+    return Dependence.PRIOR if prior >= SENSITIVITY_LIMIT else Dependence.NEITHER
 
 
 @eqx.filter_jit

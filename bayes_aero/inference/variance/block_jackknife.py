@@ -1,7 +1,7 @@
-"""Covariance from how far blocks of a record disagree, whatever the autocorrelation within a block.
+"""Covariance from the scatter between blocks of a record, for any autocorrelation within a block.
 
-Three other variances stay apart. `robust_bounds` corrects each block by its leverage (HC3) and not by their number,
-`discrepancy.trust_of` by neither, and `coloured_bounds.deviation_of_sum` has no blocks.
+Three other variances differ. `robust_bounds` corrects each block by its leverage (HC3) and not by their number,
+`discrepancy.trust_of` by neither, and `coloured_bounds.standard_error_of_sum` has no blocks.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ def cluster_covariance(
 def jackknife_covariance(moves: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k k"]:
     """Covariance of an estimate from its `moves` when each of n blocks is left out: (n - 1)/n sum_g d_g d_g'.
 
-    A block that decides a parameter alone leaves no residual there, and `cluster_covariance` takes that for agreement;
-    this does not.
+    A block that alone determines a parameter has no residual in its direction. `cluster_covariance` takes this for
+    agreement; the jackknife does not.
 
     Source: Bell and McCaffrey, Survey Methodology 28 (2002) 169, for moves from the estimate by all blocks; Efron and
     Tibshirani, An Introduction to the Bootstrap (1993), ch. 11, for moves from their mean.

@@ -70,13 +70,13 @@ def _sandwich(W: Float[np.ndarray, "n c k"], covariance: Float[np.ndarray, "m c 
     return np.einsum("nci,ncj->ij", W, spread)
 
 
-def deviation_of_sum(values: Float[np.ndarray, " m"], lengths: Sequence[int]) -> float:
-    """Standard error of the sum of a coloured series of constant mean, its stretches taken as independent.
+def standard_error_of_sum(values: Float[np.ndarray, " m"], lengths: Sequence[int]) -> float:
+    """Standard error of the sum of an autocorrelated series of constant mean with independent stretches.
 
     From the autocovariance up to `LAG_SHARE` of each stretch, tapered by Parzen's window as in
-    `corrected_covariance`: short of the truth where the colour is nearly as long as that.
+    `corrected_covariance`. It is too small where the correlation time is nearly as long as that.
     """
-    away = (values - values.mean())[:, None]
-    parts = np.split(away, np.cumsum(lengths)[:-1])
+    centred = (values - values.mean())[:, None]
+    parts = np.split(centred, np.cumsum(lengths)[:-1])
     variance = sum(len(part) * autocovariance(part, max(1, int(LAG_SHARE * len(part)))).sum() for part in parts)
     return float(np.sqrt(variance * len(values) / (len(values) - 1)))

@@ -1,4 +1,4 @@
-"""Parameters that a record cannot separate: what it knows of them is a combination, each alone is as good as unknown.
+"""Parameters that a record cannot separate: it determines a combination of them, but none by itself.
 
 Source: Belsley, Kuh and Welsch, Regression Diagnostics (1980), ch. 3 (condition indices and proportions of variance);
 so Klein and Morelli, Aircraft System Identification (2006), sec. 5.2.
@@ -13,10 +13,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 INDEX = 10.0  # condition index from which a near dependency counts (there: 5 to 10 weak, beyond 30 strong)
-SHARE = 0.5  # of a variance that one dependency makes, from which a parameter is in it
-WIDER = 3.0  # times that not knowing the others widens an interval, from which it is told; our choice
-LINKED = 0.5  # partial correlation of two estimates, all others known, from which one dependency holds both; our choice
-VAGUE = 0.2  # standard error over estimate from which an estimate is of little use: an interval of 40 %; our choice
+VARIANCE_SHARE = 0.5  # share of a parameter's variance due to near dependencies from which it belongs to one
+MIN_WIDENING = 3.0  # factor by which the unknown others widen an interval from which it is reported; our choice
+MIN_PARTIAL = 0.5  # partial correlation of two estimates from which they share a dependency; our choice
+MAX_RELATIVE_ERROR = 0.2  # standard error over estimate from which an estimate is of little use; our choice
 
 
 @dataclass(frozen=True)
@@ -24,10 +24,10 @@ class Inseparable:
     """Parameters in one near dependency.
 
     Attributes:
-        names: the parameters, the one that suffers most first.
+        names: the parameters, the one with the largest variance inflation first.
         units: of each.
         estimates: of each, with its corrected standard error.
-        wider: how many times the others, not being known, widen each interval.
+        wider: factor by which the unknown others widen each interval.
     """
 
     names: tuple[str, ...]
@@ -43,17 +43,17 @@ def inseparable(
     covariance: Float[np.ndarray, "k k"],
     deviation: Float[np.ndarray, " k"],
 ) -> tuple[Inseparable, ...]:
-    """Sets of parameters that the record cannot separate, one of them at least vague for that alone.
+    """Sets of parameters that the record cannot separate, at least one of them with a large relative error.
 
     Args:
         names: of the parameters.
         units: of the parameters.
         estimate: of each.
-        covariance: Cramer and Rao's; a parameter without variance is known.
-        deviation: standard errors that allow for the residuals' autocorrelation.
+        covariance: of Cramer and Rao, (k, k); a parameter without variance is known.
+        deviation: standard errors corrected for autocorrelated residuals, (k,).
 
     Returns:
-        By how much those that suffer most do.
+        The sets, the one with the largest variance inflation first.
     """
     if not np.isfinite(covariance).all():
         return ()
@@ -68,11 +68,11 @@ def inseparable(
     values, vectors = np.linalg.eigh(partial)
     parts = vectors**2 / np.maximum(values, 1e-13)
     shares = parts / parts.sum(axis=1, keepdims=True)
-    vague = deviation > VAGUE * np.abs(estimate)
+    vague = deviation > MAX_RELATIVE_ERROR * np.abs(estimate)
     near = np.sqrt(values[-1] / np.maximum(values, 1e-13)) > INDEX
-    inside = (shares[:, near].sum(axis=1) > SHARE) & (np.sqrt(inflation) > WIDER)
+    inside = (shares[:, near].sum(axis=1) > VARIANCE_SHARE) & (np.sqrt(inflation) > MIN_WIDENING)
     found = []
-    for own in _dependencies([int(i) for i in np.argsort(-inflation) if inside[i]], np.abs(partial) > LINKED):
+    for own in _dependencies([int(i) for i in np.argsort(-inflation) if inside[i]], np.abs(partial) > MIN_PARTIAL):
         at = [int(free[i]) for i in own]
         if any(vague[at]):
             found.append(
@@ -87,9 +87,10 @@ def inseparable(
 
 
 def _dependencies(members: Sequence[int], linked: Bool[np.ndarray, "k k"]) -> list[list[int]]:
-    """Members that hang together by their partial correlations.
+    """Members connected by their partial correlations.
 
-    Those are near one within a dependency, of however many; directions of dependencies equally near are any mixture.
+    Within a dependency of any size partial correlations are near one; the eigenvectors of equally near dependencies are
+    arbitrary mixtures.
     """
     parts: list[list[int]] = []
     for i in members:

@@ -1,6 +1,7 @@
-"""How much more simulated outputs miss where the flow has separated: buffet, and a model at its roughest.
+"""Growth of the residuals of simulated outputs with flow separation, by buffet and by errors of the stall model.
 
-Taken as steady, the noise of minutes of quiet flight makes a few seconds of stall decide every parameter.
+With constant noise the small residuals of minutes of attached flow would give a few seconds of stall the largest
+weight.
 """
 
 from __future__ import annotations
@@ -15,55 +16,55 @@ from scipy.optimize import minimize_scalar
 from bayes_aero.inference.likelihood.output_error import trajectories
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
 
-MOST = 30.0  # times the noise of attached flow that may be added at full separation; our choice
-MOVES = 0.05  # range of X over a record below which it says nothing of separated flow
+MAX_GROWTH = 30.0  # noise added at full separation, in units of the noise of attached flow; our choice
+MIN_X_RANGE = 0.05  # range of X over a record below which the growth is not estimated
 
 
 @dataclass(frozen=True)
 class SeparatedFlow:
-    """What a fit leaves of each output, and how far the flow is apart then: 1 - X, between 0 and 1."""
+    """Residuals of each output, and the separated share of the flow, 1 - X, between 0 and 1."""
 
     residual: Float[np.ndarray, "w n c"]
-    apart: Float[np.ndarray, "w n"]
+    separated: Float[np.ndarray, "w n"]
     inside: Bool[np.ndarray, "w n"]
 
     @classmethod
     def of(cls, fit: OutputErrorResult) -> SeparatedFlow | None:
-        """None where the flow does not separate, or the model cannot fly."""
+        """Of a fit; None where the flow does not separate, or the simulation leaves the envelope."""
         if fit.status is OutputErrorStatus.LEFT_ENVELOPE or not np.isfinite(fit.cost):
             return None
         flown = fit.flown
         found = trajectories(flown, jnp.asarray(fit.estimate), jnp.asarray(fit.departure))
         if "X" not in found.trajectory.outputs:
             return None
-        apart = np.clip(1.0 - np.asarray(found.trajectory.outputs["X"]), 0.0, 1.0)
-        if np.ptp(apart[flown.inside]) < MOVES:
+        separated = np.clip(1.0 - np.asarray(found.trajectory.outputs["X"]), 0.0, 1.0)
+        if np.ptp(separated[flown.inside]) < MIN_X_RANGE:
             return None
-        return cls(np.asarray(found.residual), apart, flown.inside)
+        return cls(np.asarray(found.residual), separated, flown.inside)
 
     def growths(self, without: int | None = None) -> Float[np.ndarray, " c"]:
-        """b of every output, from all segments or from all but one."""
-        counts = self.inside.copy()
+        """b of every output, (c,), from all segments or from all but one."""
+        used = self.inside.copy()
         if without is not None:
-            counts[without] = False
-        return np.array([_growth(self.residual[counts, c], self.apart[counts]) for c in range(self.residual.shape[2])])
+            used[without] = False
+        return np.array([_growth(self.residual[used, c], self.separated[used]) for c in range(self.residual.shape[2])])
 
     def noise_growth(self, without: int | None = None) -> Float[np.ndarray, "w n c"]:
-        """1 + b (1 - X)."""
-        return 1.0 + self.growths(without) * self.apart[:, :, None]
+        """1 + b (1 - X), (w, n, c)."""
+        return 1.0 + self.growths(without) * self.separated[:, :, None]
 
 
-def _growth(residual: Float[np.ndarray, " m"], apart: Float[np.ndarray, " m"]) -> float:
-    """Most likely b of independent normal residuals whose deviation is proportional to 1 + b (1 - X); none below zero.
+def _growth(residual: Float[np.ndarray, " m"], separated: Float[np.ndarray, " m"]) -> float:
+    """Maximum-likelihood b >= 0 of normal residuals with standard deviation proportional to 1 + b (1 - X).
 
-    Colour makes it less certain than it looks, not larger or smaller on the whole.
+    Autocorrelation of the residuals increases the error of b, but does not bias it.
     """
 
     def cost(b: float) -> float:
-        size = 1.0 + b * apart
+        size = 1.0 + b * separated
         return 0.5 * np.log(np.mean((residual / size) ** 2)) + np.mean(np.log(size))
 
-    if not residual.any():  # nothing missed, or nothing there
+    if not residual.any():  # no error, or no output
         return 0.0
-    found = minimize_scalar(cost, bounds=(0.0, MOST), method="bounded")
+    found = minimize_scalar(cost, bounds=(0.0, MAX_GROWTH), method="bounded")
     return float(found.x) if found.fun < cost(0.0) else 0.0

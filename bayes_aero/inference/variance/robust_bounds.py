@@ -12,14 +12,14 @@ from scipy.stats import norm, t
 
 from bayes_aero.inference.variance.autoregression import ORDER, autoregression
 
-BLOCK = 0.2  # s; what the smoothing filters leave varies no faster
-ENOUGH = 10  # innovations for each coefficient of an autoregression; with fewer, blocks count as independent
-SLACK = 0.05  # least share of its own innovation that a block keeps after the fit
+BLOCK = 0.2  # s; smoothed residuals vary no faster
+MIN_INNOVATIONS = 10  # for each coefficient of an autoregression; with fewer, blocks count as independent
+MIN_RESIDUAL_SHARE = 0.05  # least share 1 - h of an innovation that the fit leaves, with the leverage h of its block
 
 
 @dataclass(frozen=True)
 class _Stretch:
-    """Means over the blocks of one stretch without holes, and how many samples each has."""
+    """Block means of one stretch without gaps, and the number of samples of each block."""
 
     residual: Float[np.ndarray, "b c"]
     slope: Float[np.ndarray, "b c k"]
@@ -35,14 +35,14 @@ def robust_covariance(
     start: Bool[np.ndarray, " n"],
     dt: float,
 ) -> tuple[Float[np.ndarray, "k k"], int]:
-    """Covariance D M D of the estimate, M that of the score sum S' R^-1 r, and how many blocks of a residual it has.
+    """Covariance D M D of the estimate, with M that of the score sum S' R^-1 r, and the number of blocks.
 
     Residuals are averaged over blocks of `BLOCK` seconds and whitened by an autoregression for each coefficient (the
     sensitivities by its transpose, so that the score is unchanged). M is then formed twice: from the innovations'
     covariance, as in the corrected bound of Morelli and Klein, and from each block's own innovations, which also holds
     where the residual grows with the sensitivity, as it does where noise of the flow angle is in a regressor (HC3: each
-    is divided by what the fit has left of it). The larger variance is taken. All is scaled by Student's t for the
-    blocks that are left over after the fit.
+    is divided by the share 1 - h that the fit leaves of it). The larger variance is taken. It is scaled by Student's t
+    with the number of blocks less the number of parameters as degrees of freedom.
 
     Args:
         D: inverse information (sum S' R^-1 S)^-1.
@@ -50,7 +50,7 @@ def robust_covariance(
         R: variances of the residuals.
         residual: measured minus modelled.
         manoeuvre: of each sample.
-        start: true where a stretch without holes begins.
+        start: true where a stretch without gaps begins.
         dt: sampling interval, s.
 
     Source: Morelli and Klein, J. Aircraft 34 (1997) 211; prewhitening: Andrews and Monahan, Econometrica 60 (1992) 953;
@@ -62,7 +62,7 @@ def robust_covariance(
         _blocks(S[one], residual[one], max(1, round(BLOCK / dt)))
         for one in (slice(a, b) for a, b in zip(begins, np.append(begins[1:], len(start)), strict=True))
     ]
-    phi = _colours(stretches, S.shape[1])
+    phi = _autoregressions(stretches, S.shape[1])
     whitened = [_whitened(one, phi, R) for one in stretches]
     blocks = sum(len(one.samples) for one in stretches)
     left = max(blocks - max(int(np.count_nonzero(np.any(S[:, c] != 0.0, axis=0))) for c in range(S.shape[1])), 1)
@@ -72,7 +72,7 @@ def robust_covariance(
     for (innovation, shaped), one in zip(whitened, stretches, strict=True):
         stationary += np.einsum("bck,cd,bdl->kl", shaped, spread, shaped, optimize=True)
         share = np.einsum("bck,kl,bcl->bc", one.slope, D, one.slope, optimize=True) * one.samples[:, None] / R
-        scores = np.einsum("bck,bc->bk", shaped, innovation / np.maximum(1.0 - share, SLACK))
+        scores = np.einsum("bck,bc->bk", shaped, innovation / np.maximum(1.0 - share, MIN_RESIDUAL_SHARE))
         own += scores.T @ scores
     stationary, own = (D @ middle @ D for middle in (stationary, own))
     sd = np.sqrt(np.maximum(np.diag(stationary), np.diag(own)))
@@ -88,10 +88,10 @@ def _blocks(S: Float[np.ndarray, "n c k"], residual: Float[np.ndarray, "n c"], s
     return _Stretch(residual / samples[:, None], S / samples[:, None, None], samples)
 
 
-def _colours(stretches: Sequence[_Stretch], outputs: int) -> Float[np.ndarray, "c p"]:
-    """An autoregression for each output; zeros where the stretches are too short to tell."""
+def _autoregressions(stretches: Sequence[_Stretch], outputs: int) -> Float[np.ndarray, "c p"]:
+    """An autoregression for each output; zeros where the stretches are too short."""
     long = [one.residual for one in stretches if len(one.residual) > 2 * ORDER]
-    if sum(len(x) - ORDER for x in long) < ENOUGH * ORDER:
+    if sum(len(x) - ORDER for x in long) < MIN_INNOVATIONS * ORDER:
         return np.zeros((outputs, ORDER))
     return np.stack([autoregression([x[None, :, c] for x in long])[0][0] for c in range(outputs)])
 

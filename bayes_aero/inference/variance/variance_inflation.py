@@ -1,4 +1,4 @@
-"""Variance inflation: by how much autocorrelated residuals multiply variances, and what it does to likelihoods."""
+"""Variance inflation: the factor by which autocorrelated residuals increase variances; likelihoods divided by it."""
 
 from __future__ import annotations
 
@@ -7,19 +7,18 @@ from jaxtyping import Float
 
 
 def variance_inflation(variance: Float[np.ndarray, " k"], white: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """Of each estimate, its variance over the one that white residuals would leave; 1 where these leave none."""
+    """Variance of each estimate over that for white residuals; 1 where the latter is zero."""
     return np.divide(variance, white, out=np.ones_like(white), where=white > 0.0)
 
 
-def typical(inflation: Float[np.ndarray, " k"]) -> float:
-    """Median of the variance inflation of several estimates, no less than that of white residuals."""
+def median_inflation(inflation: Float[np.ndarray, " k"]) -> float:
+    """Median of the variance inflation of several estimates, at least 1."""
     return max(1.0, float(np.median(inflation))) if len(inflation) else 1.0
 
 
 def nats(deviance: float, inflation: float) -> float:
-    """Log likelihood that a decrease of the deviance of white residuals is worth.
+    """Log likelihood of a decrease of the deviance of white residuals, divided by the variance inflation (at least 1).
 
-    A likelihood that counts each sample for one in `inflation` has about the variances that autocorrelated residuals
-    leave. What is below that of white residuals counts as theirs.
+    A likelihood divided by `inflation` has about the variances of estimates under autocorrelated residuals.
     """
     return deviance / (2.0 * max(inflation, 1.0))

@@ -97,19 +97,19 @@ def crb_vs_credible(identification: Identification) -> Figure:
     offsets = np.linspace(-0.24, 0.24, len(others)) if len(others) > 1 else [0.0]
     for method, offset in zip(others, offsets, strict=True):
         ratio = _ratios(names, crb, method)
-        look = {"color": COLOURS.get(method.key, "#555555"), "ms": 6.0, "mec": "white", "mew": 0.5}
-        ax.plot(ratio, rows + offset, MARKERS.get(method.key, "o"), label=method.label, **look)
+        style = {"color": COLOURS.get(method.key, "#555555"), "ms": 6.0, "mec": "white", "mew": 0.5}
+        ax.plot(ratio, rows + offset, MARKERS.get(method.key, "o"), label=method.label, **style)
     between = [scatter(identification, name) for name in names]
     if any(s is not None for s in between):
         ratio = [s.sd / crb.estimates[n].sd if s else np.nan for s, n in zip(between, names, strict=True)]
-        look = {"color": COLOURS["scatter"], "ms": 10.0, "mec": "white", "mew": 0.5}
+        style = {"color": COLOURS["scatter"], "ms": 10.0, "mec": "white", "mew": 0.5}
         ax.plot(
             ratio,
             rows,
             MARKERS["scatter"],
             label=f"sd of {len(identification.alone)} manoeuvres fitted alone",
             zorder=4,
-            **look,
+            **style,
         )
     ax.set_xscale("log")
     _decades(ax)

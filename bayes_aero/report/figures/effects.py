@@ -1,4 +1,4 @@
-"""What a recorded channel is good for: how many effects need it."""
+"""Number of effects that need each recorded channel."""
 
 from __future__ import annotations
 

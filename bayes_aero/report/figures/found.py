@@ -24,7 +24,7 @@ WIDTH = 0.021  # of a letter, in widths of the widest bar
 
 @dataclass(frozen=True)
 class Telling:
-    """What shows the error best: a quantity of a manoeuvre, measured, and by each model with a note of its error."""
+    """The quantity with the largest gain in one manoeuvre: measured, and by each model with a note of its error."""
 
     quantity: str
     label: str
@@ -152,12 +152,12 @@ def _election(ax: Axes, ranking: Ranking, view: View) -> None:
         wide = WIDTH * max(map(len, text.split("\n"))) * widest
         if wide < x:
             ink = "white" if s.effect in named and not chance else "black"
-            look = {"x": x - 0.01 * widest, "ha": "right", "color": ink}
+            style = {"x": x - 0.01 * widest, "ha": "right", "color": ink}
         elif x + wide < widest:
-            look = {"x": x + 0.01 * widest, "ha": "left", "color": "black", "bbox": TIGHT}
+            style = {"x": x + 0.01 * widest, "ha": "left", "color": "black", "bbox": TIGHT}
         else:  # room neither in the bar nor beside it
-            look = {"x": 1.02 * widest, "ha": "right", "color": "black", "bbox": TIGHT}
-        ax.text(y=y, s=text, va="center", fontsize=6.0 if "\n" in text else 7.5, zorder=5, **look)
+            style = {"x": 1.02 * widest, "ha": "right", "color": "black", "bbox": TIGHT}
+        ax.text(y=y, s=text, va="center", fontsize=6.0 if "\n" in text else 7.5, zorder=5, **style)
     if np.isfinite(ranking.threshold):
         text = f"pale: score below {ranking.threshold:.1f}, which noise\nalone exceeds in 5 % of replicates"
         if (left := len(ranking.candidate_scores) - len(leaders)) > 0:
@@ -176,9 +176,9 @@ def _sizes(cause: Cause) -> str:
     sizes = {name: size_text(x.mean, x.sd, x.unit) for name, x in cause.parameters.items()}
     if len(sizes) < 2:
         return "".join(sizes.values())
-    told = [f"{name} = {x}" for name, x in sizes.items()]
-    line = ", ".join(told)
-    return line if WIDTH * len(line) < 1.0 else "\n".join(told)
+    listed = [f"{name} = {x}" for name, x in sizes.items()]
+    line = ", ".join(listed)
+    return line if WIDTH * len(line) < 1.0 else "\n".join(listed)
 
 
 DIAGNOSIS_FIGURES = {"found": found, "found_narrow": found_narrow}

@@ -1,4 +1,4 @@
-"""Whether predictions hold what was measured: histograms of the probability integral transform, and innovations."""
+"""Calibration of predictions: histograms of the probability integral transform, and quantiles of innovations."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def one_step_quantiles(found: ProcessNoise) -> Figure:
 
 
 def what_predicts(identification: Identification) -> str:
-    """The distribution that is asked, in a few words."""
+    """The predictive distribution, in a few words."""
     return "posterior predictive" if identification.noise is Colour.WHITE else "one-step-ahead posterior predictive"
 
 
@@ -82,7 +82,7 @@ def pit_words(identification: Identification) -> tuple[str, str]:
     t = identification.pit
     assert t is not None, "the figure was drawn"
     names = identification.observations.coefficients
-    told = several(f"{n} {r:+.2f}" for n, r in zip(names, t.correlation, strict=True))
+    listed = several(f"{n} {r:+.2f}" for n, r in zip(names, t.correlation, strict=True))
     if identification.noise is Colour.WHITE:
         how = "White noise predicts each sample by itself"
     else:
@@ -92,15 +92,15 @@ def pit_words(identification: Identification) -> tuple[str, str]:
         "Probability that the posterior gives to less than what was measured: flat if the model is calibrated, "
         "∩-shaped if its intervals are mostly too wide (as where buffet enlarges one variance for all samples), "
         "∪-shaped if too narrow, sloped if it is biased. The parameters were fitted to the same samples. "
-        f"{how}; neighbours correlate by {told}. {_independence(t, names)}",
+        f"{how}; neighbours correlate by {listed}. {_independence(t, names)}",
         f"Histograms of the probability integral transform for {several(names)} under the "
         f"{what_predicts(identification)}. Bars outside the 95 % band of uniform values: {outside}. "
-        f"Lag-1 correlation of neighbours: {told}.",
+        f"Lag-1 correlation of neighbours: {listed}.",
     )
 
 
 def _independence(t: PitResult, names: Sequence[str]) -> str:
-    """Whether the band may be taken at its word."""
+    """Whether neighbours are independent, as the band assumes."""
     limit = max(SLIGHT, CHANCE / np.sqrt(len(t.values)))
     coloured = [n for n, r in zip(names, t.correlation, strict=True) if abs(r) > limit]
     if not coloured:

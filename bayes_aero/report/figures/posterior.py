@@ -1,4 +1,4 @@
-"""Do the chains mix, and what shape is the posterior: trace, rank and pair plots, by arviz_plots."""
+"""Mixing of the chains and shape of the posterior: trace, rank and pair plots, by arviz_plots."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def _posterior(identification: Identification, engine: str) -> Posterior:
 
 
 def _thinned(posterior: Posterior, names: list[str], most: int) -> xr.DataTree:
-    """Every so-manieth draw of `names`, so that a chain keeps at most `most`; the posterior group alone."""
+    """The posterior group with draws of `names`, thinned evenly to at most `most` a chain."""
     dataset = posterior.tree["posterior"].to_dataset()[names]
     step = max(1, -(-dataset.sizes["draw"] // most))
     thin = dataset.isel(draw=slice(None, None, step))
@@ -165,9 +165,9 @@ def pair_of(posteriors: Mapping[str, Posterior]) -> Figure:
 
 def _pair(engine: str, posterior: Posterior, names: list[str]) -> Figure:
     side = 1.15 * len(names) + 1.0
-    look = {"alpha": 0.25, "size": 3.0, "color": COLOURS.get(engine, COLOURS["mle"]), "edgecolor": "none"}
+    style = {"alpha": 0.25, "size": 3.0, "color": COLOURS.get(engine, COLOURS["mle"]), "edgecolor": "none"}
     tree = _thinned(posterior, names, PAIR_DRAWS)
-    return _draw("pair", tree, (side, side), visuals={"scatter": look, "dist": {"color": look["color"]}})
+    return _draw("pair", tree, (side, side), visuals={"scatter": style, "dist": {"color": style["color"]}})
 
 
 def _label_matrix(identification: Identification, figure: Figure, names: list[str]) -> None:

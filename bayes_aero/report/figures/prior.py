@@ -1,4 +1,4 @@
-"""What the data added: prior against posterior, of the model's parameters and of the GP's hyperparameters."""
+"""Prior against posterior of the model's parameters and of the GP's hyperparameters."""
 
 from __future__ import annotations
 

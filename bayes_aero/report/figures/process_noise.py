@@ -1,4 +1,4 @@
-"""What a filter met: gusts, and parameters that drift, with their bands."""
+"""Estimated gusts and drifting parameters with their bands."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BAND = 1.96  # standard deviations
 
 @housed
 def gusts(found: ProcessNoise) -> Figure:
-    """The gusts that were met, with their bands: a row for each manoeuvre, a column for each gust.
+    """Estimated gusts with their bands: a row for each manoeuvre, a column for each gust.
 
     Raises:
         NotDrawn: no gust has an intensity.
@@ -30,7 +30,7 @@ def gusts(found: ProcessNoise) -> Figure:
     figure, axes = _banded_rows({h.manoeuvre: (h.time, h.gusts) for h in found.histories}, labels)
     for axis in axes.flat:
         axis.axhline(0.0, color="#999999", linewidth=0.6)
-    figure.suptitle("Gusts met, with 95 % bands", fontsize=10.0)
+    figure.suptitle("Estimated gusts, with 95 % bands", fontsize=10.0)
     return figure
 
 

@@ -1,4 +1,4 @@
-"""The stall: lift and drag as flown beside the steady curves, and the separation point with its band."""
+"""The stall: recorded lift and drag with the steady curves, and the separation point with its band."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def stall(identification: Identification) -> Figure:
 
 @housed
 def stall_narrow(identification: Identification) -> Figure:
-    """The same for a phone: one panel below the other."""
+    """`stall` for a phone: one panel below the other."""
     figure, axes = panels(3, 1, (PHONE, 8.4), height_ratios=(4, 1, 3))
     lift, time, polar = axes[:, 0]
     _fill(lift, time, polar, of_identification(identification)[0])

@@ -59,7 +59,7 @@ def _channel(identification: Identification, record: FlightRecord, name: str) ->
 
 @housed
 def time_history(identification: Identification) -> Figure:
-    """What was flown: one column per manoeuvre, one row per channel, angles in degrees."""
+    """Recorded channels: one column per manoeuvre, one row per channel, angles in degrees."""
     records = identification.records
     refuse_many(len(records))
     values = {name: [_channel(identification, record, name) for record in records] for name in HISTORY}
@@ -86,7 +86,7 @@ def time_history(identification: Identification) -> Figure:
 
 
 def _same_limits(row: list[Axes]) -> None:
-    """One vertical scale for a row, so that manoeuvres compare at a glance."""
+    """One vertical scale for a row, so that manoeuvres are comparable."""
     limits = np.array([ax.get_ylim() for ax in row])
     for ax in row:
         ax.set_ylim(limits[:, 0].min(), limits[:, 1].max())

@@ -33,11 +33,11 @@ def _shown(view: View, split: str) -> Figure:
         name: [(p, label, colour) for key, label, colour in MODELS if (p := flown.path(name, key, split)) is not None]
         for name in names
     }
-    told = {
+    captions = {
         "hold_out": "Simulated from the measured initial state, with parameters fitted without this flight",
         "fitted": "Simulated with parameters fitted to all of it",
     }
-    return over_measured(columns, {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}, told[split])
+    return over_measured(columns, {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}, captions[split])
 
 
 def over_measured(columns: Mapping[str, Sequence[Curve]], outputs: Mapping[str, str], title: str) -> Figure:

@@ -37,7 +37,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Unmade(Text):
-    """In place of a section that could not be made: `failure` is the sentence of it."""
+    """Replacement of a section that could not be made; `failure` is a sentence on the reason."""
 
     failure: str = ""
 
@@ -99,12 +99,12 @@ class Table:
 
     @property
     def broad(self) -> bool:
-        """Whether it needs a sheet across when printed."""
+        """Whether it needs a landscape sheet when printed."""
         return self.across > ACROSS
 
     @property
     def slim(self) -> bool:
-        """Whether another one has room beside it when printed: all of it unfolded, and on one sheet."""
+        """Whether another table fits beside it when printed."""
         widths = self._widths()
         lines = sum(max(cell.count("\n") + 1 for cell in row) for row in self.rows)
         return sum(widths) + 2 * len(widths) <= HALF and lines <= SHEET
@@ -175,16 +175,16 @@ class Page:
 
 
 def section(key: str, title: str, make: Callable[[], Iterable[Block]]) -> Section:
-    """A section whose blocks `make` builds; should it fail, the section says why and the page stands."""
+    """A section with the blocks of `make`; if that fails, the section states the reason."""
     try:
         return Section(key, title, tuple(make()))
-    except Exception as reason:  # whatever it is, the other sections stand; it is told in its place
-        told = failure(f"The part {title!r} of the page was not made", reason)
-        return Section(key, title, (Unmade(told, "warning", failure=told),))
+    except Exception as reason:  # the other sections are made; this one states the reason
+        message = failure(f"The part {title!r} of the page was not made", reason)
+        return Section(key, title, (Unmade(message, "warning", failure=message),))
 
 
 def filled(*sections: Section) -> tuple[Section, ...]:
-    """The sections that have something in them."""
+    """The sections that are not empty."""
     return tuple(section for section in sections if section.blocks)
 
 
@@ -222,7 +222,7 @@ def write_page(page: Page, path: Path) -> Path:
 
 
 def put_page(make: Callable[[], Page], folder: Path, name: str = "report.html") -> tuple[str, ...]:
-    """Write the page `name` into `folder`; what of it cannot be made costs nothing else.
+    """Write the page `name` into `folder`; parts that cannot be made are left out.
 
     Returns:
         A sentence on each failure: of the page, or of sections that say on it why they are not there.
@@ -251,7 +251,7 @@ def _plots(blocks: Iterable[Block]) -> Iterable[Plot]:
 
 
 def _script_json(content: Any) -> str:
-    """JSON that cannot end the script element it stands in."""
+    """JSON that cannot end the script element around it."""
     text = json.dumps(content, separators=(",", ":"), allow_nan=True)
     for sign in "<>&\u2028\u2029":
         text = text.replace(sign, f"\\u{ord(sign):04x}")

@@ -5,14 +5,14 @@ from __future__ import annotations
 from itertools import groupby
 
 from bayes_aero.report.html import page
-from bayes_aero.report.tables.table import Table, told
+from bayes_aero.report.tables.table import Table, cell_text
 
 
 def page_table(table: Table) -> page.Table:
     """The columns that have a heading on a page, every cell as text."""
     shown = [(head, c, values) for c in table.columns for head, values in c.under(c.page)]
     groups = tuple((group, len(list(some))) for group, some in groupby(c.group for _, c, _ in shown))
-    rows = list(zip(*([told(x, c.form) for x in values] for _, c, values in shown), strict=True))
+    rows = list(zip(*([cell_text(x, c.form) for x in values] for _, c, values in shown), strict=True))
     if len(set(table.below)) > 1:
         first = [k for k, name in enumerate(table.below) if k == 0 or name != table.below[k - 1]]
         for k in reversed(first):

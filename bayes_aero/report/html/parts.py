@@ -1,4 +1,4 @@
-"""Parts of a page that every command shows: the records at a glance, where it all came from."""
+"""Common parts of pages: the records at a glance, and the provenance."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ MOST_SHOWN = 6  # manoeuvres whose time histories are on the page: each costs a 
 
 
 def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...]:
-    """What was flown and recorded."""
+    """Manoeuvres and recorded channels."""
     units = _glanced(card)
     shown = [name for name in units if any(record.has(name) for record in records)]
     heads = [f"{_name(name)}\n{bracket(for_people(units[name])[0])}" for name in shown]
@@ -70,7 +70,7 @@ def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...
 def records_and_faults(
     records: Sequence[FlightRecord], card: Card, health: Sequence[HealthFinding]
 ) -> tuple[Block, ...]:
-    """`at_a_glance`, and what is wrong with channels that no result rests on; the rest is among the `doubts`."""
+    """`at_a_glance`, and faults of channels that no result uses; the other faults are in `doubts`."""
     minor = bullets([f"{finding.sentence}." for finding in health if not finding.grave])
     return (*minor, *at_a_glance(records, card))
 
@@ -82,15 +82,14 @@ def doubts(
     corrects: bool,
     failures: Sequence[str] = (),
 ) -> tuple[Text, ...]:
-    """Parts of the job that failed, that sensors disagree, and channels that results cannot rest on: it stands before
-    all else of a page."""
+    """First part of a page: failed parts of the job, disagreement of the sensors, and faulty channels."""
     faults = (Text(f"{finding.sentence}.", "warning") for finding in health if finding.grave)
     failed = (Text(sentence, "warning") for sentence in failures)
     return (*failed, *consistency_lead(agreement, corrects=corrects), *faults)
 
 
 def consistency_lead(found: Consistency | None, *, corrects: bool) -> tuple[Text, ...]:
-    """That sensors disagree, or that it could not be checked: before everything else of a page."""
+    """Disagreement of the sensors, or why it could not be checked."""
     if found is None or found.agreement is Agreement.AGREE:
         return ()
     answer = consistency_sentences(found, corrects=corrects)[0]
@@ -98,7 +97,7 @@ def consistency_lead(found: Consistency | None, *, corrects: bool) -> tuple[Text
 
 
 def _glanced(card: Card) -> dict[str, str]:
-    """Main channels with their SI units: those that any flight has, or those of a linear card's rows."""
+    """Main channels with their SI units: those of most flights, or those of a linear card's rows."""
     if card.linear is None:
         names = LATERAL_GLANCE if Axis.LATERAL in card.axes else GLANCE
         return {name: STANDARD_CHANNELS[name].unit for name in names}
@@ -122,7 +121,7 @@ LATERAL_CONVENTIONS = (
 
 
 def conventions(card: Card) -> str:
-    """Axes and signs of what the card's model is made of."""
+    """Axes and signs of the card's model."""
     if card.linear is None:
         return CONVENTIONS + (LATERAL_CONVENTIONS if Axis.LATERAL in card.axes else "")
     return f"{AXES}. Derivatives are dimensional, in SI and radians, and multiply whole channels, not departures."
@@ -153,7 +152,7 @@ def _described(name: str) -> str:
 def symbols(
     parameters: Iterable[Parameter], names: Iterable[str], said: str = CONVENTIONS, *, degrees: bool = False
 ) -> Fold:
-    """What each parameter is, and the conventions it rests on; `degrees` where the page shows angles so."""
+    """Meaning of each parameter, and the conventions; `degrees` where the page shows angles in degrees."""
     known = {p.name: p for p in parameters}
     units = {name: for_people(p.unit)[0] if degrees else p.unit for name, p in known.items()}
     facts = [(f"{n} [{plain_unit(units[n])}]", known[n].description) for n in names if n in known]
@@ -198,7 +197,7 @@ def histories(
 
 
 def provenance_blocks(source: Mapping[str, Any], notes: Sequence[str] = (), seconds: Mapping[str, float] | None = None):
-    """Inputs, versions and the command: all that is needed to make the run again."""
+    """Inputs, versions and the command, which reproduce the run."""
     inputs = tuple((i["name"], i["source"], i["sha256"] or "–") for i in source.get("inputs", ()))
     cards = tuple((str(c["name"]), "card", str(c["sha256"])) for c in (source.get("card"),) if c)
     files = tuple((f["name"], "effects", f["sha256"]) for f in source.get("effect_files", ()))

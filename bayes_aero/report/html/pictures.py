@@ -1,4 +1,4 @@
-"""Figures that a run has drawn, put into the page."""
+"""Figures of a run, embedded in the page."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Gallery:
         return tuple(self._picture(stem, widest) for stem in stems if stem in self.paths)
 
     def folded(self, *stems: str) -> tuple[Picture, ...]:
-        """The same, smaller."""
+        """The pictures at a smaller size."""
         return self(*stems, widest=FOLDED)
 
     def _picture(self, stem: str, widest: int) -> Picture:
@@ -41,7 +41,7 @@ class Gallery:
 
 
 def narrow(stem: str) -> str:
-    """The stem of a figure's twin for a phone."""
+    """The stem of a figure's version for a phone."""
     return f"{stem}_narrow"
 
 

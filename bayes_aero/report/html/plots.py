@@ -45,7 +45,7 @@ ranges.forEach((range, i) => {
 
 @dataclass(frozen=True)
 class Over:
-    """What the axis below the panels is: its label, its name and unit where one points, how many digits there."""
+    """The axis below the panels: its label, and its name, unit and digits in the tooltip."""
 
     label: str
     name: str
@@ -206,7 +206,7 @@ def _draw(f: Any, time: np.ndarray, panel: Panel, over: Over) -> None:
 
 
 def _drawable(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """In single precision; what a simulation that has lost the flight makes of it is a gap."""
+    """Values in single precision; those of a diverged simulation are gaps."""
     return np.where(np.abs(values) < FARTHEST, values, np.nan).astype(np.float32)
 
 

@@ -94,14 +94,14 @@ def _panel_of(taken: Taken) -> Panel:
     return Panel(f"{taken.channel} {bracket(taken.unit or 'unit?')}", (line,))
 
 
-def _drawn(view: StarterView, key: str, title: str, said: str, panels: Sequence[Panel]) -> tuple[Plot, ...]:
+def _drawn(view: StarterView, key: str, title: str, sentences: str, panels: Sequence[Panel]) -> tuple[Plot, ...]:
     """Columns over time, or over the number of the sample where no time was found; those of one length."""
     time = view.time
     known = time is not None and len(time) > 1 and bool(np.all(np.diff(time) > 0.0))
     longest = max((len(p.lines[0].values) for p in panels), default=0)
     over = np.asarray(time) if known else np.arange(longest, dtype=float)
     shown = [p for p in panels if len(p.lines[0].values) == len(over) > 1][:MOST_PANELS]
-    legend = ((said, COLOURS["measured"], "solid"),)
+    legend = ((sentences, COLOURS["measured"], "solid"),)
     return (histories(view.record, key, over, shown, legend, title, over=TIME if known else SAMPLE),) if shown else ()
 
 
@@ -121,19 +121,19 @@ def _guesses(taken: Sequence[Taken]) -> tuple[Block, ...]:
         )
         for t in taken
     )
-    said = "Names are from the headings, units and signs from the physics of the values. Read the evidence."
+    sentences = "Names are from the headings, units and signs from the physics of the values. Read the evidence."
     head = ("channel", "column", "unit", "sign", "range in the file", "evidence")
-    return (Text(said), Table("Guesses", head, rows, words=(5,))) if rows else ()
+    return (Text(sentences), Table("Guesses", head, rows, words=(5,))) if rows else ()
 
 
 def _unknown(view: StarterView) -> tuple[Block, ...]:
     if not view.unknown:
         return ()
-    said = "They stand in the card as comments; give them a name there if the model needs them."
+    sentences = "They stand in the card as comments; give them a name there if the model needs them."
     places = tuple(rest.place + (": no numbers" if rest.values is None else "") for rest in view.unknown)
     panels = [
         Panel(f"{rest.place} {bracket(rest.unit or 'unit?')}", (Line("recorded", COLOURS["measured"], rest.values),))
         for rest in view.unknown
         if rest.values is not None
     ]
-    return (Text(said), Points(places), *_drawn(view, "time-rest", "Columns without a name", ASIS, panels))
+    return (Text(sentences), Points(places), *_drawn(view, "time-rest", "Columns without a name", ASIS, panels))

@@ -67,9 +67,9 @@ def _uses(report: CheckReport) -> list[str]:
 
 def recorded(records: list[FlightRecord]) -> tuple[Block, ...]:
     """Each record's main channels over time; the first few where there are many."""
-    shown, told = first([record.name for record in records])
+    shown, remark = first([record.name for record in records])
     plots = [_plot(record, f"time-recorded-{order}") for order, record in enumerate(records[: len(shown)])]
-    return (*(plot for plot in plots if plot is not None), *told)
+    return (*(plot for plot in plots if plot is not None), *remark)
 
 
 def _plot(record: FlightRecord, key: str) -> Plot | None:
@@ -89,9 +89,9 @@ def _sensors(report: CheckReport) -> tuple[Block, ...]:
     rows = tuple((name, e["claim"], sizes(e), faint[e["minor"]]) for name, e in s.errors.items())
     head = ("error", "claim", "size ± sd", "remark")
     table = Table("Errors estimated along the flight path", head, rows, words=(1, 2, 3)).lean()
-    said = f"{left_over(report)[:1].upper()}{left_over(report)[1:]}."
+    sentences = f"{left_over(report)[:1].upper()}{left_over(report)[1:]}."
     listed = open_list(report.consistency)
-    return (*bullets(sensor_sentences(report)), *listed, *((table,) if rows else ()), Text(said))
+    return (*bullets(sensor_sentences(report)), *listed, *((table,) if rows else ()), Text(sentences))
 
 
 def _channels(report: CheckReport) -> tuple[Block, ...]:

@@ -51,32 +51,38 @@ FROM_WHAT = {
 FEW = 4  # manoeuvres that are listed one by one in the open
 
 
-def diagnosis_page(view: DiagnosisView, told: PageContext) -> Page:
+def diagnosis_page(view: DiagnosisView, context: PageContext) -> Page:
     """The page of a diagnosis, by coefficients or by trajectories alone."""
     d, by_coefficients = view.diagnosis, isinstance(view, View)
-    gallery = Gallery(told.figures, diagnosis_alternatives(view) if isinstance(view, View) else {})
+    gallery = Gallery(context.figures, diagnosis_alternatives(view) if isinstance(view, View) else {})
     verdict, *rest = diagnosis_sentences(d) if by_coefficients else sentences(view)
     from_what = FROM_WHAT[d.compared]
     return Page(
-        title=f"Diagnosis: {told.card.title}",
+        title=f"Diagnosis: {context.card.title}",
         subtitle=f"The model error, its causes, and the gain of the extended model{from_what}",
         verdict=verdict,
-        lead=_lead(view, told, gallery),
-        doubts=doubts(told.health, told.consistency, corrects=by_coefficients, failures=told.failures),
+        lead=_lead(view, context, gallery),
+        doubts=doubts(context.health, context.consistency, corrects=by_coefficients, failures=context.failures),
         sections=filled(
             section(
-                "records", "The records at a glance", lambda: records_and_faults(told.records, told.card, told.health)
+                "records",
+                "The records at a glance",
+                lambda: records_and_faults(context.records, context.card, context.health),
             ),
             section("causes", "Causes of the model error", lambda: _causes(d, view.rankings, gallery)),
-            *(_of_coefficients(view, told, gallery, rest) if isinstance(view, View) else _findings(view, told, rest)),
-            section("provenance", "Provenance", lambda: provenance_blocks(told.source, told.notes)),
+            *(
+                _of_coefficients(view, context, gallery, rest)
+                if isinstance(view, View)
+                else _findings(view, context, rest)
+            ),
+            section("provenance", "Provenance", lambda: provenance_blocks(context.source, context.notes)),
         ),
     )
 
 
-def _lead(view: DiagnosisView, told: PageContext, gallery: Gallery) -> tuple[Block, ...]:
+def _lead(view: DiagnosisView, context: PageContext, gallery: Gallery) -> tuple[Block, ...]:
     """What was hidden, if anything was; what the extension gains; the first figure."""
-    lead: list[Block] = [Text(one, "lead") for one in told.revealed]
+    lead: list[Block] = [Text(one, "lead") for one in context.revealed]
     if isinstance(view, View) and gained(view):
         lead.append(Text(f"On hold-out data, before and after: {gained(view)}", "lead"))
     if view.trajectories is not None and (gain := simulation_gain(view.trajectories)):
@@ -84,28 +90,28 @@ def _lead(view: DiagnosisView, told: PageContext, gallery: Gallery) -> tuple[Blo
     lead += gallery("found") or gallery("measured_simulated")
     if view.diagnosis.compared == TRAJECTORIES:
         lead.append(Text("The record lacks channels from which lift, drag and moment coefficients are formed."))
-    elif isinstance(view, View) and not told.figures:
+    elif isinstance(view, View) and not context.figures:
         lead.append(Text("Static pictures were not drawn in this run; tables and interactive figures are complete."))
     return tuple(lead)
 
 
-def _of_coefficients(view: View, told: PageContext, gallery: Gallery, rest: Sequence[str]) -> tuple[Section, ...]:
+def _of_coefficients(view: View, context: PageContext, gallery: Gallery, rest: Sequence[str]) -> tuple[Section, ...]:
     """Sections of a diagnosis by coefficients."""
     return (
         section("gain", "Gain of the extended model on hold-out data", lambda: _gain(view, gallery)),
-        section("open", "Rivals and unexplained structure", lambda: _open(view.diagnosis, told, rest)),
+        section("open", "Rivals and unexplained structure", lambda: _open(view.diagnosis, context, rest)),
         section("fit", "Measured and simulated coefficients", lambda: _coefficients(view)),
-        section("trajectories", "Trajectories, before and after", lambda: _flown(view.trajectories, told)),
+        section("trajectories", "Trajectories, before and after", lambda: _flown(view.trajectories, context)),
         section("stall", "The stall", lambda: _stall(view, gallery)),
         section("parameters", "Change of the card's parameters", lambda: _parameters(view, gallery)),
-        section("predictors", "Which predictor to use", lambda: _predictors(told)),
+        section("predictors", "Which predictor to use", lambda: _predictors(context)),
         section("diagnostics", "Diagnostics", lambda: _diagnostics(view, gallery)),
     )
 
 
-def _findings(view: DiagnosisView, told: PageContext, rest: Sequence[str]) -> tuple[Section, ...]:
+def _findings(view: DiagnosisView, context: PageContext, rest: Sequence[str]) -> tuple[Section, ...]:
     """Sections of a diagnosis by trajectories alone or innovations."""
-    listed = () if told.consistency is None else open_list(told.consistency)
+    listed = () if context.consistency is None else open_list(context.consistency)
     reason = "without accelerometers lift is not measured"
     if view.diagnosis.compared == INNOVATIONS:
         reason = "a diagnosis by innovations forms no lift coefficient"
@@ -116,7 +122,7 @@ def _findings(view: DiagnosisView, told: PageContext, rest: Sequence[str]) -> tu
             "Findings in full",
             lambda: (*bullets(rest), *listed, *not_testable_list(view.diagnosis.not_testable)),
         ),
-        section("trajectories", "Trajectories, before and after", lambda: _flown(view.trajectories, told)),
+        section("trajectories", "Trajectories, before and after", lambda: _flown(view.trajectories, context)),
         section("stall", "The stall", lambda: (Text(no_lift),)),
     )
 
@@ -137,8 +143,8 @@ def _causes(d: Diagnosis, rankings: Sequence[Ranking], gallery: Gallery) -> tupl
         blocks.append(Text("No cause is named. The leading candidates:"))
     if d.minor:
         verb = "were" if len(d.minor) > 1 else "was"
-        said = f"{several(d.minor)} {verb} in the model during the selection"
-        blocks.append(Text(f"Too small to be named: {said}."))
+        sentences = f"{several(d.minor)} {verb} in the model during the selection"
+        blocks.append(Text(f"Too small to be named: {sentences}."))
     leaders = [replace(ranking, candidate_scores=ranking.leaders) for ranking in rankings]
     listed = [page_table(screen_table([ranking], d)) for ranking in leaders]
     blocks += [WORDS, Fold("Every candidate's score before anything was added", (*listed, *gallery.folded("ranking")))]
@@ -164,7 +170,7 @@ def _each(view: View) -> tuple[Block, ...]:
     return (table,) if len(view.names) <= FEW else (Fold("The same, manoeuvre by manoeuvre", (table,)),)
 
 
-def _open(d: Diagnosis, told: PageContext, rest: Sequence[str]) -> tuple[Block, ...]:
+def _open(d: Diagnosis, context: PageContext, rest: Sequence[str]) -> tuple[Block, ...]:
     blocks: list[Block] = []
     sets = [f"{c.name} or {several(c.ambiguous_with)}" for c in d.causes if c.ambiguous_with]
     if sets:
@@ -172,9 +178,9 @@ def _open(d: Diagnosis, told: PageContext, rest: Sequence[str]) -> tuple[Block, 
     else:
         blocks.append(Text("No named cause has a rival on this record."))
     pairs = [one for one in rest if " cancel each other " in one]
-    blocks += [*bullets(pairs), *_separating(told.separating)]
-    if told.consistency is not None:
-        blocks += [*bullets(open_sentences(told.consistency)), *open_list(told.consistency)]
+    blocks += [*bullets(pairs), *_separating(context.separating)]
+    if context.consistency is not None:
+        blocks += [*bullets(open_sentences(context.consistency)), *open_list(context.consistency)]
     unknown = [one for one in rest if one.startswith(("Unexplained", "Changed", "The estimate of"))]
     blocks += bullets(unknown) or (Text("No structure remains that a recorded channel predicts."),)
     blocks += [page_table(changes_table(d))] if d.changes else []
@@ -237,11 +243,11 @@ def _coefficients(view: View) -> tuple[Block, ...]:
     )
 
 
-def _flown(flown: Trajectories | None, told: PageContext) -> tuple[Block, ...]:
+def _flown(flown: Trajectories | None, context: PageContext) -> tuple[Block, ...]:
     if flown is None:
         return (Text("No trajectories were simulated in this run."),)
     remarks = [s for s in trajectory_sentences(flown) if "within tolerance" not in s]  # the table has those
-    return (*trajectories(flown, told.card), *bullets(remarks))
+    return (*trajectories(flown, context.card), *bullets(remarks))
 
 
 def _stall(view: View, gallery: Gallery) -> tuple[Block, ...]:
@@ -261,10 +267,10 @@ def _parameters(view: View, gallery: Gallery) -> tuple[Block, ...]:
     return (page_table(moves_table(view)), symbols(view.parameters, view.moves, degrees=True), *gallery("moves"))
 
 
-def _predictors(told: PageContext) -> tuple[Block, ...]:
-    if not told.predictors:
+def _predictors(context: PageContext) -> tuple[Block, ...]:
+    if not context.predictors:
         return (Text("Predictors were not compared in this run."),)
-    return (page_table(predictor_table(told.predictors)),)
+    return (page_table(predictor_table(context.predictors)),)
 
 
 def _diagnostics(view: View, gallery: Gallery) -> tuple[Block, ...]:

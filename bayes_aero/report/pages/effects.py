@@ -41,21 +41,21 @@ def effects_page(
 
 def picture_words(found: Sequence[Described]) -> tuple[str, str]:
     """Caption and alternative text of the picture of channels."""
-    told = several(f"{channel} by {kinds.total()}" for channel, kinds in needed(found).items())
+    listed = several(f"{channel} by {kinds.total()}" for channel, kinds in needed(found).items())
     return (
         "Effects that need each recorded channel. All need time and the channels that form CL, CD and Cm.",
-        f"Bars: effects that need each channel, by kind of effect. Needed are {told}.",
+        f"Bars: effects that need each channel, by kind of effect. Needed are {listed}.",
     )
 
 
 def _counted(found: Sequence[Described], aircraft: str | None) -> str:
     kinds = Counter(effect["kind"] for effect in found)
-    said = f"{len(found)} effects: {several(f'{n} of {kind}' for kind, n in sorted(kinds.items()))}"
+    sentences = f"{len(found)} effects: {several(f'{n} of {kind}' for kind, n in sorted(kinds.items()))}"
     proposed = sum(effect["proposed_by_diagnose"] for effect in found)
-    said += f"; diagnose screens {proposed} of them"
+    sentences += f"; diagnose screens {proposed} of them"
     if aircraft:
-        said += f"; {sum(bool(effect['model']) for effect in found)} are in the card's model"
-    return said + "."
+        sentences += f"; {sum(bool(effect['model']) for effect in found)} are in the card's model"
+    return sentences + "."
 
 
 def _kind(kind: str, found: Sequence[Described]) -> Section:
@@ -70,8 +70,8 @@ def _parameters(effect: Described) -> str:
 
 
 def _remark(effect: Described) -> str:
-    said = ["in the card's model"] if effect["model"] else []
-    return ", ".join([*said, *([] if effect["proposed_by_diagnose"] else ["never proposed by diagnose"])])
+    sentences = ["in the card's model"] if effect["model"] else []
+    return ", ".join([*sentences, *([] if effect["proposed_by_diagnose"] else ["never proposed by diagnose"])])
 
 
 def _explained(effect: Described) -> tuple[Block, ...]:

@@ -49,13 +49,13 @@ MODELS = (
 
 
 @dataclass(frozen=True)
-class FlyTold:
+class FlyContext:
     """What the page needs beside the fit: its sentences, the verdict first, and its notes."""
 
     card: Card
     records: Sequence[FlightRecord]
     source: Mapping[str, Any]
-    said: Sequence[str]
+    sentences: Sequence[str]
     notes: Sequence[str] = ()
     figures: Mapping[str, Path] = field(default_factory=dict)  # those drawn, by stem
     consistency: Consistency | None = None
@@ -66,30 +66,32 @@ class FlyTold:
     motion: Motion | None = None
 
 
-def fly_page(flown: TrajectoryFit, told: FlyTold) -> Page:
+def fly_page(flown: TrajectoryFit, context: FlyContext) -> Page:
     """The page; nothing on it but the fit's own numbers."""
-    verdict, *rest = told.said
+    verdict, *rest = context.sentences
     return Page(
-        title=f"{'Flight path' if flown.of_path else 'Trajectories'}: {told.card.title}",
+        title=f"{'Flight path' if flown.of_path else 'Trajectories'}: {context.card.title}",
         subtitle="Errors of sensors, from recorded accelerations and rates"
         if flown.of_path
         else "A model fitted to trajectories by output error",
         verdict=verdict,
-        doubts=doubts(told.health, told.consistency, corrects=False, failures=told.failures),
-        lead=(*_lead(flown), *_opening(flown, told.figures)),
+        doubts=doubts(context.health, context.consistency, corrects=False, failures=context.failures),
+        lead=(*_lead(flown), *_opening(flown, context.figures)),
         sections=filled(
-            section("findings", "Findings", lambda: (*bullets([*rest, *told.notes]), words(FLOWN))),
+            section("findings", "Findings", lambda: (*bullets([*rest, *context.notes]), words(FLOWN))),
             section(
-                "records", "The records at a glance", lambda: records_and_faults(told.records, told.card, told.health)
+                "records",
+                "The records at a glance",
+                lambda: records_and_faults(context.records, context.card, context.health),
             ),
             section("fit", "Measured and simulated", lambda: _flights(flown)),
-            section("errors", "Errors", lambda: _errors(flown, told.card)),
-            section("parameters", "Parameters", lambda: _parameters(flown, told)),
-            section("motion", "Modes of motion", lambda: _motion(told.motion)),
-            section("predictions", "One-step predictions", lambda: _predictions(flown, told)),
-            section("posterior", "Posterior", lambda: _posterior(told)),
-            section("drift", "Did a parameter change?", lambda: _drift(told)),
-            section("provenance", "Provenance", lambda: _provenance(told.source)),
+            section("errors", "Errors", lambda: _errors(flown, context.card)),
+            section("parameters", "Parameters", lambda: _parameters(flown, context)),
+            section("motion", "Modes of motion", lambda: _motion(context.motion)),
+            section("predictions", "One-step predictions", lambda: _predictions(flown, context)),
+            section("posterior", "Posterior", lambda: _posterior(context)),
+            section("drift", "Did a parameter change?", lambda: _drift(context)),
+            section("provenance", "Provenance", lambda: _provenance(context.source)),
         ),
     )
 
@@ -98,12 +100,12 @@ def _lead(flown: TrajectoryFit) -> tuple[Block, ...]:
     """The gain at once: error at first values and of the fit, all manoeuvres together; a warning if it failed."""
     if not flown.converged:
         return (Text("Do not use the numbers on this page: the fit stopped there without converging.", "warning"),)
-    told = []
+    listed = []
     for output, (before, after) in errors_of_all(flown).items():
         unit, factor = for_people(flown.units[output])
         item = f"{SYMBOLS.get(output, output)} {short(factor * before)} → {short(factor * after)} {unit}"
-        told.append(item.replace(" ", "\u00a0"))  # never broken in the middle
-    return (Text(f"Root-mean-square error of the simulation, first values → fit: {several(told)}.", "lead"),)
+        listed.append(item.replace(" ", "\u00a0"))  # never broken in the middle
+    return (Text(f"Root-mean-square error of the simulation, first values → fit: {several(listed)}.", "lead"),)
 
 
 def _opening(flown: TrajectoryFit, figures: Mapping[str, Path]) -> tuple[Block, ...]:
@@ -122,7 +124,7 @@ def _opening(flown: TrajectoryFit, figures: Mapping[str, Path]) -> tuple[Block, 
 
 
 def _flights(flown: TrajectoryFit) -> tuple[Block, ...]:
-    shown, told = first(flown.manoeuvres)
+    shown, remark = first(flown.manoeuvres)
     units = {name: flown.units[name] for name in flown.outputs}
     plots = []
     for order, name in enumerate(shown):
@@ -133,13 +135,13 @@ def _flights(flown: TrajectoryFit) -> tuple[Block, ...]:
     began = "from the measured initial state" if free else "from the fixed initial state"
     what_fits = "parameters and initial state" if free else "parameters"
     what = "Recorded accelerations and rates" if flown.of_path else "The recorded inputs"
-    said = (
+    sentences = (
         f"{what} drive the simulation, without correction by measurements: with the first values of the parameters "
         f"{began} (dashed), and with {what_fits} fitted. The error of the fit is shaded."
     )
     if any(error.tolerance is not None for path in flown.paths for error in path.errors.values()):
-        said += " The grey band is the tolerance about the measurement."
-    return (Text(said), *told, *plots)
+        sentences += " The grey band is the tolerance about the measurement."
+    return (Text(sentences), *remark, *plots)
 
 
 def _inputs(flown: TrajectoryFit, order: int) -> list[Panel]:
@@ -165,17 +167,17 @@ def _errors(flown: TrajectoryFit, card: Card) -> tuple[Block, ...]:
     return (errors, *(() if kept is None else (page_table(kept), *sources(card, units))))
 
 
-def _parameters(flown: TrajectoryFit, told: FlyTold) -> tuple[Block, ...]:
-    parameters, found = flown.fit.parameters, told.process_noise
+def _parameters(flown: TrajectoryFit, context: FlyContext) -> tuple[Block, ...]:
+    parameters, found = flown.fit.parameters, context.process_noise
     return (
         page_table(tables.parameter_table(flown)),
         *(
             ()
             if found is None or not found.converged
-            else (page_table(tables.process_noise_table(found, flown, told.posteriors)),)
+            else (page_table(tables.process_noise_table(found, flown, context.posteriors)),)
         ),
-        *_gusts(told),
-        symbols(parameters, [p.name for p in parameters], conventions(told.card)),
+        *_gusts(context),
+        symbols(parameters, [p.name for p in parameters], conventions(context.card)),
         page_table(tables.initial_table(flown)),
     )
 
@@ -191,25 +193,27 @@ def _motion(found: Motion | None) -> tuple[Block, ...]:
     )
 
 
-def _gusts(told: FlyTold) -> tuple[Block, ...]:
+def _gusts(context: FlyContext) -> tuple[Block, ...]:
     """What was met, where any gust has an intensity."""
-    if told.process_noise is None or "gusts" not in told.figures:
+    if context.process_noise is None or "gusts" not in context.figures:
         return ()
     most = {
-        name: float(np.max(np.abs(mean))) for h in told.process_noise.histories for name, (mean, _) in h.gusts.items()
+        name: float(np.max(np.abs(mean)))
+        for h in context.process_noise.histories
+        for name, (mean, _) in h.gusts.items()
     }
     largest = several(
         [f"{name} {value:.2g}{' m/s' if name.startswith('gust') else ''}" for name, value in most.items()]
     )
-    caption = "Gusts met by each manoeuvre: mean and 95 % band, from all samples (Rauch-Tung-Striebel smoother)."
+    caption = "Estimated gusts of each manoeuvre: mean and 95 % band, from all samples (Rauch-Tung-Striebel smoother)."
     return Gallery(
-        told.figures, {"gusts": (caption, f"Time histories of the gusts; largest in magnitude: {largest}.")}
+        context.figures, {"gusts": (caption, f"Time histories of the gusts; largest in magnitude: {largest}.")}
     )("gusts")
 
 
-def _predictions(flown: TrajectoryFit, told: FlyTold) -> tuple[Block, ...]:
+def _predictions(flown: TrajectoryFit, context: FlyContext) -> tuple[Block, ...]:
     """Whether the filter's are calibrated: by output, in numbers and quantiles."""
-    found = None if told.process_noise is None else told.process_noise.one_step
+    found = None if context.process_noise is None else context.process_noise.one_step
     if found is None:
         return ()
     caption = (
@@ -223,7 +227,7 @@ def _predictions(flown: TrajectoryFit, told: FlyTold) -> tuple[Block, ...]:
         for name, one in found.outputs.items()
         for share in one.shares[-2:-1]
     )
-    pictures = Gallery(told.figures, {"one_step": (caption, f"Quantile plots of innovations by output: {by}.")})
+    pictures = Gallery(context.figures, {"one_step": (caption, f"Quantile plots of innovations by output: {by}.")})
     return (
         *bullets(prediction_sentences(found)),
         page_table(one_step_table(found, flown.units)),
@@ -231,26 +235,26 @@ def _predictions(flown: TrajectoryFit, told: FlyTold) -> tuple[Block, ...]:
     )
 
 
-def _posterior(told: FlyTold) -> tuple[Block, ...]:
+def _posterior(context: FlyContext) -> tuple[Block, ...]:
     """Marginals by both samplers, doubts of their chains first, and what varies together; nothing without."""
-    if not told.posteriors:
+    if not context.posteriors:
         return ()
     caption = "Draws of the parameters with the largest correlations, and their marginal densities."
-    doubtful = unfinished(told.posteriors)
+    doubtful = unfinished(context.posteriors)
     return (
         *(Text(sentence, "warning") for sentence in doubtful),
         Text(
             "The density is that of the fit with process noise, with the priors of the parameters and weak lognormal "
             "priors of process noise and measurement noise."
         ),
-        page_table(posterior_table(told.posteriors)),
-        *Gallery(told.figures, {"pair": (caption, f"Pair plot. {caption}")})("pair"),
+        page_table(posterior_table(context.posteriors)),
+        *Gallery(context.figures, {"pair": (caption, f"Pair plot. {caption}")})("pair"),
     )
 
 
-def _drift(told: FlyTold) -> tuple[Block, ...]:
+def _drift(context: FlyContext) -> tuple[Block, ...]:
     """Where parameters were asked to drift: the answer, their changes and their histories."""
-    found = None if told.process_noise is None else told.process_noise.drift
+    found = None if context.process_noise is None else context.process_noise.drift
     if found is None:
         return ()
     caption = (
@@ -260,8 +264,8 @@ def _drift(told: FlyTold) -> tuple[Block, ...]:
     by = several(
         [f"{name} {c.size[0]:.2g} in {m}" for name, p in found.parameters.items() for m, c in p.changes.items()]
     )
-    alt = f"Time histories of the parameters that drift. Changes from begin to end, SI: {by}."
-    pictures = Gallery(told.figures, {"drift": (caption, alt)})("drift")
+    alt = f"Time histories of the parameters that drift. Changes from start to end, SI: {by}."
+    pictures = Gallery(context.figures, {"drift": (caption, alt)})("drift")
     return (*bullets(drift_sentences(found)), page_table(tables.drift_table(found)), *pictures)
 
 

@@ -72,7 +72,7 @@ def identification_page(
     `flown` are the simulated manoeuvres, none where the model could not be flown.
     """
     gallery = Gallery(figures, identification_alternatives(run))
-    said = verdict(run)
+    sentences = verdict(run)
     lead: list[Block] = [Text(w, "warning") for w in _warnings(run)]
     pictures = gallery("stall") or gallery("crb_vs_credible")
     lead += pictures
@@ -85,7 +85,7 @@ def identification_page(
         lead=tuple(lead),
         doubts=doubts(run.health, run.consistency, corrects=False, failures=run.failures),
         sections=filled(
-            section("findings", "Findings", lambda: (*bullets(said), WORDS)),
+            section("findings", "Findings", lambda: (*bullets(sentences), WORDS)),
             section(
                 "records", "The records at a glance", lambda: records_and_faults(run.records, run.card, run.health)
             ),
@@ -149,8 +149,8 @@ def _warnings(run: Identification) -> list[str]:
 def _histories(run: Identification) -> list[Block]:
     o = run.observations
     fitted, measured = run.fitted, np.asarray(o.measured)
-    shown, told = first(o.names)
-    plots: list[Block] = [*told]
+    shown, listed = first(o.names)
+    plots: list[Block] = [*listed]
     for number, name in enumerate(shown):
         mine = o.manoeuvre == number
         panels = [

@@ -21,12 +21,12 @@ from bayes_aero.report.tables.table import Table, columns_of
 from bayes_aero.report.text.phrases import number, plain_unit, several
 
 MOST_UNITS, MOST_ROWS = 200, 300  # of a table on the page; the files have all
-APART = 1.5  # times the units' own deviation, from which their scatter is told
+MIN_RATIO = 1.5  # scatter between units over their standard errors from which it is reported
 
 
 @dataclass(frozen=True)
-class StudyTold:
-    """A study's name, its tables (columns as in units.csv and summary.csv), where they are, and what is known of it."""
+class StudyContext:
+    """A study's title, task, tables (columns as in units.csv and summary.csv), folder, and facts for the provenance."""
 
     title: str
     task: str
@@ -36,26 +36,26 @@ class StudyTold:
     facts: Mapping[str, str]
 
 
-def study_page(told: StudyTold) -> Page:
-    """The page; nothing on it that the tables do not have."""
-    found = estimates(told.units, told.results)
+def study_page(context: StudyContext) -> Page:
+    """The page of a study, from its tables."""
+    found = estimates(context.units, context.results)
     return Page(
-        title=f"Study: {told.title}",
-        subtitle=f"{len(told.units)} units, each a run of {told.task}",
-        verdict=study_headline(told),
-        lead=_lead(found, told.folder),
+        title=f"Study: {context.title}",
+        subtitle=f"{len(context.units)} units, each a run of {context.task}",
+        verdict=study_headline(context),
+        lead=_lead(found, context.folder),
         sections=filled(
-            section("findings", "Findings over all units", lambda: bullets(_findings(told, found))),
+            section("findings", "Findings over all units", lambda: bullets(_findings(context, found))),
             section("across", "Scatter and intervals", lambda: _across(found)),
-            section("units", "The units", lambda: (_units(told.units, told.folder),)),
-            section("provenance", "Provenance", lambda: (Facts(tuple(told.facts.items())),)),
+            section("units", "The units", lambda: (_units(context.units, context.folder),)),
+            section("provenance", "Provenance", lambda: (Facts(tuple(context.facts.items())),)),
         ),
     )
 
 
-def study_headline(told: StudyTold) -> str:
+def study_headline(context: StudyContext) -> str:
     """State of the study and joint results of its units, in one sentence."""
-    return f"{'; '.join([_progress(told.units), *_short(told)])}."
+    return f"{'; '.join([_progress(context.units), *_short(context)])}."
 
 
 def _progress(units: pd.DataFrame) -> str:
@@ -66,60 +66,62 @@ def _progress(units: pd.DataFrame) -> str:
     return f"{done} of {total} units are done ({several(f'{n} {state}' for state, n in states.items())})"
 
 
-def _short(told: StudyTold) -> list[str]:
+def _short(context: StudyContext) -> list[str]:
     """Verdicts, the cause that most units name, the parameter that scatters farthest beyond its intervals."""
-    verdicts, causes, done = _counted(told)
-    said = []
+    verdicts, causes, done = _counted(context)
+    sentences = []
     if verdicts:
         all_same = len(verdicts) == 1 and done > 1
-        said.append(several(f"{'all' if all_same else n} {_words(verdict)}" for verdict, n in verdicts.most_common()))
+        sentences.append(
+            several(f"{'all' if all_same else n} {_words(verdict)}" for verdict, n in verdicts.most_common())
+        )
     if causes:
         cause, n = causes.most_common(1)[0]
-        said.append(f"{cause} is named in {n} of {done}")
-    compared, beyond = _beyond(estimates(told.units, told.results))
+        sentences.append(f"{cause} is named in {n} of {done}")
+    compared, beyond = _beyond(estimates(context.units, context.results))
     if beyond:
         worst = max(beyond, key=lambda e: e.scatter / e.claimed)
         ratio = f"{worst.scatter / worst.claimed:.1f} times its intervals"
-        said.append(f"{worst.label} differs between units by {ratio}")
+        sentences.append(f"{worst.label} differs between units by {ratio}")
     elif compared:
-        said.append(f"no parameter differs between units by more than {APART:g} times its intervals")
-    return said
+        sentences.append(f"no parameter differs between units by more than {MIN_RATIO:g} times its intervals")
+    return sentences
 
 
 def _words(verdict: str) -> str:
     return verdict.replace("_", " ")
 
 
-def _counted(told: StudyTold) -> tuple[Counter[str], Counter[str], int]:
+def _counted(context: StudyContext) -> tuple[Counter[str], Counter[str], int]:
     """Units by verdict, units by the causes that they name, and how many are done."""
-    done = told.units[told.units["state"] == "done"]
-    pairs = set(zip(told.results["cause"], told.results["unit"], strict=True))
+    done = context.units[context.units["state"] == "done"]
+    pairs = set(zip(context.results["cause"], context.results["unit"], strict=True))
     return Counter(v for v in done["verdict"] if v), Counter(cause for cause, _ in sorted(pairs) if cause), len(done)
 
 
 def _beyond(found: list[Estimates]) -> tuple[list[Estimates], list[Estimates]]:
     """Estimates that several units have, by their most trusted method; those that scatter beyond their intervals."""
     compared = [group[0] for _, group in panels_of(found) if group and len(group[0].value) > 1]
-    return compared, [e for e in compared if e.scatter > APART * e.claimed]
+    return compared, [e for e in compared if e.scatter > MIN_RATIO * e.claimed]
 
 
-def _findings(told: StudyTold, found: list[Estimates]) -> list[str]:
+def _findings(context: StudyContext, found: list[Estimates]) -> list[str]:
     """Verdicts by number, causes by how many units name them, and parameters that scatter beyond their intervals."""
-    verdicts, causes, done = _counted(told)
-    said = []
+    verdicts, causes, done = _counted(context)
+    sentences = []
     if verdicts:
-        said.append(f"Verdicts: {several(f'{n} {_words(verdict)}' for verdict, n in verdicts.most_common())}.")
+        sentences.append(f"Verdicts: {several(f'{n} {_words(verdict)}' for verdict, n in verdicts.most_common())}.")
     if causes:
         listed = several(f"{cause} {n}" for cause, n in causes.most_common())
-        said.append(f"Causes, in how many units of {done}: {listed}.")
+        sentences.append(f"Causes, in how many units of {done}: {listed}.")
     _, beyond = _beyond(found)
     if beyond:
         listed = several(f"{e.label} ({e.scatter / e.claimed:.1f} times)" for e in beyond)
-        said.append(
+        sentences.append(
             f"Estimates differ between units by more than their own standard errors: {listed}. Units that differ in "
             "records, effects or cards may do so; the same record under other seeds should not."
         )
-    return said
+    return sentences
 
 
 def _lead(found: list[Estimates], folder: Path) -> tuple[Block, ...]:
@@ -141,17 +143,17 @@ def _lead(found: list[Estimates], folder: Path) -> tuple[Block, ...]:
 def _across(found: list[Estimates]) -> tuple[Block, ...]:
     if not found:
         return ()
-    of = columns_of(found[:MOST_ROWS])
+    column = columns_of(found[:MOST_ROWS])
     table = Table(
         [
-            of(lambda e: e.label, page="parameter"),
-            of(lambda e: e.method, page="method", words=True),
-            of(lambda e: len(e.value), page="units"),
-            of(lambda e: float(np.mean(e.value)), page="mean", form=4),
-            of(lambda e: plain_unit(e.si), page="unit", words=True),
-            of(lambda e: e.scatter, page="scatter", form=2),
-            of(lambda e: e.claimed, page="standard error", form=2),
-            of(lambda e: e.scatter / e.claimed if e.claimed > 0.0 else None, page="ratio", form=2),
+            column(lambda e: e.label, page="parameter"),
+            column(lambda e: e.method, page="method", words=True),
+            column(lambda e: len(e.value), page="units"),
+            column(lambda e: float(np.mean(e.value)), page="mean", form=4),
+            column(lambda e: plain_unit(e.si), page="unit", words=True),
+            column(lambda e: e.scatter, page="scatter", form=2),
+            column(lambda e: e.claimed, page="standard error", form=2),
+            column(lambda e: e.scatter / e.claimed if e.claimed > 0.0 else None, page="ratio", form=2),
         ],
         "Estimates of all units by parameter and method",
         "Scatter: standard deviation between units. Standard error: root mean square of those of the units. A "
@@ -162,18 +164,18 @@ def _across(found: list[Estimates]) -> tuple[Block, ...]:
 
 
 def _units(units: pd.DataFrame, folder: Path) -> Block:
-    """Those that are not done first, as many as a page bears; a name leads to the unit's own report."""
+    """Table of the units, those that are not done first; a name is a link to the unit's report."""
     shown = units.assign(number=np.arange(1, len(units) + 1))
     shown = shown.sort_values("state", key=lambda s: s == "done", kind="stable").head(MOST_UNITS)
-    of, left = columns_of(shown.to_dict("records")), len(units) - len(shown)
+    column, left = columns_of(shown.to_dict("records")), len(units) - len(shown)
     table = Table(
         [
-            of(lambda row: row["unit"], page="unit"),
-            of(lambda row: row["number"], page="number"),
-            of(lambda row: row["state"], page="state", words=True),
-            of(lambda row: row["seconds"], page="time", form=lambda seconds: f"{seconds:.0f} s"),
-            of(lambda row: row["verdict"] or None, page="verdict", words=True),
-            of(lambda row: row["error"] or None, page="error", words=True),
+            column(lambda row: row["unit"], page="unit"),
+            column(lambda row: row["number"], page="number"),
+            column(lambda row: row["state"], page="state", words=True),
+            column(lambda row: row["seconds"], page="time", form=lambda seconds: f"{seconds:.0f} s"),
+            column(lambda row: row["verdict"] or None, page="verdict", words=True),
+            column(lambda row: row["error"] or None, page="error", words=True),
         ],
         "Units of the study",
         f"{left} more are in units.csv." if left else "",
@@ -182,5 +184,5 @@ def _units(units: pd.DataFrame, folder: Path) -> Block:
 
 
 def _report(folder: Path, unit: str) -> str:
-    """Where a unit's own page is, from the study's; empty where it has none."""
+    """Relative path of a unit's page; empty where it has none."""
     return f"units/{quote(unit)}/report.html" if (folder / "units" / unit / "report.html").is_file() else ""

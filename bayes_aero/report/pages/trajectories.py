@@ -74,8 +74,8 @@ def _names(flown: Trajectories, split: str) -> list[str]:
 
 
 def _flights(flown: Trajectories, split: str) -> tuple[Block, ...]:
-    shown, told = first(_names(flown, split))
-    plots: list[Block] = [*told]
+    shown, remark = first(_names(flown, split))
+    plots: list[Block] = [*remark]
     units = {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}
     for order, name in enumerate(shown):
         curves = [Curve(p, *how) for key, *how in MODELS if (p := flown.path(name, key, split)) is not None]

@@ -39,7 +39,7 @@ def between_manoeuvres(identification: Identification, limit: float) -> list[str
     if not any(beyond.values()):
         return []
     counts = [f"{label}: {_listed(found, len(compared))}" for label, found in beyond.items()]
-    said = [
+    sentences = [
         f"Fitted alone, manoeuvres differ by more than {limit:.0f} standard errors of the difference, by "
         + "; by ".join(counts)
         + "."
@@ -49,13 +49,13 @@ def between_manoeuvres(identification: Identification, limit: float) -> list[str
     always = [n for n in compared if wider and all(n in found for found in wider)]
     if unexplained:
         shown = always or unexplained
-        said.append(
+        sentences.append(
             f"No noise model alone explains this: {'; '.join(_numbers(identification, n) for n in shown)}. "
             "The model lacks an effect, the conditions of the manoeuvres differ in a way that it does not contain, or "
             "filters act differently on the measured and the modelled side. The intervals of the joint fit assume one "
             "value for all manoeuvres and cover none of these."
         )
-    return said
+    return sentences
 
 
 def _kinds(identification: Identification) -> dict[str, str]:

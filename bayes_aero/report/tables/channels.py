@@ -8,15 +8,15 @@ from bayes_aero.report.tables.table import Table, columns_of
 
 def channel_table(record: RecordReport) -> Table:
     """A row for each channel; values are in the file's own units."""
-    of = columns_of(record.channels)
+    column = columns_of(record.channels)
     unit, values = "unit → inside", "range in the file"
     return Table(
         [
-            of(lambda c: c.name, page="channel", terminal="channel"),
-            of(lambda c: c.place, page="taken from", terminal="taken from", words=True),
-            of(lambda c: c.unit if c.unit == c.si else f"{c.unit} → {c.si}", page=unit, terminal=unit),
-            of(lambda c: f"{c.lowest:.5g} to {c.highest:.5g}", page=values, terminal=values),
-            of(_remark, page="remark", terminal="", words=True),
+            column(lambda c: c.name, page="channel", terminal="channel"),
+            column(lambda c: c.place, page="taken from", terminal="taken from", words=True),
+            column(lambda c: c.unit if c.unit == c.si else f"{c.unit} → {c.si}", page=unit, terminal=unit),
+            column(lambda c: f"{c.lowest:.5g} to {c.highest:.5g}", page=values, terminal=values),
+            column(_remark, page="remark", terminal="", words=True),
         ],
         f"{sampling(record)}; {record.gaps} gaps, {record.uneven} uneven steps",
         terminal_title="",

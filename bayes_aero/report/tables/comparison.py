@@ -1,4 +1,4 @@
-"""The same parameters by every method of a run, in one order: what tables, figures and words all read from."""
+"""Parameters by every method of a run in one order, for tables, figures and sentences."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NOISES = {"ar1": "AR(1)", "buffet-ar1": "AR(1) with buffet"}
 
 @dataclass(frozen=True)
 class Method:
-    """One way to an interval: `key` for colours and columns, `label` for people, estimates by parameter."""
+    """One method of interval estimation: `key` for colours and columns, `label` for readers, estimates by parameter."""
 
     key: str
     label: str
@@ -45,13 +45,13 @@ class Scatter:
 
 
 def ordered(names: Iterable[str], parameters: Iterable[Parameter]) -> list[str]:
-    """Names by the place that their parameters declare, those without one behind as they come."""
+    """Names in the order that their parameters declare; names without an order last."""
     places = {p.name: p.place for p in parameters if p.place is not None}
     return sorted(names, key=lambda name: places.get(name, math.inf))
 
 
 def flown(identification: Identification) -> list[str]:
-    """Fitted parameters of which it is known with what value the records were simulated; none of real records."""
+    """Fitted parameters with a known true value (simulated records)."""
     truth = identification.truth or {}
     return [name for name in ordered(identification.mle.names, identification.mle.parameters) if name in truth]
 
@@ -68,19 +68,19 @@ def chosen_posteriors(identification: Identification) -> dict[str, Posterior]:
 
 
 def white_posterior(identification: Identification) -> Posterior | None:
-    """The posterior under white noise, which is the chosen one where white noise was chosen."""
+    """The posterior under white noise, which is also the chosen one where white noise was chosen."""
     if "white" in identification.posteriors or identification.noise is not Colour.WHITE:
         return identification.posteriors.get("white")
     return next(iter(chosen_posteriors(identification).values()), None)
 
 
 def engine_label(key: str) -> str:
-    """How an engine is written."""
+    """Name of an engine for readers."""
     return ENGINES.get(key, key)
 
 
 def noise_label(noise: str) -> str:
-    """How a noise model is written."""
+    """Name of a noise model for readers."""
     return NOISES.get(noise, noise)
 
 
@@ -109,7 +109,7 @@ def _marginals(posterior: Posterior, mle: MleResult) -> dict[str, Estimate]:
 
 
 def usable(mle: MleResult) -> bool:
-    """Whether a fit's numbers mean something."""
+    """Whether the numbers of a fit are usable."""
     return mle.status in (MleStatus.CONVERGED, MleStatus.AT_BOUND)
 
 
@@ -126,7 +126,7 @@ def alone(identification: Identification, name: str) -> dict[str, tuple[float, f
 
 
 def scatter(identification: Identification, name: str) -> Scatter | None:
-    """How far manoeuvres fitted alone differ in `name`; None with fewer than two usable estimates."""
+    """Scatter of `name` between manoeuvres fitted alone; None with fewer than two usable estimates."""
     single = list(alone(identification, name).values())
     if len(single) < 2:
         return None

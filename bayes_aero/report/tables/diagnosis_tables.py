@@ -25,15 +25,15 @@ NAMED_IF = (
 
 def causes_table(d: Diagnosis) -> Table:
     """A row for each cause, in files for each of its parameters, SI and radians, with scores on hold-out data."""
-    of = columns_of(d.causes)
+    column = columns_of(d.causes)
 
     def each(get: Callable[[Any], Any], *heads: Any, **how: Any) -> Column:
-        return of(lambda c: [get(size) for size in c.parameters.values()], *heads, **how)
+        return column(lambda c: [get(size) for size in c.parameters.values()], *heads, **how)
 
     def score(name: str, kind: str) -> Column:
         files = tuple(f"{name}_{kind}_{when}" for when in ("before", "after"))
         head = f"R² {name}" if d.by_coefficients and kind == "r2" else None
-        return of(lambda c: _change(c, name, kind), files, None, head, ".2f")
+        return column(lambda c: _change(c, name, kind), files, None, head, ".2f")
 
     names = dict.fromkeys(name for c in d.causes for name in c.gain.before)
     if_removed = "hold-out data\nif removed" if any(np.isfinite(c.missed[0]) for c in d.causes) else None
@@ -42,24 +42,24 @@ def causes_table(d: Diagnosis) -> Table:
     return Table(
         [
             Column(range(1, len(d.causes) + 1), "order"),
-            of(_marked, terminal="cause"),
-            of(lambda c: c.name, "cause", "cause"),
-            *(of(lambda c, key=key: getattr(c, key), key) for key in ("kind", "stage", "confirmed", "sure")),
-            of(lambda c: c.claim, page="what it means", words=True),
-            of(lambda c: list(c.parameters), "parameter"),
-            of(_sizes, page="size"),
+            column(_marked, terminal="cause"),
+            column(lambda c: c.name, "cause", "cause"),
+            *(column(lambda c, key=key: getattr(c, key), key) for key in ("kind", "stage", "confirmed", "sure")),
+            column(lambda c: c.claim, page="what it means", words=True),
+            column(lambda c: list(c.parameters), "parameter"),
+            column(_sizes, page="size"),
             each(lambda s: size_text(s.mean, s.sd, s.unit), terminal="size", words=True),
             each(lambda s: Estimate(s.mean, s.sd, *s.ci95), ("mean", "sd", "ci95_low", "ci95_high")),
             each(_interval, page="95 % interval"),
             each(lambda s: s.unit, "unit"),
-            of(lambda c: c.probability, "probability", "probability", "prob.", probability),
-            of(lambda c: c.p_value, "p_value", "p", form=2),
-            of(lambda c: " ".join(c.ambiguous_with), "ambiguous_with"),
-            of(lambda c: c.gain.elpd, "elpd"),
-            of(lambda c: c.gain.elpd_se, "elpd_se"),
-            of(lambda c: Estimate(-c.missed[0], c.missed[1]), ("taken_out_elpd", "taken_out_elpd_se")),
-            of(lambda c: c, page=if_removed, form=_if_removed),
-            of(lambda c: several(c.ambiguous_with), "", "rivals", rivals, or_dash, str),
+            column(lambda c: c.probability, "probability", "probability", "prob.", probability),
+            column(lambda c: c.p_value, "p_value", "p", form=2),
+            column(lambda c: " ".join(c.ambiguous_with), "ambiguous_with"),
+            column(lambda c: c.gain.elpd, "elpd"),
+            column(lambda c: c.gain.elpd_se, "elpd_se"),
+            column(lambda c: Estimate(-c.missed[0], c.missed[1]), ("taken_out_elpd", "taken_out_elpd_se")),
+            column(lambda c: c, page=if_removed, form=_if_removed),
+            column(lambda c: several(c.ambiguous_with), "", "rivals", rivals, or_dash, str),
             *(score(name, kind) for name in names for kind in ("r2", "rmse")),
         ],
         "Causes, in the order of selection",
@@ -105,8 +105,8 @@ def probability(value: float) -> str:
 
 
 def _if_removed(c: Cause) -> str:
-    said = f"{-c.missed[0]:+.1f} ± {c.missed[1]:.1f}" if np.isfinite(c.missed[0]) else NONE
-    return said if c.confirmed else f"{said} *"
+    sentences = f"{-c.missed[0]:+.1f} ± {c.missed[1]:.1f}" if np.isfinite(c.missed[0]) else NONE
+    return sentences if c.confirmed else f"{sentences} *"
 
 
 def _change(c: Cause, name: str, kind: str) -> Change | None:
@@ -118,27 +118,27 @@ def _change(c: Cause, name: str, kind: str) -> Change | None:
 
 def changes_table(d: Diagnosis) -> Table:
     """A row for each parameter that takes another value during the records, in files SI and radians."""
-    of = columns_of(d.changes)
+    column = columns_of(d.changes)
     return Table(
         [
-            of(lambda c: c.parameter, "parameter", "parameter", "parameter"),
-            of(lambda c: c.unit, "unit"),
-            of(lambda c: c.manoeuvre, "manoeuvre", "manoeuvre", "manoeuvre"),
-            of(lambda c: c.at, "at", "at, s", "at, s", ".1f"),
-            of(lambda c: Change(c.interval[0], c.interval[1]), ("at_low", "at_high")),
-            of(lambda c: from_to(c.interval[0], c.interval[1], 0.5), page="95 % interval, s"),
-            of(lambda c: c.lasts, "lasts"),
+            column(lambda c: c.parameter, "parameter", "parameter", "parameter"),
+            column(lambda c: c.unit, "unit"),
+            column(lambda c: c.manoeuvre, "manoeuvre", "manoeuvre", "manoeuvre"),
+            column(lambda c: c.at, "at", "at, s", "at, s", ".1f"),
+            column(lambda c: Change(c.interval[0], c.interval[1]), ("at_low", "at_high")),
+            column(lambda c: from_to(c.interval[0], c.interval[1], 0.5), page="95 % interval, s"),
+            column(lambda c: c.lasts, "lasts"),
             *(
-                of(lambda c, name=name: Estimate(*getattr(c, name)), (name, f"{name}_sd"))
+                column(lambda c, name=name: Estimate(*getattr(c, name)), (name, f"{name}_sd"))
                 for name in ("before", "after", "size")
             ),
-            of(lambda c: size_text(c.before[0], c.before[1], c.unit), page="before", terminal="before"),
-            of(lambda c: size_text(c.after[0], c.after[1], c.unit), page="after", terminal="after"),
-            of(lambda c: size_text(c.size[0], c.size[1], c.unit), page="change", terminal="change"),
-            of(lambda c: c.share, "share"),
-            of(lambda c: c.p_value, "p_value", "p", "p", 2),
-            of(lambda c: c.gain, "elpd", "hold-out gain", None, ".1f"),
-            of(lambda c: several(c.ambiguous_with), "ambiguous_with", "rivals", "rivals", or_dash),
+            column(lambda c: size_text(c.before[0], c.before[1], c.unit), page="before", terminal="before"),
+            column(lambda c: size_text(c.after[0], c.after[1], c.unit), page="after", terminal="after"),
+            column(lambda c: size_text(c.size[0], c.size[1], c.unit), page="change", terminal="change"),
+            column(lambda c: c.share, "share"),
+            column(lambda c: c.p_value, "p_value", "p", "p", 2),
+            column(lambda c: c.gain, "elpd", "hold-out gain", None, ".1f"),
+            column(lambda c: several(c.ambiguous_with), "ambiguous_with", "rivals", "rivals", or_dash),
         ],
         "Parameters that change during the records",
         "One standard error, autocorrelation included. Time from the begin of the manoeuvre; 0: from the manoeuvre "
@@ -152,14 +152,14 @@ def screen_table(rankings: Sequence[Ranking], d: Diagnosis) -> Table:
     rows = [(r, s) for r in rankings for s in r.candidate_scores]
     limits = [r.threshold for r in rankings[:1] if np.isfinite(r.threshold)]
     beyond = "".join(f" Noise alone exceeds {x:.1f} once in twenty." for x in limits)
-    of = columns_of([s for _, s in rows])
+    column = columns_of([s for _, s in rows])
     return Table(
         [
             Column([r.stage for r, _ in rows], "stage", terminal="stage"),
-            of(lambda s: s.effect, "name", "effect", "candidate"),
-            of(lambda s: s.kind, "kind", "kind", words=True),
-            of(lambda s: s.score, "score", "score", "score", ".1f"),
-            of(lambda s: s.p_value, "p_value", "p", "p", ".3f"),
+            column(lambda s: s.effect, "name", "effect", "candidate"),
+            column(lambda s: s.kind, "kind", "kind", words=True),
+            column(lambda s: s.score, "score", "score", "score", ".1f"),
+            column(lambda s: s.p_value, "p_value", "p", "p", ".3f"),
             Column(["yes" if (r.stage, s.effect) in causes else "" for r, s in rows], page="named"),
         ],
         f"Leading candidates of the stage “{rankings[0].stage if rankings else ''}”",

@@ -1,4 +1,4 @@
-"""What a fit with process noise tells beside its estimates: posterior by both samplers, one-step predictions."""
+"""Tables of a fit with process noise: posterior by both samplers, one-step predictions."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def posterior_table(posteriors: Mapping[str, Posterior]) -> Table:
 
 
 def estimate_of(m: Marginal) -> Estimate:
-    """A marginal as tables show it."""
+    """A marginal as a cell of a table."""
     return Estimate(m.mean, m.sd, *m.ci95)
 
 
@@ -61,10 +61,10 @@ def one_step_table(found: OneStep, units: Mapping[str, str]) -> Table:
         for name, one in found.outputs.items()
     ]
     rows += [("all together", 1.0, found.together)] if len(rows) > 1 else []
-    of = columns_of(rows)
+    column = columns_of(rows)
     levels = [f"{100.0 * share.level:.0f} %" for share in found.together.shares]
     inside = (
-        of(
+        column(
             lambda r, k=k: Estimate(100.0 * r[2].shares[k].share, 100.0 * r[2].shares[k].sd),
             "",
             head,
@@ -81,11 +81,11 @@ def one_step_table(found: OneStep, units: Mapping[str, str]) -> Table:
     )
     return Table(
         [
-            of(lambda r: r[0], "", "output", ""),
-            of(lambda r: None if r[2].rms is None else r[1] * r[2].rms, "", "RMS", "RMS", _size),
-            of(lambda r: Estimate(*r[2].ratio), "", "e/sd", "e/sd", in_brackets),
+            column(lambda r: r[0], "", "output", ""),
+            column(lambda r: None if r[2].rms is None else r[1] * r[2].rms, "", "RMS", "RMS", _size),
+            column(lambda r: Estimate(*r[2].ratio), "", "e/sd", "e/sd", in_brackets),
             *inside,
-            of(lambda r: CALIBRATION[r[2].calibration], "", "predictions", "predictions"),
+            column(lambda r: CALIBRATION[r[2].calibration], "", "predictions", "predictions"),
         ],
         "Errors, and innovations inside their predictive intervals",
         note,
@@ -95,7 +95,7 @@ def one_step_table(found: OneStep, units: Mapping[str, str]) -> Table:
 
 
 def _per_cent(e: Estimate) -> str:
-    """With one digit of the standard error."""
+    """A share with one digit of its standard error."""
     return f"{e.centre:.0f}({e.sd:.0f})" if e.sd >= 0.95 else f"{e.centre:.1f}({10.0 * e.sd:.0f})"
 
 

@@ -1,4 +1,4 @@
-"""Tables of a fit to trajectories: parameters, errors, tolerances, initial states, and process noise beside it."""
+"""Tables of a fit to trajectories: parameters, errors, tolerances, initial states, and process noise."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from bayes_aero.report.tables.table import (
 from bayes_aero.report.text.phrases import axis_label, decimals, for_people, number, plain_unit, short
 
 MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound", "undetermined": "not determined"}
-UNKNOWN = 100.0  # times the value from which its deviation says only that it is not known
+MAX_RELATIVE_ERROR = 100.0  # standard error over value from which digits of the value are not shown
 
 
 def parameter_table(flown: TrajectoryFit) -> Table:
@@ -34,7 +34,7 @@ def parameter_table(flown: TrajectoryFit) -> Table:
     fit, errors = flown.fit, "standard error"
     start, estimate, crb, sd = (list(map(float, x)) for x in (flown.start, fit.estimate, fit.crb, fit.sd_corrected))
     priors = [prior_text(p.prior if flown.setting.priors else None) for p in fit.parameters]
-    marked = dict(zip(MARKS, (fit.held, fit.at_bound, fit.undetermined), strict=True))
+    marked = dict(zip(MARKS, (fit.held_by_prior, fit.at_bound, fit.undetermined), strict=True))
     remarks = [", ".join(MARKS[mark] for mark, some in marked.items() if name in some) for name in fit.names]
     return Table(
         [
@@ -78,18 +78,18 @@ def prior_text(prior: Prior | None) -> str:
     if prior is None:
         return "none"
     location, scale = prior.location, prior.scale
-    told = {
+    text = {
         "normal": f"{location:.4g} ± {scale:.4g}",
         "lognormal": f"{location:.4g} × e^±{scale:.4g}",
         "halfnormal": f"{location:.4g} + |{scale:.4g}|",
         "uniform": f"{location:.4g} to {location + scale:.4g}",
     }[prior.family]
-    return f"{told}, {'card' if prior.by_card else 'default'}"
+    return f"{text}, {'card' if prior.by_card else 'default'}"
 
 
 def _fit(e: Estimate) -> str:
     """As many digits as the standard error allows; three if it is far larger than the value."""
-    return f"{e.centre:.{decimals(e.sd)}f}" if 0.0 < e.sd < UNKNOWN * abs(e.centre) else number(e.centre, 3)
+    return f"{e.centre:.{decimals(e.sd)}f}" if 0.0 < e.sd < MAX_RELATIVE_ERROR * abs(e.centre) else number(e.centre, 3)
 
 
 def _known(e: Estimate) -> str:
@@ -127,24 +127,24 @@ def error_table(flown: TrajectoryFit) -> Table:
     """Error at the first values and of the fit by manoeuvre and output, with Theil's coefficient and its parts."""
     rows, fitted = _rows(flown), flown.fit.flown.outputs
     left = "" if set(flown.outputs) <= set(fitted) else " *: reported, not fitted."
-    of = columns_of(rows)
+    column = columns_of(rows)
     shares = "shares of the fit's squared error"
     return Table(
         [
             Column([row.manoeuvre for row in rows], terminal="manoeuvre", words=True),
-            of(lambda r: _label(flown, r.output) + ("" if r.output in fitted else " *"), "", "output", "output"),
-            of(
+            column(lambda r: _label(flown, r.output) + ("" if r.output in fitted else " *"), "", "output", "output"),
+            column(
                 lambda r: Change(r.factor * r.before.rms, r.factor * r.after.rms),
                 page=("first values", "fit"),
                 terminal="RMS: start → fitted",
                 form=short,
                 group="root mean square",
             ),
-            of(lambda r: r.factor * r.after.largest, "", "fit", "largest", short, group="largest"),
-            of(lambda r: r.after.theil.theil, "", "fit", "U", ".3f", group="Theil U"),
-            of(lambda r: r.after.theil.bias, "", "bias", "bias", ".0%", group=shares),
-            of(lambda r: r.after.theil.variance, "", "variance", "var.", ".0%", group=shares),
-            of(lambda r: r.after.theil.covariance, "", "covariance", "cov.", ".0%", group=shares),
+            column(lambda r: r.factor * r.after.largest, "", "fit", "largest", short, group="largest"),
+            column(lambda r: r.after.theil.theil, "", "fit", "U", ".3f", group="Theil U"),
+            column(lambda r: r.after.theil.bias, "", "bias", "bias", ".0%", group=shares),
+            column(lambda r: r.after.theil.variance, "", "variance", "var.", ".0%", group=shares),
+            column(lambda r: r.after.theil.covariance, "", "covariance", "cov.", ".0%", group=shares),
         ],
         "Error of the simulated trajectories, in the unit of each output",
         "A good model leaves covariance only (noise): bias is a constant offset, variance a wrong amplitude." + left,
@@ -160,12 +160,12 @@ def tolerance_table(flown: TrajectoryFit) -> Table | None:
     rows = [r for r in _rows(flown) if None not in (r.after.tolerance, r.after.within, r.before.within)]
     if not rows:
         return None
-    of = columns_of(rows)
+    column = columns_of(rows)
     return Table(
         [
-            of(lambda r: _label(flown, r.output), page="output"),
-            of(lambda r: f"± {number(r.factor * r.after.tolerance)} {r.unit}", page="tolerance"),
-            of(lambda r: Change(r.before.within, r.after.within), page=("first values", "fit"), form=".0%"),
+            column(lambda r: _label(flown, r.output), page="output"),
+            column(lambda r: f"± {number(r.factor * r.after.tolerance)} {r.unit}", page="tolerance"),
+            column(lambda r: Change(r.before.within, r.after.within), page=("first values", "fit"), form=".0%"),
         ],
         "Share of the time inside the tolerance",
         "These data were fitted; errors on hold-out flights may be larger.",
@@ -237,23 +237,30 @@ def process_noise_table(
 
 def gust_table(found: ProcessNoise) -> Table:
     """A row for each sample: manoeuvre, time (s), mean and standard deviation of each gust (m/s)."""
-    of = columns_of([(h, k) for h in found.histories for k in range(len(h.time))])
+    column = columns_of([(h, k) for h in found.histories for k in range(len(h.time))])
     names = dict.fromkeys(name for h in found.histories for name in h.gusts)
     gusts = (
-        of(lambda r, name=name: Estimate(*(x[r[1]] for x in r[0].gusts[name])), (name, f"{name}_sd")) for name in names
+        column(lambda r, name=name: Estimate(*(x[r[1]] for x in r[0].gusts[name])), (name, f"{name}_sd"))
+        for name in names
     )
-    return Table([of(lambda r: r[0].manoeuvre, "manoeuvre"), of(lambda r: r[0].time[r[1]], "time"), *gusts], index=2)
+    return Table(
+        [column(lambda r: r[0].manoeuvre, "manoeuvre"), column(lambda r: r[0].time[r[1]], "time"), *gusts], index=2
+    )
 
 
 def drift_history_table(found: Drift) -> Table:
     """A row for each sample: manoeuvre, time (s); of each drifting parameter value, standard deviation, and that of
     its change from the begin (SI)."""
-    of = columns_of([(h, k) for h in found.histories for k in range(len(h.time))])
+    column = columns_of([(h, k) for h in found.histories for k in range(len(h.time))])
     values = (
-        of(lambda r, name=name: tuple(x[r[1]] for x in r[0].values[name]), (name, f"{name}_sd", f"{name}_change_sd"))
+        column(
+            lambda r, name=name: tuple(x[r[1]] for x in r[0].values[name]), (name, f"{name}_sd", f"{name}_change_sd")
+        )
         for name in found.parameters
     )
-    return Table([of(lambda r: r[0].manoeuvre, "manoeuvre"), of(lambda r: r[0].time[r[1]], "time"), *values], index=2)
+    return Table(
+        [column(lambda r: r[0].manoeuvre, "manoeuvre"), column(lambda r: r[0].time[r[1]], "time"), *values], index=2
+    )
 
 
 class _Changed(NamedTuple):
@@ -266,24 +273,24 @@ class _Changed(NamedTuple):
 
 
 def drift_table(found: Drift) -> Table:
-    """Every drifting parameter and manoeuvre: how fast it drifts, whether it must, and its change.
+    """Every drifting parameter and manoeuvre: intensity of the drift, its p-value, and the change.
 
     Where innovations are not white there are no p-values.
     """
     sound = found.usable and not found.coloured
     rows = [_Changed(n, p, m, change) for n, p in found.parameters.items() for m, change in p.changes.items()]
-    of = columns_of(rows)
+    column = columns_of(rows)
     return Table(
         [
-            of(lambda r: r.name, "", "parameter", ""),
-            of(lambda r: plain_unit(r.found.unit), "", "unit"),
-            of(lambda r: r.found.intensity[0], "", "intensity", "per √s", 2),
-            of(lambda r: r.found.ratio, "", "likelihood ratio", "ratio", ".1f"),
-            of(lambda r: r.found.p if sound else None, "", "p", "p", 2),
-            of(lambda r: r.manoeuvre, "", "manoeuvre", "manoeuvre"),
-            of(lambda r: Estimate(*found.estimates[r.name]), "", "at the begin", "begin", in_brackets),
-            of(lambda r: Estimate(*r.change.size), "", "change to the end", "change", in_brackets),
-            of(
+            column(lambda r: r.name, "", "parameter", ""),
+            column(lambda r: plain_unit(r.found.unit), "", "unit"),
+            column(lambda r: r.found.intensity[0], "", "intensity", "per √s", 2),
+            column(lambda r: r.found.ratio, "", "likelihood ratio", "ratio", ".1f"),
+            column(lambda r: r.found.p if sound else None, "", "p", "p", 2),
+            column(lambda r: r.manoeuvre, "", "manoeuvre", "manoeuvre"),
+            column(lambda r: Estimate(*found.estimates[r.name]), "", "at the begin", "begin", in_brackets),
+            column(lambda r: Estimate(*r.change.size), "", "change to the end", "change", in_brackets),
+            column(
                 lambda r: r.change.times[1] if r.name in found.changed and r.change.seen else None,
                 "",
                 "half of it by, s",

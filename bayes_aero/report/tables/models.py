@@ -23,12 +23,12 @@ def gain_table(view: DiagnosisView) -> Table | None:
         return None
     before, after = view.unseen_scores
     names = list(after)
-    of = columns_of(names)
+    column = columns_of(names)
     columns = [Column(names, page="coefficient")]
     for when, scores in (("before", before), ("after", after)):
         columns += [
-            of(lambda name, scores=scores: scores[name].r2, page=f"R² {when}", form=".3f"),
-            of(lambda name, scores=scores: scores[name].rmse, page=f"RMSE {when} [-]", form=".4f"),
+            column(lambda name, scores=scores: scores[name].r2, page=f"R² {when}", form=".3f"),
+            column(lambda name, scores=scores: scores[name].rmse, page=f"RMSE {when} [-]", form=".4f"),
         ]
     by_manoeuvre = view.diagnosis.split == "manoeuvre"
     what = "each manoeuvre predicted from the others" if by_manoeuvre else "each block from the others"
@@ -45,15 +45,17 @@ def holdout_table(unseen: HoldoutScores) -> Table:
     for k, manoeuvre in enumerate(unseen.names):
         before, after = (unseen.scores[model, "hold_out", k] for model in ("card", "extended"))
         rows += [(manoeuvre, n, Change(before[n].r2, after[n].r2), unseen.gains[manoeuvre, n]) for n in before]
-    of = columns_of(rows)
+    column = columns_of(rows)
     worse = several(f"{name} of {manoeuvre}" for manoeuvre, name in unseen.worse()) or "no manoeuvre"
     return Table(
         [
-            of(lambda r: r[0], page="manoeuvre"),
-            of(lambda r: r[1], page="coefficient"),
-            of(lambda r: r[2], page=("R²\ncard", "R²\nextended"), form=".3f"),
-            of(lambda r: r[3], page="change of R²", form=lambda gain: f"{gain.r2:+.3f} ± {gain.r2_sd:.3f}"),
-            of(lambda r: r[3], page="log density\ngained", form=lambda gain: f"{gain.elpd:+.1f} ± {gain.elpd_sd:.1f}"),
+            column(lambda r: r[0], page="manoeuvre"),
+            column(lambda r: r[1], page="coefficient"),
+            column(lambda r: r[2], page=("R²\ncard", "R²\nextended"), form=".3f"),
+            column(lambda r: r[3], page="change of R²", form=lambda gain: f"{gain.r2:+.3f} ± {gain.r2_sd:.3f}"),
+            column(
+                lambda r: r[3], page="log density\ngained", form=lambda gain: f"{gain.elpd:+.1f} ± {gain.elpd_sd:.1f}"
+            ),
         ],
         "Hold-out manoeuvres: the card's model and the extended model",
         "± is one standard error, autocorrelation included. Log density: natural logarithm of the probability density "
@@ -65,13 +67,13 @@ def holdout_table(unseen: HoldoutScores) -> Table:
 
 def moves_table(view: View) -> Table:
     """The card's own parameters before and after."""
-    of = columns_of([(name, m, *for_people(m.unit)) for name, m in view.moves.items()])
+    column = columns_of([(name, m, *for_people(m.unit)) for name, m in view.moves.items()])
     return Table(
         [
-            of(lambda r: f"{r[0]} {bracket(plain_unit(r[2]))}", page="parameter"),
-            of(lambda r: Estimate(r[3] * r[1].before, r[3] * r[1].sd_before), page="card's model"),
-            of(lambda r: Estimate(r[3] * r[1].after, r[3] * r[1].sd_after), page="extended model"),
-            of(
+            column(lambda r: f"{r[0]} {bracket(plain_unit(r[2]))}", page="parameter"),
+            column(lambda r: Estimate(r[3] * r[1].before, r[3] * r[1].sd_before), page="card's model"),
+            column(lambda r: Estimate(r[3] * r[1].after, r[3] * r[1].sd_after), page="extended model"),
+            column(
                 lambda r: (r[1].after - r[1].before) / r[1].sd_after if r[1].sd_after > 0.0 else None,
                 page="change\n[standard errors]",
                 form="+.1f",
@@ -86,11 +88,11 @@ def predictor_table(found: Mapping[str, Any]) -> Table:
     """R2, RMSE and coverage of every predictor on hold-out data."""
     columns = [Column([PREDICTORS.get(key, key) for key in found], page="predictor")]
     for name in next(iter(found.values()), {}):
-        of = columns_of([row.get(name) or {} for row in found.values()])
+        column = columns_of([row.get(name) or {} for row in found.values()])
         columns += [
-            of(lambda s: s.get("r2"), page="R²", form=".3f", group=name),
-            of(lambda s: s.get("rmse"), page="RMSE [-]", form=".4f", group=name),
-            of(lambda s: s.get("coverage95"), page="inside\n95 %", form=".0%", group=name),
+            column(lambda s: s.get("r2"), page="R²", form=".3f", group=name),
+            column(lambda s: s.get("rmse"), page="RMSE [-]", form=".4f", group=name),
+            column(lambda s: s.get("coverage95"), page="inside\n95 %", form=".0%", group=name),
         ]
     return Table(
         columns,
@@ -104,27 +106,29 @@ def residual_tables(view: View) -> tuple[Table, Table]:
     """Each coefficient's residuals before and after: scores, Theil's parts, autocorrelation; then calibration."""
     models = [("card's", view.card), *([("extended", view.extended)] if view.changed else [])]
     rows = [(f"{name}, {label}", fitted.composition[name]) for name in view.coefficients for label, fitted in models]
-    of, first = columns_of([numbers for _, numbers in rows]), Column([label for label, _ in rows], page="")
+    column, first = columns_of([numbers for _, numbers in rows]), Column([label for label, _ in rows], page="")
     shares = [
-        of(lambda n, part=part: n[f"theil_{part}"], page=part, form=".0%", group="Theil's shares of the squared error")
+        column(
+            lambda n, part=part: n[f"theil_{part}"], page=part, form=".0%", group="Theil's shares of the squared error"
+        )
         for part in ("bias", "variance", "covariance")
     ]
     levels = [f"{level:g}" for level in LEVELS]
     return Table(
         [
             first,
-            of(lambda n: n["r2"], page="R²", form=".3f"),
-            of(lambda n: n["rmse"], page="RMSE [-]", form=".4f"),
-            of(lambda n: n["theil"], page="Theil U", form=".3f"),
+            column(lambda n: n["r2"], page="R²", form=".3f"),
+            column(lambda n: n["rmse"], page="RMSE [-]", form=".4f"),
+            column(lambda n: n["theil"], page="Theil U", form=".3f"),
             *shares,
-            of(lambda n: n["lag1"], page="lag-1\ncorrelation", form="+.2f"),
+            column(lambda n: n["lag1"], page="lag-1\ncorrelation", form="+.2f"),
         ],
         "Residuals at the recorded rate, all manoeuvres fitted jointly",
         "A good model leaves covariance only (noise): bias is a constant offset, variance a wrong amplitude.",
     ), Table(
         [
             first,
-            *(of(lambda n, x=x: n["calibration"][x], page=f"{100.0 * float(x):.0f} %", form=".0%") for x in levels),
+            *(column(lambda n, x=x: n["calibration"][x], page=f"{100.0 * float(x):.0f} %", form=".0%") for x in levels),
         ],
         "Calibration: share of 5 Hz residuals inside the fitted noise's bands",
         "A right noise model shows the heading's share in each column.",

@@ -24,15 +24,15 @@ def mode_rows(modes: tuple[FlownMode, ...]) -> list[tuple[FlownMode, str, Estima
     rows = []
     for mode in modes:
         read = SWINGS if mode.eigenvalue.imag > 0.0 else SPIRALS if mode.name == "spiral" else DECAYS
-        told = [(mode, n, Estimate(*x)) for n, x in mode.quantities.items() if n in (*read, "time_to_double")]
-        rows += told or [(mode, "", Estimate(math.nan, math.nan))]
+        quantities = [(mode, n, Estimate(*x)) for n, x in mode.quantities.items() if n in (*read, "time_to_double")]
+        rows += quantities or [(mode, "", Estimate(math.nan, math.nan))]
     return rows
 
 
 def mode_table(found: Motion) -> Table:
     """Period and damping, or times, of every mode."""
     rows = mode_rows(found.modes)
-    of = columns_of(rows)
+    column = columns_of(rows)
     estimates = "with process noise, with errors for white innovations" if found.filtered else "of output error"
     note = (
         f"Eigenvalues of {_equations(found)}, for the estimates {estimates}. In brackets: the standard error in units "
@@ -40,9 +40,9 @@ def mode_table(found: Motion) -> Table:
     )
     return Table(
         [
-            of(lambda r: r[0].name, "", "mode", "mode"),
-            of(lambda r: SHOWN.get(r[1], "neither grows nor falls beyond its error"), "", "quantity", "quantity"),
-            of(lambda r: r[2], "", "value", "value", in_brackets),
+            column(lambda r: r[0].name, "", "mode", "mode"),
+            column(lambda r: SHOWN.get(r[1], "neither grows nor falls beyond its error"), "", "quantity", "quantity"),
+            column(lambda r: r[2], "", "value", "value", in_brackets),
         ],
         "Modes of motion",
         note,
@@ -62,19 +62,19 @@ def _equations(found: Motion) -> str:
 def test_table(found: Motion) -> Table:
     """Every objective test, as recorded and as simulated."""
     rows = list(found.tests)
-    of = columns_of(rows)
+    column = columns_of(rows)
     before = [None, *((r.manoeuvre, r.entry, r.remark) for r in rows)]
     again = [(r.manoeuvre, r.entry, r.remark) == last for r, last in zip(rows, before, strict=False)]
     remarks = ["as above" if same and r.remark else r.remark for r, same in zip(rows, again, strict=True)]
     return Table(
         [
-            of(lambda r: r.manoeuvre, "", None, "manoeuvre", words=True),
-            of(lambda r: f"{r.entry} {r.test}", "", "test", "test", words=True),
-            of(_quantity, "", "quantity", "quantity", words=True),
-            of(lambda r: _people(r, r.measured), "", "recorded", "recorded", in_brackets),
-            of(lambda r: _people(r, (r.simulated, math.nan)), "", "simulated", "simulated", in_brackets),
-            of(_limit, "", "tolerance", "tolerance"),
-            of(lambda r: "yes" if r.within else "no", "", "met", "met"),
+            column(lambda r: r.manoeuvre, "", None, "manoeuvre", words=True),
+            column(lambda r: f"{r.entry} {r.test}", "", "test", "test", words=True),
+            column(_quantity, "", "quantity", "quantity", words=True),
+            column(lambda r: _people(r, r.measured), "", "recorded", "recorded", in_brackets),
+            column(lambda r: _people(r, (r.simulated, math.nan)), "", "simulated", "simulated", in_brackets),
+            column(_limit, "", "tolerance", "tolerance"),
+            column(lambda r: "yes" if r.within else "no", "", "met", "met"),
             Column(remarks, page="remark", form=or_dash, words=True),
         ],
         "Objective tests of the lateral motion",

@@ -149,26 +149,26 @@ def validation_table(run: Identification, *, each_fold: bool = True) -> Table:
             if each_fold and len(folds) > 1:
                 rows += [(split, str(k), name, Pooled.of([fold[name]])) for k, fold in enumerate(folds, start=1)]
             rows.append((split, "all", name, Pooled.of([fold[name] for fold in folds])))
-    of = columns_of([row[-1] for row in rows])
+    column = columns_of([row[-1] for row in rows])
     ml, gpr = {"group": "maximum likelihood"}, {"group": "GPR"}
     return Table(
         [
             *(Column([row[k] for row in rows], name) for k, name in enumerate(("split", "fold", "coefficient"))),
             Column([f"{split}, {name}" for split, _, name, _ in rows], page="split, coefficient"),
-            of(lambda p: p.points, "points", "points"),
-            of(lambda p: p.mle.r, page="r", form=".4f", **ml),
-            of(lambda p: p.mle.rmse, page="RMSE [-]", form=3, **ml),
-            of(lambda p: p.gp.r, "gpr_r", "r", form=".4f", **gpr),
-            of(lambda p: p.gp.rmse, "gpr_rmse", "RMSE [-]", form=3, **gpr),
-            of(lambda p: p.gp.theil, "gpr_theil"),
-            of(lambda p: p.gp.r2, "gpr_r2"),
-            of(lambda p: p.coverage.get(0.5), "gpr_coverage50"),
-            of(lambda p: p.coverage.get(0.9), "gpr_coverage90"),
-            of(lambda p: p.coverage.get(0.95), "gpr_coverage95", "inside 95 %", form=".0%", **gpr),
-            of(lambda p: p.k_hat, "gpr_k_hat", "Pareto k", form=2, **gpr),
-            of(lambda p: p.mle.r, "mle_r"),
-            of(lambda p: p.mle.rmse, "mle_rmse"),
-            of(lambda p: p.status, "gpr_status"),
+            column(lambda p: p.points, "points", "points"),
+            column(lambda p: p.mle.r, page="r", form=".4f", **ml),
+            column(lambda p: p.mle.rmse, page="RMSE [-]", form=3, **ml),
+            column(lambda p: p.gp.r, "gpr_r", "r", form=".4f", **gpr),
+            column(lambda p: p.gp.rmse, "gpr_rmse", "RMSE [-]", form=3, **gpr),
+            column(lambda p: p.gp.theil, "gpr_theil"),
+            column(lambda p: p.gp.r2, "gpr_r2"),
+            column(lambda p: p.coverage.get(0.5), "gpr_coverage50"),
+            column(lambda p: p.coverage.get(0.9), "gpr_coverage90"),
+            column(lambda p: p.coverage.get(0.95), "gpr_coverage95", "inside 95 %", form=".0%", **gpr),
+            column(lambda p: p.k_hat, "gpr_k_hat", "Pareto k", form=2, **gpr),
+            column(lambda p: p.mle.r, "mle_r"),
+            column(lambda p: p.mle.rmse, "mle_rmse"),
+            column(lambda p: p.status, "gpr_status"),
         ],
         "Hold-out samples: the stall model (maximum likelihood) and a Gaussian process (GPR)",
         "A random split leaves neighbours of every sample in the training set and flatters the GPR; read the block and "
@@ -201,15 +201,15 @@ def paper_table(run: Identification) -> Table:
 
 def fit_table(run: Identification) -> Table:
     """How well the fitted model follows each coefficient."""
-    of = columns_of([(name, run.mle.fit[name], run.mle.lag1[name]) for name in run.mle.fit])
+    column = columns_of([(name, run.mle.fit[name], run.mle.lag1[name]) for name in run.mle.fit])
     return Table(
         [
-            of(lambda r: r[0], page=""),
-            of(lambda r: r[1].r, page="correlation r", form=".4f"),
-            of(lambda r: r[1].r2, page="R²", form=".3f"),
-            of(lambda r: r[1].rmse, page="RMSE [-]", form=3),
-            of(lambda r: r[1].theil, page="Theil U", form=".3f"),
-            of(lambda r: r[2], page="lag-1 correlation\nof residuals", form="+.2f"),
+            column(lambda r: r[0], page=""),
+            column(lambda r: r[1].r, page="correlation r", form=".4f"),
+            column(lambda r: r[1].r2, page="R²", form=".3f"),
+            column(lambda r: r[1].rmse, page="RMSE [-]", form=3),
+            column(lambda r: r[1].theil, page="Theil U", form=".3f"),
+            column(lambda r: r[2], page="lag-1 correlation\nof residuals", form="+.2f"),
         ],
         "Fit of the maximum-likelihood model to all samples",
         "R² is the share of the variance that is explained; Theil's U is 0 for a perfect fit and 1 for none. A lag-1 "
@@ -220,14 +220,14 @@ def fit_table(run: Identification) -> Table:
 def sampler_table(run: Identification, key: str) -> Table:
     """R-hat and effective sample sizes of one posterior."""
     posterior = run.posteriors[key]
-    of = columns_of([(n, posterior.marginals[n]) for n in ordered(posterior.names, run.mle.parameters)])
+    column = columns_of([(n, posterior.marginals[n]) for n in ordered(posterior.names, run.mle.parameters)])
     divergent = f" Divergent transitions: {_divergences(posterior)}." if key == "nuts" else ""
     return Table(
         [
-            of(lambda r: r[0], page=""),
-            of(lambda r: r[1].rhat, page="R-hat", form=".4f"),
-            of(lambda r: r[1].ess_bulk, page="bulk ESS", form=".0f"),
-            of(lambda r: r[1].ess_tail, page="tail ESS", form=".0f"),
+            column(lambda r: r[0], page=""),
+            column(lambda r: r[1].rhat, page="R-hat", form=".4f"),
+            column(lambda r: r[1].ess_bulk, page="bulk ESS", form=".0f"),
+            column(lambda r: r[1].ess_tail, page="tail ESS", form=".0f"),
         ],
         f"Convergence: {engine_label(posterior.engine)}, {noise_label(posterior.noise)} noise",
         f"Status: {posterior.status.value}. Targets: R-hat at most 1.01, both sample sizes at least 400.{divergent}",

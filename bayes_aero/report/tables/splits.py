@@ -50,18 +50,18 @@ def _leaks(report: GPReport, dt: float) -> list[str]:
     r = {s: {n: pooled_r(report, s, n, "gp") for n in names} for s in ("random", *others)}
     numbers = several(f"{n} {' / '.join(f'{r[s][n]:.3f}' for s in r)}" for n in names)
     order = " / ".join(SAYS[s] for s in r)
-    said = [f"GPR correlation with the measurement by {order}: {numbers}."]
+    sentences = [f"GPR correlation with the measurement by {order}: {numbers}."]
     drops = {n: r["random"][n] - min(r[s][n] for s in others) for n in names}
     fallen = {n: drop for n, drop in drops.items() if drop > LEAK}
     behind = [sentence for s in ("random", others[-1]) for sentence in _behind(report, s, r[s])]
     if not fallen:
-        return [said[0] + " The random split does not leak significantly.", *behind]
-    said[0] += (
+        return [sentences[0] + " The random split does not leak significantly.", *behind]
+    sentences[0] += (
         f" The random split leaves neighbours {1000.0 * dt:.0f} ms away in the training set; the part lost without "
         f"them "
         f"({several(f'{n} -{drop:.2f}' for n, drop in fallen.items())}) is interpolation, not aerodynamics."
     )
-    return [*said, *behind]
+    return [*sentences, *behind]
 
 
 def _behind(report: GPReport, split: str, r: dict[str, float]) -> list[str]:

@@ -154,18 +154,18 @@ class Table:
                 max_width=most,
                 no_wrap=not folds,
             )
-        cells = ([told(x, c.terminal_form or c.form, concise, "\n") for x in c.values] for c in columns)
+        cells = ([cell_text(x, c.terminal_form or c.form, concise, "\n") for x in c.values] for c in columns)
         for row in zip(*cells, strict=True):
             shown.add_row(*map(Text, row))
         return shown
 
 
-def told(value: Any, form: Form, estimate: Callable[[float, float], str] = plus_minus, between: str = "; ") -> str:
+def cell_text(value: Any, form: Form, estimate: Callable[[float, float], str] = plus_minus, between: str = "; ") -> str:
     """A value as people read it, a dash where there is none; several of them with `between` between them."""
     if isinstance(value, list):
-        return between.join(told(one, form, estimate, between) for one in value)
+        return between.join(cell_text(one, form, estimate, between) for one in value)
     if isinstance(value, Change):
-        return " → ".join(told(part, form) for part in value)
+        return " → ".join(cell_text(part, form) for part in value)
     size = value.centre if isinstance(value, Estimate) else value
     if size is None or (isinstance(size, float) and not math.isfinite(size)):
         return NONE

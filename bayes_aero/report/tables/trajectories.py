@@ -87,7 +87,7 @@ def _flights(flown: Trajectories) -> tuple[Flights, list[Column]]:
 
 
 def _tail(name: str) -> str:
-    """What tells records apart is mostly the end of their names, and a terminal has little room."""
+    """The end of a record's name, which usually distinguishes records, for the width of a terminal."""
     return name if len(name) <= TAIL + 1 else f"…{name[-TAIL:]}"
 
 

@@ -11,37 +11,39 @@ from bayes_aero.flight.reading.inspection import RecordReport
 from bayes_aero.report.text.consistency import consistency_sentences
 from bayes_aero.report.text.phrases import for_people, not_testable_sentences, several
 
-MOST_PARTS = 12  # of a file that are listed in words; the JSON has all
+MAX_PARTS = 12  # of a file in a sentence; the JSON has all
 
 
 def part_sentences(record: RecordReport) -> list[str]:
     """The parts of a file that may be analysed in place of the whole, as they are written on the command line."""
-    said = []
+    sentences = []
     for what, words in (("in flight", "parts in flight"), ("manoeuvre", "manoeuvres")):
         parts = [f"{record.path}@{p.part}" for p in record.proposals if p.what == what]
         if parts:
-            more = f" and {len(parts) - MOST_PARTS} more" if len(parts) > MOST_PARTS else ""
-            said.append(f"{words}: {', '.join(parts[:MOST_PARTS])}{more}")
-    if said:
-        said.append("give these parts instead of the file, or list them on the card under [segments]")
-    return said
+            more = f" and {len(parts) - MAX_PARTS} more" if len(parts) > MAX_PARTS else ""
+            sentences.append(f"{words}: {', '.join(parts[:MAX_PARTS])}{more}")
+    if sentences:
+        sentences.append("give these parts instead of the file, or list them on the card under [segments]")
+    return sentences
 
 
 def card_sentences(report: CheckReport) -> list[str]:
-    """What the card itself adds to the files."""
+    """Channels that the card adds to the files."""
     card = report.card
-    said = [f"constant from the card: {name} = {value:g}{_behind(name)}" for name, value in card.constants.items()]
+    sentences = [f"constant from the card: {name} = {value:g}{_behind(name)}" for name, value in card.constants.items()]
     for rule in dict.fromkeys(card.derived.values()):
         formed = ", ".join(name for name, of in card.derived.items() if of == rule)
-        said.append(f"computed by the card's rule, where not recorded ({rule}): {formed}")
-    said += [f"table from the card: {name} over {table.said}" for name, table in card.tables.items()]
-    return said + [f"sum from the card: {name} = {_sum(parts)}" for name, parts in card.sums.items()]
+        sentences.append(f"computed by the card's rule, where not recorded ({rule}): {formed}")
+    sentences += [f"table from the card: {name} over {table.said}" for name, table in card.tables.items()]
+    return sentences + [f"sum from the card: {name} = {_sum(parts)}" for name, parts in card.sums.items()]
 
 
 def _sum(parts: Mapping[str, float]) -> str:
     """The parts of a sum, with the factors that are not 1."""
-    said = [f"{'-' if k < 0 else '+'} {'' if abs(k) == 1.0 else f'{abs(k):g} '}{name}" for name, k in parts.items()]
-    return " ".join(said).removeprefix("+ ")
+    sentences = [
+        f"{'-' if k < 0 else '+'} {'' if abs(k) == 1.0 else f'{abs(k):g} '}{name}" for name, k in parts.items()
+    ]
+    return " ".join(sentences).removeprefix("+ ")
 
 
 def _behind(channel: str) -> str:
@@ -51,17 +53,19 @@ def _behind(channel: str) -> str:
 
 
 def use_sentences(report: CheckReport) -> list[str]:
-    """What the records can be used for, and what cannot be tested on them."""
-    said = [f"{name}: possible" if not why else f"{name}: not possible, {why}" for name, why in report.uses.items()]
-    return [*report.left_out, *said, *not_testable_sentences(report.not_testable)]
+    """Possible uses of the records, and effects that cannot be tested on them."""
+    sentences = [
+        f"{name}: possible" if not why else f"{name}: not possible, {why}" for name, why in report.uses.items()
+    ]
+    return [*report.left_out, *sentences, *not_testable_sentences(report.not_testable)]
 
 
 def sensor_sentences(report: CheckReport) -> list[str]:
-    """Whether the sensors agree, the answer first; then which errors are found though they are within the noise."""
-    said = consistency_sentences(report.consistency, corrects=False)
+    """Whether the sensors agree, and errors that are found although they are within the noise."""
+    sentences = consistency_sentences(report.consistency, corrects=False)
     if report.sensors.errors and not report.consistency.disagrees:
-        said.append("Errors within this noise, which diagnose includes:")
-    return said
+        sentences.append("Errors within this noise, which diagnose includes:")
+    return sentences
 
 
 def left_over(report: CheckReport) -> str:
@@ -82,7 +86,7 @@ def headline(report: CheckReport) -> str:
             Agreement.EXPLAINED: f"; the sensors disagree ({several(report.sensors.errors)})",
             Agreement.UNEXPLAINED: ", but the sensors disagree and no known error explains it",
         }.get(report.consistency.agreement, "")
-        if any(finding.grave for finding in report.health):  # an error of a sensor would be what the card gets wrong
+        if any(finding.grave for finding in report.health):  # the apparent sensor error would be an error of the card
             wrong = ", but first correct the card or the file: channels are faulty (see the warnings)"
         return f"Usable for {', '.join(able)}{wrong}."
     problems = [p for r in report.records for p in r.problems] or [f"{n}: {w}" for n, w in report.uses.items() if w]

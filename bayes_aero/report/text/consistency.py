@@ -18,7 +18,7 @@ FOLLOWS = {
     "beta": "lateral acceleration (ay), yaw rate (r) and bank angle (phi)",
     "phi": "roll rate (p) and yaw rate (r)",
 }
-"""What each channel of the flight path must follow."""
+"""Channels from which each channel of the flight path follows."""
 
 
 def consistency_sentences(found: Consistency, *, corrects: bool) -> list[str]:
@@ -65,34 +65,36 @@ def _departure(d: Departure) -> str:
 
 
 def _limits(found: Consistency) -> list[str]:
-    """What could not be checked, and what was assumed."""
-    said = []
+    """Channels that could not be checked, and channels that were taken as zero."""
+    sentences = []
     if found.unchecked:
         verb = "were" if len(found.unchecked) > 1 else "was"
-        said.append(f"{several(found.unchecked)} {verb} not recorded and could not be checked along the flight path.")
+        sentences.append(
+            f"{several(found.unchecked)} {verb} not recorded and could not be checked along the flight path."
+        )
     assumed = dict.fromkeys(name for check in found.recorded for name in check.assumed)
     if assumed:
-        said.append(f"Not recorded, and taken as zero along the flight path: {several(assumed)}.")
-    return said
+        sentences.append(f"Not recorded, and taken as zero along the flight path: {several(assumed)}.")
+    return sentences
 
 
 def open_sentences(found: Consistency) -> list[str]:
     """Sensor errors that the flight path does not determine: fitted but not confirmed, then not testable."""
-    said = []
+    sentences = []
     if asked := [e for e in found.open if e.asked]:
         listed = "; ".join(f"{_estimate(e)}{_imitated(e)}" for e in asked)
-        said.append(
+        sentences.append(
             "Errors that would explain much of the residual of the flight path, but that hold-out data do not "
             f"confirm, each as the only error; none is corrected: {listed}."
         )
     if alike := [e for e in found.open if not e.asked]:
         errors = "errors of sensors or winds are" if len(alike) > 1 else "error of a sensor or wind is"
-        said.append(
+        sentences.append(
             f"{len(alike)} {errors} not testable along this flight path, because others have the same effect on "
             f"the record: "
             f"{several(e.name for e in alike)}."
         )
-    return said
+    return sentences
 
 
 def _estimate(error: OpenError) -> str:

@@ -51,30 +51,30 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
 
 
 def _cause(cause: Cause) -> str:
-    said = f"{cause.name}: {cause.claim}"
+    sentences = f"{cause.name}: {cause.claim}"
     if cause.ambiguous_with:
-        said += f" On this record {several(cause.ambiguous_with)} would explain the data about as well."
+        sentences += f" On this record {several(cause.ambiguous_with)} would explain the data about as well."
     if cause.bounded:
-        said += f" {several(cause.bounded)} is at a parameter bound: suspect another cause."
+        sentences += f" {several(cause.bounded)} is at a parameter bound: suspect another cause."
     for name, largest in cause.implausible.items():
         most = size_text(largest, 0.0, cause.parameters[name].unit if name in cause.parameters else "1")
-        said += f" {name} is larger than on any aircraft (at most {most}): suspect another cause."
+        sentences += f" {name} is larger than on any aircraft (at most {most}): suspect another cause."
     if cause.own_share < LITTLE:
         share = f"{100.0 * cause.own_share:.1f} %" if cause.own_share >= 0.001 else "less than 0.1 %"
-        said += (
+        sentences += (
             f" The record hardly excites it: other parameters reproduce all but {share} of its contribution, so small "
             "model errors change its estimate strongly."
         )
     if not cause.excited:
-        said += " Not every manoeuvre excites it."
+        sentences += " Not every manoeuvre excites it."
     lost, sd = cause.missed
     if np.isfinite(lost) and cause.confirmed:
-        said += f" Removing it degrades hold-out prediction: log density {-lost:+.1f} ± {sd:.1f}."
+        sentences += f" Removing it degrades hold-out prediction: log density {-lost:+.1f} ± {sd:.1f}."
     elif np.isfinite(lost):
         model = "simulation" if cause.stage == "flight path" else "extended model"
-        said += f" Hold-out data do not confirm it (removed: log density {-lost:+.1f} ± {sd:.1f})"
-        said += f"; the {model} omits it."
-    return said
+        sentences += f" Hold-out data do not confirm it (removed: log density {-lost:+.1f} ± {sd:.1f})"
+        sentences += f"; the {model} omits it."
+    return sentences
 
 
 def _taken_over(d: Diagnosis) -> list[str]:
@@ -82,35 +82,35 @@ def _taken_over(d: Diagnosis) -> list[str]:
     sure = [cause.name for cause in d.causes if cause.sure and not cause.ambiguous_with and cause.name in CATALOGUE]
     fitted = [name for name in sure if CATALOGUE[name].stage > Stage.AIRCRAFT]
     errors = [name for name in sure if name not in fitted]
-    said = []
+    sentences = []
     if fitted:
-        said.append(
+        sentences.append(
             f"To include {several(fitted)} in the model, add the name to effects under [model] of the card and fit "
             f"again."
         )
     if errors:
-        said.append(
+        sentences.append(
             f"{several(errors)}: correct the record or the card's constants; or add the name to effects and its "
             f"size to "
             "fixed under [model]."
         )
-    return said
+    return sentences
 
 
 def _together(d: Diagnosis) -> list[str]:
     """The combination that the record determines of two terms that cancel."""
-    said = []
+    sentences = []
     for pair in d.together:
         one, other = pair.parameters
         factor = "" if abs(pair.factor) == 1.0 else f"{abs(pair.factor):.3g} "
         sign = "+" if pair.factor > 0.0 else "-"
         size = size_text(pair.mean, pair.sd, pair.unit)
-        said.append(
+        sentences.append(
             f"{several(pair.effects)} cancel each other (correlation {pair.correlation:+.2f}): this record "
             f"determines only {one} {sign} {factor}{other} = {size}. A manoeuvre that excites them differently would "
             "determine both."
         )
-    return said
+    return sentences
 
 
 def _beyond(d: Diagnosis) -> list[str]:
@@ -144,35 +144,35 @@ def _unknown(d: Diagnosis) -> list[str]:
 
 
 def _noise(d: Diagnosis) -> list[str]:
-    said = []
+    sentences = []
     labels = d.noise.labels
     if d.noise.of_innovations and d.noise.coloured:
         lags = several([f"{name} ({d.noise.lag1[name]:.2f})" for name in d.noise.coloured])
-        said.append(
+        sentences.append(
             f"Innovations are autocorrelated (neighbouring samples of {lags}): a disturbance, or an error of the model "
             "or of a sensor, is not modelled."
         )
     elif "colored" in labels:
         lags = ", ".join(f"{name} {value:.2f}" for name, value in d.noise.lag1.items())
-        said.append(
+        sentences.append(
             f"Noise: neighbouring residuals are correlated (coloured noise; lag-1 correlation of means over five "
             f"samples {lags}, where "
             "white noise leaves a third)."
         )
     if "buffet" in labels:
         growth = ", ".join(f"{name} {value:.1f} times" for name, value in d.noise.noise_growth.items() if value > 1.05)
-        said.append(
+        sentences.append(
             f"Noise: its standard deviation grows as the flow separates or the dynamic pressure falls ({growth})."
         )
     if "outliers" in labels:
         count = ", ".join(f"{name} {n}" for name, n in d.noise.outliers.items() if n)
-        said.append(f"Noise: outliers were replaced ({count}).")
-    return said
+        sentences.append(f"Noise: outliers were replaced ({count}).")
+    return sentences
 
 
 def revealed(effects: Mapping[str, Mapping[str, float]], named: Mapping[str, str]) -> list[str]:
     """The hidden effects, and whether they were found."""
-    said = {
+    sentences = {
         "first": "It was named first.",
         "named": "It was named, though not first.",
         "minor": "It was found, but is too small to be named.",
@@ -183,5 +183,5 @@ def revealed(effects: Mapping[str, Mapping[str, float]], named: Mapping[str, str
     for name, values in effects.items():
         units = {p.name: p.unit for p in CATALOGUE[name].parameters}
         sizes = several(f"{key} = {size_text(x, 0.0, units[key])}" for key, x in values.items())
-        found.append(f"Hidden effect: {name} ({sizes}). {said[named[name]]}")
+        found.append(f"Hidden effect: {name} ({sizes}). {sentences[named[name]]}")
     return found

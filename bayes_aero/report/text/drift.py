@@ -1,4 +1,4 @@
-"""Did a parameter change during a record, which one, when, and by how much: in sentences."""
+"""Changes of parameters during a record in sentences: whether, which, when, and by how much."""
 
 from __future__ import annotations
 
@@ -31,27 +31,28 @@ REASONS = {
 
 
 def drift_sentences(found: Drift) -> list[str]:
-    """One for each parameter, and on which assumption they rest; or why nothing can be said."""
+    """A sentence for each parameter, and the assumption of the test; or why there is no test."""
     names = list(found.parameters)
     if not found.usable:
         return [f"Whether {several(names)} changed cannot be said: a fit with drifting parameters did not converge."]
     if found.coloured:
-        told = several([f"{name} ({found.autocorrelation[name]:.2f})" for name in found.coloured])
+        listed = several([f"{name} ({found.autocorrelation[name]:.2f})" for name in found.coloured])
         return [
-            f"Whether {several(names)} changed cannot be said: with the drift innovations are autocorrelated, too "
-            f"(neighbouring samples of {told}), and the test assumes white ones."
+            f"Whether {several(names)} changed cannot be said: also with the drift, innovations are autocorrelated "
+            f"(neighbouring samples of {listed}), and the test assumes white innovations."
         ]
-    said = [_told(name, parameter) for name, parameter in found.parameters.items()]
+    sentences = [_told(name, parameter) for name, parameter in found.parameters.items()]
     if not found.changed and found.p < DRIFT_LEVEL:
-        said.append(
-            f"One of {several(names)} changed ({_p(found.p)} for all together), and the record does not tell which."
+        sentences.append(
+            f"One of {several(names)} changed ({_p(found.p)} for all together), but the record does not determine "
+            "which."
         )
     family = f", {len(names)} parameters together (Holm)" if len(names) > 1 else ""
-    said.append(
-        f"These p-values are of likelihood ratios{family}, for white innovations, and those of this fit are. A drift "
-        "stands for whatever changes slowly, also for an effect that the model lacks."
+    sentences.append(
+        f"These p-values are those of likelihood ratios{family} for white innovations, as this fit has. A drift may "
+        "also represent a slow effect that the model lacks."
     )
-    return said
+    return sentences
 
 
 def _told(name: str, found: Drifted) -> str:
@@ -71,7 +72,7 @@ def _told(name: str, found: Drifted) -> str:
 def _by(change: DriftChange, unit: str) -> str:
     tenth, half, most = change.times
     return (
-        f"by {size_text(*change.size, unit)} from begin to end, half of it by {half:.1f} s "
+        f"by {size_text(*change.size, unit)} from start to end, half of it by {half:.1f} s "
         f"(a tenth by {tenth:.1f} s, nine tenths by {most:.1f} s)"
     )
 
@@ -81,7 +82,7 @@ def _p(p: float) -> str:
 
 
 def change_sentences(found: Sequence[ParameterChange]) -> list[str]:
-    """Parameters that change according to a diagnosis: when, from what to what, and what may be behind it."""
+    """Parameters that change according to a diagnosis: when, by how much, and possible reasons."""
     return [_change(one) for one in found]
 
 
@@ -96,13 +97,13 @@ def _change(found: ParameterChange) -> str:
         else f"at {found.at:.1f} s of {found.manoeuvre}{span}"
     )
     back = "" if found.lasts else ", and the value before in later records"
-    said = (
+    sentences = (
         f"Changed: {found.parameter} has another value {when}: {size_text(*found.before, found.unit)} before, "
         f"{size_text(*found.after, found.unit)} after{back}, a change of {size_text(*found.size, found.unit)} "
         f"({found.share:.0%} of the remaining variance)."
     )
     if found.ambiguous_with:
-        said += f" On this record {several(found.ambiguous_with)} would explain the data about as well."
+        sentences += f" On this record {several(found.ambiguous_with)} would explain the data about as well."
     if found.parameter in REASONS:
-        said += f" Possible reasons are {REASONS[found.parameter]}; the record does not tell which."
-    return f"{said} `bayes-aero fly --drift {found.parameter}` shows it over time."
+        sentences += f" Possible reasons are {REASONS[found.parameter]}; the record does not determine which."
+    return f"{sentences} `bayes-aero fly --drift {found.parameter}` shows it over time."

@@ -11,33 +11,33 @@ def facts(effect: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Name and text of what holds for the effect as a whole; `effect` as the catalogue describes it."""
     channel = effect["stage"] == "channel"
     stage = "acts on the recorded channels" if channel else f"acts at the stage {effect['stage']}"
-    said = [
+    sentences = [
         ("kind", f"{effect['kind']}; {stage}"),
         ("axes", " and ".join(effect["axes"])),
         ("formula", " ".join(effect["formula"].split()) or "not stated"),
         ("needs", ", ".join(effect["needs"]) or "nothing"),
     ]
     if effect["rests_on"]:
-        said.append(("uses", ", ".join(effect["rests_on"]) + " of other effects in the model"))
+        sentences.append(("uses", ", ".join(effect["rests_on"]) + " of other effects in the model"))
     if effect["model"] is not None:
-        said.append(("card", "in the card's model" if effect["model"] else "not in the card's model"))
+        sentences.append(("card", "in the card's model" if effect["model"] else "not in the card's model"))
     if not effect["proposed_by_diagnose"]:
-        said.append(("diagnose", "never proposes it; a card may name it"))
-    return said
+        sentences.append(("diagnose", "never proposes it; a card may name it"))
+    return sentences
 
 
 def parameter_facts(p: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The same of one of its parameters, beside its description."""
     unit = unit_behind(p)
-    said = [
+    sentences = [
         ("neutral", f"{shown(p['neutral'])}{unit}: there the effect is absent"),
         ("bounds", f"{shown(p['bounds'][0])} to {shown(p['bounds'][1])}"),
         ("prior", f"{p['prior']['text']} ({p['prior']['source']})"),
     ]
     if p["least_worth_modelling"] is not None:
         least, most = shown(p["least_worth_modelling"]), shown(p["largest_plausible"])
-        said.append(("sizes", f"smallest worth modelling {least} from neutral, largest plausible {most}"))
-    return said
+        sentences.append(("sizes", f"smallest worth modelling {least} from neutral, largest plausible {most}"))
+    return sentences
 
 
 def unit_behind(p: Mapping[str, Any]) -> str:

@@ -11,65 +11,68 @@ from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatu
 from bayes_aero.report.text.phrases import SYMBOLS, for_people, several, short
 from bayes_aero.report.text.restraints import inseparable_sentences, sign_sentences
 
-COLOURED = 1.5  # variance inflation from which a sentence is written; our choice
-OFTEN = 0.5  # share of the time outside a tolerance from which a sentence is written; our choice
+MIN_INFLATION = 1.5  # variance inflation from which a sentence is written; our choice
+MAX_OUTSIDE = 0.5  # share of the time outside a tolerance from which a sentence is written; our choice
 ADVICE = (
     " Gusts or errors of the model cause this, and bias output error: the option --process-noise fits the same model "
     "in disturbed air."
 )
-SWOLLEN = 2.0  # noise growth in fully separated flow from which a sentence is written; our choice
+MIN_GROWTH = 2.0  # noise growth in fully separated flow from which a sentence is written; our choice
 
 
 def errors_of_all(flown: TrajectoryFit) -> dict[str, tuple[float, float]]:
-    """Root mean square error of each output over all manoeuvres, SI: at the first values, and of the fit."""
+    """Root mean square error of each output over all manoeuvres, SI: at the starting values, and of the fit."""
 
     def rms(model: str, output: str) -> float:
         paths = [p for p in flown.paths if p.model == model]
         samples = np.array([len(p.time) for p in paths])
         return float(np.sqrt(np.average(np.square([p.errors[output].rms for p in paths]), weights=samples)))
 
-    with np.errstate(over="ignore", invalid="ignore"):  # the first values may fly anywhere
+    with np.errstate(over="ignore", invalid="ignore"):  # a simulation with the starting values may diverge
         return {output: (rms(START, output), rms(FITTED, output)) for output in flown.outputs}
 
 
 def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool = False) -> list[str]:
-    """How the fit ended, its errors, the variance inflation, what is not identified, what left the envelope.
+    """Sentences on the end of the fit, its errors, the variance inflation, unidentified parameters, and manoeuvres
+    outside the envelope.
 
-    `hindered` is why diagnose cannot use the records; empty if it can. `disturbed`: process noise was asked for.
+    `hindered` is why diagnose cannot use the records; empty if it can. `disturbed`: process noise is fitted, too.
     """
     fit = flown.fit
     bound = f" ({several(fit.at_bound)})" if fit.at_bound else ""
-    said = [f"The fit {fit.status.value}{bound}{_off(flown)}."]
+    sentences = [f"The fit {fit.status.value}{bound}{_off(flown)}."]
     if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
-        said = [f"The fit failed: {fit.status.value}."]
-    said += _settings(flown)
-    said += _wanting(flown, hindered)
-    if flown.variance_inflation >= COLOURED and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
-        said.append(
+        sentences = [f"The fit failed: {fit.status.value}."]
+    sentences += _settings(flown)
+    sentences += _wanting(flown, hindered)
+    if flown.variance_inflation >= MIN_INFLATION and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
+        sentences.append(
             f"The residuals are autocorrelated. The variance inflation is {short(flown.variance_inflation)} in the "
             f"median, and the "
             "Cramér-Rao bound is too small; use the corrected standard error."
             f"{'' if disturbed or flown.of_path else ADVICE}"
         )
-    swollen = {name: times for name, times in flown.noise_growth.items() if times > SWOLLEN}
-    if swollen:
-        told = several(f"{SYMBOLS.get(name, name)} {short(times)} times" for name, times in swollen.items())
-        said.append(f"Residuals grow where the flow has separated ({told}): these samples have less weight.")
+    growth = {name: times for name, times in flown.noise_growth.items() if times > MIN_GROWTH}
+    if growth:
+        listed = several(f"{SYMBOLS.get(name, name)} {short(times)} times" for name, times in growth.items())
+        sentences.append(f"Residuals grow where the flow has separated ({listed}): these samples have less weight.")
     estimates = zip(fit.names, fit.estimate, fit.sd_corrected, strict=True)
-    said += sign_sentences({name: (float(value), float(sd)) for name, value, sd in estimates}, fit.parameters)
-    if fit.held and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
-        said.append(f"The trajectories contain little information on {several(fit.held)}; the prior decides.")
+    sentences += sign_sentences({name: (float(value), float(sd)) for name, value, sd in estimates}, fit.parameters)
+    if fit.held_by_prior and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
+        sentences.append(
+            f"The trajectories contain little information on {several(fit.held_by_prior)}; the prior decides."
+        )
     if fit.undetermined and flown.converged:
-        said.append(
+        sentences.append(
             f"The trajectories do not determine {several(fit.undetermined)}, and there are no priors: these values "
             "are not usable. Fix them on the card, or fit with priors."
         )
     if flown.converged:
-        said += inseparable_sentences(fit.inseparable)
+        sentences += inseparable_sentences(fit.inseparable)
     lost = [p.manoeuvre for p in flown.paths if p.model == FITTED and not p.inside]
     if lost:
-        said.append(f"Outside the flight envelope at the end of the fit: {several(lost)}.")
-    return said
+        sentences.append(f"Outside the flight envelope at the end of the fit: {several(lost)}.")
+    return sentences
 
 
 def disagreement_sentences(found: Sequence[Disagreement], hindered: str = "") -> list[str]:
@@ -79,7 +82,7 @@ def disagreement_sentences(found: Sequence[Disagreement], hindered: str = "") ->
     """
     if not found:
         return []
-    told = several(
+    listed = several(
         f"{d.name} {d.coefficients[0]:.3g} ± {d.coefficients[1]:.2g} from the coefficients, {d.trajectories[0]:.3g} ± "
         f"{d.trajectories[1]:.2g} from trajectories{'' if d.unit == '1' else f' {d.unit}'} ({d.apart:.1f} combined "
         "standard errors apart)"
@@ -87,9 +90,9 @@ def disagreement_sentences(found: Sequence[Disagreement], hindered: str = "") ->
     )
     look = "check looks for an error of a sensor" if hindered else "check and diagnose look for the last two"
     return [
-        f"The coefficients of the same record, as identify fits them, disagree with the trajectories: {told}. Neither "
-        "interval covers the difference. Possible causes are turbulence, a sensor error or an effect that the model "
-        f"lacks; {look}."
+        f"The coefficients of the same record, as identify fits them, disagree with the trajectories: {listed}. "
+        "Neither interval covers the difference. Possible causes are turbulence, a sensor error or an effect that the "
+        f"model lacks; {look}."
     ]
 
 
@@ -98,19 +101,19 @@ def _settings(flown: TrajectoryFit) -> list[str]:
     if flown.fit.status is OutputErrorStatus.LEFT_ENVELOPE:
         return []
     outputs = several(SYMBOLS.get(name, name) for name in flown.fit.flown.outputs)
-    said = [f"det R is {flown.fit.det_R:.5g} (residual covariance of {outputs}, SI and radians)."]
+    sentences = [f"det R is {flown.fit.det_R:.5g} (residual covariance of {outputs}, SI and radians)."]
     how = [] if flown.setting.priors else ["without priors"]
     how += [] if flown.setting.initial is None else ["with initial states fixed"]
     how += ["with inputs held between samples"] if flown.setting.held else []
-    said += [f"It was fitted {several(how)}."] if how else []
+    sentences += [f"It was fitted {several(how)}."] if how else []
     if flown.setting.held:
         late = 0.5 * float(np.median(np.asarray(flown.fit.flown.dt)))
-        said.append(
+        sentences.append(
             f"Held inputs act half a sample ({late:.2g} s) later than interpolated ones, which moves the derivatives "
             "of fast controls. That is right for a command that a digital system holds until the next sample, and "
             "wrong for a recorded position of a surface: leave --inputs held out for that."
         )
-    return said
+    return sentences
 
 
 def outside(flown: TrajectoryFit) -> dict[str, float]:
@@ -118,32 +121,32 @@ def outside(flown: TrajectoryFit) -> dict[str, float]:
     paths = [p for p in flown.paths if p.model == FITTED and p.inside]
     shares = {}
     for output in flown.outputs:
-        told = [(p.errors[output].within, len(p.time)) for p in paths]
-        within = [(share, n) for share, n in told if share is not None]
+        listed = [(p.errors[output].within, len(p.time)) for p in paths]
+        within = [(share, n) for share, n in listed if share is not None]
         if within:
             shares[output] = 1.0 - float(np.average([s for s, _ in within], weights=[n for _, n in within]))
     return shares
 
 
 def _wanting(flown: TrajectoryFit, hindered: str) -> list[str]:
-    """That the model lacks an effect, if its best fit is mostly outside the tolerances."""
-    shares = {name: share for name, share in outside(flown).items() if share > OFTEN}
-    if not (shares and flown.converged):  # what has not converged may still come nearer
+    """A sentence on a lacking effect, if the fit is mostly outside the tolerances."""
+    shares = {name: share for name, share in outside(flown).items() if share > MAX_OUTSIDE}
+    if not (shares and flown.converged):  # a fit that has not converged may still improve
         return []
-    told = several(f"{SYMBOLS.get(name, name)} {share:.0%} of the time" for name, share in shares.items())
+    listed = several(f"{SYMBOLS.get(name, name)} {share:.0%} of the time" for name, share in shares.items())
     if flown.of_path:
-        return [f"The flight path is outside its tolerances ({told}): an error of a sensor or of the air is missing."]
+        return [f"The flight path is outside its tolerances ({listed}): an error of a sensor or of the air is missing."]
     looks = f", and diagnose cannot look for it: {hindered}" if hindered else "; bayes-aero diagnose looks for it"
     where = looks if flown.by_effects else ""
-    return [f"The fitted model is outside its tolerances ({told}): the model lacks an effect{where}."]
+    return [f"The fitted model is outside its tolerances ({listed}): the model lacks an effect{where}."]
 
 
 def _off(flown: TrajectoryFit) -> str:
-    """How far from the measurements the fit is where it converged."""
+    """Errors of a converged fit."""
     if flown.fit.status is not OutputErrorStatus.CONVERGED:
         return ""
-    told = []
+    listed = []
     for output, (_, rms) in errors_of_all(flown).items():
         unit, factor = for_people(flown.units[output])
-        told.append(f"{SYMBOLS.get(output, output)} {short(factor * rms)}{'' if unit == '1' else ' ' + unit}")
-    return f"; the RMS error of the trajectories is {several(told)}"
+        listed.append(f"{SYMBOLS.get(output, output)} {short(factor * rms)}{'' if unit == '1' else ' ' + unit}")
+    return f"; the RMS error of the trajectories is {several(listed)}"

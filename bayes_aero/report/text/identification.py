@@ -24,8 +24,8 @@ from bayes_aero.report.text.restraints import bound_sentences, conflict_sentence
 from bayes_aero.report.text.samplers import agreement_of_engines, unfinished
 
 # What counts as a disagreement: our choice, wide enough not to report sampling error or chance.
-FACTOR = 1.25  # two standard errors whose ratio is within this, either way, agree
-LIMIT = 3.0  # standard errors of a difference beyond which two values differ
+FACTOR = 1.25  # ratio of two standard errors, either way, up to which they agree
+LIMIT = 3.0  # standard errors of a difference from which two values differ
 
 
 def verdict(identification: Identification) -> list[str]:
@@ -41,15 +41,15 @@ def verdict(identification: Identification) -> list[str]:
             *chains,
             *split_verdict(identification),
         ]
-    signs += [*bound_sentences(mle.bounded), *conflict_sentences(mle.conflicts)]
+    signs += [*bound_sentences(mle.active_bounds), *conflict_sentences(mle.conflicts)]
     signs += inseparable_sentences(mle.inseparable)
     truth = _truth(identification)
     colour = _colour(identification)
     against = [*colour, *(_white(identification) if colour else [])]
     against += [*_noise_model(identification), *between_manoeuvres(identification, LIMIT)]
-    said = against or _agreement(identification)
-    said += [*left_out(identification), *chains]
-    return [*signs, *truth, *identification.preparation, *said, *split_verdict(identification), *mle.warnings()]
+    sentences = against or _agreement(identification)
+    sentences += [*left_out(identification), *chains]
+    return [*signs, *truth, *identification.preparation, *sentences, *split_verdict(identification), *mle.warnings()]
 
 
 def _by_key(identification: Identification) -> dict[str, Method]:
@@ -149,7 +149,7 @@ def _noise_model(identification: Identification) -> list[str]:
     far = max(in_crb, key=lambda n: in_crb[n])
     middle = float(np.median(list(in_crb.values())))
     thinned = "" if identification.noise is Colour.WHITE else ", and a coloured one uses one sample in five"
-    said = [
+    sentences = [
         f"The {noise_label(identification.noise)} posterior's standard deviations are {median:.2g} times the "
         f"corrected bounds "
         f"in the median ({worst:.2g} times for {name}): another noise model weighs the data differently{thinned}. "
@@ -157,11 +157,11 @@ def _noise_model(identification: Identification) -> list[str]:
         f"{_plain(in_crb[far])} for {far}."
     ]
     if beyond:
-        said.append(
+        sentences.append(
             f"The difference exceeds the intervals of {several(f'{n} ({z:.1f})' for n, z in beyond.items())}, in "
             f"combined standard errors. {_why_apart(identification)} Neither interval covers this."
         )
-    return said
+    return sentences
 
 
 def _why_apart(identification: Identification) -> str:

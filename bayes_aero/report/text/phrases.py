@@ -123,9 +123,9 @@ def not_testable_sentences(reasons: Mapping[str, str]) -> list[str]:
         kind, things = _kind(reason)
         counts[kind] = counts.get(kind, 0) + 1
         named.setdefault(kind, {}).update(dict.fromkeys(things))
-    told = [f"{n} {kind.format(several(sorted(named[kind])))}" for kind, n in counts.items()]
+    listed = [f"{n} {kind.format(several(sorted(named[kind])))}" for kind, n in counts.items()]
     are = "effects are" if len(reasons) > 1 else "effect is"
-    return [f"{len(reasons)} {are} not testable on this record: {'; '.join(told)}."]
+    return [f"{len(reasons)} {are} not testable on this record: {'; '.join(listed)}."]
 
 
 def _kind(reason: str) -> tuple[str, list[str]]:

@@ -1,4 +1,4 @@
-"""A fit with process noise beside output error, in sentences."""
+"""Sentences on a fit with process noise, compared with output error."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ from bayes_aero.inference.scores import COLOURED_INNOVATIONS, Calibration, OneSt
 from bayes_aero.report.text.phrases import SYMBOLS, several
 from bayes_aero.report.text.samplers import agreement_of_engines, unfinished
 
-APART = 3.0  # combined standard errors between the two estimates from which a sentence names a parameter; our choice
-TOLD = 0.95  # level whose shares a sentence has
+MIN_DIFFERENCE = 3.0  # combined standard errors of two estimates from which a parameter is named; our choice
+LEVEL = 0.95  # of the intervals whose shares a sentence states
 FAULTS = {
     Calibration.TOO_NARROW: "intervals of {} are too narrow",
     Calibration.TOO_WIDE: "intervals of {} are too wide",
     Calibration.NOT_NORMAL: "innovations of {} are not normally distributed",
     Calibration.COLOURED: "innovations of {} are autocorrelated",
 }
-SEEN = 2.0  # standard errors from which an intensity is one
+MIN_INTENSITY = 2.0  # standard errors from which an intensity is distinguishable from zero; our choice
 
 
 def gust_sentences(gusts: Mapping[str, float], fit: ProcessNoise | None = None) -> list[str]:
-    """Which records ask for process noise, by their `gusts` (m/s), and which estimates of trajectories to use."""
+    """Records that need process noise by their `gusts` (m/s), and which estimates of trajectories to use."""
     if not gusts:
         return []
-    met = several(f"{name} {size:.2g} m/s" for name, size in gusts.items())
-    said = (
-        f"The flight path alone, without aerodynamics, shows gusts (standard deviation: {met}). Such a record needs "
-        "process noise; --no-process-noise leaves it out."
+    estimated = several(f"{name} {size:.2g} m/s" for name, size in gusts.items())
+    sentences = (
+        f"The flight path alone, without aerodynamics, shows gusts (standard deviation: {estimated}). Such a record "
+        "needs process noise; --no-process-noise leaves it out."
     )
     better = " Use the estimates with process noise: in gusts those of output error are biased."
-    return [said + (better if fit is not None and fit.preferred else "")]
+    return [sentences + (better if fit is not None and fit.preferred else "")]
 
 
 def settled_sentences(
@@ -39,8 +39,8 @@ def settled_sentences(
 ) -> list[str]:
     """Which estimates to prefer where output error and the coefficients disagree.
 
-    `apart`: parameters of which the fit with process noise disagrees with the coefficients as well. `asked`: process
-    noise was fitted because output error does.
+    `apart`: parameters of which the fit with process noise also disagrees with the coefficients. `asked`: process noise
+    was fitted because output error disagrees.
     """
     if not found or fit is None:
         return []
@@ -52,50 +52,53 @@ def settled_sentences(
     if not fit.preferred:
         return [why.strip()] if asked else []
     other = {d.name: fit.estimates[d.name] for d in found if d.name in fit.estimates}
-    told = several(f"{name} {x:.4g} ± {sd:.2g}" for name, (x, sd) in other.items())
+    listed = several(f"{name} {x:.4g} ± {sd:.2g}" for name, (x, sd) in other.items())
     if apart:
-        said = (
-            f"With process noise {several(apart)} still differ{'s' * (len(apart) == 1)} from the coefficients ({told})"
-        )
-        return [(why if asked else "") + f"{said}: the model lacks an effect, or a sensor is wrong."]
-    said = f"With process noise {names} agree{'s' * (len(found) == 1)} with the coefficients ({told})"
-    return [(why if asked else "") + f"{said}: prefer them to those of output error."]
+        verb = "differs" if len(apart) == 1 else "differ"
+        sentences = f"With process noise {several(apart)} still {verb} from the coefficients ({listed})"
+        return [(why if asked else "") + f"{sentences}: the model lacks an effect, or a sensor is wrong."]
+    sentences = f"With process noise {names} agree{'s' * (len(found) == 1)} with the coefficients ({listed})"
+    return [(why if asked else "") + f"{sentences}: prefer them to those of output error."]
 
 
 def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[str]:
-    """What the process noise changes, and on which assumption its standard errors rest."""
+    """Changes by process noise, and the assumption of its standard errors."""
     if not found.converged:
         return [f"The fit with process noise is not usable: {found.status}."]
     if found.gain <= 0.0:
-        said = ["Process noise does not increase the likelihood of the trajectories: output error is adequate."]
-        return said + _predicted(found)
-    said = [
+        sentences = ["Process noise does not increase the likelihood of the trajectories: output error is adequate."]
+        return sentences + _predicted(found)
+    sentences = [
         f"With process noise the log likelihood is {found.gain:.0f} nats higher than by output error, both for white "
         "residuals. Turbulence causes this, and so do errors of the model."
     ]
     fit = flown.fit
-    moved = []
+    changed = []
     for name, estimate, sd in zip(fit.names, fit.estimate, fit.sd_corrected, strict=True):
         other, other_sd = found.estimates.get(name, (float(estimate), float(sd)))
-        if abs(other - estimate) > APART * float((sd**2 + other_sd**2) ** 0.5):
-            moved.append(f"{name} {other:.4g} ± {other_sd:.2g} (output error {estimate:.4g} ± {sd:.2g})")
-    said += _gusts_met(found)
-    if moved:
-        said.append(f"Parameters that process noise moves by more than {APART:g} standard errors: {several(moved)}.")
+        if abs(other - estimate) > MIN_DIFFERENCE * float((sd**2 + other_sd**2) ** 0.5):
+            changed.append(f"{name} {other:.4g} ± {other_sd:.2g} (output error {estimate:.4g} ± {sd:.2g})")
+    sentences += _estimated_gusts(found)
+    if changed:
+        sentences.append(
+            f"Parameters that process noise changes by more than {MIN_DIFFERENCE:g} standard errors: "
+            f"{several(changed)}."
+        )
     coloured = [f"{name} ({r:.2f})" for name, r in found.autocorrelation.items() if abs(r) > COLOURED_INNOVATIONS]
     if coloured:
-        said.append(
+        sentences.append(
             f"Innovations are autocorrelated (neighbouring samples of {several(coloured)}): a disturbance, or an error "
             "of the model or of a sensor, is not modelled, and these standard errors are too small."
         )
-    return said + _predicted(found)
+    return sentences + _predicted(found)
 
 
 def prediction_sentences(found: OneStep) -> list[str]:
     """The share of each output inside its 95 % intervals, and whether predictions are calibrated."""
-    shares = {name: next(s for s in one.shares if s.level == TOLD) for name, one in found.outputs.items()}
+    shares = {name: next(s for s in one.shares if s.level == LEVEL) for name, one in found.outputs.items()}
     inside = several(f"{SYMBOLS.get(name, name)} {_per_cent(share)}" for name, share in shares.items())
-    return [f"One-step predictions: of {inside} lie in their {100.0 * TOLD:.0f} % intervals.", _verdict(found)]
+    level = f"{100.0 * LEVEL:.0f} %"
+    return [f"One-step predictions: share of the samples inside their {level} intervals: {inside}.", _verdict(found)]
 
 
 def _predicted(found: ProcessNoise) -> list[str]:
@@ -125,32 +128,32 @@ def _verdict(found: OneStep) -> str:
 
 
 def posterior_sentences(posteriors: Mapping[str, Posterior]) -> list[str]:
-    """Chains that must not be used, and whether the samplers agree."""
+    """Chains that did not converge, and whether the samplers agree."""
     return [*unfinished(posteriors), *agreement_of_engines(posteriors)]
 
 
-def _gusts_met(found: ProcessNoise) -> list[str]:
-    """Intensities, and scale lengths where there is an intensity."""
-    met, calm = [], []
+def _estimated_gusts(found: ProcessNoise) -> list[str]:
+    """Intensities of the gusts, and scale lengths of gusts with an intensity."""
+    estimated, undetected = [], []
     for name in (n for n in found.gusts if n.endswith("_gust")):
         (intensity, sd), (length, length_sd) = found.gusts[name], found.gusts[f"{name}_length"]
         word = name.removesuffix("_gust").replace("_", " ")
-        if intensity > SEEN * sd:
-            met.append(f"{word} {intensity:.2f} ± {sd:.2g} m/s (scale length {length:.0f} ± {length_sd:.0f} m)")
+        if intensity > MIN_INTENSITY * sd:
+            estimated.append(f"{word} {intensity:.2f} ± {sd:.2g} m/s (scale length {length:.0f} ± {length_sd:.0f} m)")
         else:
-            calm.append(word)
-    said = [f"Gusts met, standard deviation: {several(met)}."] if met else []
-    if calm:
-        said.append(f"No {' and no '.join(calm)} gusts are distinguishable from noise of the states.")
-    return said + _buffet(found)
+            undetected.append(word)
+    sentences = [f"Estimated gusts, standard deviation: {several(estimated)}."] if estimated else []
+    if undetected:
+        sentences.append(f"No {' and no '.join(undetected)} gusts are distinguishable from noise of the states.")
+    return sentences + _buffet(found)
 
 
 def _buffet(found: ProcessNoise) -> list[str]:
-    """Where the model has it."""
+    """Intensity and correlation length of buffet, where the model has it."""
     if "buffet" not in found.gusts:
         return []
     (intensity, sd), (length, length_sd) = found.gusts["buffet"], found.gusts["buffet_length"]
-    if intensity <= SEEN * sd:
+    if intensity <= MIN_INTENSITY * sd:
         return ["No buffet is distinguishable from noise of the states."]
     return [
         f"Buffet: the lift coefficient of fully separated flow fluctuates by {intensity:.2g} ± {sd:.2g} (standard "

@@ -7,19 +7,19 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import pandas as pd
 
-from bayes_aero.inference.likelihood.restraints import SENSITIVE, Bounded, PriorConflict
+from bayes_aero.inference.likelihood.restraints import SENSITIVITY_LIMIT, ActiveBound, PriorConflict
 from bayes_aero.inference.variance.inseparable import Inseparable
 from bayes_aero.parameter import Parameter
 from bayes_aero.report.text.phrases import several
 
-SURE = 3.0  # standard errors from zero
+MIN_ERRORS = 3.0  # standard errors from zero from which a sign is wrong
 
 
 def conflict_sentences(conflicts: Sequence[PriorConflict]) -> list[str]:
     """A sentence for each prior that the record contradicts."""
     return [
         f"The card's prior on {c.name}, {c.prior[0]:.4g} ± {c.prior[1]:.2g}{_unit(c.unit)} ({c.source}), contradicts "
-        f"the record: the likelihood alone gives {c.likelihood[0]:.4g} ± {c.likelihood[1]:.2g}, {c.apart:.1f} "
+        f"the record: the likelihood alone gives {c.likelihood[0]:.4g} ± {c.likelihood[1]:.2g}, {c.distance:.1f} "
         f"combined standard errors away. The prior shifts the posterior of {c.name} and of correlated parameters. "
         "Widen the prior, or find the reason why the record differs."
         for c in conflicts
@@ -38,43 +38,43 @@ def leaning_sentences(table: pd.DataFrame, conflicts: Sequence[PriorConflict]) -
         return ()
     prior, data = (table[part].astype(float).to_dict() for part in ("prior", "likelihood"))
     own = several(f"{n} {prior[n]:.2f} to the prior, {data[n]:.2f} to the data" for n in names)
-    others = [str(n) for n in prior if n not in names and prior[n] >= SENSITIVE]
+    others = [str(n) for n in prior if n not in names and prior[n] >= SENSITIVITY_LIMIT]
     more = f" Priors also move {several(others)}." if others else ""
-    return (f"Sensitivity of the posterior by power-scaling ({SENSITIVE:g} and above matters): {own}.{more}",)
+    return (f"Sensitivity of the posterior by power-scaling ({SENSITIVITY_LIMIT:g} and above matters): {own}.{more}",)
 
 
-def bound_sentences(found: Sequence[Bounded]) -> list[str]:
+def bound_sentences(found: Sequence[ActiveBound]) -> list[str]:
     """A sentence for each parameter at its bound."""
-    said = []
+    sentences = []
     for b in found:
         side = "lower" if b.lower else "upper"
         text = (
             f"{b.name} is at its {side} bound, {b.bound:.4g}{_unit(b.unit)}: its interval is not reliable. Without the "
-            f"bound it would be about {b.without:.4g} (to first order)"
+            f"bound it would be about {b.unbounded:.4g} (to first order)"
         )
-        if b.pushed:
-            pushed = several(f"{n} ({-x:+.1f} corrected standard errors)" for n, x in b.pushed.items())
-            text += f"; the bound moves {pushed}"
-        said.append(f"{text}. Widen the bound, or fix {b.name}.")
-    return said
+        if b.shifts:
+            shifts = several(f"{n} ({-x:+.1f} corrected standard errors)" for n, x in b.shifts.items())
+            text += f"; the bound moves {shifts}"
+        sentences.append(f"{text}. Widen the bound, or fix {b.name}.")
+    return sentences
 
 
 def inseparable_sentences(found: Sequence[Inseparable]) -> list[str]:
     """A sentence for each set of parameters that the record cannot separate."""
-    said = []
+    sentences = []
     for one in found:
-        told = several(
+        listed = several(
             f"{name} {x:.3g} ± {sd:.2g}{_unit(unit)}"
             for name, unit, (x, sd) in zip(one.names, one.units, one.estimates, strict=True)
         )
         low, high = (f"{x:.0f}" if x >= 10.0 else f"{x:.2g}" for x in (min(one.wider), max(one.wider)))
         times = low if low == high else f"{low} to {high}"
-        said.append(
-            f"The record cannot separate {several(one.names)} ({told}): if the others were known, each interval "
+        sentences.append(
+            f"The record cannot separate {several(one.names)} ({listed}): if the others were known, each interval "
             f"would be "
             f"{times} times narrower. Fly manoeuvres that excite them differently, fix one, or give one a prior."
         )
-    return said
+    return sentences
 
 
 def _unit(unit: str) -> str:
@@ -82,11 +82,11 @@ def _unit(unit: str) -> str:
 
 
 def sign_sentences(estimates: Mapping[str, tuple[float, float]], parameters: Iterable[Parameter]) -> list[str]:
-    """A sentence for every estimate that no aircraft has.
+    """A sentence for every estimate that is impossible for an aircraft.
 
     Args:
         estimates: value and standard error by name, in SI.
-        parameters: what the effects declare of their sign and limits.
+        parameters: with the signs and limits that the effects declare.
     """
     asked = [(p, *estimates[p.name]) for p in parameters if p.name in estimates]
     wrong = [
@@ -94,7 +94,7 @@ def sign_sentences(estimates: Mapping[str, tuple[float, float]], parameters: Ite
         f"in the file, "
         "write sign = -1 at that channel on the card."
         for p, value, deviation in asked
-        if p.sign is not None and p.sign.side * value < -SURE * deviation
+        if p.sign is not None and p.sign.side * value < -MIN_ERRORS * deviation
     ]
     return wrong + [
         f"{p.name} = {value:.4g} is impossible: {p.limits.reason}. Do not use these numbers. Look for a faulty channel "
@@ -106,6 +106,6 @@ def sign_sentences(estimates: Mapping[str, tuple[float, float]], parameters: Ite
 
 
 def _beyond(limit: float, value: float, deviation: float, side: float) -> bool:
-    """Whether a value lies beyond the limit on that side, surely or by more than twice the limit."""
-    margin = SURE * deviation if math.isfinite(deviation) else 0.0
+    """Whether a value is beyond the limit on that side, significantly or by more than twice the limit."""
+    margin = MIN_ERRORS * deviation if math.isfinite(deviation) else 0.0
     return bool(side * (value - limit) > (min(margin, 2.0 * abs(limit)) if limit else margin))

@@ -25,7 +25,7 @@ def simulation_gain(flown: Trajectories) -> str:
     """
     if not all(p.inside for p in flown.paths if p.split == "hold_out"):
         return ""
-    told = []
+    listed = []
     for output in flown.outputs:
         rms = {m: [p.errors[output].rms for p in flown.paths if (p.model, p.split) == (m, "hold_out")] for m in MODELS}
         if not all(rms.values()) or not np.isfinite([x for values in rms.values() for x in values]).all():
@@ -33,19 +33,21 @@ def simulation_gain(flown: Trajectories) -> str:
         unit, factor = for_people(STANDARD_CHANNELS[output].unit)
         before, after = (short(factor * float(np.sqrt(np.mean(np.square(rms[m]))))) for m in MODELS)
         if before != after:
-            told.append(f"{SYMBOLS.get(output, output)} from {before} to {after} {unit}")
-    if not told:
+            listed.append(f"{SYMBOLS.get(output, output)} from {before} to {after} {unit}")
+    if not listed:
         return ""
     besides = [f"with {flown.lag.effect}"] if flown.lag is not None and flown.lag.kept else []
     besides += [f"without {several(flown.out)}"] if flown.out else []
     model = f" ({several(besides)})" if besides else ""
-    said = f"On hold-out flights the extended model{model} changes the RMS error of the simulation: {several(told)}."
-    return " ".join([said, *status_sentences(flown)])
+    sentences = (
+        f"On hold-out flights the extended model{model} changes the RMS error of the simulation: {several(listed)}."
+    )
+    return " ".join([sentences, *status_sentences(flown)])
 
 
 def trajectory_sentences(flown: Trajectories) -> list[str]:
     """How the fits ended, what was held, and the share of time within the tolerances."""
-    said = [*status_sentences(flown), *lag_sentences(flown), *cause_sentences(flown)]
+    sentences = [*status_sentences(flown), *lag_sentences(flown), *cause_sentences(flown)]
     for name, held in flown.held.items():
         if held:
             are = (
@@ -53,12 +55,14 @@ def trajectory_sentences(flown: Trajectories) -> list[str]:
                 if len(held) == 1
                 else ("are", "they are held at their joint estimates")
             )
-            said.append(f"Without {name}, {several(held)} {are[0]} not identifiable from the other flights; {are[1]}.")
+            sentences.append(
+                f"Without {name}, {several(held)} {are[0]} not identifiable from the other flights; {are[1]}."
+            )
     if flown.extended.held:
-        said.append(
+        sentences.append(
             f"The trajectories contain little information on {several(flown.extended.held)}; the prior decides."
         )
-    return said + _tolerance_sentences(flown)
+    return sentences + _tolerance_sentences(flown)
 
 
 def _tolerance_sentences(flown: Trajectories) -> list[str]:
@@ -66,24 +70,24 @@ def _tolerance_sentences(flown: Trajectories) -> list[str]:
     unseen = [p for p in flown.paths if (p.model, p.split) == ("extended", "hold_out")]
     outside = [p.manoeuvre for p in unseen if not p.inside]
     leaves = "leaves" if len(outside) == 1 else "leave"
-    said = [f"In the hold-out simulation {several(outside)} {leaves} the flight envelope."] if outside else []
+    sentences = [f"In the hold-out simulation {several(outside)} {leaves} the flight envelope."] if outside else []
     inside = [p for p in unseen if p.inside]
-    told = []
+    listed = []
     for output in flown.outputs:
         shares = {p.manoeuvre: x for p in inside if (x := p.errors[output].within) is not None}
         if not shares:
             continue
         worst = min(shares, key=lambda name: shares[name])
         where = f" (least, {worst})" if len(shares) > 1 and shares[worst] < max(shares.values()) else ""
-        told.append(f"{SYMBOLS.get(output, output)} {shares[worst]:.0%}{where}")
-    if told:
+        listed.append(f"{SYMBOLS.get(output, output)} {shares[worst]:.0%}{where}")
+    if listed:
         what = "every flight is" if len(inside) > 1 else f"{inside[0].manoeuvre} is"
-        said.append(
+        sentences.append(
             f"In the hold-out simulation {what} within tolerance for at least this share of the time: "
-            f"{', '.join(told)}. "
+            f"{', '.join(listed)}. "
             f"{tolerance_origin({n: e.tolerance for n, e in inside[0].errors.items() if e.tolerance is not None})}"
         )
-    return said
+    return sentences
 
 
 def tolerance_origin(bands: Mapping[str, float]) -> str:
@@ -120,28 +124,28 @@ def lag_sentences(flown: Trajectories) -> list[str]:
 
 def cause_sentences(flown: Trajectories) -> list[str]:
     """Which confirmed causes the hold-out trajectories need, and by how much."""
-    missed, kept, said = flown.asked.missed, flown.asked.kept, []
+    missed, kept, sentences = flown.asked.missed, flown.asked.kept, []
     if flown.out:
         gains = [f"{e} (by {missed[e][0]:+.0f} ± {missed[e][1]:.0f} nats)" for e in flown.out]
         them, omits = ("it", "omits it") if len(gains) == 1 else ("them", "omits them")
-        said.append(
+        sentences.append(
             f"Removing {several(gains)} does not significantly degrade the prediction of hold-out trajectories. The "
             f"search confirms {them}; the simulated model {omits}."
         )
     if kept:
         finite = [e for e in kept if math.isfinite(missed[e][0])]  # without the others the flight leaves its envelope
         least = min(finite, key=lambda e: missed[e][0] / missed[e][1], default=None)
-        told = f" (least for {least}, by {missed[least][0]:.0f} ± {missed[least][1]:.0f} nats)" if least else ""
-        said.append(f"Removing {several(kept)} degrades the prediction of hold-out trajectories{told}.")
-    return said
+        listed = f" (least for {least}, by {missed[least][0]:.0f} ± {missed[least][1]:.0f} nats)" if least else ""
+        sentences.append(f"Removing {several(kept)} degrades the prediction of hold-out trajectories{listed}.")
+    return sentences
 
 
 def status_sentences(flown: Trajectories) -> list[str]:
     """How the fits of both models ended, where one did not converge."""
-    said = []
+    sentences = []
     for who, fit in (("The card's model", flown.card), ("The extended model", flown.extended)):
         if fit.status is not OutputErrorStatus.CONVERGED:
             names = f" ({several(fit.at_bound)})" if fit.at_bound else ""
             how = STOPPED if fit.status is OutputErrorStatus.NOT_CONVERGED else fit.status.value
-            said.append(f"{who}, fitted to the trajectories: {how}{names}.")
-    return said
+            sentences.append(f"{who}, fitted to the trajectories: {how}{names}.")
+    return sentences

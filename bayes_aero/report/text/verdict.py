@@ -8,13 +8,13 @@ from bayes_aero.diagnosis.result import Cause, Diagnosis, Tested, Verdict
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.report.text.phrases import SYMBOLS, for_people, several, short, size_text
 
-FEW = 3  # causes whose sizes stand in the verdict
+MAX_SIZED = 3  # causes whose sizes are in the verdict
 
 
 def verdict_sentence(d: Diagnosis) -> str:
     """The causes that explain the model error, those that are only named, and the unexplained structure."""
     sure = [c for c in d.causes if c.sure]
-    names = f": {several(_named(c, len(sure) <= FEW) for c in sure)}{_doubtful(d)}"
+    names = f": {several(_named(c, len(sure) <= MAX_SIZED) for c in sure)}{_doubtful(d)}"
     changes = [f"{one.parameter} changes {'at' if one.between else 'in'} {one.manoeuvre}" for one in d.changes]
     unknown = several([*sorted({f"{u.coefficient} over {u.channel}" for u in d.unknown}), *dict.fromkeys(changes)])
     left = f" ({unknown})" if unknown else ""
@@ -68,29 +68,29 @@ def _remaining(tested: Tested) -> str:
     """Outputs whose error exceeds the noise, on hold-out flights where there are any."""
     unseen = all(math.isfinite(tested.outputs[name].unseen) for name in tested.beyond)
     where = "on hold-out flights, RMS" if unseen else "RMS"
-    told = [
+    listed = [
         f"{SYMBOLS.get(name, name)} {_size(name, one.unseen if unseen else one.fitted)}"
         for name, one in tested.outputs.items()
         if one.beyond
     ]
-    return f"{where}: {several(told)}"
+    return f"{where}: {several(listed)}"
 
 
 def tested_sentences(d: Diagnosis) -> list[str]:
     """The error of each output against the noise of its sensor, from trajectories alone."""
     if d.tested is None or not d.tested.outputs:
         return []
-    told = [
+    listed = [
         f"{SYMBOLS.get(name, name)} {_size(name, one.fitted)} (noise {_size(name, one.noise)})"
         for name, one in d.tested.outputs.items()
     ]
-    said = f"The RMS error of the extended model, fitted to all flights, is {several(told)}."
+    sentences = f"The RMS error of the extended model, fitted to all flights, is {several(listed)}."
     if d.tested.beyond:
-        said += (
+        sentences += (
             f" More than half of the mean square error of {several(SYMBOLS.get(n, n) for n in d.tested.beyond)} is not "
             "noise. Possible causes are turbulence, a sensor error, or an effect that the model lacks."
         )
-    return [said]
+    return [sentences]
 
 
 def _size(output: str, value: float) -> str:
@@ -102,8 +102,8 @@ def _named(cause: Cause, sized: bool) -> str:
     """Its name, its size if requested, and its rivals."""
     sizes = ", ".join(size_text(x.mean, x.sd, x.unit) for x in cause.parameters.values()) if sized else ""
     rivals = f"or {' or '.join(cause.ambiguous_with)}" if cause.ambiguous_with else ""
-    said = ", ".join(part for part in (sizes, rivals) if part)
-    return f"{cause.name} ({said})" if said else cause.name
+    sentences = ", ".join(part for part in (sizes, rivals) if part)
+    return f"{cause.name} ({sentences})" if sentences else cause.name
 
 
 def _doubtful(d: Diagnosis) -> str:

@@ -27,7 +27,7 @@ ESS_SHARE = 0.3  # k judges the tail of the weights only; a stand-in beside the 
 
 
 class SampleStatus(enum.Enum):
-    """What became of the sampled hyperparameters; the value says what to do."""
+    """Result of the sampling of hyperparameters; the value is the text for the user."""
 
     accepted = "The re-weighted draws represent the exact posterior of the hyperparameters."
     not_sampled = "Only the most probable hyperparameters were asked for; set sample=True for their posterior."

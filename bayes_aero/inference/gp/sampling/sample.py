@@ -94,8 +94,8 @@ def _sampler(priors: Priors, settings: Settings):
             state = sample(state, target)  # adapts for as long as state.i is below the warm-up
             return state, (state.z, -state.potential_energy, state.diverging)
 
-        _, told = jax.lax.scan(step, state, None, length=settings.warmup + settings.draws)
-        return jax.tree.map(lambda x: x[settings.warmup :], told)
+        _, statistics = jax.lax.scan(step, state, None, length=settings.warmup + settings.draws)
+        return jax.tree.map(lambda x: x[settings.warmup :], statistics)
 
     return jax.jit(jax.vmap(chain, in_axes=(0, 0, None)))
 
