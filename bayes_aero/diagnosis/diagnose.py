@@ -24,7 +24,7 @@ from bayes_aero.diagnosis.selection.cross_validation import (
     split_name,
     truncated,
 )
-from bayes_aero.diagnosis.selection.forward_selection import Extension
+from bayes_aero.diagnosis.selection.forward_selection import Extension, mixes_noise
 from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, implausible, own_share
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.effect import Effect
@@ -133,7 +133,7 @@ def causes_of(
         measured = {} if sure is None else _gains_of(extension, searched.model, sure.kept, progress)
         for name in extension.causes:
             effect = next(e for e in full.candidates if e.name == name)
-            probability, others = _rivals(extension, name)
+            probability, others = rivals_of(extension, name)
             found.append(
                 Cause(
                     name=name,
@@ -234,13 +234,17 @@ def _sensor_gains(
     return found
 
 
-def _rivals(extension: Extension, name: str) -> tuple[float, tuple[str, ...]]:
-    """Probability of a cause among everything that could take its place, nothing included; and who comes close."""
+def rivals_of(extension: Extension, name: str) -> tuple[float, tuple[str, ...]]:
+    """Probability of a cause among everything that could take its place, nothing included; and who comes close.
+
+    What only hides noise of one coefficient under another explains nothing, as in an election (see `mixes_noise`).
+    """
     state, fit = extension.state, extension.fit
     ranking = screen(state, fit, seed=0, nulls=False, without=name).candidate_scores
     best: dict[str, CandidateScore] = {}
     for standing in ranking:
-        if standing.effect == name or standing.score > state.settings.least_rival_score:
+        able = standing.score > state.settings.least_rival_score and not mixes_noise(state, standing)
+        if standing.effect == name or able:
             best.setdefault(standing.effect, standing)
     own = best.get(name)
     if own is None:
