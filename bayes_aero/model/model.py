@@ -179,13 +179,16 @@ class Model:
         return dict(self.fixed) | {name: theta[i] for i, name in enumerate(self.names)}
 
     def corrected(self, values: Mapping[str, Any], channels: Mapping[str, Any], aircraft: Aircraft) -> dict[str, Any]:
-        """Recorded channels made true: every effect of stage CHANNEL sees what was recorded, and all are added.
+        """Recorded channels made true: delays first, then every other effect of stage CHANNEL sees what is left, and
+        all are added.
 
-        `channels` are whole manoeuvres end to end, in SI, with the marks that `Stage` names. A delay and a bias of one
-        channel thus commute exactly; a scale and a bias of one channel do to first order. So does a bias of a rate
-        beside a vane that the rate moves: a card that fixes both states the angle between them as a bias of the vane.
+        `channels` are whole manoeuvres end to end, in SI, with the marks that `Stage` names. A scale thus multiplies a
+        channel in time: beside the late one it would be a filter of two taps, which smooths. A scale and a bias of one
+        channel commute to first order. So does a bias of a rate beside a vane that the rate moves: a card that fixes
+        both states the angle between them as a bias of the vane.
         """
-        return self._run((Stage.CHANNEL,), channels, values, channels, aircraft)
+        in_time = self._run((Stage.CHANNEL,), channels, values, channels, aircraft, late=True)
+        return self._run((Stage.CHANNEL,), in_time, values, in_time, aircraft, late=False)
 
     def actual_aircraft(self, values: Mapping[str, Any], aircraft: Aircraft) -> Aircraft:
         """The card's aircraft with the increments of all effects of stage AIRCRAFT; positions add by coordinates."""
@@ -260,12 +263,14 @@ class Model:
         values: Mapping[str, Any],
         signals: Mapping[str, Any],
         aircraft: Aircraft,
+        late: bool | None = None,
     ) -> dict[str, Any]:
+        """`known` and the increments of these stages; `late`: of delays alone, or of all others (None: of both)."""
         total = dict(known)
         for stage in stages:
             before = dict(total)
             for effect in self.acting:
-                if effect.stage is stage:
+                if effect.stage is stage and late in (None, effect.late):
                     for key, increment in effect.increments(values, signals, aircraft, before).items():
                         total[key] = _sum(total[key], increment)
         return total
