@@ -91,7 +91,7 @@ def test_what_was_recorded_becomes_what_was_true(card, name, channel, error, siz
 
 @pytest.mark.parametrize("channel", ["elevator", "aileron", "rudder", "alpha", "sideslip"])
 def test_a_late_channel_of_another_scale_is_scaled_as_it_was(card, channel):
-    """Recorded(t) = (1 + scale) true(t - delay); a scale of what was recorded late would be a second tap of a filter."""
+    """Recorded(t) = (1 + scale) true(t - delay); a scale of the late channel would be a second tap of a filter."""
     beside, late, size = marks(N, DT), 0.13, -0.2
     t = np.asarray(beside["elapsed"])
     name = {"sideslip": "beta"}.get(channel, channel)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from bayes_aero.diagnosis import diagnose
-
 from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.partialled_regression import PartialledRegression
