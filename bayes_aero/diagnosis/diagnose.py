@@ -8,13 +8,23 @@ from dataclasses import replace
 import numpy as np
 
 from bayes_aero.diagnosis.consistency.consistency import in_gusts
-from bayes_aero.diagnosis.result import Cause, Diagnosis, Gain, Tested, UnexplainedStructure, as_white, verdict_of
+from bayes_aero.diagnosis.result import (
+    Cause,
+    Diagnosis,
+    Gain,
+    Tested,
+    UnexplainedStructure,
+    as_absorbed,
+    as_white,
+    verdict_of,
+)
 from bayes_aero.diagnosis.screening.screening import CandidateScore, screen
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
 from bayes_aero.diagnosis.search.search_coefficients import search_coefficients
 from bayes_aero.diagnosis.search.search_innovations import search_innovations
 from bayes_aero.diagnosis.search.search_result import SearchResult, lacking
 from bayes_aero.diagnosis.search.search_trajectories import search_trajectories
+from bayes_aero.diagnosis.selection.absorbed import absorbed
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation, confirmation
 from bayes_aero.diagnosis.selection.collinear import CancellingPair, cancelling
 from bayes_aero.diagnosis.selection.cross_validation import (
@@ -70,8 +80,10 @@ def diagnose(
     unknown = (*found.unknown, *structure_of(found, unnamed))
     minor = (*(found.sensors.minor if found.sensors else ()), *found.model.minor, *(c.name for c in unnamed))
     state, tested = found.model.state, None if found.testable_now else Tested({})
+    taken_up = absorbed(found.model)
+    verdict = as_white(verdict_of(causes, (*unknown, *found.changes), tested), found.noise)
     return Diagnosis(
-        verdict=as_white(verdict_of(causes, (*unknown, *found.changes), tested), found.noise),
+        verdict=as_absorbed(verdict, taken_up),
         causes=causes,
         minor=minor,
         unknown=unknown,
@@ -91,6 +103,7 @@ def diagnose(
         compared=found.stages[-1][0],
         gusts=gusts,
         changes=found.changes,
+        absorbed=taken_up,
     )
 
 
@@ -273,4 +286,5 @@ def judged_on_held_out_flights(found: Diagnosis, confirmation: Confirmation) -> 
         else c
         for c in found.causes
     )
-    return replace(found, causes=causes, verdict=verdict_of(causes, found.left, found.tested))
+    verdict = as_absorbed(verdict_of(causes, found.left, found.tested), found.absorbed)
+    return replace(found, causes=causes, verdict=verdict)

@@ -39,6 +39,7 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
         *(_cause(cause) for cause in d.causes),
         *_taken_over(d),
         *_together(d),
+        *_absorbed(d),
         *_beyond(d),
         *_minor(d),
         *_unknown(d),
@@ -109,6 +110,20 @@ def _together(d: Diagnosis) -> list[str]:
             f"{several(pair.effects)} cancel each other (correlation {pair.correlation:+.2f}): this record "
             f"determines only {one} {sign} {factor}{other} = {size}. A manoeuvre that excites them differently would "
             "determine both."
+        )
+    return said
+
+
+def _absorbed(d: Diagnosis) -> list[str]:
+    """Parameters of controls at rest, and what they may have taken up."""
+    said = []
+    for one in d.absorbed:
+        units = {e.name: p.unit for e in d.aerodynamics.state.full.candidates for p in e.parameters}
+        sizes = [f"{name} {size_text(mean, sd, units[name])}" for name, (mean, sd) in one.sizes.items()]
+        said.append(
+            f"The {one.control} does not move in these records, so {one.parameter} takes up what stays constant: it is "
+            f"{size_text(*one.estimate, one.unit)}. With its usual value, {size_text(*one.usual, one.unit)}, there "
+            f"would be {' or '.join(sizes)}. These records cannot tell which."
         )
     return said
 
