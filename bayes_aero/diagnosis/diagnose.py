@@ -35,7 +35,7 @@ from bayes_aero.diagnosis.selection.cross_validation import (
     truncated,
 )
 from bayes_aero.diagnosis.selection.forward_selection import Extension, mixes_noise
-from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, implausible, own_share
+from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, implausible, own_share, stand_ins
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.effect import Effect
 from bayes_aero.errors import attempted
@@ -76,7 +76,8 @@ def diagnose(
     found = search(records, card, model or Model.from_card(card), known, settings, seed=seed, progress=progress)
     ask = gains_wanted and found.testable_now
     candidates, kept, failed = _confirmed(found, progress) if ask else _unasked(found)
-    causes, beyond, unnamed = attributed(candidates, settings)
+    hardly = stand_ins(candidates, found.by_stage, found.unknown)
+    causes, beyond, unnamed = attributed(candidates, settings, hardly)
     unknown = (*found.unknown, *structure_of(found, unnamed))
     minor = (*(found.sensors.minor if found.sensors else ()), *found.model.minor, *(c.name for c in unnamed))
     state, tested = found.model.state, None if found.testable_now else Tested({})

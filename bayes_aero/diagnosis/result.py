@@ -19,6 +19,7 @@ from bayes_aero.parameter import Parameter
 FLIGHT_PATH = "flight path"  # the stage of sensors and winds
 COEFFICIENTS, TRAJECTORIES, INNOVATIONS = "coefficients", "trajectories", "innovations"  # stages of the model itself
 LIKELY = 0.5  # probability beyond which a cause is likelier than all else together
+LITTLE = 0.02  # own share of an effect below which the record hardly excites it; our choice
 
 
 class Verdict(StrEnum):

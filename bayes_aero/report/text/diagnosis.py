@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bayes_aero.diagnosis.result import Cause, Diagnosis
+from bayes_aero.diagnosis.result import LITTLE, Cause, Diagnosis
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView
 from bayes_aero.effect import Stage
@@ -17,8 +17,6 @@ from bayes_aero.report.text.process_noise import gust_sentences
 from bayes_aero.report.text.restraints import sign_sentences
 from bayes_aero.report.text.trajectories import trajectory_sentences
 from bayes_aero.report.text.verdict import tested_sentences, verdict_sentence
-
-LITTLE = 0.02  # own share of an effect below which the record hardly excites it
 
 
 def sentences(view: DiagnosisView) -> list[str]:
