@@ -99,7 +99,7 @@ class Diagnosed:
 
     @property
     def verdict(self) -> str:
-        """`no_effect`, `explained`, `partly_explained`, `unexplained`; without coefficients also `undecided`."""
+        """`no_effect`, `explained`, `partly_explained`, `unexplained` or `undecided`."""
         return self.view.diagnosis.verdict.value
 
     @property

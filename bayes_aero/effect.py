@@ -17,7 +17,7 @@ from jaxtyping import Float
 from bayes_aero.arrays import Array
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.axes import Axis
-from bayes_aero.parameter import Lengths, Parameter
+from bayes_aero.parameter import Lengths, Parameter, Role
 from bayes_aero.physics.coefficient_names import COEFFICIENTS, LATERAL, NAMES
 
 Values = Mapping[str, Any]
@@ -49,12 +49,12 @@ class Stage(IntEnum):
     """When an effect acts. An effect uses results of earlier stages, never of its own stage.
 
     CHANNEL effects get whole recorded channels (all manoeuvres end to end) as `signals` and return what to add to
-    them to correct the record. `signals` also has `dt`, `start`, `elapsed` (s since the start of
-    the manoeuvre) and `first`, `last` (index of its first and last sample). AIRCRAFT effects return what to add to
-    fields of the aircraft. INFLOW effects return what moving air adds to `alpha`, `beta` and `airspeed` of the flight
-    over ground; a simulation alone asks them, for a record holds the flow itself. All other stages build `Known`,
-    sample by sample. SEPARATION and LAG run once for either wing, at its own `incidence`, where an effect of INCIDENCE
-    tells them apart.
+    them to correct the record: a delay gets what was recorded, the others what is left of it without delays. `signals`
+    also has `dt`, `start`, `elapsed` (s since the start of the manoeuvre) and `first`, `last` (index of its first and
+    last sample). AIRCRAFT effects return what to add to fields of the aircraft. INFLOW effects return what moving air
+    adds to `alpha`, `beta` and `airspeed` of the flight over ground; a simulation alone asks them, for a record holds
+    the flow itself. All other stages build `Known`, sample by sample. SEPARATION and LAG run once for either wing, at
+    its own `incidence`, where an effect of INCIDENCE tells them apart.
     """
 
     CHANNEL = -1  # sensors, winds, thrust: errors of the record
@@ -157,6 +157,11 @@ class Effect:
     def neutral_values(self) -> dict[str, float]:
         """The neutral value of each parameter, by name."""
         return {p.name: p.neutral for p in self.parameters}
+
+    @property
+    def is_delay(self) -> bool:
+        """Whether it is a delay of a channel."""
+        return any(p.role is Role.DELAY for p in self.parameters)
 
     def absent_in(self, values: Values) -> bool:
         """Whether `values` has every parameter at its neutral value; values of other parameters do not matter."""

@@ -89,6 +89,20 @@ def test_what_was_recorded_becomes_what_was_true(card, name, channel, error, siz
     np.testing.assert_allclose(true[inner], wave(t)[inner], atol=1e-4 if error is delay else 1e-12)
 
 
+@pytest.mark.parametrize("channel", ["elevator", "aileron", "rudder", "alpha", "sideslip"])
+def test_a_late_channel_of_another_scale_is_scaled_as_it_was(card, channel):
+    """Recorded(t) = (1 + scale) true(t - delay); a scale of the late channel would be a second tap of a filter."""
+    beside, late, size = marks(N, DT), 0.13, -0.2
+    t = np.asarray(beside["elapsed"])
+    name = {"sideslip": "beta"}.get(channel, channel)
+    model = Model.of([f"{channel}_scale", f"{channel}_delay"], axes=BOTH)
+    given = {p.name: jnp.asarray(late if p.unit == "s" else size) for p in model.parameters}
+    recorded = beside | {name: jnp.asarray((1.0 + size) * wave(t - late))}
+    inner = slice(5, -5)
+    true = model.corrected(given, recorded, card.aircraft)[name]
+    np.testing.assert_allclose(true[inner], wave(t)[inner], atol=1e-4)
+
+
 @pytest.mark.parametrize(("name", "size"), [("airspeed_bias", 2.0), ("airspeed_scale", 0.025)])
 def test_mach_number_follows_the_airspeed_that_it_was_made_from(card, name, size):
     channels = marks(3, DT) | {"airspeed": jnp.asarray([82.0, 90.0, 70.0])}

@@ -8,13 +8,23 @@ from dataclasses import replace
 import numpy as np
 
 from bayes_aero.diagnosis.consistency.consistency import in_gusts
-from bayes_aero.diagnosis.result import Cause, Diagnosis, Gain, Tested, UnexplainedStructure, as_white, verdict_of
+from bayes_aero.diagnosis.result import (
+    Cause,
+    Diagnosis,
+    Gain,
+    Tested,
+    UnexplainedStructure,
+    as_absorbed,
+    as_white,
+    verdict_of,
+)
 from bayes_aero.diagnosis.screening.screening import CandidateScore, screen
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
 from bayes_aero.diagnosis.search.search_coefficients import search_coefficients
 from bayes_aero.diagnosis.search.search_innovations import search_innovations
 from bayes_aero.diagnosis.search.search_result import SearchResult, lacking
 from bayes_aero.diagnosis.search.search_trajectories import search_trajectories
+from bayes_aero.diagnosis.selection.absorbed import absorbed
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation, confirmation
 from bayes_aero.diagnosis.selection.collinear import CancellingPair, cancelling
 from bayes_aero.diagnosis.selection.cross_validation import (
@@ -24,8 +34,8 @@ from bayes_aero.diagnosis.selection.cross_validation import (
     split_name,
     truncated,
 )
-from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, implausible, own_share
+from bayes_aero.diagnosis.selection.forward_selection import Extension, mixes_noise
+from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, implausible, own_share, stand_ins
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.effect import Effect
 from bayes_aero.errors import attempted
@@ -66,12 +76,15 @@ def diagnose(
     found = search(records, card, model or Model.from_card(card), known, settings, seed=seed, progress=progress)
     ask = gains_wanted and found.testable_now
     candidates, kept, failed = _confirmed(found, progress) if ask else _unasked(found)
-    causes, beyond, unnamed = attributed(candidates, settings)
+    hardly = stand_ins(candidates, found.by_stage, found.unknown)
+    causes, beyond, unnamed = attributed(candidates, settings, hardly)
     unknown = (*found.unknown, *structure_of(found, unnamed))
     minor = (*(found.sensors.minor if found.sensors else ()), *found.model.minor, *(c.name for c in unnamed))
     state, tested = found.model.state, None if found.testable_now else Tested({})
+    taken_up = absorbed(found.model)
+    verdict = as_white(verdict_of(causes, (*unknown, *found.changes), tested), found.noise)
     return Diagnosis(
-        verdict=as_white(verdict_of(causes, (*unknown, *found.changes), tested), found.noise),
+        verdict=as_absorbed(verdict, taken_up),
         causes=causes,
         minor=minor,
         unknown=unknown,
@@ -91,6 +104,7 @@ def diagnose(
         compared=found.stages[-1][0],
         gusts=gusts,
         changes=found.changes,
+        absorbed=taken_up,
     )
 
 
@@ -133,7 +147,7 @@ def causes_of(
         measured = {} if sure is None else _gains_of(extension, searched.model, sure.kept, progress)
         for name in extension.causes:
             effect = next(e for e in full.candidates if e.name == name)
-            probability, others = _rivals(extension, name)
+            probability, others = rivals_of(extension, name)
             found.append(
                 Cause(
                     name=name,
@@ -234,13 +248,17 @@ def _sensor_gains(
     return found
 
 
-def _rivals(extension: Extension, name: str) -> tuple[float, tuple[str, ...]]:
-    """Probability of a cause among everything that could take its place, nothing included; and who comes close."""
+def rivals_of(extension: Extension, name: str) -> tuple[float, tuple[str, ...]]:
+    """Probability of a cause among everything that could take its place, nothing included; and who comes close.
+
+    What only hides noise of one coefficient under another explains nothing, as in an election (see `mixes_noise`).
+    """
     state, fit = extension.state, extension.fit
     ranking = screen(state, fit, seed=0, nulls=False, without=name).candidate_scores
     best: dict[str, CandidateScore] = {}
     for standing in ranking:
-        if standing.effect == name or standing.score > state.settings.least_rival_score:
+        able = standing.score > state.settings.least_rival_score and not mixes_noise(state, standing)
+        if standing.effect == name or able:
             best.setdefault(standing.effect, standing)
     own = best.get(name)
     if own is None:
@@ -269,4 +287,5 @@ def judged_on_held_out_flights(found: Diagnosis, confirmation: Confirmation) -> 
         else c
         for c in found.causes
     )
-    return replace(found, causes=causes, verdict=verdict_of(causes, found.left, found.tested))
+    verdict = as_absorbed(verdict_of(causes, found.left, found.tested), found.absorbed)
+    return replace(found, causes=causes, verdict=verdict)

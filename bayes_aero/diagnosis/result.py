@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.screening.accuracy import Size
+from bayes_aero.diagnosis.selection.absorbed import Absorbed
 from bayes_aero.diagnosis.selection.collinear import CancellingPair
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.inference.scores import COLOURED_INNOVATIONS, Scores
@@ -18,6 +19,7 @@ from bayes_aero.parameter import Parameter
 FLIGHT_PATH = "flight path"  # the stage of sensors and winds
 COEFFICIENTS, TRAJECTORIES, INNOVATIONS = "coefficients", "trajectories", "innovations"  # stages of the model itself
 LIKELY = 0.5  # probability beyond which a cause is likelier than all else together
+LITTLE = 0.02  # own share of an effect below which the record hardly excites it; our choice
 
 
 class Verdict(StrEnum):
@@ -27,7 +29,8 @@ class Verdict(StrEnum):
     EXPLAINED = "explained"
     PARTLY_EXPLAINED = "partly_explained"
     UNEXPLAINED = "unexplained"
-    UNDECIDED = "undecided"  # trajectories alone cannot tell disturbed air from a model error without a name
+    UNDECIDED = "undecided"  # trajectories alone cannot tell disturbed air from a model error without a name; or a
+    # parameter of a control at rest may have taken up an effect
 
 
 @dataclass(frozen=True)
@@ -236,6 +239,7 @@ class Diagnosis:
     compared: str = COEFFICIENTS  # with what the model was compared: the name of its stage
     gusts: Mapping[str, float] = field(default_factory=dict)  # m/s, of records that asked for process noise by them
     changes: tuple[ParameterChange, ...] = ()  # parameters that take another value during the records
+    absorbed: tuple[Absorbed, ...] = ()  # parameters of controls at rest, and effects that they may have taken up
 
     @property
     def by_coefficients(self) -> bool:
@@ -275,6 +279,11 @@ def as_white(found: Verdict, noise: NoiseReport) -> Verdict:
         return found
     instead = {Verdict.EXPLAINED: Verdict.PARTLY_EXPLAINED, Verdict.NO_EFFECT: Verdict.UNDECIDED}
     return instead.get(found, found)
+
+
+def as_absorbed(found: Verdict, absorbed: Sequence[Absorbed]) -> Verdict:
+    """A verdict by coefficients: where a parameter may have taken up an effect, its absence is not decided."""
+    return Verdict.UNDECIDED if absorbed and found is Verdict.NO_EFFECT else found
 
 
 def as_tested(found: Verdict, tested: Tested) -> Verdict:

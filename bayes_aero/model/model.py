@@ -179,14 +179,15 @@ class Model:
         return dict(self.fixed) | {name: theta[i] for i, name in enumerate(self.names)}
 
     def corrected(self, values: Mapping[str, Any], channels: Mapping[str, Any], aircraft: Aircraft) -> dict[str, Any]:
-        """Recorded channels corrected for sensor errors: each effect of stage CHANNEL reads the recorded channels, and
-        all corrections are added.
+        """Recorded channels corrected for sensor errors: delays first, then each other effect of stage CHANNEL reads
+        the channels without delays, and all corrections are added.
 
-        `channels` are whole manoeuvres end to end, in SI, with the marks that `Stage` names. A delay and a bias of one
-        channel thus commute exactly, a scale and a bias of one channel to first order. A bias of a rate and the
-        position of a vane, whose angle depends on that rate, commute to first order, too.
+        `channels` are whole manoeuvres end to end, in SI, with the marks that `Stage` names. Added to a delay, a scale
+        of the delayed channel would make a filter of two taps, which smooths. A scale and a bias of one channel commute
+        to first order. A bias of a rate and the position of a vane, whose angle depends on that rate, do, too.
         """
-        return self._run((Stage.CHANNEL,), channels, values, channels, aircraft)
+        in_time = self._run((Stage.CHANNEL,), channels, values, channels, aircraft, delays=True)
+        return self._run((Stage.CHANNEL,), in_time, values, in_time, aircraft, delays=False)
 
     def actual_aircraft(self, values: Mapping[str, Any], aircraft: Aircraft) -> Aircraft:
         """The card's aircraft with the increments of all effects of stage AIRCRAFT; positions add by coordinates."""
@@ -261,12 +262,14 @@ class Model:
         values: Mapping[str, Any],
         signals: Mapping[str, Any],
         aircraft: Aircraft,
+        delays: bool | None = None,
     ) -> dict[str, Any]:
+        """`known` and the increments of these stages; `delays`: of delays alone, or of all others (None: of both)."""
         total = dict(known)
         for stage in stages:
             before = dict(total)
             for effect in self.acting:
-                if effect.stage is stage:
+                if effect.stage is stage and delays in (None, effect.is_delay):
                     for key, increment in effect.increments(values, signals, aircraft, before).items():
                         total[key] = _sum(total[key], increment)
         return total

@@ -6,6 +6,8 @@ import pytest
 import wing_first
 
 from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.result import Verdict
+from bayes_aero.jobs.steps.post_diagnosis import separations
 
 RECORDS = ("rudder", "stall_in_bank")
 
@@ -25,6 +27,32 @@ def test_a_wing_that_stalls_first_is_found_alone_and_sized():
     assert sd < 0.01 * abs(size)
     rivals = {*wing_first.CAUSES, *wing_first.NAMED.values()} - {"wing_asymmetry", *wing_first.NAMED}
     assert rivals <= {e.name for e in found.aerodynamics.state.full.candidates}
+
+
+@pytest.mark.recovery
+def test_uneven_engines_are_told_from_their_rivals_by_the_manoeuvre_that_is_proposed():
+    """The rudder that holds them is at rest while ailerons move: its derivative, free on the card, takes them up."""
+    plane, records, size = wing_first.flown(3)
+    first, then = ([r for r in records if r.name in names] for names in (("aileron",), ("aileron", "stall_in_bank")))
+    found = diagnose(first, wing_first.card_of(plane), gains_wanted=False, process_noise=False)
+    assert found.verdict is Verdict.UNDECIDED
+    assert found.causes == ()
+    (taken_up,) = found.absorbed
+    assert taken_up.parameter == "Cndr"
+    mean, sd = taken_up.sizes["thrust_asymmetry"]
+    assert abs(mean - size) < sd
+    (separation,) = separations(found)
+    assert {"rudder_yaw", "thrust_asymmetry", "yaw_offset"} <= set(separation["effects"])
+    assert separation["status"].startswith("stall with bank would separate")
+    found = diagnose(then, wing_first.card_of(plane), gains_wanted=False, process_noise=False)
+    assert found.verdict is Verdict.EXPLAINED
+    assert found.absorbed == ()
+    said = wing_first.told(found)
+    assert list(said["causes"]) == ["thrust_asymmetry"]
+    assert said["ambiguous"] == {"thrust_asymmetry": []}
+    ((mean, sd),) = said["causes"]["thrust_asymmetry"].values()
+    assert abs(mean - size) < 1.96 * sd
+    assert sd < 0.1 * abs(size)
 
 
 def test_the_table_counts_what_was_named(capsys):

@@ -19,7 +19,7 @@ from bayes_aero.diagnosis.screening.selection_state import linearised
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
 from bayes_aero.diagnosis.selection.collinear import cancelling
 from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, implausible, own_share
+from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, implausible, own_share, stand_ins
 from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.model.joined_channels import join
@@ -93,6 +93,18 @@ def test_an_error_that_no_sensor_has_is_no_cause():
     scale = cause(name="roll_rate_scale", mean=0.22, implausible={"roll_rate_scale": 0.15})
     of_a_sensor, of_the_model = replace(scale, kind="measurement"), replace(scale, kind="aerodynamics")
     assert attributed([of_a_sensor, of_the_model]) == ((of_the_model,), (of_a_sensor,), ())
+
+
+def test_what_the_record_hardly_excites_is_no_cause_beside_structure_in_the_same_output(diagnosed):
+    """The hidden curvature of the pitching moment, as if a linear term did nearly the same."""
+    d = diagnosed.view.diagnosis
+    found = next(c for c in d.causes if c.name == "alpha_squared_moment")
+    extensions = {found.stage: d.aerodynamics}
+    for share, output, taken in ((0.01, "Cm", True), (0.01, "CL", False), (0.03, "Cm", False)):
+        one = replace(found, own_share=share)
+        names = stand_ins([one], extensions, [UnexplainedStructure(output, "phi", 0.5, 0.01)])
+        assert names == ((found.name,) if taken else ())
+        assert attributed([one], stand_ins=names) == (((), (), (one,)) if taken else ((one,), (), ()))
 
 
 def test_structure_with_many_names_tells_where_and_how_much(diagnosed):

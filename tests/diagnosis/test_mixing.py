@@ -1,16 +1,19 @@
 """What only takes correlated noise out of one coefficient with another gains nothing; nor is doubt a cause."""
 
 from dataclasses import fields
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from bayes_aero.diagnosis import diagnose
 from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.partialled_regression import PartialledRegression
 from bayes_aero.diagnosis.screening.regression import Fit
+from bayes_aero.diagnosis.screening.screening import CandidateScore, ScreeningResult
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.selection.forward_selection import worth
+from bayes_aero.diagnosis.selection.forward_selection import Extension, worth
 from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.model.model import Model
@@ -76,3 +79,21 @@ def test_a_size_that_may_as_well_be_none_is_no_cause(scores, named):
     causes, minor = worth(state, {"cg_shift": Size(size, size / score, "m")})
     assert (causes, minor) == ((("cg_shift",), ()) if named else ((), ("cg_shift",)))
     assert scores[0] > DEFAULT.least_score or not named
+
+
+@pytest.mark.parametrize(("together", "rivals"), [(-140.0, ()), (480.0, ("cg_shift",))])
+def test_what_only_mixes_noise_is_no_rival(monkeypatch, together, rivals):
+    """A centre of gravity that adds CY to Cn takes the vane's noise out of Cn, whatever else is missing there."""
+
+    def standing(name, gain, together):
+        return CandidateScore(name, (0,), None, gain, 12.0, 1.0, 50.0, (0.1,), (0.01,), together, 1.0)
+
+    ranked = (standing("cg_shift", 500.0, together), standing("sideslip_cubed_yaw", 250.0, 400.0))
+    monkeypatch.setattr(diagnose, "screen", lambda *_, **__: part(ScreeningResult, candidate_scores=ranked))
+    candidates = tuple(CATALOGUE[one.effect] for one in ranked)
+    full = part(CandidateModel, candidates=candidates, settings=DEFAULT)
+    responses = SimpleNamespace(model=SimpleNamespace(coefficients=("CY", "Cl", "Cn")))
+    state = part(SelectionState, full=full, responses=responses, outputs=("CY", "Cl", "Cn"))
+    probability, close = diagnose.rivals_of(part(Extension, state=state, fit=None), "sideslip_cubed_yaw")
+    assert close == rivals
+    assert probability == pytest.approx(0.5 if rivals else 1.0)

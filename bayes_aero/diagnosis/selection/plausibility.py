@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from bayes_aero.diagnosis.consistency.sensor_errors import SENSOR_KINDS
-from bayes_aero.diagnosis.result import Cause, UnexplainedStructure
+from bayes_aero.diagnosis.result import LITTLE, Cause, UnexplainedStructure
 from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.regression import Fit, inverse
 from bayes_aero.diagnosis.screening.screening import screen
@@ -47,28 +47,46 @@ def own_share(state: SelectionState, fit: Fit, effect: str) -> float:
 
 
 def attributed(
-    causes: Sequence[Cause], settings: DiagnosisSettings = DEFAULT
+    causes: Sequence[Cause], settings: DiagnosisSettings = DEFAULT, stand_ins: Sequence[str] = ()
 ) -> tuple[tuple[Cause, ...], tuple[Cause, ...], tuple[Cause, ...]]:
     """Causes that the record can attribute; errors larger than any sensor has, behind which is another fault; others.
 
-    The others have more equals than the record can choose among, or are neither confirmed nor likelier than not.
+    The others have more equals than the record can choose among, or are neither confirmed nor likelier than not, or are
+    `stand_ins` (see there).
     """
     beyond = tuple(c for c in causes if c.kind in SENSOR_KINDS and c.implausible)
     rest = [c for c in causes if c not in beyond]
-    named = tuple(c for c in rest if 1 + len(c.ambiguous_with) <= settings.most_names and (c.confirmed or c.likely))
+    few = (c for c in rest if 1 + len(c.ambiguous_with) <= settings.most_names and (c.confirmed or c.likely))
+    named = tuple(c for c in few if c.name not in stand_ins)
     return named, beyond, tuple(c for c in rest if c not in named)
+
+
+def stand_ins(
+    causes: Sequence[Cause], extensions: Mapping[str, Extension], unknown: Sequence[UnexplainedStructure]
+) -> tuple[str, ...]:
+    """Causes that the record hardly excites, where structure without a name is left in the output that they move most.
+
+    Small errors of the model change their estimates strongly, and there the model is shown to be wrong.
+    """
+    left = {u.coefficient for u in unknown}
+    return tuple(c.name for c in causes if c.own_share < LITTLE and _output(extensions[c.stage], c.name) in left)
+
+
+def _output(extension: Extension, name: str) -> str:
+    """The output that an addition moves most, over what is left there."""
+    state = extension.state
+    columns = state.full.own_columns(name)
+    moved = (state.scaled[:, :, columns] @ state.departure[columns])[state.inside]
+    return state.outputs[int(np.argmax(np.mean((moved - moved.mean(axis=0)) ** 2, axis=0) / extension.fit.variance))]
 
 
 def as_structure(cause: Cause, extension: Extension, effect: Effect) -> UnexplainedStructure:
     """What a cause that is none explained: the output of which it takes most, through which channel."""
     state, fit = extension.state, extension.fit
     standing = screen(state, fit, seed=0, nulls=False, without=cause.name).of(cause.name)
-    columns = state.full.own_columns(cause.name)
-    moved = (state.scaled[:, :, columns] @ state.departure[columns])[state.inside]
-    output = int(np.argmax(np.mean((moved - moved.mean(axis=0)) ** 2, axis=0) / fit.variance))
     gain = 0.0 if standing is None else max(standing.gain, 0.0)
     share = 1.0 - float(np.exp(-gain / state.products.count.sum()))
     channel = effect.channels[0] if effect.channels else effect.kind.value
     return UnexplainedStructure(
-        state.outputs[output], channel, share, cause.p_value, (cause.name, *cause.ambiguous_with)
+        _output(extension, cause.name), channel, share, cause.p_value, (cause.name, *cause.ambiguous_with)
     )

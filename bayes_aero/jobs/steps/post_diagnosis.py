@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 from bayes_aero.diagnosis.design import separating, standard
 from bayes_aero.diagnosis.predictors import compare_states
 from bayes_aero.diagnosis.result import Diagnosis
+from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection.cross_validation import truncated
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.trajectories.trajectories import Progress, compare_trajectories
@@ -32,8 +33,8 @@ def predictors(diagnosis: Diagnosis, card: Card, progress: Progress | None = Non
 
 
 def separations(diagnosis: Diagnosis, progress: Progress | None = None) -> list[dict[str, Any]]:
-    """For each ambiguity set of the coefficients' causes, and each pair that cancels: the standard manoeuvre that would
-    tell its members apart."""
+    """For each ambiguity set of the coefficients' causes, each pair that cancels, and each parameter of a control at
+    rest with what it may have taken up: the standard manoeuvre that would tell its members apart."""
     state = diagnosis.aerodynamics.state
     sets: dict[frozenset[str], dict[str, float]] = {}
     for cause in diagnosis.causes:
@@ -47,13 +48,16 @@ def separations(diagnosis: Diagnosis, progress: Progress | None = None) -> list[
                 frozenset(pair.effects): {}
             } | sets  # at the least sizes worth modelling: the estimates mean nothing
     sets = dict(list(sets.items())[:SETS])
+    for one in diagnosis.absorbed:
+        parameters = {p.name: e.name for e in state.full.candidates for p in e.parameters}
+        sets.setdefault(one.members, {p: abs(one.sizes[e][0]) for p, e in parameters.items() if e in one.sizes})
     if not sets:
         return []
     if progress:
         progress("manoeuvres that would separate", 0.0)
     found = {members: {"effects": sorted(members), "manoeuvres": []} for members in sets}
     try:
-        flights = standard(state, sorted(frozenset().union(*sets)))  # flown, and compiled, once for all sets
+        flights = standard(_usual(diagnosis), sorted(frozenset().union(*sets)))  # flown, and compiled, once for all
     except InputError as error:
         return [one | {"status": str(error)} for one in found.values()]
     for members, sizes in sets.items():
@@ -65,6 +69,15 @@ def separations(diagnosis: Diagnosis, progress: Progress | None = None) -> list[
         ranked = [{"manoeuvre": m.manoeuvre, "standard_errors": m.weakest} for m in design.manoeuvres]
         found[members] |= {"status": design.status, "manoeuvres": ranked}
     return list(found.values())
+
+
+def _usual(diagnosis: Diagnosis) -> SelectionState:
+    """The state with parameters of controls at rest at their usual values: as fitted, the control may do nothing."""
+    state = diagnosis.aerodynamics.state
+    theta = state.theta.copy()
+    for one in diagnosis.absorbed:
+        theta[state.full.columns([one.parameter])] = one.usual[0]
+    return replace(state, theta=theta)
 
 
 def simulations(

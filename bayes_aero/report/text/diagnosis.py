@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bayes_aero.diagnosis.result import Cause, Diagnosis
+from bayes_aero.diagnosis.result import LITTLE, Cause, Diagnosis
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView
 from bayes_aero.effect import Stage
@@ -17,8 +17,6 @@ from bayes_aero.report.text.process_noise import gust_sentences
 from bayes_aero.report.text.restraints import sign_sentences
 from bayes_aero.report.text.trajectories import trajectory_sentences
 from bayes_aero.report.text.verdict import tested_sentences, verdict_sentence
-
-LITTLE = 0.02  # own share of an effect below which the record hardly excites it
 
 
 def sentences(view: DiagnosisView) -> list[str]:
@@ -39,6 +37,7 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
         *(_cause(cause) for cause in d.causes),
         *_taken_over(d),
         *_together(d),
+        *_absorbed(d),
         *_beyond(d),
         *_minor(d),
         *_unknown(d),
@@ -111,6 +110,20 @@ def _together(d: Diagnosis) -> list[str]:
             "determine both."
         )
     return sentences
+
+
+def _absorbed(d: Diagnosis) -> list[str]:
+    """Parameters of controls at rest, and what they may have taken up."""
+    said = []
+    for one in d.absorbed:
+        units = {e.name: p.unit for e in d.aerodynamics.state.full.candidates for p in e.parameters}
+        sizes = [f"{name} {size_text(mean, sd, units[name])}" for name, (mean, sd) in one.sizes.items()]
+        said.append(
+            f"The {one.control} does not move in these records, so {one.parameter} takes up what stays constant: it is "
+            f"{size_text(*one.estimate, one.unit)}. With its usual value, {size_text(*one.usual, one.unit)}, there "
+            f"would be {' or '.join(sizes)}. These records cannot tell which."
+        )
+    return said
 
 
 def _beyond(d: Diagnosis) -> list[str]:

@@ -2,7 +2,7 @@
 
 from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
-from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.parameter import Parameter, Prior, Role
 from bayes_aero.physics.filters import advance
 
 
@@ -26,6 +26,7 @@ EFFECT = Effect(
             "delay of the recorded elevator deflection; positive is late",
             Prior("normal", 0.0, 0.25),
             (-2.0, 2.0),
+            role=Role.DELAY,
         ),
     ),
     channels=("elevator",),
