@@ -139,3 +139,24 @@ def test_the_sign_of_a_rate_and_of_an_elevator_that_move_is_told(tmp_path, sign)
     np.savetxt(path, np.column_stack([time, table]), delimiter=",", header=header, comments="", fmt="%.6g")
     found, _ = guessed(read_raw(path).columns)
     assert [found[name].sign for name in ("p", "q", "elevator")] == [sign, 1, sign]
+
+
+@pytest.mark.parametrize(("size", "unit"), [(1.0, "rad"), (DEG, "deg")])
+def test_a_heading_in_radians_makes_no_degrees_of_the_rest(tmp_path, size, unit):
+    """Headings to 6.2 rad, attitude and flow angles of a tenth: none can be degrees. And the same in degrees."""
+    time = np.arange(0.0, 40.0, 0.05)
+    heading = np.mod(3.0 + 0.2 * time, 2.0 * np.pi)
+    small = [0.1 + 0.05 * np.sin(f * time) for f in (0.5, 0.7, 0.9)]
+    columns = np.stack([time, heading / size, *(x / size for x in small)], axis=1)
+    path = tmp_path / "run.csv"
+    np.savetxt(path, columns, delimiter=",", header="time,yaw,pitch,roll,alpha", comments="", fmt="%.9g")
+    found, _ = guessed(read_raw(path).columns)
+    assert {found[name].unit for name in ("psi", "theta", "phi", "alpha")} == {unit}
+
+
+def test_revolutions_are_what_one_over_a_minute_counts(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("Time [s],RPM [1/min]\n" + "\n".join(f"{0.1 * i:.1f},{2400 + i}" for i in range(60)))
+    guess = guessed(read_raw(path).columns)[0]["engine_speed"]
+    card = [Channel("time", "s", label="Time [s]"), Channel("engine_speed", str(guess.unit), label=guess.column.label)]
+    np.testing.assert_allclose(read_record(path, card)["engine_speed"][0], 2400.0 * 2.0 * np.pi / 60.0, rtol=1e-9)

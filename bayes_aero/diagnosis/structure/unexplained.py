@@ -206,7 +206,11 @@ def _margin(state: SelectionState, gained: float, known: float) -> float:
 
 
 def _standing_in(extension: Extension) -> tuple[float, _Found] | None:
-    """The same of a function."""
+    """The same of a function, of whose share a part must be left where the causes are in.
+
+    A cause that is a proxy leaves a part of what it stands in for. The true one leaves nothing, and still predicts less
+    than a function of its own channel where the parameters of the model beside it extrapolate.
+    """
     state = extension.state
     own = state.full.own_columns(*state.active)
     best = None
@@ -225,6 +229,7 @@ def _standing_in(extension: Extension) -> tuple[float, _Found] | None:
             columns = trial.component_columns[i]
             gained = holdout_deviance_gain(taken_out, np.concatenate([bare, columns]), bare)
             margin, share = _margin(state, gained, known), share_of(taken_out, columns)
-            if margin > 0.0 and share >= least and (best is None or margin > best[0]):
+            beside = share_of(trial, columns) >= (state.settings.stand_in - 1.0) * share
+            if beside and margin > 0.0 and share >= least and (best is None or margin > best[0]):
                 best = (margin, _Found(state, components[i], share, float("nan")))
     return best

@@ -19,6 +19,7 @@ from bayes_aero.units import canonical, to_si
 
 ALIKE = 0.84  # likeness of a heading to a known one
 ANGLE = 1.6  # rad; no angle of attack, attitude or deflection of a sound record is larger
+TURN, TURNING = 6.4, ("phi", "psi")  # rad; a heading in radians reaches 6.28, a bank in a roll, too
 THIN = 0.004  # kg/m3; slug/ft3 at sea level are 0.0024, and no aircraft flies where air is as thin in kg/m3
 MIDDLING = 0.9  # kg/m3, within a third of the air's from sea level to 6 km
 USUAL = (("m/s", "m"), ("kt", "ft"), ("ft/s", "ft"), ("km/h", "m"))  # units of airspeed and height in one file
@@ -104,9 +105,9 @@ def _time(found: dict[str, Guess]) -> dict[str, Guess]:
 
 
 def _angles(found: dict[str, Guess]) -> dict[str, Guess]:
-    """Beyond 1.6 it can only be degrees; smaller ones go with the rest of the file."""
+    """Beyond 1.6 it can only be degrees, a heading or bank beyond a turn; smaller ones go with the rest of the file."""
     angles = {name: g for name, g in found.items() if SI.get(name) == "rad"}
-    large = [n for n, g in angles.items() if g.unit is None and largest(g) > ANGLE]
+    large = [n for n, g in angles.items() if g.unit is None and largest(g) > (TURN if n in TURNING else ANGLE)]
     stated = [g.unit for g in angles.values() if g.unit is not None]
     degrees = bool(large) or (bool(stated) and all(u == "deg" for u in stated))
     for name, guess in angles.items():
