@@ -155,7 +155,8 @@ def _rests_on(noise: Sequence[str], effect: Effect, flights: Recorded) -> tuple[
     A scale of a sideslip that nobody flew would be fitted to the noise of the vane. A bias needs no movement.
     """
     own = tuple(n for n in effect.channels if n in noise)
-    if not own or effect.stage in (Stage.AIRCRAFT, Stage.INFLOW) or not set(effect.channels) <= set(flights.channels):
+    of_others = bool(effect.uses) or Stage.CHANNEL < effect.stage < Stage.ATTACHED  # what others make, it needs
+    if not own or of_others or not set(effect.channels) <= set(flights.channels):
         return ()
     calm = {n: np.full_like(np.asarray(flights.channels[n], float), np.mean(flights.channels[n])) for n in own}
     there = _varies(_made(effect, flights, {}))
@@ -166,7 +167,8 @@ def _made(effect: Effect, flights: Recorded, instead: Mapping[str, np.ndarray]) 
     """What an effect of its least size makes of the record, with some channels replaced."""
     values = {p.name: p.start + effect.sizes.get(p.name, (0.0, 0.0))[0] for p in effect.parameters}
     signals: dict[str, Any] = {name: np.asarray(x) for name, x in flights.channels.items()} | dict(instead)
-    return [np.asarray(x) for x in effect.increments(values, signals, flights.aircraft, NEUTRAL_FLOW).values()]
+    flow = NEUTRAL_FLOW | ({"incidence": signals["alpha"]} if "alpha" in signals else {})
+    return [np.asarray(x) for x in effect.increments(values, signals, flights.aircraft, flow).values()]
 
 
 def _varies(made: Sequence[np.ndarray]) -> bool:

@@ -95,3 +95,14 @@ def test_nothing_is_scaled_or_delayed_that_shows_noise_alone(card, model, clean_
     assert {"sideslip_bias", "bank_angle_bias", "roll_rate_bias", "alpha_scale", "pitch_rate_scale"} <= names
     assert moved & names == (moved if swing else set())
     assert swing or full.not_testable["sideslip_scale"] == "channel beta shows nothing but noise in this record"
+
+
+def test_every_effect_can_be_asked_where_all_channels_are_noise(card, model, clean_records):
+    """No effect of the catalogue fails for want of what others make, whatever channel is noise."""
+    rng = np.random.default_rng(6)
+    level = {n: np.mean(x) for n, x in clean_records[0].channels.items()}
+    calm = [
+        replace(r, channels={n: x + 1e-3 * rng.standard_normal(r.n) for n, x in level.items()}) for r in clean_records
+    ]
+    for one in (model, Model.of(["attached_lift", "pitching_moment"])):
+        assert "alpha_scale" in candidate_model(one, join(calm, card)).not_testable
