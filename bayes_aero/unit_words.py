@@ -21,7 +21,7 @@ _WORDS: dict[str, str] = {
     "ns": "ns nsec nanosecond nanoseconds",
     "deg": "deg degs degree degrees °",
     "rad": "rad rads radian radians",
-    "rpm": "rpm rpms rev/min revs/min r/min",
+    "rpm": "rpm rpms rev/min revs/min r/min 1/min u/min",
     "m": "m meter meters metre metres",
     "km": "km kilometer kilometers kilometre kilometres",
     "cm": "cm centimeter centimeters centimetre centimetres",

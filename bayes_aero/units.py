@@ -17,7 +17,7 @@ import numpy as np
 from bayes_aero.errors import InputError
 from bayes_aero.unit_words import spellings, unclear
 
-__all__ = ["canonical", "from_si", "quantity_to_si", "same_kind", "same_unit", "si_unit", "to_si"]
+__all__ = ["canonical", "from_si", "instant", "quantity_to_si", "same_kind", "same_unit", "si_unit", "to_si"]
 
 # Only products of named units with one-digit powers reach pint, whose parser would evaluate "9**9**9**9" for
 # ever.
@@ -226,3 +226,8 @@ def _mass_of(weight: float, unit: str, where: str) -> str:
     pounds = not same_unit(unit, "N") and not same_unit(unit, "kN")
     slugs = f' or "{_convert(mass, "kg", "slug", where):.6g} slug"' if pounds else ""
     return f'write the mass, weight over g = 9.80665 m/s^2: "{mass:.6g} kg"{slugs}'
+
+
+def instant(time: float) -> str:
+    """A time in s, to a millisecond and however late the clock is: 36002.12, not 3.6e+04."""
+    return f"{time:.3f}".rstrip("0").rstrip(".")

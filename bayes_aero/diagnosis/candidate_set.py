@@ -13,6 +13,8 @@ from jaxtyping import Float, Int
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.effect import NEUTRAL_FLOW, Effect, Kind, Stage, sized
 from bayes_aero.effects import CATALOGUE
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.health.signals import noise_alone
 from bayes_aero.model.joined_records import Recorded
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Prior, Role, per_length
@@ -98,7 +100,7 @@ def candidate_model(
     active = [e for e in model.effects if e not in absent]
     changed = {p.name: p for p in model.parameters}
     owned = {p.name for e in active for p in e.parameters}
-    have = set(flights.channels) | set(DERIVED)
+    have, noise = set(flights.channels) | set(DERIVED), noise_channels(flights)
     candidates, idle, not_testable = [], [], {}
     others = (sized(e, model.lengths) for e in (*CATALOGUE.values(), *extra) if e not in model.effects)
     for effect in (*absent, *others):
@@ -116,6 +118,10 @@ def candidate_model(
             not_testable[effect.name] = f"channel {', '.join(still)} does not move in this record"
             if not lacking and effect.parameters and effect not in absent:
                 idle.append(effect)  # it stays in the compiled model, so that records do not differ by it
+        elif noisy := _rests_on(noise, effect, flights):
+            not_testable[effect.name] = f"channel {', '.join(noisy)} shows nothing but noise in this record"
+            if not lacking and effect.parameters and effect not in absent:
+                idle.append(effect)
         elif lacking:
             not_testable[effect.name] = f"the model has no {', '.join(lacking)}"
         elif {p.name for p in effect.parameters} & owned:
@@ -136,12 +142,42 @@ def candidate_model(
     return CandidateModel(whole, tuple(e.name for e in active), tuple(candidates), not_testable, settings=settings)
 
 
+def noise_channels(flights: Recorded) -> tuple[str, ...]:
+    """Recorded channels that are white noise about a constant: the sideslip of a flight without any."""
+    ends = np.cumsum(flights.lengths)[:-1]
+    found = {n: np.asarray(x) for n, x in flights.channels.items() if n in STANDARD_CHANNELS and n != "time"}
+    return tuple(n for n, x in found.items() if noise_alone(x, *np.split(x, ends)))
+
+
+def _rests_on(noise: Sequence[str], effect: Effect, flights: Recorded) -> tuple[str, ...]:
+    """The noise alone that an effect makes what it makes of; empty where something else moves it, or nothing does.
+
+    A scale of a sideslip that nobody flew would be fitted to the noise of the vane. A bias needs no movement.
+    """
+    own = tuple(n for n in effect.channels if n in noise)
+    of_others = bool(effect.uses) or Stage.CHANNEL < effect.stage < Stage.ATTACHED  # what others make, it needs
+    if not own or of_others or not set(effect.channels) <= set(flights.channels):
+        return ()
+    calm = {n: np.full_like(np.asarray(flights.channels[n], float), np.mean(flights.channels[n])) for n in own}
+    there = _varies(_made(effect, flights, {}))
+    return own if there and not _varies(_made(effect, flights, calm)) else ()
+
+
+def _made(effect: Effect, flights: Recorded, instead: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+    """What an effect of its least size makes of the record, with some channels replaced."""
+    values = {p.name: p.start + effect.sizes.get(p.name, (0.0, 0.0))[0] for p in effect.parameters}
+    signals: dict[str, Any] = {name: np.asarray(x) for name, x in flights.channels.items()} | dict(instead)
+    flow = NEUTRAL_FLOW | ({"incidence": signals["alpha"]} if "alpha" in signals else {})
+    return [np.asarray(x) for x in effect.increments(values, signals, flights.aircraft, flow).values()]
+
+
+def _varies(made: Sequence[np.ndarray]) -> bool:
+    return any(float(np.ptp(x)) > MOVES * float(np.max(np.abs(x))) for x in made)
+
+
 def _moves(effect: Effect, flights: Recorded) -> bool:
     """Whether what an effect makes of its channels together moves: T/(qbar S) does where only the airspeed changes."""
-    values = {p.name: p.start + effect.sizes[p.name][0] for p in effect.parameters}
-    signals: dict[str, Any] = {name: np.asarray(flights.channels[name]) for name in effect.channels}
-    made = effect.increments(values, signals, flights.aircraft, NEUTRAL_FLOW)
-    return any(float(np.ptp(x)) > MOVES * float(np.max(np.abs(x))) for x in map(np.asarray, made.values()))
+    return _varies(_made(effect, flights, {}))
 
 
 def _at_rest(x: np.ndarray) -> bool:

@@ -64,7 +64,7 @@ class DiagnosisSettings:
     unnamed_share: float = 0.1  # of the remaining variance: less is not worth a verdict
     periodic_share: float = 0.25  # the same of a sinusoid: noise alone draws a fifth of the variance into one
     single_share: float = 0.3  # the same on a single manoeuvre: its parts share their slow noise and confirm little
-    stand_in: float = 1.2  # times a named cause's hold-out gain that a function must reach to take its place
+    stand_in: float = 1.2  # times what a named cause gains that a function must reach to take its place
 
     # Parameters that change during the records.
     change_false_alarm_rate: float = 0.005  # with the families of functions below the 5 % of a whole diagnosis

@@ -8,7 +8,7 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.unit_words import spellings
 from bayes_aero.units import canonical
 
-__all__ = ["ALIASES", "plain_heading", "split_heading", "symbol_of"]
+__all__ = ["ALIASES", "only_wanted", "plain_heading", "split_heading", "symbol_of"]
 
 _NAMES: dict[str, str] = {
     "time": "t time utc utctime sec seconds elapsed elapsedtime timestamp tsec gpstime reltime realtime "
@@ -72,9 +72,29 @@ _NAMES: dict[str, str] = {
     "gear": "gear gearpos landinggear",
 }
 
-ALIASES: dict[str, str] = {alias: name for name, text in _NAMES.items() for alias in text.split()} | {
-    name.replace("_", ""): name for name in STANDARD_CHANNELS
-}
+
+def _sided() -> dict[str, str]:
+    """Names of the left and right half of what has two: "aileronr" and "raileron" are not the aileron.
+
+    Only of whole words: "del" and "rde" are too short to say.
+    """
+    pairs = [name.removesuffix("_left") for name in STANDARD_CHANNELS if name.endswith("_left")]
+    return {
+        alias: f"{whole}_{side}"
+        for whole in pairs
+        for word in (whole, *_NAMES.get(whole, "").split())
+        if len(word) > 3
+        for side in ("left", "right")
+        for mark in (side, side[0], f"{side[0]}h")
+        for alias in (word + mark, mark + word)
+    }
+
+
+ALIASES: dict[str, str] = (
+    _sided()
+    | {alias: name for name, text in _NAMES.items() for alias in text.split()}
+    | {name.replace("_", ""): name for name in STANDARD_CHANNELS}
+)
 """Channel by what a heading is called in lower case, without blanks, underscores and units."""
 
 _NO_UNIT_OF_A_NAME = frozenset("1 - -- none nd ratio fraction frac mach min mins minute h hr hour rpm bar".split())  # noqa: SIM905
@@ -145,10 +165,15 @@ _SYMBOLS = frozenset(
 _WANTED = frozenset("cmd command commanded target desired demand demanded ref reference selected sel set".split())  # noqa: SIM905
 
 
+def only_wanted(heading: str) -> bool:
+    """Whether a heading names what was asked for, not what was there: "elevator_cmd"."""
+    return bool(_WANTED & {word.lower() for word in _PARTS.split(heading)})
+
+
 def symbol_of(heading: str) -> str | None:
     """The symbol that a heading ends with, "nx" of "Long. Load Factor nx [g]"; none of a value that was only wanted."""
     bracketed = _BRACKETS.match(heading.strip())
     words = [word for word in _PARTS.split((bracketed[1] if bracketed else heading).lower()) if word]
     while len(words) > 1 and spellings(words[-1]) and words[-1] not in _SYMBOLS:
         words.pop()
-    return words[-1] if words and words[-1] in _SYMBOLS and not _WANTED & set(words) else None
+    return words[-1] if words and words[-1] in _SYMBOLS and not only_wanted(heading) else None

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.errors import InputError
+from bayes_aero.units import instant
 
 __all__ = ["FlightRecord"]
 
@@ -131,14 +132,14 @@ class FlightRecord:
         keep = (self.time >= t0 - slack) & (self.time <= t1 + slack)
         if not keep.any():
             raise InputError(
-                f"record {self.name} has no sample between {t0:g} and {t1:g} s; "
-                f"it runs from {self.time[0]:g} to {self.time[-1]:g} s"
+                f"record {self.name} has no sample between {instant(t0)} and {instant(t1)} s; "
+                f"it runs from {instant(self.time[0])} to {instant(self.time[-1])} s"
             )
         return FlightRecord(
-            name=f"{self.name}_{t0:g}-{t1:g}s",
+            name=f"{self.name}_{instant(t0)}-{instant(t1)}s",
             time=self.time[keep],
             channels={key: values[keep] for key, values in self.channels.items()},
-            source=f"{self.source}, {t0:g} s to {t1:g} s",
+            source=f"{self.source}, {instant(t0)} s to {instant(t1)} s",
             sha256=self.sha256,
             dropped=self.dropped,
         )

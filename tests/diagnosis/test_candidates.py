@@ -79,3 +79,30 @@ def test_sizes_worth_modelling_are_in_the_card_s_lengths(card, clean_records):
     roll, lengths = CATALOGUE["roll_damping"], lengths_of(halved.aircraft)
     assert sized(roll, lengths).sizes["Clp"] == pytest.approx([2.0 * x for x in roll.sizes["Clp"]])
     assert sized(roll, lengths) is sized(roll, lengths), "a model is hashed by its effects"
+
+
+@pytest.mark.parametrize("swing", [0.0, 0.05])
+def test_nothing_is_scaled_or_delayed_that_shows_noise_alone(card, model, clean_records, swing):
+    """Of lateral channels without a manoeuvre constants are left: a scale would be fitted to the noise of the vane."""
+    rng, noisy = np.random.default_rng(5), []
+    for record in clean_records:
+        wave = swing * np.sin(0.7 * record.time)
+        lateral = {n: wave + 0.001 * rng.standard_normal(record.n) for n in ("beta", "phi", "p", "r", "ay")}
+        noisy.append(replace(record, channels={**record.channels, **lateral}))
+    full = candidate_model(model, join(noisy, card))
+    moved = {"sideslip_scale", "bank_angle_scale", "roll_rate_scale", "yaw_rate_scale", "sideslip_lift"}
+    names = {e.name for e in full.candidates}
+    assert {"sideslip_bias", "bank_angle_bias", "roll_rate_bias", "alpha_scale", "pitch_rate_scale"} <= names
+    assert moved & names == (moved if swing else set())
+    assert swing or full.not_testable["sideslip_scale"] == "channel beta shows nothing but noise in this record"
+
+
+def test_every_effect_can_be_asked_where_all_channels_are_noise(card, model, clean_records):
+    """No effect of the catalogue fails for want of what others make, whatever channel is noise."""
+    rng = np.random.default_rng(6)
+    level = {n: np.mean(x) for n, x in clean_records[0].channels.items()}
+    calm = [
+        replace(r, channels={n: x + 1e-3 * rng.standard_normal(r.n) for n, x in level.items()}) for r in clean_records
+    ]
+    for one in (model, Model.of(["attached_lift", "pitching_moment"])):
+        assert "alpha_scale" in candidate_model(one, join(calm, card)).not_testable

@@ -5,12 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayes_aero.diagnosis.consistency.consistency import KnownErrors, consistency, errors_of_path
+from bayes_aero.diagnosis.consistency.consistency import KnownErrors, consistency, errors_of_diagnosis, errors_of_path
 from bayes_aero.diagnosis.consistency.sensor_errors import screen_sensor_errors
-from bayes_aero.flight.agreement import Agreement, Consistency
+from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.flight.agreement import Agreement, Consistency, OpenError
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.report.text.consistency import open_sentences
+from bayes_aero.simulate.injection import flyable
 
 G = 9.80665
 NOISE = {"ax": 0.01, "az": 0.02, "q": 2e-4, "theta": 5e-4, "alpha": 5e-4, "airspeed": 0.1}
@@ -78,3 +80,20 @@ def test_nothing_is_asked_for_where_nothing_is_hidden(bare, seed):
     assert found.agreement is Agreement.AGREE
     assert not [e for e in known.errors.values() if not e["minor"]]
     assert not [e.name for e in found.open if e.asked]
+
+
+@pytest.mark.recovery
+def test_an_error_that_a_diagnosis_is_sure_of_is_not_undecided(card, monkeypatch):
+    """Whatever the flight path alone could not part it from: altitude and drag together part it."""
+    effects, flights = flyable(["accel_x_bias"], seed=5311, noise="white", seconds=90.0)
+    found = diagnose([flight.record for flight in flights], card, seed=1, gains_wanted=False)
+    two = (undecided("accel_x_bias", "pitch_attitude_bias"), undecided("vertical_wind", "alpha_bias"))
+    monkeypatch.setattr("bayes_aero.diagnosis.consistency.consistency.open_errors", lambda _: two)
+    known = errors_of_diagnosis(found)
+    size = known.errors["accel_x_bias"]["parameters"]["accel_x_bias"]
+    assert size["mean"] == pytest.approx(effects["accel_x_bias"]["accel_x_bias"], abs=4.0 * size["sd"])
+    assert [e.name for e in known.open] == ["vertical_wind"]
+
+
+def undecided(name: str, imitator: str) -> OpenError:
+    return OpenError(name=name, unit="1", mean=0.1, sd=0.01, among=0.1, asked=False, imitators=(imitator,), share=0.99)

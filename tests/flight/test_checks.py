@@ -48,7 +48,7 @@ CASES = {
         ("channel time", "backwards", "sample 60 ", "where time starts over"),
     ),
     "gap": ({"time": T + (np.arange(120) > 70) * 0.2}, ("channel time", "gap", "sample 70 ", "0.24 s", "--split")),
-    "jitter": ({"time": put(T, 40, T[40] + 0.002)}, ("channel time", "unevenly", "sample 39 ", "resample = 0.04")),
+    "jitter": ({"time": put(T, 40, T[40] + 0.002)}, ("channel time", "unevenly", "sample 39 ", "--resample 0.04")),
     "milliseconds": ({"time": T * 1e3}, ("channel time", "40 s", "sample 0 ", 'unit = "ms"')),
     "days": ({"time": T / 86400}, ("channel time", "sample 0 ", "days")),
     "alpha in degrees": (

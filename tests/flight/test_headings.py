@@ -3,6 +3,8 @@
 import pytest
 
 from bayes_aero.flight.aliases import ALIASES, plain_heading, split_heading, symbol_of
+from bayes_aero.flight.reading.raw import read_raw
+from bayes_aero.jobs.card.column_inference import guessed
 
 
 @pytest.mark.parametrize(
@@ -50,3 +52,34 @@ def test_a_heading_of_such_words_alone_stays(heading):
 def test_a_symbol_at_the_end_names_the_channel(heading, symbol):
     assert symbol_of(heading) == symbol
     assert symbol is None or symbol in ALIASES
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "whole"),
+    [
+        ("AileronL [deg]", "AileronR [deg]", "aileron"),
+        ("L_Aileron_deg", "R_Aileron_deg", "aileron"),
+        ("SpoilerL", "SpoilerR", "spoiler"),
+        ("Elevator LH (deg)", "Elevator RH (deg)", "elevator"),
+        ("Left Elevon", "Right Elevon", "elevon"),
+        ("ThrottleL", "ThrottleR", "throttle"),
+    ],
+)
+def test_halves_are_told_apart_and_from_the_whole(tmp_path, left, right, whole):
+    """The left aileron alone is no aileron: it would be half of it, with the other sign."""
+    path = tmp_path / "run.csv"
+    path.write_text(f"Time [s],{right},{left}\n" + "\n".join(f"{0.1 * i:.1f},{i},{-i}" for i in range(60)))
+    found, _ = guessed(read_raw(path).columns)
+    assert {name: guess.column.number for name, guess in found.items()} == {
+        "time": 1,
+        f"{whole}_right": 2,
+        f"{whole}_left": 3,
+    }
+
+
+def test_a_command_does_not_resemble_what_it_asks_for(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("Time [s],elevator_cmd [deg]\n" + "\n".join(f"{0.1 * i:.1f},{i}" for i in range(60)))
+    found, unknown = guessed(read_raw(path).columns)
+    assert list(found) == ["time"]
+    assert [column.label for column in unknown] == ["elevator_cmd [deg]"]

@@ -130,7 +130,7 @@ def test_resampling_only_when_asked(tmp_path):
     time[50] += 0.01
     path = tmp_path / "uneven.csv"
     write_record(sound(time=time), path, CHANNELS)
-    with pytest.raises(InputError, match=r"uneven.csv: .*unevenly.*sample 49 .*resample = 0.04"):
+    with pytest.raises(InputError, match=r"uneven.csv: .*unevenly.*sample 49 .*--resample 0.04"):
         read_record(path, CHANNELS)
     record = read_record(path, CHANNELS, resample=0.04)
     check_record(record)

@@ -109,3 +109,54 @@ def test_the_turn_of_the_path_tells_units_that_the_climb_cannot(tmp_path, units,
     np.savetxt(path, np.stack(columns, axis=1), delimiter=",", header=header, comments="", fmt="%.9g")
     found, _ = guessed(read_raw(path).columns)
     assert f"{found['airspeed'].unit} {found['altitude'].unit}" == units
+
+
+def test_noise_tells_neither_the_sign_of_a_rate_nor_that_of_the_elevator(tmp_path):
+    """Wings that stay level and an elevator at rest, recorded with noise: the heading alone counts. Ten records."""
+    time, rng = np.arange(0.0, 60.0, 0.04), np.random.default_rng(3)
+    header = "Time [s],RollRate [deg/s],Roll [deg],PitchRate [deg/s],Pitch [deg],AoA [deg],Elevator [deg]"
+    path = tmp_path / "run.csv"
+    for _ in range(10):
+        noise = 0.05 * rng.standard_normal((6, len(time)))
+        noise[2] += np.cos(0.5 * time)
+        noise[3] += 2.0 * np.sin(0.5 * time)
+        np.savetxt(path, np.stack([time, *noise], axis=1), delimiter=",", header=header, comments="", fmt="%.6g")
+        found, _ = guessed(read_raw(path).columns)
+        assert [found[name].sign for name in ("p", "q", "elevator")] == [1, 1, 1]
+        assert "changes" not in found["p"].evidence
+        assert "follows" not in found["elevator"].evidence
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_sign_of_a_rate_and_of_an_elevator_that_move_is_told(tmp_path, sign):
+    time, rng = np.arange(0.0, 60.0, 0.04), np.random.default_rng(4)
+    q, roll = 3.0 * np.sin(0.8 * time), 10.0 * np.sin(0.6 * time)
+    columns = (sign * np.gradient(roll, time), roll, q, -3.75 * np.cos(0.8 * time), 2.0 * np.sin(0.3 * time))
+    elevator = -sign * 0.4 * np.gradient(q, time)
+    table = np.stack([*columns, elevator], axis=1) + 0.05 * rng.standard_normal((len(time), 6))
+    path = tmp_path / "run.csv"
+    header = "Time [s],RollRate [deg/s],Roll [deg],PitchRate [deg/s],Pitch [deg],AoA [deg],Elevator [deg]"
+    np.savetxt(path, np.column_stack([time, table]), delimiter=",", header=header, comments="", fmt="%.6g")
+    found, _ = guessed(read_raw(path).columns)
+    assert [found[name].sign for name in ("p", "q", "elevator")] == [sign, 1, sign]
+
+
+@pytest.mark.parametrize(("size", "unit"), [(1.0, "rad"), (DEG, "deg")])
+def test_a_heading_in_radians_makes_no_degrees_of_the_rest(tmp_path, size, unit):
+    """Headings to 6.2 rad, attitude and flow angles of a tenth: none can be degrees. And the same in degrees."""
+    time = np.arange(0.0, 40.0, 0.05)
+    heading = np.mod(3.0 + 0.2 * time, 2.0 * np.pi)
+    small = [0.1 + 0.05 * np.sin(f * time) for f in (0.5, 0.7, 0.9)]
+    columns = np.stack([time, heading / size, *(x / size for x in small)], axis=1)
+    path = tmp_path / "run.csv"
+    np.savetxt(path, columns, delimiter=",", header="time,yaw,pitch,roll,alpha", comments="", fmt="%.9g")
+    found, _ = guessed(read_raw(path).columns)
+    assert {found[name].unit for name in ("psi", "theta", "phi", "alpha")} == {unit}
+
+
+def test_revolutions_are_what_one_over_a_minute_counts(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("Time [s],RPM [1/min]\n" + "\n".join(f"{0.1 * i:.1f},{2400 + i}" for i in range(60)))
+    guess = guessed(read_raw(path).columns)[0]["engine_speed"]
+    card = [Channel("time", "s", label="Time [s]"), Channel("engine_speed", str(guess.unit), label=guess.column.label)]
+    np.testing.assert_allclose(read_record(path, card)["engine_speed"][0], 2400.0 * 2.0 * np.pi / 60.0, rtol=1e-9)

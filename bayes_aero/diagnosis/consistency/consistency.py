@@ -111,13 +111,16 @@ def errors_of_path(known: Extension) -> KnownErrors:
 
 
 def errors_of_diagnosis(found: Diagnosis) -> KnownErrors:
-    """Errors of the record that a diagnosis has confirmed, by the flight path or by the coefficients."""
+    """Errors of the record that a diagnosis has confirmed, by the flight path or by the coefficients.
+
+    What it is sure of, it does not call undecided, too.
+    """
     named = {e.name: e for e in found.aerodynamics.state.full.model.effects}
     causes = {c.name: c for c in found.causes if c.sure and named[c.name].kind in SENSOR_KINDS}
     return KnownErrors(
         tuple(named[name] for name in causes),
         {name: _plain(named[name], cause.parameters, minor=False) for name, cause in causes.items()},
-        () if found.sensors is None else open_errors(found.sensors),
+        () if found.sensors is None else tuple(e for e in open_errors(found.sensors) if e.name not in causes),
     )
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.diagnosis.candidate_set import noise_channels
 from bayes_aero.diagnosis.screening.regression import Products
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
 from bayes_aero.inference.variance.autoregression import ORDER
@@ -34,9 +35,13 @@ def families(state: SelectionState) -> tuple[tuple[Sequence[slice], list[Compone
 
 
 def smooth_components(state: SelectionState) -> list[Component]:
-    """A smooth function of every recorded channel that moves, in each coefficient."""
+    """A smooth function of every recorded channel that moves, in each coefficient.
+
+    Not of white noise about a constant, which explains a channel's own noise, and that is what it leaves.
+    """
     signals = state.responses.evaluate(state.theta)[1]
-    names = [n for n in (*state.responses.flights.recorded, "elapsed", "X") if n in signals and n not in SKIPPED]
+    skipped = (*SKIPPED, *noise_channels(state.responses.flights))
+    names = [n for n in (*state.responses.flights.recorded, "elapsed", "X") if n in signals and n not in skipped]
     found = []
     for name in names:
         x = np.asarray(state.responses.block(signals[name]))

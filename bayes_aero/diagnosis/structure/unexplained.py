@@ -20,6 +20,7 @@ from bayes_aero.diagnosis.screening.screening import CandidateScore, explained_s
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
 from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
 from bayes_aero.diagnosis.selection.forward_selection import Extension, removed
+from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.diagnosis.structure.change_result import told
 from bayes_aero.diagnosis.structure.changes import Sought, holdout_gain_of, sought_change, testable
 from bayes_aero.diagnosis.structure.components import families, in_batches, parts_of, share_of, with_components
@@ -206,7 +207,11 @@ def _margin(state: SelectionState, gained: float, known: float) -> float:
 
 
 def _standing_in(extension: Extension) -> tuple[float, _Found] | None:
-    """The same of a function."""
+    """The same of a function, of whose share a part must be left where the causes are in.
+
+    A cause that is a proxy leaves a part of what it stands in for. The true one leaves nothing, and still predicts less
+    than a function of its own channel where the parameters of the model beside it extrapolate.
+    """
     state = extension.state
     own = state.full.own_columns(*state.active)
     best = None
@@ -225,6 +230,13 @@ def _standing_in(extension: Extension) -> tuple[float, _Found] | None:
             columns = trial.component_columns[i]
             gained = holdout_deviance_gain(taken_out, np.concatenate([bare, columns]), bare)
             margin, share = _margin(state, gained, known), share_of(taken_out, columns)
-            if margin > 0.0 and share >= least and (best is None or margin > best[0]):
+            left = share_of(trial, columns) if margin > 0.0 and share >= least else 0.0
+            if left > 0.0 and left_beside(share, left, state.settings) and (best is None or margin > best[0]):
                 best = (margin, _Found(state, components[i], share, float("nan")))
     return best
+
+
+def left_beside(alone: float, beside: float, settings: DiagnosisSettings) -> bool:
+    """Whether a function is more than its causes: its share of the variance `beside` them is no small part of that
+    `alone`, as its gain on hold-out data must exceed theirs."""
+    return beside >= (settings.stand_in - 1.0) * alone

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.table_checks import known_keys, like
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
-from bayes_aero.units import from_si, si_unit, to_si
+from bayes_aero.units import from_si, instant, si_unit, to_si
 
 __all__ = ["Axis", "Lookup", "parse_tables"]
 
@@ -68,7 +68,7 @@ class Lookup:
                 i = int(np.argmax(outside))
                 raise InputError(
                     f"record {record}: {axis.channel} is {axis.shown(x[i])} at sample {i} (counted from 0; t = "
-                    f"{time[i]:.6g} s), outside the card's table of {self.channel}, which goes from {axis.range}, "
+                    f"{instant(time[i])} s), outside the card's table of {self.channel}, which goes from {axis.range}, "
                     f"{int(outside.sum())} of {len(x)} samples in all; extend [tables.{self.channel}], or cut the "
                     "record"
                 )

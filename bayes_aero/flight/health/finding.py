@@ -9,7 +9,7 @@ import numpy as np
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.units import from_si
+from bayes_aero.units import from_si, instant
 
 
 @dataclass(frozen=True)
@@ -77,4 +77,4 @@ def shown(card: Card, name: str, value: float, *, size: bool = False) -> str:
 
 def span(record: FlightRecord, first: int, last: int) -> str:
     """From when to when, in words."""
-    return f"from {record.time[first]:.6g} to {record.time[last]:.6g} s"
+    return f"from {instant(record.time[first])} to {instant(record.time[last])} s"

@@ -17,6 +17,7 @@ CONTROLS = frozenset(
 )
 """Channels that may rightly stand still, step, and rest at a stop."""
 
+NOISY = 0.5  # of the variance: beyond it a function of the channel is one of its noise; our choice
 STEPPED, SMALL = 0.4, 0.1  # share of steps that are smaller than a tenth of the large ones: Gaussian noise has 0.13
 
 
@@ -37,6 +38,16 @@ def noise_of(*parts: np.ndarray) -> float:
         return 0.0
     third = np.concatenate([np.diff(x, 3) for x in parts])
     return float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0))
+
+
+def noise_alone(x: np.ndarray, *parts: np.ndarray) -> bool:
+    """Whether more than half of what (n,) samples scatter about their mean is white noise.
+
+    Args:
+        x: all samples.
+        parts: the same, manoeuvre by manoeuvre; left out, they are one.
+    """
+    return bool(noise_of(*(parts or (x,))) ** 2 > NOISY * float(np.var(x)))
 
 
 def quantum_of(x: np.ndarray) -> float:

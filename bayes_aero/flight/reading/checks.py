@@ -12,7 +12,7 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.flight.reading.plausible import at, implausible, time_hint
 from bayes_aero.flight.reading.segments import GAP
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.units import same_unit
+from bayes_aero.units import instant, same_unit
 
 __all__ = ["JITTER", "MIN_SAMPLES", "check_record", "failures"]
 
@@ -132,8 +132,8 @@ def _monotonic(record: FlightRecord) -> None:
         i = int(np.argmax(step <= 0.0)) + 1
         what = "repeats" if step[i - 1] == 0.0 else "runs backwards from"
         raise InputError(
-            f"channel time {what} {record.time[i - 1]:.9g} s at {at(record, i)}, {int((step <= 0.0).sum())} times in "
-            f"all; time must increase: {_rounding(record) or 'sort the samples, drop the repeated ones, or divide '}"
+            f"channel time {what} {instant(record.time[i - 1])} s at {at(record, i)}, {int((step <= 0.0).sum())} times "
+            f"in all; time must increase: {_rounding(record) or 'sort the samples, drop the repeated ones, or divide '}"
             f"{'' if _rounding(record) else 'the record where time starts over (--split)'}"
         )
 
@@ -185,7 +185,7 @@ def _evenly_sampled(record: FlightRecord) -> None:
         raise InputError(
             f"channel time is sampled unevenly: the step after {at(record, i)} is {step[i]:.6g} s, the median step "
             f"{median:.6g} s, {int(off.sum())} steps differ by more than {JITTER:.0%}; "
-            f"{rounding or 'write time with more digits'}, or ask for resampling (resample = {mean:.4g})"
+            f"{rounding or 'write time with more digits'}, or ask for resampling (--resample {mean:.4g})"
         )
 
 

@@ -17,6 +17,7 @@ from bayes_aero.flight.reading.plausible import without_bad_options
 from bayes_aero.flight.reading.proposals import Proposal, proposals
 from bayes_aero.flight.reading.raw import RawColumn, read_raw
 from bayes_aero.flight.reading.read_record import in_si, read_record
+from bayes_aero.flight.reading.repeats import without_repeats
 from bayes_aero.flight.reading.segments import GAP, cut, samples_of, segment_of
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.units import si_unit
@@ -68,10 +69,11 @@ def inspect_record(path: str | os.PathLike[str], card: Card, *, resample: float 
                 values[channel.name] = _converted(channel, column)
             except InputError as reason:
                 problems.append(str(reason))
-    looked, own = None, slice(None)
+    looked, own, remarks = None, slice(None), raw.remarks
     if "time" in values:
         same = {name: x for name, x in values.items() if len(x) == len(values["time"])}
-        looked = FlightRecord(Path(path).stem, values["time"], same, os.fspath(path), "")
+        looked = without_repeats(FlightRecord(Path(path).stem, values["time"], same, os.fspath(path), ""))
+        remarks += looked.remarks
         try:
             own = samples_of(looked.time, segment)
             looked = cut(looked, segment)
@@ -100,7 +102,7 @@ def inspect_record(path: str | os.PathLike[str], card: Card, *, resample: float 
         problems=tuple(problems),
         record=None if problems else record,
         proposals=proposals(looked, card) if looked is not None and segment.whole and np.isfinite(time).all() else (),
-        remarks=raw.remarks,
+        remarks=remarks,
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel, StandardChannel
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.units import from_si, same_unit, to_si
+from bayes_aero.units import from_si, instant, same_unit, to_si
 
 _DIGITS = ("99", "999", "9999", "99999", "999999", "9999999", "99.99", "999.9", "999.99", "9999.9", "8888")
 _LIMITS = ("32767", "32768", "65535", "1e10", "1e20", "1e30")
@@ -68,7 +68,7 @@ def implausible(record: FlightRecord, known: StandardChannel, channel: Channel |
 
 def at(record: FlightRecord, index: int | np.integer) -> str:
     """A sample in words."""
-    return f"sample {int(index)} (counted from 0; t = {record.time[index]:.6g} s)"
+    return f"sample {int(index)} (counted from 0; t = {instant(record.time[index])} s)"
 
 
 def _filed(value: float, channel: Channel, known: StandardChannel) -> float:

@@ -12,6 +12,7 @@ from bayes_aero.flight.health.across.ground import grounded
 from bayes_aero.flight.health.signals import runs_of
 from bayes_aero.flight.reading.segments import SHORTEST, parts_of
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.units import instant
 
 __all__ = ["Proposal", "proposals"]
 
@@ -99,5 +100,5 @@ def _manoeuvres(part: FlightRecord, offset: int) -> list[tuple[int, int]]:
 def _proposal(record: FlightRecord, a: int, b: int, what: str, forward: bool) -> Proposal:
     begin, end = float(record.time[a]), float(record.time[b - 1])
     number = next((k for k, part in enumerate(parts_of(record.time), 1) if part == (a, b)), None)
-    spec = f"{begin:.6g}:{end:.6g}" if forward or number is None else f"#{number}"
+    spec = f"{instant(begin)}:{instant(end)}" if forward or number is None else f"#{number}"
     return Proposal(spec, what, begin, end)

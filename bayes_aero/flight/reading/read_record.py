@@ -23,6 +23,7 @@ from bayes_aero.flight.readers import READERS
 from bayes_aero.flight.readers.base import Column, Heading, Opened, located
 from bayes_aero.flight.reading.checks import check_record
 from bayes_aero.flight.reading.plausible import without_bad_options
+from bayes_aero.flight.reading.repeats import without_repeats
 from bayes_aero.flight.reading.resample import resample_record
 from bayes_aero.flight.reading.segments import cut, expanded, segment_of
 from bayes_aero.flight.record import FlightRecord
@@ -60,26 +61,7 @@ def read_record(
     name = os.fspath(path)
     try:
         segment = segment_of(path)
-        opens = format_of(segment.file)
-        _refuse_odd_cards(channels)
-        data = bytes_of(segment.file)
-        opened = opens(data)
-        places = located(channels, opened)
-        columns = opened.read(places)
-        if "time" not in columns:
-            raise InputError(
-                "channel time is missing, and a record needs it; set required = true and correct its place"
-            )
-        si = {c.name: in_si(c, columns[c.name], places[c.name]) for c in channels if c.name in columns}
-        record = FlightRecord(
-            name=segment.label,
-            time=si["time"],
-            channels=si,
-            source=name,
-            sha256=hashlib.sha256(data).hexdigest(),
-            remarks=tuple(opened.remarks),
-        )
-        record = without_bad_options(cut(record, segment), channels, blanks=resample is not None)
+        record = without_bad_options(cut(_as_filed(path, channels), segment), channels, blanks=resample is not None)
         check_record(record, even=resample is None, channels=channels)
         if resample is not None:
             record = without_bad_options(resample_record(record, resample), channels)
@@ -87,6 +69,29 @@ def read_record(
     except InputError as reason:
         raise InputError(f"{name}: {reason}") from reason
     return record
+
+
+def _as_filed(path: str | os.PathLike[str], channels: Sequence[Channel]) -> FlightRecord:
+    """The whole file in SI, unchecked, without samples that were written twice."""
+    segment = segment_of(path)
+    opens = format_of(segment.file)
+    _refuse_odd_cards(channels)
+    data = bytes_of(segment.file)
+    opened = opens(data)
+    places = located(channels, opened)
+    columns = opened.read(places)
+    if "time" not in columns:
+        raise InputError("channel time is missing, and a record needs it; set required = true and correct its place")
+    si = {c.name: in_si(c, columns[c.name], places[c.name]) for c in channels if c.name in columns}
+    record = FlightRecord(
+        name=segment.label,
+        time=si["time"],
+        channels=si,
+        source=os.fspath(path),
+        sha256=hashlib.sha256(data).hexdigest(),
+        remarks=tuple(opened.remarks),
+    )
+    return without_repeats(record)
 
 
 def read_records(
@@ -124,13 +129,9 @@ def manoeuvres(
 
 def _time_of(path: str | os.PathLike[str], channels: Sequence[Channel]) -> np.ndarray:
     """(n,) time of the whole file, s."""
-    file = segment_of(path).file
+    clock = [replace(channel, required=True) if channel.name == "time" else channel for channel in channels]
     try:
-        _refuse_odd_cards(channels)
-        opened = format_of(file)(bytes_of(file))
-        clock = [channel for channel in channels if channel.name == "time"]
-        places = located([replace(channel, required=True) for channel in clock], opened)
-        return in_si(clock[0], opened.read(places)["time"], places["time"])
+        return _as_filed(segment_of(path).file, clock).time
     except InputError as reason:
         raise InputError(f"{os.fspath(path)}: {reason}") from reason
 

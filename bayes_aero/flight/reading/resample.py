@@ -9,6 +9,7 @@ import numpy as np
 from bayes_aero.errors import InputError
 from bayes_aero.flight.health.channel.held import held_period
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.units import instant
 
 __all__ = ["MAX_GAP", "resample_record"]
 
@@ -20,6 +21,7 @@ MAX_SAMPLES = 5_000_000
 # Angles that jump by a full turn in files; interpolating across the jump would sweep through the whole
 # circle.
 _WRAPPED = ("phi", "psi", "longitude")
+SHOWN = 4  # parts in a sentence
 _STEPWISE = ("gear",)
 
 
@@ -75,14 +77,27 @@ def _bridged(record: str, name: str, time: np.ndarray, max_gap: float) -> float:
     if len(step) < 3:
         raise InputError(f"record {record}: channel {name} has {len(time)} samples, too few to interpolate between")
     median = float(np.median(step))
-    if (step > max_gap * median).any():
-        i = int(np.argmax(step > max_gap * median))
+    long = np.flatnonzero(step > max_gap * median)
+    if len(long):
+        i = int(long[0])
         raise InputError(
-            f"record {record}: channel {name} has a gap of {step[i]:.6g} s after t = {time[i]:.6g} s, longer than the "
-            f"{max_gap:g} median steps ({max_gap * median:.4g} s) that resampling bridges; cut the record there into "
-            "two (--split, or FILE@FROM:TO)"
+            f"record {record}: channel {name} has a gap of {step[i]:.6g} s after t = {instant(time[i])} s, longer than "
+            f"the {max_gap:g} median steps ({max_gap * median:.4g} s) that resampling bridges; "
+            + (
+                "cut the record there into two (--split, or FILE@FROM:TO)"
+                if name == "time"
+                else f"{_between(time, long)} (there is none in time, so --split does not help), or take the channel "
+                "off the card if it is not needed"
+            )
         )
     return median
+
+
+def _between(time: np.ndarray, gaps: np.ndarray) -> str:
+    """The parts without a channel's gaps, to give instead of the file; of many gaps the first parts."""
+    begin, end = ["", *map(instant, time[gaps + 1])], [*map(instant, time[gaps]), ""]
+    parts = [f"FILE@{a}:{b}" for a, b in zip(begin, end, strict=True)]
+    return f"give {' '.join(parts[:SHOWN])}{' ...' if len(parts) > SHOWN else ''} instead of the file"
 
 
 def _samples(name: str, values: np.ndarray) -> np.ndarray:

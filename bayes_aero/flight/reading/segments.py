@@ -13,6 +13,7 @@ import numpy as np
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.units import instant
 
 __all__ = ["GAP", "Segment", "cut", "expanded", "parts_of", "samples_of", "segment_of"]
 
@@ -52,7 +53,7 @@ class Segment:
             return self.file.stem
         if self.part is not None:
             return f"{self.file.stem}_part{self.part}"
-        begin, end = ("" if limit is None else f"{limit:g}" for limit in (self.begin, self.end))
+        begin, end = ("" if limit is None else instant(limit) for limit in (self.begin, self.end))
         return f"{self.file.stem}_{begin}-{end}"
 
 
@@ -65,7 +66,8 @@ def segment_of(path: str | os.PathLike[str]) -> Segment:
     begin, end = (None if match[key] is None else float(match[key]) for key in ("begin", "end"))
     if begin is not None and end is not None and not begin < end:
         raise InputError(
-            f"{text}: the part from {begin:g} to {end:g} s holds nothing; write FILE@FROM:TO, FROM before TO"
+            f"{text}: the part from {instant(begin)} to {instant(end)} s holds nothing; write FILE@FROM:TO, "
+            "FROM before TO"
         )
     return Segment(Path(match["file"]), begin, end, None if match["part"] is None else int(match["part"]))
 
@@ -109,8 +111,8 @@ def samples_of(time: np.ndarray, segment: Segment) -> slice:
     inside = np.flatnonzero((time >= begin - slack) & (time <= end + slack))
     if not len(inside):
         raise InputError(
-            f"no sample lies in the part from {begin:g} to {end:g} s: its time goes from {time[0]:.6g} to "
-            f"{time[-1]:.6g} s; correct the part"
+            f"no sample lies in the part from {instant(begin)} to {instant(end)} s: its time goes "
+            f"from {instant(time[0])} to {instant(time[-1])} s; correct the part"
         )
     return slice(int(inside[0]), int(inside[-1]) + 1)
 
@@ -161,4 +163,4 @@ def _named(time: np.ndarray) -> list[str | None]:
         return [None]
     if (np.diff(time) <= 0.0).any():
         return [f"#{k}" for k, _, _ in parts]
-    return [f"{time[a]:.9g}:{time[b - 1]:.9g}" for _, a, b in parts]
+    return [f"{time[a]:.15g}:{time[b - 1]:.15g}" for _, a, b in parts]

@@ -18,6 +18,7 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health.signals import noise_of, quantum
 from bayes_aero.flight.reading.checks import MIN_SAMPLES
 from bayes_aero.flight.reading.raw import RawColumn, read_raw
+from bayes_aero.flight.reading.repeats import repeats
 from bayes_aero.flight.reading.segments import parts_of
 from bayes_aero.jobs.card.column_inference import guessed
 from bayes_aero.jobs.card.column_statistics import Guess
@@ -50,7 +51,8 @@ class Starter:
     def parts(self) -> int:
         """Parts of the file between gaps in time."""
         time = self.found["time"].si if "time" in self.found and not self.doubt("time") else np.zeros(1)
-        return sum(end - begin >= MIN_SAMPLES for begin, end in parts_of(time))
+        again = repeats(time, (guess.values for guess in self.found.values() if len(guess.values) == len(time)))
+        return sum(end - begin >= MIN_SAMPLES for begin, end in parts_of(time[~again]))
 
     @property
     def blind(self) -> tuple[str, ...]:

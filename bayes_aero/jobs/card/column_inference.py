@@ -11,14 +11,15 @@ from difflib import get_close_matches
 
 import numpy as np
 
-from bayes_aero.flight.aliases import ALIASES, plain_heading, split_heading, symbol_of
+from bayes_aero.flight.aliases import ALIASES, only_wanted, plain_heading, split_heading, symbol_of
 from bayes_aero.flight.reading.raw import RawColumn
-from bayes_aero.jobs.card.column_statistics import SI, Guess, largest, slope_of, smooth, step_of
+from bayes_aero.jobs.card.column_statistics import FAINT, SI, Guess, alike, largest, slope_of, smooth, step_of
 from bayes_aero.physics.atmosphere import GRAVITY
 from bayes_aero.units import canonical, to_si
 
 ALIKE = 0.84  # likeness of a heading to a known one
 ANGLE = 1.6  # rad; no angle of attack, attitude or deflection of a sound record is larger
+TURN, TURNING = 6.4, ("phi", "psi")  # rad; a heading in radians reaches 6.28, a bank in a roll, too
 THIN = 0.004  # kg/m3; slug/ft3 at sea level are 0.0024, and no aircraft flies where air is as thin in kg/m3
 MIDDLING = 0.9  # kg/m3, within a third of the air's from sea level to 6 km
 USUAL = (("m/s", "m"), ("kt", "ft"), ("ft/s", "ft"), ("km/h", "m"))  # units of airspeed and height in one file
@@ -68,7 +69,7 @@ def _called(column: RawColumn, name: str, loose: bool) -> Guess | None:
         heading = plain_heading(name)
         key = split_heading(heading)[0]
         channel = ALIASES.get(key)
-    if channel is None and loose and len(key) > 3:
+    if channel is None and loose and len(key) > 3 and not only_wanted(name):
         close = get_close_matches(key, ALIASES, n=1, cutoff=ALIKE)
         channel = ALIASES[close[0]] if close else None
         evidence += f" resembles {close[0]!r}" if close else ""
@@ -104,9 +105,9 @@ def _time(found: dict[str, Guess]) -> dict[str, Guess]:
 
 
 def _angles(found: dict[str, Guess]) -> dict[str, Guess]:
-    """Beyond 1.6 it can only be degrees; smaller ones go with the rest of the file."""
+    """Beyond 1.6 it can only be degrees, a heading or bank beyond a turn; smaller ones go with the rest of the file."""
     angles = {name: g for name, g in found.items() if SI.get(name) == "rad"}
-    large = [n for n, g in angles.items() if g.unit is None and largest(g) > ANGLE]
+    large = [n for n, g in angles.items() if g.unit is None and largest(g) > (TURN if n in TURNING else ANGLE)]
     stated = [g.unit for g in angles.values() if g.unit is not None]
     degrees = bool(large) or (bool(stated) and all(u == "deg" for u in stated))
     for name, guess in angles.items():
@@ -126,8 +127,9 @@ def _rates(found: dict[str, Guess]) -> dict[str, Guess]:
         if guess is None:
             continue
         slope = None
-        if step is not None and angle is not None and np.ptp(angle.si) > 0.0:
-            slope = slope_of(guess.values, np.gradient(smooth(np.unwrap(angle.si))) / step)
+        if step is not None and angle is not None:
+            turning = np.gradient(smooth(np.unwrap(angle.si))) / step
+            slope = slope_of(guess.values, turning) if alike(smooth(guess.values), turning) else None
         if slope is None or abs(slope) < 1e-3 or name == "r":  # heading alone tells little of the yaw rate
             unit = guess.unit or ("deg/s" if largest(guess) > ANGLE or _degrees(found) else "rad/s")
             found[name] = guess if guess.unit else guess.because(f"it reaches {largest(guess):.3g}", unit=unit)
@@ -278,18 +280,17 @@ def _elevator(found: dict[str, Guess]) -> dict[str, Guess]:
     if step is None or not all(name in found for name in ("elevator", "q", "alpha")):
         return found
     elevator = found["elevator"]
-    slope = pitch_response(elevator.si, found["alpha"].si, found["q"].si, step)
-    if slope == 0.0:
+    slope = _pitch_response(elevator.si, found["alpha"].si, found["q"].si, step)
+    if slope is None:
         return found
     why = f"pitch acceleration follows it with {slope:+.2g} 1/s^2 a rad; trailing edge down positive has a minus"
     return found | {"elevator": elevator.because(why, sign=-1 if slope > 0.0 else 1)}
 
 
-def pitch_response(elevator: np.ndarray, alpha: np.ndarray, q: np.ndarray, step: float) -> float:
-    """Pitch acceleration a rad of elevator, 1/s^2, by least squares beside alpha and q; 0 if it stands still."""
-    if np.ptp(elevator) == 0.0:
-        return 0.0
+def _pitch_response(elevator: np.ndarray, alpha: np.ndarray, q: np.ndarray, step: float) -> float | None:
+    """Pitch acceleration a rad of elevator, 1/s^2, beside alpha and q; None where it is not told from noise."""
     q = smooth(q)
-    columns = [elevator, alpha, q, np.ones_like(q)]
-    slope, *_ = np.linalg.lstsq(np.stack([smooth(x) for x in columns], axis=1), np.gradient(q) / step, rcond=None)
-    return float(slope[0])
+    beside = np.stack([smooth(alpha), q, np.ones_like(q)], axis=1)
+    both = np.stack([smooth(elevator), np.gradient(q) / step], axis=1)
+    own, turning = (both - beside @ np.linalg.lstsq(beside, both, rcond=None)[0]).T
+    return slope_of(own, turning) if alike(own, turning, FAINT) else None

@@ -12,6 +12,8 @@ from bayes_aero.flight.reading.raw import RawColumn
 from bayes_aero.units import to_si
 
 SI = {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
+FOLLOWS = 0.5  # correlation of a rate with the angle that it changes; our choice
+FAINT = 0.25  # correlation beyond that of noise, within 0.2 in smoothed records of 2000 samples; our choice
 
 
 @dataclass(frozen=True)
@@ -66,3 +68,8 @@ def slope_of(x: np.ndarray, y: np.ndarray) -> float | None:
     x, y = x - np.mean(x), y - np.mean(y)
     power = float(x @ x)
     return float(x @ y) / power if power > 0.0 else None
+
+
+def alike(x: np.ndarray, y: np.ndarray, least: float = FOLLOWS) -> bool:
+    """Whether one of two signals follows the other, upright or reversed: what is mostly noise tells no sign."""
+    return bool(min(np.ptp(x), np.ptp(y)) > 0.0 and abs(np.corrcoef(x, y)[0, 1]) > least)

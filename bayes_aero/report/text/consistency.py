@@ -8,6 +8,7 @@ from typing import Any
 from bayes_aero.flight.agreement import Agreement, Consistency, Departure, OpenError
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.report.text.phrases import for_people, several
+from bayes_aero.units import instant
 
 SHOWN = 4  # departures in the sentence
 FOLLOWS = {
@@ -58,8 +59,8 @@ def _departure(d: Departure) -> str:
     standard = STANDARD_CHANNELS[d.channel]
     unit, factor = for_people(standard.unit)
     return (
-        f"{d.channel} ({standard.description}) of {d.record} does not follow {FOLLOWS[d.channel]} from {d.begin:.4g} "
-        f"to {d.end:.4g} s, by {factor * d.rms:.2g} {unit} root mean square (noise permits "
+        f"{d.channel} ({standard.description}) of {d.record} does not follow {FOLLOWS[d.channel]} from "
+        f"{instant(d.begin)} to {instant(d.end)} s, by {factor * d.rms:.2g} {unit} root mean square (noise permits "
         f"{factor * d.permitted:.2g} {unit})"
     )
 

@@ -22,6 +22,9 @@ FOR_PEOPLE = {
 KINDS = {
     re.compile(r"channel (.+) was not recorded"): "because a channel was not recorded ({})",
     re.compile(r"channel (.+) does not move in this record"): "because a channel does not move ({})",
+    re.compile(
+        r"channel (.+) shows nothing but noise in this record"
+    ): "because a channel shows nothing but noise ({})",
     re.compile(r"the model has no (.+)"): "because the model lacks a parameter ({})",
 }
 """Reasons that name something, as the screening states them, and the words under which they are counted."""

@@ -13,6 +13,7 @@ from bayes_aero.flight.health.readings import DENSITY0, thinness
 from bayes_aero.flight.health.signals import runs_of
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.flight.tolerances import GRAVITY
+from bayes_aero.units import instant
 
 LIFT = 4.5  # lift coefficient that no wing has, for a load factor of one
 SLOW = 0.25  # of the speed that the record keeps in its faster half, where the card states no wing
@@ -27,7 +28,7 @@ def on_ground(record: FlightRecord, card: Card) -> list[HealthFinding]:
     runs = grounded(record, card)
     if not runs:
         return []
-    parts = " and ".join(f"{record.time[a]:.6g} to {record.time[b]:.6g} s" for a, b in runs[:3])
+    parts = " and ".join(f"{instant(record.time[a])} to {instant(record.time[b])} s" for a, b in runs[:3])
     seconds = sum(b - a + 1 for a, b in runs) * record.dt
     slow = np.median(np.concatenate([record["airspeed"][a : b + 1] for a, b in runs]))
     sentence = (

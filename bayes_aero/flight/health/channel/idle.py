@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
 
 from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.health.finding import HealthFinding, found
+from bayes_aero.flight.health.finding import HealthFinding, found, span
 from bayes_aero.flight.health.signals import runs_of
 from bayes_aero.flight.record import FlightRecord
 
@@ -37,7 +37,7 @@ def idle(record: FlightRecord, card: Card) -> list[HealthFinding]:  # noqa: ARG0
         return []
     first, last = max(runs, key=lambda run: run[1] - run[0])
     sentence = (
-        f"no manoeuvre is flown from {record.time[first]:.6g} to {record.time[last]:.6g} s ({', '.join(have[:3])} and "
+        f"no manoeuvre is flown {span(record, first, last)} ({', '.join(have[:3])} and "
         "all else hardly move): this part only adds noise; cut it out, or keep it for the estimates of biases"
     )
     return [found(record, "record", "idle", sentence, at=(first, last), grave=False)]
