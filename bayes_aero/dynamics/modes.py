@@ -183,7 +183,8 @@ def _trimmed(
     u = {name: trim.controls.get(name, 0.0) for name in (*CONTROLS, "aileron", "rudder", *SURFACES)}
     u |= {"thrust": trim.thrust, "altitude": trim.state["altitude"]}
     u |= {f"thrust_{side}": 0.5 * trim.thrust for side in ("left", "right")}
-    return dict(trim.state), {name: jnp.asarray(x, float) for name, x in u.items()}
+    x, u = ({name: jnp.asarray(value, float) for name, value in given.items()} for given in (trim.state, u))
+    return x, u  # arrays: one program for every trim
 
 
 def _body(model: Model, values: Mapping[str, Any], aircraft: Aircraft, held: tuple[str, ...]) -> RigidBody:
