@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import equinox as eqx
@@ -96,10 +96,13 @@ def rigid_trim(model: Model, values: Values, aircraft: Aircraft, condition: Cond
     controls = tuple(name for name, _ in control_signs(model, values, aircraft, condition.airspeed).values())
     body = RigidBody(model, values, aircraft)
     angles = ("alpha", "theta", *(n for n, x in _given_or_free(condition).items() if x is None))
+    given = {name: x for name, x in asdict(condition).items() if name not in ("sideslip", "bank", "turn_rate")}
+    given |= {name: x for name, x in _given_or_free(condition).items() if x is not None}
+    given = {name: jnp.asarray(x, float) for name, x in given.items()}  # arrays: one program for every condition
     unknown = np.zeros(len(angles) + 1 + len(controls))
     unknown[:2], unknown[len(angles)] = 0.08, 0.1
     for _ in range(MAX_ITERATIONS):
-        imbalance, slope = _linear(body, condition, angles, controls, jnp.asarray(unknown))
+        imbalance, slope = _linear(body, given, angles, controls, jnp.asarray(unknown))
         imbalance, slope = np.asarray(imbalance), np.asarray(slope)
         if not (np.all(np.isfinite(imbalance)) and np.all(np.isfinite(slope))):
             break
@@ -117,28 +120,27 @@ def _given_or_free(condition: Condition) -> dict[str, float | None]:
 @eqx.filter_jit
 def _linear(
     body: RigidBody,
-    condition: Condition,
+    given: Mapping[str, Float[Array, ""]],
     angles: tuple[str, ...],
     controls: tuple[str, ...],
     unknown: Float[Array, " k"],
 ):
-    """Accelerations and climb that are not balanced, and their derivative by the unknowns."""
-    given = {name: jnp.asarray(x, float) for name, x in _given_or_free(condition).items() if x is not None}
-    given |= {"airspeed": jnp.asarray(condition.airspeed), "altitude": jnp.asarray(condition.altitude)}
+    """Accelerations and climb that are not balanced, and their derivative by the unknowns; `given` is what the
+    `Condition` states."""
     weight = body.aircraft.mass * GRAVITY
 
     def imbalance(z):
-        s = given | dict(zip(angles, z, strict=False))
+        s = dict(given) | dict(zip(angles, z, strict=False))
         turn = s.pop("turn_rate")
         thrust = z[len(angles)] * weight
         s |= dict(zip(RATES, (turn * x for x in down_of(s["phi"], s["theta"])), strict=True))
         u = {n: jnp.zeros_like(z[0]) for n in (*CONTROLS, "aileron", "rudder", *SURFACES)}
         u |= dict(zip(controls, z[len(angles) + 1 :], strict=True)) | {"thrust": thrust}
-        u |= {f"thrust_{n}": 0.5 * thrust * (1.0 + f * condition.unequal) for n, f in (("left", 1.0), ("right", -1.0))}
+        u |= {f"thrust_{n}": 0.5 * thrust * (1.0 + f * given["unequal"]) for n, f in (("left", 1.0), ("right", -1.0))}
         x = jnp.stack([jnp.asarray(s.get(name, 0.0), float) for name in body.start])
         state = body.state_at_start(body.complete_start(x, u))
         rates = dict(zip(body.states, body.motion(state, u)[0], strict=True))
-        climb = rates["altitude"] / condition.airspeed - jnp.sin(condition.climb)
+        climb = rates["altitude"] / given["airspeed"] - jnp.sin(given["climb"])
         return jnp.stack([*(rates[name] for name in ("airspeed", "alpha", "beta", "p", "q", "r")), climb])
 
     return imbalance(unknown), jax.jacfwd(imbalance)(unknown)
