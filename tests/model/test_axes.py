@@ -35,12 +35,13 @@ LONGITUDINAL_CANDIDATES = """
 
 
 def everything_recorded() -> FlightRecord:
-    """A record that has every channel, none at rest."""
-    rng, n = np.random.default_rng(0), 200
-    channels = {name: rng.normal(0.0, 0.1, n) for name in STANDARD_CHANNELS if name != "time"}
+    """A record that has every channel, none at rest or mere noise."""
+    rng, time = np.random.default_rng(0), np.arange(200) * 0.04
+    names = [name for name in STANDARD_CHANNELS if name != "time"]
+    waves = {name: np.sin(rng.uniform(1.0, 4.0) * time + rng.uniform(0.0, 6.0)) for name in names}
     around = {"airspeed": 80.0, "density": 1.0, "thrust": 9e3, "az": -9.8, "mach": 0.3, "altitude": 5e3}
-    channels |= {name: x + 0.01 * rng.normal(0.0, 1.0, n) for name, x in around.items()}
-    return FlightRecord.from_arrays("run", np.arange(n) * 0.04, channels)
+    channels = {name: around[name] + 0.02 * x if name in around else 0.14 * x for name, x in waves.items()}
+    return FlightRecord.from_arrays("run", time, channels)
 
 
 def candidates(card, axes) -> CandidateModel:
