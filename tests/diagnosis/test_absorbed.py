@@ -64,7 +64,8 @@ def test_what_a_rudder_at_rest_takes_up_has_the_size_that_it_has_with_a_usual_ru
     assert found.estimate[0] == pytest.approx(USUAL + hidden / held, abs=0.01)
     assert found.usual == (USUAL, WIDTH)
     assert found.members == {"rudder_yaw", "yaw_offset"}
-    mean, sd = found.sizes["yaw_offset"]
+    size = found.sizes["yaw_offset"]
+    mean, sd = size.mean, size.sd
     assert mean == pytest.approx(hidden, rel=0.02)
     assert sd == pytest.approx(WIDTH * held, rel=0.05)
 
@@ -96,7 +97,7 @@ def test_a_verdict_of_no_effect_is_not_decided_then(diagnosed):
 
 
 def test_it_is_said_with_both_values_and_the_sizes_that_follow(diagnosed):
-    sizes = {"thrust_scale": (-0.1, 0.2)}
+    sizes = {"thrust_scale": Size(-0.1, 0.2, "1")}
     one = Absorbed("elevator_moment", "Cmde", "1/rad", "elevator", (-0.2, 0.01), (-1.0, 0.5), sizes)
     said = diagnosis_sentences(replace(diagnosed.view.diagnosis, absorbed=(one,)))
     (sentence,) = (x for x in said if "elevator does not move" in x)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.regression import inverse
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection.forward_selection import Extension
@@ -28,8 +29,8 @@ class Absorbed:
     """A `parameter` of the card's `effect` that acts through a `control` at rest, and what it may have taken up.
 
     `estimate` and `usual` are its value in the fit and that of its prior, each with its deviation. `sizes`: by effect,
-    how large each would be, were it the whole cause and the parameter as usual; SI, with a deviation that knows the
-    prior's width.
+    how large each would be, were it the whole cause and the parameter as usual, with a deviation that knows the prior's
+    width.
     """
 
     effect: str
@@ -38,7 +39,7 @@ class Absorbed:
     control: str
     estimate: tuple[float, float]
     usual: tuple[float, float]
-    sizes: dict[str, tuple[float, float]]
+    sizes: dict[str, Size]
 
     @property
     def members(self) -> frozenset[str]:
@@ -80,7 +81,7 @@ def _at_rest(state: SelectionState, column: int) -> bool:
     return square > 0.0 and float(np.sum((S - S.mean(axis=0)) ** 2)) < AT_REST**2 * square
 
 
-def _taken_up(found: Extension, column: int) -> dict[str, tuple[float, float]]:
+def _taken_up(found: Extension, column: int) -> dict[str, Size]:
     """Sizes of the candidates that the parameter of a column hides, by name."""
     state, fit = found.state, found.fit
     fewer, hidden = fit.columns[fit.columns != column], {}
@@ -96,7 +97,7 @@ def _taken_up(found: Extension, column: int) -> dict[str, tuple[float, float]]:
             continue
         mean, sd = _size(found, column, int(at), fewer)
         if least <= abs(mean) <= largest:
-            hidden[effect.name] = mean, sd
+            hidden[effect.name] = Size(mean, sd, effect.parameters[0].unit)
     return hidden
 
 

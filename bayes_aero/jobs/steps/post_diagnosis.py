@@ -50,7 +50,7 @@ def separations(diagnosis: Diagnosis, progress: Progress | None = None) -> list[
     sets = dict(list(sets.items())[:SETS])
     for one in diagnosis.absorbed:
         parameters = {p.name: e.name for e in state.full.candidates for p in e.parameters}
-        sets.setdefault(one.members, {p: abs(one.sizes[e][0]) for p, e in parameters.items() if e in one.sizes})
+        sets.setdefault(one.members, {p: abs(one.sizes[e].mean) for p, e in parameters.items() if e in one.sizes})
     if not sets:
         return []
     if progress:

@@ -116,8 +116,7 @@ def _absorbed(d: Diagnosis) -> list[str]:
     """Parameters of controls at rest, and what they may have taken up."""
     said = []
     for one in d.absorbed:
-        units = {e.name: p.unit for e in d.aerodynamics.state.full.candidates for p in e.parameters}
-        sizes = [f"{name} {size_text(mean, sd, units[name])}" for name, (mean, sd) in one.sizes.items()]
+        sizes = [f"{name} {size_text(x.mean, x.sd, x.unit)}" for name, x in one.sizes.items()]
         said.append(
             f"The {one.control} does not move in these records, so {one.parameter} takes up what stays constant: it is "
             f"{size_text(*one.estimate, one.unit)}. With its usual value, {size_text(*one.usual, one.unit)}, there "
