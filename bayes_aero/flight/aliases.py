@@ -8,7 +8,7 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.unit_words import spellings
 from bayes_aero.units import canonical
 
-__all__ = ["ALIASES", "only_wanted", "plain_heading", "split_heading", "symbol_of"]
+__all__ = ["ALIASES", "is_command", "plain_heading", "split_heading", "symbol_of"]
 
 _NAMES: dict[str, str] = {
     "time": "t time utc utctime sec seconds elapsed elapsedtime timestamp tsec gpstime reltime realtime "
@@ -165,8 +165,8 @@ _SYMBOLS = frozenset(
 _WANTED = frozenset("cmd command commanded target desired demand demanded ref reference selected sel set".split())  # noqa: SIM905
 
 
-def only_wanted(heading: str) -> bool:
-    """Whether a heading names what was asked for, not what was there: "elevator_cmd"."""
+def is_command(heading: str) -> bool:
+    """Whether a heading names a command or a reference, not a measured position: "elevator_cmd"."""
     return bool(_WANTED & {word.lower() for word in _PARTS.split(heading)})
 
 
@@ -176,4 +176,4 @@ def symbol_of(heading: str) -> str | None:
     words = [word for word in _PARTS.split((bracketed[1] if bracketed else heading).lower()) if word]
     while len(words) > 1 and spellings(words[-1]) and words[-1] not in _SYMBOLS:
         words.pop()
-    return words[-1] if words and words[-1] in _SYMBOLS and not only_wanted(heading) else None
+    return words[-1] if words and words[-1] in _SYMBOLS and not is_command(heading) else None

@@ -40,8 +40,8 @@ from bayes_aero.report.figures.trajectories import fly_figures
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.fly import FlyContext, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES
-from bayes_aero.report.tables.filtered import posterior_table
-from bayes_aero.report.tables.fly import drift_history_table, gust_table, parameter_table
+from bayes_aero.report.tables.filtered import drift_history_table, gust_table, posterior_table
+from bayes_aero.report.tables.fly import parameter_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.drift import drift_sentences
 from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences
@@ -220,7 +220,7 @@ def _written(
     if progress:
         progress("report", 0.95)
     shown = {path.stem: path for path in drawn}
-    told = FlyContext(
+    context = FlyContext(
         card,
         records,
         source,
@@ -234,7 +234,7 @@ def _written(
         found.posteriors,
         found.motion,
     )
-    failed = put_page(lambda: fly_page(found.flown, told), out)
+    failed = put_page(lambda: fly_page(found.flown, context), out)
     return noted((), failed) if failed else found
 
 

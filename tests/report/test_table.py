@@ -13,7 +13,8 @@ from rich.console import Console
 
 from bayes_aero.diagnosis.trajectories.results import GustHistory, ProcessNoise
 from bayes_aero.report.html.page_table import page_table
-from bayes_aero.report.tables.fly import error_table, gust_table
+from bayes_aero.report.tables.filtered import gust_table
+from bayes_aero.report.tables.fly import error_table
 from bayes_aero.report.tables.table import Change, Column, Estimate, Table, cell_text, columns_of, write_csv
 from bayes_aero.report.text.phrases import plus_minus
 

@@ -1,8 +1,8 @@
 """Constants that a control at rest takes up.
 
 A rudder that is held aside makes a yawing moment that stays, as uneven engines do. Where it does not move, its
-derivative is known from that constant alone, and what else is constant stands for election in vain: the derivative has
-taken it up. The record then does not decide between an unusual derivative and the other cause.
+derivative is known from that constant alone. It takes up what else is constant, and the selection finds nothing. The
+record then does not decide between an unusual derivative and the other cause.
 """
 
 from __future__ import annotations

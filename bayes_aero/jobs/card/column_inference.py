@@ -11,7 +11,7 @@ from difflib import get_close_matches
 
 import numpy as np
 
-from bayes_aero.flight.aliases import ALIASES, only_wanted, plain_heading, split_heading, symbol_of
+from bayes_aero.flight.aliases import ALIASES, is_command, plain_heading, split_heading, symbol_of
 from bayes_aero.flight.reading.raw import RawColumn
 from bayes_aero.jobs.card.column_statistics import FAINT, SI, Guess, alike, largest, slope_of, smooth, step_of
 from bayes_aero.physics.atmosphere import GRAVITY
@@ -69,7 +69,7 @@ def _called(column: RawColumn, name: str, loose: bool) -> Guess | None:
         heading = plain_heading(name)
         key = split_heading(heading)[0]
         channel = ALIASES.get(key)
-    if channel is None and loose and len(key) > 3 and not only_wanted(name):
+    if channel is None and loose and len(key) > 3 and not is_command(name):
         close = get_close_matches(key, ALIASES, n=1, cutoff=ALIKE)
         channel = ALIASES[close[0]] if close else None
         evidence += f" resembles {close[0]!r}" if close else ""

@@ -121,19 +121,19 @@ def _guesses(taken: Sequence[Taken]) -> tuple[Block, ...]:
         )
         for t in taken
     )
-    sentences = "Names are from the headings, units and signs from the physics of the values. Read the evidence."
+    text = "Names are from the headings, units and signs from the physics of the values. Read the evidence."
     head = ("channel", "column", "unit", "sign", "range in the file", "evidence")
-    return (Text(sentences), Table("Guesses", head, rows, words=(5,))) if rows else ()
+    return (Text(text), Table("Guesses", head, rows, words=(5,))) if rows else ()
 
 
 def _unknown(view: StarterView) -> tuple[Block, ...]:
     if not view.unknown:
         return ()
-    sentences = "They stand in the card as comments; give them a name there if the model needs them."
+    text = "They stand in the card as comments; give them a name there if the model needs them."
     places = tuple(rest.place + (": no numbers" if rest.values is None else "") for rest in view.unknown)
     panels = [
         Panel(f"{rest.place} {bracket(rest.unit or 'unit?')}", (Line("recorded", COLOURS["measured"], rest.values),))
         for rest in view.unknown
         if rest.values is not None
     ]
-    return (Text(sentences), Points(places), *_drawn(view, "time-rest", "Columns without a name", ASIS, panels))
+    return (Text(text), Points(places), *_drawn(view, "time-rest", "Columns without a name", ASIS, panels))

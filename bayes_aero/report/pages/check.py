@@ -89,9 +89,9 @@ def _sensors(report: CheckReport) -> tuple[Block, ...]:
     rows = tuple((name, e["claim"], sizes(e), faint[e["minor"]]) for name, e in s.errors.items())
     head = ("error", "claim", "size ± sd", "remark")
     table = Table("Errors estimated along the flight path", head, rows, words=(1, 2, 3)).lean()
-    sentences = f"{left_over(report)[:1].upper()}{left_over(report)[1:]}."
+    text = f"{left_over(report)[:1].upper()}{left_over(report)[1:]}."
     listed = open_list(report.consistency)
-    return (*bullets(sensor_sentences(report)), *listed, *((table,) if rows else ()), Text(sentences))
+    return (*bullets(sensor_sentences(report)), *listed, *((table,) if rows else ()), Text(text))
 
 
 def _channels(report: CheckReport) -> tuple[Block, ...]:

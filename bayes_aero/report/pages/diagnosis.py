@@ -143,8 +143,8 @@ def _causes(d: Diagnosis, rankings: Sequence[Ranking], gallery: Gallery) -> tupl
         blocks.append(Text("No cause is named. The leading candidates:"))
     if d.minor:
         verb = "were" if len(d.minor) > 1 else "was"
-        sentences = f"{several(d.minor)} {verb} in the model during the selection"
-        blocks.append(Text(f"Too small to be named: {sentences}."))
+        text = f"{several(d.minor)} {verb} in the model during the selection"
+        blocks.append(Text(f"Too small to be named: {text}."))
     leaders = [replace(ranking, candidate_scores=ranking.leaders) for ranking in rankings]
     listed = [page_table(screen_table([ranking], d)) for ranking in leaders]
     blocks += [WORDS, Fold("Every candidate's score before anything was added", (*listed, *gallery.folded("ranking")))]

@@ -50,12 +50,12 @@ def picture_words(found: Sequence[Described]) -> tuple[str, str]:
 
 def _counted(found: Sequence[Described], aircraft: str | None) -> str:
     kinds = Counter(effect["kind"] for effect in found)
-    sentences = f"{len(found)} effects: {several(f'{n} of {kind}' for kind, n in sorted(kinds.items()))}"
+    text = f"{len(found)} effects: {several(f'{n} of {kind}' for kind, n in sorted(kinds.items()))}"
     proposed = sum(effect["proposed_by_diagnose"] for effect in found)
-    sentences += f"; diagnose screens {proposed} of them"
+    text += f"; diagnose screens {proposed} of them"
     if aircraft:
-        sentences += f"; {sum(bool(effect['model']) for effect in found)} are in the card's model"
-    return sentences + "."
+        text += f"; {sum(bool(effect['model']) for effect in found)} are in the card's model"
+    return text + "."
 
 
 def _kind(kind: str, found: Sequence[Described]) -> Section:

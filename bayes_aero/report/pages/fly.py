@@ -34,7 +34,7 @@ from bayes_aero.report.html.pictures import Gallery
 from bayes_aero.report.html.plots import LOW, Line, Panel
 from bayes_aero.report.pages.trajectories import Curve, axis_label, over_measured, sources
 from bayes_aero.report.tables import fly as tables
-from bayes_aero.report.tables.filtered import one_step_table, posterior_table
+from bayes_aero.report.tables.filtered import drift_table, one_step_table, posterior_table, process_noise_table
 from bayes_aero.report.tables.motion import mode_table, test_table
 from bayes_aero.report.text.drift import drift_sentences
 from bayes_aero.report.text.fly import errors_of_all
@@ -135,13 +135,13 @@ def _flights(flown: TrajectoryFit) -> tuple[Block, ...]:
     began = "from the measured initial state" if free else "from the fixed initial state"
     what_fits = "parameters and initial state" if free else "parameters"
     what = "Recorded accelerations and rates" if flown.of_path else "The recorded inputs"
-    sentences = (
+    text = (
         f"{what} drive the simulation, without correction by measurements: with the first values of the parameters "
         f"{began} (dashed), and with {what_fits} fitted. The error of the fit is shaded."
     )
     if any(error.tolerance is not None for path in flown.paths for error in path.errors.values()):
-        sentences += " The grey band is the tolerance about the measurement."
-    return (Text(sentences), *remark, *plots)
+        text += " The grey band is the tolerance about the measurement."
+    return (Text(text), *remark, *plots)
 
 
 def _inputs(flown: TrajectoryFit, order: int) -> list[Panel]:
@@ -174,7 +174,7 @@ def _parameters(flown: TrajectoryFit, context: FlyContext) -> tuple[Block, ...]:
         *(
             ()
             if found is None or not found.converged
-            else (page_table(tables.process_noise_table(found, flown, context.posteriors)),)
+            else (page_table(process_noise_table(found, flown, context.posteriors)),)
         ),
         *_gusts(context),
         symbols(parameters, [p.name for p in parameters], conventions(context.card)),
@@ -266,7 +266,7 @@ def _drift(context: FlyContext) -> tuple[Block, ...]:
     )
     alt = f"Time histories of the parameters that drift. Changes from start to end, SI: {by}."
     pictures = Gallery(context.figures, {"drift": (caption, alt)})("drift")
-    return (*bullets(drift_sentences(found)), page_table(tables.drift_table(found)), *pictures)
+    return (*bullets(drift_sentences(found)), page_table(drift_table(found)), *pictures)
 
 
 def _provenance(source: Mapping[str, Any]) -> tuple[Block, ...]:

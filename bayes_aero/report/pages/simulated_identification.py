@@ -22,14 +22,14 @@ def given_flights(paths: Sequence[Path], card: Card) -> tuple[Block, ...]:
         return ()
     units = {name: STANDARD_CHANNELS[name].unit for name in paths[0].errors}
     _, listed = first([path.manoeuvre for path in paths])
-    sentences = (
+    text = (
         "A simulation with the fitted coefficients and the recorded inputs from the measured initial state, without "
         "correction by measurements. Small errors of a coefficient accumulate here, so trajectories can drift although "
         "the coefficients agree. Nothing was fitted to these trajectories: bayes-aero fly fits trajectories, and "
         "bayes-aero diagnose names missing effects."
     )
     if any(error.tolerance is not None for error in paths[0].errors.values()):
-        sentences += " The grey band is the tolerance about the measurement."
+        text += " The grey band is the tolerance about the measurement."
     what = "Measured outputs, and those simulated with the fitted coefficients,"
     plots = [
         over_measured(
@@ -42,4 +42,4 @@ def given_flights(paths: Sequence[Path], card: Card) -> tuple[Block, ...]:
         for path in paths
         if not path.inside
     ]
-    return (Text(sentences), *lost, *listed, *plots, page_table(given_table(paths)), *sources(card, units))
+    return (Text(text), *lost, *listed, *plots, page_table(given_table(paths)), *sources(card, units))

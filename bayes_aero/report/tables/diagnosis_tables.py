@@ -105,8 +105,8 @@ def probability(value: float) -> str:
 
 
 def _if_removed(c: Cause) -> str:
-    sentences = f"{-c.missed[0]:+.1f} ± {c.missed[1]:.1f}" if np.isfinite(c.missed[0]) else NONE
-    return sentences if c.confirmed else f"{sentences} *"
+    text = f"{-c.missed[0]:+.1f} ± {c.missed[1]:.1f}" if np.isfinite(c.missed[0]) else NONE
+    return text if c.confirmed else f"{text} *"
 
 
 def _change(c: Cause, name: str, kind: str) -> Change | None:

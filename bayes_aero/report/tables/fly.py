@@ -1,17 +1,12 @@
-"""Tables of a fit to trajectories: parameters, errors, tolerances, initial states, and process noise."""
+"""Tables of a fit to trajectories: parameters, errors, tolerances, initial states."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from bayes_aero.diagnosis.trajectories.drift import Drift, DriftChange, Drifted
-from bayes_aero.diagnosis.trajectories.results import FITTED, START, Error, ProcessNoise, TrajectoryFit
-from bayes_aero.inference.posterior.posterior import Posterior
+from bayes_aero.diagnosis.trajectories.results import FITTED, START, Error, TrajectoryFit
 from bayes_aero.parameter import Prior
-from bayes_aero.report.tables.comparison import engine_label
-from bayes_aero.report.tables.filtered import interval_of
 from bayes_aero.report.tables.table import (
     NONE,
     Change,
@@ -23,7 +18,7 @@ from bayes_aero.report.tables.table import (
     or_dash,
     parameter_columns,
 )
-from bayes_aero.report.text.phrases import axis_label, decimals, for_people, number, plain_unit, short
+from bayes_aero.report.text.phrases import axis_label, decimals, for_people, number, short
 
 MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound", "undetermined": "not determined"}
 MAX_RELATIVE_ERROR = 100.0  # standard error over value from which digits of the value are not shown
@@ -205,102 +200,3 @@ def _signed(x: float) -> str:
 
 def _label(flown: TrajectoryFit, channel: str) -> str:
     return axis_label(channel, flown.units.get(channel, "1"))
-
-
-def process_noise_table(
-    found: ProcessNoise, flown: TrajectoryFit, posteriors: Mapping[str, Posterior] | None = None
-) -> Table:
-    """Every parameter by output error and with process noise, and its credible interval where it was sampled."""
-    fit = flown.fit
-    every = zip(fit.parameters, fit.estimate, fit.sd_corrected, strict=True)
-    rows = [(p, Estimate(float(x), float(sd))) for p, x, sd in every if p.name in found.estimates]
-    ours, theirs = "output error", "with process noise"
-    return Table(
-        [
-            Column([p.name for p, _ in rows], page="parameter", terminal=""),
-            Column([plain_unit(p.unit) for p, _ in rows], page="unit"),
-            Column([estimate for _, estimate in rows], "", ours, ours, in_brackets),
-            Column([Estimate(*found.estimates[p.name]) for p, _ in rows], "", theirs, theirs, in_brackets),
-            *(
-                Column([interval_of(posterior.marginals[p.name]) for p, _ in rows], "", head, head)
-                for key, posterior in (posteriors or {}).items()
-                for head in [f"95 % {engine_label(key)}"]
-            ),
-        ],
-        "Parameters with and without process noise",
-        "In brackets: the standard error in units of the last digit; for output error with autocorrelated "
-        "residuals, with process noise for white innovations.",
-        terminal_note="SI and radians; standard errors in brackets in units of the last digit, with process noise for "
-        "white innovations.",
-    )
-
-
-def gust_table(found: ProcessNoise) -> Table:
-    """A row for each sample: manoeuvre, time (s), mean and standard deviation of each gust (m/s)."""
-    column = columns_of([(h, k) for h in found.histories for k in range(len(h.time))])
-    names = dict.fromkeys(name for h in found.histories for name in h.gusts)
-    gusts = (
-        column(lambda r, name=name: Estimate(*(x[r[1]] for x in r[0].gusts[name])), (name, f"{name}_sd"))
-        for name in names
-    )
-    return Table(
-        [column(lambda r: r[0].manoeuvre, "manoeuvre"), column(lambda r: r[0].time[r[1]], "time"), *gusts], index=2
-    )
-
-
-def drift_history_table(found: Drift) -> Table:
-    """A row for each sample: manoeuvre, time (s); of each drifting parameter value, standard deviation, and that of
-    its change from the begin (SI)."""
-    column = columns_of([(h, k) for h in found.histories for k in range(len(h.time))])
-    values = (
-        column(
-            lambda r, name=name: tuple(x[r[1]] for x in r[0].values[name]), (name, f"{name}_sd", f"{name}_change_sd")
-        )
-        for name in found.parameters
-    )
-    return Table(
-        [column(lambda r: r[0].manoeuvre, "manoeuvre"), column(lambda r: r[0].time[r[1]], "time"), *values], index=2
-    )
-
-
-class _Changed(NamedTuple):
-    """One parameter over one manoeuvre."""
-
-    name: str
-    found: Drifted
-    manoeuvre: str
-    change: DriftChange
-
-
-def drift_table(found: Drift) -> Table:
-    """Every drifting parameter and manoeuvre: intensity of the drift, its p-value, and the change.
-
-    Where innovations are not white there are no p-values.
-    """
-    sound = found.usable and not found.coloured
-    rows = [_Changed(n, p, m, change) for n, p in found.parameters.items() for m, change in p.changes.items()]
-    column = columns_of(rows)
-    return Table(
-        [
-            column(lambda r: r.name, "", "parameter", ""),
-            column(lambda r: plain_unit(r.found.unit), "", "unit"),
-            column(lambda r: r.found.intensity[0], "", "intensity", "per √s", 2),
-            column(lambda r: r.found.ratio, "", "likelihood ratio", "ratio", ".1f"),
-            column(lambda r: r.found.p if sound else None, "", "p", "p", 2),
-            column(lambda r: r.manoeuvre, "", "manoeuvre", "manoeuvre"),
-            column(lambda r: Estimate(*found.estimates[r.name]), "", "at the begin", "begin", in_brackets),
-            column(lambda r: Estimate(*r.change.size), "", "change to the end", "change", in_brackets),
-            column(
-                lambda r: r.change.times[1] if r.name in found.changed and r.change.seen else None,
-                "",
-                "half of it by, s",
-                "half by, s",
-                ".1f",
-            ),
-        ],
-        "Parameters that drift",
-        "Intensity: standard deviation of the change in a second, in the unit of the parameter. Likelihood ratio: "
-        "against no drift of this parameter. Changes in the unit of the parameter, SI and radians; in brackets: the "
-        "standard error in units of the last digit, for white innovations.",
-        terminal_note="SI and radians. per √s: standard deviation of the change in a second.",
-    )

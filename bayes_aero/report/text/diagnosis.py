@@ -50,30 +50,30 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
 
 
 def _cause(cause: Cause) -> str:
-    sentences = f"{cause.name}: {cause.claim}"
+    text = f"{cause.name}: {cause.claim}"
     if cause.ambiguous_with:
-        sentences += f" On this record {several(cause.ambiguous_with)} would explain the data about as well."
+        text += f" On this record {several(cause.ambiguous_with)} would explain the data about as well."
     if cause.bounded:
-        sentences += f" {several(cause.bounded)} is at a parameter bound: suspect another cause."
+        text += f" {several(cause.bounded)} is at a parameter bound: suspect another cause."
     for name, largest in cause.implausible.items():
         most = size_text(largest, 0.0, cause.parameters[name].unit if name in cause.parameters else "1")
-        sentences += f" {name} is larger than on any aircraft (at most {most}): suspect another cause."
+        text += f" {name} is larger than on any aircraft (at most {most}): suspect another cause."
     if cause.own_share < LITTLE:
         share = f"{100.0 * cause.own_share:.1f} %" if cause.own_share >= 0.001 else "less than 0.1 %"
-        sentences += (
+        text += (
             f" The record hardly excites it: other parameters reproduce all but {share} of its contribution, so small "
             "model errors change its estimate strongly."
         )
     if not cause.excited:
-        sentences += " Not every manoeuvre excites it."
+        text += " Not every manoeuvre excites it."
     lost, sd = cause.missed
     if np.isfinite(lost) and cause.confirmed:
-        sentences += f" Removing it degrades hold-out prediction: log density {-lost:+.1f} ± {sd:.1f}."
+        text += f" Removing it degrades hold-out prediction: log density {-lost:+.1f} ± {sd:.1f}."
     elif np.isfinite(lost):
         model = "simulation" if cause.stage == "flight path" else "extended model"
-        sentences += f" Hold-out data do not confirm it (removed: log density {-lost:+.1f} ± {sd:.1f})"
-        sentences += f"; the {model} omits it."
-    return sentences
+        text += f" Hold-out data do not confirm it (removed: log density {-lost:+.1f} ± {sd:.1f})"
+        text += f"; the {model} omits it."
+    return text
 
 
 def _taken_over(d: Diagnosis) -> list[str]:

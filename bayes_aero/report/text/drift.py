@@ -97,13 +97,13 @@ def _change(found: ParameterChange) -> str:
         else f"at {found.at:.1f} s of {found.manoeuvre}{span}"
     )
     back = "" if found.lasts else ", and the value before in later records"
-    sentences = (
+    text = (
         f"Changed: {found.parameter} has another value {when}: {size_text(*found.before, found.unit)} before, "
         f"{size_text(*found.after, found.unit)} after{back}, a change of {size_text(*found.size, found.unit)} "
         f"({found.share:.0%} of the remaining variance)."
     )
     if found.ambiguous_with:
-        sentences += f" On this record {several(found.ambiguous_with)} would explain the data about as well."
+        text += f" On this record {several(found.ambiguous_with)} would explain the data about as well."
     if found.parameter in REASONS:
-        sentences += f" Possible reasons are {REASONS[found.parameter]}; the record does not determine which."
-    return f"{sentences} `bayes-aero fly --drift {found.parameter}` shows it over time."
+        text += f" Possible reasons are {REASONS[found.parameter]}; the record does not determine which."
+    return f"{text} `bayes-aero fly --drift {found.parameter}` shows it over time."

@@ -26,12 +26,12 @@ def gust_sentences(gusts: Mapping[str, float], fit: ProcessNoise | None = None) 
     if not gusts:
         return []
     estimated = several(f"{name} {size:.2g} m/s" for name, size in gusts.items())
-    sentences = (
+    text = (
         f"The flight path alone, without aerodynamics, shows gusts (standard deviation: {estimated}). Such a record "
         "needs process noise; --no-process-noise leaves it out."
     )
     better = " Use the estimates with process noise: in gusts those of output error are biased."
-    return [sentences + (better if fit is not None and fit.preferred else "")]
+    return [text + (better if fit is not None and fit.preferred else "")]
 
 
 def settled_sentences(
@@ -55,10 +55,10 @@ def settled_sentences(
     listed = several(f"{name} {x:.4g} ± {sd:.2g}" for name, (x, sd) in other.items())
     if apart:
         verb = "differs" if len(apart) == 1 else "differ"
-        sentences = f"With process noise {several(apart)} still {verb} from the coefficients ({listed})"
-        return [(why if asked else "") + f"{sentences}: the model lacks an effect, or a sensor is wrong."]
-    sentences = f"With process noise {names} agree{'s' * (len(found) == 1)} with the coefficients ({listed})"
-    return [(why if asked else "") + f"{sentences}: prefer them to those of output error."]
+        text = f"With process noise {several(apart)} still {verb} from the coefficients ({listed})"
+        return [(why if asked else "") + f"{text}: the model lacks an effect, or a sensor is wrong."]
+    text = f"With process noise {names} agree{'s' * (len(found) == 1)} with the coefficients ({listed})"
+    return [(why if asked else "") + f"{text}: prefer them to those of output error."]
 
 
 def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[str]:

@@ -39,10 +39,8 @@ def simulation_gain(flown: Trajectories) -> str:
     besides = [f"with {flown.lag.effect}"] if flown.lag is not None and flown.lag.kept else []
     besides += [f"without {several(flown.out)}"] if flown.out else []
     model = f" ({several(besides)})" if besides else ""
-    sentences = (
-        f"On hold-out flights the extended model{model} changes the RMS error of the simulation: {several(listed)}."
-    )
-    return " ".join([sentences, *status_sentences(flown)])
+    text = f"On hold-out flights the extended model{model} changes the RMS error of the simulation: {several(listed)}."
+    return " ".join([text, *status_sentences(flown)])
 
 
 def trajectory_sentences(flown: Trajectories) -> list[str]:

@@ -84,13 +84,13 @@ def tested_sentences(d: Diagnosis) -> list[str]:
         f"{SYMBOLS.get(name, name)} {_size(name, one.fitted)} (noise {_size(name, one.noise)})"
         for name, one in d.tested.outputs.items()
     ]
-    sentences = f"The RMS error of the extended model, fitted to all flights, is {several(listed)}."
+    text = f"The RMS error of the extended model, fitted to all flights, is {several(listed)}."
     if d.tested.beyond:
-        sentences += (
+        text += (
             f" More than half of the mean square error of {several(SYMBOLS.get(n, n) for n in d.tested.beyond)} is not "
             "noise. Possible causes are turbulence, a sensor error, or an effect that the model lacks."
         )
-    return [sentences]
+    return [text]
 
 
 def _size(output: str, value: float) -> str:
@@ -102,8 +102,8 @@ def _named(cause: Cause, sized: bool) -> str:
     """Its name, its size if requested, and its rivals."""
     sizes = ", ".join(size_text(x.mean, x.sd, x.unit) for x in cause.parameters.values()) if sized else ""
     rivals = f"or {' or '.join(cause.ambiguous_with)}" if cause.ambiguous_with else ""
-    sentences = ", ".join(part for part in (sizes, rivals) if part)
-    return f"{cause.name} ({sentences})" if sentences else cause.name
+    text = ", ".join(part for part in (sizes, rivals) if part)
+    return f"{cause.name} ({text})" if text else cause.name
 
 
 def _doubtful(d: Diagnosis) -> str:
