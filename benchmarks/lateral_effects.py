@@ -1,11 +1,12 @@
 """Hide a lateral effect in flights of another simulator in six degrees of freedom, and diagnose.
 
-    python benchmarks/lateral_effects.py 120 [--first 0] [--out lateral]
+    python benchmarks/lateral_effects.py 120 [--first 0] [--silent] [--out lateral]
 
 Aircraft are drawn at random and flown by `tests/stranger_six.py`, which shares no code with the package: elevator,
 aileron and rudder, each twice, 25 Hz, white noise. The card has the true model but for one thing. Of four flights one
 has nothing hidden, one something of `UNKNOWN`, which no effect of the catalogue makes, and two an effect of `HIDDEN`:
-an aerodynamic one that is left off the card, or an error of the aircraft's constants or of a sensor.
+an aerodynamic one that is left off the card, or an error of the aircraft's constants or of a sensor. With `--silent`
+those with nothing hidden are flown alone.
 One line of OUT/lateral.jsonl each; goes on where it stopped.
 """
 
@@ -149,6 +150,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("count", type=int)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--silent", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("lateral"))
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
@@ -156,7 +158,7 @@ if __name__ == "__main__":
     done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     with path.open("a") as file:
         for seed in range(given.first, given.first + given.count):
-            if seed not in {row["seed"] for row in done}:
+            if seed not in {row["seed"] for row in done} and not (given.silent and hidden(seed)):
                 done.append(case(seed))
                 give_back_memory()
                 file.write(json.dumps(done[-1]) + "\n")
