@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from importlib import resources
 from types import SimpleNamespace
 
+import jsonschema
 import numpy as np
 import pytest
 from test_mixing import part
@@ -20,6 +23,7 @@ from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.axes import Axis
+from bayes_aero.jobs.io.diagnosis_json import absorbed_results
 from bayes_aero.model.model import Model
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
 
@@ -103,3 +107,13 @@ def test_it_is_said_with_both_values_and_the_sizes_that_follow(diagnosed):
     (sentence,) = (x for x in said if "elevator does not move" in x)
     for told in ("Cmde", "-0.200 ± 0.010", "-1.00 ± 0.50", "thrust_scale", "cannot tell which"):
         assert told in sentence
+
+
+def test_a_reader_of_the_file_gets_the_same_numbers(diagnosed):
+    sizes = {"thrust_scale": Size(-0.1, 0.2, "1")}
+    one = Absorbed("elevator_moment", "Cmde", "1/rad", "elevator", (-0.2, 0.01), (-1.0, 0.5), sizes)
+    schema = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("diagnosis.schema.json").read_text())
+    written = absorbed_results(replace(diagnosed.view.diagnosis, absorbed=(one,)))
+    jsonschema.validate(written, schema["properties"]["absorbed"] | {"$defs": schema["$defs"]})
+    assert written[0]["usual"] == {"mean": -1.0, "sd": 0.5}
+    assert written[0]["sizes"] == {"thrust_scale": {"mean": -0.1, "sd": 0.2, "unit": "1"}}

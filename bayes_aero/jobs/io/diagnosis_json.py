@@ -78,6 +78,7 @@ def diagnosis_results(
         "unexplained": unknown_results(d.unknown),
         "changes": [change_results(one) for one in d.changes],
         "cancelling": cancelling_results(d),
+        "absorbed": absorbed_results(d),
         "noise": noise_results(d.noise),
         "not_testable": dict(d.not_testable),
         "screening": screen(d, view.rankings),
@@ -136,6 +137,22 @@ def change_results(found: ParameterChange) -> dict[str, Any]:
         "elpd": found.gain,
         "ambiguous_with": list(found.ambiguous_with),
     }
+
+
+def absorbed_results(d: Diagnosis) -> list[dict[str, Any]]:
+    """Derivatives of controls at rest that may have taken up an effect."""
+    return [
+        {
+            "effect": one.effect,
+            "parameter": one.parameter,
+            "unit": one.unit,
+            "control": one.control,
+            "estimate": {"mean": one.estimate[0], "sd": one.estimate[1]},
+            "usual": {"mean": one.usual[0], "sd": one.usual[1]},
+            "sizes": {name: {"mean": x.mean, "sd": x.sd, "unit": x.unit} for name, x in one.sizes.items()},
+        }
+        for one in d.absorbed
+    ]
 
 
 def cancelling_results(d: Diagnosis) -> list[dict[str, Any]]:
