@@ -20,12 +20,15 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from detectability import standard_scores
 from stranger_records import HIDDEN, Recorder, flown
 
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.inference.compiled_programs import give_back_memory
+
+CLEAR = 6.0  # standard errors of the first screening
 
 
 def case(seed: int, gusts: float, poor: bool, manoeuvres: int, silent: bool, process_noise: bool | None = None) -> dict:
@@ -42,6 +45,7 @@ def case(seed: int, gusts: float, poor: bool, manoeuvres: int, silent: bool, pro
         "seed": seed,
         "hidden": name,
         "size": size,
+        "score": None if name is None else standard_scores(found, {name: {HIDDEN[name][0]: size}}).get(name, 0.0),
         "verdict": found.verdict.value,
         "causes": {c.name: {p: [s.mean, s.sd] for p, s in c.parameters.items()} for c in found.causes},
         "ambiguous": {c.name: c.ambiguous_with for c in found.causes},
@@ -65,7 +69,7 @@ def inside(row: dict) -> bool | None:
 
 
 def report(rows: list[dict]) -> None:
-    """Counts, and a line for each record that is not named alone."""
+    """Counts, those of a size that is clear, and a line for each record that is not named alone."""
     silent = [r for r in rows if r["hidden"] is None]
     print(f"nothing hidden: silent {sum(r['verdict'] == 'no_effect' for r in silent)} of {len(silent)}")
     some = [r for r in rows if r["hidden"]]
@@ -73,10 +77,14 @@ def report(rows: list[dict]) -> None:
     alone = sum(list(r["causes"]) == [r["hidden"]] and r["verdict"] == "explained" for r in some)
     held = [x for x in map(inside, some) if x is not None]
     print(f"one effect: named first {first} of {len(some)}, nothing else named or unexplained {alone}")
+    clear = [r for r in some if r.get("score", 0.0) >= CLEAR]
+    print(f"of at least {CLEAR:g} standard errors: named first {sum(map(named_first, clear))} of {len(clear)}")
     print(f"its 95 % interval holds the size {sum(held)} of {len(held)}")
     for r in some:
         if list(r["causes"]) != [r["hidden"]] or r["verdict"] != "explained":
-            print(f"  seed {r['seed']}: {r['hidden']} {r['size']:.3g}: {r['causes']}, unexplained {r['unexplained']}")
+            print(
+                f"  seed {r['seed']}: {r['hidden']} {r['size']:.3g} ({r.get('score', 0.0):.1f}): {r['causes']}, unexplained {r['unexplained']}"
+            )
 
 
 if __name__ == "__main__":
