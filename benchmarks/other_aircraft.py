@@ -82,9 +82,8 @@ def report(rows: list[dict]) -> None:
     print(f"its 95 % interval holds the size {sum(held)} of {len(held)}")
     for r in some:
         if list(r["causes"]) != [r["hidden"]] or r["verdict"] != "explained":
-            print(
-                f"  seed {r['seed']}: {r['hidden']} {r['size']:.3g} ({r.get('score', 0.0):.1f}): {r['causes']}, unexplained {r['unexplained']}"
-            )
+            size = f"{r['size']:.3g} ({r.get('score', 0.0):.1f})"
+            print(f"  seed {r['seed']}: {r['hidden']} {size}: {r['causes']}, unexplained {r['unexplained']}")
 
 
 if __name__ == "__main__":
