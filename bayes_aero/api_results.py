@@ -19,7 +19,13 @@ from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.jobs.steps.post_diagnosis import predictors
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES
 from bayes_aero.report.style import NotDrawn
-from bayes_aero.report.tables.diagnosis_tables import causes_table, changes_table, scores_frame, screen_table
+from bayes_aero.report.tables.diagnosis_tables import (
+    causes_table,
+    changes_table,
+    scores_frame,
+    screen_table,
+    terms_table,
+)
 from bayes_aero.report.tables.run_tables import parameter_table, validation_table
 from bayes_aero.report.text.consistency import consistency_sentences
 from bayes_aero.report.text.diagnosis import sentences
@@ -128,6 +134,15 @@ class Diagnosed:
             difference with standard errors, p-value, hold-out gain and rivals.
         """
         return changes_table(self.view.diagnosis).frame()
+
+    def terms(self) -> pd.DataFrame:
+        """Forms of the structure that no effect of the catalogue explains, in SI and radians.
+
+        Returns:
+            A row per term; columns for its coefficient, factor with standard error, share of the variance left,
+            hold-out gain, probability, and terms that the records do not tell from it.
+        """
+        return terms_table(self.view.diagnosis).frame()
 
     @property
     def _coefficients(self) -> View:

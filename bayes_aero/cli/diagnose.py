@@ -56,6 +56,12 @@ def diagnose(
         bool | None,
         typer.Option(help="Estimate gusts, and search in what a filter does not foresee; default: if there are gusts."),
     ] = None,
+    write_effect: Annotated[
+        Path | None,
+        typer.Option(
+            help="Effect file (.py) for the terms by which unexplained structure is described.", metavar="FILE"
+        ),
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Find the effects that a model lacks: size, uncertainty, rivals, and the gain on hold-out data.
@@ -64,9 +70,12 @@ def diagnose(
     """
     (card, flights), hidden = card_and_records(model, records or [], resample, split), None
     with loading():
+        from bayes_aero.jobs.catalogue.effect_file import refuse_existing, write_effects
         from bayes_aero.jobs.diagnose import diagnose_records, hide_one
         from bayes_aero.jobs.options import DiagnoseOptions
 
+    if write_effect is not None:
+        refuse_existing(write_effect)
     console = teller(quiet=json, highlight=True)
     with interruptible(kept_stages(out, taken_up=True)), bar("reading" if records else "simulating") as tell:
         if not records:
@@ -74,6 +83,9 @@ def diagnose(
             hidden, flights = hide_one(card, seed)
         options = DiagnoseOptions(seed, max_effects, predictors, trajectories, figures, process_noise)
         found = diagnose_records(flights, card, options, out=out, hidden=hidden, progress=tell)
+    if write_effect is not None:
+        told = write_effects(found.diagnosis.terms, [record.name for record in flights], write_effect)
+        console.print(told, highlight=False, soft_wrap=True)
     corrects = found.diagnosis.by_coefficients  # trajectories alone are fitted to the record as it is
     if json:
         typer.echo((out / "diagnosis.json").read_text(encoding="utf-8"), nl=False)

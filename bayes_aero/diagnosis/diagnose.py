@@ -104,6 +104,7 @@ def diagnose(
         compared=found.stages[-1][0],
         gusts=gusts,
         changes=found.changes,
+        terms=found.terms,
         absorbed=taken_up,
     )
 

@@ -13,6 +13,7 @@ from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.selection.absorbed import Absorbed
 from bayes_aero.diagnosis.selection.collinear import CancellingPair
 from bayes_aero.diagnosis.selection.forward_selection import Extension
+from bayes_aero.diagnosis.terms.result import FoundTerm
 from bayes_aero.inference.scores import COLOURED_INNOVATIONS, Scores
 from bayes_aero.parameter import Parameter
 
@@ -239,6 +240,7 @@ class Diagnosis:
     compared: str = COEFFICIENTS  # with what the model was compared: the name of its stage
     gusts: Mapping[str, float] = field(default_factory=dict)  # m/s, of records that asked for process noise by them
     changes: tuple[ParameterChange, ...] = ()  # parameters that take another value during the records
+    terms: tuple[FoundTerm, ...] = ()  # forms of the structure that no effect of the catalogue explains
     absorbed: tuple[Absorbed, ...] = ()  # parameters of controls at rest, and effects that they may have taken up
 
     @property

@@ -83,7 +83,7 @@ def diagnose_records(
     progress: Progress | None = None,
 ) -> Outcome:
     """Diagnose, as `bayes-aero diagnose` does, by coefficients or, where an accelerometer is missing, by trajectories
-    alone; with `out` it writes diagnosis.json, causes.csv, changes.csv, screen.csv,
+    alone; with `out` it writes diagnosis.json, causes.csv, changes.csv, terms.csv, screen.csv,
     histories.nc, figures and report.html. The same call after an interruption takes up the stages that are there.
 
     A stage that fails is left out, and the reason is a note. `hidden` is what simulated records hide, for the

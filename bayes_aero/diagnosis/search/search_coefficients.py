@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from bayes_aero.diagnosis.candidate_set import candidate_model
-from bayes_aero.diagnosis.result import COEFFICIENTS, FLIGHT_PATH
+from bayes_aero.diagnosis.result import COEFFICIENTS, FLIGHT_PATH, UnexplainedStructure
 from bayes_aero.diagnosis.screening.accuracy import filtered_channels
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.search.search_result import SearchResult
@@ -16,6 +16,7 @@ from bayes_aero.diagnosis.selection.residuals import noise_report
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.diagnosis.structure.components import has_chunks
 from bayes_aero.diagnosis.structure.unexplained import Left, unexplained
+from bayes_aero.diagnosis.terms.forms import Forms, forms_of
 from bayes_aero.effect import Effect
 from bayes_aero.errors import attempted
 from bayes_aero.flight.card.card import Card
@@ -53,17 +54,30 @@ def search_coefficients(
         lambda: unexplained(both.aerodynamics, seed=seed + 2000),
         Left((), ()),
     )
-    aerodynamics = _withdrawn(both.aerodynamics, left.replaced)
+    found, failed = attempted(
+        "The form of unexplained structure was not sought",
+        lambda: forms_of(both.aerodynamics, left, seed=seed + 3000),
+        Forms((), ()),
+    )
+    aerodynamics = _withdrawn(both.aerodynamics, (*left.replaced, *found.replaced))
     named = [] if both.sensors is None else [(FLIGHT_PATH, both.sensors)]
     return SearchResult(
         full,
         (*named, (COEFFICIENTS, aerodynamics)),
-        left.unknown,
+        _described(left.unknown, found),
         noise_report(aerodynamics, outliers),
         (*_filtered(flights), *_too_short(aerodynamics.state), *_denials(both)),
-        failures,
+        (*failures, *failed),
         changes=left.changes,
+        terms=found.terms,
     )
+
+
+def _described(unknown: Sequence[UnexplainedStructure], found: Forms) -> tuple[UnexplainedStructure, ...]:
+    """Structure by the first function that shows it, where terms describe all of it."""
+    known = {term.coefficient for term in found.terms}
+    first = {u.coefficient: u for u in reversed(unknown)}
+    return tuple(u for u in unknown if u.coefficient not in known or u is first[u.coefficient])
 
 
 def _withdrawn(found: Extension, names: Sequence[str]) -> Extension:

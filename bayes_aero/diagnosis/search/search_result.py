@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.result import NoiseReport, ParameterChange, UnexplainedStructure
 from bayes_aero.diagnosis.selection.forward_selection import Extension
+from bayes_aero.diagnosis.terms.result import FoundTerm
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.coefficient_names import required_of
@@ -28,6 +29,7 @@ class SearchResult:
     failures: tuple[str, ...] = ()  # parts that failed unexpectedly
     testable_now: bool = True
     changes: tuple[ParameterChange, ...] = ()
+    terms: tuple[FoundTerm, ...] = ()
 
     @property
     def model(self) -> Extension:

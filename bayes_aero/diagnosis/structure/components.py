@@ -1,4 +1,4 @@
-"""Functions that are candidates in place of effects: smooth ones of recorded channels, and periods."""
+"""Functions that are candidates in place of effects: smooth ones of channels, periods, products of channels."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ from jaxtyping import Float
 from bayes_aero.diagnosis.candidate_set import noise_channels
 from bayes_aero.diagnosis.screening.regression import Products
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
+from bayes_aero.diagnosis.terms.columns import columns_of
 from bayes_aero.inference.variance.autoregression import ORDER
 
 PERIODS = tuple(np.round(np.geomspace(0.6, 30.0, 48), 3))  # s
+_OVER_TIME = " over time, period "
 SKIPPED = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot", "alpha_dot")  # responses themselves, not causes
 
 
@@ -31,7 +33,8 @@ def families(state: SelectionState) -> tuple[tuple[Sequence[slice], list[Compone
     s, alone = state.settings, len(state.responses.flights.lengths) == 1
     channel, wave = (s.single_share, s.single_share) if alone else (s.unnamed_share, s.periodic_share)
     smooth = state.folds, smooth_components(state), channel
-    return (smooth, (_chunks(state), periodic_components(state), wave)) if has_chunks(state) else (smooth,)
+    periodic = [(_chunks(state), periodic_components(state), wave)] if has_chunks(state) else []
+    return (smooth, *periodic, (state.folds, term_components(state), channel))
 
 
 def smooth_components(state: SelectionState) -> list[Component]:
@@ -52,6 +55,16 @@ def smooth_components(state: SelectionState) -> list[Component]:
     return found
 
 
+def term_components(state: SelectionState) -> list[Component]:
+    """Every term of the library in each coefficient; a product is no function of one channel."""
+    return [column.component for name in state.outputs for column in columns_of(state, name)]
+
+
+def is_periodic(component: Component) -> bool:
+    """Whether it is a sinusoid, whose phases another manoeuvre does not know."""
+    return _OVER_TIME in component.label
+
+
 def periodic_components(state: SelectionState) -> list[Component]:
     """A sinusoid of each period and free phase in each manoeuvre, in each coefficient."""
     elapsed = np.asarray(state.responses.block(state.responses.flights.channels["elapsed"]))
@@ -63,7 +76,7 @@ def periodic_components(state: SelectionState) -> list[Component]:
         phase = 2.0 * np.pi * elapsed / period
         wave = np.stack([np.sin(phase), np.cos(phase)], axis=1)
         basis = np.concatenate([wave * (manoeuvre == k)[:, None] for k in range(int(manoeuvre[-1]) + 1)], axis=1)
-        found += [_of_one(state.outputs, f"{c} over time, period {period:.3g} s", c, basis) for c in state.outputs]
+        found += [_of_one(state.outputs, f"{c}{_OVER_TIME}{period:.3g} s", c, basis) for c in state.outputs]
     return found
 
 

@@ -28,11 +28,13 @@ from bayes_aero.diagnosis.structure.components import families, in_batches, part
 
 @dataclass(frozen=True)
 class Left:
-    """Unknown structure, named causes that were only its proxies, and parameters that change."""
+    """Unknown structure, named causes that were only its proxies, parameters that change, and the functions by which
+    the structure was found."""
 
     unknown: tuple[UnexplainedStructure, ...]
     replaced: tuple[str, ...]
     changes: tuple[ParameterChange, ...] = ()
+    functions: tuple[Component, ...] = ()
 
 
 class _Found(NamedTuple):
@@ -56,7 +58,7 @@ def unexplained(extension: Extension, *, seed: int) -> Left:
         found.append(one)
         state = one.state
     if found:
-        return _left(extension, found, _superfluous(state, extension.causes, [f.component for f in found]))
+        return _left(extension, found, superfluous(state, extension.causes, [f.component for f in found]))
     stand_in = _proxies(extension, seed)
     return Left((), ()) if stand_in is None else _left(extension, [stand_in], extension.causes)
 
@@ -73,7 +75,8 @@ def _left(extension: Extension, found: Sequence[_Found], replaced: tuple[str, ..
         else:
             coefficient, channel = one.component.label.split(" over ")
             unknown.append(UnexplainedStructure(coefficient, channel, one.share, one.p_value))
-    return Left(tuple(unknown), replaced, tuple(changes))
+    functions = tuple(one.component for one in found if one.change is None)
+    return Left(tuple(unknown), replaced, tuple(changes), functions)
 
 
 def taken_out(state: SelectionState, effects: Sequence[str]) -> SelectionState:
@@ -89,7 +92,7 @@ def taken_out(state: SelectionState, effects: Sequence[str]) -> SelectionState:
     return replace(state, theta=theta, mean=mean, residual=residual, products=products, active=active)
 
 
-def _superfluous(state: SelectionState, causes: Sequence[str], chosen: Sequence[Component]) -> tuple[str, ...]:
+def superfluous(state: SelectionState, causes: Sequence[str], chosen: Sequence[Component]) -> tuple[str, ...]:
     """Named causes of which little is left once the components are in: they had stood in for them."""
     deviance, count = _with(state, chosen)
     dropped = []

@@ -16,6 +16,7 @@ from bayes_aero.diagnosis.result import (
     Tested,
     UnexplainedStructure,
 )
+from bayes_aero.diagnosis.terms.result import FoundTerm
 from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
@@ -76,6 +77,7 @@ def diagnosis_results(
         "causes": [cause_results(cause) for cause in d.causes],
         "minor": list(d.minor),
         "unexplained": unknown_results(d.unknown),
+        "terms": [term_results(one) for one in d.terms],
         "changes": [change_results(one) for one in d.changes],
         "cancelling": cancelling_results(d),
         "absorbed": absorbed_results(d),
@@ -118,6 +120,21 @@ def unknown_results(unknown: Sequence[UnexplainedStructure]) -> list[dict[str, A
         }
         for u in unknown
     ]
+
+
+def term_results(found: FoundTerm) -> dict[str, Any]:
+    """A form of unexplained structure."""
+    return {
+        "coefficient": found.coefficient,
+        "term": found.term.name,
+        "code": found.term.code,
+        "unit": found.term.unit,
+        "size": {"mean": found.size[0], "sd": found.size[1]},
+        "share_of_variance": found.share,
+        "elpd": found.gain,
+        "probability": found.weight,
+        "ambiguous_with": {term.name: weight for term, weight in found.others},
+    }
 
 
 def change_results(found: ParameterChange) -> dict[str, Any]:

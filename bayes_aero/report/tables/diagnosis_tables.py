@@ -146,6 +146,27 @@ def changes_table(d: Diagnosis) -> Table:
     )
 
 
+def terms_table(d: Diagnosis) -> Table:
+    """A row for each term that describes unexplained structure, in files SI and radians."""
+    column = columns_of(d.terms)
+    return Table(
+        [
+            column(lambda t: t.coefficient, "coefficient", "coefficient"),
+            column(lambda t: t.term.name, "term", "term"),
+            column(lambda t: t.term.unit, "unit"),
+            column(lambda t: Estimate(*t.size), ("size", "size_sd")),
+            column(lambda t: size_text(*t.size, t.term.unit), page="factor"),
+            column(lambda t: t.share, "share", "share of the variance left", form=".0%"),
+            column(lambda t: t.gain, "elpd", "hold-out gain", None, ".1f"),
+            column(lambda t: t.weight, "probability", "probability", form=".2f"),
+            column(lambda t: several([o.name for o, _ in t.others]), "ambiguous_with", "as good", None, or_dash),
+        ],
+        "Terms that describe unexplained structure",
+        "One standard error, autocorrelation included. Probability: among all terms of the library; each factor halves "
+        "the prior one. Hold-out gain: log density of left-out manoeuvres or blocks.",
+    )
+
+
 def screen_table(rankings: Sequence[Ranking], d: Diagnosis) -> Table:
     """Every candidate of `rankings`: those of the first screening of each stage, the highest score first."""
     causes = {(c.stage, c.name) for c in d.causes}

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from bayes_aero.diagnosis.result import LITTLE, Cause, Diagnosis
+from bayes_aero.diagnosis.terms.result import FoundTerm
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView
 from bayes_aero.effect import Stage
@@ -17,6 +18,8 @@ from bayes_aero.report.text.process_noise import gust_sentences
 from bayes_aero.report.text.restraints import sign_sentences
 from bayes_aero.report.text.trajectories import trajectory_sentences
 from bayes_aero.report.text.verdict import tested_sentences, verdict_sentence
+
+SHOWN = 4  # other terms that are named
 
 
 def sentences(view: DiagnosisView) -> list[str]:
@@ -41,6 +44,7 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
         *_beyond(d),
         *_minor(d),
         *_unknown(d),
+        *_terms(d.terms),
         *change_sentences(d.changes),
         *_noise(d),
         *not_testable_sentences(d.not_testable),
@@ -153,6 +157,32 @@ def _unknown(d: Diagnosis) -> list[str]:
         "and no effect of the catalogue explains this."
         for u in d.unknown
     ]
+
+
+def _terms(terms: Sequence[FoundTerm]) -> list[str]:
+    """A sentence on each term, and how to put them into a card."""
+    found = [_term(one) for one in terms]
+    if any(one.term.code is not None for one in terms):
+        found.append(
+            "Form: bayes-aero diagnose with --write-effect FILE writes these terms as effects for effect_files on the "
+            "card; diagnose then tests them as it tests the catalogue."
+        )
+    return found
+
+
+def _term(one: FoundTerm) -> str:
+    size = size_text(*one.size, one.term.unit)
+    text = (
+        f"Form: {one.coefficient} has a term {one.term.name} of factor {size} ({one.share:.0%} of the variance left "
+        f"without it; log density of hold-out data {one.gain:+.0f}). "
+    )
+    if one.term.code is None:
+        text += "It depends on the past, which no effect file can state. "
+    if not one.others:
+        return text + "No other term of the library is as good."
+    others = [f"{term.name} ({weight:.0%})" for term, weight in one.others[:SHOWN]]
+    more = f" and {len(one.others) - SHOWN} more" if len(one.others) > SHOWN else ""
+    return text + f"These records do not tell it ({one.weight:.0%}) from {several(others)}{more}."
 
 
 def _noise(d: Diagnosis) -> list[str]:

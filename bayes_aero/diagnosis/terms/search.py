@@ -1,0 +1,140 @@
+"""Which form has unexplained structure: forward selection of terms by what they predict of left-out folds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
+from bayes_aero.diagnosis.screening.partialled_regression import PartialledRegression, inflation_along
+from bayes_aero.diagnosis.screening.regression import Fit
+from bayes_aero.diagnosis.screening.screening import explained_shares, uncertainty
+from bayes_aero.diagnosis.screening.selection_state import SelectionState
+from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
+from bayes_aero.diagnosis.structure.components import share_of, with_components
+from bayes_aero.diagnosis.terms.columns import Column, columns_of
+from bayes_aero.diagnosis.terms.library import Term
+from bayes_aero.diagnosis.terms.result import FoundTerm
+from bayes_aero.inference.variance.variance_inflation import nats
+
+NEAR = 0.5  # of the best term's gain, below which no other is compared with it; our choice
+SWING = {"CL": 0.01, "CD": 0.001, "Cm": 0.002, "CY": 0.01, "Cl": 0.001, "Cn": 0.001}
+"""The least change of a coefficient worth modelling, as in the catalogue."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """A term that was added, with the deviance that it gains on left-out folds, and those that are as good."""
+
+    column: Column
+    gain: float
+    share: float
+    inflation: float
+    weight: float
+    others: tuple[tuple[Term, float], ...]
+
+
+def forms(state: SelectionState, coefficient: str, least_gain: float, *, seed: int) -> list[Found]:
+    """Terms that describe what is left of a coefficient as well as the function of a channel by which it was found.
+
+    Args:
+        state: with all that was selected from the catalogue in.
+        coefficient: whose residual is sought.
+        least_gain: deviance of left-out folds that the function of the channel gains.
+        seed: of the noise-only replicates.
+
+    Returns:
+        The terms in the order in which they were added; empty where none predicts as well.
+    """
+    columns, chosen, found = columns_of(state, coefficient), list[Column](), list[Found]()
+    gained = 0.0
+    for number in range(state.settings.unnamed_most):
+        one = _next(state, columns, chosen, seed + number)
+        if one is None:
+            break
+        gained += one.gain
+        chosen.append(one.column)
+        found.append(one)
+    inflation = max((one.inflation for one in found), default=1.0)
+    if not found or nats(least_gain - gained, inflation) > state.settings.ambiguous:
+        return []
+    return found
+
+
+def _next(state: SelectionState, columns: Sequence[Column], chosen: Sequence[Column], seed: int) -> Found | None:
+    """The best term beside those chosen; None where none is beyond chance, large enough and useful."""
+    settings, open_ones = state.settings, [c for c in columns if c not in chosen]
+    trial = with_components(state, [c.component for c in open_ones], [c.component for c in chosen], state.folds)
+    fit = trial.fit()
+    order, lost, inflation = _ranked(trial, fit)
+    weights = _weights(lost, [open_ones[j].term.cost for j in order])
+    equal = [i for i in range(len(order)) if lost[i] < settings.ambiguous]
+    first = max(equal, key=lambda i: weights[i])
+    own = np.concatenate([trial.columns(), trial.component_columns[order[first]]])
+    gain, share = holdout_deviance_gain(trial, own), share_of(trial, own[-1:])
+    if nats(gain, inflation) < settings.ambiguous or share < settings.unnamed_share:
+        return None
+    wider = trial.products.fit(own, trial.mean, trial.precision)
+    colour = autocorrelation_of(trial.left(wider), trial.folds)
+    shares = explained_shares(trial, fit, colour, seed, settings.unnamed_replicates)
+    if (1 + np.sum(shares >= share)) / (1 + len(shares)) > settings.unnamed_false_alarm_rate:
+        return None
+    others = [(open_ones[order[i]].term, float(weights[i])) for i in equal if i != first]
+    others.sort(key=lambda other: -other[1])
+    return Found(open_ones[order[first]], gain, share, inflation, float(weights[first]), tuple(others))
+
+
+def _ranked(trial: SelectionState, fit: Fit) -> tuple[list[int], Float[np.ndarray, " j"], float]:
+    """Terms that gain at least half of what the best one does, the best first; by how many nats each explains less; and
+    the variance inflation of the best.
+
+    Two terms are told from each other by the residual along the difference of what they explain.
+    """
+    projected = PartialledRegression(trial, fit, trial.component_columns)
+    place = np.array([p[0] for p in projected.place])
+    bread, right = np.array([b[0, 0] for b in projected.bread]), projected.right(trial.left(fit))[place]
+    n = float(trial.products.count.sum())
+    gains = -n * np.log1p(-np.minimum(right**2 * bread / n, 1.0 - 1e-9))
+    order = [int(j) for j in np.argsort(-gains, kind="stable") if gains[j] >= NEAR * gains.max()]
+    own = np.concatenate([trial.columns(), trial.component_columns[order[0]]])
+    colour = autocorrelation_of(trial.left(trial.products.fit(own, trial.mean, trial.precision)), trial.folds)
+    made = projected.P[:, :, place[order]] * (bread * right)[order]
+    apart = np.concatenate([made[:, :, :1], made[:, :, :1] - made[:, :, 1:]], axis=2)
+    inflation = inflation_along(apart, projected.weight, trial.folds, colour)
+    lost = [0.0, *(nats(gains[order[0]] - gains[j], x) for j, x in zip(order[1:], inflation[1:], strict=True))]
+    return order, np.array(lost), float(inflation[0])
+
+
+def _weights(lost: Float[np.ndarray, " j"], costs: Sequence[int]) -> Float[np.ndarray, " j"]:
+    """Posterior probabilities of terms, of which each factor halves the prior one."""
+    log = -lost - np.log(2.0) * np.array(costs)
+    weights = np.exp(log - log.max())
+    return weights / weights.sum()
+
+
+def sized(state: SelectionState, found: Sequence[Found]) -> tuple[FoundTerm, ...]:
+    """All terms fitted together, beside the parameters of the model."""
+    whole = with_components(state, (), [f.column.component for f in found], state.folds)
+    fit = whole.fit()
+    covariance = uncertainty(whole, fit, autocorrelation_of(whole.left(fit), whole.folds))
+    begin, told = len(fit.columns) - len(found), []
+    for number, one in enumerate(found):
+        at, scale = begin + number, one.column.scale
+        coefficient = one.column.component.label.split(" over ")[0]
+        spread = float(np.std(one.column.component.basis[:, state.outputs.index(coefficient), 0])) * scale
+        told.append(
+            FoundTerm(
+                coefficient=coefficient,
+                term=one.column.term,
+                size=(float(fit.step[at]) / scale, float(np.sqrt(covariance[at, at])) / scale),
+                share=one.share,
+                gain=nats(one.gain, one.inflation),
+                weight=one.weight,
+                others=one.others,
+                least=SWING[coefficient] / max(spread, 1e-12),
+            )
+        )
+    return tuple(told)

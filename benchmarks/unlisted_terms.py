@@ -1,0 +1,184 @@
+"""Hide a term that no effect of the catalogue has in simulated flights, and diagnose: is its form found?
+
+    python benchmarks/unlisted_terms.py 60 [--first 0] [--silent] [--out terms]
+
+Two stalls of 90 s each, the noise drawn among white, AR(1) and buffet. The term is a product of two or three of alpha,
+q c/V, elevator and thrust coefficient, such a product times 1 - X, or a break or a bump over alpha, in CL, CD or Cm.
+With `--silent` nothing is hidden. One line of OUT/terms.jsonl each; goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.result import Diagnosis
+from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
+from bayes_aero.diagnosis.screening.screening import uncertainty
+from bayes_aero.diagnosis.structure.components import with_components
+from bayes_aero.diagnosis.terms.columns import columns_of
+from bayes_aero.effect import Effect, Example, Kind, Stage
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.inference.compiled_programs import give_back_memory
+from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.simulate.injection import Beyond, hidden_records
+
+COEFFICIENTS = {"CL": 0.01, "CD": 0.001, "Cm": 0.002}  # the least change worth modelling
+FACTORS = {"alpha": 0.08, "qhat": 0.002, "elevator": 0.06, "CT": 0.02}  # usual swings
+POWERS = tuple(f"unlisted_power_{name}" for name in FACTORS)
+KNOWN = {("Cm", "alpha^2")}  # that the catalogue has
+CLEAR = 8.0  # standard errors from which a form must be found
+
+
+def _increments(v, s, a, known):
+    """size (1 - X)^separated alpha^i qhat^j elevator^k CT^l, or of a break, or of a bump."""
+    pressure = 0.5 * s["density"] * s["airspeed"] ** 2
+    factors = s["alpha"], s["q"] * a.chord / s["airspeed"], s["elevator"], s["thrust"] / (pressure * a.wing_area)
+    x = v["unlisted_product"] * (1.0 - v["unlisted_separated"] * known["X"])
+    for factor, power in zip(factors, POWERS, strict=True):
+        x = x * jnp.power(factor, v[power])
+    beyond = s["alpha"] - v["unlisted_at"]
+    x = x + v["unlisted_break"] * jnp.maximum(beyond, 0.0)
+    x = x + v["unlisted_bump"] * jnp.exp(-0.5 * (beyond / 0.03) ** 2)
+    return {name: x * v[f"unlisted_{name}"] for name in COEFFICIENTS}
+
+
+_OWN = (
+    "unlisted_product", "unlisted_separated", "unlisted_at", "unlisted_break", "unlisted_bump", *POWERS,
+    *(f"unlisted_{name}" for name in COEFFICIENTS),
+)  # fmt: skip
+UNLISTED = Effect(
+    "unlisted", Kind.AERODYNAMICS, Stage.TOTAL, "unlisted",
+    tuple(Parameter(name, "-", 0.0, 0.0, "of a term of no catalogue", Prior("normal", 0.0, 1.0)) for name in _OWN),
+    ("alpha", "q", "elevator", "thrust", "density", "airspeed"), _increments, Example({}, {}, {}, ""), "",
+)  # fmt: skip
+
+
+def draw(rng: np.random.Generator) -> tuple[str, str, dict[str, float]]:
+    """A coefficient, the name of a term, and the values of `UNLISTED`."""
+    coefficient = str(rng.choice(list(COEFFICIENTS)))
+    values = {f"unlisted_{coefficient}": 1.0}
+    size = float(rng.choice([-1.0, 1.0]) * rng.uniform(2.0, 5.0)) * COEFFICIENTS[coefficient]
+    kind = str(rng.choice(["product", "product", "product", "separated", "break", "bump"]))
+    if kind == "bump":
+        return coefficient, "exp", values | {"unlisted_bump": size, "unlisted_at": rng.uniform(0.1, 0.18)}
+    if kind == "break":
+        return coefficient, "max", values | {"unlisted_break": size / 0.05, "unlisted_at": rng.uniform(0.1, 0.18)}
+    while True:
+        powers = rng.multinomial(rng.integers(2, 4 if kind == "product" else 3), np.full(4, 0.25))
+        parts = [n if k == 1 else f"{n}^{k}" for n, k in zip(FACTORS, powers, strict=True) if k]
+        if (coefficient, " ".join(parts)) not in KNOWN or kind == "separated":
+            break
+    about = {"alpha": 0.15, "qhat": FACTORS["qhat"], "elevator": FACTORS["elevator"], "CT": 0.05}
+    swing = float(np.prod([about[n] ** int(k) for n, k in zip(FACTORS, powers, strict=True)]))
+    values |= {"unlisted_product": size / swing} | dict(zip(POWERS, map(float, powers), strict=True))
+    if kind == "separated":
+        return coefficient, " ".join([*parts, "(1 - X)"]), values | {"unlisted_separated": 1.0}
+    return coefficient, " ".join(parts), values
+
+
+def case(seed: int, silent: bool) -> dict[str, Any]:
+    """Draw, fly and diagnose."""
+    rng = np.random.default_rng([seed, 31])
+    noise = str(rng.choice(["white", "ar1", "buffet"]))
+    coefficient, name, values = draw(rng)
+    hidden = {} if silent else values
+    records = hidden_records({}, seed=seed, noise=noise, seconds=90.0, beyond=Beyond((UNLISTED,), lambda _: hidden))
+    began = time.perf_counter()
+    found = diagnose(records, read_card("attas"), seed=seed, gains_wanted=False)
+    return {
+        "seed": seed,
+        "noise": noise,
+        "hidden": None if silent else [coefficient, name],
+        "size": values.get("unlisted_product"),
+        "score": None if silent else score(found, coefficient, name, values),
+        "verdict": found.verdict.value,
+        "causes": [c.name for c in found.causes],
+        "unexplained": [[u.coefficient, u.channel, u.share] for u in found.unknown],
+        "terms": [[t.coefficient, t.term.name, *t.size, [o.name for o, _ in t.others]] for t in found.terms],
+        "seconds": time.perf_counter() - began,
+    }
+
+
+def score(found: Diagnosis, coefficient: str, name: str, values: dict[str, float]) -> float | None:
+    """Standard errors of the true product beside the card's model; of a break or a bump none is known."""
+    state = found.aerodynamics.base
+    own = [c for c in columns_of(state, coefficient) if c.term.name == name]
+    if not own or "unlisted_product" not in values:
+        return None
+    whole = with_components(state, (), [own[0].component], state.folds)
+    fit = whole.fit()
+    covariance = uncertainty(whole, fit, autocorrelation_of(whole.left(fit), whole.folds))
+    return abs(values["unlisted_product"]) * own[0].scale / float(np.sqrt(covariance[-1, -1]))
+
+
+def is_found(row: dict[str, Any], *, exactly: bool) -> bool:
+    """Whether the hidden form is a term that was found, or (unless `exactly`) one that is as good."""
+    coefficient, name = row["hidden"]
+    for c, first, _, _, others in row["terms"]:
+        names = [first] if exactly else [first, *others]
+        if c == coefficient and any(n.startswith(name) if name in ("max", "exp") else n == name for n in names):
+            return True
+    return False
+
+
+def report(rows: list[dict[str, Any]]) -> None:
+    """Counts, and a line for each that was not found."""
+    silent = [r for r in rows if r["hidden"] is None]
+    if silent:
+        told, found = sum(bool(r["terms"]) for r in silent), sum(r["verdict"] != "no_effect" for r in silent)
+        print(f"nothing hidden: {told} of {len(silent)} get a term, {found} any finding")
+    some = [r for r in rows if r["hidden"]]
+    products = [r for r in some if r["score"] is not None]
+    kinds = {
+        f"products of at least {CLEAR:g} standard errors": [r for r in products if r["score"] >= CLEAR],
+        "smaller products": [r for r in products if r["score"] < CLEAR],
+        "breaks": [r for r in some if r["hidden"][1] == "max"],
+        "bumps": [r for r in some if r["hidden"][1] == "exp"],
+    }
+    for kind, own in kinds.items():
+        exact, among = (sum(is_found(r, exactly=e) for r in own) for e in (True, False))
+        print(f"{kind}: exact form {exact} of {len(own)}, in the set {among}")
+    sized = [(t[2], t[3], r["size"]) for r in products for t in r["terms"][:1] if t[1] == r["hidden"][1]]
+    inside = sum(abs(mean - true) < 1.96 * sd for mean, sd, true in sized)
+    print(f"the 95 % interval of an exact form holds the size {inside} of {len(sized)}")
+    for r in some:
+        if not is_found(r, exactly=False):
+            told = "none" if r["score"] is None else f"{r['score']:.1f}"
+            print(f"  seed {r['seed']}: {' '.join(r['hidden'])} ({told}): {r['verdict']} {r['causes']} {r['terms']}")
+    print("verdicts:", dict(Counter(r["verdict"] for r in some)))
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("count", type=int)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--silent", action="store_true", help="nothing hidden")
+    parser.add_argument("--out", type=Path, default=Path("terms"))
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    path = given.out / "terms.jsonl"
+    done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    with path.open("a") as file:
+        for seed in range(given.first, given.first + given.count):
+            if seed in {row["seed"] for row in done}:
+                continue
+            try:
+                done.append(case(seed, given.silent))
+            except InputError as error:  # an aircraft that cannot be flown so
+                print(f"seed {seed}: {error}", file=sys.stderr)
+                continue
+            give_back_memory()
+            file.write(json.dumps(done[-1]) + "\n")
+            file.flush()
+    report(done)

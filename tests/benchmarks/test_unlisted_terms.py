@@ -1,0 +1,51 @@
+"""A term that is in no catalogue, hidden in simulated stalls: its form, its size, and a card that has it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import unlisted_terms
+
+from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.result import Verdict
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.jobs.catalogue.effect_file import write_effects
+from bayes_aero.simulate.injection import Beyond, hidden_records
+
+SEED = 107
+
+
+def flown(values):
+    beyond = Beyond((unlisted_terms.UNLISTED,), lambda _: values)
+    return hidden_records({}, seed=SEED, noise="ar1", seconds=90.0, beyond=beyond)
+
+
+@pytest.mark.recovery
+def test_a_hidden_term_is_found_written_and_then_named_as_a_cause(tmp_path):
+    coefficient, name, values = unlisted_terms.draw(np.random.default_rng([SEED, 31]))
+    true, records, card = values["unlisted_product"], flown(values), read_card("attas")
+    found = diagnose(records, card, seed=SEED, gains_wanted=False)
+    assert found.failures == ()
+    assert found.verdict is Verdict.UNEXPLAINED
+    (term,) = found.terms
+    assert (term.coefficient, term.term.name) == (coefficient, name)
+    mean, sd = term.size
+    assert abs(mean - true) < 1.96 * sd
+    assert sd < 0.1 * abs(true)
+
+    path = tmp_path / "found.py"
+    write_effects(found.terms, [r.name for r in records], path)
+    again = diagnose(records, replace(card, effect_files=(path,)), seed=SEED, gains_wanted=False)
+    assert again.verdict is Verdict.EXPLAINED
+    (cause,) = again.causes
+    ((size,),) = [list(cause.parameters.values())]
+    assert abs(size.mean - true) < 1.96 * size.sd
+
+
+@pytest.mark.recovery
+def test_the_same_flights_without_it_get_no_term():
+    found = diagnose(flown({}), read_card("attas"), seed=SEED, gains_wanted=False)
+    assert found.verdict is Verdict.NO_EFFECT
+    assert found.terms == ()
