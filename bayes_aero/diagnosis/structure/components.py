@@ -9,7 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.candidate_set import noise_channels
+from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation
 from bayes_aero.diagnosis.screening.regression import Products
+from bayes_aero.diagnosis.screening.screening import explained_shares
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
 from bayes_aero.diagnosis.terms.columns import columns_of
 from bayes_aero.inference.variance.autoregression import ORDER
@@ -150,3 +152,20 @@ def share_of(state: SelectionState, own: np.ndarray) -> float:
     before = state.fit()
     after = state.products.fit(np.concatenate([before.columns, own]), state.mean, state.precision)
     return float(np.max(1.0 - after.variance / before.variance))
+
+
+def null_shares(
+    trial: SelectionState, colour: Autocorrelation, variance: Float[np.ndarray, " c"], seed: int
+) -> Float[np.ndarray, " r"]:
+    """Largest share that any component explains in noise-only records, of this autocorrelation and these variances.
+
+    Both are what is left with the component in whose share is judged: with it out, structure would pass for slow noise,
+    and noise of the other outputs for a share of it.
+    """
+    fit = trial.products.fit(trial.columns(), trial.mean, trial.precision, variance)
+    return explained_shares(trial, fit, colour, seed, trial.settings.unnamed_replicates)
+
+
+def chance_of(share: float, null: Float[np.ndarray, " r"]) -> float:
+    """p-value of a share among those of noise-only records."""
+    return float((1 + np.sum(null >= share)) / (1 + len(null)))

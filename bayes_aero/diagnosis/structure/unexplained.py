@@ -12,18 +12,27 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from bayes_aero.diagnosis.result import ParameterChange, UnexplainedStructure
 from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, autocorrelation_of
 from bayes_aero.diagnosis.screening.regression import Products
-from bayes_aero.diagnosis.screening.screening import CandidateScore, explained_shares, screen
+from bayes_aero.diagnosis.screening.screening import CandidateScore, screen
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
 from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
 from bayes_aero.diagnosis.selection.forward_selection import Extension, removed
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.diagnosis.structure.change_result import told
 from bayes_aero.diagnosis.structure.changes import Sought, holdout_gain_of, sought_change, testable
-from bayes_aero.diagnosis.structure.components import families, in_batches, parts_of, share_of, with_components
+from bayes_aero.diagnosis.structure.components import (
+    chance_of,
+    families,
+    in_batches,
+    null_shares,
+    parts_of,
+    share_of,
+    with_components,
+)
 
 
 @dataclass(frozen=True)
@@ -137,7 +146,8 @@ def _best_function(state: SelectionState, chosen: Sequence[Component], seed: int
             if gained <= 0.0 or share < least:
                 continue
             wider = trial.products.fit(wide, trial.mean, trial.precision)
-            p = _p_value(state, batches, chosen, folds, autocorrelation_of(trial.left(wider), folds), share, seed)
+            noise = autocorrelation_of(trial.left(wider), folds), wider.variance
+            p = _p_value(state, batches, chosen, folds, noise, share, seed)
             if p <= state.settings.unnamed_false_alarm_rate:
                 return _Found(state, component, share, p)
     return None
@@ -155,21 +165,13 @@ def _p_value(
     batches: Sequence[Sequence[Component]],
     chosen: Sequence[Component],
     folds: Sequence[slice],
-    colour: Autocorrelation,
+    noise: tuple[Autocorrelation, Float[np.ndarray, " c"]],
     share: float,
     seed: int,
 ) -> float:
-    """How often noise alone lets some component explain so large a share.
-
-    The noise has the `colour` that is left with the component in: with it out, the structure itself would pass for slow
-    noise, under which anything goes.
-    """
-    found = []
-    for batch in batches:
-        trial = with_components(state, batch, chosen, folds)
-        found.append(explained_shares(trial, trial.fit(), colour, seed, state.settings.unnamed_replicates))
-    shares = np.max(found, axis=0)
-    return float((1 + np.sum(shares >= share)) / (1 + len(shares)))
+    """How often noise alone, of an autocorrelation and variances, lets some component explain so large a share."""
+    trials = (with_components(state, batch, chosen, folds) for batch in batches)
+    return chance_of(share, np.max([null_shares(trial, *noise, seed) for trial in trials], axis=0))
 
 
 def _proxies(extension: Extension, seed: int) -> _Found | None:

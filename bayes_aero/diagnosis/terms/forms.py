@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
 from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.structure.components import is_periodic, with_components
+from bayes_aero.diagnosis.structure.components import is_periodic
 from bayes_aero.diagnosis.structure.unexplained import Left, superfluous, taken_out
 from bayes_aero.diagnosis.terms.result import FoundTerm
-from bayes_aero.diagnosis.terms.search import Found, forms, sized
+from bayes_aero.diagnosis.terms.search import Found, forms, gain_of, sized
 
 
 class Forms(NamedTuple):
@@ -43,7 +42,5 @@ def _sought(state: SelectionState, left: Left, seed: int) -> list[Found]:
     found: list[Found] = []
     for coefficient in dict.fromkeys(f.label.split(" over ")[0] for f in functions):
         own = [f for f in functions if f.label.startswith(f"{coefficient} over ")]
-        wide = with_components(state, (), own, state.folds)
-        gained = holdout_deviance_gain(wide, wide.columns(), state.columns())
-        found += forms(state, coefficient, gained, seed=seed)
+        found += forms(state, coefficient, gain_of(state, own), seed=seed)
     return found

@@ -20,9 +20,9 @@ from bayes_aero.physics.rates import reduced, reduced_lateral
 
 Signals = Mapping[str, Any]
 ORDER = 3  # most factors of a product
-BREAKS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)  # quantiles of alpha or beta at which its effect may break
-BUMPS = (0.2, 0.35, 0.5, 0.65, 0.8)  # and at which it may have a bump
-WIDTHS = (0.1, 0.2)  # of a bump, shares of the range
+BREAKS = tuple(k / 20.0 for k in range(1, 20))  # quantiles of alpha or beta at which its effect may break
+BUMPS = tuple(k / 10.0 for k in range(1, 10))  # and at which it may have a bump
+WIDTHS = (0.07, 0.12, 0.2)  # of a bump, shares of the range
 LAGS = (5.0, 15.0, 40.0)  # chords travelled, time constants of memory
 
 

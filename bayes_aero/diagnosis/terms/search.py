@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -11,16 +11,17 @@ from jaxtyping import Float
 from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.partialled_regression import PartialledRegression, inflation_along
 from bayes_aero.diagnosis.screening.regression import Fit
-from bayes_aero.diagnosis.screening.screening import explained_shares, uncertainty
-from bayes_aero.diagnosis.screening.selection_state import SelectionState
+from bayes_aero.diagnosis.screening.screening import uncertainty
+from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
 from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
-from bayes_aero.diagnosis.structure.components import share_of, with_components
+from bayes_aero.diagnosis.structure.components import chance_of, null_shares, share_of, with_components
 from bayes_aero.diagnosis.terms.columns import Column, columns_of
 from bayes_aero.diagnosis.terms.library import Term
 from bayes_aero.diagnosis.terms.result import FoundTerm
 from bayes_aero.inference.variance.variance_inflation import nats
 
 NEAR = 0.5  # of the best term's gain, below which no other is compared with it; our choice
+AS_GOOD = 0.1  # of what the function gains, what terms may gain less: it bends as it likes; our choice
 SWING = {"CL": 0.01, "CD": 0.001, "Cm": 0.002, "CY": 0.01, "Cl": 0.001, "Cn": 0.001}
 """The least change of a coefficient worth modelling, as in the catalogue."""
 
@@ -49,19 +50,38 @@ def forms(state: SelectionState, coefficient: str, least_gain: float, *, seed: i
     Returns:
         The terms in the order in which they were added; empty where none predicts as well.
     """
-    columns, chosen, found = columns_of(state, coefficient), list[Column](), list[Found]()
-    gained = 0.0
+    columns, found = columns_of(state, coefficient), list[Found]()
     for number in range(state.settings.unnamed_most):
-        one = _next(state, columns, chosen, seed + number)
+        one = _next(state, columns, [f.column for f in found], seed + number)
         if one is None:
             break
-        gained += one.gain
-        chosen.append(one.column)
         found.append(one)
-    inflation = max((one.inflation for one in found), default=1.0)
-    if not found or nats(least_gain - gained, inflation) > state.settings.ambiguous:
+    found = _reconsidered(state, found)
+    if not found:
         return []
-    return found
+    inflation = max(one.inflation for one in found)
+    missed = nats(least_gain - gain_of(state, [f.column.component for f in found]), inflation)
+    return found if missed < max(state.settings.ambiguous, AS_GOOD * nats(least_gain, inflation)) else []
+
+
+def gain_of(state: SelectionState, components: Sequence[Component]) -> float:
+    """Deviance of left-out folds that components gain together."""
+    wide = with_components(state, (), components, state.folds)
+    return holdout_deviance_gain(wide, wide.columns(), state.columns())
+
+
+def _reconsidered(state: SelectionState, found: Sequence[Found]) -> list[Found]:
+    """The terms that are still worth their place beside all others, with what each gains there."""
+    left = list(found)
+    for one in found:
+        others = [f.column.component for f in left if f is not one]
+        trial = with_components(state, [one.column.component], others, state.folds)
+        own = np.concatenate([trial.columns(), trial.component_columns[0]])
+        share, gain = share_of(trial, own[-1:]), holdout_deviance_gain(trial, own)
+        at = left.index(one)
+        worth = share >= state.settings.unnamed_share and gain > 0.0
+        left[at : at + 1] = [replace(one, share=share, gain=gain)] if worth else []
+    return left
 
 
 def _next(state: SelectionState, columns: Sequence[Column], chosen: Sequence[Column], seed: int) -> Found | None:
@@ -79,8 +99,7 @@ def _next(state: SelectionState, columns: Sequence[Column], chosen: Sequence[Col
         return None
     wider = trial.products.fit(own, trial.mean, trial.precision)
     colour = autocorrelation_of(trial.left(wider), trial.folds)
-    shares = explained_shares(trial, fit, colour, seed, settings.unnamed_replicates)
-    if (1 + np.sum(shares >= share)) / (1 + len(shares)) > settings.unnamed_false_alarm_rate:
+    if chance_of(share, null_shares(trial, colour, wider.variance, seed)) > settings.unnamed_false_alarm_rate:
         return None
     others = [(open_ones[order[i]].term, float(weights[i])) for i in equal if i != first]
     others.sort(key=lambda other: -other[1])
