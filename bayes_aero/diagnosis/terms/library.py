@@ -111,7 +111,8 @@ QUANTITIES = (
     _channel("beta", lateral=True), _rate("phat", "p", lateral=True), _rate("rhat", "r", lateral=True),
     _channel("aileron", lateral=True), _channel("rudder", lateral=True),
 )  # fmt: skip
-MEMORY = ("alpha", "qhat", "elevator", "beta", "aileron", "rudder")  # quantities of which the past may matter
+MEMORY = ("alpha", "beta", "elevator", "aileron", "rudder")
+"""Quantities of which the past may matter. Not a rate: with its past it is its own derivative, which is the moment."""
 CURVED = ("alpha", "beta")  # quantities whose own effect may break
 
 
