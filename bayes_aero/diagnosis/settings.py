@@ -58,7 +58,7 @@ class DiagnosisSettings:
     knots: int = 6  # of the smooth function of a channel
     manoeuvre_parts: int = 4  # of each manoeuvre: a sinusoid must predict the parts that it was not fitted to
     unnamed_replicates: int = 100  # noise-only replicates
-    unnamed_false_alarm_rate: float = 0.02  # of each family of functions
+    unnamed_false_alarm_rate: float = 0.015  # of each family: functions of a channel, periods, terms
     unnamed_tried: int = 5  # leaders whose hold-out gain is measured
     unnamed_most: int = 3  # functions taken one after another
     unnamed_share: float = 0.1  # of the remaining variance: less is not worth a verdict
