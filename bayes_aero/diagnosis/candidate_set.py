@@ -1,4 +1,4 @@
-"""Who stands for election: every effect of the catalogue that the card's model lacks and the record can test."""
+"""Candidates: every effect of the catalogue that the card's model lacks and the record can test."""
 
 from __future__ import annotations
 

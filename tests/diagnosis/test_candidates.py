@@ -1,4 +1,4 @@
-"""Which effects stand for election."""
+"""Which effects are candidates."""
 
 from dataclasses import replace
 

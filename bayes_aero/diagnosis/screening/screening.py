@@ -87,7 +87,7 @@ def screen(
 ) -> ScreeningResult:
     """Fit every candidate, all active parameters free; draw noise-only replicates (`nulls`) under the present model.
 
-    `without` takes one addition out first, to first order: it then stands for election like the others, and each of
+    `without` takes one addition out first, to first order: it is then a candidate like the others, and each of
     them is told `apart` from it. `noise` is that of the seed, where others are judged by it, too.
     """
     active = tuple(e for e in state.active if e != without)

@@ -63,7 +63,7 @@ class SelectionState:
     scans: tuple[Scan, ...]
     nuisance: int = 0  # columns between the parameters and the scans
     variance_inflation: float = 1.0  # priors count so many times against the white likelihood
-    components: tuple[Component, ...] = ()  # they stand for election in place of effects
+    components: tuple[Component, ...] = ()  # candidates in place of effects
     chosen: tuple[Component, ...] = ()  # components that are in
 
     @property
@@ -95,7 +95,7 @@ class SelectionState:
 
     @property
     def component_columns(self) -> list[Int[np.ndarray, " w"]]:
-        """Columns of each component that stands for election."""
+        """Columns of each component that is a candidate."""
         widths = [c.basis.shape[2] for c in (*self.chosen, *self.components)]
         begins = len(self.theta) + len(self.offsets) + len(self.scans) + np.cumsum([0, *widths])
         found = [np.arange(a, b) for a, b in pairwise(begins)]
