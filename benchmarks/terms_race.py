@@ -1,4 +1,4 @@
-"""Which term is missing: this program against lasso, STLSQ (pysindy) and FROLS (sysidentpy), in one run on the same splits.
+"""Which term is missing: this program beside lasso, STLSQ (pysindy) and FROLS (sysidentpy) on the same splits.
 
     pip install -e '.[peers]'
     python benchmarks/terms_race.py 20 [--first 300] [--out race]
@@ -57,11 +57,8 @@ def lasso(X, y, folds: Folds) -> list[int]:
     from sklearn.linear_model import Lasso
 
     def fitted(X, y, alpha):
-        return (
-            Lasso(alpha=alpha * float(np.abs(X.T @ y).max()) / len(y), fit_intercept=False, max_iter=5000)
-            .fit(X, y)
-            .coef_
-        )
+        penalty = alpha * float(np.abs(X.T @ y).max()) / len(y)  # the largest leaves nothing
+        return Lasso(alpha=penalty, fit_intercept=False, max_iter=5000).fit(X, y).coef_
 
     return chosen_by_folds(np.geomspace(0.01, 0.9, 12), fitted, X, y, folds)
 
@@ -109,14 +106,10 @@ def problem(state: SelectionState, columns: Sequence[Column]) -> tuple[np.ndarra
     at = state.outputs.index(columns[0].component.label.split(" over ")[0])
     X, y = projected.P[:, at, [p[0] for p in projected.place]], trial.left(fit)[:, at]
     scale = np.std(X, axis=0) + 1e-12
-    index = np.arange(len(y))
-    one, two = (index[fold] for fold in state.folds)
+    one, two = (np.arange(len(y))[fold] for fold in state.folds)
     inside = np.concatenate([one, two])
-    folds = [
-        (np.arange(len(one)), len(one) + np.arange(len(two))),
-        (len(one) + np.arange(len(two)), np.arange(len(one))),
-    ]
-    return (X / scale)[inside], y[inside], folds
+    first, second = np.arange(len(one)), len(one) + np.arange(len(two))
+    return (X / scale)[inside], y[inside], [(first, second), (second, first)]
 
 
 def case(seed: int, silent: bool) -> dict:
