@@ -57,12 +57,12 @@ def python_source(found: Identified) -> str:
 
 
 def with_rates(found: Identified) -> Program:
-    """The program with the rate of each lagged separation point instead of the time constant."""
+    """The program with the rate of each lagged separation point, too."""
     program = found.program
     if not found.lagged:
         return program
     outputs, steps = dict(program.outputs), list(program.steps)
-    lag = outputs.pop("lag")
+    lag = outputs["lag"]
     for name in found.points:
         steps.append(Step(f"excess.{name}", "sub", (outputs[f"{name}_static"], f"state.{name}")))
         steps.append(Step(f"rate.{name}", "div", (f"excess.{name}", lag)))
@@ -117,6 +117,8 @@ def _behind(channel: str) -> str:
 def _said(output: str) -> str:
     if output.endswith("_dot"):
         return "rate of the state, 1/s"
+    if output == "lag":
+        return "time constant of the state, s"
     return "its static value" if output.endswith("_static") else "separation point"
 
 
