@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
@@ -98,12 +98,7 @@ class Identified:
         A lagged point X is an input `state.X`; the outputs then are its static value `X_static` and `lag`, the time
         constant in s with which it follows.
         """
-        return self._traced(of_state=self.lagged)
-
-    @cached_property
-    def program_of_points(self) -> Program:
-        """The same with every separation point as an input `state.X`, and its static value as an output."""
-        return self._traced(of_state=self.separates)
+        return self.traced(self._outputs, self.points if self.lagged else ())
 
     @property
     def inputs(self) -> dict[str, float]:
@@ -117,36 +112,42 @@ class Identified:
                 found[f"aircraft.{f.name}"] = float(value)
         return found
 
-    def _traced(self, *, of_state: bool) -> Program:
-        first = {f"signal.{name}": _example(name) for name in self.signals}
-        first |= {f"state.{name}": 0.5 for name in (self.points if of_state else ())}
+    def traced(self, function: Callable[..., Mapping[str, Any]], states: Sequence[str]) -> Program:
+        """A function of values, signals, aircraft and states, each by name, as a program."""
+        first = {f"signal.{name}": _example(name) for name in self.signals} | {f"state.{name}": 0.5 for name in states}
 
-        def outputs(given: Mapping[str, Any]) -> dict[str, Any]:
+        def outputs(given: Mapping[str, Any]) -> Mapping[str, Any]:
             values = {name: given[f"parameter.{name}"] for name in self.values}
             signals = {name: given[f"signal.{name}"] for name in self.signals}
             aircraft = self.exported.actual_aircraft(values, _aircraft(self.aircraft, given))
-            states = [given[f"state.{name}"] for name in self.points] if of_state else []
-            return self._outputs(values, signals, aircraft, states)
+            return function(values, signals, aircraft, {name: given[f"state.{name}"] for name in states})
 
         program = translated(outputs, self.inputs | first)
         order = sorted(program.outputs, key=lambda name: (*self.model.coefficients, name).index(name))
         return replace(program, outputs={name: program.outputs[name] for name in order})
 
+    def coefficients(
+        self, values: Mapping[str, Any], signals: Mapping[str, Any], aircraft: Aircraft, points: Sequence[Any]
+    ) -> dict[str, Any]:
+        """Coefficients at given separation points, of one wing or of the right and the left one."""
+        X = tuple(points) if len(points) > 1 else next(iter(points), jnp.ones_like(signals["alpha"]))
+        flow = self.exported.flow(values, signals, aircraft, X=X)
+        return {name: flow[name] for name in self.exported.coefficients}
+
+    def lag(self, values: Mapping[str, Any], signals: Mapping[str, Any], aircraft: Aircraft) -> dict[str, Any]:
+        """The time constant of the separation point, s, where there is one."""
+        if not self.lagged:
+            return {}
+        return {"lag": jnp.maximum(self.exported.lag(values), MIN_LAG) * aircraft.chord / signals["airspeed"]}
+
     def _outputs(
-        self, values: Mapping[str, Any], signals: Mapping[str, Any], aircraft: Aircraft, states: Sequence[Any]
+        self, values: Mapping[str, Any], signals: Mapping[str, Any], aircraft: Aircraft, states: Mapping[str, Any]
     ) -> dict[str, Any]:
         """The traced function."""
-        model, points = self.exported, self.points
-        static = dict(zip(points, model.static_points(values, signals, aircraft), strict=True)) if points else {}
-        given = list(states) or list(static.values())
-        X = tuple(given) if len(given) > 1 else next(iter(given), jnp.ones_like(signals["alpha"]))
-        flow = model.flow(values, signals, aircraft, X=X)
-        found = {name: flow[name] for name in model.coefficients}
-        found |= {f"{name}_static": x for name, x in static.items()} if states else static
-        if self.lagged:
-            lag = jnp.maximum(model.lag(values), MIN_LAG)
-            found["lag"] = lag * aircraft.chord / signals["airspeed"]
-        return found
+        static = self.exported.static_points(values, signals, aircraft) if self.separates else ()
+        found = self.coefficients(values, signals, aircraft, [*states.values()] or static)
+        found |= {f"{n}_static" if states else n: x for n, x in zip(self.points, static, strict=True)}
+        return found | self.lag(values, signals, aircraft)
 
 
 def _is_of_aircraft(effect: Effect) -> bool:

@@ -91,15 +91,28 @@ class Builder:
 
     def __init__(self) -> None:
         self._known: dict[tuple[str, tuple[Operand, ...]], str] = {}
+        self._made: dict[Operand, tuple[str, tuple[Operand, ...]]] = {}
 
     def apply(self, operation: str, *arguments: Operand) -> Operand:
         """The result of an operation."""
         if all(isinstance(x, float) for x in arguments):
             return float(OPERATIONS[operation](*arguments))
         simple = _simplified(operation, arguments)
+        if simple is None and operation == "add":
+            simple = self._cancelled(*arguments)
         if simple is not None:
             return simple
-        return self._known.setdefault((operation, arguments), f"t{len(self._known) + 1}")
+        name = self._known.setdefault((operation, arguments), f"t{len(self._known) + 1}")
+        self._made[name] = (operation, arguments)
+        return name
+
+    def _cancelled(self, first: Operand, second: Operand) -> Operand | None:
+        """y of x + (y - x), of which effects that replace a value consist."""
+        for x, other in ((first, second), (second, first)):
+            operation, given = self._made.get(other, ("", ()))
+            if operation == "sub" and given[1] == x:
+                return given[0]
+        return None
 
     def program(self, outputs: Mapping[str, Operand]) -> Program:
         """All steps that these outputs need."""

@@ -1,13 +1,13 @@
 """The model as tables for linear interpolation over the flown region.
 
 A coefficient is a sum of terms that depend on few channels each. Terms of the same channels make one table, so that no
-table has all channels of the model as axes.
+table has all channels of the model as axes. The separation point is a function of the incidence, which is such a sum.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +16,19 @@ import pandas as pd
 import xarray as xr
 from jaxtyping import Float
 
+from bayes_aero.effect import Example, Stage
+from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.export.identified import Identified
 from bayes_aero.export.program import Operand, Program, terms
 from bayes_aero.export.text import about, meaning, unit
+from bayes_aero.model.model import Model
 
 ACCURACY = 1e-4  # of a table's range, of linear interpolation along each axis
 MOST_CELLS = 1_000_000
 MOST_WITH_DRAWS = 20_000_000
 POINT_RANGE = (0.0, 1.0)
+INCIDENCE = "incidence"
 
 
 @dataclass(frozen=True)
@@ -40,20 +44,51 @@ class Gridded:
 
 
 def tables_of(found: Identified) -> Iterator[Gridded]:
-    """Tables whose sums are the coefficients, and one for each static separation point and its lag.
+    """Tables whose sums are the coefficients and the incidence; the static separation point and its lag.
 
     Raises:
         InputError: the result does not say where was flown, or a table needs too many points.
     """
-    program = found.program_of_points
-    for output in program.outputs:
-        summed = output in found.exported.coefficients
+    program = program_by_incidence(found)
+    reach: dict[str, list[Gridded]] = {}
+    for output in sorted(program.outputs, key=lambda name: not name.startswith(INCIDENCE)):
+        summed = output in found.exported.coefficients or output.startswith(INCIDENCE)
         parts = tuple(terms(program, output)) if summed else ((1.0, program.outputs[output]),)
         groups: dict[tuple[str, ...], list[tuple[float, Operand]]] = {}
         for sign, operand in parts:
             groups.setdefault(_read_by(program, operand), []).append((sign, operand))
         for inputs, own in groups.items():
-            yield _gridded(found, program, output, inputs, tuple(own))
+            bounds = {axis: _incidences(reach) if axis == INCIDENCE else _range(found, axis) for axis in inputs}
+            table = _gridded(found, program, output, bounds, tuple(own))
+            reach.setdefault(output, []).append(table)
+            yield table
+
+
+def program_by_incidence(found: Identified) -> Program:
+    """Coefficients at given separation points, the incidence of each point, and the static point at an incidence."""
+    probe = _only(found.exported, Stage.SEPARATION, lambda _v, _s, _a, known: {"X": known[INCIDENCE] - 1.0})
+    given = _only(found.exported, Stage.INCIDENCE, lambda _v, s, *_: {INCIDENCE: s[INCIDENCE] - s["alpha"]})
+    names = {point: point.replace("X", INCIDENCE) for point in found.points}
+
+    def outputs(values: Any, signals: Any, aircraft: Any, states: Any) -> dict[str, Any]:
+        total = found.coefficients(values, signals, aircraft, [states[n] for n in found.points])
+        if not found.separates:
+            return total
+        total |= dict(zip(names.values(), probe.static_points(values, signals, aircraft), strict=True))
+        there = dict(signals) | {INCIDENCE: states[INCIDENCE]}
+        total["X_static"] = given.static_points(values, there, aircraft)[0]
+        return total | found.lag(values, signals, aircraft)
+
+    return found.traced(outputs, (*found.points, INCIDENCE) if found.separates else ())
+
+
+def _only(model: Model, stage: Stage, increments: Any) -> Model:
+    """The model with one effect in place of all of a stage."""
+    others = tuple(e for e in model.effects if e.stage is not stage)
+    example = Example({}, {}, {"X": 0.0}, "stands for all effects of its stage")
+    pattern = CATALOGUE["kirchhoff_lift"]
+    one = replace(pattern, name="given", stage=stage, increments=increments, uses=(), channels=(), example=example)
+    return replace(model, effects=(*others, one))
 
 
 def write_tables(found: Identified, folder: Path) -> tuple[str, ...]:
@@ -77,12 +112,16 @@ def _read_by(program: Program, operand: Operand) -> tuple[str, ...]:
 
 
 def _gridded(
-    found: Identified, program: Program, output: str, inputs: Sequence[str], parts: tuple[tuple[float, Operand], ...]
+    found: Identified,
+    program: Program,
+    output: str,
+    bounds: Mapping[str, tuple[float, float]],
+    parts: tuple[tuple[float, Operand], ...],
 ) -> Gridded:
     """A table whose axes are refined until linear interpolation is accurate."""
     part = program.giving({str(i): operand for i, (_, operand) in enumerate(parts)})
-    name = "_".join([output, *inputs])
-    axes = {axis: np.array(_range(found, axis)) for axis in inputs}
+    name = "_".join([output, *bounds])
+    axes = {axis: np.array(x) for axis, x in bounds.items()}
     fixed = found.inputs
 
     def values() -> Float[np.ndarray, "*n"]:
@@ -90,16 +129,16 @@ def _gridded(
 
     while True:
         table = values()
-        allowed = ACCURACY * float(np.ptp(table)) if table.size > 1 else 0.0
-        errors = {axis: _error(part, parts, axes, fixed, table, axis) for axis in axes}
-        coarse = [axis for axis, error in errors.items() if error > max(allowed, 1e-12)]
-        if not coarse:
-            return Gridded(name, output, parts, dict(axes), table, sum(errors.values()))
-        for axis in coarse:
-            axes[axis] = _halved(axes[axis])
+        allowed = max(ACCURACY * float(np.ptp(table)), 1e-12) if table.size else 0.0
+        errors = {axis: _errors(part, parts, axes, fixed, table, axis) for axis in axes}
+        if all(np.all(x <= allowed) for x in errors.values()):
+            return Gridded(name, output, parts, dict(axes), table, sum((float(x.max()) for x in errors.values()), 0.0))
+        for axis, error in errors.items():
+            between = 0.5 * (axes[axis][1:] + axes[axis][:-1])
+            axes[axis] = np.sort(np.concatenate([axes[axis], between[error > allowed]]))
         if np.prod([len(x) for x in axes.values()]) > MOST_CELLS:
             raise InputError(
-                f"the table of {output} over {', '.join(inputs)} needs more than {MOST_CELLS} points; export --to "
+                f"the table of {output} over {', '.join(bounds)} needs more than {MOST_CELLS} points; export --to "
                 "python, fmu or jsbsim instead"
             )
 
@@ -117,17 +156,29 @@ def _evaluated(
     return np.broadcast_to(np.asarray(total, dtype=float), [len(x) for x in axes.values()]).copy()
 
 
-def _error(part, parts, axes, fixed, table, axis: str) -> float:
-    """Largest error of linear interpolation half way between the points of an axis."""
-    points = axes[axis]
+def _errors(
+    part: Program,
+    parts: Sequence[tuple[float, Operand]],
+    axes: Mapping[str, Float[np.ndarray, " n"]],
+    fixed: Mapping[str, Any],
+    table: Float[np.ndarray, "*n"],
+    axis: str,
+) -> Float[np.ndarray, " m"]:
+    """Largest error of linear interpolation half way between each two points of an axis."""
+    points, k = axes[axis], list(axes).index(axis)
     between = dict(axes) | {axis: 0.5 * (points[1:] + points[:-1])}
-    k = list(axes).index(axis)
     low, high = np.take(table, range(len(points) - 1), axis=k), np.take(table, range(1, len(points)), axis=k)
-    return float(np.max(np.abs(_evaluated(part, parts, between, fixed) - 0.5 * (low + high))))
+    error = np.abs(_evaluated(part, parts, between, fixed) - 0.5 * (low + high))
+    return error.max(axis=tuple(i for i in range(error.ndim) if i != k))
 
 
-def _halved(points: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
-    return np.sort(np.concatenate([points, 0.5 * (points[1:] + points[:-1])]))
+def _incidences(reach: Mapping[str, Sequence[Gridded]]) -> tuple[float, float]:
+    """Lowest and highest incidence of any separation point."""
+    sums = [
+        [(t.values.min(), t.values.max()) for t in tables] for n, tables in reach.items() if n.startswith(INCIDENCE)
+    ]
+    low, high = (np.array([np.sum([pair[k] for pair in one]) for one in sums]) for k in (0, 1))
+    return float(low.min()), float(high.max())
 
 
 def _range(found: Identified, axis: str) -> tuple[float, float]:
@@ -145,15 +196,15 @@ def _range(found: Identified, axis: str) -> tuple[float, float]:
 def _dataset(found: Identified, table: Gridded) -> xr.Dataset:
     """The table with units, its error, and its values for each draw."""
     dims = tuple(table.axes)
-    unit_of = "s" if table.output == "lag" else "1"
+    unit_of = _unit_of(table.output)
     about_table = {"units": unit_of, "output": table.output, "interpolation_error": table.error}
-    coords = {n: (n, x, {"units": unit(n) or "1", "long_name": meaning(n)}) for n, x in table.axes.items()}
+    coords = {n: (n, x, {"units": _unit_of(n), "long_name": meaning(n)}) for n, x in table.axes.items()}
     data: dict[str, Any] = {"value": (dims, table.values, about_table)}
     drawn = found.draws
     if drawn is not None:
         if table.values.size * len(drawn.values) > MOST_WITH_DRAWS:
             raise InputError(f"table {table.name} with {len(drawn.values)} draws is too large; give fewer --draws")
-        program = found.program_of_points
+        program = program_by_incidence(found)
         part = program.giving({str(i): operand for i, (_, operand) in enumerate(table.parts)})
         each = [
             _evaluated(
@@ -168,8 +219,14 @@ def _dataset(found: Identified, table: Gridded) -> xr.Dataset:
     return xr.Dataset(data, coords=coords)
 
 
+def _unit_of(name: str) -> str:
+    if name.startswith(INCIDENCE):
+        return "rad"
+    return "s" if name == "lag" else unit(name) or "1"
+
+
 def _frame(table: Gridded) -> pd.DataFrame:
     """A row for each point: axes, with their units, and the value."""
     grid = np.meshgrid(*table.axes.values(), indexing="ij") if table.axes else []
-    columns = {f"{name} [{unit(name) or '1'}]": x.ravel() for name, x in zip(table.axes, grid, strict=True)}
-    return pd.DataFrame(columns | {f"{table.output} [{'s' if table.output == 'lag' else '1'}]": table.values.ravel()})
+    columns = {f"{name} [{_unit_of(name)}]": x.ravel() for name, x in zip(table.axes, grid, strict=True)}
+    return pd.DataFrame(columns | {f"{table.output} [{_unit_of(table.output)}]": table.values.ravel()})

@@ -141,8 +141,8 @@ def _use(found: Identified, form: str) -> tuple[str, ...]:
     if form == "tables":
         return (
             "A coefficient is the sum of its tables, each interpolated linearly; interpolation_error is the sum of the "
-            "largest errors along the axes. X is an axis: take it from the table X_static, through its lag where there "
-            "is one.",
+            "largest errors along the axes. X is an axis: take the incidence from its tables, the static X from "
+            "X_static, and X through its lag where there is one.",
         )
     return (f"import {found.name} and call {found.name}.aerodynamics; it needs no package.",)
 
