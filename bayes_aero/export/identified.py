@@ -134,6 +134,19 @@ class Identified:
         flow = self.exported.flow(values, signals, aircraft, X=X)
         return {name: flow[name] for name in self.exported.coefficients}
 
+    @property
+    def lift_slope(self) -> Program:
+        """The derivative of CL by alpha-dot, s, as the output `slope`: how strongly the two depend on each other."""
+
+        def outputs(values: Any, signals: Any, aircraft: Any, states: Any) -> dict[str, Any]:
+            if "CL" not in self.exported.coefficients or "alpha_dot" not in signals:
+                return {"slope": jnp.zeros_like(signals["alpha"])}
+            rate = signals["alpha_dot"]
+            lift = lambda rate: self._outputs(values, dict(signals) | {"alpha_dot": rate}, aircraft, states)["CL"]  # noqa: E731
+            return {"slope": jax.jvp(lift, (rate,), (jnp.ones_like(rate),))[1]}
+
+        return self.traced(outputs, self.points if self.lagged else ())
+
     def lag(self, values: Mapping[str, Any], signals: Mapping[str, Any], aircraft: Aircraft) -> dict[str, Any]:
         """The time constant of the separation point, s, where there is one."""
         if not self.lagged:

@@ -8,12 +8,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 from bayes_aero.export.identified import Identified
 from bayes_aero.export.jsbsim_functions import PREFIX, Node, call, functions, named, read, value
 from bayes_aero.export.program import Program
 from bayes_aero.export.text import about, unit
+from bayes_aero.flight.axes import Axis
 from bayes_aero.physics.coefficient_names import LATERAL, NAMES
 
 FOOT = 0.3048  # m
@@ -36,12 +38,10 @@ PROPERTIES: dict[str, tuple[str, float]] = {
     "flap": ("fcs/flap-pos-deg", math.pi / 180.0),
 }
 """Where JSBSim has a channel, and the factor to SI. Every other channel is a property `bayes-aero/input/NAME`."""
-SHARE = 0.2
-"""Share of the way that alpha-dot goes a frame toward its new value.
-
-Lift depends on alpha-dot, and alpha-dot on lift of the frame before: without a lag the loop has a gain beyond one in
-the stall and diverges. With this share it is stable up to a gain of five.
-"""
+LEAST_SLOPE = 0.1
+"""Of the equation of alpha-dot, by which its steps are divided; at zero the motion is not unique."""
+SLOPE = f"{PREFIX}/state/lift-per-alpha-dot"
+RATES_OF_SPEED = ("accelerations/udot-ft_sec2", "accelerations/wdot-ft_sec2")
 FIRST_FRAMES = 1.5  # states take their static values before
 THRUST = f"{PREFIX}/input/thrust-N"
 
@@ -53,8 +53,10 @@ def aerodynamics_xml(found: Identified) -> str:
     program = _without_lag(found)
     signals = program.inputs_of("signal")
     root.extend(named("function", _signal(n), _from(n)) for n in signals if PROPERTIES.get(n, ("", 1.0))[1] != 1.0)
-    outputs = {name: _output(name) for name in program.outputs}
-    root.extend(functions(program, _inputs(found, program), outputs))
+    root.extend(functions(program, _inputs(found, program), {name: _output(name) for name in program.outputs}))
+    if "alpha_dot" in signals:
+        slope = found.lift_slope
+        root.extend(functions(slope, _inputs(found, slope), {"slope": SLOPE}, "slope"))
     for axis, content in _forces(found).items():
         SubElement(root, "axis", name=axis).append(named("function", f"{PREFIX}/total/{axis}", content))
     return _text(root)
@@ -70,9 +72,11 @@ def system_xml(found: Identified) -> str:
         SubElement(root, "property", value="0.0").text = name
     channel = SubElement(root, "channel", name="states")
     if "alpha_dot" in program.inputs_of("signal"):
-        name, now = PROPERTIES["alpha_dot"][0], "aero/alphadot-rad_sec"
-        step = call("product", value(SHARE), call("difference", read(now), read(name)))
-        channel.append(named("fcs_function", name, _first(read(now), call("sum", read(name), step))))
+        name = PROPERTIES["alpha_dot"][0]
+        channel.append(named("fcs_function", f"{name}-now", _rate_now()))
+        now = read(f"{name}-now")
+        step = call("quotient", call("difference", now, read(name)), _slope_of_rate(found))
+        channel.append(named("fcs_function", name, _first(now, call("sum", read(name), step))))
     if found.lagged:
         [lag] = functions(program.giving({"lag": program.outputs["lag"]}), _inputs(found, program), {"lag": "lag"})
         decay = call("exp", call("quotient", call("product", value(-1.0), read("simulation/dt")), *list(lag)))
@@ -85,8 +89,14 @@ def system_xml(found: Identified) -> str:
 
 
 def aircraft_xml(found: Identified) -> str:
-    """A body with the card's mass, inertia and thrust line, to fly the aerodynamics with."""
+    """A body with the card's mass, inertia and thrust line, to fly the aerodynamics with.
+
+    Without a lateral model it is symmetric, so that it stays in its plane of symmetry.
+    """
     a = found.actual_aircraft
+    if Axis.LATERAL not in found.model.axes:
+        point, engine = ((x, 0.0, z) for x, _, z in (a.reference_point, a.engine))
+        a = replace(a, reference_point=point, engine=engine, Ixy=0.0, Iyz=0.0)
     root = Element("fdm_config", name=found.name, version="2.0", release="ALPHA")
     header = SubElement(root, "fileheader")
     SubElement(header, "author").text = "bayes_aero"
@@ -171,10 +181,26 @@ def _forces(found: Identified) -> dict[str, Node]:
     return {n: call("product", pressure, value(found_axes[n][1]), found_axes[n][0]) for n in order if n in found_axes}
 
 
+def _rate_now() -> Node:
+    """Alpha-dot of the frame before, from the accelerations of its forces."""
+    u, w, u_dot, w_dot = (read(n) for n in ("velocities/u-aero-fps", "velocities/w-aero-fps", *RATES_OF_SPEED))
+    size = call("sum", call("product", u, u), call("product", w, w))
+    turning = call("difference", call("product", u, w_dot), call("product", w, u_dot))
+    return call("quotient", turning, call("max", size, value(1.0)))
+
+
+def _slope_of_rate(found: Identified) -> Node:
+    """1 + qbar S/(m V) dCL/d(alpha-dot): alpha-dot depends on itself through the lift; a Newton step divides by it."""
+    area = found.actual_aircraft.wing_area / FOOT**2
+    inertia = call("max", call("product", read("inertia/mass-slugs"), read("velocities/vt-fps")), value(1.0))
+    gain = call("quotient", call("product", read("aero/qbar-psf"), value(area), read(SLOPE)), inertia)
+    return call("max", value(LEAST_SLOPE), call("sum", value(1.0), gain))
+
+
 def _first(begin: Node, later: Node) -> Node:
     """`begin` in the first frame, then `later`."""
     limit = call("product", value(FIRST_FRAMES), read("simulation/dt"))
-    return call("ifthen", call("lt", read("simulation/sim-time-sec"), limit), begin, later)
+    return call("ifthen", call("le", read("simulation/sim-time-sec"), limit), begin, later)
 
 
 def _bare(content: Node) -> Node:

@@ -78,13 +78,16 @@ COMPOSED: dict[str, Callable[[Node], Node]] = {
 """Operations that JSBSim does not have, by those that it has."""
 
 
-def functions(program: Program, inputs: Mapping[str, Node], outputs: Mapping[str, str]) -> list[Node]:
+def functions(
+    program: Program, inputs: Mapping[str, Node], outputs: Mapping[str, str], steps: str = "step"
+) -> list[Node]:
     """The program as functions in their order: steps that are read more than once, then the outputs.
 
     Args:
         program: steps and outputs.
         inputs: how each input is read.
         outputs: names of the properties of the outputs.
+        steps: branch of the properties of the steps.
     """
     known, uses, found = dict(inputs), program.uses, []
 
@@ -98,7 +101,7 @@ def functions(program: Program, inputs: Mapping[str, Node], outputs: Mapping[str
         else:
             content = COMPOSED[step.operation](*arguments)
         if uses[step.name] > 1:
-            name = f"{PREFIX}/step/{step.name}"
+            name = f"{PREFIX}/{steps}/{step.name}"
             found.append(named("function", name, content))
             content = read(name)
         known[step.name] = content
