@@ -16,6 +16,7 @@ from bayes_aero.export.jsbsim_functions import PREFIX, Node, call, functions, na
 from bayes_aero.export.program import Program
 from bayes_aero.export.text import about, unit
 from bayes_aero.flight.axes import Axis
+from bayes_aero.physics.atmosphere import GRAVITY
 from bayes_aero.physics.coefficient_names import LATERAL, NAMES
 
 FOOT = 0.3048  # m
@@ -52,6 +53,9 @@ def aerodynamics_xml(found: Identified) -> str:
     root.append(Comment("\n" + "\n".join(re.sub("-{2,}", "-", line) for line in about(found)) + "\n"))
     program = _without_lag(found)
     signals = program.inputs_of("signal")
+    root.extend(
+        named("function", f"{PREFIX}/state/{n}", _rest(read(_separated(n)))) for n in program.inputs_of("state")
+    )
     root.extend(named("function", _signal(n), _from(n)) for n in signals if PROPERTIES.get(n, ("", 1.0))[1] != 1.0)
     root.extend(functions(program, _inputs(found, program), {name: _output(name) for name in program.outputs}))
     if "alpha_dot" in signals:
@@ -82,7 +86,7 @@ def system_xml(found: Identified) -> str:
         decay = call("exp", call("quotient", call("product", value(-1.0), read("simulation/dt")), *list(lag)))
         channel.append(named("fcs_function", f"{PREFIX}/state/decay", decay))
         for point in found.points:
-            name, static = f"{PREFIX}/state/{point}", read(_output(f"{point}_static"))
+            name, static = _separated(point), _rest(read(_output(f"{point}_static")))
             left = call("product", read(f"{PREFIX}/state/decay"), call("difference", read(name), static))
             channel.append(named("fcs_function", name, _first(static, call("sum", static, left))))
     return _text(root)
@@ -108,11 +112,12 @@ def aircraft_xml(found: Identified) -> str:
         _number(metrics, name, size, measure)
     for name, place in (("AERORP", a.reference_point), ("EYEPOINT", (0.0,) * 3), ("VRP", (0.0,) * 3)):
         _location(metrics, place, name=name)
-    mass = SubElement(root, "mass_balance", negated_crossproduct_inertia="true")
-    inertias = {"ixx": a.Ix, "iyy": a.Iy, "izz": a.Iz, "ixy": a.Ixy, "ixz": a.Ixz, "iyz": a.Iyz}
+    mass = SubElement(root, "mass_balance", negated_crossproduct_inertia="false")
+    # products in structural axes, of which x and z point the other way
+    inertias = {"ixx": a.Ix, "iyy": a.Iy, "izz": a.Iz, "ixy": -a.Ixy, "ixz": a.Ixz, "iyz": -a.Iyz}
     for name, size in inertias.items():
-        _number(mass, name, size, "KG*M2")
-    _number(mass, "emptywt", a.mass, "KG")
+        _number(mass, name, size / (SLUG * FOOT**2), "SLUG*FT2")  # JSBSim's own factor has four digits
+    _number(mass, "emptywt", a.mass * GRAVITY / POUND, "LBS")
     _location(mass, (0.0,) * 3, name="CG")
     SubElement(root, "ground_reactions")
     force = SubElement(SubElement(root, "external_reactions"), "force", name="thrust", frame="BODY")
@@ -195,6 +200,15 @@ def _slope_of_rate(found: Identified) -> Node:
     inertia = call("max", call("product", read("inertia/mass-slugs"), read("velocities/vt-fps")), value(1.0))
     gain = call("quotient", call("product", read("aero/qbar-psf"), value(area), read(SLOPE)), inertia)
     return call("max", value(LEAST_SLOPE), call("sum", value(1.0), gain))
+
+
+def _separated(point: str) -> str:
+    """The state itself, 1 - X: JSBSim's states are zero before the first frame, and so the flow is attached there."""
+    return f"{PREFIX}/state/{point}-separated"
+
+
+def _rest(x: Node) -> Node:
+    return call("difference", value(1.0), x)
 
 
 def _first(begin: Node, later: Node) -> Node:
