@@ -76,11 +76,7 @@ def system_xml(found: Identified) -> str:
         SubElement(root, "property", value="0.0").text = name
     channel = SubElement(root, "channel", name="states")
     if "alpha_dot" in program.inputs_of("signal"):
-        name = PROPERTIES["alpha_dot"][0]
-        channel.append(named("fcs_function", f"{name}-now", _rate_now()))
-        now = read(f"{name}-now")
-        step = call("quotient", call("difference", now, read(name)), _slope_of_rate(found))
-        channel.append(named("fcs_function", name, _first(now, call("sum", read(name), step))))
+        channel.extend(_alpha_dot(found))
     if found.lagged:
         [lag] = functions(program.giving({"lag": program.outputs["lag"]}), _inputs(found, program), {"lag": "lag"})
         decay = call("exp", call("quotient", call("product", value(-1.0), read("simulation/dt")), *list(lag)))
@@ -184,6 +180,21 @@ def _forces(found: Identified) -> dict[str, Node]:
     order = ("X", "Y", "Z", "ROLL", "PITCH", "YAW")
     pressure = read("aero/qbar-psf")
     return {n: call("product", pressure, value(found_axes[n][1]), found_axes[n][0]) for n in order if n in found_axes}
+
+
+def _alpha_dot(found: Identified) -> list[Node]:
+    """Alpha-dot by a Newton step a frame, carried on to the present frame by its last change."""
+    used = PROPERTIES["alpha_dot"][0]
+    now, before, solved = (f"{used}-{part}" for part in ("now", "before", "solved"))
+    step = call("quotient", call("difference", read(now), read(used)), _slope_of_rate(found))
+    ahead = call("difference", call("product", value(2.0), read(solved)), read(before))
+    contents = {
+        now: _rate_now(),
+        before: _first(read(now), read(solved)),
+        solved: _first(read(now), call("sum", read(used), step)),
+        used: _first(read(now), ahead),
+    }
+    return [named("fcs_function", name, content) for name, content in contents.items()]
 
 
 def _rate_now() -> Node:

@@ -151,11 +151,13 @@ def flown(sim, start, inputs, dt, frames, outputs) -> dict[str, np.ndarray]:
     return {name: np.array(x) for name, x in found.items()}
 
 
-def simulated(system, start, inputs, dt, substeps=4):
-    """The package's own flight."""
+def simulated(system, start, inputs, dt, substeps=8, X=None):
+    """The package's own flight; `X` is where the separation point begins, which depends on alpha-dot there."""
     u = {name: jnp.asarray(x) for name, x in inputs.items()}
     begin = jnp.array([float(start.get(name, 0.0)) for name in system.start])
     begin = system.complete_start(begin, {name: x[0] for name, x in u.items()})
+    if X is not None:
+        begin = begin.at[system.start.index("X")].set(X)
     found = integrate(system, system.state_at_start(begin), u, dt, substeps)
     assert bool(found.inside.all())
     return {name: np.asarray(x) for name, x in found.outputs.items()}
