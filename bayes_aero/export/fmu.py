@@ -18,6 +18,7 @@ MOST_SECONDS = 300
 SLAVE = '''"""Co-simulation of an identified aerodynamic model."""
 
 import math
+from xml.etree.ElementTree import SubElement
 
 from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
 
@@ -54,6 +55,14 @@ class {name}(Fmi2Slave):
 
         variable = Real(name, getter=lambda: values[key], setter=put, description=text, **kind)
         self.register_variable(variable, nested=False)
+
+    def to_xml(self, *given):
+        root = super().to_xml(*given)
+        node = SubElement(root.find("ModelStructure"), "InitialUnknowns")
+        for number, variable in enumerate(self.vars.values(), 1):
+            if variable.causality is Fmi2Causality.output:
+                SubElement(node, "Unknown", index=str(number))
+        return root
 
     def _evaluate(self):
         found = model.aerodynamics(**self.inputs, **self.states, parameters=self.parameters)

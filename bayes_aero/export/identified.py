@@ -71,7 +71,7 @@ class Identified:
     @property
     def separates(self) -> bool:
         """Whether the model has a separation point."""
-        return any(e.stage is Stage.SEPARATION for e in self.exported.acting)
+        return any(e.stage in (Stage.SEPARATION, Stage.LAG) for e in self.exported.acting)
 
     @property
     def lagged(self) -> bool:

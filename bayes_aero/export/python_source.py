@@ -50,7 +50,7 @@ def python_source(found: Identified) -> str:
         _table("AIRCRAFT", [(n, found.inputs[f"aircraft.{n}"], _unit_of(n)) for n in program.inputs_of("aircraft")]),
         *([] if found.draws is None else [_draws(found)]),
         *(f"\n{OWN[name]}" for name in OWN if name in used),
-        f"\ndef aerodynamics({', '.join(names)}, parameters=PARAMETERS):\n{_docstring(found, signals, points, program)}"
+        f"\ndef aerodynamics({', '.join((*names, 'parameters=PARAMETERS'))}):\n{_docstring(found, signals, points, program)}"
         f"    P, A = parameters, AIRCRAFT\n{_body(program)}",
     ]
     return "\n".join(parts)

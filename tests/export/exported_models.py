@@ -45,9 +45,9 @@ def six() -> Identified:
 
 
 def everything(lag: float = 3.0) -> Identified:
-    """Every effect of the catalogue that is exported, each with a size of its own."""
+    """Every effect of the catalogue that is exported, each with a size of its own; without a `lag` at 0."""
     kept = [e for e in CATALOGUE.values() if e.stage not in (Stage.CHANNEL, Stage.INFLOW) and e.disturbance is None]
-    model = Model.of(kept, None, BOTH)
+    model = Model.of(kept, None if lag else {"tau1": 0.0}, BOTH)
     values = {}
     for effect in kept:
         for k, p in enumerate(effect.parameters):
@@ -55,8 +55,8 @@ def everything(lag: float = 3.0) -> Identified:
             values[p.name] = p.start if p.start != p.neutral else p.neutral + (1.0 + 0.1 * k) * size
     aircraft = replace(read_card("attas").aircraft, rate_length=1.6, lateral_length=11.0, lateral_rate_length=10.0)
     aircraft = replace(aircraft, Ixy=9e3, Iyz=-2e4, engine_inclination=0.05)
-    values |= {"tau1": lag}
     assert not [e.name for e in kept if e.parameters and e.absent_in(values)]
+    values |= {"tau1": lag}
     return Identified("everything", "all effects", model, aircraft, values, ())
 
 

@@ -29,7 +29,7 @@ from bayes_aero.simulate.demo import simulate_stall
 
 pytest.importorskip("jsbsim")
 LARGEST = 1e-3  # of an output's range, between JSBSim and the package's simulation
-STALL_FRAMES, SIX_FRAMES = 20, 80  # a sample of 40 ms; JSBSim's first step is of first order
+STALL_FRAMES, SIX_FRAMES = 25, 80  # a sample of 40 ms; JSBSim's first step is of first order
 SEED = 5
 
 
