@@ -38,6 +38,7 @@ def python_source(found: Identified) -> str:
         if not name.isidentifier() or iskeyword(name) or re.fullmatch(TAKEN, name):
             raise InputError(f"channel {name} cannot be an argument in Python; give it another name on the card")
     names = (*signals, *points)
+    head = f"def aerodynamics({', '.join((*names, 'parameters=PARAMETERS'))}):"
     parts = [
         f'"""{wrapped(about(found), WIDTH)}\n"""\n\nimport math\n',
         _table(
@@ -50,8 +51,7 @@ def python_source(found: Identified) -> str:
         _table("AIRCRAFT", [(n, found.inputs[f"aircraft.{n}"], _unit_of(n)) for n in program.inputs_of("aircraft")]),
         *([] if found.draws is None else [_draws(found)]),
         *(f"\n{OWN[name]}" for name in OWN if name in used),
-        f"\ndef aerodynamics({', '.join((*names, 'parameters=PARAMETERS'))}):\n{_docstring(found, signals, points, program)}"
-        f"    P, A = parameters, AIRCRAFT\n{_body(program)}",
+        f"\n{head}\n{_docstring(found, signals, points, program)}    P, A = parameters, AIRCRAFT\n{_body(program)}",
     ]
     return "\n".join(parts)
 

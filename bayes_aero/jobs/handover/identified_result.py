@@ -61,10 +61,9 @@ def _file(path: Path) -> Path:
         )
     there = [path / name for name in FILES if is_file(path / name)]
     if len(there) != 1:
-        which = (
-            f"it has {' and '.join(p.name for p in there)}: name one of them" if there else "give one of its results"
-        )
-        raise InputError(f"folder {path} is not one result of identify, fly or diagnose; {which}")
+        names = " and ".join(p.name for p in there)
+        which = f"it has {names}: name one of them" if there else f"it has none of {', '.join(FILES)}"
+        raise InputError(f"folder {path} is not the result of one run of identify, fly or diagnose; {which}")
     return there[0]
 
 

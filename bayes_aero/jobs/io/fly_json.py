@@ -26,7 +26,7 @@ from bayes_aero.jobs.io.trajectories_json import open_loop
 from bayes_aero.jobs.options import FIXED, FREE, HELD, LINEAR
 from bayes_aero.report.tables.fly import parameter_rows
 
-SCHEMA = "bayes_aero/trajectories/3"
+SCHEMA = "bayes_aero/trajectories/4"
 RESULTS = "trajectories.json"
 
 
