@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from exported_models import simulated, stall
+from exported_models import stall
+from jsbsim_flights import simulated
 
 from bayes_aero.dynamics.aircraft.longitudinal import Longitudinal
 from bayes_aero.export.fmu import write_fmu

@@ -5,22 +5,8 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from exported_models import (
-    BOTH,
-    CONTROLS,
-    FOOT,
-    POUND,
-    SLUG,
-    STATES,
-    everything,
-    flown,
-    loaded,
-    modelled,
-    simulated,
-    six,
-    stall,
-    started,
-)  # fmt: skip
+from exported_models import BOTH, everything, modelled, six, stall
+from jsbsim_flights import CONTROLS, FOOT, POUND, SLUG, STATES, flown, loaded, simulated, started
 
 from bayes_aero.dynamics.aircraft.longitudinal import Longitudinal
 from bayes_aero.dynamics.aircraft.rigid_body import RigidBody
