@@ -238,7 +238,7 @@ def _number(parent: Node, name: str, size: float, measure: str) -> None:
 
 def _location(parent: Node, place: tuple, **names: str) -> None:
     """A position of the body from the centre of gravity, in structural axes."""
-    node = SubElement(parent, "location", unit="M", **names)
+    node = SubElement(parent, "location", {"unit": "M", **names})
     for name, x in zip("xyz", (-place[0], place[1], -place[2]), strict=True):
         SubElement(node, name).text = repr(float(x) + 0.0)
 
