@@ -37,6 +37,11 @@ def export(
 
     Example: bayes-aero export results --to jsbsim
     """
+    from bayes_aero.jobs.handover.result_file import read_result, result_file
+
+    file = result_file(result)
+    if file is not None:
+        read_result(file)
     with loading():
         from bayes_aero.jobs.handover.export import export as run
 

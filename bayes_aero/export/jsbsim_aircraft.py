@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
+from bayes_aero.errors import InputError
 from bayes_aero.export.identified import Identified
 from bayes_aero.export.jsbsim_functions import PREFIX, Node, call, functions, named, read, value
 from bayes_aero.export.program import Program
@@ -44,6 +45,7 @@ LEAST_SLOPE = 0.1
 SLOPE = f"{PREFIX}/state/lift-per-alpha-dot"
 RATES_OF_SPEED = ("accelerations/udot-ft_sec2", "accelerations/wdot-ft_sec2")
 FIRST_FRAMES = 1.5  # states take their static values before
+NAME = r"[A-Za-z_][A-Za-z0-9_.-]*"
 THRUST = f"{PREFIX}/input/thrust-N"
 
 
@@ -250,6 +252,9 @@ def _text(root: Node) -> str:
 
 def jsbsim_files(found: Identified) -> Mapping[str, str]:
     """Files by their place below the folder of an export: a root directory of JSBSim."""
+    for name in (*found.program.inputs_of("signal"), *found.program.inputs_of("parameter")):
+        if not re.fullmatch(NAME, name):
+            raise InputError(f"{name} cannot be a property of JSBSim; give it another name")
     folder = f"aircraft/{found.name}"
     return {
         f"{folder}/{found.name}.xml": aircraft_xml(found),

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import re
 from keyword import iskeyword
 
-from bayes_aero.errors import InputError
+from bayes_aero.errors import InputError, plain_line
 from bayes_aero.export.identified import Identified
 from bayes_aero.export.program import Operand, Program, Step
 from bayes_aero.export.text import about, meaning, unit, version, wrapped
@@ -40,7 +41,7 @@ def python_source(found: Identified) -> str:
     names = (*signals, *points)
     head = f"def aerodynamics({', '.join((*names, 'parameters=PARAMETERS'))}):"
     parts = [
-        f'"""{wrapped(about(found), WIDTH)}\n"""\n\nimport math\n',
+        f'"""{_quoted(wrapped(about(found), WIDTH))}\n"""\n\nimport math\n',
         _table(
             "PARAMETERS",
             [
@@ -79,8 +80,13 @@ def _unit_of(constant: str) -> str:
     return AIRCRAFT_UNITS[constant.split(".")[0]]
 
 
+def _quoted(text: str) -> str:
+    """Words of a card or a record, which end no docstring."""
+    return text.replace("\\", "/").replace('"', "'")
+
+
 def _table(name: str, rows: list[tuple[str, float, str]]) -> str:
-    lines = [f'    "{key}": {float(value)!r},  # {remark}' for key, value, remark in rows]
+    lines = [f"    {json.dumps(key)}: {float(value)!r},  # {plain_line(remark)}" for key, value, remark in rows]
     return "\n".join([f"{name} = {{", *lines, "}"])
 
 
@@ -105,7 +111,7 @@ def _docstring(found: Identified, signals: tuple[str, ...], points: tuple[str, .
     body = "\n".join(f"        {line}" for line in lines)
     returned = wrapped([f"A dict: {'; '.join(told)}."], WIDTH, "        ")
     return (
-        f'    """Aerodynamic coefficients of {found.title}, by {version()}.\n\n    Args:\n{body}\n\n'
+        f'    """Aerodynamic coefficients of {_quoted(found.title)}, by {version()}.\n\n    Args:\n{body}\n\n'
         f'    Returns:\n{returned}\n    """\n'
     )
 
@@ -144,7 +150,7 @@ def _body(program: Program) -> str:
 
 def _input(name: str) -> str:
     kind, own = name.split(".", 1)
-    return {"parameter": f'P["{own}"]', "aircraft": f'A["{own}"]'}.get(kind, own)
+    return {"parameter": f"P[{json.dumps(own)}]", "aircraft": f"A[{json.dumps(own)}]"}.get(kind, own)
 
 
 def _expression(operation: str, given: list[tuple[str, int]]) -> tuple[str, int]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from importlib import metadata
 
 from bayes_aero.effect import Stage
+from bayes_aero.errors import plain_line
 from bayes_aero.export.identified import Identified
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.physics.coefficient_names import LATERAL
@@ -80,7 +81,7 @@ def about(found: Identified) -> tuple[str, ...]:
     uncertain = (
         () if drawn is None else (f"{len(drawn.values)} draws of {len(drawn.names)} parameters: {drawn.origin}.",)
     )
-    return (
+    sentences = (
         f"{found.title}. Exported by {version()}.",
         *found.sources,
         *CONVENTIONS,
@@ -90,6 +91,7 @@ def about(found: Identified) -> tuple[str, ...]:
         *uncertain,
         *found.left_out,
     )
+    return tuple(map(plain_line, sentences))
 
 
 def unit(channel: str) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,7 +12,9 @@ from jsbsim_flights import CONTROLS, FOOT, POUND, SLUG, STATES, flown, loaded, s
 
 from bayes_aero.dynamics.aircraft.longitudinal import Longitudinal
 from bayes_aero.dynamics.aircraft.rigid_body import RigidBody
-from bayes_aero.export.jsbsim_aircraft import PROPERTIES
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.errors import InputError
+from bayes_aero.export.jsbsim_aircraft import PROPERTIES, jsbsim_files
 from bayes_aero.simulate.demo import simulate_stall
 
 pytest.importorskip("jsbsim")
@@ -132,3 +136,17 @@ def test_six_degrees_of_freedom_are_flown_as_the_package_flies_them(tmp_path):
     expected = simulated(RigidBody(found.model, values, found.aircraft), start, inputs, dt, X=sim["X"][0])
     assert found.model.axes == BOTH
     within(sim, expected, STATES)
+
+
+def test_words_of_a_card_end_no_comment(tmp_path):
+    """A title that would close the comment of the XML, and a parameter that is no property."""
+    found = replace(stall(), title="x --> <aerodynamics> <-- & --->")
+    assert loaded(found, tmp_path)["metrics/Sw-sqft"] == pytest.approx(64.0 / FOOT**2, rel=1e-6)
+    odd = replace(CATALOGUE["elevator_drag"], channels=("2nd surface",), increments=_second)
+    wider = replace(found, model=found.model.extended(odd), values=found.values | {"CDde": 0.1})
+    with pytest.raises(InputError, match="2nd surface cannot be a property of JSBSim"):
+        jsbsim_files(wider)
+
+
+def _second(v, s, *_):
+    return {"CD": v["CDde"] * s["2nd surface"]}

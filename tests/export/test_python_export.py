@@ -102,6 +102,16 @@ def test_errors_of_the_record_and_random_air_are_left_out_and_said():
     assert found.actual_aircraft.reference_point[0] == pytest.approx(-0.02 - 0.01)  # the shift moves all else aft
 
 
+def test_words_of_a_card_are_no_code():
+    """A title and a source that would end the docstring."""
+    title = 'x"""\nraise SystemExit("run")\n"""\\'
+    found = replace(stall(), title=title, sources=(title,))
+    names = loaded(found)
+    assert "raise SystemExit" in names["__doc__"]
+    tree = ast.parse(python_source(found))
+    assert not [node for node in ast.walk(tree) if isinstance(node, ast.Raise)]
+
+
 def test_a_channel_that_is_no_name_of_python_is_refused():
     own = replace(CATALOGUE["elevator_drag"], channels=("2nd surface",), increments=_second)
     card = read_card("attas")

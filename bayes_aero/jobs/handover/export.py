@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -48,7 +49,7 @@ def export(
     if form not in FORMS:
         raise InputError(f"there is no form {form!r} to export to; give one of {', '.join(FORMS)}")
     found, folder, told = read_identified(given, card)
-    found = replace(found, name=safe_name(found.name) or "model")
+    found = replace(found, name=_name(found.name))
     if draws:
         found = replace(found, draws=drawn(found, folder, told, draws, seed))
     target = out or Path(f"{found.name}_{form}")
@@ -71,6 +72,12 @@ def export(
     finally:
         shutil.rmtree(part, ignore_errors=True)
     return target, facts
+
+
+def _name(words: str) -> str:
+    """A name that is one in Python, in XML and for every system's files."""
+    name = re.sub(r"[^A-Za-z0-9_]", "_", words)
+    return safe_name(name if re.match(r"[A-Za-z_]", name) else f"_{name}")
 
 
 def _jsbsim(found: Identified, folder: Path) -> tuple[str, ...]:

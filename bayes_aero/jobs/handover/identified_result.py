@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,16 +10,14 @@ from typing import Any
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
 from bayes_aero.export.identified import Identified
-from bayes_aero.flight.card.card import Card, read_card, shipped_cards
-from bayes_aero.flight.card.toml_tables import is_file
+from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.jobs.handover.identified_card import card_of
+from bayes_aero.jobs.handover.result_file import read_result, result_file
 from bayes_aero.model.chosen import effect_named
 from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.physics.coefficient_names import COEFFICIENTS
 
-FILES = {"results.json": "identify", "trajectories.json": "fly", "diagnosis.json": "diagnose"}
-MOST_BYTES = 1 << 28
 USABLE = ("converged", "at_bound")
 
 
@@ -37,11 +34,10 @@ def read_identified(given: str, card: str | None = None) -> tuple[Identified, Pa
     Raises:
         InputError: there is no such folder or card, the fit did not converge, or a parameter has no value.
     """
-    path = Path(given)
-    if given in shipped_cards() or path.suffix == ".toml":
+    file = result_file(given)
+    if file is None:
         return _of_card(read_card(given)), None, {}
-    file = _file(path)
-    told = _read(file)
+    told = read_result(file)
     try:
         found = _of_result(told, file, card_of(told["provenance"], file, card))
     except (KeyError, TypeError, AttributeError, ValueError) as reason:
@@ -49,35 +45,6 @@ def read_identified(given: str, card: str | None = None) -> tuple[Identified, Pa
             raise
         raise InputError(f"{file} is not as bayes-aero wrote it ({reason!r}); run the command again") from None
     return found, file.parent, told
-
-
-def _file(path: Path) -> Path:
-    if is_file(path) and path.name.endswith(".json"):
-        return path
-    if not path.is_dir():
-        raise InputError(
-            f"there is no result {str(path)!r}: give a folder that identify, fly or diagnose wrote, one of its files "
-            f"({', '.join(FILES)}), or a card"
-        )
-    there = [path / name for name in FILES if is_file(path / name)]
-    if len(there) != 1:
-        names = " and ".join(p.name for p in there)
-        which = f"it has {names}: name one of them" if there else f"it has none of {', '.join(FILES)}"
-        raise InputError(f"folder {path} is not the result of one run of identify, fly or diagnose; {which}")
-    return there[0]
-
-
-def _read(file: Path) -> Mapping[str, Any]:
-    try:
-        if file.stat().st_size > MOST_BYTES:
-            raise ValueError(f"it has more than {MOST_BYTES} bytes")
-        told = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as reason:
-        raise InputError(f"{file} cannot be read ({reason}); give the result of a finished run") from None
-    kind = str(told.get("schema", "")).split("/")[:2] if isinstance(told, dict) else []
-    if kind not in (["bayes_aero", name] for name in ("results", "trajectories", "diagnosis")):
-        raise InputError(f"{file} is no result of identify, fly or diagnose; give the folder of one")
-    return told
 
 
 def _of_card(card: Card) -> Identified:
