@@ -65,3 +65,12 @@ class Manoeuvre(StrEnum):
     RUDDER_DOUBLET = "rudder_doublet"
     STALL_WITH_BANK = "stall_with_bank"
     ENGINE_STEPS = "engine_steps"
+
+
+class ExportForm(StrEnum):
+    """Forms of an exported model: `jobs.handover.export.FORMS`."""
+
+    JSBSIM = "jsbsim"
+    FMU = "fmu"
+    TABLES = "tables"
+    PYTHON = "python"

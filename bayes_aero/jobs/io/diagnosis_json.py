@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+import numpy as np
+
 from bayes_aero.diagnosis.result import (
     COEFFICIENTS,
     Cause,
@@ -26,11 +28,14 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.jobs.io.health_json import health_results
 from bayes_aero.jobs.io.trajectories_json import trajectory_results
+from bayes_aero.model.derived_channels import with_sums
+from bayes_aero.physics.filters import differentiate, smooth
 from bayes_aero.report.tables.diagnosis_tables import screen_table
 from bayes_aero.report.text.diagnosis import sentences
 
 SCHEMA = "bayes_aero/diagnosis/3"
 SCORES = ("r2", "rmse", "r", "theil")
+FLOWN = (0.001, 0.999)  # quantiles that bound the flown range of a channel
 
 
 Hidden = Mapping[str, Mapping[str, float]]
@@ -69,7 +74,7 @@ def diagnosis_results(
     found: dict[str, Any] = {
         "schema": SCHEMA,
         "card": {"name": card.name, "title": card.title},
-        "records": record_results(records),
+        "records": record_results(records, card),
         "consistency": {} if outcome.consistency is None else consistency_results(outcome.consistency),
         "verdict": d.verdict.value,
         "tested": tested_results(d.tested, d.compared),
@@ -221,9 +226,26 @@ def noise_results(noise: NoiseReport) -> dict[str, Any]:
     }
 
 
-def record_results(records: Sequence[FlightRecord]) -> list[dict[str, Any]]:
-    """The records at a glance."""
-    return [{"name": r.name, "samples": r.n, "dt": r.dt, "duration": float(r.time[-1] - r.time[0])} for r in records]
+def record_results(records: Sequence[FlightRecord], card: Card) -> list[dict[str, Any]]:
+    """The records at a glance, with the flown range of each channel (SI), a spike left out."""
+    return [
+        {
+            "name": r.name,
+            "samples": r.n,
+            "dt": r.dt,
+            "duration": float(r.time[-1] - r.time[0]),
+            "ranges": {name: list(map(float, np.quantile(x, FLOWN))) for name, x in _channels(r, card).items()},
+        }
+        for r in records
+    ]
+
+
+def _channels(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
+    """Recorded and derived channels, and the rate of the angle of attack, which effects read."""
+    found = {name: np.asarray(x, dtype=float) for name, x in with_sums(record, card).items()}
+    if "alpha" in found and "alpha_dot" not in found:
+        found["alpha_dot"] = np.asarray(differentiate(smooth(found["alpha"]), record.dt))
+    return found
 
 
 def screen(d: Diagnosis, rankings: Sequence[Ranking]) -> list[dict[str, Any]]:

@@ -26,7 +26,7 @@ from bayes_aero.jobs.io.trajectories_json import open_loop
 from bayes_aero.jobs.options import FIXED, FREE, HELD, LINEAR
 from bayes_aero.report.tables.fly import parameter_rows
 
-SCHEMA = "bayes_aero/trajectories/3"
+SCHEMA = "bayes_aero/trajectories/4"
 RESULTS = "trajectories.json"
 
 
@@ -62,7 +62,7 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
     return {
         "schema": SCHEMA,
         "card": {"name": card.name, "title": card.title},
-        "records": record_results(records),
+        "records": record_results(records, card),
         "consistency": {} if found.consistency is None else consistency_results(found.consistency),
         "status": fit.status.name.lower(),
         "converged": flown.converged,
@@ -80,6 +80,7 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
         "variance_inflation": flown.variance_inflation,
         "noise_growth": dict(flown.noise_growth),
         "parameters": parameter_rows(flown),
+        "covariance": fit.corrected,
         "inseparable": inseparable_results(flown.fit.inseparable),
         "disagreement": [asdict(d) for d in found.apart],
         **({} if found.process_noise is None else {"process_noise": _process_noise(found.process_noise)}),
@@ -107,9 +108,9 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
 
 
 def _process_noise(found: ProcessNoise) -> dict[str, Any]:
-    """All but the histories, which gusts.csv and drift.csv have, and the covariance."""
-    bare = asdict(replace(found, drift=None, one_step=None, histories=(), covariance=None))
-    told = {name: value for name, value in bare.items() if name not in ("drift", "histories", "covariance")}
+    """All but the histories, which gusts.csv and drift.csv have."""
+    bare = asdict(replace(found, drift=None, one_step=None, histories=()))
+    told = {name: value for name, value in bare.items() if name not in ("drift", "histories")}
     told |= {"one_step": None if found.one_step is None else _one_step(found.one_step)}
     return told if found.drift is None else told | {"drift": _drift(found.drift)}
 

@@ -32,9 +32,13 @@ def results(
     found: dict[str, Any] = {
         "schema": SCHEMA,
         "card": {"name": identification.card.name, "title": identification.card.title},
-        "records": record_results(identification.records),
+        "records": record_results(identification.records, identification.card),
         "coefficients": identification.forming.value,
-        "mle": _mle(identification.mle) | {"alone": {k: _mle(v) for k, v in identification.alone.items()}},
+        "mle": _mle(identification.mle)
+        | {
+            "covariance": identification.mle.corrected,
+            "alone": {k: _mle(v) for k, v in identification.alone.items()},
+        },
     }
     if identification.consistency is not None:
         found["consistency"] = consistency_results(identification.consistency)

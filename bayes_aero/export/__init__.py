@@ -1,0 +1,1 @@
+"""An identified aerodynamic model in the forms of other simulators."""

@@ -1,0 +1,148 @@
+"""A scalar function as a list of elementary operations: what every export format is printed from."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+Operand = str | float
+"""The name of an input or of a step, or a number."""
+
+
+def _logistic(x: Any) -> Any:
+    return 0.5 * (1.0 + np.tanh(0.5 * x))
+
+
+OPERATIONS: dict[str, Callable[..., Any]] = {
+    "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative, "pow": np.power,
+    "sqrt": np.sqrt, "cbrt": np.cbrt, "exp": np.exp, "expm1": np.expm1, "log": np.log, "log1p": np.log1p,
+    "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
+    "atan2": np.arctan2, "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "logistic": _logistic,
+    "abs": np.abs, "sign": np.sign, "floor": np.floor, "ceil": np.ceil, "min": np.minimum, "max": np.maximum,
+    "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal, "eq": np.equal, "ne": np.not_equal,
+    "and": np.logical_and, "or": np.logical_or, "not": np.logical_not, "select": np.where,
+}  # fmt: skip
+"""Every operation that a program may have, and its meaning. `select` is the second argument where the first is true."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One operation; its result has the `name`."""
+
+    name: str
+    operation: str
+    arguments: tuple[Operand, ...]
+
+
+@dataclass(frozen=True)
+class Program:
+    """Steps in their order, and the outputs by name. Inputs are named `parameter.CLa`, `signal.alpha`, `state.X`."""
+
+    steps: tuple[Step, ...]
+    outputs: Mapping[str, Operand]
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Inputs on which the outputs depend, in alphabetical order."""
+        made = {step.name for step in self.steps}
+        read = (x for x in (*self.outputs.values(), *(x for s in self.steps for x in s.arguments)))
+        return tuple(sorted({x for x in read if isinstance(x, str) and x not in made}))
+
+    def inputs_of(self, kind: str) -> tuple[str, ...]:
+        """Names of the inputs of a kind (`parameter`, `signal`, `state`, `aircraft`), without it."""
+        return tuple(name.removeprefix(f"{kind}.") for name in self.inputs if name.startswith(f"{kind}."))
+
+    @property
+    def uses(self) -> Counter[str]:
+        """How often each name is read."""
+        read = (x for x in (*self.outputs.values(), *(x for s in self.steps for x in s.arguments)))
+        return Counter(x for x in read if isinstance(x, str))
+
+    def giving(self, outputs: Mapping[str, Operand]) -> Program:
+        """The part that these outputs need."""
+        by_name = {step.name: step for step in self.steps}
+        needed: set[str] = set()
+        waiting = [x for x in outputs.values() if isinstance(x, str)]
+        while waiting:
+            name = waiting.pop()
+            if name in by_name and name not in needed:
+                needed.add(name)
+                waiting += [x for x in by_name[name].arguments if isinstance(x, str)]
+        return replace(self, steps=tuple(s for s in self.steps if s.name in needed), outputs=dict(outputs))
+
+    def evaluated(self, inputs: Mapping[str, Any]) -> dict[str, Any]:
+        """The outputs for numbers or arrays of inputs that broadcast."""
+        found: dict[str, Any] = dict(inputs)
+
+        def value(x: Operand) -> Any:
+            return found[x] if isinstance(x, str) else x
+
+        for step in self.steps:
+            found[step.name] = OPERATIONS[step.operation](*(value(x) for x in step.arguments))
+        return {name: value(x) for name, x in self.outputs.items()}
+
+
+class Builder:
+    """Makes a program step by step; equal steps are one, and operations on numbers are carried out."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[str, tuple[Operand, ...]], str] = {}
+        self._made: dict[Operand, tuple[str, tuple[Operand, ...]]] = {}
+
+    def apply(self, operation: str, *arguments: Operand) -> Operand:
+        """The result of an operation."""
+        if all(isinstance(x, float) for x in arguments):
+            return float(OPERATIONS[operation](*arguments))
+        simple = _simplified(operation, arguments)
+        if simple is None and operation == "add":
+            simple = self._cancelled(*arguments)
+        if simple is not None:
+            return simple
+        name = self._known.setdefault((operation, arguments), f"t{len(self._known) + 1}")
+        self._made[name] = (operation, arguments)
+        return name
+
+    def _cancelled(self, first: Operand, second: Operand) -> Operand | None:
+        """y of x + (y - x), of which effects that replace a value consist."""
+        for x, other in ((first, second), (second, first)):
+            operation, given = self._made.get(other, ("", ()))
+            if operation == "sub" and given[1] == x:
+                return given[0]
+        return None
+
+    def program(self, outputs: Mapping[str, Operand]) -> Program:
+        """All steps that these outputs need."""
+        steps = tuple(Step(name, operation, given) for (operation, given), name in self._known.items())
+        return Program(steps, {}).giving(outputs)
+
+
+def _simplified(operation: str, given: tuple[Operand, ...]) -> Operand | None:
+    """What needs no operation: sums with 0, products with 0 or 1, quotients by 1."""
+    if operation == "add" and 0.0 in given:
+        return given[0] if given[1] == 0.0 else given[1]
+    if operation == "mul" and 0.0 in given:
+        return 0.0
+    if operation == "mul" and 1.0 in given:
+        return given[0] if given[1] == 1.0 else given[1]
+    if (operation == "sub" and given[1] == 0.0) or (operation in ("div", "pow") and given[1] == 1.0):
+        return given[0]
+    return None
+
+
+def terms(program: Program, output: str) -> Iterable[tuple[float, Operand]]:
+    """The summands of an output with their signs."""
+    by_name = {step.name: step for step in program.steps}
+    waiting: list[tuple[float, Operand]] = [(1.0, program.outputs[output])]
+    while waiting:
+        sign, x = waiting.pop()
+        step = by_name.get(x) if isinstance(x, str) else None
+        if step is None or step.operation not in ("add", "sub", "neg"):
+            yield sign, x
+            continue
+        second = -sign if step.operation == "sub" else sign
+        first = -sign if step.operation == "neg" else sign
+        waiting += [(f, y) for f, y in zip((first, second), step.arguments, strict=False)]

@@ -1,0 +1,1 @@
+"""The identified model of a finished result, handed to other simulators."""

@@ -1,0 +1,245 @@
+"""`bayes-aero export`: from a finished result or a card to files, and its words for bad input."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from calling import called
+
+from bayes_aero.cli.choices import ExportForm
+from bayes_aero.export.python_source import python_source
+from bayes_aero.flight.card.card import shipped_cards
+from bayes_aero.flight.reading.read_record import write_record
+from bayes_aero.jobs.handover.export import FORMS
+from bayes_aero.jobs.handover.identified_result import read_identified
+
+QUICK = ("--no-sample", "--no-gp", "--no-figures")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, clean_records, card):
+    """A simulated stall as a CSV file, and the result of identify on it."""
+    there = tmp_path_factory.mktemp("handover")
+    record = clean_records[0].window(25.0, 65.0)
+    write_record(record, there / "stall.csv", [c for c in card.channels if record.has(c.name) or c.name == "time"])
+    done = called(there, "identify", "stall.csv", "--out", "results", *QUICK)
+    assert done.code == 0, done.err
+    return there
+
+
+@pytest.fixture
+def here(folder, program, tmp_path):
+    """A working directory of one's own with the result."""
+    shutil.copytree(folder / "results", tmp_path / "results")
+    return program
+
+
+def told(path):
+    return json.loads(path.read_text())
+
+
+def change(path, **changes):
+    """Edit a result: `a__b=x` sets x under a, b."""
+    content = told(path)
+    for keys, value in changes.items():
+        *outer, last = keys.split("__")
+        place = content
+        for key in outer:
+            place = place[key]
+        place[last] = value
+    path.write_text(json.dumps(content))
+
+
+def refused(done, words, *gone):
+    """One sentence, and nothing written."""
+    assert done.code == 2
+    assert done.err.startswith("error: ")
+    assert done.err.count("\n") == 1
+    assert words in done.err, done.err
+    assert not done.out
+    for path in gone:
+        assert not Path(path).exists()
+    assert not list(Path().glob(".*part*"))
+
+
+def test_the_choices_are_the_forms():
+    assert [form.value for form in ExportForm] == list(FORMS) == ["jsbsim", "fmu", "tables", "python"]
+
+
+def test_help_names_forms_and_draws(program):
+    text = program("export", "--help").out
+    for word in ("jsbsim", "fmu", "tables", "python", "--draws", "--seed", "--out", "--model", "--json", "MODEL"):
+        assert word in text
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_result_becomes_files_that_say_where_they_come_from(here, form, tmp_path):
+    done = here("export", "results", "--to", form, "--draws", 3)
+    assert done.code == 0, done.err
+    out = tmp_path / f"attas_{form}"
+    facts = told(out / "export.json")
+    for name in (*facts["files"], "README.txt", "draws.csv"):
+        assert (out / name).stat().st_size > 0
+    assert facts["form"] == form
+    estimate = told(Path("results/results.json"))["mle"]["parameters"]["CLa"]["estimate"]
+    assert facts["parameters"]["CLa"] == {"value": estimate, "unit": "1/rad"}
+    low, high = facts["flown"]["alpha"]
+    assert 0.0 < low < high < 0.5
+    readme = " ".join((out / "README.txt").read_text().split())
+    for words in ("stall (sha256", "Card attas (sha256", "Flown region", "q c/2V", "normal distribution"):
+        assert words in readme
+    assert "normal distribution of the estimates, covariance corrected for coloured residuals" in done.out
+    assert np.loadtxt(out / "draws.csv", delimiter=",", skiprows=1).shape == (3, 14)
+
+
+def test_draws_of_the_estimates_have_their_covariance(here):
+    """1000 normal draws: standard deviations within 10 % (four of their errors), correlations within 0.15."""
+    assert here("export", "results", "--to", "python", "--draws", 1000, "--seed", 4, "--out", "one").code == 0
+    names = (Path("one") / "draws.csv").read_text().splitlines()[0].split(",")
+    draws = np.loadtxt("one/draws.csv", delimiter=",", skiprows=1)
+    mle = told(Path("results/results.json"))["mle"]
+    order = [list(mle["parameters"]).index(name) for name in names]
+    covariance = np.array(mle["covariance"])[np.ix_(order, order)]
+    sd = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(sd, [mle["parameters"][n]["crb_corrected"] for n in names], rtol=1e-9)
+    np.testing.assert_allclose(draws.std(axis=0), sd, rtol=0.1)
+    np.testing.assert_allclose(np.corrcoef(draws.T), covariance / np.outer(sd, sd), atol=0.15)
+    assert here("export", "results", "--to", "python", "--draws", 1000, "--seed", 4, "--out", "two").code == 0
+    assert Path("one/draws.csv").read_text() == Path("two/draws.csv").read_text()
+
+
+def test_a_posterior_that_converged_comes_first(here):
+    names = list(told(Path("results/results.json"))["mle"]["parameters"])
+    values = {name: (("chain", "draw"), k + np.arange(20.0).reshape(2, 10)) for k, name in enumerate(names)}
+    xr.DataTree.from_dict({"posterior": xr.Dataset(values)}).to_netcdf("results/posterior_nuts.nc", engine="h5netcdf")
+    status = {"nuts": {"noise": "ar1", "status": "converged", "advice": "converged"}}
+    change(Path("results/results.json"), posterior={"noise": "ar1", "status": status})
+    done = here("export", "results", "--to", "python", "--draws", 20, "--json")
+    facts = json.loads(done.out)
+    assert facts["draws"] == {"count": 20, "origin": "posterior by nuts under ar1 noise"}
+    draws = np.loadtxt("attas_python/draws.csv", delimiter=",", skiprows=1)
+    np.testing.assert_array_equal(np.sort(draws[:, 1]) - 1.0, np.arange(20.0))
+    assert set(draws[:, 1] - draws[:, 0]) == {1.0}  # a row is one draw of all
+    refused(
+        here("export", "results", "--to", "python", "--draws", 21, "--out", "more"), "give --draws 20 or less", "more"
+    )
+    status["nuts"]["status"] = "not_converged"
+    change(Path("results/results.json"), posterior={"noise": "ar1", "status": status})
+    done = here("export", "results", "--to", "python", "--draws", 20, "--json", "--out", "again")
+    assert json.loads(done.out)["draws"]["origin"].startswith("normal distribution")
+
+
+def test_a_diagnosis_gives_the_extended_model(here):
+    """The causes that hold-out data confirm, with the card's parameters as they move."""
+    content = told(Path("results/results.json"))
+    schema = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("diagnosis.schema.json").read_text())
+    content["schema"] = schema["properties"]["schema"]["const"]
+    moves = {n: {"before": 0.0, "after": p["estimate"]} for n, p in content.pop("mle")["parameters"].items()}
+    causes = [
+        {"name": "sideslip_drag", "confirmed": True, "parameters": {"CDb2": {"mean": -1.5}}},
+        {"name": "elevator_drag", "confirmed": False, "parameters": {"CDde": {"mean": 0.1}}},
+        {"name": "separation_lag", "confirmed": True, "parameters": {"tau1": {"mean": 4.0}}},
+        {"name": "pitch_rate_bias", "confirmed": True, "parameters": {"pitch_rate_bias": {"mean": 0.005}}},
+    ]
+    Path("diagnosis").mkdir()
+    Path("diagnosis/diagnosis.json").write_text(json.dumps(content | {"base_parameters": moves, "causes": causes}))
+    done = here("export", "diagnosis", "--to", "python", "--json")
+    facts = json.loads(done.out)
+    assert {"CDb2", "tau1"} <= set(facts["parameters"])
+    assert "CDde" not in facts["parameters"]
+    assert facts["states"] == ["X"]
+    assert [sentence.split(" ")[0] for sentence in facts["left_out"]] == ["pitch_rate_bias"]
+    refused(here("export", "diagnosis", "--to", "python", "--draws", 3, "--out", "no"), "covariance to draw from", "no")
+
+
+VALUES = "\n[parameters.%s]\nstart = %r\n"
+
+
+def test_a_card_that_states_all_values_is_a_model(program):
+    text = shipped_cards()["full_six"].read_text()
+    names = [p.name for p in _parameters("full_six")]
+    body = text.split("[parameters.")[0] + "".join(VALUES % (name, 0.1 * (k + 1)) for k, name in enumerate(names))
+    Path("mine.toml").write_text(body)
+    facts = json.loads(program("export", "mine.toml", "--to", "jsbsim", "--json").out)
+    assert {p["value"] for p in facts["parameters"].values()} <= {0.1 * (k + 1) for k in range(len(names))}
+    assert set(facts["outputs"]) == {"CL", "CD", "Cm", "CY", "Cl", "Cn"}
+    assert "not stated" in facts["validity"][0]
+    refused(program("export", "mine.toml", "--to", "tables", "--out", "t"), "flown range of", "t")
+
+
+def _parameters(name):
+    from bayes_aero.flight.card.card import read_card
+    from bayes_aero.model.model import Model
+
+    return Model.from_card(read_card(name)).free
+
+
+def test_a_result_of_another_card_is_refused(here):
+    """The card is found by its content: shipped, as the command named it, or beside the result."""
+    path = Path("results/results.json")
+    source = shipped_cards()["attas"].read_text()
+    Path("mine.toml").write_text(source + "# mine\n")
+    refused(here("export", "results", "--to", "python", "--model", "mine.toml"), "its content differs", "attas_python")
+    change(path, provenance__card__name="mine")
+    Path("results/mine.toml").write_text(source)
+    assert here("export", "results", "--to", "python").code == 0
+    Path("results/mine.toml").unlink()
+    refused(here("export", "results", "--to", "fmu"), "not found here unchanged; give it with --model", "mine_fmu")
+    assert here("export", "results", "--to", "python", "--model", "attas", "--out", "given").code == 0
+
+
+BAD = {
+    "there is no result 'nothing'": (("nothing", "--to", "python"), {}),
+    "states no value of CLa": (("attas", "--to", "python"), {}),
+    "states a linear system": (("short_period", "--to", "python"), {}),
+    "has not converged": (("results", "--to", "jsbsim"), {"mle__status": "not_converged"}),
+    "no result of identify, fly or diagnose": (("results", "--to", "fmu"), {"schema": "other/1"}),
+    "has no value of CL0": (("results", "--to", "python"), {"mle__parameters__CL0__estimate": None}),
+    "is not as bayes-aero wrote it": (("results", "--to", "python"), {"provenance": {}}),
+    "no posterior": (("results", "--to", "python", "--draws", "2"), {"mle__covariance": None}),
+    "flown range of": (("results", "--to", "tables"), {"records": []}),
+    "give a number from 1 to": (("results", "--to", "python", "--draws", "100000"), {}),
+}
+
+
+@pytest.mark.parametrize("words", BAD)
+def test_bad_input_is_one_sentence(here, words):
+    arguments, changes = BAD[words]
+    if changes:
+        change(Path("results/results.json"), **changes)
+    words = "neither a posterior that converged nor a covariance" if words == "no posterior" else words
+    refused(here("export", *arguments, "--out", "out"), words, "out")
+
+
+def test_what_is_no_result_or_in_the_way_is_refused(here, monkeypatch):
+    Path("there").mkdir()
+    refused(here("export", "results", "--to", "python", "--out", "there"), "there exists; give another folder")
+    refused(here("export", "there", "--to", "python"), "it has none of results.json")
+    shutil.copy("results/results.json", "results/trajectories.json")
+    refused(here("export", "results", "--to", "python"), "it has results.json and trajectories.json: name one of them")
+    Path("results/results.json").write_text("{")
+    refused(here("export", "results/results.json", "--to", "python"), "cannot be read")
+    monkeypatch.setattr("bayes_aero.export.fmu.find_spec", lambda _: None)
+    Path("results/trajectories.json").rename("results/results.json")
+    refused(here("export", "results", "--to", "fmu"), 'pip install "bayes-aero[export]"', "attas_fmu")
+    done = here("export", "results", "--to", "pdf")
+    assert (done.code, "is not one of" in done.err) == (2, True)
+
+
+@pytest.mark.usefixtures("here")
+def test_axes_that_were_not_recorded_are_not_exported():
+    """A card of six coefficients whose fit had three of them: the lateral effects have no values."""
+    six = shipped_cards()["stall_six"]
+    card = {"name": "six", "sha256": hashlib.sha256(six.read_bytes()).hexdigest()}
+    change(Path("results/results.json"), provenance__card=card)
+    shutil.copy(six, "results/six.toml")
+    found, _, _ = read_identified("results")
+    assert found.model.coefficients == ("CL", "CD", "Cm")
+    assert "Clbe" not in python_source(found)

@@ -1,0 +1,152 @@
+"""JSBSim with an exported model against the model itself: coefficients, forces in its units, and whole flights."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from exported_models import BOTH, everything, modelled, six, stall
+from jsbsim_flights import CONTROLS, FOOT, POUND, SLUG, STATES, flown, loaded, simulated, started
+
+from bayes_aero.dynamics.aircraft.longitudinal import Longitudinal
+from bayes_aero.dynamics.aircraft.rigid_body import RigidBody
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.errors import InputError
+from bayes_aero.export.jsbsim_aircraft import PROPERTIES, jsbsim_files
+from bayes_aero.simulate.demo import simulate_stall
+
+pytest.importorskip("jsbsim")
+LARGEST = 1e-3  # of an output's range, between JSBSim and the package's simulation
+STALL_FRAMES, SIX_FRAMES = 25, 80  # a sample of 40 ms; JSBSim's first step is of first order
+SEED = 5
+
+
+@pytest.fixture(scope="module")
+def random_flights(tmp_path_factory):
+    """Random states of JSBSim with every effect, as it reads them, and the outputs there."""
+    found = everything()
+    sim = loaded(found, tmp_path_factory.mktemp("everything"))
+    sim.set_dt(0.01)
+    rng, rows = np.random.default_rng(SEED), []
+    others = set(found.program.inputs_of("signal")) - {*PROPERTIES, *CONTROLS}
+    inputs = {n: f"bayes-aero/input/{n.replace('_', '-')}-rad" for n in sorted(others)} | CONTROLS
+    for _ in range(40):
+        for name, known in inputs.items():
+            sim[known] = rng.uniform(0.0, 4e4) if name == "thrust" else rng.uniform(-0.2, 0.2)
+        sim["fcs/flap-pos-deg"] = rng.uniform(0.0, 20.0)
+        angles = {name: rng.uniform(-0.2, 0.2) for name in ("beta", "theta", "phi", "p", "q", "r")}
+        start = angles | {"alpha": rng.uniform(-0.1, 0.4), "airspeed": rng.uniform(60.0, 140.0)}
+        started(sim, start | {"altitude": rng.uniform(500.0, 8000.0)})
+        sim.run()
+        rows.append({name: sim[known] for name, known in inputs.items()} | _read(sim, found))
+    return found, {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+
+def _read(sim, found):
+    told = {name: sim[known] * factor for name, (known, factor) in STATES.items()}
+    told |= {"flap": np.radians(sim["fcs/flap-pos-deg"]), "mach": sim["velocities/mach"]}
+    told |= {"density": sim["atmosphere/rho-slugs_ft3"] * SLUG / FOOT**3}
+    told |= {"alpha_dot": sim["bayes-aero/state/alpha-dot-rad_sec"]}
+    told |= {name: sim[f"bayes-aero/state/{name}"] for name in found.points}
+    told |= {name: sim[f"bayes-aero/coefficient/{name}"] for name in found.model.coefficients}
+    told |= {f"force_{n}": sim[f"forces/fb{n}-aero-lbs"] * POUND for n in "xyz"}
+    told |= {f"moment_{n}": sim[f"moments/{n}-aero-lbsft"] * POUND * FOOT for n in "lmn"}
+    told |= {f"engine_{n}": sim[f"moments/{n}-external-lbsft"] * POUND * FOOT for n in "lmn"}
+    told |= {f"total_{n}": sim[f"moments/{n}-total-lbsft"] * POUND * FOOT for n in "lmn"}
+    return told | {f"{n}_dot": sim[f"accelerations/{n}dot-rad_sec2"] for n in "pqr"}
+
+
+def test_coefficients_of_every_effect_are_the_models(random_flights):
+    found, sim = random_flights
+    expected = modelled(found, sim, {name: sim[name] for name in found.points})
+    for name, x in expected.items():
+        np.testing.assert_allclose(sim[name], x, rtol=1e-9, atol=1e-9 * np.ptp(x), err_msg=name)
+        assert np.ptp(x) > 0.01
+
+
+def test_forces_and_moments_have_the_units_and_lengths_of_the_card(random_flights):
+    """Newtons and newton metres from SI coefficients by the definition, with the arm of the reference point."""
+    found, sim = random_flights
+    a = found.actual_aircraft
+    area = 0.5 * sim["density"] * sim["airspeed"] ** 2 * a.wing_area
+    sin, cos = np.sin(sim["alpha"]), np.cos(sim["alpha"])
+    force = area[:, None] * np.stack(
+        [sim["CL"] * sin - sim["CD"] * cos, sim["CY"], -sim["CL"] * cos - sim["CD"] * sin], axis=1
+    )
+    lengths = np.array([a.lateral_length, a.chord, a.lateral_length])
+    moment = area[:, None] * lengths * np.stack([sim["Cl"], sim["Cm"], sim["Cn"]], axis=1)
+    moment += np.cross(a.reference_point, force)
+    size = np.abs(force).max(), np.abs(moment).max()
+    np.testing.assert_allclose(np.stack([sim[f"force_{n}"] for n in "xyz"], axis=1), force, atol=1e-9 * size[0])
+    np.testing.assert_allclose(np.stack([sim[f"moment_{n}"] for n in "lmn"], axis=1), moment, atol=1e-9 * size[1])
+    thrust = sim["thrust"][:, None] * [np.cos(a.engine_inclination), 0.0, -np.sin(a.engine_inclination)]
+    engine = np.cross(a.engine, thrust)
+    told = np.stack([sim[f"engine_{n}"] for n in "lmn"], axis=1)
+    np.testing.assert_allclose(told, engine, atol=1e-9 * np.abs(engine).max())
+
+
+def test_the_body_has_the_inertia_of_the_card(random_flights):
+    """Euler's equations with the tensor of the card's products; angular velocity is that of the frame before."""
+    found, sim = random_flights
+    a = found.actual_aircraft
+    tensor = np.array([[a.Ix, -a.Ixy, -a.Ixz], [-a.Ixy, a.Iy, -a.Iyz], [-a.Ixz, -a.Iyz, a.Iz]])
+    spin = np.stack([sim[n] for n in "pqr"], axis=1)
+    total = np.stack([sim[f"total_{n}"] for n in "lmn"], axis=1)
+    expected = np.linalg.solve(tensor, (total - np.cross(spin, spin @ tensor)).T).T
+    told = np.stack([sim[f"{n}_dot"] for n in "pqr"], axis=1)
+    np.testing.assert_allclose(told, expected, atol=1e-9 * np.abs(expected).max())
+
+
+def within(found, expected, names):
+    """Largest difference by output, over its range; JSBSim has no forces yet in the initial state."""
+    sizes = {n: float(np.abs(found[n] - expected[n])[1:].max() / np.ptp(expected[n])) for n in names}
+    assert max(sizes.values()) <= LARGEST, sizes
+
+
+@pytest.mark.parametrize("tau1", [0.0, 5.0])
+def test_a_stall_is_flown_as_the_package_flies_it(tau1, tmp_path):
+    """The elevator and the thrust of a recorded stall: airspeed, alpha, pitch, rate and altitude."""
+    found = stall(tau1)
+    record = simulate_stall(0, sensor_noise=0.0, disturbance=0.0).window(0.0, 60.0)
+    c = record.channels
+    inputs = {"elevator": c["elevator"], "thrust": c["thrust_left"] + c["thrust_right"]}
+    names = ("airspeed", "alpha", "theta", "q", "altitude")
+    start = {name: float(c[name][0]) for name in names} | {"X": 1.0}
+    system = Longitudinal(found.model, {n: jnp.asarray(x) for n, x in found.values.items()}, found.aircraft)
+    outputs = {n: STATES[n] for n in names} | {n: (f"bayes-aero/coefficient/{n}", 1.0) for n in ("CL", "CD", "Cm")}
+    outputs |= {"X": ("bayes-aero/state/X" if tau1 else "bayes-aero/separation/X", 1.0)}
+    sim = flown(loaded(found, tmp_path), start, inputs, record.dt, STALL_FRAMES, outputs)
+    expected = simulated(system, start, inputs, record.dt, X=sim["X"][0] if tau1 else None)
+    assert np.ptp(expected["X"]) > 0.3
+    within(sim, expected, outputs)
+
+
+def test_six_degrees_of_freedom_are_flown_as_the_package_flies_them(tmp_path):
+    """Doublets of all controls: products of inertia, lateral forces, and a lag of the separation point."""
+    found, dt = six(), 0.04
+    time = np.arange(0.0, 8.0, dt)
+    pulse = lambda begin: np.interp(time - begin, [0.0, 0.4, 1.0, 1.4, 2.0, 2.4], [0.0, 1.0, 1.0, -1.0, -1.0, 0.0])
+    inputs = {"elevator": -0.02 - 0.05 * pulse(0.5), "aileron": 0.03 * pulse(2.0), "rudder": 0.04 * pulse(4.0)}
+    inputs |= {"thrust": np.full(len(time), 3e4)}
+    start = {"airspeed": 95.0, "alpha": 0.12, "theta": 0.12, "altitude": 5000.0}
+    values = {n: jnp.asarray(x) for n, x in found.values.items()}
+    sim = flown(loaded(found, tmp_path), start, inputs, dt, SIX_FRAMES, STATES | {"X": ("bayes-aero/state/X", 1.0)})
+    expected = simulated(RigidBody(found.model, values, found.aircraft), start, inputs, dt, X=sim["X"][0])
+    assert found.model.axes == BOTH
+    within(sim, expected, STATES)
+
+
+def test_words_of_a_card_end_no_comment(tmp_path):
+    """A title that would close the comment of the XML, and a parameter that is no property."""
+    found = replace(stall(), title="x --> <aerodynamics> <-- & --->")
+    assert loaded(found, tmp_path)["metrics/Sw-sqft"] == pytest.approx(64.0 / FOOT**2, rel=1e-6)
+    odd = replace(CATALOGUE["elevator_drag"], channels=("2nd surface",), increments=_second)
+    wider = replace(found, model=found.model.extended(odd), values=found.values | {"CDde": 0.1})
+    with pytest.raises(InputError, match="2nd surface cannot be a property of JSBSim"):
+        jsbsim_files(wider)
+
+
+def _second(v, s, *_):
+    return {"CD": v["CDde"] * s["2nd surface"]}

@@ -1,0 +1,125 @@
+"""The exported Python function against the model itself, at random states."""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from exported_models import everything, modelled, random_signals, six, stall
+
+from bayes_aero.effect import Disturbance, Stage
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.errors import InputError
+from bayes_aero.export.identified import Draws, Identified
+from bayes_aero.export.python_source import python_source
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.model.model import Model
+
+
+def loaded(found):
+    """The file's names, from its text alone."""
+    names: dict = {}
+    exec(compile(python_source(found), "exported.py", "exec"), names)
+    return names
+
+
+def called(names, found, signals, points, k, **more):
+    given = {n: float(signals[n][k]) for n in found.program.inputs_of("signal")}
+    return names["aerodynamics"](**given, **{n: float(x[k]) for n, x in points.items()}, **more)
+
+
+@pytest.mark.parametrize("make", [stall, lambda: stall(5.0), six, everything, lambda: everything(0.0)])
+def test_the_function_is_the_model(make):
+    found = make()
+    names, signals = loaded(found), random_signals(found, 60)
+    points = {n: np.random.default_rng(2).uniform(0.0, 1.0, 60) for n in found.points} if found.lagged else {}
+    expected = modelled(found, signals, points or None)
+    for k in range(60):
+        told = called(names, found, signals, points, k)
+        for name, x in expected.items():
+            assert told[name] == pytest.approx(x[k], rel=1e-12, abs=1e-12), name
+
+
+@pytest.mark.parametrize("name", [e.name for e in CATALOGUE.values() if e.stage > Stage.INFLOW and not e.disturbance])
+def test_every_effect_is_exported_alone(name):
+    """Without the others, so that nothing hides it; its parameters at their own sizes."""
+    whole = everything()
+    effect = CATALOGUE[name]
+    owners = [e for e in CATALOGUE.values() if {p.name for p in e.parameters} & set(effect.uses)]
+    model = Model.of(dict.fromkeys([*owners, effect]), None, whole.model.axes)
+    values = {p.name: whole.values[p.name] for p in model.parameters}
+    found = Identified(name, name, model, whole.aircraft, values, ())
+    names, signals = loaded(found), random_signals(found, 5)
+    points = {n: np.linspace(0.1, 0.9, 5) for n in found.points} if found.lagged else {}
+    expected = modelled(found, signals, points or None)
+    for k in range(5):
+        told = called(names, found, signals, points, k)
+        for c, x in expected.items():
+            assert told[c] == pytest.approx(x[k], rel=1e-12, abs=1e-12)
+
+
+def test_the_state_follows_its_static_value():
+    """dX/dt = (X_static - X) V/(tau1 c), by hand; where alpha rises X_static has no hysteresis."""
+    found = stall(5.0)
+    flow = {"airspeed": 80.0, "alpha": 0.3, "alpha_dot": 0.02, "elevator": 0.0, "mach": 0.25, "q": 0.0}
+    told = loaded(found)["aerodynamics"](**flow, X=0.9)
+    static = (1.0 - np.tanh(25.0 * (0.3 - 0.27))) / 2.0
+    assert told["X_static"] == pytest.approx(static, rel=1e-12)
+    assert told["lag"] == pytest.approx(5.0 * 3.159 / 80.0, rel=1e-12)
+    assert told["X_dot"] == pytest.approx((static - 0.9) * 80.0 / (5.0 * 3.159), rel=1e-12)
+
+
+def test_the_file_needs_nothing_but_math():
+    tree = ast.parse(python_source(six()))
+    imported = [n for n in ast.walk(tree) if isinstance(n, ast.Import | ast.ImportFrom)]
+    assert [alias.name for node in imported for alias in node.names] == ["math"]
+    for text in ("rad", "m/s", "chord", "Exported by bayes_aero", "state"):
+        assert text in ast.get_docstring(tree) or text in ast.unparse(tree)
+
+
+def test_draws_replace_the_values():
+    values = np.array([[3.0, 0.05], [4.0, 0.06]])
+    found = stall(draws=Draws(("CLa", "CD0"), values, "a test"))
+    names, signals = loaded(found), random_signals(found, 1)
+    for k in range(2):
+        parameters = names["PARAMETERS"] | dict(zip(names["DRAWN"], names["DRAWS"][k], strict=True))
+        told = called(names, found, signals, {}, 0, parameters=parameters)
+        other = replace(found, values=found.values | {"CLa": values[k, 0], "CD0": values[k, 1]})
+        assert told["CL"] == pytest.approx(modelled(other, signals)["CL"][0], rel=1e-12)
+
+
+def test_errors_of_the_record_and_random_air_are_left_out_and_said():
+    card = read_card("attas")
+    model = Model.from_card(card).extended("pitch_rate_bias", "thrust_scale", "vertical_gust", "buffet", "cg_shift")
+    values = stall().values | {p.name: 0.01 for p in model.parameters if p.name not in stall().values}
+    found = Identified("gusty", "t", model, card.aircraft, values, ())
+    named = {sentence.split(" ")[0] for sentence in found.left_out}
+    assert named == {"pitch_rate_bias", "thrust_scale", "vertical_gust", "buffet"}
+    assert isinstance(CATALOGUE["buffet"].disturbance, Disturbance)
+    assert all(sentence in python_source(found).replace("\n", " ") for sentence in found.left_out)
+    assert found.actual_aircraft.reference_point[0] == pytest.approx(-0.02 - 0.01)  # the shift moves all else aft
+
+
+def test_words_of_a_card_are_no_code():
+    """A title and a source that would end the docstring."""
+    title = 'x"""\nraise SystemExit("run")\n"""\\'
+    found = replace(stall(), title=title, sources=(title,))
+    names = loaded(found)
+    assert "raise SystemExit" in names["__doc__"]
+    tree = ast.parse(python_source(found))
+    assert not [node for node in ast.walk(tree) if isinstance(node, ast.Raise)]
+
+
+def test_a_channel_that_is_no_name_of_python_is_refused():
+    own = replace(CATALOGUE["elevator_drag"], channels=("2nd surface",), increments=_second)
+    card = read_card("attas")
+    model = Model.from_card(card).extended(own)
+    found = Identified("odd", "t", model, card.aircraft, stall().values | {p.name: 0.1 for p in own.parameters}, ())
+    with pytest.raises(InputError, match="2nd surface cannot be an argument in Python"):
+        python_source(found)
+
+
+def _second(v, s, *_):
+    return {"CD": v["CDde"] * s["2nd surface"]}
