@@ -1,0 +1,145 @@
+"""Gauss-Newton on residuals in a band, with Cramer-Rao bounds from the residuals of its lines.
+
+The cost is that of `inference.likelihood.mle`, det R with a diagonal R. The estimates are real, so the real and the
+imaginary part of a line count as two residuals. Published bounds count the line as one and are larger by sqrt(2).
+
+Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 7.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.inference.frequency.result import FrequencyFit
+from bayes_aero.inference.variance.robust_bounds import BLOCK, robust_covariance
+from bayes_aero.parameter import Parameter
+from bayes_aero.residuals.base import ResidualModel
+
+MAX_ITERATIONS = 50
+REWEIGHTED = 5  # solutions with renewed variances at one point
+TOLERANCE = 1e-7  # expected gain in log likelihood
+UNSEEN = 1e-6  # information over that of the prior below which the band does not show a parameter
+SINGULAR = 1e-11  # smallest eigenvalue of the information scaled to unit diagonal
+
+
+class _Step(NamedTuple):
+    """A linear solution: the step of the parameters (k,) and of the offsets, and what is left (m, c)."""
+
+    step: np.ndarray
+    left: np.ndarray
+    R: np.ndarray
+    information: np.ndarray  # (k + o, k + o)
+    gradient: np.ndarray
+
+
+def fit_in_band(
+    responses: ResidualModel,
+    parameters: Sequence[Parameter],
+    start: Float[np.ndarray, " k"],
+    band: tuple[float, float],
+) -> FrequencyFit:
+    """Estimate the free parameters from residuals in a band.
+
+    Parameters that the band does not show, such as constants, keep their start.
+
+    Args:
+        responses: a residual model of `residuals.frequency_error`.
+        parameters: the free parameters.
+        start: their first values, (k,), SI; those of a fit in the time domain.
+        band: lowest and highest frequency, Hz.
+    """
+    theta, outputs = np.asarray(start, float).copy(), responses.outputs
+    lower, upper = (np.array([p.bounds[i] for p in parameters]) for i in (0, 1))
+    residual, S = responses.linearise(theta)
+    free = _shown(S, residual, parameters)
+    offsets, converged = responses.offsets(theta, outputs), False
+    found = _solve(residual, np.concatenate([S[:, :, free], offsets], axis=2))
+    for _ in range(MAX_ITERATIONS):
+        if 0.5 * found.step @ found.gradient < TOLERANCE:
+            converged = True
+            break
+        before = _cost(_solve(residual, offsets).R, len(residual))
+        for share in (1.0, 0.5, 0.25, 0.125, 0.03):
+            trial = theta.copy()
+            trial[free] = np.clip(theta[free] + share * found.step[: len(free)], lower[free], upper[free])
+            changed, S_free = responses.linearise(trial, free)
+            own = responses.offsets(trial, outputs)
+            if _cost(_solve(changed, own).R, len(changed)) < before:
+                break
+        else:
+            converged = True  # rounding: no step lowers the cost
+            break
+        theta, residual, offsets = trial, changed, own
+        found = _solve(residual, np.concatenate([S_free, offsets], axis=2))
+    return _result(responses, parameters, theta, free, found, band, converged)
+
+
+def _shown(S: np.ndarray, residual: np.ndarray, parameters: Sequence[Parameter]) -> np.ndarray:
+    """Indices of the parameters that the band shows."""
+    R = np.maximum(np.mean(np.square(residual), axis=0), np.finfo(float).tiny)
+    information = np.einsum("mck,mck,c->k", S, S, 1.0 / R)
+    prior = np.array([p.prior.normal[1] for p in parameters])
+    return np.flatnonzero(information * np.square(prior) > UNSEEN)
+
+
+def _cost(R: np.ndarray, m: int) -> float:
+    return 0.5 * m * float(np.sum(np.log(R)))
+
+
+def _solve(residual: np.ndarray, S: np.ndarray) -> _Step:
+    """Least squares for all columns with the variances that it leaves."""
+    _, _, k = S.shape
+    left, step = residual, np.zeros(k)
+    for _ in range(REWEIGHTED):
+        R = np.maximum(np.mean(np.square(left), axis=0), np.finfo(float).tiny)
+        weighted = (S / np.sqrt(R)[:, None]).reshape(residual.size, k)
+        scale = np.sqrt(np.maximum(np.sum(np.square(weighted), axis=0), np.finfo(float).tiny))
+        step = np.linalg.lstsq(weighted / scale, (residual / np.sqrt(R)).ravel(), rcond=1e-12)[0] / scale
+        left = residual - S @ step
+    R = np.maximum(np.mean(np.square(left), axis=0), np.finfo(float).tiny)
+    information = np.einsum("mck,mcl,c->kl", S, S, 1.0 / R)
+    return _Step(step, left, R, information, np.einsum("mck,mc,c->k", S, residual, 1.0 / R))
+
+
+def _result(
+    responses: ResidualModel,
+    parameters: Sequence[Parameter],
+    theta: np.ndarray,
+    free: np.ndarray,
+    found: _Step,
+    band: tuple[float, float],
+    converged: bool,
+) -> FrequencyFit:
+    """Bounds at the optimum, with variances over degrees of freedom."""
+    S = np.concatenate(
+        [responses.linearise(theta, free)[1], responses.offsets(theta, responses.outputs)], axis=2
+    )
+    m, k = len(S), len(free)
+    used = np.array([np.count_nonzero(np.any(S[:, c] != 0.0, axis=0)) for c in range(S.shape[1])])
+    R = found.R * m / np.maximum(m - used, 1)
+    A = np.einsum("mck,mcl,c->kl", S, S, 1.0 / R)
+    scale = np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
+    scaled = A / np.outer(scale, scale)
+    regular = len(A) > 0 and np.linalg.eigvalsh(scaled)[0] > SINGULAR and bool(np.all(m > used))
+    D, corrected = np.full_like(A, np.nan), np.full_like(A, np.nan)
+    if regular:
+        D = np.linalg.inv(scaled) / np.outer(scale, scale)
+        # Each part of a line stands alone: the transform has whitened them, and only their sizes differ.
+        corrected, _ = robust_covariance(D, S, R, found.left, responses.manoeuvre, np.ones(m, bool), BLOCK)
+    names = [p.name for p in parameters]
+    return FrequencyFit(
+        band=(float(band[0]), float(band[1])),
+        lines=m // 2,
+        names=tuple(names[i] for i in free),
+        units=tuple(parameters[i].unit for i in free),
+        estimate=theta[free],
+        covariance=D[:k, :k],
+        corrected=corrected[:k, :k],
+        R=dict(zip(responses.outputs, map(float, R), strict=True)),
+        unseen=tuple(name for i, name in enumerate(names) if i not in free),
+        converged=converged and regular,
+    )

@@ -1,0 +1,303 @@
+"""Residuals in the frequency domain: finite Fourier transforms over a band, in which bias and drift drop out.
+
+The residuals of a model are transformed at the multiples of 1/T inside a band; T is the length of a manoeuvre. The rows
+of the transform are scaled so that white noise keeps its variance in the real and in the imaginary part of every line.
+Constants and straight lines over each manoeuvre are taken out before. An equation that holds at every sample holds for
+the sums over samples, too, so no quadrature of the Fourier integral is needed.
+
+Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 7; Morelli and Grauer, AIAA 2018-0279.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.linalg import expm
+from jaxtyping import Array, Float, Int
+
+from bayes_aero.dynamics.linear import LinearDynamics, LinearSystem
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card.linear_table import ONE
+from bayes_aero.model.joined_channels import Flights
+from bayes_aero.model.model import Model
+from bayes_aero.physics.filters import differentiate_joined
+from bayes_aero.residuals.base import ResidualModel
+from bayes_aero.residuals.equation_error import EquationError
+
+Band = tuple[float, float]
+"""Lowest and highest frequency, Hz."""
+
+ROUNDING = 1e-9  # of the product of a frequency and a time
+
+
+def lines_in(band: Band, n: int, dt: float, name: str) -> Float[np.ndarray, " f"]:
+    """Frequencies in `band` at which a record of `n` samples is transformed: multiples of 1/(n dt), Hz.
+
+    Raises:
+        InputError: the band is empty, goes beyond half the sampling rate, or holds no line of this record.
+    """
+    low, high, seconds = *band, n * dt
+    if not (math.isfinite(high) and 0.0 < low < high):
+        raise InputError(f"the band {low:g} to {high:g} Hz is empty; give a low frequency above 0 and a higher one")
+    if high >= 0.5 / dt:
+        raise InputError(f"the band ends at {high:g} Hz, and {name} shows frequencies below {0.5 / dt:g} Hz only")
+    k = np.arange(math.ceil(low * seconds - ROUNDING), math.floor(high * seconds + ROUNDING) + 1)
+    if not len(k):
+        raise InputError(
+            f"the band {low:g} to {high:g} Hz has no frequency of {name}, which lasts {seconds:.3g} s; its lines are "
+            f"{1.0 / seconds:.2g} Hz apart, so widen the band"
+        )
+    return k / seconds
+
+
+def transform_rows(frequencies: Float[np.ndarray, " f"], n: int, dt: float) -> Float[np.ndarray, "r n"]:
+    """Rows that transform n samples: real parts of all frequencies, then imaginary parts (r = 2 f)."""
+    phase = 2.0 * np.pi * np.outer(frequencies, np.arange(n) * dt)
+    return np.sqrt(2.0 / n) * np.concatenate([np.cos(phase), -np.sin(phase)])
+
+
+def without_trend(rows: Float[np.ndarray, "r n"]) -> Float[np.ndarray, "r n"]:
+    """The same rows of a record of which a straight line was taken."""
+    line, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, rows.shape[1]), 2))
+    for _ in range(2):  # the second time takes what rounding has left, so that constants vanish to the last digit
+        rows = rows - (rows @ line) @ line.T
+    return rows
+
+
+class InBand(ResidualModel):
+    """Transforms take the place of means over blocks: m real and imaginary parts of all lines and manoeuvres."""
+
+    rows: tuple[Float[np.ndarray, "_ _"], ...]  # by manoeuvre
+
+    @property
+    def manoeuvre(self) -> Int[np.ndarray, " m"]:
+        """Which manoeuvre each part of a line belongs to."""
+        return np.repeat(np.arange(len(self.rows)), [len(rows) for rows in self.rows])
+
+    @property
+    def seconds(self) -> float:
+        """Recorded time for each residual, s."""
+        return float(np.sum(np.asarray(self.flights.channels["dt"]))) / len(self.manoeuvre)
+
+    def block(self, x: Float[Array, "n ..."]) -> Float[Array, "m ..."]:
+        """Transforms of anything sampled at the recorded rate."""
+        ends = np.cumsum(self.flights.lengths)[:-1]
+        parts = zip(self.rows, jnp.split(x, ends), strict=True)
+        return jnp.concatenate([jnp.tensordot(rows, part[: rows.shape[1]], axes=1) for rows, part in parts])
+
+    def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:  # noqa: ARG002
+        """None: the rows hold no constants."""
+        return np.zeros((len(self.manoeuvre), len(outputs), 0))
+
+
+def _steps(flights: Flights) -> list[float]:
+    """Sampling time of each manoeuvre, s."""
+    dt = np.asarray(flights.channels["dt"])
+    return [float(dt[begin]) for begin in np.cumsum([0, *flights.lengths[:-1]])]
+
+
+def _rows(flights: Flights, band: Band) -> tuple[Float[np.ndarray, "_ _"], ...]:
+    told = zip(flights.lengths, _steps(flights), flights.names, strict=True)
+    return tuple(without_trend(transform_rows(lines_in(band, n, dt, name), n, dt)) for n, dt, name in told)
+
+
+class FrequencyError(InBand, EquationError):
+    """Equation error of the coefficients in a band."""
+
+    rows: tuple[Float[np.ndarray, "_ _"], ...]
+
+    @classmethod
+    def in_band(cls, flights: Flights, model: Model, band: Band) -> FrequencyError:
+        """`flights` under `model`, in `band` (Hz)."""
+        whole = EquationError.of(flights, model)
+        return cls(flights, model, whole.measuring, (), _rows(flights, band))
+
+
+class LinearFrequencyError(InBand, eqx.Module):
+    """Equation error of a linear card in a band: derivatives of recorded states, and further outputs.
+
+    States and inputs of the right-hand sides are the recorded ones.
+    """
+
+    flights: Flights
+    dynamics: LinearDynamics = eqx.field(static=True)
+    rows: tuple[Float[np.ndarray, "_ _"], ...]
+
+    @classmethod
+    def in_band(cls, flights: Flights, dynamics: LinearDynamics, band: Band) -> LinearFrequencyError:
+        """`flights` under `dynamics`, in `band` (Hz). Raises `InputError` where a state was not recorded."""
+        unseen = [name for name in dynamics.states if name not in flights.channels]
+        if unseen:
+            raise InputError(f"{unseen[0]} was not recorded, and equation error needs every state; leave the band out")
+        return cls(flights, dynamics, _rows(flights, band))
+
+    @property
+    def further(self) -> tuple[str, ...]:
+        """Recorded outputs that are no states."""
+        return tuple(n for n in self.dynamics.rows.outputs if n in self.flights.channels and n not in self.states)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """As the card lists them."""
+        return self.dynamics.states
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Derivatives of the states, then further outputs."""
+        return (*(f"d{name}/dt" for name in self.states), *self.further)
+
+    def evaluate(
+        self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
+    ) -> tuple[Float[Array, "m c"], Mapping[str, Array]]:
+        """Residuals at these parameters."""
+        return _evaluate(replace(self, flights=self.flights.nameless), jnp.asarray(theta)), {}
+
+    def slopes(
+        self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
+    ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
+        """Residuals and minus their derivatives in these directions."""
+        nameless = replace(self, flights=self.flights.nameless)
+        residual, slope = _slopes(nameless, jnp.asarray(theta), jnp.asarray(directions))
+        return np.asarray(residual), -np.asarray(slope)
+
+    def _system(self, theta: Float[Array, " k"]) -> tuple[LinearSystem, dict[str, Array]]:
+        values = self.dynamics.values(theta)
+        system = self.dynamics.system(values, self.flights.aircraft)
+        assert isinstance(system, LinearSystem)
+        return system, self.dynamics.drives(values, self.flights.channels, self.flights)
+
+    def residual(self, theta: Float[Array, " k"]) -> Float[Array, "m c"]:
+        """Transforms of what the equations leave."""
+        system, drives = self._system(theta)
+        channels = self.flights.channels
+        x = jnp.stack([channels[name] for name in self.states], axis=1)
+        rates, found = jax.vmap(system.motion)(x, drives)
+        ends = [channels[name] for name in ("dt", "first", "last")]
+        derivatives = jnp.stack([differentiate_joined(column, *ends) for column in x.T], axis=1)
+        more = [(channels[name] - found[name])[:, None] for name in self.further]
+        return self.block(jnp.concatenate([derivatives - rates, *more], axis=1))
+
+
+class LinearFrequencyOutputError(LinearFrequencyError):
+    """Output error of a linear card in a band: recorded minus computed transforms of the outputs.
+
+    With inputs linear between samples, x_{i+1} = P x_i + G u_i + H u_{i+1}. Its transform over the samples but the last
+    is (z - P) X = (G + H z) U - z (x_end - x_begin - H (u_end - u_begin)), z = exp(j w dt). So it needs no integration,
+    which would diverge for an unstable aircraft, and is exact for any record. The change of the state over a record is
+    the recorded one; what noise does to it, and a drift of each output, are free in every fit.
+    """
+
+    @classmethod
+    def in_band(cls, flights: Flights, dynamics: LinearDynamics, band: Band) -> LinearFrequencyOutputError:
+        """`flights` under `dynamics`, in `band` (Hz). Raises `InputError` where a state was not recorded."""
+        LinearFrequencyError.in_band(flights, dynamics, band)
+        told = zip(flights.lengths, _steps(flights), flights.names, strict=True)
+        rows = [transform_rows(lines_in(band, n - 1, dt, name), n - 1, dt) for n, dt, name in told]
+        return cls(flights, dynamics, tuple(rows))
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """States, then further outputs."""
+        return (*self.states, *self.further)
+
+    def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:
+        """Sensitivities to the change of each state over a manoeuvre, and to a drift of each output."""
+        keep = [self.outputs.index(name) for name in outputs]
+        s, c = len(self.states), len(keep)
+        S = np.zeros((len(self.manoeuvre), c, len(self.rows) * (s + c)))
+        begin = 0
+        for number, rows in enumerate(self.rows):
+            place, first = slice(begin, begin + len(rows)), number * (s + c)
+            S[place, :, first : first + s] = np.asarray(_changes(self, jnp.asarray(theta), number))[:, keep]
+            drift = rows @ np.linspace(-1.0, 1.0, rows.shape[1])
+            S[place, np.arange(c), first + s + np.arange(c)] = drift[:, None]
+            begin += len(rows)
+        return S
+
+    def residual(self, theta: Float[Array, " k"]) -> Float[Array, "m c"]:
+        """Recorded minus computed transforms."""
+        system, drives = self._system(theta)
+        channels, ends = self.flights.channels, np.cumsum([0, *self.flights.lengths])
+        recorded = jnp.stack([channels[name] for name in self.outputs], axis=1)
+        u = jnp.stack([drives[name] for name in (*system.inputs_read, ONE)], axis=1)
+        parts = []
+        for number, rows in enumerate(self.rows):
+            own = slice(ends[number], ends[number + 1])
+            x = recorded[own, : len(self.states)]
+            U = _complex(rows @ u[own][:-1]), u[own][-1] - u[own][0]
+            modelled = self._outputs(system, theta, number, U, x[-1] - x[0])
+            parts.append(rows @ recorded[own][:-1] - jnp.concatenate([modelled.real, modelled.imag]))
+        return jnp.concatenate(parts)
+
+    def _outputs(
+        self,
+        system: LinearSystem,
+        theta: Float[Array, " k"],
+        number: int,
+        U: tuple[Array, Array],
+        change: Float[Array, " s"],
+    ) -> Array:
+        """Transforms (f, c) of the outputs of manoeuvre `number`, complex; `U`: of the inputs, and their change."""
+        n, s = self.rows[number].shape[1], len(self.states)
+        dt = self.flights.channels["dt"][sum(self.flights.lengths[:number])]
+        phase = -jnp.angle(_complex(self.rows[number])[:, 1])  # of one sample
+        z = jnp.exp(1j * phase)[:, None, None]
+        A, B, C, D = (system.matrix[rows, columns] for rows in (slice(s), slice(s, None)) for columns in (slice(s), slice(s, None)))
+        P, G, H = _first_order_hold(A, B, dt)
+        end = np.sqrt(2.0 / n) * (change - H @ U[1])
+        drive = U[0][..., None]
+        X = jnp.linalg.solve(z * jnp.eye(s) - P, (G + H * z) @ drive - z * end[:, None])[..., 0]
+        read = X @ C.T + U[0] @ D.T
+        values = self.dynamics.values(theta)
+        late = {name: values[p] for name, p in self.dynamics.delays(self.outputs).items()}
+        found = {name: X[:, i] for i, name in enumerate(self.states)}
+        for i, name in enumerate(system.read):
+            found[name] = read[:, i] + found.get(name, 0.0)
+        delayed = {name: jnp.exp(-1j * phase / dt * late[name]) for name in late}
+        return jnp.stack([found[name] * delayed.get(name, 1.0) for name in self.outputs], axis=1)
+
+
+def _complex(parts: Array | np.ndarray) -> Array:
+    """Lines from their real parts, then imaginary parts."""
+    parts, half = jnp.asarray(parts), len(parts) // 2
+    return parts[:half] + 1j * parts[half:]
+
+
+def _first_order_hold(A: Float[Array, "s s"], B: Float[Array, "s i"], dt: Array) -> tuple[Array, Array, Array]:
+    """P, G and H of x_{i+1} = P x_i + G u_i + H u_{i+1} for x' = A x + B u with u linear between samples."""
+    s, i = B.shape
+    big = jnp.zeros((s + 2 * i, s + 2 * i))
+    big = big.at[:s, :s].set(A * dt).at[:s, s : s + i].set(B * dt).at[s : s + i, s + i :].set(jnp.eye(i))
+    step = expm(big)[:s]
+    return step[:, :s], step[:, s : s + i] - step[:, s + i :], step[:, s + i :]
+
+
+@eqx.filter_jit
+def _changes(responses: LinearFrequencyOutputError, theta, number: int):
+    """Derivatives (m, c, s) of the computed outputs of one manoeuvre by the change of its state."""
+    system, _ = responses._system(theta)
+    inputs = len(system.inputs_read) + 1
+    nothing = jnp.zeros((len(responses.rows[number]) // 2, inputs), complex), jnp.zeros(inputs)
+
+    def parts(change):
+        found = responses._outputs(system, theta, number, nothing, change)
+        return jnp.concatenate([found.real, found.imag])
+
+    return jax.jacfwd(parts)(jnp.zeros(len(responses.states)))
+
+
+@eqx.filter_jit
+def _evaluate(responses: LinearFrequencyError, theta):
+    return responses.residual(theta)
+
+
+@eqx.filter_jit
+def _slopes(responses: LinearFrequencyError, theta, directions):
+    residual, slope = jax.linearize(responses.residual, theta)
+    return residual, jax.vmap(slope)(directions)
