@@ -9,20 +9,27 @@ Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 7.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.flight.health.signals import noise_of
 from bayes_aero.inference.frequency.result import FrequencyFit
+from bayes_aero.inference.likelihood.mle_result import MleResult
+from bayes_aero.inference.likelihood.noise_bias import PAIRS
 from bayes_aero.inference.variance.robust_bounds import BLOCK, robust_covariance
 from bayes_aero.parameter import Parameter
 from bayes_aero.residuals.base import ResidualModel
+from bayes_aero.residuals.frequency_error import InBand
 
+EQUATION_ERROR, OUTPUT_ERROR = "equation error", "output error"
 MAX_ITERATIONS = 50
 REWEIGHTED = 5  # solutions with renewed variances at one point
 TOLERANCE = 1e-7  # expected gain in log likelihood
 UNSEEN = 1e-6  # information over that of the prior below which the band does not show a parameter
+MIN_SHARE = 0.01  # of the variance in the band: least variance of a difference from the time domain
 SINGULAR = 1e-11  # smallest eigenvalue of the information scaled to unit diagonal
 
 
@@ -41,6 +48,7 @@ def fit_in_band(
     parameters: Sequence[Parameter],
     start: Float[np.ndarray, " k"],
     band: tuple[float, float],
+    method: str = EQUATION_ERROR,
 ) -> FrequencyFit:
     """Estimate the free parameters from residuals in a band.
 
@@ -51,6 +59,7 @@ def fit_in_band(
         parameters: the free parameters.
         start: their first values, (k,), SI; those of a fit in the time domain.
         band: lowest and highest frequency, Hz.
+        method: its name.
     """
     theta, outputs = np.asarray(start, float).copy(), responses.outputs
     lower, upper = (np.array([p.bounds[i] for p in parameters]) for i in (0, 1))
@@ -75,7 +84,8 @@ def fit_in_band(
             break
         theta, residual, offsets = trial, changed, own
         found = _solve(residual, np.concatenate([S_free, offsets], axis=2))
-    return _result(responses, parameters, theta, free, found, band, converged)
+    fitted = _result(responses, parameters, theta, free, found, converged)
+    return replace(fitted, band=(float(band[0]), float(band[1])), method=method)
 
 
 def _shown(S: np.ndarray, residual: np.ndarray, parameters: Sequence[Parameter]) -> np.ndarray:
@@ -111,13 +121,10 @@ def _result(
     theta: np.ndarray,
     free: np.ndarray,
     found: _Step,
-    band: tuple[float, float],
     converged: bool,
 ) -> FrequencyFit:
     """Bounds at the optimum, with variances over degrees of freedom."""
-    S = np.concatenate(
-        [responses.linearise(theta, free)[1], responses.offsets(theta, responses.outputs)], axis=2
-    )
+    S = np.concatenate([responses.linearise(theta, free)[1], responses.offsets(theta, responses.outputs)], axis=2)
     m, k = len(S), len(free)
     used = np.array([np.count_nonzero(np.any(S[:, c] != 0.0, axis=0)) for c in range(S.shape[1])])
     R = found.R * m / np.maximum(m - used, 1)
@@ -132,14 +139,67 @@ def _result(
         corrected, _ = robust_covariance(D, S, R, found.left, responses.manoeuvre, np.ones(m, bool), BLOCK)
     names = [p.name for p in parameters]
     return FrequencyFit(
-        band=(float(band[0]), float(band[1])),
+        method=EQUATION_ERROR,
+        band=(0.0, 0.0),
         lines=m // 2,
         names=tuple(names[i] for i in free),
         units=tuple(parameters[i].unit for i in free),
         estimate=theta[free],
         covariance=D[:k, :k],
         corrected=corrected[:k, :k],
+        inner={name: S[:, c, :k].T @ S[:, c, :k] for c, name in enumerate(responses.outputs)},
         R=dict(zip(responses.outputs, map(float, R), strict=True)),
         unseen=tuple(name for i, name in enumerate(names) if i not in free),
         converged=converged and regular,
     )
+
+
+def without_noise_bias_in_band(
+    fit: FrequencyFit, responses: InBand, parameters: Sequence[Parameter], *, seed: int = 0
+) -> FrequencyFit:
+    """The estimate without the bias by noise of the recorded regressors, as `likelihood.noise_bias` has it.
+
+    Args:
+        fit: equation error of `responses`.
+        responses: its residual model.
+        parameters: the free parameters of the model.
+        seed: of the added noise.
+
+    Source: simulation extrapolation (SIMEX), Cook and Stefanski, J. Am. Stat. Assoc. 89 (1994) 1314.
+    """
+    if not fit.converged:
+        return fit
+    flights, rng, moves = responses.flights, np.random.default_rng(seed), []
+    values = dict(zip(fit.names, fit.estimate, strict=True))
+    start = np.array([values.get(p.name, p.start) for p in parameters])
+    for _ in range(PAIRS):
+        noise = {}
+        for name in flights.recorded:
+            parts = np.split(np.asarray(flights.channels[name], float), np.cumsum(flights.lengths)[:-1])
+            noise[name] = np.concatenate([noise_of(x) * rng.standard_normal(len(x)) for x in parts])
+        for sign in (1.0, -1.0):
+            noisier = {n: x + sign * noise[n] if n in noise else x for n, x in flights.channels.items()}
+            found = fit_in_band(responses.with_channels(noisier), parameters, start, fit.band, fit.method)
+            if not found.converged or found.names != fit.names:
+                return fit
+            moves.append(found.estimate - fit.estimate)
+    bias = np.mean(moves, axis=0)
+    return replace(fit, estimate=fit.estimate - bias, bias=bias, corrected=fit.corrected + np.outer(bias, bias))
+
+
+def beside_time_domain(fit: FrequencyFit, mle: MleResult) -> FrequencyFit:
+    """The fit with its differences from that of the same coefficients in the time domain, in standard errors.
+
+    Both estimates share the noise of the band. The one in the time domain is M times the one in the band and a part
+    from the other frequencies, which is independent of it; M is the share of the band in the information. So the
+    covariance of the difference is V_t + V_f - M V_f - V_f M', with the corrected covariances of both.
+    """
+    place = [mle.names.index(name) for name in fit.names]
+    V_t, V_f, D = mle.corrected[np.ix_(place, place)], fit.corrected, mle.covariance[np.ix_(place, place)]
+    M = D @ sum(inner / mle.R[c] for c, inner in enumerate(fit.inner.values()))
+    # M is that of white noise. The difference of the variances, which is exact where one of the estimates is efficient,
+    # is the least that is believed.
+    least = np.maximum(np.abs(np.diag(V_f - V_t)), MIN_SHARE * np.diag(V_f))
+    sd = np.sqrt(np.maximum(np.diag(V_t + V_f - M @ V_f - V_f @ M.T), least))
+    apart = np.abs(fit.estimate - mle.estimate[place]) / sd
+    return replace(fit, apart=dict(zip(fit.names, map(float, apart), strict=True)))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
@@ -13,19 +14,23 @@ class FrequencyFit:
     """Estimates in a band, SI and radians.
 
     Attributes:
+        method: equation error or output error.
         band: lowest and highest frequency, Hz.
-        lines: frequencies of all manoeuvres together.
+        lines: number of frequencies, of all manoeuvres together.
         names: the parameters that the band shows, (k,).
         units: of these.
         estimate: their values.
         covariance: Cramer-Rao covariance (k, k), for residuals of one variance at all lines.
-        corrected: the same with the variances of the lines themselves.
-        information: of these parameters in the band, over the variances of the residuals (k, k).
-        R: variance of the residuals by output; white noise at the samples has the same.
+        corrected: the same with the variances of the lines themselves; contains the squared bias.
+        bias: by recording noise in the regressors, (k,); it is subtracted from the estimate. None: not subtracted.
+        inner: inner products of the sensitivities by output, (k, k).
+        R: variance of the residuals by output; white noise has the same at the samples.
         unseen: free parameters that drop out with bias and drift.
         converged: whether the numbers mean something.
+        apart: differences from the fit in the time domain, in standard errors of the difference, by parameter.
     """
 
+    method: str
     band: tuple[float, float]
     lines: int
     names: tuple[str, ...]
@@ -33,9 +38,12 @@ class FrequencyFit:
     estimate: Float[np.ndarray, " k"]
     covariance: Float[np.ndarray, "k k"]
     corrected: Float[np.ndarray, "k k"]
-    R: dict[str, float]
+    inner: Mapping[str, Float[np.ndarray, "k k"]]
+    R: Mapping[str, float]
     unseen: tuple[str, ...]
     converged: bool
+    bias: Float[np.ndarray, " k"] | None = None
+    apart: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def crb(self) -> Float[np.ndarray, " k"]:
