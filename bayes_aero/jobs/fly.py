@@ -33,6 +33,7 @@ from bayes_aero.jobs.steps.usable_for import usable_for
 from bayes_aero.model.recorded_axes import on_recorded_axes
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import draw_all
+from bayes_aero.report.figures.frequency import running as running_figure
 from bayes_aero.report.figures.pit import one_step_quantiles
 from bayes_aero.report.figures.posterior import pair_of
 from bayes_aero.report.figures.process_noise import drift as drift_figure
@@ -43,12 +44,14 @@ from bayes_aero.report.pages.fly import FlyContext, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.tables.filtered import drift_history_table, gust_table, posterior_table
 from bayes_aero.report.tables.fly import parameter_table
-from bayes_aero.report.tables.frequency import frequency_sentences
+from bayes_aero.report.tables.frequency import frequency_sentences, running_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.drift import drift_sentences
 from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences
 from bayes_aero.report.text.motion import motion_sentences
 from bayes_aero.report.text.process_noise import gust_sentences, process_noise_sentences, settled_sentences
+
+DISTURBED = {"drift": drift_figure, "gusts": gusts, "one_step": one_step_quantiles}
 
 
 def fly(
@@ -144,7 +147,8 @@ def fly_records(
     starts = starts_of(coefficients, dynamics)
     flown = output_error_fit(flights, dynamics, card, starts, options, progress)
     if options.frequency is not None:
-        flown = replace(flown, frequency=linear_in_band(flights, dynamics, options.frequency))
+        in_band, running = linear_in_band(flights, dynamics, options.frequency)
+        flown = replace(flown, frequency=in_band, running=running)
         notes += [said for fit in flown.frequency for said in frequency_sentences(fit)]
     apart = () if coefficients is None else fit_disagreements(coefficients, flown)
     disputed = asked and not gusts and bool(apart)
@@ -216,10 +220,10 @@ def _written(
     found = noted((), failed) if failed else found
     drawn: list[Path] = []
     if figures:
-        drawn, failed = draw_all(fly_figures(found.flown), found.flown, out / "figures", progress)
+        drawings = fly_figures(found.flown) | {"running": running_figure}
+        drawn, failed = draw_all(drawings, found.flown, out / "figures", progress)
         if found.process_noise is not None:
-            drawings = {"drift": drift_figure, "gusts": gusts, "one_step": one_step_quantiles}
-            met, more = draw_all(drawings, found.process_noise, out / "figures")
+            met, more = draw_all(DISTURBED, found.process_noise, out / "figures")
             drawn, failed = [*drawn, *met], (*failed, *more)
         if found.posteriors:
             pairs, more = draw_all({"pair": pair_of}, found.posteriors, out / "figures")
@@ -251,6 +255,8 @@ def _written(
 def _put_numbers(found: Flight, out: Path) -> None:
     """Tables, and a file of each sampler; posteriors that an earlier run has left there go."""
     write_csv(parameter_table(found.flown), out / "parameters.csv")
+    if found.flown.running is not None:
+        write_csv(running_table(found.flown.running), out / "running.csv")
     if found.process_noise is not None and found.process_noise.histories:
         write_csv(gust_table(found.process_noise), out / "gusts.csv")
     if found.process_noise is not None and found.process_noise.drift is not None:

@@ -1,7 +1,7 @@
 """Output error of linear cards in the frequency domain, without integration.
 
-Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 7. The form for sampled records is our own: it has
-no error of quadrature, and the ends of a record need not be in trim.
+Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 7. The form for sampled records is our own: it
+has no error of quadrature, and the ends of a record need not be in trim.
 """
 
 from __future__ import annotations

@@ -19,7 +19,8 @@ from bayes_aero.inference.frequency.fit import (
     fit_in_band,
     without_noise_bias_in_band,
 )
-from bayes_aero.inference.frequency.result import FrequencyFit
+from bayes_aero.inference.frequency.result import FrequencyFit, RunningEstimates
+from bayes_aero.inference.frequency.running import running_estimates
 from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.model.joined_channels import Flights, join
 from bayes_aero.model.model import Model
@@ -56,8 +57,10 @@ def coefficients_in_band(
     return beside_time_domain(fit, mle)
 
 
-def linear_in_band(flights: Flights, dynamics: Dynamics, band: Band) -> tuple[FrequencyFit, FrequencyFit]:
-    """Equation error of a linear card in a band, and output error from there.
+def linear_in_band(
+    flights: Flights, dynamics: Dynamics, band: Band
+) -> tuple[tuple[FrequencyFit, FrequencyFit], RunningEstimates]:
+    """Equation error of a linear card in a band, output error from there, and estimates while the record grows.
 
     Raises:
         InputError: the card is not linear, a state was not recorded, or the band holds no frequency of a record.
@@ -73,4 +76,5 @@ def linear_in_band(flights: Flights, dynamics: Dynamics, band: Band) -> tuple[Fr
     found = dict(zip(first.names, first.estimate, strict=True))
     start = np.array([found.get(p.name, p.start) for p in bare.free])
     responses = LinearFrequencyOutputError.in_band(flights, bare, band)
-    return first, fit_in_band(responses, bare.free, start, band, OUTPUT_ERROR)
+    second = fit_in_band(responses, bare.free, start, band, OUTPUT_ERROR)
+    return (first, second), running_estimates(flights, bare, band)

@@ -33,13 +33,12 @@ MIN_SHARE = 0.01  # of the variance in the band: least variance of a difference 
 SINGULAR = 1e-11  # smallest eigenvalue of the information scaled to unit diagonal
 
 
-class _Step(NamedTuple):
+class Step(NamedTuple):
     """A linear solution: the step of the parameters (k,) and of the offsets, and what is left (m, c)."""
 
     step: np.ndarray
     left: np.ndarray
     R: np.ndarray
-    information: np.ndarray  # (k + o, k + o)
     gradient: np.ndarray
 
 
@@ -66,24 +65,24 @@ def fit_in_band(
     residual, S = responses.linearise(theta)
     free = _shown(S, residual, parameters)
     offsets, converged = responses.offsets(theta, outputs), False
-    found = _solve(residual, np.concatenate([S[:, :, free], offsets], axis=2))
+    found = solve(residual, np.concatenate([S[:, :, free], offsets], axis=2))
     for _ in range(MAX_ITERATIONS):
         if 0.5 * found.step @ found.gradient < TOLERANCE:
             converged = True
             break
-        before = _cost(_solve(residual, offsets).R, len(residual))
+        before = _cost(solve(residual, offsets).R, len(residual))
         for share in (1.0, 0.5, 0.25, 0.125, 0.03):
             trial = theta.copy()
             trial[free] = np.clip(theta[free] + share * found.step[: len(free)], lower[free], upper[free])
             changed, S_free = responses.linearise(trial, free)
             own = responses.offsets(trial, outputs)
-            if _cost(_solve(changed, own).R, len(changed)) < before:
+            if _cost(solve(changed, own).R, len(changed)) < before:
                 break
         else:
             converged = True  # rounding: no step lowers the cost
             break
         theta, residual, offsets = trial, changed, own
-        found = _solve(residual, np.concatenate([S_free, offsets], axis=2))
+        found = solve(residual, np.concatenate([S_free, offsets], axis=2))
     fitted = _result(responses, parameters, theta, free, found, converged)
     return replace(fitted, band=(float(band[0]), float(band[1])), method=method)
 
@@ -100,8 +99,8 @@ def _cost(R: np.ndarray, m: int) -> float:
     return 0.5 * m * float(np.sum(np.log(R)))
 
 
-def _solve(residual: np.ndarray, S: np.ndarray) -> _Step:
-    """Least squares for all columns with the variances that it leaves."""
+def solve(residual: Float[np.ndarray, "m c"], S: Float[np.ndarray, "m c k"]) -> Step:
+    """Least squares for all columns, with the variances of the outputs that it leaves."""
     _, _, k = S.shape
     left, step = residual, np.zeros(k)
     for _ in range(REWEIGHTED):
@@ -111,8 +110,22 @@ def _solve(residual: np.ndarray, S: np.ndarray) -> _Step:
         step = np.linalg.lstsq(weighted / scale, (residual / np.sqrt(R)).ravel(), rcond=1e-12)[0] / scale
         left = residual - S @ step
     R = np.maximum(np.mean(np.square(left), axis=0), np.finfo(float).tiny)
-    information = np.einsum("mck,mcl,c->kl", S, S, 1.0 / R)
-    return _Step(step, left, R, information, np.einsum("mck,mc,c->k", S, residual, 1.0 / R))
+    return Step(step, left, R, np.einsum("mck,mc,c->k", S, residual, 1.0 / R))
+
+
+def cramer_rao(
+    S: Float[np.ndarray, "m c k"], R: Float[np.ndarray, " c"]
+) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, "k k"]]:
+    """Variances over degrees of freedom, from mean squares R, and the inverse information; NaN where it is singular."""
+    m = len(S)
+    used = np.array([np.count_nonzero(np.any(S[:, c] != 0.0, axis=0)) for c in range(S.shape[1])])
+    R = R * m / np.maximum(m - used, 1)
+    A = np.einsum("mck,mcl,c->kl", S, S, 1.0 / R)
+    scale = np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
+    scaled = A / np.outer(scale, scale)
+    if not (len(A) and np.all(m > used) and np.linalg.eigvalsh(scaled)[0] > SINGULAR):
+        return R, np.full_like(A, np.nan)
+    return R, np.linalg.inv(scaled) / np.outer(scale, scale)
 
 
 def _result(
@@ -120,21 +133,15 @@ def _result(
     parameters: Sequence[Parameter],
     theta: np.ndarray,
     free: np.ndarray,
-    found: _Step,
+    found: Step,
     converged: bool,
 ) -> FrequencyFit:
     """Bounds at the optimum, with variances over degrees of freedom."""
     S = np.concatenate([responses.linearise(theta, free)[1], responses.offsets(theta, responses.outputs)], axis=2)
     m, k = len(S), len(free)
-    used = np.array([np.count_nonzero(np.any(S[:, c] != 0.0, axis=0)) for c in range(S.shape[1])])
-    R = found.R * m / np.maximum(m - used, 1)
-    A = np.einsum("mck,mcl,c->kl", S, S, 1.0 / R)
-    scale = np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
-    scaled = A / np.outer(scale, scale)
-    regular = len(A) > 0 and np.linalg.eigvalsh(scaled)[0] > SINGULAR and bool(np.all(m > used))
-    D, corrected = np.full_like(A, np.nan), np.full_like(A, np.nan)
-    if regular:
-        D = np.linalg.inv(scaled) / np.outer(scale, scale)
+    R, D = cramer_rao(S, found.R)
+    corrected = D
+    if regular := bool(np.all(np.isfinite(D))):
         # Each part of a line stands alone: the transform has whitened them, and only their sizes differ.
         corrected, _ = robust_covariance(D, S, R, found.left, responses.manoeuvre, np.ones(m, bool), BLOCK)
     names = [p.name for p in parameters]

@@ -54,3 +54,15 @@ class FrequencyFit:
     def crb_corrected(self) -> Float[np.ndarray, " k"]:
         """Standard errors with the variances of the lines."""
         return np.sqrt(np.diag(self.corrected))
+
+
+@dataclass(frozen=True)
+class RunningEstimates:
+    """Parameters against time, SI: `time` (t,) in s since the begin, `value` and `sd` (t, k), NaN before they are
+    determined."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    time: Float[np.ndarray, " t"]
+    value: Float[np.ndarray, "t k"]
+    sd: Float[np.ndarray, "t k"]
