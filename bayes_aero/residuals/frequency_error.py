@@ -61,11 +61,11 @@ def transform_rows(frequencies: Float[np.ndarray, " f"], n: int, dt: float) -> F
 
 
 def without_trend(rows: Float[np.ndarray, "r n"]) -> Float[np.ndarray, "r n"]:
-    """The same rows of a record of which a straight line was taken."""
+    """The same rows of a record of which a straight line was taken; white noise keeps its variance in each."""
     line, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, rows.shape[1]), 2))
     for _ in range(2):  # the second time takes what rounding has left, so that constants vanish to the last digit
         rows = rows - (rows @ line) @ line.T
-    return rows
+    return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
 class InBand(ResidualModel):
@@ -92,6 +92,10 @@ class InBand(ResidualModel):
     def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:  # noqa: ARG002
         """None: the rows hold no constants."""
         return np.zeros((len(self.manoeuvre), len(outputs), 0))
+
+    def moved(self, offsets: Float[np.ndarray, " o"]) -> InBand:  # noqa: ARG002
+        """The same model at changed offsets, where the sensitivities depend on them."""
+        return self
 
 
 def sampling_times(flights: Flights) -> list[float]:

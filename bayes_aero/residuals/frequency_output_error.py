@@ -7,6 +7,7 @@ has no error of quadrature, and the ends of a record need not be in trim.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -32,9 +33,11 @@ class LinearFrequencyOutputError(LinearFrequencyError):
 
     With inputs linear between samples, x_{i+1} = P x_i + G u_i + H u_{i+1}. Its transform over the samples but the last
     is (z - P) X = (G + H z) U - z (x_end - x_begin - H (u_end - u_begin)), z = exp(j w dt). So it needs no integration,
-    which would diverge for an unstable aircraft, and is exact for any record. The change of the state over a record is
-    the recorded one; what noise does to it, and a drift of each output, are free in every fit.
+    which would diverge for an unstable aircraft, and is exact for any record. The change of the state over a record
+    begins with the recorded one; it and a drift of each output are free in every fit.
     """
+
+    changes: Float[np.ndarray, "w s"]  # of the states, by manoeuvre
 
     @classmethod
     def in_band(cls, flights: Flights, dynamics: LinearDynamics, band: Band) -> LinearFrequencyOutputError:
@@ -42,7 +45,10 @@ class LinearFrequencyOutputError(LinearFrequencyError):
         LinearFrequencyError.in_band(flights, dynamics, band)
         told = zip(flights.lengths, sampling_times(flights), flights.names, strict=True)
         rows = [transform_rows(lines_in(band, n - 1, dt, name), n - 1, dt) for n, dt, name in told]
-        return cls(flights, dynamics, tuple(rows))
+        x = np.stack([np.asarray(flights.channels[name]) for name in dynamics.states], axis=1)
+        ends = np.cumsum(flights.lengths)
+        changes = x[ends - 1] - x[ends - np.array(flights.lengths)]
+        return cls(flights, dynamics, tuple(rows), changes)
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -63,6 +69,11 @@ class LinearFrequencyOutputError(LinearFrequencyError):
             begin += len(rows)
         return S
 
+    def moved(self, offsets: Float[np.ndarray, " o"]) -> LinearFrequencyOutputError:
+        """The same at other changes of the states."""
+        by = offsets.reshape(len(self.rows), -1)[:, : len(self.states)]
+        return replace(self, changes=self.changes + by)
+
     def residual(self, theta: Float[Array, " k"]) -> Float[Array, "m c"]:
         """Recorded minus computed transforms."""
         system, drives = self.system_and_inputs(theta)
@@ -72,9 +83,8 @@ class LinearFrequencyOutputError(LinearFrequencyError):
         parts = []
         for number, rows in enumerate(self.rows):
             own = slice(ends[number], ends[number + 1])
-            x = recorded[own, : len(self.states)]
             U = _complex(rows @ u[own][:-1]), u[own][-1] - u[own][0]
-            modelled = self.transforms(system, theta, number, U, x[-1] - x[0])
+            modelled = self.transforms(system, theta, number, U, jnp.asarray(self.changes[number]))
             parts.append(rows @ recorded[own][:-1] - jnp.concatenate([modelled.real, modelled.imag]))
         return jnp.concatenate(parts)
 

@@ -21,7 +21,6 @@ from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.inference.likelihood.noise_bias import PAIRS
 from bayes_aero.inference.variance.robust_bounds import BLOCK, robust_covariance
 from bayes_aero.parameter import Parameter
-from bayes_aero.residuals.base import ResidualModel
 from bayes_aero.residuals.frequency_error import InBand
 
 EQUATION_ERROR, OUTPUT_ERROR = "equation error", "output error"
@@ -34,16 +33,15 @@ SINGULAR = 1e-11  # smallest eigenvalue of the information scaled to unit diagon
 
 
 class Step(NamedTuple):
-    """A linear solution: the step of the parameters (k,) and of the offsets, and what is left (m, c)."""
+    """A linear solution: the step of the parameters (k,) and of the offsets, what is left (m, c), its mean squares."""
 
     step: np.ndarray
     left: np.ndarray
     R: np.ndarray
-    gradient: np.ndarray
 
 
 def fit_in_band(
-    responses: ResidualModel,
+    responses: InBand,
     parameters: Sequence[Parameter],
     start: Float[np.ndarray, " k"],
     band: tuple[float, float],
@@ -67,10 +65,11 @@ def fit_in_band(
     offsets, converged = responses.offsets(theta, outputs), False
     found = solve(residual, np.concatenate([S[:, :, free], offsets], axis=2))
     for _ in range(MAX_ITERATIONS):
-        if 0.5 * found.step @ found.gradient < TOLERANCE:
+        before = _cost(solve(residual, offsets).R, len(residual))
+        if before - _cost(found.R, len(residual)) < TOLERANCE:
             converged = True
             break
-        before = _cost(solve(residual, offsets).R, len(residual))
+        responses = responses.moved(found.step[len(free) :])
         for share in (1.0, 0.5, 0.25, 0.125, 0.03):
             trial = theta.copy()
             trial[free] = np.clip(theta[free] + share * found.step[: len(free)], lower[free], upper[free])
@@ -110,7 +109,7 @@ def solve(residual: Float[np.ndarray, "m c"], S: Float[np.ndarray, "m c k"]) -> 
         step = np.linalg.lstsq(weighted / scale, (residual / np.sqrt(R)).ravel(), rcond=1e-12)[0] / scale
         left = residual - S @ step
     R = np.maximum(np.mean(np.square(left), axis=0), np.finfo(float).tiny)
-    return Step(step, left, R, np.einsum("mck,mc,c->k", S, residual, 1.0 / R))
+    return Step(step, left, R)
 
 
 def cramer_rao(
@@ -129,7 +128,7 @@ def cramer_rao(
 
 
 def _result(
-    responses: ResidualModel,
+    responses: InBand,
     parameters: Sequence[Parameter],
     theta: np.ndarray,
     free: np.ndarray,

@@ -22,7 +22,7 @@ from bayes_aero.inference.frequency.result import RunningEstimates
 from bayes_aero.model.joined_channels import Flights
 
 SPACING = 0.04  # Hz, of the published programs
-BASELINE = 10  # samples whose mean is taken from a manoeuvre; the sums then hold no trim value
+BASELINE = 10  # samples whose mean is taken from all
 EVERY = 1.0  # s between solutions
 
 
@@ -75,9 +75,10 @@ def running_estimates(
 ) -> RunningEstimates:
     """Equation error of the rates at frequencies `SPACING` apart in `band` (Hz), every `EVERY` s of the record.
 
-    Manoeuvres follow each other without a pause, each less the mean of its first `BASELINE` samples. Standard errors
-    count the real and the imaginary part of a line. Before 1/`SPACING` s lines are not independent, and the variances
-    are larger by that share. `ends`: see `RunningTransform`.
+    Manoeuvres follow each other without a pause, less the mean of the first `BASELINE` samples. Standard errors count
+    the real and the imaginary part of a line. Before 1/`SPACING` s lines are not independent, and the variances are
+    larger by that share. With `ends` (see `RunningTransform`) the constants of the equations are free; without, as in
+    the published programs, the first samples have to be in trim.
 
     Raises:
         InputError: a state was not recorded, or sampling times differ.
@@ -91,8 +92,7 @@ def running_estimates(
     if np.ptp(dt) > 1e-6 * dt[0]:
         raise InputError("the manoeuvres have different sampling times; give --resample")
     x = np.stack([np.asarray(flights.channels[name], float) for name in signals], axis=1)
-    parts = np.split(x, np.cumsum(flights.lengths)[:-1])
-    x = np.concatenate([part - part[:BASELINE].mean(axis=0) for part in parts])
+    x = np.column_stack([x - x[:BASELINE].mean(axis=0), np.ones(len(x))])
     step = max(1, round(EVERY / dt[0]))
     transform = RunningTransform(np.arange(band[0], band[1] + 1e-9, SPACING), float(dt[0]), x.shape[1], ends=ends)
     time, value, sd = [], [], []
@@ -112,14 +112,17 @@ def estimates_of(transform: RunningTransform, rows: _Rows) -> tuple[Float[np.nda
     """Parameters and their standard errors from the sums so far; NaN where they do not determine them."""
     scale = np.sqrt(2.0 / transform.samples)  # white noise keeps its variance
     F, rate = scale * transform.signals(), scale * transform.derivatives()[:, : len(rows.fixed)]
+    F, one = F[:, :-1], F[:, -1]
     known, S = rate - F @ rows.fixed.T, np.einsum("fc,skc->fsk", F, rows.free)
+    if transform.ends:
+        S = np.concatenate([S, one[:, None, None] * np.eye(len(rows.fixed))], axis=2)
     residual, S = (np.concatenate([part.real, part.imag]) for part in (known, S))
     found = solve(residual, S)
     _, D = cramer_rao(S, found.R)
+    k, overlap = len(rows.names), max(1.0, 1.0 / (SPACING * transform.samples * transform.dt))
     if not np.all(np.isfinite(D)):
-        return np.full(len(rows.names), np.nan), np.full(len(rows.names), np.nan)
-    overlap = max(1.0, 1.0 / (SPACING * transform.samples * transform.dt))
-    return found.step, np.sqrt(overlap * np.diag(D))
+        return np.full(k, np.nan), np.full(k, np.nan)
+    return found.step[:k], np.sqrt(overlap * np.diag(D)[:k])
 
 
 def _rows(dynamics: LinearDynamics) -> _Rows:
