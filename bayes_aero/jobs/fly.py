@@ -122,7 +122,7 @@ def fly_records(
 ) -> Flight:
     """`fly` with its options in one."""
     setting, seed = options.setting(card), options.seed
-    check_band(options.frequency, records)
+    check_band(options.frequency, records, card, flown=True)
     card, left_out = on_recorded_axes(card, records, OF_AXIS, DERIVED)
     flights, dynamics, notes = flown_dynamics(records, card, setting.outputs or (), path=options.flight_path)
     notes = [*left_out, *notes]

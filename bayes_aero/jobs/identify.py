@@ -98,7 +98,7 @@ class _Job:
         out: Path | None,
         progress: Progress | None,
     ) -> None:
-        check_band(options.frequency, records)
+        check_band(options.frequency, records, card)
         card, self.left_out = on_recorded_axes(card, records)
         self.records, self.card, self.options, self.out, self.progress = records, card, options, out, progress
         self.model = Model.from_card(card)

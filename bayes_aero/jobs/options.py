@@ -23,10 +23,17 @@ INITIAL_STATES = FREE, FIXED = "free", "fixed"
 INPUTS = LINEAR, HELD = "linear", "held"
 
 
-def check_band(band: tuple[float, float] | None, records: Sequence[FlightRecord]) -> None:
-    """Refuse a band in which a record has no frequency, before anything is computed."""
+def check_band(
+    band: tuple[float, float] | None, records: Sequence[FlightRecord], card: Card, *, flown: bool = False
+) -> None:
+    """Refuse a band in which a record has no frequency, and trajectories of effects, before anything is computed."""
     if band is None:
         return
+    if flown and card.linear is None:
+        raise InputError(
+            f"trajectories are fitted in the frequency domain for linear cards only; card {card.name} has a model of "
+            "effects, so use bayes-aero identify --frequency"
+        )
     for record in records:
         lines_in(band, record.n, record.dt, record.name)
 

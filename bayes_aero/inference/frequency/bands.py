@@ -9,7 +9,6 @@ import numpy as np
 from bayes_aero.dynamics.flight import Dynamics
 from bayes_aero.dynamics.linear import LinearDynamics
 from bayes_aero.dynamics.output_biases import unbiased
-from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.reading.common_rate import at_common_rate
 from bayes_aero.flight.record import FlightRecord
@@ -63,14 +62,10 @@ def linear_in_band(
     """Equation error of a linear card in a band, output error from there, and estimates while the record grows.
 
     Raises:
-        InputError: the card is not linear, a state was not recorded, or the band holds no frequency of a record.
+        InputError: a state was not recorded, or the band holds no frequency of a record.
     """
     bare = unbiased(dynamics)
-    if not isinstance(bare, LinearDynamics):
-        raise InputError(
-            "trajectories are fitted in the frequency domain for linear cards only; this card has a model of effects, "
-            "so use bayes-aero identify --frequency"
-        )
+    assert isinstance(bare, LinearDynamics)
     start = np.array([p.start for p in bare.free])
     first = fit_in_band(LinearFrequencyError.in_band(flights, bare, band), bare.free, start, band)
     found = dict(zip(first.names, first.estimate, strict=True))

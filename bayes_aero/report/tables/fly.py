@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from bayes_aero.diagnosis.trajectories.results import FITTED, START, Error, TrajectoryFit
@@ -70,7 +71,7 @@ def beside_table(flown: TrajectoryFit) -> Table:
 
 def parameter_rows(flown: TrajectoryFit) -> dict[str, dict[str, Any]]:
     """The same by parameter, as JSON has it: `prior` in its parts, and None where the fit had none."""
-    rows = {str(row.pop("parameter")): row for row in parameter_table(flown).records()}
+    rows = {str(row.pop("parameter")): row for row in parameter_table(replace(flown, frequency=())).records()}
     for parameter in flown.fit.parameters:
         prior = parameter.prior
         parts = {key: getattr(prior, key) for key in ("family", "location", "scale", "source")}
