@@ -7,6 +7,8 @@ Renneboog, IEEE Trans. Instrum. Meas. 37 (1988) 145.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import brentq
@@ -46,7 +48,7 @@ def multisines(
         fine = np.linspace(0.0, 2.0 * np.pi, GRID * int(own[-1]) * 4)
         whole = np.sum(np.cos(fine[:, None] * own + phase), axis=1)
         crossing = int(np.argmax(np.diff(np.sign(whole)) != 0.0))
-        zero = float(brentq(_value, *fine[crossing : crossing + 2], args=(own, phase)))
+        zero: Any = brentq(_value, *fine[crossing : crossing + 2], args=(own, phase))
         signals.append(np.sum(np.cos((at + zero) * own + phase), axis=1) / np.max(np.abs(whole)))
     return np.stack(signals)
 

@@ -185,7 +185,9 @@ def without_noise_bias_in_band(
             noise[name] = np.concatenate([noise_of(x) * rng.standard_normal(len(x)) for x in parts])
         for sign in (1.0, -1.0):
             noisier = {n: x + sign * noise[n] if n in noise else x for n, x in flights.channels.items()}
-            found = fit_in_band(responses.with_channels(noisier), parameters, start, fit.band, fit.method)
+            moved = responses.with_channels(noisier)
+            assert isinstance(moved, InBand)
+            found = fit_in_band(moved, parameters, start, fit.band, fit.method)
             if not found.converged or found.names != fit.names:
                 return fit
             moves.append(found.estimate - fit.estimate)

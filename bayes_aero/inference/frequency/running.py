@@ -116,7 +116,7 @@ def estimates_of(transform: RunningTransform, rows: _Rows) -> tuple[Float[np.nda
     known, S = rate - F @ rows.fixed.T, np.einsum("fc,skc->fsk", F, rows.free)
     if transform.ends:
         S = np.concatenate([S, one[:, None, None] * np.eye(len(rows.fixed))], axis=2)
-    residual, S = (np.concatenate([part.real, part.imag]) for part in (known, S))
+    residual, S = (np.concatenate([np.real(part), np.imag(part)]) for part in (known, S))
     found = solve(residual, S)
     _, D = cramer_rao(S, found.R)
     k, overlap = len(rows.names), max(1.0, 1.0 / (SPACING * transform.samples * transform.dt))
