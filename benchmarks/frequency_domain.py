@@ -88,9 +88,8 @@ def coverage(flights: int, seed: int) -> None:
     card = read_card("attas_short_period")
     units = {name: c.unit for name, c in STANDARD_CHANNELS.items()} | channel_units(card)
     dynamics = linear_dynamics(card)
-    print(
-        "\n| noise | sensors | method | 95 % intervals with the truth | RMS error, % of the value | median bound / CRB |"
-    )
+    print(f"\n| noise | sensors | method | 95 % intervals with the truth | RMS error of {', '.join(MAIN)}, % | "
+          "corrected bound over plain |")  # fmt: skip
     print("|---|---|---|---|---|---|")
     for colour in (0.0, 0.9):
         for drift in (False, True):
