@@ -98,7 +98,7 @@ def coverage(flights: int, seed: int) -> None:
             for _ in range(flights):
                 joined = join([short_period(rng, colour, drift)], card, dynamics.inputs)
                 fit = fit_trajectories(joined, dynamics, units, setting=Setting(priors=False)).fit
-                (first, second), _ = linear_in_band(joined, dynamics, BAND)
+                (first, second), *_ = linear_in_band(joined, dynamics, BAND)
                 fits = (("output error, time", fit, fit.sd_corrected),
                         ("equation error, band", first, first.crb_corrected),
                         ("output error, band", second, second.crb_corrected))  # fmt: skip

@@ -33,7 +33,7 @@ from bayes_aero.jobs.steps.usable_for import usable_for
 from bayes_aero.model.recorded_axes import on_recorded_axes
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import draw_all
-from bayes_aero.report.figures.frequency import running as running_figure
+from bayes_aero.report.figures.frequency import FREQUENCY_FIGURES
 from bayes_aero.report.figures.pit import one_step_quantiles
 from bayes_aero.report.figures.posterior import pair_of
 from bayes_aero.report.figures.process_noise import drift as drift_figure
@@ -147,8 +147,8 @@ def fly_records(
     starts = starts_of(coefficients, dynamics)
     flown = output_error_fit(flights, dynamics, card, starts, options, progress)
     if options.frequency is not None:
-        in_band, running = linear_in_band(flights, dynamics, options.frequency)
-        flown = replace(flown, frequency=in_band, running=running)
+        in_band, running, responses = linear_in_band(flights, dynamics, options.frequency)
+        flown = replace(flown, frequency=in_band, running=running, responses=responses)
         notes += [said for fit in flown.frequency for said in frequency_sentences(fit)]
     apart = () if coefficients is None else fit_disagreements(coefficients, flown)
     disputed = asked and not gusts and bool(apart)
@@ -220,7 +220,7 @@ def _written(
     found = noted((), failed) if failed else found
     drawn: list[Path] = []
     if figures:
-        drawings = fly_figures(found.flown) | {"running": running_figure}
+        drawings = fly_figures(found.flown) | FREQUENCY_FIGURES
         drawn, failed = draw_all(drawings, found.flown, out / "figures", progress)
         if found.process_noise is not None:
             met, more = draw_all(DISTURBED, found.process_noise, out / "figures")

@@ -164,6 +164,31 @@ def test_drift_moves_the_time_domain_and_not_the_band(drifting):
         np.testing.assert_allclose(one.estimate, other.estimate, rtol=1e-4)  # the noise is the same
 
 
+def test_measured_responses_of_a_multisine_are_those_of_the_transfer_function(drifting):
+    """q over elevator: (Mde s + Malpha Zde - Mde Zalpha) / (s^2 - (Zalpha + Mq) s + Zalpha Mq - Malpha)."""
+    flights, dynamics = flown_of(SHORT_PERIOD, drifting[0], seed=12)
+    *_, responses = linear_in_band(flights, dynamics, (0.2, 1.2))
+    one = next(r for r in responses if r.output == "q")
+    k, s = SHORT_PERIOD_TRUTH, 2j * np.pi * one.frequency
+    numerator = k["Mde"] * s + k["Malpha"] * k["Zde"] - k["Mde"] * k["Zalpha"]
+    exact = numerator / (s**2 - (k["Zalpha"] + k["Mq"]) * s + k["Zalpha"] * k["Mq"] - k["Malpha"])
+    np.testing.assert_allclose(one.modelled, exact, rtol=0.1)
+    assert np.all(np.abs(one.modelled - exact) < 5.0 * np.std(one.draws, axis=0))
+    assert np.all(np.abs(one.measured - exact) < 5.0 * one.error + 0.05 * np.abs(exact))
+    assert np.median(one.coherence) > 0.9
+    assert {(r.input, r.output) for r in responses} == {("elevator", n) for n in ("alpha", "q", "az")}
+
+
+def test_both_ailerons_are_one_input():
+    flights, dynamics = flown_of(LATERAL, lateral_flight(LATERAL_TRUTH), seed=13)
+    *_, responses = linear_in_band(flights, dynamics, BAND)
+    assert {r.input for r in responses} == {"aileron_left and aileron_right", "beta", "rudder"}
+    roll = next(r for r in responses if (r.output, r.input[:7]) == ("p_dot", "aileron"))
+    k, s = LATERAL_TRUTH, 2j * np.pi * roll.frequency  # yaw: r = Np p / (s - Nr)
+    p = k["Lda"] / (s - k["Lp"] - k["Lr"] * k["Np"] / (s - k["Nr"]))
+    np.testing.assert_allclose(roll.modelled, s * p, rtol=0.1)
+
+
 @pytest.mark.parametrize(
     ("band", "said"),
     [((1.0, 0.5), "the band 1 to 0.5 Hz is empty"), ((0.0, 1.0), "the band 0 to 1 Hz is empty"),

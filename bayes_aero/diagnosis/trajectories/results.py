@@ -15,7 +15,7 @@ from bayes_aero.diagnosis.trajectories.drift import Drift
 from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.output_biases import unbiased
 from bayes_aero.dynamics.path.flight_path import PathDynamics
-from bayes_aero.inference.frequency.result import FrequencyFit, RunningEstimates
+from bayes_aero.inference.frequency.result import FrequencyFit, FrequencyResponse, RunningEstimates
 from bayes_aero.inference.likelihood.normal_equations import initial_state_sd
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
 from bayes_aero.inference.scores import OneStep
@@ -158,6 +158,7 @@ class TrajectoryFit:
         setting: settings of the fit.
         frequency: fits of the same parameters in a band, where one was asked for.
         running: estimates in that band while the record grows.
+        responses: measured and modelled frequency responses there.
     """
 
     fit: OutputErrorResult
@@ -172,6 +173,7 @@ class TrajectoryFit:
     setting: Setting = field(default_factory=Setting)
     frequency: tuple[FrequencyFit, ...] = ()
     running: RunningEstimates | None = None
+    responses: tuple[FrequencyResponse, ...] = ()
 
     @property
     def converged(self) -> bool:

@@ -18,7 +18,8 @@ from bayes_aero.inference.frequency.fit import (
     fit_in_band,
     without_noise_bias_in_band,
 )
-from bayes_aero.inference.frequency.result import FrequencyFit, RunningEstimates
+from bayes_aero.inference.frequency.responses import frequency_responses
+from bayes_aero.inference.frequency.result import FrequencyFit, FrequencyResponse, RunningEstimates
 from bayes_aero.inference.frequency.running import running_estimates
 from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.model.joined_channels import Flights, join
@@ -58,8 +59,8 @@ def coefficients_in_band(
 
 def linear_in_band(
     flights: Flights, dynamics: Dynamics, band: Band
-) -> tuple[tuple[FrequencyFit, FrequencyFit], RunningEstimates]:
-    """Equation error of a linear card in a band, output error from there, and estimates while the record grows.
+) -> tuple[tuple[FrequencyFit, FrequencyFit], RunningEstimates, tuple[FrequencyResponse, ...]]:
+    """Equation error of a linear card in a band, output error from there, estimates while the record grows, responses.
 
     Raises:
         InputError: a state was not recorded, or the band holds no frequency of a record.
@@ -70,6 +71,7 @@ def linear_in_band(
     first = fit_in_band(LinearFrequencyError.in_band(flights, bare, band), bare.free, start, band)
     found = dict(zip(first.names, first.estimate, strict=True))
     start = np.array([found.get(p.name, p.start) for p in bare.free])
-    responses = LinearFrequencyOutputError.in_band(flights, bare, band)
-    second = fit_in_band(responses, bare.free, start, band, OUTPUT_ERROR)
-    return (first, second), running_estimates(flights, bare, band)
+    whole = LinearFrequencyOutputError.in_band(flights, bare, band)
+    second = fit_in_band(whole, bare.free, start, band, OUTPUT_ERROR)
+    responses = frequency_responses(flights, bare, second) if second.converged else ()
+    return (first, second), running_estimates(flights, bare, band), responses

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 
 
 @dataclass(frozen=True)
@@ -66,3 +66,21 @@ class RunningEstimates:
     time: Float[np.ndarray, " t"]
     value: Float[np.ndarray, "t k"]
     sd: Float[np.ndarray, "t k"]
+
+
+@dataclass(frozen=True)
+class FrequencyResponse:
+    """An output over an input at frequencies (f,), Hz; SI.
+
+    `measured` by cross spectra, with its standard `error`; `coherence` of the output with all inputs; `modelled` by the
+    estimates in the band and by `draws` of them (d, f).
+    """
+
+    input: str
+    output: str
+    frequency: Float[np.ndarray, " f"]
+    measured: Complex[np.ndarray, " f"]
+    error: Float[np.ndarray, " f"]
+    coherence: Float[np.ndarray, " f"]
+    modelled: Complex[np.ndarray, " f"]
+    draws: Complex[np.ndarray, "d f"]

@@ -1,4 +1,4 @@
-"""Estimates in the frequency domain while the record grows."""
+"""Frequency responses, and estimates in the frequency domain while the record grows."""
 
 from __future__ import annotations
 
@@ -14,6 +14,9 @@ from bayes_aero.report.text.phrases import bracket, plain_unit
 
 BAND = 1.96  # standard errors
 COLUMNS = 3
+KNOWN = 0.3  # largest standard error, of the value, with which a measured response is shown
+DECIBEL = 20.0 / math.log(10.0)  # of a relative change
+MOST_RESPONSES = 8
 SHOWN = 6.0  # last standard errors to either side that an axis shows at least
 
 
@@ -46,3 +49,46 @@ def running(found: TrajectoryFit) -> Figure:
     axes[0].legend(loc="best", fontsize=7.5)
     figure.suptitle("Parameters while the record grows, with 95 % bands", fontsize=10.0)
     return figure
+
+
+@housed
+def bode(found: TrajectoryFit) -> Figure:
+    """Measured and modelled frequency responses: magnitude, phase, coherence; a column for each input and output.
+
+    Raises:
+        NotDrawn: no band was asked for, or too many responses for one figure.
+    """
+    if not found.responses:
+        raise NotDrawn("no band was asked for")
+    if len(found.responses) > MOST_RESPONSES:
+        raise NotDrawn(f"more than {MOST_RESPONSES} responses")
+    figure = Figure(figsize=(2.6 * len(found.responses) + 1.2, 5.6), layout="constrained")
+    axes = figure.subplots(3, len(found.responses), squeeze=False, sharex=True, sharey="row")
+    for (magnitude, phase, coherence), one in zip(axes.T, found.responses, strict=True):
+        f, seen = one.frequency, np.where(one.error < KNOWN * np.abs(one.measured), 1.0, np.nan)
+        middle = np.rad2deg(np.unwrap(np.angle(one.modelled)))
+        around = middle + np.angle(one.draws / one.modelled, deg=True)
+        for axis, low, centre in (
+            (magnitude, 20.0 * np.log10(np.abs(one.draws)), 20.0 * np.log10(np.abs(one.modelled))),
+            (phase, around, middle),
+        ):
+            edges = np.percentile(low, [2.5, 97.5], axis=0)
+            axis.fill_between(f, *edges, color=COLOURS["after"], alpha=0.25, linewidth=0.0)
+            axis.plot(f, centre, color=COLOURS["after"], label="modelled, with 95 % band")
+        dots = {"color": COLOURS["measured"], "linestyle": "none", "marker": "o", "markersize": 3.0, "elinewidth": 0.8}
+        share = seen * BAND * one.error / np.abs(one.measured)
+        magnitude.errorbar(f, seen * 20.0 * np.log10(np.abs(one.measured)), DECIBEL * share, **dots, label="measured")
+        phase.errorbar(f, seen * middle + np.angle(one.measured / one.modelled, deg=True), np.rad2deg(share), **dots)
+        coherence.plot(f, one.coherence, color=COLOURS["measured"])
+        coherence.set_ylim(0.0, 1.05)
+        coherence.set_xlabel("frequency [Hz]")
+        magnitude.set_xscale("log")
+        magnitude.set_title(f"{one.output} / {one.input}".replace(" and ", ",\n"), fontsize=8.5)
+    for axis, label in zip(axes[:, 0], ("magnitude [dB, SI]", "phase [deg]", "coherence"), strict=True):
+        axis.set_ylabel(label)
+    axes[0][0].legend(loc="best", fontsize=7.0)
+    return figure
+
+
+FREQUENCY_FIGURES = {"bode": bode, "running": running}
+"""What a fit of trajectories shows of a band."""

@@ -32,10 +32,10 @@ from bayes_aero.report.html.parts import (
 )
 from bayes_aero.report.html.pictures import Gallery
 from bayes_aero.report.html.plots import LOW, Line, Panel
+from bayes_aero.report.pages.frequency import frequency_blocks
 from bayes_aero.report.pages.trajectories import Curve, axis_label, over_measured, sources
 from bayes_aero.report.tables import fly as tables
 from bayes_aero.report.tables.filtered import drift_table, one_step_table, posterior_table, process_noise_table
-from bayes_aero.report.tables.frequency import frequency_sentences
 from bayes_aero.report.tables.motion import mode_table, test_table
 from bayes_aero.report.text.drift import drift_sentences
 from bayes_aero.report.text.fly import errors_of_all
@@ -88,7 +88,7 @@ def fly_page(flown: TrajectoryFit, context: FlyContext) -> Page:
             section("fit", "Measured and simulated", lambda: _flights(flown)),
             section("errors", "Errors", lambda: _errors(flown, context.card)),
             section("parameters", "Parameters", lambda: _parameters(flown, context)),
-            section("frequency", "In the frequency domain", lambda: _frequency(flown, context)),
+            section("frequency", "In the frequency domain", lambda: frequency_blocks(flown, context.figures)),
             section("motion", "Modes of motion", lambda: _motion(context.motion)),
             section("predictions", "One-step predictions", lambda: _predictions(flown, context)),
             section("posterior", "Posterior", lambda: _posterior(context)),
@@ -182,22 +182,6 @@ def _parameters(flown: TrajectoryFit, context: FlyContext) -> tuple[Block, ...]:
         symbols(parameters, [p.name for p in parameters], conventions(context.card)),
         page_table(tables.initial_table(flown)),
     )
-
-
-def _frequency(flown: TrajectoryFit, context: FlyContext) -> tuple[Block, ...]:
-    """How the parameters settle while the record grows, where a band was asked for."""
-    if flown.running is None:
-        return ()
-    run = flown.running
-    caption = (
-        "Equation error on a recursive Fourier transform: every sample is added to its sums. Each parameter as the "
-        "samples so far give it, with its 95 % band. Dashed: output error in the time domain, of the whole record. "
-        "The table of parameters has equation error and output error of the whole record in the band."
-    )
-    last = several(f"{name} {x:.3g}" for name, x in zip(run.names, run.value[-1], strict=True))
-    alt = f"Time histories of the estimates and their bands. At the end, SI: {last}."
-    said = [sentence for fit in flown.frequency for sentence in frequency_sentences(fit)]
-    return (*bullets(said), *Gallery(context.figures, {"running": (caption, alt)})("running"))
 
 
 def _motion(found: Motion | None) -> tuple[Block, ...]:
