@@ -1,6 +1,6 @@
 """The frequency domain: published recursive results, coverage under drift and colour, agreement with the time domain.
 
-    OPENBLAS_NUM_THREADS=1 python benchmarks/frequency_domain.py [--book BOOK] [--flights 200] [--stalls 40]
+    OPENBLAS_NUM_THREADS=1 python benchmarks/frequency_domain.py [--book BOOK] [--flights 200] [--stalls 40] [--aeroid]
 
 BOOK is the folder with the flight data of Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015 (doi
 10.2514/4.102790), and with `references.json`; without it the first table is left out. The second has flights of an
@@ -138,18 +138,63 @@ def agreement(stalls: int, seed: int) -> None:
           f"{np.median(wider, axis=0)[1]:.1f} | {np.median(wider, axis=0)[0]:.2f} |")  # fmt: skip
 
 
+def rival(flights: int, seed: int) -> None:
+    """The measured response of q to the elevator against the closed form: ours and aeroid 0.5, each with its settings.
+
+    aeroid has no estimates in the frequency domain; it compares responses, one input at a time.
+    """
+    import aeroid
+
+    card, k = read_card("attas_short_period"), SHORT_PERIOD
+    dynamics = linear_dynamics(card)
+
+    def rates(t, x, u, v):  # noqa: ARG001
+        return np.array([v["Zalpha"] * x[0] + (1.0 + v["Zq"]) * x[1] + v["Zde"] * u[0],
+                         v["Malpha"] * x[0] + v["Mq"] * x[1] + v["Mde"] * u[0]])  # fmt: skip
+
+    model = aeroid.Model(["alpha", "q"], ["elevator"], dict(k), rates)
+    print("\n| sensors | program | RMS relative error of q over elevator, 0.2 to 1.2 Hz | frequencies |")
+    print("|---|---|---|---|")
+    for drift in (False, True):
+        rng, errors = np.random.default_rng([seed, 99, drift]), {"bayes_aero": [], "aeroid": []}
+        for _ in range(flights):
+            record = short_period(rng, 0.0, drift)
+            *_, responses = linear_in_band(join([record], card, dynamics.inputs), dynamics, (0.2, 1.2))
+            ours = next(r for r in responses if r.output == "q")
+            data = aeroid.FlightData(
+                record.time, {n: np.asarray(record.channels[n]) for n in ("alpha", "q", "elevator")}
+            )
+            theirs = aeroid.frequency_response(model, data, k, outputs=["q"], frequency_range=(0.2, 1.2))
+            one = theirs.channel("elevator", "q")
+            for name, f, measured in (
+                ("bayes_aero", ours.frequency, ours.measured),
+                ("aeroid", one.frequency, one.magnitude_data * np.exp(1j * one.phase_data)),
+            ):
+                s = 2j * np.pi * f
+                exact = (k["Mde"] * s + k["Malpha"] * k["Zde"] - k["Mde"] * k["Zalpha"]) / (
+                    s**2 - (k["Zalpha"] + k["Mq"]) * s + k["Zalpha"] * k["Mq"] - k["Malpha"] * (1.0 + k["Zq"])
+                )
+                errors[name].append(np.abs(measured / exact - 1.0))
+        for name, found in errors.items():
+            rms = np.sqrt(np.mean(np.square(found)))
+            print(f"| {'drift' if drift else 'sound'} | {name} | {rms:.1%} | {len(found[0])} |", flush=True)
+
+
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--book", type=Path)
     parser.add_argument("--flights", type=int, default=200)
     parser.add_argument("--stalls", type=int, default=40)
+    parser.add_argument("--aeroid", action="store_true", help="compare with aeroid (extra `bench`), too")
     parser.add_argument("--seed", type=int, default=1)
     asked = parser.parse_args()
     if asked.book is not None:
         published(asked.book)
     coverage(asked.flights, asked.seed)
     agreement(asked.stalls, asked.seed)
+    if asked.aeroid:
+        rival(asked.flights // 4, asked.seed)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from bayes_aero.report.text.phrases import several
 BODE = (
     "Responses of the outputs to the inputs: measured by cross spectra, with 95 % bars, where the standard error is "
     "below 30 %; modelled, with the 95 % band of the estimates. Coherence: the share of an output that all inputs "
-    "explain. An input that responds to another one, as sideslip to the rudder, biases measured responses, not the fits."
+    "explain. Inputs that respond to others, as sideslip to the rudder, bias measured responses, not the fits."
 )
 RUNNING = (
     "Equation error on a recursive Fourier transform: every sample is added to its sums. Each parameter as the samples "
