@@ -148,7 +148,7 @@ def fly_records(
     flown = output_error_fit(flights, dynamics, card, starts, options, progress)
     if options.frequency is not None:
         in_band, running, responses = linear_in_band(flights, dynamics, options.frequency)
-        flown = replace(flown, frequency=in_band, running=running, responses=responses)
+        flown = replace(flown, frequency=in_band, running=running, frequency_responses=responses)
         notes += [said for fit in flown.frequency for said in frequency_sentences(fit)]
     apart = () if coefficients is None else fit_disagreements(coefficients, flown)
     disputed = asked and not gusts and bool(apart)

@@ -161,7 +161,7 @@ def test_drift_moves_the_time_domain_and_not_the_band(drifting):
     assert fit.sd_corrected[i] > 10.0 * second.crb_corrected[second.names.index("Zalpha")]
     assert max(map(abs, z_scores(second, SHORT_PERIOD_TRUTH, second.crb_corrected).values())) < 4.0
     for one, other in zip(in_band, both_domains(drifting[0])[1:], strict=True):
-        np.testing.assert_allclose(one.estimate, other.estimate, rtol=1e-4)  # the noise is the same
+        assert np.all(np.abs(one.estimate - other.estimate) < 0.03 * one.crb)  # the noise is the same
 
 
 def test_measured_responses_of_a_multisine_are_those_of_the_transfer_function(drifting):

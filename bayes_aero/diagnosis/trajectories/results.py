@@ -158,7 +158,7 @@ class TrajectoryFit:
         setting: settings of the fit.
         frequency: fits of the same parameters in a band, where one was asked for.
         running: estimates in that band while the record grows.
-        responses: measured and modelled frequency responses there.
+        frequency_responses: measured and modelled frequency responses there.
     """
 
     fit: OutputErrorResult
@@ -173,7 +173,7 @@ class TrajectoryFit:
     setting: Setting = field(default_factory=Setting)
     frequency: tuple[FrequencyFit, ...] = ()
     running: RunningEstimates | None = None
-    responses: tuple[FrequencyResponse, ...] = ()
+    frequency_responses: tuple[FrequencyResponse, ...] = ()
 
     @property
     def converged(self) -> bool:

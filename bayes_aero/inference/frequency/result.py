@@ -26,6 +26,7 @@ class FrequencyFit:
         inner: inner products of the sensitivities by output, (k, k).
         R: variance of the residuals by output; white noise has the same at the samples.
         unseen: free parameters that drop out with bias and drift.
+        at_bound: parameters that the band would move beyond a bound, and that are held there.
         converged: whether the numbers mean something.
         apart: differences from the fit in the time domain, in standard errors of the difference, by parameter.
     """
@@ -42,6 +43,7 @@ class FrequencyFit:
     R: Mapping[str, float]
     unseen: tuple[str, ...]
     converged: bool
+    at_bound: tuple[str, ...] = ()
     bias: Float[np.ndarray, " k"] | None = None
     apart: Mapping[str, float] = field(default_factory=dict)
 

@@ -101,6 +101,7 @@ def frequency_results(fit: FrequencyFit) -> dict[str, Any]:
             for name, unit, x, crb, corrected, moved in columns
         },
         "unseen": list(fit.unseen),
+        "at_bound": list(fit.at_bound),
     }
 
 

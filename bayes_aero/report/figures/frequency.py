@@ -58,13 +58,13 @@ def bode(found: TrajectoryFit) -> Figure:
     Raises:
         NotDrawn: no band was asked for, or too many responses for one figure.
     """
-    if not found.responses:
+    if not found.frequency_responses:
         raise NotDrawn("no band was asked for")
-    if len(found.responses) > MOST_RESPONSES:
+    if len(found.frequency_responses) > MOST_RESPONSES:
         raise NotDrawn(f"more than {MOST_RESPONSES} responses")
-    figure = Figure(figsize=(2.6 * len(found.responses) + 1.2, 5.6), layout="constrained")
-    axes = figure.subplots(3, len(found.responses), squeeze=False, sharex=True, sharey="row")
-    for (magnitude, phase, coherence), one in zip(axes.T, found.responses, strict=True):
+    figure = Figure(figsize=(2.6 * len(found.frequency_responses) + 1.2, 5.6), layout="constrained")
+    axes = figure.subplots(3, len(found.frequency_responses), squeeze=False, sharex=True, sharey="row")
+    for (magnitude, phase, coherence), one in zip(axes.T, found.frequency_responses, strict=True):
         f, seen = one.frequency, np.where(one.error < KNOWN * np.abs(one.measured), 1.0, np.nan)
         middle = np.rad2deg(np.unwrap(np.angle(one.modelled)))
         around = middle + np.angle(one.draws / one.modelled, deg=True)

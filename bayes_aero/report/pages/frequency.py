@@ -32,7 +32,7 @@ def frequency_blocks(flown: TrajectoryFit, figures: Mapping[str, Path]) -> tuple
         return ()
     run = flown.running
     last = several(f"{name} {x:.3g}" for name, x in zip(run.names, run.value[-1], strict=True))
-    coherent = several(f"{r.output} over {r.input} {np.median(r.coherence):.2f}" for r in flown.responses)
+    coherent = several(f"{r.output} over {r.input} {np.median(r.coherence):.2f}" for r in flown.frequency_responses)
     gallery = Gallery(
         figures,
         {

@@ -70,6 +70,8 @@ def frequency_sentences(fit: FrequencyFit) -> tuple[str, ...]:
         return (f"{what}: the parameters are not determined there; use a wider band.",)
     gone = f": {several(fit.unseen)} drop{'s' if len(fit.unseen) == 1 else ''} out with bias and drift"
     told = [f"{what}{gone if fit.unseen else ''}."]
+    if fit.at_bound:
+        told.append(f"In the band {several(fit.at_bound)} went to a bound and stayed there.")
     differ = [f"{name} ({number(x, 2)} standard errors)" for name, x in fit.apart.items() if x > LIMIT]
     if differ:
         told.append(f"Time and frequency domain differ on {several(differ)}: suspect drift or a slow model error.")
