@@ -33,6 +33,7 @@ from bayes_aero.model.observations import marks
 from bayes_aero.physics.atmosphere import altitude_of_density
 from bayes_aero.residuals.equation_error import EquationError
 
+NOT_BY_HAND = ("multisine",)  # a manoeuvre that needs a computer at the controls is not proposed
 BEGINNING = 2.0  # s of the record whose means are the flight condition
 
 Pair = tuple[str, str]
@@ -130,6 +131,7 @@ def standard(state: SelectionState, effects: Sequence[str], *, amplitude: float 
     flown, refused = (fly_rigid_standard if rigid else fly_standard)(
         small, values, aircraft, **start, dt=dt, amplitude=amplitude
     )
+    flown = {name: channels for name, channels in flown.items() if name not in NOT_BY_HAND}
     unseen = {name: moved[name] for name in flown if name in moved and moved[name] not in flights.recorded}
     refused |= {name: f"{channel} was not recorded" for name, channel in unseen.items()}
     recorded = {name: _recorded(flights, channels, dt) for name, channels in flown.items() if name not in unseen}
