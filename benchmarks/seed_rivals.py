@@ -1,0 +1,265 @@
+"""Networks, Gaussian processes and equations on honest splits: r, RMSE, log score, coverage, time and spread.
+
+    pip install -e '.[peers]'
+    pip install --no-deps jax-sysid                       # it pins an older JAX and SciPy
+    python benchmarks/seed_rivals.py RECORD RECORD [--out rivals]
+
+Two manoeuvres of the `attas` card, their coefficients as means of 0.2 s (1010 blocks), the inputs those of [gp]. One
+random, one block split, and each manoeuvre from the other; ten initialisations of every method on the same splits. One
+line of OUT/rivals.jsonl each; a run that was interrupted goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property, partial
+from pathlib import Path
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+from rival_networks import Guess, Order, Problem, one_step, perceptron, radial_basis, recurrent
+from seed_rivals_table import spread, table
+
+from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.screening.selection_state import moved, optimum
+from bayes_aero.diagnosis.selection.cross_validation import measured_blocks, truncated
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.reading.read_record import read_records
+from bayes_aero.inference.gp import Priors, fit_gp
+from bayes_aero.inference.gp.kernel import Scaling
+from bayes_aero.inference.gp.optimum import maximise, starting_points
+from bayes_aero.inference.gp.reduced import ReducedData
+from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.scores import log_density, score
+from bayes_aero.inference.splits import SplitKind, make_splits
+from bayes_aero.model.model import Model
+from bayes_aero.model.observations import observe
+from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.style import save
+
+STATES = ("alpha", "q", "airspeed", "theta")
+INNER: dict[SplitKind, SplitKind] = {
+    "random": "random",
+    "block": "block",
+    "manoeuvre": "block",
+}  # the kind of the inner hold-out
+STEPS = 40  # Gauss-Newton steps of the extended model
+FEWER = {"GPR, sampled": 3}  # initialisations where ten take too long
+
+
+class Flights:
+    """Records, the diagnosis of both and of each alone, and everything at the blocks."""
+
+    def __init__(self, paths: Sequence[Path], name: str) -> None:
+        self.card = read_card(name)
+        self.records = read_records(paths, self.card.channels)
+        self.model = Model.from_card(self.card)
+        self.seen = observe(self.records, self.card, self.model)
+        began = time.process_time()
+        found = diagnose(self.records, self.card)
+        self.diagnosing = time.process_time() - began
+        self.kept = tuple(found.kept)
+        self.state = truncated(found.aerodynamics.state, found.kept)
+        responses = self.state.responses
+        self.manoeuvre = responses.manoeuvre
+        self.sample_block = np.full(self.seen.n, -1)
+        lengths = [int(np.sum(self.seen.manoeuvre == k)) for k in np.unique(self.seen.manoeuvre)]
+        step, begin, block = round(responses.seconds / self.seen.dt), 0, 0
+        for length in lengths:
+            count = length // step
+            self.sample_block[begin : begin + count * step] = block + np.repeat(np.arange(count), step)
+            begin, block = begin + length, block + count
+        signals = self.seen.signals
+        self.inputs = np.stack([self.blocks(signals[n]) for n in self.card.gp_inputs], axis=1)
+        self.states = np.stack([self.blocks(signals[n]) for n in STATES], axis=1)
+        self.measured = measured_blocks(self.state)
+        self.orders: dict[bytes, Order] = {}  # of recurrent networks
+        self._predicted = jax.jit(lambda theta: self.model.predicted(theta, signals, self.seen.aircraft))
+
+    def blocks(self, x) -> np.ndarray:
+        return np.asarray(self.state.responses.block(x * 1.0))
+
+    def modelled(self, theta: np.ndarray) -> Float[np.ndarray, "m c"]:
+        """The card's model at the blocks."""
+        return self.blocks(self._predicted(theta))
+
+    @cached_property
+    def kept_alone(self) -> list[tuple[str, ...]]:
+        """Causes confirmed by each manoeuvre alone."""
+        return [tuple(diagnose([one], self.card).kept) for one in self.records]
+
+    def start(self, seed: int) -> np.ndarray:
+        """The card's start for seed 0, else a draw from the priors."""
+        if seed == 0:
+            return np.array([p.start for p in self.model.free])
+        rng = np.random.default_rng(seed)
+        drawn = [float(p.prior.sample(rng, 1)[0]) for p in self.model.free]
+        return np.array([np.clip(x, *p.bounds) for x, p in zip(drawn, self.model.free, strict=True)])
+
+
+def likelihood(flights: Flights, problem: Problem, seed: int, others: int = 6) -> tuple[Guess, np.ndarray]:
+    """Maximum likelihood of the card's model on all samples of the training blocks, the best of 1 + `others` starts."""
+    samples = np.flatnonzero((flights.sample_block >= 0) & problem.train[flights.sample_block])
+    found = fit_mle(
+        flights.model, flights.seen.subset(samples), start=flights.start(seed), extra_starts=others, seed=seed
+    )
+    mean = flights.modelled(found.estimate)
+    return _by_training_error(mean, problem), found.estimate
+
+
+def _by_training_error(mean: np.ndarray, problem: Problem) -> Guess:
+    """Normal, with the variance that the fit itself estimates."""
+    sd = np.sqrt(np.mean((problem.measured - mean)[problem.train] ** 2, axis=0))
+    return Guess(mean, np.tile(sd, (len(mean), 1)))
+
+
+def extended(flights: Flights, problem: Problem, seed: int, kept: Sequence[str]) -> Guess:
+    """The card's model with these causes; from maximum likelihood, the causes at neutral."""
+    _, estimate = likelihood(flights, problem, seed)
+    state = flights.state
+    theta = state.full.neutral_vector.copy()
+    theta = state.full.card_only(np.where(np.isfinite(theta), theta, state.theta))
+    theta[state.full.columns(flights.model.names)] = estimate
+    state = replace(moved(state, theta, tuple(kept)), folds=_runs(problem.train))
+    theta = optimum(state, range(len(state.folds)), STEPS)
+    residual = np.asarray(state.responses.evaluate(theta)[0])[:, : len(NAMES)]
+    variance = np.mean((residual / state.noise_growth)[problem.train] ** 2, axis=0)
+    return Guess(problem.measured - residual, np.sqrt(variance) * state.noise_growth, ", ".join(kept))
+
+
+def _runs(rows: Bool[np.ndarray, " m"]) -> tuple[slice, ...]:
+    """Contiguous stretches of the marked blocks."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], rows.astype(int), [0]])))
+    return tuple(slice(int(a), int(b)) for a, b in edges.reshape(-1, 2))
+
+
+def process(flights: Flights, problem: Problem, seed: int, sample: bool) -> Guess:
+    """This program's Gaussian process with its defaults, one for each coefficient."""
+    means, sds, ended = [], [], []
+    for c, name in enumerate(NAMES):
+        fit = fit_gp(
+            problem.inputs[problem.train], problem.measured[problem.train, c], input_names=flights.card.gp_inputs,
+            output_name=name, priors=Priors.quasi_steady(), sample=sample, seed=seed, progress=lambda _: None,
+        )  # fmt: skip
+        there = fit.predict(problem.inputs)
+        means.append(there.mean)
+        sds.append(there.sd)
+        ended.append(fit.status.name if sample else fit.map_status.name)
+    return Guess(np.stack(means, axis=1), np.stack(sds, axis=1), "/".join(ended))
+
+
+def neural_gauss_newton(flights: Flights, problem: Problem, seed: int) -> Guess:
+    bounds = np.array([p.bounds for p in flights.model.free])
+    start = np.clip(flights.start(0), bounds[:, 0] + 1e-6, bounds[:, 1] - 1e-6)
+    return one_step(problem, seed, flights.modelled, start, bounds.T)
+
+
+def methods(flights: Flights, fold: int) -> Mapping[str, Callable[[Problem, int], Guess]]:
+    """In the order of the table."""
+    return {
+        "perceptron": perceptron,
+        "radial basis": radial_basis,
+        "recurrent": partial(recurrent, known=flights.orders),
+        "one-step (NGN)": partial(neural_gauss_newton, flights),
+        "GPR, MAP": lambda p, s: process(flights, p, s, False),
+        "GPR, sampled": lambda p, s: process(flights, p, s, True),
+        "maximum likelihood, one start": lambda p, s: likelihood(flights, p, s, 0)[0],
+        "maximum likelihood": lambda p, s: likelihood(flights, p, s)[0],
+        "extended": lambda p, s: extended(flights, p, s, flights.kept),
+        "extended, causes of one": lambda p, s: extended(flights, p, s, flights.kept_alone[1 - fold]),
+    }
+
+
+def problems(flights: Flights, kind: SplitKind) -> list[Problem]:
+    """The folds of a split, each with an inner hold-out of the training part."""
+    seconds, found = flights.state.responses.seconds, []
+    for fold in make_splits(kind, flights.manoeuvre, seconds, 0):
+        inner = make_splits(INNER[kind], flights.manoeuvre[fold.train_idx], seconds, 1)[0]
+        train, held = np.zeros((2, len(flights.manoeuvre)), bool)
+        train[fold.train_idx] = True
+        held[fold.train_idx[inner.test_idx]] = True
+        found.append(Problem(flights.inputs, flights.measured, flights.states, flights.manoeuvre, train, held))
+    return found
+
+
+def case(flights: Flights, kind: SplitKind, name: str, seed: int) -> dict:
+    """Every fold of one split by one method and initialisation: scores over all that was held out."""
+    mean, sd = np.full((2, *flights.measured.shape), np.nan)
+    seconds, choosing, chosen = [], [], []
+    for number, problem in enumerate(problems(flights, kind)):
+        method = methods(flights, number)[name]
+        if name.endswith("one"):
+            _ = flights.kept_alone  # not timed
+        began = time.process_time()
+        known = len(flights.orders)
+        guess = method(problem, seed)
+        repeated = name == "recurrent" and len(flights.orders) == known
+        seconds.append(time.process_time() - began + (guess.choosing if repeated else 0.0))
+        choosing.append(guess.choosing)
+        chosen.append(guess.chosen)
+        mean[~problem.train], sd[~problem.train] = guess.mean[~problem.train], guess.sd[~problem.train]
+    test = np.isfinite(mean[:, 0])
+    row = {"split": kind, "method": name, "seed": seed, "chosen": chosen}
+    row |= {"seconds": float(np.mean(seconds)), "choosing": float(np.mean(choosing))}
+    for c, coefficient in enumerate(NAMES):
+        z, y, s = flights.measured[test, c], mean[test, c], sd[test, c]
+        found = score(z, y)
+        row[coefficient] = {
+            "r": found.r, "rmse": found.rmse, "log": float(log_density(z - y, s**2).mean()),
+            "coverage": float(np.mean(np.abs(z - y) <= 1.959964 * s)),
+        }  # fmt: skip
+    return row
+
+
+def single_starts(flights: Flights, count: int = 10) -> None:
+    """Which optimum the hyperparameters reach from single draws of their prior."""
+    priors = Priors.quasi_steady()
+    for kind in INNER:
+        for problem in problems(flights, kind):
+            for c, name in enumerate(NAMES):
+                X, y = problem.inputs[problem.train], problem.measured[problem.train, c]
+                scaling = Scaling.of(X, y, flights.card.gp_inputs)
+                data = ReducedData.of(scaling.inputs(X), y / scaling.rms)
+                starts = starting_points(priors, X.shape[1], count + 3, 1)[3:]  # the first three are no draws
+                found = np.array([maximise(u, data, priors).value for u in starts])
+                print(f"{kind}, {name}: {np.sum(found > found.max() - 0.1)} of {count} starts reach the best optimum")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("records", nargs=2, type=Path)
+    parser.add_argument("--model", default="attas")
+    parser.add_argument("--out", type=Path, default=Path("rivals"))
+    parser.add_argument("--initialisations", type=int, default=10)
+    parser.add_argument("--methods", nargs="+")
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    path = given.out / "rivals.jsonl"
+    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    done = {(r["split"], r["method"], r["seed"]) for r in rows}
+    flights = Flights(given.records, given.model)
+    print(f"diagnosis {flights.diagnosing:.0f} s: {', '.join(flights.kept)}", flush=True)
+    with path.open("a") as file:
+        for seed in range(given.initialisations):
+            for name in given.methods or methods(flights, 0):
+                for kind in INNER:
+                    alone = name.endswith("one") and kind != "manoeuvre"
+                    if (kind, name, seed) in done or seed >= FEWER.get(name, 1 + seed) or alone:
+                        continue
+                    rows.append(case(flights, kind, name, seed))
+                    file.write(json.dumps(rows[-1]) + "\n")
+                    file.flush()
+    order = list(methods(flights, 0))
+    rows.sort(key=lambda r: order.index(r["method"]))
+    table(rows)
+    save(spread(rows), given.out / "seed_rivals.png")
+    single_starts(flights)
+
+
+if __name__ == "__main__":
+    main()
