@@ -17,6 +17,7 @@ from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.gp import GPFit
 from bayes_aero.inference.likelihood.mle_result import MleResult
+from bayes_aero.inference.posterior.next_flight_result import NextFlight
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.scores import Scores
 from bayes_aero.model.model import Model
@@ -129,12 +130,12 @@ class PitResult:
 class Identification:
     """One run on one set of records.
 
-    `alone` holds the maximum-likelihood fit of each manoeuvre by itself. `posteriors` has `emcee` and `nuts` under
-    the chosen noise model `noise`, and `white`, by emcee, where that is another one. `stall` and `pit` are over the
-    draws of the first of them. `forming` is how the coefficients were formed, and `preparation` has sentences on its
-    effect on the estimates. `health` has the faults of the records' channels, and `consistency` whether the sensors
-    agree. `failures` has a sentence on each part that failed unexpectedly. `truth` has the true parameters of simulated
-    records, SI and radians.
+    `alone` holds the maximum-likelihood fit of each manoeuvre by itself, `next_flight` what they say pooled.
+    `posteriors` has `emcee` and `nuts` under the chosen noise model `noise`, and `white`, by emcee, where that is
+    another one. `stall` and `pit` are over the draws of the first of them. `forming` is how the coefficients were
+    formed, and `preparation` has sentences on its effect on the estimates. `health` has the faults of the records'
+    channels, and `consistency` whether the sensors agree. `failures` has a sentence on each part that failed
+    unexpectedly. `truth` has the true parameters of simulated records, SI and radians.
     """
 
     card: Card
@@ -146,6 +147,7 @@ class Identification:
     alone: dict[str, MleResult]
     posteriors: dict[str, Posterior]
     gp: GPReport | None = None
+    next_flight: NextFlight | None = None
     stall: Stall | None = None
     pit: PitResult | None = None
     notes: tuple[str, ...] = ()

@@ -1,8 +1,8 @@
 """Parameters that scatter from manoeuvre to manoeuvre around the aircraft's: partial pooling by NUTS.
 
 All is in units of the parameters' priors: an aircraft's value is a standard normal one. A manoeuvre is its normal
-approximation, an estimate y with information F F'; the information may be singular. Given the scatter, the parameters of
-the aircraft and of the manoeuvres are normal: they are integrated out, and NUTS samples the scatter alone.
+approximation, an estimate y with information F F', which may be singular. Given the scatter, the parameters of the
+aircraft and of the manoeuvres are normal: they are integrated out, and NUTS samples the scatter alone.
 
 Source: Gelman et al., *Bayesian Data Analysis*, 3rd ed. 2013, ch. 5; half-normal scatter: Gelman, Bayesian Analysis 1
 (2006) 515.
@@ -86,7 +86,7 @@ class Hierarchy(LogDensity):
 
 
 class Pooled(NamedTuple):
-    """Draws, in units of the priors: aircraft, scatter, next flight (chain, draw, k); manoeuvres (chain, draw, m, k)."""
+    """Draws in units of the priors: aircraft, scatter, following flight (chain, draw, k), manoeuvres (.., m, k)."""
 
     aircraft: Float[np.ndarray, "chain draw k"]
     scatter: Float[np.ndarray, "chain draw k"]
