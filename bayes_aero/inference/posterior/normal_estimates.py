@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from bayes_aero.arrays import Array
 from bayes_aero.inference.likelihood.mle import SINGULAR, TOLERANCE
 from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
 from bayes_aero.inference.likelihood.sensitivity import data_of, evaluate, full_steps
@@ -39,7 +41,7 @@ class NormalEstimates:
     left_out: dict[str, str]
 
 
-def to_prior_units(prior: Prior, x: np.ndarray) -> np.ndarray:
+def to_prior_units(prior: Prior, x: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """How many of its standard deviations a value lies above the prior's centre; lognormal priors in the logarithm."""
     if prior.family == "lognormal":
         return np.log(np.asarray(x) / prior.location) / prior.scale
@@ -47,7 +49,7 @@ def to_prior_units(prior: Prior, x: np.ndarray) -> np.ndarray:
     return (np.asarray(x) - mean) / sd
 
 
-def from_prior_units(prior: Prior, v: np.ndarray) -> np.ndarray:
+def from_prior_units(prior: Prior, v: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """The inverse of `to_prior_units`."""
     if prior.family == "lognormal":
         return prior.location * np.exp(prior.scale * np.asarray(v))
@@ -55,7 +57,7 @@ def from_prior_units(prior: Prior, v: np.ndarray) -> np.ndarray:
     return mean + sd * np.asarray(v)
 
 
-def prior_unit(prior: Prior, x: np.ndarray) -> np.ndarray:
+def prior_unit(prior: Prior, x: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """The derivative of `from_prior_units` where it gives `x`."""
     return prior.scale * np.asarray(x) if prior.family == "lognormal" else np.full(np.shape(x), prior.normal[1])
 
@@ -86,7 +88,9 @@ def normal_estimates(model: Model, observations: Observations, alone: Mapping[st
     )
 
 
-def _each(parameters: Sequence[Parameter], function, x: np.ndarray) -> Float[np.ndarray, " k"]:
+def _each(
+    parameters: Sequence[Parameter], function: Callable[[Prior, Any], Any], x: Float[np.ndarray, " k"]
+) -> Float[np.ndarray, " k"]:
     return np.array([float(function(p.prior, value)) for p, value in zip(parameters, x, strict=True)])
 
 
@@ -109,13 +113,11 @@ def _of_singular(model: Model, own: Observations, fit: MleResult) -> Float[np.nd
     residual, S, _ = map(np.asarray, evaluate(data, jnp.asarray(fit.estimate)))
     A = point.information
     own_size = np.diag(A)
-    scale = np.sqrt(np.where(own_size > SINGULAR * own_size.max(), own_size, own_size.max()))
+    scale = np.sqrt(np.where(own_size > 0.0, own_size, own_size.max()))
     size, vectors = np.linalg.eigh(A / np.outer(scale, scale))
     kept = size > np.sqrt(SINGULAR)
-    combined = vectors[:, kept] / scale[:, None]  # parameters of the combinations
-    covariance, _ = robust_covariance(
-        np.diag(1.0 / size[kept]), S @ combined, point.R, residual, own.manoeuvre, np.asarray(own.start), own.dt
-    )
-    back = vectors[:, kept] * scale[:, None]
-    found = back @ np.linalg.inv(covariance) @ back.T
+    inverse = (vectors[:, kept] / size[kept]) @ vectors[:, kept].T / np.outer(scale, scale)
+    covariance, _ = robust_covariance(inverse, S, point.R, residual, own.manoeuvre, np.asarray(own.start), own.dt)
+    combined = vectors[:, kept] * scale[:, None]  # what the record determines is combined' times the parameters
+    found = combined @ np.linalg.inv(combined.T @ covariance @ combined) @ combined.T
     return (found + found.T) / 2.0

@@ -43,17 +43,19 @@ def next_flight_table(run: Identification) -> Table:
         for kind, values in (("alone", _alone(found, m, names)), ("pooled", _marginals(found.pooled[m], names))):
             heads = kind if one_by_one else None, f"{m}\npooled" if few and kind == "pooled" else None
             columns.append(Column(values, (f"{m}_{kind}", f"{m}_{kind}_sd"), *heads, group=m))
-    for key, head, numbers, form in (
-        ("aircraft", "aircraft", found.aircraft, in_brackets),
-        ("scatter", "scatter", found.scatter, _interval),
-        ("next_flight", "next flight", found.following, _interval),
+    for key, head, numbers, forms in (
+        ("aircraft", "aircraft", found.aircraft, ("", in_brackets)),
+        ("scatter", "scatter\n95 %", found.scatter, (_interval, _interval)),
+        ("next_flight", "next flight\n95 %", found.following, (_interval, _interval)),
     ):
         files = tuple(f"{key}_{part}".rstrip("_") for part in PARTS)
-        columns.append(Column(_marginals(numbers, names), files, f"{head}\nmean ± sd, 95 %", head, _both, form))
+        columns.append(Column(_marginals(numbers, names), files, head, head.splitlines()[0], *forms))
     narrowed = [found.narrowed[n] for n in names]
     columns.append(Column(narrowed, "scatter_over_prior", "scatter\nover prior", "over\nprior", form=".2f"))
     note = "In brackets: standard deviation in units of the last digit; scatter and next flight: 95 % intervals."
-    return Table(columns, "The next flight", NOTE, terminal_note=note, dense=True)
+    return Table(
+        columns, "Joint fit, manoeuvres alone and pooled, and the next flight", NOTE, terminal_note=note, dense=True
+    )
 
 
 def next_flight_sentences(run: Identification) -> list[str]:
@@ -123,10 +125,6 @@ def _marginals(found: dict[str, Marginal], names: list[str]) -> list[Estimate]:
 def _alone(found: NextFlight, manoeuvre: str, names: list[str]) -> list[Estimate | None]:
     own = found.alone[manoeuvre]
     return [Estimate.normal(*own[n]) if n in own else None for n in names]
-
-
-def _both(e: Estimate) -> str:
-    return f"{number(e.centre, 3)} ± {number(e.sd, 2)}\n{from_to(e.low, e.high, e.sd)}"
 
 
 def _interval(e: Estimate) -> str:
