@@ -30,7 +30,7 @@ from bayes_aero.inference.posterior.nuts import NutsLength
 
 NAMES = ("first", "second", "third")
 WIDTHS = (0.5, 0.9, 0.95)
-LENGTH = NutsLength(warmup=300, max_blocks=8)
+LENGTH = NutsLength(warmup=300, max_blocks=2)
 
 
 def drawn(rng: np.random.Generator, manoeuvres: int) -> tuple[dict[str, np.ndarray], Hierarchy]:
