@@ -31,6 +31,7 @@ from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.reading.read_record import read_records
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.frequency.bands import coefficients_in_band
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.likelihood.mle import fit_each_manoeuvre, fit_mle
 from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
@@ -90,6 +91,7 @@ def fit(
     *,
     model: Model | None = None,
     coefficients: FormingName = "matched",
+    frequency: tuple[float, float] | None = None,
     seed: int = 0,
 ) -> Fit:
     """Fit a model to CL, CD and Cm by maximum likelihood (Gauss-Newton), to all records jointly and to each alone.
@@ -102,6 +104,8 @@ def fit(
         model: default: the card's model.
         coefficients: "matched" applies the same filter to all signals; "published" filters the accelerations but not
             the controls, as the published ATTAS results do.
+        frequency: lowest and highest frequency, Hz, of a band in which the parameters are fitted, too: columns of
+            `Fit.table`.
         seed: of the random starts.
 
     Returns:
@@ -125,6 +129,9 @@ def fit(
     if forming is Forming.MATCHED:
         joint = without_noise_bias(joint, without_spikes, card, model, seed=seed)
     alone = fit_each_manoeuvre(model, observations, seed=seed)
+    in_band = None
+    if frequency is not None:
+        in_band = coefficients_in_band(without_spikes, card, model, joint, frequency, seed=seed)
     found = Identification(
         card,
         model,
@@ -138,6 +145,7 @@ def fit(
         health=channel_health(records, card),
         consistency=consistency(records, card, seed=seed, seek=False),
         forming=forming,
+        frequency=in_band,
     )
     return Fit(found)
 

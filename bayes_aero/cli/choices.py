@@ -56,6 +56,7 @@ class Manoeuvre(StrEnum):
     SLOW_STALL = "slow_stall"
     ELEVATOR_DOUBLET = "elevator_doublet"
     ELEVATOR_3211 = "elevator_3211"
+    MULTISINE = "multisine"
     THRUST_STEPS = "thrust_steps"
     SPEED_CHANGE = "speed_change"
     SIDESLIP = "sideslip"

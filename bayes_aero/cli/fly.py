@@ -11,6 +11,7 @@ from bayes_aero.cli.choices import InitialState, Inputs
 from bayes_aero.cli.terminal import (
     FAILED,
     RECORDS,
+    FrequencyOption,
     JsonOption,
     ModelOption,
     ResampleOption,
@@ -84,6 +85,7 @@ def fly(
             help="Parameters that drift in a further fit with process noise, e.g. Cm0,CLa: did they change, and when?",
         ),
     ] = None,
+    frequency: FrequencyOption = None,
     seed: SeedOption = 0,
     resample: ResampleOption = None,
     split: SplitOption = False,
@@ -107,7 +109,7 @@ def fly(
     console = teller(quiet=json, highlight=True)
     with interruptible(kept_stages(out)), bar("reading") as tell:
         chosen = (windows, initial_state.value, priors, outputs, inputs.value, seed, figures, process_noise, posterior)
-        options = FlyOptions(*chosen, drift=drift)
+        options = FlyOptions(*chosen, drift=drift, frequency=frequency)
         found = fly_records(flights, card, options, out=out, progress=tell)
     if json:
         typer.echo((out / RESULTS).read_text(encoding="utf-8"), nl=False)
@@ -123,10 +125,12 @@ def fly(
 def print_fit(console: Console, found: Flight, out: Path) -> None:
     """Tables, findings and notes of a fit to trajectories."""
     from bayes_aero.report.tables.filtered import drift_table, one_step_table, posterior_table, process_noise_table
-    from bayes_aero.report.tables.fly import error_table, parameter_table
+    from bayes_aero.report.tables.fly import beside_table, error_table, parameter_table
     from bayes_aero.report.tables.motion import mode_table, test_table
 
     console.print(parameter_table(found.flown).terminal())
+    if found.flown.frequency:
+        console.print(beside_table(found.flown).terminal())
     if found.process_noise is not None and found.process_noise.converged:
         console.print(process_noise_table(found.process_noise, found.flown, found.posteriors).terminal())
         if found.process_noise.one_step is not None:

@@ -10,6 +10,7 @@ import typer
 from bayes_aero.cli.choices import Coefficients, NoiseModel, Split
 from bayes_aero.cli.terminal import (
     RECORDS,
+    FrequencyOption,
     JsonOption,
     ModelOption,
     ResampleOption,
@@ -44,6 +45,7 @@ def identify(
     gp_split: Annotated[
         Split, typer.Option(help="Split whose Gaussian-process hyperparameters are sampled.")
     ] = Split.RANDOM,
+    frequency: FrequencyOption = None,
     resample: ResampleOption = None,
     split: SplitOption = False,
     sample: Annotated[
@@ -98,6 +100,7 @@ def identify(
             approximate_gp=approximate_gp,
             next_flight=next_flight,
             figures=figures,
+            frequency=frequency,
         )
         found = job.identify(flights, card, options, out=out, truth=truth, progress=tell)
     if json:

@@ -41,6 +41,12 @@ ResampleOption = Annotated[
     float | None,
     typer.Option(help="Interpolate records with uneven or several rates to this time step in s."),
 ]
+FrequencyOption = Annotated[
+    tuple[float, float] | None,
+    typer.Option(
+        metavar="LOW HIGH", help="Hz: fit in the frequency domain, too, in this band, where bias and drift drop out."
+    ),
+]
 SplitOption = Annotated[bool, typer.Option("--split", help="Gaps in time divide a file into manoeuvres.")]
 
 

@@ -15,6 +15,7 @@ from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.frequency.result import FrequencyFit
 from bayes_aero.inference.gp import GPFit
 from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.inference.posterior.next_flight_result import NextFlight
@@ -135,7 +136,8 @@ class Identification:
     another one. `stall` and `pit` are over the draws of the first of them. `forming` is how the coefficients were
     formed, and `preparation` has sentences on its effect on the estimates. `health` has the faults of the records'
     channels, and `consistency` whether the sensors agree. `failures` has a sentence on each part that failed
-    unexpectedly. `truth` has the true parameters of simulated records, SI and radians.
+    unexpectedly. `truth` has the true parameters of simulated records, SI and radians. `frequency` is the fit in a
+    band, if one was asked for.
     """
 
     card: Card
@@ -158,6 +160,7 @@ class Identification:
     truth: Mapping[str, float] | None = None
     seconds: dict[str, float] = field(default_factory=dict)
     forming: Forming = Forming.MATCHED
+    frequency: FrequencyFit | None = None
 
     @cached_property
     def fitted(self) -> Float[np.ndarray, "n c"]:

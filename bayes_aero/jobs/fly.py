@@ -19,10 +19,11 @@ from bayes_aero.errors import attempted
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.frequency.bands import linear_in_band
 from bayes_aero.jobs.io.fly_json import RESULTS, Flight, fly_results
 from bayes_aero.jobs.io.output_folder import writable
 from bayes_aero.jobs.io.time_histories import flights, put_histories
-from bayes_aero.jobs.options import FREE, LINEAR, FlyOptions
+from bayes_aero.jobs.options import FREE, LINEAR, FlyOptions, check_band
 from bayes_aero.jobs.provenance.provenance import provenance, write_json
 from bayes_aero.jobs.steps.disturbed_flight import process_noise, with_posterior
 from bayes_aero.jobs.steps.flight_fits import coefficient_fit, output_error_fit, starts_of
@@ -32,6 +33,7 @@ from bayes_aero.jobs.steps.usable_for import usable_for
 from bayes_aero.model.recorded_axes import on_recorded_axes
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import draw_all
+from bayes_aero.report.figures.frequency import FREQUENCY_FIGURES
 from bayes_aero.report.figures.pit import one_step_quantiles
 from bayes_aero.report.figures.posterior import pair_of
 from bayes_aero.report.figures.process_noise import drift as drift_figure
@@ -42,11 +44,14 @@ from bayes_aero.report.pages.fly import FlyContext, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.tables.filtered import drift_history_table, gust_table, posterior_table
 from bayes_aero.report.tables.fly import parameter_table
+from bayes_aero.report.tables.frequency import frequency_sentences, running_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.drift import drift_sentences
 from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences
 from bayes_aero.report.text.motion import motion_sentences
 from bayes_aero.report.text.process_noise import gust_sentences, process_noise_sentences, settled_sentences
+
+DISTURBED = {"drift": drift_figure, "gusts": gusts, "one_step": one_step_quantiles}
 
 
 def fly(
@@ -64,6 +69,7 @@ def fly(
     process_noise: bool | None = None,
     posterior: bool = False,
     drift: str | Sequence[str] | None = None,
+    frequency: tuple[float, float] | None = None,
     progress: Progress | None = None,
 ) -> Flight:
     """Fit the card's model to the trajectories of the records (output error), as `bayes-aero fly` does.
@@ -88,6 +94,8 @@ def fly(
         posterior: True also samples the posterior of the fit with process noise, by emcee and NUTS.
         drift: names of parameters that drift in a further fit with process noise, a list or separated by commas; it
             says whether they changed, when, and by how much.
+        frequency: lowest and highest frequency, Hz, of a band in which a linear card is fitted, too, by equation error
+            and output error.
         progress: called with a stage and the share of it that is done.
 
     Returns:
@@ -100,7 +108,7 @@ def fly(
         Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, ch. 4.
     """
     chosen = (windows, initial_state, priors, outputs, inputs, seed, figures, process_noise, posterior)
-    options = FlyOptions(*chosen, drift=drift)
+    options = FlyOptions(*chosen, drift=drift, frequency=frequency)
     return fly_records(records, card, options, out=out, progress=progress)
 
 
@@ -114,6 +122,7 @@ def fly_records(
 ) -> Flight:
     """`fly` with its options in one."""
     setting, seed = options.setting(card), options.seed
+    check_band(options.frequency, records, card, flown=True)
     card, left_out = on_recorded_axes(card, records, OF_AXIS, DERIVED)
     flights, dynamics, notes = flown_dynamics(records, card, setting.outputs or (), path=options.flight_path)
     notes = [*left_out, *notes]
@@ -137,6 +146,10 @@ def fly_records(
     )
     starts = starts_of(coefficients, dynamics)
     flown = output_error_fit(flights, dynamics, card, starts, options, progress)
+    if options.frequency is not None:
+        in_band, running, responses = linear_in_band(flights, dynamics, options.frequency)
+        flown = replace(flown, frequency=in_band, running=running, frequency_responses=responses)
+        notes += [said for fit in flown.frequency for said in frequency_sentences(fit)]
     apart = () if coefficients is None else fit_disagreements(coefficients, flown)
     disputed = asked and not gusts and bool(apart)
     options = replace(options, process_noise=options.filtered or disputed)
@@ -178,6 +191,7 @@ def _told(options: FlyOptions, setting: Setting) -> dict[str, Any]:
     """The settings by the names of the options; `outputs` only where they were chosen."""
     chosen = {} if setting.outputs is None else {"outputs": list(setting.outputs)}
     chosen |= {"drift": list(options.drifting)} if options.drift is not None else {}
+    chosen |= {"frequency": list(options.frequency)} if options.frequency is not None else {}
     names = ("windows", "initial_state", "priors", "inputs", "posterior")
     return {name: getattr(options, name) for name in names} | {"process_noise": options.filtered} | chosen
 
@@ -206,10 +220,10 @@ def _written(
     found = noted((), failed) if failed else found
     drawn: list[Path] = []
     if figures:
-        drawn, failed = draw_all(fly_figures(found.flown), found.flown, out / "figures", progress)
+        drawings = fly_figures(found.flown) | FREQUENCY_FIGURES
+        drawn, failed = draw_all(drawings, found.flown, out / "figures", progress)
         if found.process_noise is not None:
-            drawings = {"drift": drift_figure, "gusts": gusts, "one_step": one_step_quantiles}
-            met, more = draw_all(drawings, found.process_noise, out / "figures")
+            met, more = draw_all(DISTURBED, found.process_noise, out / "figures")
             drawn, failed = [*drawn, *met], (*failed, *more)
         if found.posteriors:
             pairs, more = draw_all({"pair": pair_of}, found.posteriors, out / "figures")
@@ -241,6 +255,8 @@ def _written(
 def _put_numbers(found: Flight, out: Path) -> None:
     """Tables, and a file of each sampler; posteriors that an earlier run has left there go."""
     write_csv(parameter_table(found.flown), out / "parameters.csv")
+    if found.flown.running is not None:
+        write_csv(running_table(found.flown.running), out / "running.csv")
     if found.process_noise is not None and found.process_noise.histories:
         write_csv(gust_table(found.process_noise), out / "gusts.csv")
     if found.process_noise is not None and found.process_noise.drift is not None:

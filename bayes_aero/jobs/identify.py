@@ -17,6 +17,7 @@ from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.reading.common_rate import rate_notes
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.frequency.bands import coefficients_in_band
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.likelihood.mle import MAX_SEPARATE_FITS, fit_each_manoeuvre, fit_mle
 from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
@@ -32,7 +33,7 @@ from bayes_aero.inference.stall import stall_of_run
 from bayes_aero.inference.validation import Training, validate
 from bayes_aero.jobs.io.identification_files import IdentificationFiles
 from bayes_aero.jobs.io.time_histories import identified, put_histories
-from bayes_aero.jobs.options import IdentifyOptions
+from bayes_aero.jobs.options import IdentifyOptions, check_band
 from bayes_aero.jobs.provenance.environment import rests_on
 from bayes_aero.jobs.provenance.provenance import provenance
 from bayes_aero.jobs.steps.identified_flight import fly_identified
@@ -49,7 +50,9 @@ from bayes_aero.report.figures.every_figure import write_figures
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.identification import identification_page
 from bayes_aero.report.style import MOST_MANOEUVRES
+from bayes_aero.report.tables.frequency import frequency_sentences
 from bayes_aero.report.text.restraints import leaning_sentences
+from bayes_aero.residuals.frequency_error import Band
 
 CHAINS = ".chains"
 
@@ -71,6 +74,8 @@ def identify(
     """
     job = _Job(records, card, options, out, progress)
     job.fit(truth)
+    if options.frequency is not None:
+        job.fit_in_band(options.frequency)
     if options.next_flight:
         job.pool()
     if out is not None:  # they are for the page and the file alone
@@ -97,6 +102,7 @@ class _Job:
         out: Path | None,
         progress: Progress | None,
     ) -> None:
+        check_band(options.frequency, records, card)
         if options.next_flight:
             check_manoeuvres(len(records))
         card, self.left_out = on_recorded_axes(card, records)
@@ -167,6 +173,15 @@ class _Job:
             seconds=self.seconds,
             forming=forming,
         )
+        self.files.stage(self.run)
+
+    def fit_in_band(self, band: Band) -> None:
+        """The same parameters in the frequency domain."""
+        with self.timed("frequency domain"):
+            found = coefficients_in_band(
+                self.repaired, self.card, self.model, self.run.mle, band, seed=self.options.seed
+            )
+        self.add(frequency_sentences(found), frequency=found)
         self.files.stage(self.run)
 
     def pool(self) -> None:

@@ -5,19 +5,37 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
 from bayes_aero.diagnosis.trajectories.trajectory_fit import Setting
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.splits import SplitKind
 from bayes_aero.model.noise import DEFAULT as DEFAULT_NOISE
 from bayes_aero.model.noise import Colour
 from bayes_aero.model.observations import Forming
+from bayes_aero.residuals.frequency_error import lines_in
 
 SHORTEST = 1.0  # s of a window: two ends of the straight line from which the initial state is read
 INITIAL_STATES = FREE, FIXED = "free", "fixed"
 INPUTS = LINEAR, HELD = "linear", "held"
+
+
+def check_band(
+    band: tuple[float, float] | None, records: Sequence[FlightRecord], card: Card, *, flown: bool = False
+) -> None:
+    """Refuse a band in which a record has no frequency, and trajectories of effects, before anything is computed."""
+    if band is None:
+        return
+    if flown and card.linear is None:
+        raise InputError(
+            f"trajectories are fitted in the frequency domain for linear cards only; card {card.name} has a model of "
+            "effects, so use bayes-aero identify --frequency"
+        )
+    for record in records:
+        lines_in(band, record.n, record.dt, record.name)
 
 
 @dataclass(frozen=True)
@@ -28,7 +46,7 @@ class IdentifyOptions:
     With `next_flight` the manoeuvres are pooled.
     Without `sample` maximum likelihood alone stands for the parameters; without `page` no report.html is made. `split`
     chooses the split whose Gaussian-process hyperparameters are sampled; scores are given for all splits. With `resume`
-    the chains of an earlier call are continued.
+    the chains of an earlier call are continued. `frequency`: a band, Hz, in which the parameters are fitted, too.
     """
 
     noise: Colour = DEFAULT_NOISE
@@ -42,6 +60,7 @@ class IdentifyOptions:
     figures: bool = True
     resume: bool = True
     page: bool = True
+    frequency: tuple[float, float] | None = None
 
     @property
     def forming(self) -> Forming:
@@ -49,9 +68,10 @@ class IdentifyOptions:
         return Forming(self.coefficients)
 
     @property
-    def told(self) -> dict[str, str]:
+    def told(self) -> dict[str, Any]:
         """Those that provenance names."""
-        return {"noise": self.noise.value, "split": self.split, "coefficients": self.forming.value}
+        chosen = {"noise": self.noise.value, "split": self.split, "coefficients": self.forming.value}
+        return chosen | ({} if self.frequency is None else {"frequency": list(self.frequency)})
 
 
 @dataclass(frozen=True)
@@ -86,6 +106,7 @@ class FlyOptions:
     process_noise: bool | None = None
     posterior: bool = False
     drift: str | Sequence[str] | None = None
+    frequency: tuple[float, float] | None = None  # Hz; a band in which a linear card is fitted, too
     flight_path: bool = False  # the recorded accelerations and rates are flown, not the card's model
 
     def __post_init__(self) -> None:

@@ -17,8 +17,8 @@ from bayes_aero.simulate.manoeuvres import DT, LONGEST
 NOISES = ("none", "white", "ar1", "buffet")
 RANDOM_STALL = "random_stall"
 MANOEUVRES = (
-    RANDOM_STALL, "slow_stall", "elevator_doublet", "elevator_3211", "thrust_steps", "speed_change", "sideslip",
-    "bank_to_bank", "stabilizer_steps", *LATERAL,
+    RANDOM_STALL, "slow_stall", "elevator_doublet", "elevator_3211", "multisine", "thrust_steps", "speed_change",
+    "sideslip", "bank_to_bank", "stabilizer_steps", *LATERAL,
 )  # fmt: skip
 SECONDS = {RANDOM_STALL: 90.0}
 USUAL_SECONDS = 60.0

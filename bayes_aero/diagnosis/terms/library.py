@@ -163,7 +163,7 @@ def library(
         signals: corrected channels of all flights end to end, `X` and the marks of manoeuvres, each (n,).
         aircraft: its reference lengths.
         able: whether a channel was recorded and moves.
-        lateral: whether the coefficient changes sign with the wings; products of three factors do as it does.
+        lateral: whether the coefficient changes sign with the wings; products do as it does.
         separated: whether the flow separates in these flights.
     """
     quantities = [q for q in QUANTITIES if all(map(able, q.channels))]
@@ -183,8 +183,8 @@ def library(
 
 
 def _fits(term: Term, lateral: bool) -> bool:
-    """Long products keep the symmetry of an aircraft; short ones need not, for aircraft are not symmetric."""
-    return len(term.factors) < ORDER or (sum(f.lateral for f in term.factors) % 2 == 1) == lateral
+    """Products keep the symmetry of an aircraft; single factors need not, for no aircraft is quite symmetric."""
+    return len(term.factors) == 1 or (sum(f.lateral for f in term.factors) % 2 == 1) == lateral
 
 
 def _places(x: Float[np.ndarray, " n"], shares: Sequence[float]) -> list[float]:

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.dynamics.simulated.multisines import multisines
 from bayes_aero.dynamics.simulated.plant import SIDE_FORCE, FlightState
 from bayes_aero.dynamics.simulated.simulate import Pilot, fly_together, outside
 from bayes_aero.dynamics.simulated.trim import Trim, trimmed
@@ -25,6 +26,7 @@ RUN_IN = 5.0  # s of simulation before the record starts
 TIGHT, LOOSE = (0.7, 0.2, 0.15), (0.05, 0.0, 0.0)  # elevator gains on alpha, q and the integral of alpha
 STALL_BEYOND, STALL_RISE = np.deg2rad(2.0), np.deg2rad(8.0)  # beyond alpha*, or beyond trim without separation
 ENVELOPE = {"alpha": (-0.1, 0.45), "airspeed": (45.0, 250.0)}  # rad, m/s: outside, the manoeuvre is refused
+MULTISINE, MULTISINE_BAND = (5.0, 25.0, 2), (0.1, 1.4)  # begin and period, s, number of periods; Hz
 EXCITED_CHANNELS = {"stabilizer_steps": "stabilizer", "sideslip": "beta", "bank_to_bank": "phi"}
 """Channels that a manoeuvre excites in addition to elevator and thrust."""
 
@@ -98,6 +100,7 @@ def commands(
     return {
         "elevator_doublet": pilot(LOOSE, excitation=held(doublets, 0.4)),
         "elevator_3211": pilot(LOOSE, excitation=held(multistep, 0.4)),
+        "multisine": pilot(LOOSE, excitation=amplitude * 2.0 * deg * multisine_inputs(time, 1)[0]),
         "slow_stall": pilot(alpha=amplitude * ramps(time, sweep), thrust=idle),
         "thrust_steps": pilot(thrust=power),
         "sideslip": pilot(beta=sideslip, phi=bank_per_sideslip * sideslip),
@@ -105,6 +108,13 @@ def commands(
         "stabilizer_steps": pilot(stabilizer=held(steps((5.0, 1.0 * deg), (22.0, -1.0 * deg), (40.0, 0.0)), 2.0)),
         "speed_change": pilot(LOOSE, excitation=held(steps((5.0, 1.0 * deg), (12.0, 0.0)), 1.0)),
     }
+
+
+def multisine_inputs(time: Series, controls: int) -> Float[np.ndarray, "c n"]:
+    """Multisines with a peak of 1 on several controls: whole periods from `MULTISINE[0]` s on, zero elsewhere."""
+    begin, period, count = MULTISINE
+    inside = (time >= begin) & (time < begin + count * period)
+    return np.where(inside, multisines(time - begin, period, MULTISINE_BAND, controls), 0.0)
 
 
 def stall_rise(model: Model, values: Mapping[str, Any], alpha: float) -> float:

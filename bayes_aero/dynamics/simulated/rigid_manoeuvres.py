@@ -13,6 +13,7 @@ from bayes_aero.dynamics.simulated.manoeuvres import (
     SECONDS,
     Series,
     commands,
+    multisine_inputs,
     pulses,
     rounded,
     stall_rise,
@@ -30,7 +31,9 @@ LATERAL = ("aileron_doublet", "rudder_doublet", "stall_with_bank", "engine_steps
 REFERENCE_SIDESLIP = 0.05  # rad, of the steady sideslip that gives the bank per sideslip
 AILERON, RUDDER = np.deg2rad(5.0), np.deg2rad(3.0)  # amplitudes of a transport in a flight test; our choice
 BANK, UNEVEN = np.deg2rad(15.0), 0.3  # in the stall; of the left engine's thrust less the right one's over their sum
-LATERAL_EXCITED_CHANNELS = {"aileron_doublet": "aileron", "rudder_doublet": "rudder", "engine_steps": "thrust_left"}
+LATERAL_EXCITED_CHANNELS = {
+    "aileron_doublet": "aileron", "rudder_doublet": "rudder", "engine_steps": "thrust_left", "multisine": "aileron",
+}  # fmt: skip
 """Channels that each manoeuvre excites, in addition to `manoeuvres.EXCITED_CHANNELS`."""
 ENVELOPE_SIX = ENVELOPE | {"beta": (-0.35, 0.35), "phi": (-1.2, 1.2)}  # rad: outside, the manoeuvre is refused
 
@@ -54,7 +57,8 @@ def rigid_pilots(
 
 
 def lateral_commands(time: Series, trim: Trim, stalling: Pilot, amplitude: float = 1.0) -> dict[str, Pilot]:
-    """Short and long doublets of aileron and rudder; the stall of `stalling` in banked flight; unequal engines."""
+    """Doublets of aileron and rudder, multisines of these and the elevator, a stall in banked flight, unequal
+    engines."""
     dt = float(time[1] - time[0])
 
     def doublets(size: float) -> Series:
@@ -66,11 +70,14 @@ def lateral_commands(time: Series, trim: Trim, stalling: Pilot, amplitude: float
     def held(smooth: float, *points: tuple[float, float]) -> Series:
         return rounded(amplitude * pulses(time, steps(*points)), smooth, dt)
 
-    zeros = np.zeros_like(time)
+    zeros, (elevator, aileron, rudder) = np.zeros_like(time), amplitude * multisine_inputs(time, 3)
     level = Pilot(trim.alpha + zeros, trim.thrust + zeros, alpha_gain=0.05, rate_gain=0.0)
     return {
         "aileron_doublet": level._replace(aileron=doublets(AILERON)),
         "rudder_doublet": level._replace(rudder=doublets(RUDDER)),
+        "multisine": level._replace(
+            excitation=np.deg2rad(2.0) * elevator, aileron=AILERON * aileron, rudder=RUDDER * rudder
+        ),
         "stall_with_bank": stalling._replace(phi=held(4.0, (10.0, BANK), (25.0, -BANK), (41.0, BANK), (52.0, 0.0))),
         "engine_steps": level._replace(uneven=held(1.5, (5.0, UNEVEN), (20.0, -UNEVEN), (35.0, UNEVEN), (50.0, 0.0))),
     }

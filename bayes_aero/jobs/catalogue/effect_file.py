@@ -12,10 +12,13 @@ from bayes_aero.errors import InputError
 HEAD = '''"""Terms that bayes-aero diagnose found in {records}."""
 
 from bayes_aero import Effect, Parameter, Prior, Stage
-from bayes_aero.arrays import xp  # noqa: F401
-from bayes_aero.effect import Example, Kind
-from bayes_aero.physics.rates import reduced, reduced_lateral  # noqa: F401
+{imports}from bayes_aero.effect import Example, Kind
 '''
+IMPORTED = {
+    "xp.": "from bayes_aero.arrays import xp\n",
+    "reduced(": "from bayes_aero.physics.rates import reduced\n",
+    "reduced_lateral(": "from bayes_aero.physics.rates import reduced_lateral\n",
+}
 TERM = '''
 
 def _{name}(v, s, a, known):
@@ -75,7 +78,8 @@ def write_effects(terms: Sequence[FoundTerm], records: Sequence[str], path: Path
 def effect_file(terms: Sequence[FoundTerm], records: Sequence[str]) -> str:
     """Its text."""
     told = re.sub(r"[^\w.@:+ -]", "_", " and ".join(records))  # a name becomes part of a program
-    parts = [HEAD.format(records=told)]
+    code = " ".join(one.term.code or "" for one in terms)
+    parts = [HEAD.format(records=told, imports="".join(line for used, line in IMPORTED.items() if used in code))]
     for one in terms:
         slug = _slug(one.term.name)
         largest = LARGEST * max(abs(one.size[0]), one.least)

@@ -20,7 +20,7 @@ from bayes_aero.inference.scores import OneStep, Predicted
 from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.jobs.io.diagnosis_json import record_results
 from bayes_aero.jobs.io.health_json import health_results
-from bayes_aero.jobs.io.identification_json import inseparable_results, posterior_results
+from bayes_aero.jobs.io.identification_json import frequency_results, inseparable_results, posterior_results
 from bayes_aero.jobs.io.motion_json import motion_results
 from bayes_aero.jobs.io.trajectories_json import open_loop
 from bayes_aero.jobs.options import FIXED, FREE, HELD, LINEAR
@@ -85,6 +85,7 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
         "disagreement": [asdict(d) for d in found.apart],
         **({} if found.process_noise is None else {"process_noise": _process_noise(found.process_noise)}),
         **({"posterior": posterior_results(found.posteriors)} if found.posteriors else {}),
+        **({"frequency": [frequency_results(fit) for fit in flown.frequency]} if flown.frequency else {}),
         **({} if found.motion is None else {"motion": motion_results(found.motion)}),
         "initial_states": {
             manoeuvre: {

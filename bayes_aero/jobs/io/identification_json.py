@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from bayes_aero.diagnosis.trajectories.results import Path
+from bayes_aero.inference.frequency.result import FrequencyFit
 from bayes_aero.inference.identification import GPReport, Identification, Validation
 from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.inference.posterior.next_flight_result import NextFlight
@@ -43,6 +44,8 @@ def results(
     }
     if identification.consistency is not None:
         found["consistency"] = consistency_results(identification.consistency)
+    if identification.frequency is not None:
+        found["frequency"] = frequency_results(identification.frequency)
     if identification.posteriors:
         found["posterior"] = {"noise": identification.noise.value} | posterior_results(identification.posteriors)
     if identification.next_flight is not None:
@@ -87,6 +90,25 @@ def _mle(result: MleResult) -> dict[str, Any]:
         "strong_correlations": [{"pair": [a, b], "value": value} for a, b, value in result.strong_correlations()],
         "starts": [{"cost": cost, "outcome": outcome} for cost, outcome in result.starts],
         "warnings": result.warnings(),
+    }
+
+
+def frequency_results(fit: FrequencyFit) -> dict[str, Any]:
+    """A fit in a band."""
+    bias = [None] * len(fit.names) if fit.bias is None else fit.bias
+    columns = zip(fit.names, fit.units, fit.estimate, fit.crb, fit.crb_corrected, bias, strict=True)
+    return {
+        "method": fit.method,
+        "band": list(fit.band),
+        "frequencies": fit.lines,
+        "converged": fit.converged,
+        "parameters": {
+            name: {"estimate": x, "crb": crb, "crb_corrected": corrected, "noise_bias": moved, "unit": unit}
+            | ({"difference": fit.apart[name]} if name in fit.apart else {})
+            for name, unit, x, crb, corrected, moved in columns
+        },
+        "unseen": list(fit.unseen),
+        "at_bound": list(fit.at_bound),
     }
 
 

@@ -32,6 +32,7 @@ from bayes_aero.report.html.parts import (
 )
 from bayes_aero.report.html.pictures import Gallery
 from bayes_aero.report.html.plots import LOW, Line, Panel
+from bayes_aero.report.pages.frequency import frequency_blocks
 from bayes_aero.report.pages.trajectories import Curve, axis_label, over_measured, sources
 from bayes_aero.report.tables import fly as tables
 from bayes_aero.report.tables.filtered import drift_table, one_step_table, posterior_table, process_noise_table
@@ -87,6 +88,7 @@ def fly_page(flown: TrajectoryFit, context: FlyContext) -> Page:
             section("fit", "Measured and simulated", lambda: _flights(flown)),
             section("errors", "Errors", lambda: _errors(flown, context.card)),
             section("parameters", "Parameters", lambda: _parameters(flown, context)),
+            section("frequency", "In the frequency domain", lambda: frequency_blocks(flown, context.figures)),
             section("motion", "Modes of motion", lambda: _motion(context.motion)),
             section("predictions", "One-step predictions", lambda: _predictions(flown, context)),
             section("posterior", "Posterior", lambda: _posterior(context)),

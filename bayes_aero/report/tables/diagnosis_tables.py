@@ -155,7 +155,7 @@ def terms_table(d: Diagnosis) -> Table:
             column(lambda t: t.term.name, "term", "term"),
             column(lambda t: t.term.unit, "unit"),
             column(lambda t: Estimate(*t.size), ("size", "size_sd")),
-            column(lambda t: size_text(*t.size, t.term.unit), page="factor"),
+            column(lambda t: size_text(t.size[0], t.size[1], t.term.unit), page="factor"),
             column(lambda t: t.share, "share", "share of the variance left", form=".0%"),
             column(lambda t: t.gain, "elpd", "hold-out gain", None, ".1f"),
             column(lambda t: t.weight, "probability", "probability", form=".2f"),

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from bayes_aero.diagnosis.trajectories.results import FITTED, START, Error, TrajectoryFit
 from bayes_aero.parameter import Prior
+from bayes_aero.report.tables.frequency import band_table, frequency_columns
 from bayes_aero.report.tables.table import (
     NONE,
     Change,
@@ -27,6 +29,7 @@ MAX_RELATIVE_ERROR = 100.0  # standard error over value from which digits of the
 def parameter_table(flown: TrajectoryFit) -> Table:
     """Every parameter, SI and radians; `crb` is infinite where the data alone do not determine it."""
     fit, errors = flown.fit, "standard error"
+    in_bands = [column for band in flown.frequency for column in frequency_columns(fit.names, band)]
     start, estimate, crb, sd = (list(map(float, x)) for x in (flown.start, fit.estimate, fit.crb, fit.sd_corrected))
     priors = [prior_text(p.prior if flown.setting.priors else None) for p in fit.parameters]
     marked = dict(zip(MARKS, (fit.held_by_prior, fit.at_bound, fit.undetermined), strict=True))
@@ -38,6 +41,7 @@ def parameter_table(flown: TrajectoryFit) -> Table:
             Column(list(map(Estimate, estimate, sd)), ("estimate",), "fit", "estimate", _fit, _known),
             Column(crb, "crb", "Cramér–Rao", "CRB", 2, group=errors),
             Column(sd, "sd_corrected", "corrected", "sd corr.", 2, group=errors),
+            *in_bands,
             Column(priors, "prior", "prior", "prior"),
             Column([_bounds(*p.bounds) for p in fit.parameters], page="bounds"),
             *(Column([name in some for name in fit.names], mark) for mark, some in marked.items()),
@@ -58,9 +62,16 @@ def parameter_table(flown: TrajectoryFit) -> Table:
     )
 
 
+def beside_table(flown: TrajectoryFit) -> Table:
+    """For a terminal: output error in the time domain beside the fits in a band."""
+    fit = flown.fit
+    time = [Estimate.normal(x, sd) for x, sd in zip(fit.estimate, fit.sd_corrected, strict=True)]
+    return band_table(fit.names, [p.unit for p in fit.parameters], time, flown.frequency)
+
+
 def parameter_rows(flown: TrajectoryFit) -> dict[str, dict[str, Any]]:
     """The same by parameter, as JSON has it: `prior` in its parts, and None where the fit had none."""
-    rows = {str(row.pop("parameter")): row for row in parameter_table(flown).records()}
+    rows = {str(row.pop("parameter")): row for row in parameter_table(replace(flown, frequency=())).records()}
     for parameter in flown.fit.parameters:
         prior = parameter.prior
         parts = {key: getattr(prior, key) for key in ("family", "location", "scale", "source")}

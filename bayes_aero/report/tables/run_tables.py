@@ -22,6 +22,7 @@ from bayes_aero.report.tables.comparison import (
     scatter,
     unit_of,
 )
+from bayes_aero.report.tables.frequency import band_text, frequency_columns
 from bayes_aero.report.tables.table import Column, Estimate, Table, columns_of, in_brackets, parameter_columns
 from bayes_aero.report.text.phrases import from_to, number, plus_minus
 
@@ -59,6 +60,8 @@ def parameter_table(run: Identification) -> Table:
         head = f"{engine_label(m.key)}\n{noise_label(run.noise)}" if m.key == posterior else None
         column = Column(m.of(names), files, label, "sd\nwhite" if white else head, _interval, group=SAMPLED)
         columns.append(replace(column, terminal_form=_sd if white else in_brackets))
+    if run.frequency is not None:
+        columns += frequency_columns(names, run.frequency, f"in band\n{band_text(run.frequency)}".replace(" to ", "-"))
     if run.alone:
         columns += _alone_columns(run, names)
     return Table(

@@ -1,0 +1,1 @@
+"""Estimates in the frequency domain: over a band at once, and while the record grows."""

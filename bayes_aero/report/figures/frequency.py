@@ -1,0 +1,94 @@
+"""Frequency responses, and estimates in the frequency domain while the record grows."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from bayes_aero.diagnosis.trajectories.results import TrajectoryFit
+from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.style import NotDrawn, housed
+from bayes_aero.report.text.phrases import bracket, plain_unit
+
+BAND = 1.96  # standard errors
+COLUMNS = 3
+KNOWN = 0.3  # largest standard error, of the value, with which a measured response is shown
+DECIBEL = 20.0 / math.log(10.0)  # of a relative change
+MOST_RESPONSES = 8
+SHOWN = 6.0  # last standard errors to either side that an axis shows at least
+
+
+@housed
+def running(found: TrajectoryFit) -> Figure:
+    """Every parameter against time with its 95 % band, and output error of the whole record.
+
+    Raises:
+        NotDrawn: no band was asked for.
+    """
+    if found.running is None:
+        raise NotDrawn("no band was asked for")
+    run, whole = found.running, dict(zip(found.fit.names, found.fit.estimate, strict=True))
+    rows = math.ceil(len(run.names) / COLUMNS)
+    figure = Figure(figsize=(9.6, 1.9 * rows + 0.6), layout="constrained")
+    axes = figure.subplots(rows, COLUMNS, squeeze=False, sharex=True).ravel()
+    for axis, name, unit, value, sd in zip(axes, run.names, run.units, run.value.T, run.sd.T, strict=False):
+        axis.fill_between(run.time, value - BAND * sd, value + BAND * sd, color=COLOURS["after"], alpha=0.25, lw=0.0)
+        axis.plot(run.time, value, color=COLOURS["after"], label="so far, in the band")
+        axis.axhline(whole[name], color=COLOURS["before"], linestyle="--", label="output error, whole record")
+        late = value[len(value) // 2 :]
+        reach = SHOWN * sd[-1]
+        axis.set_ylim(np.nanmin(np.append(late, whole[name])) - reach, np.nanmax(np.append(late, whole[name])) + reach)
+        axis.set_ylabel(f"{name} {bracket(plain_unit(unit))}")
+    for axis in axes[len(run.names) :]:
+        axis.set_visible(False)
+    for axis in axes[max(0, len(run.names) - COLUMNS) : len(run.names)]:
+        axis.tick_params(labelbottom=True)
+        axis.set_xlabel("recorded time [s]")
+    axes[0].legend(loc="best", fontsize=7.5)
+    figure.suptitle("Parameters while the record grows, with 95 % bands", fontsize=10.0)
+    return figure
+
+
+@housed
+def bode(found: TrajectoryFit) -> Figure:
+    """Measured and modelled frequency responses: magnitude, phase, coherence; a column for each input and output.
+
+    Raises:
+        NotDrawn: no band was asked for, or too many responses for one figure.
+    """
+    if not found.frequency_responses:
+        raise NotDrawn("no band was asked for")
+    if len(found.frequency_responses) > MOST_RESPONSES:
+        raise NotDrawn(f"more than {MOST_RESPONSES} responses")
+    figure = Figure(figsize=(2.6 * len(found.frequency_responses) + 1.2, 5.6), layout="constrained")
+    axes = figure.subplots(3, len(found.frequency_responses), squeeze=False, sharex=True, sharey="row")
+    for (magnitude, phase, coherence), one in zip(axes.T, found.frequency_responses, strict=True):
+        f, seen = one.frequency, np.where(one.error < KNOWN * np.abs(one.measured), 1.0, np.nan)
+        middle = np.rad2deg(np.unwrap(np.angle(one.modelled)))
+        around = middle + np.angle(one.draws / one.modelled, deg=True)
+        for axis, low, centre in (
+            (magnitude, 20.0 * np.log10(np.abs(one.draws)), 20.0 * np.log10(np.abs(one.modelled))),
+            (phase, around, middle),
+        ):
+            edges = np.percentile(low, [2.5, 97.5], axis=0)
+            axis.fill_between(f, *edges, color=COLOURS["after"], alpha=0.25, linewidth=0.0)
+            axis.plot(f, centre, color=COLOURS["after"], label="modelled, with 95 % band")
+        dots = {"color": COLOURS["measured"], "linestyle": "none", "marker": "o", "markersize": 3.0, "elinewidth": 0.8}
+        share = seen * BAND * one.error / np.abs(one.measured)
+        magnitude.errorbar(f, seen * 20.0 * np.log10(np.abs(one.measured)), DECIBEL * share, **dots, label="measured")
+        phase.errorbar(f, seen * middle + np.angle(one.measured / one.modelled, deg=True), np.rad2deg(share), **dots)
+        coherence.plot(f, one.coherence, color=COLOURS["measured"])
+        coherence.set_ylim(0.0, 1.05)
+        coherence.set_xlabel("frequency [Hz]")
+        magnitude.set_xscale("log")
+        magnitude.set_title(f"{one.output} / {one.input}".replace(" and ", ",\n"), fontsize=8.5)
+    for axis, label in zip(axes[:, 0], ("magnitude [dB, SI]", "phase [deg]", "coherence"), strict=True):
+        axis.set_ylabel(label)
+    axes[0][0].legend(loc="best", fontsize=7.0)
+    return figure
+
+
+FREQUENCY_FIGURES = {"bode": bode, "running": running}
+"""What a fit of trajectories shows of a band."""

@@ -1,0 +1,208 @@
+"""Fits in a band: exact transforms, recovery of known truths, bounds against scatter, and what drift does to them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from linear_cards import (
+    LATERAL,
+    LATERAL_TRUTH,
+    SHORT_PERIOD,
+    SHORT_PERIOD_TRUTH,
+    card_of,
+    first_order_hold,
+    lateral_flight,
+    record_of,
+    short_period_flight,
+)
+
+from bayes_aero.diagnosis.trajectories.results import Setting
+from bayes_aero.diagnosis.trajectories.trajectory_fit import fit_trajectories
+from bayes_aero.dynamics.linear import channel_units, linear_dynamics
+from bayes_aero.dynamics.simulated.multisines import multisines
+from bayes_aero.errors import InputError
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.inference.frequency.bands import linear_in_band
+from bayes_aero.inference.frequency.fit import fit_in_band
+from bayes_aero.model.joined_channels import join
+from bayes_aero.residuals.frequency_error import LinearFrequencyError, lines_in, transform_rows, without_trend
+from bayes_aero.residuals.frequency_output_error import LinearFrequencyOutputError
+
+DT, BAND = 0.04, (0.1, 1.5)
+NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15, "p": 0.004, "r": 0.003, "p_dot": 0.03}
+UNSTABLE = SHORT_PERIOD_TRUTH | {"Malpha": 2.0, "Mq": -1.0}  # eigenvalues +0.46 and -2.36 1/s
+
+
+def flown_of(text, *channels, seed=None, dt=DT):
+    card = card_of(text)
+    rng = None if seed is None else np.random.default_rng(seed)
+    records = [record_of(c, dt, NOISE, rng, name=f"flight_{k}") for k, c in enumerate(channels)]
+    dynamics = linear_dynamics(card, tuple(record.n for record in records))
+    return join(records, card, dynamics.inputs), dynamics
+
+
+def output_error(flights, dynamics, truth, band=BAND):
+    """Output error in the band, from starts a fifth off the truth."""
+    start = np.array([0.8 * truth[p.name] for p in dynamics.free])
+    return fit_in_band(LinearFrequencyOutputError.in_band(flights, dynamics, band), dynamics.free, start, band)
+
+
+def z_scores(found, truth, sd):
+    return {n: (x - truth[n]) / s for n, x, s in zip(found.names, found.estimate, sd, strict=True)}
+
+
+def test_rows_keep_the_variance_of_white_noise_and_lose_straight_lines():
+    n = 500
+    plain = transform_rows(lines_in(BAND, n, DT, "it"), n, DT)
+    rows = without_trend(plain)
+    np.testing.assert_allclose(rows @ np.array([np.ones(n), np.arange(n)]).T, 0.0, atol=1e-10)
+    np.testing.assert_allclose(plain @ plain.T, np.eye(len(plain)), atol=1e-12)
+    np.testing.assert_allclose(np.diag(rows @ rows.T), 1.0, rtol=1e-12)
+
+
+def test_a_sine_is_one_line():
+    """sin(w t) over whole periods: -j sqrt(n/2) at w, nothing elsewhere."""
+    n, lines = 500, lines_in(BAND, 500, DT, "it")
+    found = transform_rows(lines, n, DT) @ np.sin(2.0 * np.pi * 0.5 * np.arange(n) * DT)
+    expected = np.zeros(2 * len(lines))
+    expected[len(lines) + int(np.argmin(np.abs(lines - 0.5)))] = -np.sqrt(n / 2.0)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "fly", "truth"),
+    [(SHORT_PERIOD, short_period_flight, SHORT_PERIOD_TRUTH), (LATERAL, lateral_flight, LATERAL_TRUTH),
+     (SHORT_PERIOD, short_period_flight, UNSTABLE)],
+    ids=["short period", "lateral", "unstable"],
+)  # fmt: skip
+def test_output_error_in_a_band_is_exact_without_noise(text, fly, truth):
+    """Inputs linear between samples, a start out of trim, an end in motion, an eigenvalue to the right of zero."""
+    flights, dynamics = flown_of(text, fly(truth), fly(truth, n=400, x0=(0.0, -0.02)))
+    found = output_error(flights, dynamics, truth)
+    assert found.converged
+    assert set(found.unseen) == {p for p in truth if p in ("Z0", "M0", "az0", "L0", "N0")}
+    for name, value in zip(found.names, found.estimate, strict=True):
+        assert value == pytest.approx(truth[name], rel=1e-6), name
+
+
+def test_equation_error_in_a_band_is_exact_but_for_edges_of_the_input():
+    """The differentiating filter rings at edges a sample long: beyond the band, but for a few thousandths."""
+    flights, dynamics = flown_of(SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH))
+    start = np.array([p.start for p in dynamics.free])
+    found = fit_in_band(LinearFrequencyError.in_band(flights, dynamics, BAND), dynamics.free, start, BAND)
+    assert found.converged
+    for name, value in zip(found.names, found.estimate, strict=True):
+        assert value == pytest.approx(SHORT_PERIOD_TRUTH[name], rel=0.01), name
+
+
+def test_a_delay_of_an_output_is_found():
+    """az is recorded two samples late; in the band a delay is a phase."""
+    channels = short_period_flight(SHORT_PERIOD_TRUTH, n=700, x0=(0.0245, 0.0217))
+    late = {name: x[2:] if name != "az" else x[:-2] for name, x in channels.items()}
+    text = SHORT_PERIOD.replace("[linear.fixed]", '[linear.delays]\naz = "lag"\n[linear.fixed]')
+    flights, dynamics = flown_of(text, late)
+    found = output_error(flights, dynamics, SHORT_PERIOD_TRUTH | {"lag": 0.05})
+    assert found.estimate[found.names.index("lag")] == pytest.approx(2 * DT, abs=0.002)
+
+
+def test_bounds_are_the_scatter_of_output_error():
+    """White noise on the outputs, 40 flights: squared scores are chi-squared. The published bound would give half."""
+    scores, corrected = [], []
+    for seed in range(40):
+        flights, dynamics = flown_of(LATERAL, lateral_flight(LATERAL_TRUTH), seed=[7, seed])
+        found = output_error(flights, dynamics, LATERAL_TRUTH)
+        scores.append(list(z_scores(found, LATERAL_TRUTH, found.crb).values()))
+        corrected.append(found.crb_corrected / found.crb)
+    mean = float(np.mean(np.square(scores), axis=0).mean())
+    assert 0.75 < mean < 1.35  # of 40 flights and 9 correlated parameters: standard deviation below 0.1
+    assert 0.95 < float(np.median(corrected)) < 1.4
+
+
+@pytest.fixture(scope="module")
+def drifting():
+    """A multisine flight of an exact short period with noise, and the same with biases and drifts of the sensors."""
+    n = 1250
+    time = np.arange(n) * DT
+    u = 0.03 * multisines(time, 25.0, (0.1, 1.4), 1)[0]
+    k = SHORT_PERIOD_TRUTH
+    A = np.array([[k["Zalpha"], 1.0], [k["Malpha"], k["Mq"]]])
+    B = np.array([[k["Zde"], k["Z0"]], [k["Mde"], k["M0"]]])
+    trim = np.linalg.solve(-A, B @ [0.0, 1.0])
+    x = first_order_hold(A, B, trim, np.stack([u, np.ones(n)], axis=1), DT)
+    az = k["az0"] + 90.0 * (k["Zalpha"] * x[:, 0] + k["Zde"] * u)
+    true = {"alpha": x[:, 0], "q": x[:, 1], "elevator": u, "az": az}
+    late = time / time[-1]
+    errors = {"alpha": 0.01 + 0.03 * late, "q": 0.005 - 0.02 * late, "az": 0.5 + 2.0 * late, "elevator": 0.01}
+    return true, {name: x + errors[name] for name, x in true.items()}
+
+
+def both_domains(channels):
+    flights, dynamics = flown_of(SHORT_PERIOD, channels, seed=11)
+    units = {name: c.unit for name, c in STANDARD_CHANNELS.items()} | channel_units(card_of(SHORT_PERIOD))
+    fit = fit_trajectories(flights, dynamics, units, setting=Setting(priors=False)).fit
+    return fit, *linear_in_band(flights, dynamics, BAND)[0]
+
+
+def test_both_domains_recover_the_truth_of_a_multisine(drifting):
+    fit, _, second = both_domains(drifting[0])
+    time = {n: (x - SHORT_PERIOD_TRUTH[n]) / sd
+            for n, x, sd in zip(fit.names, fit.estimate, fit.sd_corrected, strict=True)}  # fmt: skip
+    band = z_scores(second, SHORT_PERIOD_TRUTH, second.crb_corrected)
+    assert second.unseen == ("Z0", "M0", "az0")
+    assert max(map(abs, (*time.values(), *band.values()))) < 4.0
+    assert all(second.crb[second.names.index(n)] < 1.3 * fit.crb[fit.names.index(n)] for n in second.names)
+
+
+def test_drift_moves_the_time_domain_and_not_the_band(drifting):
+    """Zalpha is a sixth off in the time domain, with a standard error that is twenty times that in the band."""
+    fit, *in_band = both_domains(drifting[1])
+    i, second = fit.names.index("Zalpha"), in_band[1]
+    assert abs(fit.estimate[i] - SHORT_PERIOD_TRUTH["Zalpha"]) > max(4.0 * fit.crb[i], 0.1)
+    assert fit.sd_corrected[i] > 10.0 * second.crb_corrected[second.names.index("Zalpha")]
+    assert max(map(abs, z_scores(second, SHORT_PERIOD_TRUTH, second.crb_corrected).values())) < 4.0
+    for one, other in zip(in_band, both_domains(drifting[0])[1:], strict=True):
+        assert np.all(np.abs(one.estimate - other.estimate) < 0.03 * one.crb)  # the noise is the same
+
+
+def test_measured_responses_of_a_multisine_are_those_of_the_transfer_function(drifting):
+    """q over elevator: (Mde s + Malpha Zde - Mde Zalpha) / (s^2 - (Zalpha + Mq) s + Zalpha Mq - Malpha)."""
+    flights, dynamics = flown_of(SHORT_PERIOD, drifting[0], seed=12)
+    *_, responses = linear_in_band(flights, dynamics, (0.2, 1.2))
+    one = next(r for r in responses if r.output == "q")
+    k, s = SHORT_PERIOD_TRUTH, 2j * np.pi * one.frequency
+    numerator = k["Mde"] * s + k["Malpha"] * k["Zde"] - k["Mde"] * k["Zalpha"]
+    exact = numerator / (s**2 - (k["Zalpha"] + k["Mq"]) * s + k["Zalpha"] * k["Mq"] - k["Malpha"])
+    np.testing.assert_allclose(one.modelled, exact, rtol=0.1)
+    assert np.all(np.abs(one.modelled - exact) < 5.0 * np.std(one.draws, axis=0))
+    assert np.all(np.abs(one.measured - exact) < 5.0 * one.error + 0.05 * np.abs(exact))
+    assert np.median(one.coherence) > 0.9
+    assert {(r.input, r.output) for r in responses} == {("elevator", n) for n in ("alpha", "q", "az")}
+
+
+def test_both_ailerons_are_one_input():
+    flights, dynamics = flown_of(LATERAL, lateral_flight(LATERAL_TRUTH), seed=13)
+    *_, responses = linear_in_band(flights, dynamics, BAND)
+    assert {r.input for r in responses} == {"aileron_left and aileron_right", "beta", "rudder"}
+    roll = next(r for r in responses if (r.output, r.input[:7]) == ("p_dot", "aileron"))
+    k, s = LATERAL_TRUTH, 2j * np.pi * roll.frequency  # yaw: r = Np p / (s - Nr)
+    p = k["Lda"] / (s - k["Lp"] - k["Lr"] * k["Np"] / (s - k["Nr"]))
+    np.testing.assert_allclose(roll.modelled, s * p, rtol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("band", "said"),
+    [((1.0, 0.5), "the band 1 to 0.5 Hz is empty"), ((0.0, 1.0), "the band 0 to 1 Hz is empty"),
+     ((0.1, 12.5), "shows frequencies below 12.5 Hz only"), ((0.101, 0.12), "its lines are 0.05 Hz apart")],
+)  # fmt: skip
+def test_a_band_without_lines_is_refused(band, said):
+    with pytest.raises(InputError, match=said):
+        lines_in(band, 500, DT, "it")
+
+
+def test_a_state_that_was_not_recorded_is_named():
+    channels = short_period_flight(SHORT_PERIOD_TRUTH)
+    card = card_of(SHORT_PERIOD.replace('"alpha", unit', '"alpha", required = false, unit'))
+    record = record_of({name: x for name, x in channels.items() if name != "alpha"})
+    dynamics = linear_dynamics(card)
+    with pytest.raises(InputError, match="alpha was not recorded"):
+        LinearFrequencyError.in_band(join([record], card, ("elevator",)), dynamics, BAND)
