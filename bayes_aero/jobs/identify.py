@@ -19,7 +19,7 @@ from bayes_aero.flight.reading.common_rate import rate_notes
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.frequency.bands import coefficients_in_band
 from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.likelihood.mle import MAX_SEPARATE_FITS, fit_each_manoeuvre, fit_mle
+from bayes_aero.inference.likelihood.mle import fit_each_manoeuvre, fit_mle
 from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
 from bayes_aero.inference.posterior.checkpoint import Checkpoint
 from bayes_aero.inference.posterior.ensemble import sample_ensemble
@@ -40,6 +40,7 @@ from bayes_aero.jobs.steps.identified_flight import fly_identified
 from bayes_aero.jobs.steps.pooled_manoeuvres import pooled_manoeuvres
 from bayes_aero.jobs.steps.sensors_first import sensors_agree
 from bayes_aero.jobs.steps.spike_repair import repaired
+from bayes_aero.jobs.steps.usable_for import left_out_of_many
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
@@ -49,7 +50,6 @@ from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import write_figures
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.identification import identification_page
-from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.tables.frequency import frequency_sentences
 from bayes_aero.report.text.restraints import leaning_sentences
 from bayes_aero.residuals.frequency_error import Band
@@ -164,7 +164,7 @@ class _Job:
             mle,
             alone,
             {},
-            notes=(*self.left_out, *self.spikes, *rates, *_many(len(self.records))),
+            notes=(*self.left_out, *self.spikes, *rates, *left_out_of_many(len(self.records))),
             failures=failures,
             health=channel_health(self.records, self.card),
             preparation=preparation,
@@ -285,16 +285,6 @@ class _Job:
         if self.chains is not None and not self.run.failures:
             shutil.rmtree(self.chains, ignore_errors=True)
         self.files.remove_older(self.run, page=options.page, figures=options.figures)
-
-
-def _many(manoeuvres: int) -> tuple[str, ...]:
-    """What is left out because there are so many."""
-    said = []
-    if manoeuvres > MAX_SEPARATE_FITS:
-        said.append(f"{manoeuvres} manoeuvres are fitted jointly; beyond {MAX_SEPARATE_FITS} none is fitted by itself.")
-    if manoeuvres > MOST_MANOEUVRES:
-        said.append(f"Figures with a panel for each manoeuvre are drawn for up to {MOST_MANOEUVRES} of them.")
-    return tuple(said)
 
 
 def _plan(noise: Colour) -> list[tuple[str, Colour, Any]]:
