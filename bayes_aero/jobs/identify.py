@@ -37,10 +37,9 @@ from bayes_aero.jobs.options import IdentifyOptions, check_band
 from bayes_aero.jobs.provenance.environment import rests_on
 from bayes_aero.jobs.provenance.provenance import provenance
 from bayes_aero.jobs.steps.identified_flight import fly_identified
-from bayes_aero.jobs.steps.pooled_manoeuvres import pooled_manoeuvres
+from bayes_aero.jobs.steps.pooled_manoeuvres import left_out_of_many, pooled_manoeuvres
 from bayes_aero.jobs.steps.sensors_first import sensors_agree
 from bayes_aero.jobs.steps.spike_repair import repaired
-from bayes_aero.jobs.steps.usable_for import left_out_of_many
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise

@@ -8,12 +8,10 @@ from bayes_aero.diagnosis.folds import too_short
 from bayes_aero.dynamics.output_channels import needed_channels
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.mle import MAX_SEPARATE_FITS
 from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficient_names import required_of
 from bayes_aero.physics.filters import FILTER_STEP
-from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.residuals.windows import too_few_windows
 
 DERIVED = ("alpha_dot",)  # formed from recorded channels
@@ -48,13 +46,3 @@ def _lacks(missing: Sequence[str]) -> str:
     if not missing:
         return ""
     return f"no channel {', '.join(missing)}: map {'it' if len(missing) == 1 else 'them'}, or state a constant"
-
-
-def left_out_of_many(manoeuvres: int) -> tuple[str, ...]:
-    """What is left out because there are so many."""
-    said = []
-    if manoeuvres > MAX_SEPARATE_FITS:
-        said.append(f"{manoeuvres} manoeuvres are fitted jointly; beyond {MAX_SEPARATE_FITS} none is fitted by itself.")
-    if manoeuvres > MOST_MANOEUVRES:
-        said.append(f"Figures with a panel for each manoeuvre are drawn for up to {MOST_MANOEUVRES} of them.")
-    return tuple(said)
