@@ -69,8 +69,8 @@ def next_flight_sentences(run: Identification) -> list[str]:
     which = f"all {len(names)} parameters" if len(little) == len(names) else several(little)
     said = [
         f"The next flight: {_widest(run, found)}. Every manoeuvre enters by the normal approximation of its own fit.",
-        f"{count} manoeuvres show little of the scatter between flights: even if each were known exactly, its 95 % "
-        f"interval would reach from {number(low, 2)} to {number(high, 2)} times the standard deviation of their "
+        f"{count} manoeuvres cannot tell the scatter between flights better than this: if each were known exactly, its "
+        f"95 % interval would reach from {number(low, 2)} to {number(high, 2)} times the standard deviation of their "
         "estimates.",
     ]
     if little:
