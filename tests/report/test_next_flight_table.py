@@ -65,7 +65,7 @@ def test_a_file_has_all_and_a_page_what_it_has_room_for(pooled):
         "1.100 ± 0.050",
         "1.15 ± 0.10",
         "0.1 to 0.5",
-        "0.35 to 1.9",
+        "0.35 to 1.95",
         "0.90",
     )
 

@@ -46,7 +46,7 @@ def next_flight_table(run: Identification) -> Table:
     for key, head, numbers, forms in (
         ("aircraft", "aircraft", found.aircraft, ("", in_brackets)),
         ("scatter", "scatter\n95 %", found.scatter, (_interval, _interval)),
-        ("next_flight", "next flight\n95 %", found.following, (_interval, _interval)),
+        ("next_flight", "next flight\n95 %", found.following, (_digits, _digits)),
     ):
         files = tuple(f"{key}_{part}".rstrip("_") for part in PARTS)
         columns.append(Column(_marginals(numbers, names), files, head, head.splitlines()[0], *forms))
@@ -127,5 +127,10 @@ def _alone(found: NextFlight, manoeuvre: str, names: list[str]) -> list[Estimate
     return [Estimate.normal(*own[n]) if n in own else None for n in names]
 
 
+def _digits(e: Estimate) -> str:
+    return from_to(e.low, e.high, e.sd)
+
+
 def _interval(e: Estimate) -> str:
+    """Of a scatter, whose lower end is near zero."""
     return f"{number(e.low, 2)} to {number(e.high, 2)}"
