@@ -41,6 +41,7 @@ _HOME = {
     "flight_path": "jobs.path",
     "fly": "jobs.fly",
     "gpr": "api",
+    "next_flight": "api",
     "plot": "api",
     "read": "api",
     "read_card": "flight.card.card",
@@ -49,7 +50,7 @@ _HOME = {
 }
 
 if TYPE_CHECKING:
-    from bayes_aero.api import diagnose, fit, gpr, plot, read, sample
+    from bayes_aero.api import diagnose, fit, gpr, next_flight, plot, read, sample
     from bayes_aero.api_results import Diagnosed, Fit
     from bayes_aero.effect import Effect, Stage
     from bayes_aero.effects import CATALOGUE
@@ -80,6 +81,7 @@ __all__ = [
     "flight_path",
     "fly",
     "gpr",
+    "next_flight",
     "plot",
     "read",
     "read_card",

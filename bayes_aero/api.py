@@ -20,9 +20,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal, get_args
 
-from matplotlib.figure import Figure
-
-from bayes_aero.api_results import Diagnosed, Fit
+from bayes_aero.api_results import Diagnosed, Fit, plot
 from bayes_aero.diagnosis.consistency.consistency import consistency
 from bayes_aero.diagnosis.diagnose import diagnose as run_diagnosis
 from bayes_aero.diagnosis.settings import DiagnosisSettings
@@ -39,10 +37,12 @@ from bayes_aero.inference.likelihood.mle import fit_each_manoeuvre, fit_mle
 from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
 from bayes_aero.inference.posterior.ensemble import sample_ensemble
 from bayes_aero.inference.posterior.laplace import density_start, other_modes, search_modes
+from bayes_aero.inference.posterior.next_flight import check_manoeuvres
 from bayes_aero.inference.posterior.nuts import sample_nuts
 from bayes_aero.inference.posterior.pit import pit_of
 from bayes_aero.inference.splits import SplitKind
 from bayes_aero.inference.validation import Training, validate
+from bayes_aero.jobs.steps.pooled_manoeuvres import pooled_manoeuvres
 from bayes_aero.jobs.steps.spike_repair import repaired
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
@@ -51,7 +51,7 @@ from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Forming, observe
 from bayes_aero.model.recorded_axes import on_recorded_axes
 
-__all__ = ["Diagnosed", "Fit", "diagnose", "fit", "gpr", "plot", "read", "sample"]
+__all__ = ["Diagnosed", "Fit", "diagnose", "fit", "gpr", "next_flight", "plot", "read", "sample"]
 
 Engine = Literal["emcee", "nuts"]
 NoiseName = Literal["white", "ar1", "buffet-ar1"]
@@ -185,6 +185,30 @@ def sample(fit: Fit, *, engine: Engine = "emcee", noise: NoiseName = "buffet-ar1
     return Fit(replace(run, pit=pit_of(run)))
 
 
+def next_flight(fit: Fit, *, seed: int = 0) -> Fit:
+    """Pool the manoeuvres of a fit: parameters scatter around the aircraft's, and the next flight is one more of them.
+
+    Every manoeuvre enters by a normal approximation, the estimate and the corrected covariance of its own fit. The
+    scatter of each parameter has a half-normal prior of half the prior's standard deviation.
+
+    Args:
+        fit: of `fit`, to 2 to 24 records.
+        seed: of the sampler.
+
+    Returns:
+        The same fit with `next_flight()` added: aircraft, scatter, manoeuvres and next flight, in SI and radians.
+
+    Raises:
+        InputError: there is one manoeuvre, too many, or fewer than two with a usable fit.
+
+    Source:
+        Gelman et al., Bayesian Data Analysis, 3rd ed. 2013, ch. 5.
+    """
+    check_manoeuvres(len(fit.run.records))
+    without_spikes, _ = repaired(fit.run.records)
+    return Fit(replace(fit.run, next_flight=pooled_manoeuvres(fit.run, without_spikes, seed=seed)))
+
+
 def gpr(fit: Fit, *, split: SplitKind = "random", sample: bool = True, approximate: bool = False, seed: int = 0) -> Fit:
     """Train Gaussian processes of CL, CD and Cm on the card's `[gp] inputs` and score them on hold-out data.
 
@@ -258,27 +282,6 @@ def diagnose(
     asked = {"settings": settings, "seed": seed, "process_noise": process_noise}
     found = run_diagnosis(records, own, model=model, extra=candidates, **asked)
     return Diagnosed(view_of(found), own)
-
-
-def plot(result: Fit | Diagnosed, figure: str | None = None, *, width: float | None = None) -> Figure:
-    """Draw a figure of a result.
-
-    Args:
-        result: of `fit` or `diagnose`.
-        figure: its name; default: the first figure of this kind of result.
-        width: in inches; the text keeps its size. 10 fits a notebook's column.
-
-    Returns:
-        A matplotlib figure.
-
-    Raises:
-        InputError: there is no such figure, or it has nothing to show.
-    """
-    drawn = result.plot() if figure is None else result.plot(figure)
-    if width is not None:
-        own, height = drawn.get_size_inches()
-        drawn.set_size_inches(width, height * width / own)
-    return drawn
 
 
 def _card(card: str | Card) -> Card:

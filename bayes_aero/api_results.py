@@ -26,6 +26,7 @@ from bayes_aero.report.tables.diagnosis_tables import (
     screen_table,
     terms_table,
 )
+from bayes_aero.report.tables.next_flight import next_flight_table
 from bayes_aero.report.tables.run_tables import parameter_table, validation_table
 from bayes_aero.report.text.consistency import consistency_sentences
 from bayes_aero.report.text.diagnosis import sentences
@@ -70,6 +71,20 @@ class Fit:
             A row per parameter; columns for the unit, the estimate, both bounds, each posterior and each manoeuvre.
         """
         return parameter_table(self.run).frame()
+
+    def next_flight(self) -> pd.DataFrame:
+        """Manoeuvres alone and pooled, the scatter between them and the parameters of a flight not yet flown.
+
+        Returns:
+            A row per parameter, in SI and radians; columns for joint fit, each manoeuvre alone and pooled, aircraft,
+            scatter, next flight, and the standard deviation of the scatter over that of its prior.
+
+        Raises:
+            InputError: `next_flight` has not been called.
+        """
+        if self.run.next_flight is None:
+            raise InputError("the manoeuvres of this fit are not pooled yet; pool them by bayes_aero.next_flight(fit)")
+        return next_flight_table(self.run).frame()
 
     def validation(self) -> pd.DataFrame:
         """Scores of the Gaussian processes (`gpr`) and of maximum likelihood on hold-out data.
@@ -189,6 +204,27 @@ class Diagnosed:
             InputError: there is no such figure, or it has nothing to show.
         """
         return _drawn(DIAGNOSIS_FIGURES, figure, self._coefficients)
+
+
+def plot(result: Fit | Diagnosed, figure: str | None = None, *, width: float | None = None) -> Figure:
+    """Draw a figure of a result.
+
+    Args:
+        result: of `fit` or `diagnose`.
+        figure: its name; default: the first figure of this kind of result.
+        width: in inches; the text keeps its size. 10 fits a notebook's column.
+
+    Returns:
+        A matplotlib figure.
+
+    Raises:
+        InputError: there is no such figure, or it has nothing to show.
+    """
+    drawn = result.plot() if figure is None else result.plot(figure)
+    if width is not None:
+        own, height = drawn.get_size_inches()
+        drawn.set_size_inches(width, height * width / own)
+    return drawn
 
 
 def _drawn(figures: Mapping[str, Callable[[Shown], Figure]], name: str, shown: Shown) -> Figure:

@@ -20,8 +20,8 @@ from bayes_aero.report.tables.comparison import ordered
 
 PUBLIC = {
     "CATALOGUE", "Card", "Diagnosed", "Effect", "Fit", "FlightRecord", "InputError", "Model", "Parameter", "Prior",
-    "Stage", "__version__", "diagnose", "fit", "flight_path", "fly", "gpr", "plot", "read", "read_card", "sample",
-    "write_record",
+    "Stage", "__version__", "diagnose", "fit", "flight_path", "fly", "gpr", "next_flight", "plot", "read", "read_card",
+    "sample", "write_record",
 }  # fmt: skip
 
 

@@ -58,6 +58,13 @@ def identify(
             "--approximate-gp", help="Approximate a Gaussian process of more samples than the exact one accepts."
         ),
     ] = False,
+    next_flight: Annotated[
+        bool,
+        typer.Option(
+            "--next-flight",
+            help="Pool the manoeuvres: scatter of parameters between them, and a flight not yet flown.",
+        ),
+    ] = False,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
     json: JsonOption = False,
 ) -> None:
@@ -72,6 +79,7 @@ def identify(
         from bayes_aero.jobs import identify as job
         from bayes_aero.jobs.options import IdentifyOptions
         from bayes_aero.model.noise import Colour
+        from bayes_aero.report.tables.next_flight import next_flight_table
         from bayes_aero.report.tables.run_tables import parameter_table
         from bayes_aero.report.text.identification import verdict
         from bayes_aero.simulate.demo import TRUTH, demo_records
@@ -90,6 +98,7 @@ def identify(
             sample=sample,
             gp=gp,
             approximate_gp=approximate_gp,
+            next_flight=next_flight,
             figures=figures,
             frequency=frequency,
         )
@@ -102,6 +111,8 @@ def identify(
     print_failures(console, found.failures)
     print_doubts(console, found.consistency, found.health, corrects=False)
     console.print(parameter_table(found).terminal())
+    if found.next_flight is not None:
+        console.print(next_flight_table(found).terminal())
     for sentence in verdict(found):
         console.print(f"• {sentence}", highlight=False)
     for note in found.notes:

@@ -18,6 +18,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.frequency.result import FrequencyFit
 from bayes_aero.inference.gp import GPFit
 from bayes_aero.inference.likelihood.mle_result import MleResult
+from bayes_aero.inference.posterior.next_flight_result import NextFlight
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.scores import Scores
 from bayes_aero.model.model import Model
@@ -130,12 +131,13 @@ class PitResult:
 class Identification:
     """One run on one set of records.
 
-    `alone` holds the maximum-likelihood fit of each manoeuvre by itself. `posteriors` has `emcee` and `nuts` under
-    the chosen noise model `noise`, and `white`, by emcee, where that is another one. `stall` and `pit` are over the
-    draws of the first of them. `forming` is how the coefficients were formed, and `preparation` has sentences on its
-    effect on the estimates. `health` has the faults of the records' channels, and `consistency` whether the sensors
-    agree. `failures` has a sentence on each part that failed unexpectedly. `truth` has the true parameters of simulated
-    records, SI and radians. `frequency` is the fit in a band, if one was asked for.
+    `alone` holds the maximum-likelihood fit of each manoeuvre by itself, `next_flight` what they say pooled.
+    `posteriors` has `emcee` and `nuts` under the chosen noise model `noise`, and `white`, by emcee, where that is
+    another one. `stall` and `pit` are over the draws of the first of them. `forming` is how the coefficients were
+    formed, and `preparation` has sentences on its effect on the estimates. `health` has the faults of the records'
+    channels, and `consistency` whether the sensors agree. `failures` has a sentence on each part that failed
+    unexpectedly. `truth` has the true parameters of simulated records, SI and radians. `frequency` is the fit in a
+    band, if one was asked for.
     """
 
     card: Card
@@ -147,6 +149,7 @@ class Identification:
     alone: dict[str, MleResult]
     posteriors: dict[str, Posterior]
     gp: GPReport | None = None
+    next_flight: NextFlight | None = None
     stall: Stall | None = None
     pit: PitResult | None = None
     notes: tuple[str, ...] = ()

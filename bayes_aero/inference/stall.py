@@ -17,8 +17,8 @@ from jaxtyping import Array, Float
 
 from bayes_aero.dynamics.simulated.steady import conditions, steady_flow
 from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.inference.identification import Interval, Stall
-from bayes_aero.inference.posterior.posterior import Posterior
+from bayes_aero.inference.identification import Identification, Interval, Stall
+from bayes_aero.inference.posterior.posterior import Posterior, PosteriorStatus
 from bayes_aero.model.model import Model
 
 POINTS = 241  # angles: less than 0.1 deg apart over 20 deg, and the maximum is found between them
@@ -56,6 +56,15 @@ def stall_of(model: Model, draws: Float[np.ndarray, "m k"], signals: Mapping[str
 def stall_of_posterior(model: Model, posterior: Posterior, signals: Mapping[str, Any], aircraft: Aircraft) -> Stall:
     """`stall_of` the draws of a posterior, without its noise parameters."""
     return stall_of(model, posterior.draws()[:, [posterior.names.index(n) for n in model.names]], signals, aircraft)
+
+
+def stall_of_run(run: Identification) -> Stall | None:
+    """CLmax and its angle from the first posterior that converged; without one there is none."""
+    for key, posterior in run.posteriors.items():
+        if key != "white" and posterior.status is PosteriorStatus.CONVERGED:
+            o = run.observations
+            return stall_of_posterior(run.model, posterior, o.signals, o.aircraft)
+    return None
 
 
 def maxima(x: Float[np.ndarray, " g"], y: Float[np.ndarray, "m g"]):

@@ -18,17 +18,18 @@ from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.reading.common_rate import rate_notes
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.frequency.bands import coefficients_in_band
-from bayes_aero.inference.identification import Identification, Stall
-from bayes_aero.inference.likelihood.mle import MAX_SEPARATE_FITS, fit_each_manoeuvre, fit_mle
+from bayes_aero.inference.identification import Identification
+from bayes_aero.inference.likelihood.mle import fit_each_manoeuvre, fit_mle
 from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
 from bayes_aero.inference.posterior.checkpoint import Checkpoint
 from bayes_aero.inference.posterior.ensemble import sample_ensemble
 from bayes_aero.inference.posterior.laplace import density_start, other_modes, search_modes
+from bayes_aero.inference.posterior.next_flight import check_manoeuvres
 from bayes_aero.inference.posterior.nuts import sample_nuts
 from bayes_aero.inference.posterior.pit import pit_of
-from bayes_aero.inference.posterior.posterior import Posterior, PosteriorStatus
+from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.posterior.prior_sensitivity import prior_sensitivity
-from bayes_aero.inference.stall import stall_of_posterior
+from bayes_aero.inference.stall import stall_of_run
 from bayes_aero.inference.validation import Training, validate
 from bayes_aero.jobs.io.identification_files import IdentificationFiles
 from bayes_aero.jobs.io.time_histories import identified, put_histories
@@ -36,6 +37,7 @@ from bayes_aero.jobs.options import IdentifyOptions, check_band
 from bayes_aero.jobs.provenance.environment import rests_on
 from bayes_aero.jobs.provenance.provenance import provenance
 from bayes_aero.jobs.steps.identified_flight import fly_identified
+from bayes_aero.jobs.steps.pooled_manoeuvres import left_out_of_many, pooled_manoeuvres
 from bayes_aero.jobs.steps.sensors_first import sensors_agree
 from bayes_aero.jobs.steps.spike_repair import repaired
 from bayes_aero.model.density import Density
@@ -47,7 +49,6 @@ from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import write_figures
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.identification import identification_page
-from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.tables.frequency import frequency_sentences
 from bayes_aero.report.text.restraints import leaning_sentences
 from bayes_aero.residuals.frequency_error import Band
@@ -74,6 +75,8 @@ def identify(
     job.fit(truth)
     if options.frequency is not None:
         job.fit_in_band(options.frequency)
+    if options.next_flight:
+        job.pool()
     if out is not None:  # they are for the page and the file alone
         job.fly()
     if options.sample:
@@ -99,6 +102,8 @@ class _Job:
         progress: Progress | None,
     ) -> None:
         check_band(options.frequency, records, card)
+        if options.next_flight:
+            check_manoeuvres(len(records))
         card, self.left_out = on_recorded_axes(card, records)
         self.records, self.card, self.options, self.out, self.progress = records, card, options, out, progress
         self.model = Model.from_card(card)
@@ -158,7 +163,7 @@ class _Job:
             mle,
             alone,
             {},
-            notes=(*self.left_out, *self.spikes, *rates, *_many(len(self.records))),
+            notes=(*self.left_out, *self.spikes, *rates, *left_out_of_many(len(self.records))),
             failures=failures,
             health=channel_health(self.records, self.card),
             preparation=preparation,
@@ -176,6 +181,17 @@ class _Job:
                 self.repaired, self.card, self.model, self.run.mle, band, seed=self.options.seed
             )
         self.add(frequency_sentences(found), frequency=found)
+        self.files.stage(self.run)
+
+    def pool(self) -> None:
+        """Partial pooling of the manoeuvres, and the next flight."""
+        with self.timed("next flight"):
+            do = partial(pooled_manoeuvres, self.run, self.repaired, seed=self.options.seed, progress=self.progress)
+            try:
+                found, failed = self.attempt("The next flight was left out", do, None)
+                self.add((), failed, next_flight=found)
+            except InputError as error:
+                self.add((f"The next flight was left out: {error}.",))
         self.files.stage(self.run)
 
     def fly(self) -> None:
@@ -242,7 +258,7 @@ class _Job:
     def find_stall(self) -> None:
         """CLmax and its angle from the first posterior that converged."""
         with self.timed("stall"):
-            stall, failed = self.attempt("Stall left out", partial(_stall, self.run), None)
+            stall, failed = self.attempt("Stall left out", partial(stall_of_run, self.run), None)
         self.add((), failed, stall=stall)
 
     def show(self) -> None:
@@ -268,25 +284,6 @@ class _Job:
         if self.chains is not None and not self.run.failures:
             shutil.rmtree(self.chains, ignore_errors=True)
         self.files.remove_older(self.run, page=options.page, figures=options.figures)
-
-
-def _many(manoeuvres: int) -> tuple[str, ...]:
-    """What is left out because there are so many."""
-    said = []
-    if manoeuvres > MAX_SEPARATE_FITS:
-        said.append(f"{manoeuvres} manoeuvres are fitted jointly; beyond {MAX_SEPARATE_FITS} none is fitted by itself.")
-    if manoeuvres > MOST_MANOEUVRES:
-        said.append(f"Figures with a panel for each manoeuvre are drawn for up to {MOST_MANOEUVRES} of them.")
-    return tuple(said)
-
-
-def _stall(run: Identification) -> Stall | None:
-    """CLmax and its angle from the first posterior that converged; without one there is none."""
-    for key, posterior in run.posteriors.items():
-        if key != "white" and posterior.status is PosteriorStatus.CONVERGED:
-            o = run.observations
-            return stall_of_posterior(run.model, posterior, o.signals, o.aircraft)
-    return None
 
 
 def _plan(noise: Colour) -> list[tuple[str, Colour, Any]]:

@@ -43,6 +43,7 @@ class IdentifyOptions:
     """What an identification may be told.
 
     `coefficients` are formed from signals all filtered alike (`matched`) or as the published ones (`published`).
+    With `next_flight` the manoeuvres are pooled.
     Without `sample` maximum likelihood alone stands for the parameters; without `page` no report.html is made. `split`
     chooses the split whose Gaussian-process hyperparameters are sampled; scores are given for all splits. With `resume`
     the chains of an earlier call are continued. `frequency`: a band, Hz, in which the parameters are fitted, too.
@@ -55,6 +56,7 @@ class IdentifyOptions:
     sample: bool = True
     gp: bool = True
     approximate_gp: bool = False
+    next_flight: bool = False
     figures: bool = True
     resume: bool = True
     page: bool = True

@@ -15,7 +15,7 @@ from bayes_aero.flight.reading.read_record import write_record
 from bayes_aero.jobs import diagnose as job
 from bayes_aero.jobs import identify as identification
 
-SETTINGS = ("--noise", "white", "--no-gp", "--no-figures")
+SETTINGS = ("--noise", "white", "--no-gp", "--no-figures", "--next-flight")
 
 
 @pytest.fixture(scope="module")
@@ -41,6 +41,9 @@ def test_results_follow_the_schema(flown):
     assert len(results["provenance"]["inputs"]) == 2
     assert (folder / "first" / "parameters.csv").is_file()
     assert (folder / "first" / "posterior_nuts.nc").is_file()
+    assert results["next_flight"]["manoeuvres"] == list(results["mle"]["alone"])
+    assert (folder / "first" / "next_flight.csv").is_file()
+    assert (folder / "first" / "next_flight.nc").is_file()
 
 
 def test_the_page_and_the_file_tell_the_same_stall(flown):
@@ -65,6 +68,14 @@ def test_same_seed_same_numbers(flown):
     first.pop("provenance")
     second.pop("provenance")
     assert first == second
+
+
+def test_one_manoeuvre_has_no_next_flight(flown):
+    folder, paths, _ = flown
+    done = called(folder, "identify", paths[0], "--out", "one", "--next-flight")
+    assert done.code == 2
+    assert "the next flight needs 2 to 24 manoeuvres, and there is 1" in done.err
+    assert not (folder / "one").exists()
 
 
 def test_table_and_place_of_results_are_printed(flown):

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.signal import lfilter
 
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.physics.rates import reduced, reduced_lateral
@@ -143,6 +142,8 @@ def _lagged(quantity: Factor, chords: float) -> Factor:
     """The quantity as a first-order lag of so many chords passes it, at the median airspeed."""
 
     def evaluate(s: Signals, a: Aircraft) -> Float[np.ndarray, " n"]:
+        from scipy.signal import lfilter  # slow to load, and `check` needs none
+
         x, first = quantity.evaluate(s, a), np.unique(np.asarray(s["first"]))
         dt, speed = float(np.median(np.asarray(s["dt"]))), float(np.median(np.asarray(s["airspeed"])))
         keep = np.exp(-dt * speed / (chords * a.chord))

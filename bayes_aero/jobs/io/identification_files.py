@@ -13,6 +13,7 @@ from bayes_aero.jobs.io.identification_json import results
 from bayes_aero.jobs.io.output_folder import writable
 from bayes_aero.jobs.provenance.provenance import write_json
 from bayes_aero.report.figures.every_figure import FIGURES
+from bayes_aero.report.tables.next_flight import next_flight_table
 from bayes_aero.report.tables.run_tables import paper_table, parameter_table, validation_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.identification import verdict
@@ -36,6 +37,9 @@ class IdentificationFiles:
         if run.gp is not None and gp_done:
             save_gp(run, self.out / "gpr.nc")
         write_csv(parameter_table(run), self.out / "parameters.csv")
+        if run.next_flight is not None:
+            write_csv(next_flight_table(run), self.out / "next_flight.csv")
+            run.next_flight.save(self.out / "next_flight.nc")
         if run.gp is not None:
             write_csv(validation_table(run), self.out / "validation.csv")
             write_csv(paper_table(run), self.out / "table1.csv")
@@ -48,6 +52,8 @@ class IdentificationFiles:
         older = {self.out / f"posterior_{key}.nc" for key in ("emcee", "nuts", "white") if key not in run.posteriors}
         if run.gp is None:
             older |= {self.out / name for name in ("gpr.nc", "validation.csv", "table1.csv")}
+        if run.next_flight is None:
+            older |= {self.out / name for name in ("next_flight.csv", "next_flight.nc")}
         if not page:
             older.add(self.out / "report.html")
         if not figures:

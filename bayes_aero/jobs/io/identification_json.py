@@ -10,6 +10,7 @@ from bayes_aero.diagnosis.trajectories.results import Path
 from bayes_aero.inference.frequency.result import FrequencyFit
 from bayes_aero.inference.identification import GPReport, Identification, Validation
 from bayes_aero.inference.likelihood.mle_result import MleResult
+from bayes_aero.inference.posterior.next_flight_result import NextFlight
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.scores import Scores
 from bayes_aero.inference.variance.inseparable import Inseparable
@@ -47,6 +48,8 @@ def results(
         found["frequency"] = frequency_results(identification.frequency)
     if identification.posteriors:
         found["posterior"] = {"noise": identification.noise.value} | posterior_results(identification.posteriors)
+    if identification.next_flight is not None:
+        found["next_flight"] = _next_flight(identification.next_flight)
     if identification.stall is not None:
         found["stall"] = identification.stall.numbers()
     if identification.gp is not None:
@@ -125,6 +128,32 @@ def _status(posterior: Posterior) -> dict[str, str]:
         "noise": posterior.noise,
         "status": posterior.status.name.lower(),
         "advice": posterior.status.value,
+    }
+
+
+def _next_flight(found: NextFlight) -> dict[str, Any]:
+    return {
+        "likelihood": found.tree.attrs["likelihood"],
+        "manoeuvres": list(found.manoeuvres),
+        "left_out": found.left_out,
+        "parameters": {
+            p.name: {
+                "unit": p.unit,
+                "aircraft": asdict(found.aircraft[p.name]),
+                "scatter": asdict(found.scatter[p.name]) | {"over_prior": found.narrowed[p.name]},
+                "next_flight": asdict(found.following[p.name]),
+                "pooled": {m: asdict(found.pooled[m][p.name]) for m in found.manoeuvres},
+                "alone": {
+                    m: dict(zip(("estimate", "crb_corrected"), found.alone[m][p.name], strict=True))
+                    for m in found.manoeuvres
+                    if p.name in found.alone[m]
+                },
+                "undetermined": list(found.undetermined.get(p.name, ())),
+            }
+            for p in found.parameters
+        },
+        "status": found.status.name.lower(),
+        "advice": found.status.value,
     }
 
 

@@ -10,10 +10,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
 from bayes_aero.inference.identification import Identification
+from bayes_aero.inference.posterior.next_flight_result import NextFlight
+from bayes_aero.inference.posterior.posterior import Marginal
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.style import NotDrawn, grid_of, housed, panels
-from bayes_aero.report.tables.comparison import Method, alone, methods, ordered, scatter, unit_of
-from bayes_aero.report.tables.table import NORMAL95
+from bayes_aero.report.style import MOST_MANOEUVRES, NotDrawn, grid_of, housed, panels
+from bayes_aero.report.tables.comparison import Method, alone, bounds, methods, ordered, scatter, unit_of
+from bayes_aero.report.tables.table import NORMAL95, Estimate
 from bayes_aero.report.text.phrases import bracket, plus_minus
 
 MARKERS = {"crb": "|", "crb_corrected": "s", "white": "D", "emcee": "o", "nuts": "^", "scatter": "*"}
@@ -137,4 +139,40 @@ def _decades(ax: Axes) -> None:
     ax.minorticks_off()
 
 
-FIGURES = {"forest": forest, "crb_vs_credible": crb_vs_credible}
+@housed
+def next_flight(identification: Identification) -> Figure:
+    """Joint fit, manoeuvres alone and pooled, aircraft and next flight, with 95 % intervals; a panel a parameter."""
+    found = identification.next_flight
+    if found is None:
+        raise NotDrawn("the manoeuvres were not pooled; ask for the next flight")
+    if len(found.manoeuvres) > MOST_MANOEUVRES:
+        raise NotDrawn(f"there are more than {MOST_MANOEUVRES} manoeuvres")
+    names = ordered(found.aircraft, found.parameters)
+    table = {name: _pooled_rows(identification, found, name) for name in names}
+    labels = list(dict.fromkeys(row.label for rows in table.values() for row in rows))
+    columns = min(2, len(names))
+    figure, axes = grid_of(len(names), columns, (5.4, 0.2 * len(labels) + 0.85))
+    for number, (ax, name) in enumerate(zip(axes, names, strict=True)):
+        _forest_panel(ax, table[name], labels, first=number % columns == 0)
+        ax.set_xlabel(f"{name} {bracket(unit_of(identification, name))}", labelpad=1)
+    figure.suptitle("Manoeuvres alone and pooled, and the next flight\n95 % intervals; numbers: ± standard deviation")
+    return figure
+
+
+def _pooled_rows(identification: Identification, found: NextFlight, name: str) -> list[_Row]:
+    mle = identification.mle
+    joint = bounds(mle, mle.crb_corrected)[name]
+    rows = [_Row("joint fit", COLOURS["mle"], *joint)] if np.isfinite(joint.sd) else []
+    for m in found.manoeuvres:
+        if name in found.alone[m]:
+            rows.append(_Row(f"{m} alone", COLOURS["prior"], *Estimate.normal(*found.alone[m][name])))
+        rows.append(_Row(f"{m} pooled", COLOURS["alone"], *_estimate(found.pooled[m][name])))
+    rows.append(_Row("aircraft", COLOURS["nuts"], *_estimate(found.aircraft[name])))
+    return [*rows, _Row("next flight", COLOURS["scatter"], *_estimate(found.following[name]))]
+
+
+def _estimate(m: Marginal) -> Estimate:
+    return Estimate(m.mean, m.sd, *m.ci95)
+
+
+FIGURES = {"next_flight": next_flight, "forest": forest, "crb_vs_credible": crb_vs_credible}

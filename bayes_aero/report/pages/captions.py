@@ -9,6 +9,7 @@ from bayes_aero.inference.identification import Identification, Stall
 from bayes_aero.report.figures.found import telling
 from bayes_aero.report.pages.stall import DEG, interval
 from bayes_aero.report.tables.comparison import engine_label, methods
+from bayes_aero.report.tables.next_flight import next_flight_sentences
 from bayes_aero.report.text.phrases import several
 
 OFF = (
@@ -138,6 +139,11 @@ def identification_alternatives(run: Identification) -> dict[str, tuple[str, str
             f"Forest plot of {len(mle.names)} parameters by {len(found)} methods and {len(run.alone)} manoeuvres "
             f"alone. "
             f"Maximum likelihood with corrected standard errors: {numbers}.",
+        ),
+        "next_flight": (
+            "Joint fit, aircraft and next flight with 95 % intervals, and every manoeuvre alone (grey) and pooled: a "
+            "value moves towards the aircraft's the more, the less its own record says.",
+            f"Forest plot of {len(mle.names)} parameters. " + " ".join(next_flight_sentences(run)[:1]),
         ),
         "crb_vs_credible": (
             "Standard deviation of every parameter by each method, over its Cramér–Rao bound (line at 1). Right of "

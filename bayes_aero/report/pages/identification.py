@@ -35,6 +35,7 @@ from bayes_aero.report.pages.captions import identification_alternatives
 from bayes_aero.report.pages.simulated_identification import given_flights
 from bayes_aero.report.pages.stall import DEG, interval, stall_table
 from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label, methods, noise_label, ordered, usable
+from bayes_aero.report.tables.next_flight import next_flight_table
 from bayes_aero.report.tables.run_tables import (
     alone_table,
     coverage_table,
@@ -105,6 +106,7 @@ def identification_page(
             section("simulated", "Measured and simulated", lambda: given_flights(flown, run.card)),
             section("stall", "The stall", lambda: _stall(run, gallery)),
             section("parameters", "Parameters", lambda: _parameters(run, gallery)),
+            section("next-flight", "The next flight", lambda: _next_flight(run, gallery)),
             section("prediction", "Prediction of hold-out data", lambda: _validation(run, gallery)),
             section("diagnostics", "Diagnostics", lambda: _diagnostics(run, gallery)),
             section("provenance", "Provenance", lambda: provenance_blocks(source, run.notes, run.seconds)),
@@ -204,6 +206,12 @@ def _parameters(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
         symbols(run.model.parameters, names),
         *pictures,
     )
+
+
+def _next_flight(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
+    if run.next_flight is None:
+        return ()
+    return (page_table(next_flight_table(run)), *gallery("next_flight"))
 
 
 def _validation(run: Identification, gallery: Gallery) -> tuple[Block, ...]:

@@ -18,6 +18,7 @@ from bayes_aero.report.tables.comparison import (
     usable,
     white_posterior,
 )
+from bayes_aero.report.tables.next_flight import next_flight_sentences
 from bayes_aero.report.tables.splits import split_verdict
 from bayes_aero.report.text.phrases import several
 from bayes_aero.report.text.restraints import bound_sentences, conflict_sentences, inseparable_sentences, sign_sentences
@@ -39,6 +40,7 @@ def verdict(identification: Identification) -> list[str]:
             *signs,
             *mle.warnings(),
             *chains,
+            *next_flight_sentences(identification),
             *split_verdict(identification),
         ]
     signs += [*bound_sentences(mle.active_bounds), *conflict_sentences(mle.conflicts)]
@@ -48,7 +50,7 @@ def verdict(identification: Identification) -> list[str]:
     against = [*colour, *(_white(identification) if colour else [])]
     against += [*_noise_model(identification), *between_manoeuvres(identification, LIMIT)]
     sentences = against or _agreement(identification)
-    sentences += [*left_out(identification), *chains]
+    sentences += [*left_out(identification), *next_flight_sentences(identification), *chains]
     return [*signs, *truth, *identification.preparation, *sentences, *split_verdict(identification), *mle.warnings()]
 
 

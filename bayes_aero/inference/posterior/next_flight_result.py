@@ -1,0 +1,64 @@
+"""What manoeuvres say of the next flight: the aircraft, the scatter between manoeuvres, each manoeuvre pooled."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import xarray as xr
+from scipy.stats import chi2
+
+from bayes_aero.inference.posterior.posterior import Marginal, PosteriorStatus
+from bayes_aero.parameter import Parameter
+
+
+@dataclass(frozen=True)
+class NextFlight:
+    """Partial pooling of manoeuvres, in SI and radians.
+
+    Every manoeuvre enters by the normal approximation of its own fit. Where the prior is lognormal, the logarithm
+    scatters, and `scatter` is that times the aircraft's value.
+
+    Attributes:
+        parameters: the k parameters of the model.
+        manoeuvres: those that count.
+        alone: estimate and corrected standard error by manoeuvre and parameter, of those that its record determines.
+        pooled: by manoeuvre and parameter.
+        aircraft: the value around which manoeuvres scatter, by parameter.
+        scatter: standard deviation between manoeuvres.
+        following: the value in a flight not yet flown.
+        narrowed: standard deviation of the scatter over that of its prior: 1 where the records say nothing of it.
+        undetermined: by parameter, the manoeuvres whose records say less of it than the prior.
+        left_out: manoeuvres without a usable fit, with the reason.
+        tree: draws in the group `posterior`: aircraft, scatter, next_flight, manoeuvre; and `sample_stats`.
+        status: whether the draws of the scatter may be used.
+        seconds: run time, s.
+    """
+
+    parameters: tuple[Parameter, ...]
+    manoeuvres: tuple[str, ...]
+    alone: dict[str, dict[str, tuple[float, float]]]
+    pooled: dict[str, dict[str, Marginal]]
+    aircraft: dict[str, Marginal]
+    scatter: dict[str, Marginal]
+    following: dict[str, Marginal]
+    narrowed: dict[str, float]
+    undetermined: dict[str, tuple[str, ...]]
+    left_out: dict[str, str]
+    tree: xr.DataTree
+    status: PosteriorStatus
+    seconds: float
+
+    @property
+    def at_best(self) -> tuple[float, float]:
+        """95 % interval of the scatter over the estimates' own, were each manoeuvre known exactly (chi-square)."""
+        free = len(self.manoeuvres) - 1
+        low, high = (float((free / chi2.ppf(q, free)) ** 0.5) for q in (0.975, 0.025))
+        return low, high
+
+    def save(self, path: Path) -> None:
+        """Write the draws to `path` as NetCDF, whole or not at all."""
+        partial = path.with_name(path.name + ".part")
+        self.tree.to_netcdf(partial, engine="h5netcdf")
+        os.replace(partial, path)
