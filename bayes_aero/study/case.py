@@ -163,6 +163,8 @@ def run_task(unit: Unit, out: Path, progress: Progress | None = None) -> None:
     card = card_of(unit)
     options = dict(unit.options)
     reading = {"resample": options.pop("resample", None), "split": options.pop("split", False)}
+    if "frequency" in options:
+        options["frequency"] = tuple(map(float, options["frequency"]))
     records = read_records([Path(p) for p in unit.records], card.channels, segments=card.segments, **reading)
     settings = unit.settings | {"environment": environment_id()}
     write_json(provenance(card, records, unit.seed, settings), out / "provenance.json")

@@ -30,14 +30,8 @@ NOISES = ("white", "ar1", "buffet-ar1")
 SPLITS = ("random", "block", "manoeuvre")
 OPTIONS: dict[str, dict[str, type]] = {
     "identify": {
-        "sample": bool,
-        "gp": bool,
-        "approximate_gp": bool,
-        "figures": bool,
-        "page": bool,
-        "resample": float,
-        "split": bool,
-        "coefficients": str,
+        "sample": bool, "gp": bool, "approximate_gp": bool, "figures": bool, "page": bool, "resample": float,
+        "split": bool, "coefficients": str, "frequency": list, "next_flight": bool,
     },
     "diagnose": {
         "max_effects": int, "predictors": bool, "trajectories": bool, "figures": bool,
@@ -45,7 +39,7 @@ OPTIONS: dict[str, dict[str, type]] = {
     },
     "fly": {
         "windows": float, "initial_state": str, "priors": bool, "outputs": str, "inputs": str, "figures": bool,
-        "drift": str, "process_noise": bool, "posterior": bool, "resample": float, "split": bool,
+        "drift": str, "process_noise": bool, "posterior": bool, "resample": float, "split": bool, "frequency": list,
     },
 }  # fmt: skip
 CHOICES = {
@@ -288,6 +282,10 @@ def _options(given: Any, task: str, where: str) -> dict[str, Any]:
                 raise InputError(f"{where}: option {key} is {value!r}; use one of {', '.join(known)}")
             if not isinstance(value, str):
                 raise InputError(f'{where}: option {key} is {value!r}; write names in quotes, e.g. "alpha,q"')
+            continue
+        if kind is list:
+            if not (isinstance(value, list) and len(value) == 2 and all(type(x) in (int, float) for x in value)):
+                raise InputError(f"{where}: option {key} is {value!r}; write two frequencies in Hz, e.g. [0.1, 1.5]")
             continue
         number = isinstance(value, int | float) and not isinstance(value, bool)
         if not (isinstance(value, bool) if kind is bool else number and (kind is float or isinstance(value, int))):

@@ -26,6 +26,7 @@ options.priors = false
 options.outputs = "q,alpha,az"
 options.figures = false
 """
+BOTH = "options.process_noise = true\noptions.frequency = [0.2, 2]\n"
 
 
 @pytest.fixture
@@ -54,13 +55,22 @@ def test_options_are_the_command_s():
 
 
 def test_process_noise_has_rows_of_its_own(program, folder):
-    (folder / "study.toml").write_text(STUDY.replace('"*.csv"', '"one.csv"') + "options.process_noise = true\n")
+    (folder / "study.toml").write_text(STUDY.replace('"*.csv"', '"one.csv"') + BOTH)
     done = program("run", "study.toml")
     assert done.code == 0, done.out + done.err
+    (flown,) = (folder / "study_results").rglob("trajectories.json")
+    assert json.loads(flown.read_text())["frequency"]
     table = pd.read_csv(folder / "study_results" / "summary.csv")
     rows = table[table["method"] == "process_noise"].set_index("parameter")
     assert set(rows.index) == set(SHORT_PERIOD_TRUTH)
     assert all(abs(rows["value"] - pd.Series(SHORT_PERIOD_TRUTH)) < 4.0 * rows["sd"])
+
+
+def test_a_band_is_two_frequencies(program, folder):
+    (folder / "study.toml").write_text(STUDY + "options.frequency = 1.5\n")
+    done = program("run", "study.toml")
+    assert done.code == 2
+    assert "write two frequencies in Hz" in done.err
 
 
 def test_linear_cards_fly_and_are_verified(program, folder):
