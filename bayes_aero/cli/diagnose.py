@@ -83,9 +83,9 @@ def diagnose(
             hidden, flights = hide_one(card, seed)
         options = DiagnoseOptions(seed, max_effects, predictors, trajectories, figures, process_noise)
         found = diagnose_records(flights, card, options, out=out, hidden=hidden, progress=tell)
+    told = None
     if write_effect is not None:
         told = write_effects(found.diagnosis.terms, [record.name for record in flights], write_effect)
-        console.print(told, highlight=False, soft_wrap=True)
     corrects = found.diagnosis.by_coefficients  # trajectories alone are fitted to the record as it is
     if json:
         typer.echo((out / "diagnosis.json").read_text(encoding="utf-8"), nl=False)
@@ -95,7 +95,9 @@ def diagnose(
     print_failures(console, found.failures)
     print_doubts(console, found.consistency, found.health, corrects=corrects)
     _tell(console, found)
-    console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
+    for line in (told, f"Results are in {out}"):
+        if line:
+            console.print(line, highlight=False, soft_wrap=True)
     exit_if_failed(found.failures)
     exit_in_doubt(found.consistency, found.health, corrects=corrects)
 

@@ -156,14 +156,17 @@ def terms_table(d: Diagnosis) -> Table:
             column(lambda t: t.term.unit, "unit"),
             column(lambda t: Estimate(*t.size), ("size", "size_sd")),
             column(lambda t: size_text(t.size[0], t.size[1], t.term.unit), page="factor"),
-            column(lambda t: t.share, "share", "share of the variance left", form=".0%"),
+            column(lambda t: t.share, "share", "share left", form=".0%"),
             column(lambda t: t.gain, "elpd", "hold-out gain", None, ".1f"),
             column(lambda t: t.weight, "probability", "probability", form=".2f"),
-            column(lambda t: several([o.name for o, _ in t.others]), "ambiguous_with", "as good", None, or_dash),
+            column(
+                lambda t: "; ".join(o.name for o, _ in t.others), "ambiguous_with", "as good", None, or_dash, words=True
+            ),
         ],
         "Terms that describe unexplained structure",
-        "One standard error, autocorrelation included. Probability: among all terms of the library; each factor halves "
-        "the prior one. Hold-out gain: log density of left-out manoeuvres or blocks.",
+        "One standard error, autocorrelation included. Share: of the variance left without it. Probability: among "
+        "all terms of the library; each factor halves the prior one. Hold-out gain: log density of left-out manoeuvres "
+        "or blocks.",
     )
 
 
