@@ -115,6 +115,11 @@ def hidden_flights(
     raise failure
 
 
+def _finite(x: np.ndarray, kept: slice) -> np.ndarray:
+    """A channel that holds its last value where the flight breaks down after what is kept: filters would spread NaN."""
+    return np.where(np.isfinite(x), x, x[kept.stop - 1])
+
+
 def _flights(
     effects: Mapping[str, Mapping[str, float]], values: Mapping[str, Any], seed: list[int], setting: _Setting
 ) -> list[HiddenFlight]:
@@ -147,7 +152,7 @@ def _flights(
                 f"with {', '.join(effects) or 'nothing hidden'} at these sizes the flight leaves its envelope: {left}; "
                 "make them smaller"
             )
-        true = {key: everything[key] for key in FLOWN}
+        true = {key: _finite(everything[key], kept) for key in FLOWN}
         rec = misrecorded(misrecording, values, true | commanded[number], marks, card.aircraft)
         rec = {key: x[kept] for key, x in rec.items()}
         channels = sensed(rngs[number], rec, card, setting.sensor_noise, setting.noise == "outliers")

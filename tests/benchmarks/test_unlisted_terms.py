@@ -49,3 +49,18 @@ def test_the_same_flights_without_it_get_no_term():
     found = diagnose(flown({}), read_card("attas"), seed=SEED, gains_wanted=False)
     assert found.verdict is Verdict.NO_EFFECT
     assert found.terms == ()
+
+
+@pytest.mark.recovery
+def test_a_flight_that_breaks_down_after_its_record_leaves_the_record_whole():
+    """Simulations are longer than what is kept; filters had spread what was no number there over all channels."""
+    rng = np.random.default_rng([703, 31])
+    rng.choice(3)  # of the noise
+    for _ in range(20):
+        coefficient, name, values = unlisted_terms.draw(rng)
+        if "unlisted_product" in values:
+            break
+    assert (coefficient, name) == ("CL", "elevator CT^2")
+    beyond = Beyond((unlisted_terms.UNLISTED,), lambda _: values)
+    for record in hidden_records({}, seed=703, noise="ar1", seconds=90.0, beyond=beyond):
+        assert all(np.all(np.isfinite(x)) for x in record.channels.values())
