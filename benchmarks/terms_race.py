@@ -78,7 +78,7 @@ def frols(X, y, folds: Folds) -> list[int]:
     from sysidentpy.model_structure_selection import FROLS
 
     def order(X, y) -> list[int]:
-        """Columns in the order in which they are selected; the one constant regressor of the basis is none of them."""
+        """Columns, the first selected first; the one constant regressor of the basis is none of them."""
         model = FROLS(
             order_selection=False, n_terms=4, xlag=[[1]] * X.shape[1], ylag=1, model_type="NFIR",
             basis_function=Polynomial(degree=1),

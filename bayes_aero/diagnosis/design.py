@@ -35,7 +35,6 @@ from bayes_aero.residuals.equation_error import EquationError
 
 NOT_BY_HAND = ("multisine",)  # a manoeuvre that needs a computer at the controls is not proposed
 BEGINNING = 2.0  # s of the record whose means are the flight condition
-
 Pair = tuple[str, str]
 
 

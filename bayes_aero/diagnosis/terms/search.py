@@ -48,7 +48,7 @@ def forms(state: SelectionState, coefficient: str, least_gain: float, *, seed: i
         seed: of the noise-only replicates.
 
     Returns:
-        The terms in the order in which they were added; empty where none predicts as well.
+        The terms, the first added first; empty where none predicts as well.
     """
     columns, found = columns_of(state, coefficient), list[Found]()
     for number in range(state.settings.unnamed_most):

@@ -59,7 +59,7 @@ def write_effects(terms: Sequence[FoundTerm], records: Sequence[str], path: Path
 
     Args:
         terms: of a diagnosis.
-        records: names of the records in which they were found.
+        records: names of the records that show them.
         path: of the file, which must not exist.
 
     Raises:

@@ -37,7 +37,6 @@ SCHEMA = "bayes_aero/diagnosis/3"
 SCORES = ("r2", "rmse", "r", "theil")
 FLOWN = (0.001, 0.999)  # quantiles that bound the flown range of a channel
 
-
 Hidden = Mapping[str, Mapping[str, float]]
 """True values of what simulated records hide, by effect."""
 
@@ -179,18 +178,7 @@ def absorbed_results(d: Diagnosis) -> list[dict[str, Any]]:
 
 def cancelling_results(d: Diagnosis) -> list[dict[str, Any]]:
     """Pairs of causes that cancel, and the combination that the record knows."""
-    return [
-        {
-            "effects": list(pair.effects),
-            "parameters": list(pair.parameters),
-            "factor": pair.factor,
-            "mean": pair.mean,
-            "sd": pair.sd,
-            "unit": pair.unit,
-            "correlation": pair.correlation,
-        }
-        for pair in d.together
-    ]
+    return [asdict(p) | {"effects": list(p.effects), "parameters": list(p.parameters)} for p in d.together]
 
 
 def tested_results(tested: Tested | None, compared: str) -> dict[str, Any]:
