@@ -23,7 +23,7 @@ from bayes_aero.dynamics.simulated.multisines import multisines
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.frequency.bands import linear_in_band
-from bayes_aero.inference.frequency.fit import fit_in_band
+from bayes_aero.inference.frequency.fit import cramer_rao, fit_in_band, solve
 from bayes_aero.model.joined_channels import join
 from bayes_aero.residuals.frequency_error import LinearFrequencyError, lines_in, transform_rows, without_trend
 from bayes_aero.residuals.frequency_output_error import LinearFrequencyOutputError
@@ -206,3 +206,16 @@ def test_a_state_that_was_not_recorded_is_named():
     dynamics = linear_dynamics(card)
     with pytest.raises(InputError, match="alpha was not recorded"):
         LinearFrequencyError.in_band(join([record], card, ("elevator",)), dynamics, BAND)
+
+
+def test_an_output_that_the_model_reproduces_exactly_leaves_its_neighbours_their_bounds():
+    """A simulated record without noise: the bound of the other output is s/sqrt(S'S), as if it were alone."""
+    rng = np.random.default_rng(3)
+    S = np.zeros((40, 2, 2))
+    S[:, 0, 0], S[:, 1, 1] = rng.normal(size=40), rng.normal(size=40)
+    residual = np.stack([2.0 * S[:, 0, 0] + rng.normal(size=40), np.zeros(40)], axis=1)
+    found = solve(residual, S)
+    R, covariance = cramer_rao(S, found.R)
+    assert found.step == pytest.approx([S[:, 0, 0] @ residual[:, 0] / (S[:, 0, 0] @ S[:, 0, 0]), 0.0], rel=1e-12)
+    assert covariance[0, 0] == pytest.approx(R[0] / (S[:, 0, 0] @ S[:, 0, 0]), rel=1e-9)
+    assert np.all(np.isfinite(covariance))

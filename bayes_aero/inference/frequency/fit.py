@@ -24,6 +24,7 @@ from bayes_aero.parameter import Parameter
 from bayes_aero.residuals.frequency_error import InBand
 
 EQUATION_ERROR, OUTPUT_ERROR = "equation error", "output error"
+EXACT = 1e-100  # least variance of an output that its model reproduces: information is still a number
 MAX_ITERATIONS = 50
 REWEIGHTED = 5  # solutions with renewed variances at one point
 TOLERANCE = 1e-4  # gain in log likelihood of one more step: 0.014 standard errors
@@ -97,7 +98,7 @@ def fit_in_band(
 
 def _shown(S: np.ndarray, residual: np.ndarray, parameters: Sequence[Parameter]) -> np.ndarray:
     """Indices of the parameters that the band shows."""
-    R = np.maximum(np.mean(np.square(residual), axis=0), np.finfo(float).tiny)
+    R = np.maximum(np.mean(np.square(residual), axis=0), EXACT)
     information = np.einsum("mck,mck,c->k", S, S, 1.0 / R)
     prior = np.array([p.prior.normal[1] for p in parameters])
     return np.flatnonzero(information * np.square(prior) > UNSEEN)
@@ -112,12 +113,12 @@ def solve(residual: Float[np.ndarray, "m c"], S: Float[np.ndarray, "m c k"]) -> 
     _, _, k = S.shape
     left, step = residual, np.zeros(k)
     for _ in range(REWEIGHTED):
-        R = np.maximum(np.mean(np.square(left), axis=0), np.finfo(float).tiny)
+        R = np.maximum(np.mean(np.square(left), axis=0), EXACT)
         weighted = (S / np.sqrt(R)[:, None]).reshape(residual.size, k)
         scale = np.sqrt(np.maximum(np.sum(np.square(weighted), axis=0), np.finfo(float).tiny))
         step = np.linalg.lstsq(weighted / scale, (residual / np.sqrt(R)).ravel(), rcond=1e-12)[0] / scale
         left = residual - S @ step
-    R = np.maximum(np.mean(np.square(left), axis=0), np.finfo(float).tiny)
+    R = np.maximum(np.mean(np.square(left), axis=0), EXACT)
     return Step(step, left, R)
 
 
