@@ -117,6 +117,17 @@ def tolerances() -> str:
     )
 
 
+def envelope() -> str:
+    """Ranges that hold where a card has none."""
+    from bayes_aero.flight.envelope import DEFAULT_RANGES, UNITS
+
+    rows = [
+        (f"`{name}`", UNITS[name], *("" if math.isinf(x) else _number(x) for x in pair))
+        for name, pair in DEFAULT_RANGES.items()
+    ]
+    return _table(("quantity", "SI", "least", "greatest"), rows)
+
+
 def results_schema() -> str:
     """results.json."""
     return _schema("results.schema.json")
@@ -192,7 +203,7 @@ def cli() -> str:
 
 
 SCHEMAS = (results_schema, diagnosis_schema, trajectories_schema)
-GENERATED = {f.__name__: f for f in (effects, channels, units, aircraft, tolerances, *SCHEMAS, cli)}
+GENERATED = {f.__name__: f for f in (effects, channels, units, aircraft, tolerances, envelope, *SCHEMAS, cli)}
 
 
 def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:

@@ -103,6 +103,7 @@ def diagnose(
 
 
 def _tell(console: Console, found: Outcome) -> None:
+    from bayes_aero.report.design.points import points_sentences
     from bayes_aero.report.tables.diagnosis_tables import causes_table, screen_table
     from bayes_aero.report.tables.trajectories import error_table
     from bayes_aero.report.text.diagnosis import revealed, sentences
@@ -115,7 +116,7 @@ def _tell(console: Console, found: Outcome) -> None:
         console.print((causes_table(d) if d.causes else screen_table(first, d)).terminal())
     if found.view.trajectories is not None:
         console.print(error_table(found.view.trajectories).terminal())
-    for sentence in rest:
+    for sentence in (*rest, *points_sentences(found.test_points)):
         console.print(f"• {sentence}", highlight=False)
     for note in found.notes:
         console.print(f"! {note}", highlight=False)

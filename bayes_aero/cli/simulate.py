@@ -40,6 +40,7 @@ def simulate(
     dt: Annotated[float, typer.Option(help="Sampling interval in s.")] = 0.04,
     airspeed: Annotated[float | None, typer.Option(help="At the start, m/s; default: level flight at 6 deg.")] = None,
     altitude: Annotated[float, typer.Option(help="At the start, m.")] = 5200.0,
+    amplitude: Annotated[float, typer.Option(help="Factor on the inputs of a standard manoeuvre.")] = 1.0,
     model: ModelOption = "attas",
     page: Annotated[bool, typer.Option("--page/--no-page", help="Write FILE.report.html, too.")] = True,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")] = False,
@@ -73,6 +74,7 @@ def simulate(
         dt,
         airspeed,
         altitude,
+        amplitude,
     )
     with interruptible(lambda: "nothing was written; give the same command again"), bar("simulating"):
         found, truth, failures = simulate_file(request, card, known, out, page=page)

@@ -135,7 +135,7 @@ def _stages(
     predict = (lambda found, tell: predictors(found, card, tell)) if options.predictors else None
     with (
         blas_threads(0),
-        in_background(partial(follow, kept, predict, early), progress) as following,
+        in_background(partial(follow, kept, predict, early, envelope=card.envelope), progress) as following,
     ):  # one limit: of two, the first to end would lift both
         if cores() == 1:
             following.result()

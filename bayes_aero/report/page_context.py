@@ -23,6 +23,7 @@ class PageContext:
     figures: Mapping[str, Path] = field(default_factory=dict)
     predictors: Mapping[str, Any] = field(default_factory=dict)
     separating: Sequence[Mapping[str, Any]] = ()
+    test_points: Mapping[str, Any] = field(default_factory=dict)
     revealed: Sequence[str] = ()
     notes: Sequence[str] = ()
     consistency: Consistency | None = None

@@ -30,7 +30,10 @@ Chosen = Mapping[str, Mapping[str, float]]
 
 @dataclass(frozen=True)
 class Request:
-    """What to simulate: `effects` by name with true values (SI), the manoeuvre, its noise and sampling (s)."""
+    """What to simulate: `effects` by name with true values (SI), the manoeuvre, its noise and sampling (s).
+
+    `amplitude` multiplies the inputs of a standard manoeuvre.
+    """
 
     effects: Chosen
     manoeuvre: str = RANDOM_STALL
@@ -41,6 +44,7 @@ class Request:
     dt: float = DT
     airspeed: float | None = None
     altitude: float = 5200.0
+    amplitude: float = 1.0
 
     @property
     def seconds(self) -> float:
@@ -84,6 +88,8 @@ def refuse(request: Request, card: Card) -> None:
         )
     if not (np.isfinite(request.noise_scale) and request.noise_scale >= 0.0):
         raise InputError(f"the noise scale is {request.noise_scale}; it must be zero or more")
+    if not 0.0 < request.amplitude <= 5.0:
+        raise InputError(f"an amplitude of {request.amplitude:g} was asked for; it must be positive, at most 5")
     if not -500.0 <= request.altitude <= 11_000.0:
         raise InputError(f"an altitude of {request.altitude:g} m was asked for; the simulated air ends at 11000 m")
 

@@ -153,7 +153,7 @@ def _piloted(
     else:
         airspeed = request.airspeed or level_speed(model, values, aircraft, np.deg2rad(6.0), request.altitude)
         by = rigid_pilots if rigid else standard_pilots
-        pilots, start = by(model, values, aircraft, grid.time, airspeed, request.altitude)
+        pilots, start = by(model, values, aircraft, grid.time, airspeed, request.altitude, request.amplitude)
         pilot = pilots[request.manoeuvre]
     return pilot._replace(disturbance=increments, buffet=_buffet(request)), start
 

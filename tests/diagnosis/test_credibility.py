@@ -9,7 +9,7 @@ import pytest
 
 from bayes_aero.diagnosis import result as finding
 from bayes_aero.diagnosis.candidate_set import CandidateModel
-from bayes_aero.diagnosis.design import standard
+from bayes_aero.diagnosis.design.standard import standard
 from bayes_aero.diagnosis.diagnose import judged_on_held_out_flights, verdict_of
 from bayes_aero.diagnosis.result import Cause, Gain, UnexplainedStructure, Verdict
 from bayes_aero.diagnosis.screening.accuracy import Size

@@ -12,7 +12,8 @@ import stranger_six
 from stranger_six import Plane
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel
-from bayes_aero.diagnosis.design import separating, standard
+from bayes_aero.diagnosis.design.separating import separating
+from bayes_aero.diagnosis.design.standard import standard
 from bayes_aero.diagnosis.screening.selection_state import linearised
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError

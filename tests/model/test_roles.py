@@ -109,9 +109,9 @@ def other_stall(card):
 
 def test_the_slow_stall_goes_beyond_the_break_angle_of_any_stall_model(card):
     model, v = other_stall(card)
-    flown, refused = fly_standard(model, v, card.aircraft, airspeed=95.0, altitude=5200.0, dt=0.04)
-    assert not refused
-    stall = flown["slow_stall"]
+    found = fly_standard(model, v, card.aircraft, airspeed=95.0, altitude=5200.0, dt=0.04)
+    assert not found.refused
+    flown, stall = found.channels, found.channels["slow_stall"]
     assert stall["alpha"].max() > 0.22
     assert stall["X"].min() < 0.5 < flown["elevator_doublet"]["X"].min()
 

@@ -241,6 +241,13 @@ def test_a_diagnosis_tells_causes_gain_and_what_is_open(diagnosed, flown, card):
     separating = [
         {"effects": ["a", "b"], "status": "s", "manoeuvres": [{"manoeuvre": "slow_stall", "standard_errors": 3.2}]}
     ]
+    ranges = {"alpha": [0.07, 0.21], "load_factor": [0.71, 1.52], "airspeed": [80.0, 110.0]}
+    point = {"manoeuvre": "thrust_steps", "amplitude": 1.5, "airspeed": 95.4, "altitude": 5200.0, "seconds": 60.0}
+    points = {
+        "questions": [{"effects": ["a", "b"], "enough": 5.0, "present": 0.7}],
+        "points": [{**point, "excursion": ranges, "standard_errors": [6.25], "nats_per_second": 0.3}],
+        "stated": [],
+    }
     told = PageContext(
         card,
         diagnosed.records,
@@ -248,6 +255,7 @@ def test_a_diagnosis_tells_causes_gain_and_what_is_open(diagnosed, flown, card):
         {},
         {},
         separating,
+        points,
         ("Hidden was x.",),
         ("n",),
     )
@@ -256,6 +264,8 @@ def test_a_diagnosis_tells_causes_gain_and_what_is_open(diagnosed, flown, card):
     text = Outline(render(page)).text
     for cause in d.causes:
         assert cause.claim in text
+    for part in ("a or b: expected to be decided, 6.2 standard errors", "thrust steps", "4 to 12", "0.71 to 1.52"):
+        assert part in text
     for part in ("slow stall", "Hidden was x.", "Trajectories, before and after", "Share of the time", "CLmax"):
         assert part in text
     assert [row[0] for row in next(b for b in page.sections[2].blocks if isinstance(b, Table)).rows] == [

@@ -266,7 +266,7 @@ def test_late_stages_that_fail_cost_nothing_that_was_found(repeated, card, tmp_p
 
 
 def test_a_state_that_cannot_be_trimmed_has_no_separating_manoeuvre(diagnosed, monkeypatch):
-    def refused(*_):
+    def refused(*_, **__):
         raise InputError("level flight needs no angle of attack in range")
 
     monkeypatch.setattr(outlook, "standard", refused)

@@ -7,6 +7,7 @@ Identification*, 2nd ed. 2015, ch. 2. Amplitudes are our choice: those of a tran
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import jax.numpy as jnp
@@ -15,9 +16,10 @@ from jaxtyping import Float
 
 from bayes_aero.dynamics.simulated.multisines import multisines
 from bayes_aero.dynamics.simulated.plant import SIDE_FORCE, FlightState
-from bayes_aero.dynamics.simulated.simulate import Pilot, fly_together, outside
+from bayes_aero.dynamics.simulated.simulate import Pilot, fly_together
 from bayes_aero.dynamics.simulated.trim import Trim, trimmed
 from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.flight.envelope import DEFAULT_RANGES, Envelope, excursion
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air
 
@@ -25,8 +27,9 @@ SECONDS = 60.0  # s, of every manoeuvre, so that one compiled function serves al
 RUN_IN = 5.0  # s of simulation before the record starts
 TIGHT, LOOSE = (0.7, 0.2, 0.15), (0.05, 0.0, 0.0)  # elevator gains on alpha, q and the integral of alpha
 STALL_BEYOND, STALL_RISE = np.deg2rad(2.0), np.deg2rad(8.0)  # beyond alpha*, or beyond trim without separation
-ENVELOPE = {"alpha": (-0.1, 0.45), "airspeed": (45.0, 250.0)}  # rad, m/s: outside, the manoeuvre is refused
+SETTLE, WHOLE = 3.0, 10.0  # s recorded at least after the last input, and s of which a record is a multiple
 MULTISINE, MULTISINE_BAND = (5.0, 25.0, 2), (0.1, 1.4)  # begin and period, s, number of periods; Hz
+ANYWHERE = Envelope()
 EXCITED_CHANNELS = {"stabilizer_steps": "stabilizer", "sideslip": "beta", "bank_to_bank": "phi"}
 """Channels that a manoeuvre excites in addition to elevator and thrust."""
 
@@ -120,7 +123,7 @@ def multisine_inputs(time: Series, controls: int) -> Float[np.ndarray, "c n"]:
 def stall_rise(model: Model, values: Mapping[str, Any], alpha: float) -> float:
     """Rise of the slow sweep above the `alpha` of trim, rad."""
     stall = model.break_angle(values) + STALL_BEYOND
-    return stall - alpha if stall < ENVELOPE["alpha"][1] else STALL_RISE
+    return stall - alpha if stall < DEFAULT_RANGES["alpha"][1] else STALL_RISE
 
 
 def standard_pilots(
@@ -144,6 +147,16 @@ def standard_pilots(
     return commands(time, trim, rise, bank_per_sideslip, amplitude), start
 
 
+@dataclass(frozen=True)
+class StandardFlights:
+    """Channels of every standard manoeuvre without noise, by name, and how many `seconds` of each are recorded;
+    `refused` says why the others cannot be flown. Beside the recorded channels: `X`."""
+
+    channels: Mapping[str, Mapping[str, np.ndarray]]
+    seconds: Mapping[str, float]
+    refused: Mapping[str, str]
+
+
 def fly_standard(
     model: Model,
     values: Mapping[str, Any],
@@ -153,23 +166,31 @@ def fly_standard(
     altitude: float,
     dt: float,
     amplitude: float = 1.0,
-) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, str]]:
-    """Channels of every standard manoeuvre without noise, by name; and those that cannot be flown, with the reason.
+    envelope: Envelope = ANYWHERE,
+) -> StandardFlights:
+    """Fly every standard manoeuvre; `airspeed` in m/s, `altitude` in m, `dt` the sampling time in s.
 
-    `airspeed` in m/s, `altitude` in m; `dt` the sampling time in s. Beside the recorded channels: `X`.
+    A manoeuvre that leaves the `envelope` is refused.
     """
     values = {name: jnp.asarray(x, float) for name, x in values.items()}
     n, before = round(SECONDS / dt) + 1, round(RUN_IN / dt)
     time = (np.arange(n + before) - before) * dt
     pilots, start = standard_pilots(model, values, aircraft, time, airspeed, altitude, amplitude)
-    flown, refused = {}, {}
     flights = fly_together(model, values, aircraft, list(pilots.values()), [start] * len(pilots), dt)
+    flown, refused = {}, {}
     for name, flight in zip(pilots, flights, strict=True):
         channels = {key: x[before:] for key, x in flight.items()}
-        left = outside(channels, ENVELOPE)
-        if left:
+        if left := envelope.left_by(excursion(channels)):
             refused[name] = f"it leaves its envelope: {left}"
         else:
             engines = {f"thrust_{side}": channels["thrust"] / 2.0 for side in ("left", "right")}
             flown[name] = channels | engines
-    return flown, refused
+    return StandardFlights(flown, {name: until(pilots[name], time) for name in flown}, refused)
+
+
+def until(pilot: Pilot, time: Series) -> float:
+    """Length of the record, s, after which a pilot gives no more input and the response has been recorded."""
+    signals = [np.asarray(x) for x in pilot if np.ndim(x) == 1]
+    moving = [np.flatnonzero(np.abs(np.diff(x)) > 1e-9 * np.max(np.abs(x) + 1e-30)) for x in signals]
+    last = max((int(at[-1]) for at in moving if len(at)), default=0)
+    return float(min(WHOLE * np.ceil((max(time[last], 0.0) + SETTLE) / WHOLE), SECONDS))

@@ -8,23 +8,26 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.dynamics.simulated.manoeuvres import (
-    ENVELOPE,
+    ANYWHERE,
     RUN_IN,
     SECONDS,
     Series,
+    StandardFlights,
     commands,
     multisine_inputs,
     pulses,
     rounded,
     stall_rise,
     steps,
+    until,
 )
 from bayes_aero.dynamics.simulated.plant import SIGNALS, refuse_unsimulated
 from bayes_aero.dynamics.simulated.rigid_pilot import fly_rigid
 from bayes_aero.dynamics.simulated.rigid_trim import Condition, RigidTrim, rigid_trim
-from bayes_aero.dynamics.simulated.simulate import Pilot, outside
+from bayes_aero.dynamics.simulated.simulate import Pilot
 from bayes_aero.dynamics.simulated.trim import Trim
 from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.flight.envelope import Envelope, excursion
 from bayes_aero.model.model import Model
 
 LATERAL = ("aileron_doublet", "rudder_doublet", "stall_with_bank", "engine_steps")
@@ -35,7 +38,6 @@ LATERAL_EXCITED_CHANNELS = {
     "aileron_doublet": "aileron", "rudder_doublet": "rudder", "engine_steps": "thrust_left", "multisine": "aileron",
 }  # fmt: skip
 """Channels that each manoeuvre excites, in addition to `manoeuvres.EXCITED_CHANNELS`."""
-ENVELOPE_SIX = ENVELOPE | {"beta": (-0.35, 0.35), "phi": (-1.2, 1.2)}  # rad: outside, the manoeuvre is refused
 
 
 def rigid_pilots(
@@ -92,7 +94,8 @@ def fly_rigid_standard(
     altitude: float,
     dt: float,
     amplitude: float = 1.0,
-) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, str]]:
+    envelope: Envelope = ANYWHERE,
+) -> StandardFlights:
     """As `fly_standard`, in six degrees of freedom: a model of both axes, and the manoeuvres of `LATERAL` as well."""
     for effect in model.acting:
         refuse_unsimulated(effect, SIGNALS | {"aileron", "thrust_left", "thrust_right"})
@@ -103,8 +106,8 @@ def fly_rigid_standard(
     for name, pilot in pilots.items():
         flight = fly_rigid(model, values, aircraft, pilot, trim, dt)
         channels = {key: x[before:] for key, x in flight.items() if np.ndim(x) == 1}
-        if left := outside(channels, ENVELOPE_SIX):
+        if left := envelope.left_by(excursion(channels)):
             refused[name] = f"it leaves its envelope: {left}"
         else:
             flown[name] = channels | {"aileron_left": -channels["aileron"], "aileron_right": channels["aileron"]}
-    return flown, refused
+    return StandardFlights(flown, {name: until(pilots[name], time) for name in flown}, refused)

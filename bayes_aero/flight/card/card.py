@@ -19,19 +19,21 @@ from bayes_aero.flight.card.channel_table import (
     parse_quantity,
     parse_sums,
 )
+from bayes_aero.flight.card.envelope_table import parse_envelope
 from bayes_aero.flight.card.fly_table import FlyCard, parse_fly
 from bayes_aero.flight.card.linear_table import LinearCard, parse_linear
 from bayes_aero.flight.card.lookup import Lookup, parse_tables
 from bayes_aero.flight.card.table_checks import known_keys, number, numbers, refuse_unfilled, section
 from bayes_aero.flight.card.toml_tables import is_file, read_table
 from bayes_aero.flight.channel import Channel
+from bayes_aero.flight.envelope import Envelope
 from bayes_aero.flight.reading.segments import segment_of
 from bayes_aero.flight.tolerances import TOLERANCES, Tolerance
 from bayes_aero.parameter import Prior
 
 SECTIONS = (
     "title", "source", "aircraft", "channels", "sums", "constants", "derived", "tables", "sensors", "model", "linear",
-    "parameters", "gp", "tolerances", "output_biases", "segments", "fly",
+    "parameters", "gp", "tolerances", "output_biases", "segments", "fly", "envelope",
 )  # fmt: skip
 PARAMETER_KEYS = ("start", "bounds", "prior")
 
@@ -74,6 +76,7 @@ class Card:
     output_biases: Mapping[str, Prior] = field(default_factory=dict)  # of each manoeuvre's own, in fits of trajectories
     segments: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # parts of files by name: "12.5:40"
     fly: FlyCard = field(default_factory=FlyCard)
+    envelope: Envelope = field(default_factory=Envelope)  # of proposed flight tests
 
 
 def shipped_cards() -> dict[str, Path]:
@@ -149,6 +152,7 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
         sums=sums,
         sensors=_sensors(section(table, "sensors", where), where),
         tolerances=_tolerances(section(table, "tolerances", where), where),
+        envelope=parse_envelope(section(table, "envelope", where), where),
         output_biases=_output_biases(section(table, "output_biases", where), where),
         segments=_segments(section(table, "segments", where), where),
         effects=effects,

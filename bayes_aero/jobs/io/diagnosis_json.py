@@ -46,7 +46,8 @@ class Outcome:
     """A diagnosis with all that is shown of it.
 
     `named`: each hidden effect is first, named, ambiguous, minor or missed. `predictors` are scores by predictor and
-    coefficient, `separating` the manoeuvres that would separate rivals, `failures` parts that failed unexpectedly.
+    coefficient, `separating` the manoeuvres that would separate rivals, `test_points` those that decide all that is
+    open, `failures` parts that failed unexpectedly.
     """
 
     view: DiagnosisView
@@ -58,6 +59,7 @@ class Outcome:
     failures: tuple[str, ...] = ()
     predictors: Mapping[str, Any] = field(default_factory=dict)
     separating: Sequence[Mapping[str, Any]] = ()
+    test_points: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def diagnosis(self) -> Diagnosis:
@@ -95,6 +97,7 @@ def diagnosis_results(
         "trajectories": {} if view.trajectories is None else trajectory_results(view.trajectories, card),
         "stall": {n: stall.numbers() for n, stall in view.stalls.items()} if isinstance(view, View) else {},
         "separating": [dict(one) for one in outcome.separating],
+        "test_points": dict(outcome.test_points),
         "health": health_results(outcome.health),
         "notes": [*d.notes, *outcome.notes],
         "failures": list(outcome.failures),

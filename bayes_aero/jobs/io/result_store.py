@@ -18,6 +18,7 @@ from bayes_aero.jobs.io.diagnosis_json import Outcome, diagnosis_results
 from bayes_aero.jobs.io.resume import NOTHING, RESTS_ON, RESULTS, Earlier
 from bayes_aero.jobs.io.time_histories import diagnosed, flights, put_histories
 from bayes_aero.jobs.provenance.provenance import write_json
+from bayes_aero.report.design.points import points_table
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.page_context import PageContext
 from bayes_aero.report.pages.diagnosis import diagnosis_page
@@ -46,6 +47,7 @@ class ResultStore:
             view=replace(outcome.view, trajectories=earlier.trajectories),
             predictors=earlier.predictors,
             separating=earlier.separating,
+            test_points=earlier.test_points,
         )
         self.path = path
         self._card, self._records, self._source, self._lock = card, records, source, Lock()
@@ -54,7 +56,7 @@ class ResultStore:
         self._put_histories()
 
     def has(self, stage: str) -> bool:
-        """Whether `predictors`, `separating` or `trajectories` are there."""
+        """Whether `predictors`, `separating`, `test_points` or `trajectories` are there."""
         of = self.outcome.view if stage == "trajectories" else self.outcome
         return bool(getattr(of, stage))
 
@@ -83,6 +85,12 @@ class ResultStore:
     def separating(self, found: Sequence[Mapping[str, Any]]) -> None:
         """Keep the manoeuvres that would separate."""
         self._grow(separating=found)
+
+    def test_points(self, found: Mapping[str, Any]) -> None:
+        """Keep the test points that decide what is open."""
+        self._grow(test_points=found)
+        if self.path is not None and found.get("points"):
+            write_csv(points_table(found), self.path / "test_points.csv")
 
     def note(self, *notes: str) -> None:
         """Keep what was left out, and why."""
@@ -117,6 +125,7 @@ class ResultStore:
             drawn,
             outcome.predictors,
             outcome.separating,
+            outcome.test_points,
             revealed(outcome.hidden, outcome.named) if outcome.hidden else (),
             outcome.notes,
             outcome.consistency,

@@ -27,10 +27,11 @@ class Earlier:
 
     predictors: Mapping[str, Any]
     separating: Sequence[Mapping[str, Any]]
+    test_points: Mapping[str, Any]
     trajectories: Trajectories | None
 
 
-NOTHING = Earlier({}, (), None)
+NOTHING = Earlier({}, (), {}, None)
 
 
 class ResumeStore:
@@ -51,13 +52,14 @@ class ResumeStore:
                 return NOTHING
             scores = {name: _scores(row) for name, row in told["predictors"].items()} if predictors else {}
             separating = [_judged(one) for one in told["separating"]] if predictors else ()
+            points = dict(told["test_points"]) if predictors else {}
             flown = None
             if trajectories and told["trajectories"]:
                 histories = read_histories(self.folder / HISTORIES, self._digest)
                 flown = trajectories_of(told["trajectories"], histories, card)
         except Exception:  # however it is damaged, it is not what was written: all is done again
             return NOTHING
-        return Earlier(scores, separating, flown)
+        return Earlier(scores, separating, points, flown)
 
     def begin(self) -> None:
         """From now on what is in the folder is this run's."""

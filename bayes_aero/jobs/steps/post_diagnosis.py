@@ -6,7 +6,11 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
-from bayes_aero.diagnosis.design import separating, standard
+import numpy as np
+
+from bayes_aero.diagnosis.design.next_test_points import TestPoints, next_test_points
+from bayes_aero.diagnosis.design.separating import separating
+from bayes_aero.diagnosis.design.standard import standard
 from bayes_aero.diagnosis.predictors import compare_states
 from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
@@ -14,8 +18,10 @@ from bayes_aero.diagnosis.selection.cross_validation import truncated
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.trajectories.trajectories import Progress, compare_trajectories
 from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.dynamics.simulated.manoeuvres import ANYWHERE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.envelope import Envelope
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_channels import despiked, join
 
@@ -32,9 +38,47 @@ def predictors(diagnosis: Diagnosis, card: Card, progress: Progress | None = Non
     }
 
 
-def separations(diagnosis: Diagnosis, progress: Progress | None = None) -> list[dict[str, Any]]:
+def separations(
+    diagnosis: Diagnosis, envelope: Envelope = ANYWHERE, progress: Progress | None = None
+) -> list[dict[str, Any]]:
     """For each ambiguity set of the coefficients' causes, each pair that cancels, and each parameter of a control at
     rest with what it may have taken up: the standard manoeuvre that would tell its members apart."""
+    sets = _open_sets(diagnosis)
+    if not sets:
+        return []
+    if progress:
+        progress("manoeuvres that would separate", 0.0)
+    found = {members: {"effects": sorted(members), "manoeuvres": []} for members in sets}
+    try:  # flown, and compiled, once for all
+        flights = standard(_usual(diagnosis), sorted(frozenset().union(*sets)), envelope=envelope)
+    except InputError as error:
+        return [one | {"status": str(error)} for one in found.values()]
+    for members, sizes in sets.items():
+        try:
+            design = separating(diagnosis.aerodynamics.state, sorted(members), sizes=sizes, flights=flights)
+        except InputError as error:
+            found[members]["status"] = str(error)
+            continue
+        ranked = [{"manoeuvre": m.manoeuvre, "standard_errors": m.weakest} for m in design.manoeuvres]
+        found[members] |= {"status": design.status, "manoeuvres": ranked}
+    return list(found.values())
+
+
+def proposed_points(diagnosis: Diagnosis, envelope: Envelope = ANYWHERE) -> dict[str, Any]:
+    """The manoeuvres that decide all that the coefficients leave open, in the order of flying; empty if there is
+    nothing to decide, or the model cannot be flown (see the status of `separations`)."""
+    sets = _open_sets(diagnosis)
+    if not sets:
+        return {}
+    try:
+        points = next_test_points(diagnosis.aerodynamics.state, sets, envelope, _usual(diagnosis).theta)
+    except InputError:
+        return {}
+    return _told(points, envelope)
+
+
+def _open_sets(diagnosis: Diagnosis) -> dict[frozenset[str], dict[str, float]]:
+    """What the coefficients leave open: effects, and the sizes of their parameters."""
     state = diagnosis.aerodynamics.state
     sets: dict[frozenset[str], dict[str, float]] = {}
     for cause in diagnosis.causes:
@@ -51,24 +95,33 @@ def separations(diagnosis: Diagnosis, progress: Progress | None = None) -> list[
     for one in diagnosis.absorbed:
         parameters = {p.name: e.name for e in state.full.candidates for p in e.parameters}
         sets.setdefault(one.members, {p: abs(one.sizes[e].mean) for p, e in parameters.items() if e in one.sizes})
-    if not sets:
-        return []
-    if progress:
-        progress("manoeuvres that would separate", 0.0)
-    found = {members: {"effects": sorted(members), "manoeuvres": []} for members in sets}
-    try:
-        flights = standard(_usual(diagnosis), sorted(frozenset().union(*sets)))  # flown, and compiled, once for all
-    except InputError as error:
-        return [one | {"status": str(error)} for one in found.values()]
-    for members, sizes in sets.items():
-        try:
-            design = separating(state, sorted(members), sizes=sizes, flights=flights)
-        except InputError as error:
-            found[members]["status"] = str(error)
-            continue
-        ranked = [{"manoeuvre": m.manoeuvre, "standard_errors": m.weakest} for m in design.manoeuvres]
-        found[members] |= {"status": design.status, "manoeuvres": ranked}
-    return list(found.values())
+    return sets
+
+
+def _told(points: TestPoints, envelope: Envelope) -> dict[str, Any]:
+    """Plain data."""
+    return {
+        "questions": [
+            {"effects": list(q.effects), "enough": q.enough, "present": d}
+            for q, d in zip(points.questions, points.present, strict=True)
+        ],
+        "points": [
+            {
+                "manoeuvre": p.manoeuvre,
+                "amplitude": p.amplitude,
+                "airspeed": p.airspeed,
+                "altitude": p.altitude,
+                "seconds": p.seconds,
+                "excursion": {name: list(pair) for name, pair in p.excursion.items()},
+                "standard_errors": list(p.deviations),
+                "nats_per_second": p.rate,
+            }
+            for p in points.points
+        ],
+        "refused": dict(points.refused),
+        "envelope": {name: [None if np.isinf(x) else x for x in pair] for name, pair in envelope.ranges.items()},
+        "stated": list(envelope.stated),
+    }
 
 
 def _usual(diagnosis: Diagnosis) -> SelectionState:

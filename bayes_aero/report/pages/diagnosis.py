@@ -14,6 +14,7 @@ from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
 from bayes_aero.physics.coefficient_names import LATERAL
 from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.design.points import points_sentences, points_table
 from bayes_aero.report.figures.time_histories import SYMBOLS, shown_in
 from bayes_aero.report.html.folded_lists import not_testable_list, open_list
 from bayes_aero.report.html.glossary import WORDS
@@ -178,7 +179,7 @@ def _open(d: Diagnosis, context: PageContext, rest: Sequence[str]) -> tuple[Bloc
     else:
         blocks.append(Text("No named cause has a rival on this record."))
     pairs = [one for one in rest if " cancel each other " in one]
-    blocks += [*bullets(pairs), *_separating(context.separating)]
+    blocks += [*bullets(pairs), *_separating(context.separating), *_test_points(context.test_points)]
     if context.consistency is not None:
         blocks += [*bullets(open_sentences(context.consistency)), *open_list(context.consistency)]
     unknown = [one for one in rest if one.startswith(("Unexplained", "Form", "Changed", "The estimate of"))]
@@ -205,6 +206,13 @@ def _separating(found: Sequence[Mapping[str, Any]]) -> Iterator[Block]:
             tuple(rows),
             note=f"{ENOUGH:.0f} standard errors or more would be sufficient. {status}",
         )
+
+
+def _test_points(told: Mapping[str, Any]) -> Iterator[Block]:
+    """What to fly next."""
+    yield from bullets(points_sentences(told))
+    if told and told["points"]:
+        yield page_table(points_table(told))
 
 
 def _coefficients(view: View) -> tuple[Block, ...]:

@@ -1,0 +1,1 @@
+"""Test points that a diagnosis proposes, as a table and in sentences."""

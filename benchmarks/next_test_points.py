@@ -1,0 +1,145 @@
+"""Hide an effect in flights that cannot name it alone, fly the test points that the diagnosis proposes, and diagnose.
+
+    python benchmarks/next_test_points.py 60 [--first 0] [--out points]
+
+Each flight draws an effect of the catalogue, its size, and one or two standard manoeuvres, simulated with coloured
+disturbances and sensor noise. Where the diagnosis ends with an ambiguity, with effects that cancel or with an effect
+that a control at rest may have taken up, its test points are simulated, with the truth and noise of their own, and
+diagnosed together with the first records. A flight counts as decided rightly if the hidden effect is then named without
+a rival. One line of OUT/points.jsonl each; goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hidden_effects import candidates
+
+from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.result import Diagnosis
+from bayes_aero.effect import Kind, Stage
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.jobs.steps.post_diagnosis import proposed_points
+from bayes_aero.simulate.injection import draw_hidden
+from bayes_aero.simulate.request import Request
+from bayes_aero.simulate.synthetic_record import synthetic
+
+FIRST = (("slow_stall",), ("elevator_3211",), ("slow_stall", "elevator_3211"), ("thrust_steps",))
+AT_REST = {"stabilizer", "flap", "spoiler", "dlc", "canard", "beta", "phi", "rudder", "aileron"}
+CARD = read_card("attas")
+
+
+def open_to_rivals() -> list[str]:
+    """Effects that the first manoeuvres can show and the flight path does not decide: no error of a sensor or wind,
+    and none of a control at rest."""
+    known = [CATALOGUE[name] for name in candidates()]
+    seen = [e for e in known if e.stage is not Stage.CHANNEL or e.kind is Kind.PROPULSION]
+    return [e.name for e in seen if not AT_REST & {c.split("_")[0] for c in e.channels}]
+
+
+def flown(effects: dict, seed: int, name: str, **asked: Any) -> FlightRecord:
+    """One simulated manoeuvre with the hidden effects."""
+    return synthetic(Request(effects, seed=seed, **asked), CARD, CATALOGUE, name=name).record
+
+
+def told(found: Diagnosis) -> dict:
+    """What a diagnosis says."""
+    return {
+        "verdict": found.verdict.value,
+        "causes": {c.name: {p: [s.mean, s.sd] for p, s in c.parameters.items()} for c in found.causes},
+        "ambiguous": {c.name: list(c.ambiguous_with) for c in found.causes},
+        "together": [list(pair.effects) for pair in found.together],
+        "absorbed": [sorted(one.members) for one in found.absorbed],
+        "unexplained": [[u.coefficient, u.channel] for u in found.unknown],
+    }
+
+
+def case(seed: int) -> dict:
+    """Draw, fly, diagnose; and once more with the test points, if there are any."""
+    rng = np.random.default_rng([seed, 71])
+    name = str(rng.choice(open_to_rivals()))
+    effects, kinds = {name: draw_hidden(rng, name)}, FIRST[int(rng.integers(len(FIRST)))]
+    row: dict[str, Any] = {"seed": seed, "hidden": effects, "first": list(kinds)}
+    try:
+        records = [flown(effects, 100 * seed + k, kind, manoeuvre=kind) for k, kind in enumerate(kinds)]
+    except InputError as error:
+        return row | {"refused": str(error)}
+    began = time.perf_counter()
+    found = diagnose(records, CARD, seed=seed, gains_wanted=False, process_noise=False)
+    row |= {"before": told(found), "points": proposed_points(found, CARD.envelope)}
+    if row["points"].get("points"):
+        for k, p in enumerate(row["points"]["points"]):
+            asked = {key: p[key] for key in ("manoeuvre", "amplitude", "airspeed", "altitude")}
+            try:
+                records.append(flown(effects, 100 * seed + 50 + k, f"point {k + 1}", duration=p["seconds"], **asked))
+            except InputError as error:
+                row.setdefault("not_flown", []).append(str(error))
+        row["after"] = told(diagnose(records, CARD, seed=seed, gains_wanted=False, process_noise=False))
+    return row | {"seconds": time.perf_counter() - began}
+
+
+def outcome(row: dict) -> str:
+    """`decided`, `wrong`, `open` or `gone` after the test points."""
+    (hidden,), after = row["hidden"], row["after"]
+    if hidden in after["causes"]:
+        rivals = after["ambiguous"][hidden] or any(hidden in pair for pair in after["together"])
+        return "open" if rivals or any(hidden in one for one in after["absorbed"]) else "decided"
+    if any(hidden in others for others in after["ambiguous"].values()):
+        return "open"
+    return "wrong" if after["causes"] else "gone"
+
+
+def report(rows: list[dict]) -> None:
+    """How many were open at first, and what became of them."""
+    tried = [r for r in rows if "refused" not in r]
+    asked = [r for r in tried if r["points"]]
+    among = [r for r in asked if next(iter(r["hidden"])) in {e for q in r["points"]["questions"] for e in q["effects"]}]
+    flown_again = [r for r in among if "after" in r]
+    print(f"{len(tried)} flights; open {len(asked)}, the hidden effect among the rivals in {len(among)}")
+    print(f"no test point decides more: {len(among) - len(flown_again)}")
+    for decided in (True, False):
+        own = [r for r in flown_again if _expected(r) == decided]
+        counts = {what: sum(outcome(r) == what for r in own) for what in ("decided", "open", "wrong", "gone")}
+        print("expected to be decided:" if decided else "expected to stay open:", len(own), counts)
+    for r in asked:
+        q = [
+            f"{' or '.join(q['effects'])} {q['present']:.1f}"
+            + "".join(f" > {p['standard_errors'][k]:.1f}" for p in r["points"]["points"])
+            for k, q in enumerate(r["points"]["questions"])
+        ]
+        points = [f"{p['manoeuvre']} x{p['amplitude']}" for p in r["points"]["points"]]
+        end = outcome(r) + f" {list(r['after']['causes'])}" if "after" in r else "not flown"
+        print(f"  {r['seed']} {r['hidden']} {r['first']}: {'; '.join(q)} | {', '.join(points)} | {end}")
+
+
+def _expected(row: dict) -> bool:
+    """Whether the question that has the hidden effect was expected to be decided."""
+    (hidden,), last = row["hidden"], row["points"]["points"][-1]["standard_errors"]
+    own = [k for k, q in enumerate(row["points"]["questions"]) if hidden in q["effects"]]
+    return all(last[k] >= row["points"]["questions"][k]["enough"] for k in own)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("count", type=int)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=Path("points"))
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    path = given.out / "points.jsonl"
+    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    done = {row["seed"] for row in rows}
+    for seed in range(given.first, given.first + given.count):
+        if seed not in done:
+            rows.append(case(seed))
+            with path.open("a") as file:
+                file.write(json.dumps(rows[-1]) + "\n")
+    report(rows)
