@@ -103,6 +103,7 @@ def diagnose(
 
 
 def _tell(console: Console, found: Outcome) -> None:
+    from bayes_aero.report.design.in_band import in_band_sentences
     from bayes_aero.report.design.points import points_sentences
     from bayes_aero.report.tables.diagnosis_tables import causes_table, screen_table
     from bayes_aero.report.tables.trajectories import error_table
@@ -116,7 +117,7 @@ def _tell(console: Console, found: Outcome) -> None:
         console.print((causes_table(d) if d.causes else screen_table(first, d)).terminal())
     if found.view.trajectories is not None:
         console.print(error_table(found.view.trajectories).terminal())
-    for sentence in (*rest, *points_sentences(found.test_points)):
+    for sentence in (*rest, *in_band_sentences(found.in_band), *points_sentences(found.test_points)):
         console.print(f"• {sentence}", highlight=False)
     for note in found.notes:
         console.print(f"! {note}", highlight=False)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from bayes_aero.diagnosis.selection.in_band_result import CausesInBand
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health import HealthFinding
@@ -24,6 +25,7 @@ class PageContext:
     predictors: Mapping[str, Any] = field(default_factory=dict)
     separating: Sequence[Mapping[str, Any]] = ()
     test_points: Mapping[str, Any] = field(default_factory=dict)
+    in_band: CausesInBand | None = None
     revealed: Sequence[str] = ()
     notes: Sequence[str] = ()
     consistency: Consistency | None = None

@@ -256,6 +256,7 @@ def test_a_diagnosis_tells_causes_gain_and_what_is_open(diagnosed, flown, card):
         {},
         separating,
         points,
+        None,
         ("Hidden was x.",),
         ("n",),
     )

@@ -3,19 +3,20 @@
 Every standard manoeuvre is flown by the present model with several amplitudes and airspeeds. Of those inside the
 envelope the next is the one that adds most information on all open questions per second. The information on two
 effects is half the square of the standard deviations by which they differ, which is the expected log Bayes factor;
-that on a tolerance is the log of how many times it narrows the prediction. Both count until a question is decided.
+it counts until a question is decided.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
 from bayes_aero.diagnosis.design.information import Information, Signals, noise_of, signals_of
 from bayes_aero.diagnosis.design.separating import NOT_BY_HAND, candidates_of, worth_of
-from bayes_aero.diagnosis.design.standard import Linearised, Standard, on_record, standard
+from bayes_aero.diagnosis.design.standard import Linearised, Standard, flights_of, on_record, standard
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.flight.envelope import Envelope
 
@@ -41,13 +42,18 @@ class Ambiguity:
         """In words."""
         return " or ".join(self.effects)
 
+    def pairs(self, told: Information) -> list[float]:
+        """Deviations of each pair, the lesser of both directions."""
+        found = told.without(self.foreign).deviations(self.signals)
+        return [float(min(found[a, b], found[b, a])) for a, b in combinations(self.effects, 2)]
+
     def deviations(self, told: Information) -> float:
         """By which the closest pair differs."""
-        return float(min(told.without(self.foreign).deviations(self.signals).values()))
+        return min(self.pairs(told))
 
     def information(self, told: Information) -> float:
-        """Nats, until it is decided."""
-        return 0.5 * min(self.deviations(told), self.enough) ** 2
+        """Nats, the mean of all pairs, each until it is decided."""
+        return float(np.mean([0.5 * min(d, self.enough) ** 2 for d in self.pairs(told)]))
 
 
 @dataclass(frozen=True)
@@ -133,7 +139,7 @@ def next_test_points(
     ]
     noise = noise_of(state)
     own = dict(zip(state.full.model.names, map(float, state.theta), strict=True))
-    records = on_record(state, variants[0].model, state.responses.flights, own, chosen, noise)
+    records = on_record(state, variants[0].model, flights_of(state), own, chosen, noise)
     questions = tuple(_ambiguity(records, members, sizes, state.active) for members, sizes in sets.items())
     flown = [
         _Variant(

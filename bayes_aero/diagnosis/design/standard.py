@@ -95,6 +95,14 @@ def standard(
     )
 
 
+def flights_of(state: SelectionState) -> Flights:
+    """The records of a diagnosis by coefficients. Raises `InputError` for any other."""
+    flights = state.responses.flights
+    if not isinstance(flights, Flights):
+        raise InputError("the records were not compared by coefficients, so manoeuvres cannot be judged by them")
+    return flights
+
+
 def _start(mean: Mapping[str, float]) -> dict[str, float]:
     """Airspeed, m/s, and altitude, m: where none was recorded, that of standard air of the record's density."""
     altitude = mean["altitude"] if "altitude" in mean else altitude_of_density(mean["density"])

@@ -18,6 +18,7 @@ from bayes_aero.diagnosis.result import (
     Tested,
     UnexplainedStructure,
 )
+from bayes_aero.diagnosis.selection.in_band_result import CausesInBand
 from bayes_aero.diagnosis.terms.result import FoundTerm
 from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
 from bayes_aero.flight.agreement import Consistency
@@ -47,7 +48,7 @@ class Outcome:
 
     `named`: each hidden effect is first, named, ambiguous, minor or missed. `predictors` are scores by predictor and
     coefficient, `separating` the manoeuvres that would separate rivals, `test_points` those that decide all that is
-    open, `failures` parts that failed unexpectedly.
+    open, `in_band` the sizes of the causes in a band of frequencies, `failures` parts that failed unexpectedly.
     """
 
     view: DiagnosisView
@@ -60,6 +61,7 @@ class Outcome:
     predictors: Mapping[str, Any] = field(default_factory=dict)
     separating: Sequence[Mapping[str, Any]] = ()
     test_points: Mapping[str, Any] = field(default_factory=dict)
+    in_band: CausesInBand | None = None
 
     @property
     def diagnosis(self) -> Diagnosis:
@@ -98,6 +100,7 @@ def diagnosis_results(
         "stall": {n: stall.numbers() for n, stall in view.stalls.items()} if isinstance(view, View) else {},
         "separating": [dict(one) for one in outcome.separating],
         "test_points": dict(outcome.test_points),
+        "in_band": None if outcome.in_band is None else asdict(outcome.in_band),
         "health": health_results(outcome.health),
         "notes": [*d.notes, *outcome.notes],
         "failures": list(outcome.failures),

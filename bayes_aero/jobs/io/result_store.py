@@ -9,6 +9,7 @@ from threading import Lock
 from typing import Any
 
 from bayes_aero.diagnosis.result import Diagnosis
+from bayes_aero.diagnosis.selection.in_band_result import CausesInBand
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import View
 from bayes_aero.errors import InputError, attempted
@@ -92,6 +93,10 @@ class ResultStore:
         if self.path is not None and found.get("points"):
             write_csv(points_table(found), self.path / "test_points.csv")
 
+    def in_band(self, found: CausesInBand | None) -> None:
+        """Keep the sizes of the causes in a band of frequencies."""
+        self._grow(in_band=found)
+
     def note(self, *notes: str) -> None:
         """Keep what was left out, and why."""
         self._grow(notes=notes)
@@ -126,6 +131,7 @@ class ResultStore:
             outcome.predictors,
             outcome.separating,
             outcome.test_points,
+            outcome.in_band,
             revealed(outcome.hidden, outcome.named) if outcome.hidden else (),
             outcome.notes,
             outcome.consistency,

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bayes_aero.diagnosis.result import Diagnosis
+from bayes_aero.diagnosis.selection.in_band import causes_in_band
 from bayes_aero.diagnosis.view.holdout import with_holdout_scores
 from bayes_aero.diagnosis.view.models import with_stalls
 from bayes_aero.diagnosis.view.results import View
@@ -35,6 +36,8 @@ def follow(
     if predict is not None and kept.has("separating") and not kept.has("test_points"):
         what = "Test points that would decide what is open were not chosen"
         kept.attempt(what, lambda: kept.test_points(proposed_points(found, envelope)))
+    if predict is not None:
+        kept.attempt("Causes were not fitted in a band of frequencies", lambda: kept.in_band(causes_in_band(found)))
     if kept.path is None:
         return {}
     view = kept.outcome.view

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from bayes_aero.diagnosis.result import COEFFICIENTS, INNOVATIONS, TRAJECTORIES, Diagnosis
-from bayes_aero.diagnosis.settings import ENOUGH
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
 from bayes_aero.physics.coefficient_names import LATERAL
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.design.points import points_sentences, points_table
+from bayes_aero.report.design.blocks import in_band_blocks, separating_blocks, test_point_blocks
 from bayes_aero.report.figures.time_histories import SYMBOLS, shown_in
 from bayes_aero.report.html.folded_lists import not_testable_list, open_list
 from bayes_aero.report.html.glossary import WORDS
-from bayes_aero.report.html.page import Block, Fold, Page, Section, Table, Text, filled, section
+from bayes_aero.report.html.page import Block, Fold, Page, Section, Text, filled, section
 from bayes_aero.report.html.page_table import page_table
 from bayes_aero.report.html.parts import (
     bullets,
@@ -70,7 +68,11 @@ def diagnosis_page(view: DiagnosisView, context: PageContext) -> Page:
                 "The records at a glance",
                 lambda: records_and_faults(context.records, context.card, context.health),
             ),
-            section("causes", "Causes of the model error", lambda: _causes(d, view.rankings, gallery)),
+            section(
+                "causes",
+                "Causes of the model error",
+                lambda: (*_causes(d, view.rankings, gallery), *in_band_blocks(context.in_band)),
+            ),
             *(
                 _of_coefficients(view, context, gallery, rest)
                 if isinstance(view, View)
@@ -179,7 +181,7 @@ def _open(d: Diagnosis, context: PageContext, rest: Sequence[str]) -> tuple[Bloc
     else:
         blocks.append(Text("No named cause has a rival on this record."))
     pairs = [one for one in rest if " cancel each other " in one]
-    blocks += [*bullets(pairs), *_separating(context.separating), *_test_points(context.test_points)]
+    blocks += [*bullets(pairs), *separating_blocks(context.separating), *test_point_blocks(context.test_points)]
     if context.consistency is not None:
         blocks += [*bullets(open_sentences(context.consistency)), *open_list(context.consistency)]
     unknown = [one for one in rest if one.startswith(("Unexplained", "Form", "Changed", "The estimate of"))]
@@ -190,29 +192,6 @@ def _open(d: Diagnosis, context: PageContext, rest: Sequence[str]) -> tuple[Bloc
     blocks.append(Fold("Noise, and effects that this record cannot test", bullets(others) or (Text("None."),)))
     blocks += not_testable_list(d.not_testable)
     return tuple(blocks)
-
-
-def _separating(found: Sequence[Mapping[str, Any]]) -> Iterator[Block]:
-    """Which standard manoeuvres would separate rivals."""
-    for one in found:
-        status = f"{str(one['status'])[:1].upper()}{str(one['status'])[1:]}."
-        if not one["manoeuvres"]:
-            yield Text(status)
-            continue
-        rows = [(str(m["manoeuvre"]).replace("_", " "), f"{m['standard_errors']:.1f}") for m in one["manoeuvres"][:5]]
-        yield Table(
-            f"Manoeuvres that would separate {several(one['effects'])}",
-            ("manoeuvre", "separation\n[standard errors]"),
-            tuple(rows),
-            note=f"{ENOUGH:.0f} standard errors or more would be sufficient. {status}",
-        )
-
-
-def _test_points(told: Mapping[str, Any]) -> Iterator[Block]:
-    """What to fly next."""
-    yield from bullets(points_sentences(told))
-    if told and told["points"]:
-        yield page_table(points_table(told))
 
 
 def _coefficients(view: View) -> tuple[Block, ...]:

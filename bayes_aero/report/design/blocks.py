@@ -1,0 +1,44 @@
+"""What a diagnosis page shows of the next flight test, and of the causes in a band of frequencies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from bayes_aero.diagnosis.selection.in_band_result import CausesInBand
+from bayes_aero.diagnosis.settings import ENOUGH
+from bayes_aero.report.design.in_band import in_band_sentences, in_band_table
+from bayes_aero.report.design.points import points_sentences, points_table
+from bayes_aero.report.html.page import Block, Table, Text
+from bayes_aero.report.html.page_table import page_table
+from bayes_aero.report.html.parts import bullets
+from bayes_aero.report.text.phrases import several
+
+
+def separating_blocks(found: Sequence[Mapping[str, Any]]) -> Iterator[Block]:
+    """Which standard manoeuvres would separate rivals."""
+    for one in found:
+        status = f"{str(one['status'])[:1].upper()}{str(one['status'])[1:]}."
+        if not one["manoeuvres"]:
+            yield Text(status)
+            continue
+        rows = [(str(m["manoeuvre"]).replace("_", " "), f"{m['standard_errors']:.1f}") for m in one["manoeuvres"][:5]]
+        yield Table(
+            f"Manoeuvres that would separate {several(one['effects'])}",
+            ("manoeuvre", "separation\n[standard errors]"),
+            tuple(rows),
+            note=f"{ENOUGH:.0f} standard errors or more would be sufficient. {status}",
+        )
+
+
+def test_point_blocks(told: Mapping[str, Any]) -> Iterator[Block]:
+    """What to fly next."""
+    yield from bullets(points_sentences(told))
+    if told and told["points"]:
+        yield page_table(points_table(told))
+
+
+def in_band_blocks(found: CausesInBand | None) -> tuple[Block, ...]:
+    """The third witness: sizes in a band of frequencies."""
+    table = (page_table(in_band_table(found)),) if found is not None and found.sizes else ()
+    return (*bullets(in_band_sentences(found)), *table)
