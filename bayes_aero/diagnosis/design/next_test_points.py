@@ -18,10 +18,10 @@ from bayes_aero.diagnosis.design.information import Information, Signals, noise_
 from bayes_aero.diagnosis.design.separating import NOT_BY_HAND, candidates_of, worth_of
 from bayes_aero.diagnosis.design.standard import Linearised, Standard, flights_of, on_record, standard
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
+from bayes_aero.diagnosis.settings import ENOUGH
 from bayes_aero.flight.envelope import Envelope
 
 AMPLITUDES, FASTER = (0.5, 1.0, 1.5), (1.0, 1.15)  # of the standard inputs, and of the records' first airspeed
-DECIDED = 5.0  # standard deviations by which two effects must be expected to differ; see benchmarks/README.md
 MOST, LITTLE = 4, 0.5  # test points, and nats from which another is worth flying
 
 
@@ -35,7 +35,7 @@ class Ambiguity:
     effects: tuple[str, ...]
     signals: Signals
     foreign: tuple[str, ...] = ()
-    enough: float = DECIDED
+    enough: float = ENOUGH
 
     @property
     def label(self) -> str:
