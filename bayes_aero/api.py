@@ -29,6 +29,8 @@ from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.health import channel_health
+from bayes_aero.flight.reading.checks import check_arrays
+from bayes_aero.flight.reading.plausible import without_bad_options
 from bayes_aero.flight.reading.read_record import read_records
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.frequency.bands import coefficients_in_band
@@ -112,7 +114,7 @@ def fit(
         The fit; arrays follow `mle.names`, shape (k,), in SI and radians.
 
     Raises:
-        InputError: the records lack a channel that the model needs, or a setting is unknown.
+        InputError: the records lack a channel that the model needs, or numbers in it, or a setting is unknown.
 
     Source:
         Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, ch. 4; Morelli and Klein, J. Aircraft 34, 1997.
@@ -121,6 +123,7 @@ def fit(
         known = ", ".join(get_args(FormingName))
         raise InputError(f"there is no way of forming coefficients {coefficients!r}; choose one of {known}")
     card, forming = _card(card), Forming(coefficients)
+    records = _sound(records, card)
     card, left_out = on_recorded_axes(card, records) if model is None else (card, ())
     model = model or Model.from_card(card)
     without_spikes, spikes = repaired(records)
@@ -271,17 +274,26 @@ def diagnose(
         The diagnosis; sizes in SI and radians.
 
     Raises:
-        InputError: the records lack a channel that the model needs.
+        InputError: the records lack a channel that the model needs, or numbers in it.
     """
     settings = settings or DiagnosisSettings()
     if max_effects is not None:
         settings = replace(settings, max_effects=max_effects)
     own = _card(card)
+    records = _sound(records, own)
     if model is None:
         own, _ = on_recorded_axes(own, records)
     asked = {"settings": settings, "seed": seed, "process_noise": process_noise}
     found = run_diagnosis(records, own, model=model, extra=candidates, **asked)
     return Diagnosed(view_of(found), own)
+
+
+def _sound(records: Sequence[FlightRecord], card: Card) -> list[FlightRecord]:
+    """The records as a file of theirs would be read: without optional channels that are no numbers."""
+    sound = [without_bad_options(record, card.channels) for record in records]
+    for record in sound:
+        check_arrays(record, card.channels)
+    return sound
 
 
 def _card(card: str | Card) -> Card:

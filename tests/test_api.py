@@ -88,6 +88,17 @@ def test_one_noise_model_is_the_default_everywhere():
         assert Colour(inspect.signature(function).parameters["noise"].default) is DEFAULT
 
 
+@pytest.mark.parametrize("use", [ba.fit, ba.diagnose])
+def test_arrays_that_are_no_numbers_are_refused_in_one_sentence(use, diagnosed, card):
+    record = diagnosed.records[0]
+    gone = record.channels["alpha"].copy()
+    gone[100:110] = np.nan
+    with pytest.raises(ba.InputError, match=r"record .*: channel alpha is empty or not a number .*10 of"):
+        use([replace(record, channels={**record.channels, "alpha": gone})], card)
+    with pytest.raises(ba.InputError, match="channel time runs backwards"):
+        use([replace(record, time=record.time[::-1])], card)
+
+
 def test_diagnosed_says_what_the_view_holds(diagnosed, card):
     a_view = diagnosed.view
     found = ba.Diagnosed(a_view, card)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -14,7 +15,7 @@ from bayes_aero.flight.reading.segments import GAP
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.units import instant, same_unit
 
-__all__ = ["JITTER", "MIN_SAMPLES", "check_record", "failures"]
+__all__ = ["JITTER", "MIN_SAMPLES", "check_arrays", "check_record", "failures"]
 
 MIN_SAMPLES = 50
 """The derivative filter alone spans 17 samples and changes its form over the 9 next to either end."""
@@ -63,6 +64,18 @@ def failures(record: FlightRecord, *, even: bool = True, channels: Sequence[Chan
             if check in (_length, _monotonic) or not np.isfinite(record.time).all():
                 break  # what follows needs samples and time that increases
     return said
+
+
+def check_arrays(record: FlightRecord, channels: Sequence[Channel]) -> None:
+    """Raise InputError if a record made in memory is too short, lacks numbers that the card needs, or its time does
+    not increase."""
+    used = {c.name: record[c.name] for c in channels if c.required and c.name in record.channels}
+    needed = replace(record, channels=used)
+    for check in (_length, partial(_finite, blanks=False), _monotonic):
+        try:
+            check(needed)
+        except InputError as reason:
+            raise InputError(f"record {record.name}: {reason}") from None
 
 
 def _checks(even: bool, channels: Sequence[Channel]) -> list[Check]:
