@@ -30,6 +30,8 @@ from bayes_aero.physics.coefficients import (
 )
 from bayes_aero.physics.filters import FILTER_STEP
 
+STEADY = ', or state it under [constants] (p = "0 deg/s", r = "0 deg/s") if the wings were level throughout'
+
 
 class Forming(StrEnum):
     """How coefficients are formed from the record."""
@@ -143,6 +145,7 @@ def observe(
             if need not in channels and need != "alpha_dot":
                 raise InputError(
                     f"record {record.name} has no channel {need}, which the model needs; map it on the card"
+                    f"{STEADY if need in ('p', 'r') else ''}"
                 )
         parts.append(channels | plain_marks(record.n, record.dt, offset))
         offset += record.n
