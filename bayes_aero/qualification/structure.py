@@ -1,0 +1,128 @@
+"""Errors of a simulation that parameters do not explain, as random histories: an autoregression and white noise.
+
+They have the size and the autocorrelation of the errors that flights showed, and grow as the flow separates as those
+did. Few flights show few independent errors, so the size itself is uncertain: it is drawn, too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.linalg import solve_discrete_lyapunov
+
+from bayes_aero.inference.variance.autoregression import ORDER, autoregression, stationary_series
+from bayes_aero.inference.variance.noise_growth import SeparatedFlow
+
+BLOCK_SECONDS = 0.2  # s of a mean: the autoregression holds for some 5 samples a second
+SHORTEST = 4 * ORDER  # means in a manoeuvre that an autoregression needs
+MEMORY = 400  # lags of the autocorrelation that count
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Errors of c outputs.
+
+    Attributes:
+        phi: autoregression of means over `BLOCK_SECONDS`, (c, p).
+        slow: standard deviation of these means in attached flow, (c,).
+        fast: standard deviation of the white rest, (c,).
+        growth: how many times the errors grow in fully separated flow, less one, (c,).
+        independent: how many independent values the slow errors amount to, (c,).
+    """
+
+    phi: Float[np.ndarray, "c p"]
+    slow: Float[np.ndarray, " c"]
+    fast: Float[np.ndarray, " c"]
+    growth: Float[np.ndarray, " c"]
+    independent: Float[np.ndarray, " c"]
+
+    @classmethod
+    def of(
+        cls,
+        errors: Float[np.ndarray, "w n c"],
+        separated: Float[np.ndarray, "w n"],
+        inside: Bool[np.ndarray, "w n"],
+        dt: Float[np.ndarray, " w"],
+        explained: Float[np.ndarray, " c"],
+    ) -> Structure:
+        """Of the errors of w manoeuvres, n samples each where `inside`.
+
+        Args:
+            errors: recorded minus simulated, SI.
+            separated: the separated share of the flow; 0 where it is attached.
+            inside: the real samples.
+            dt: sample times, s.
+            explained: mean squares that something else explains (parameters, gusts), SI squared.
+        """
+        growth = SeparatedFlow(errors, separated, inside).growths() if np.ptp(separated[inside]) > 0.0 else 0.0
+        growth = growth + np.zeros(errors.shape[2])
+        sized = errors / (1.0 + growth * separated[:, :, None])
+        folds, rests = [], []
+        for error, real, step in zip(sized, inside, dt, strict=True):
+            means, rest = _means(error[real], step)
+            folds.append(means.T)
+            rests.append(rest)
+        fast = np.sqrt(np.mean(np.concatenate(rests) ** 2, axis=0))
+        slow = np.mean(np.concatenate([f.T for f in folds]) ** 2, axis=0)
+        long = [f for f in folds if f.shape[1] >= SHORTEST]
+        phi = autoregression(long)[0] if long else np.zeros((len(slow), ORDER))
+        count = sum(f.shape[1] for f in folds)
+        independent = np.array([max(1.0, count / _repeats(one)) for one in phi])
+        total = np.mean(errors[inside] ** 2, axis=0)
+        left = np.maximum(1.0 - explained / np.maximum(total, 1e-300), 0.0)
+        return cls(phi, np.sqrt(slow * left), fast, growth, independent)
+
+    def draws(
+        self, count: int, separated: Float[np.ndarray, " n"], dt: float, rng: np.random.Generator
+    ) -> Float[np.ndarray, "m n c"]:
+        """`count` histories of the errors of one manoeuvre, SI."""
+        n, c = len(separated), len(self.slow)
+        block = _block(dt)
+        points = -(-n // block) + 1
+        shape = (ORDER, c, count)
+        white = rng.standard_normal((points, c, count))
+        series = stationary_series(np.broadcast_to(self.phi.T[:, :, None], shape), white)
+        sizes = np.sqrt(self.independent[:, None] / rng.chisquare(self.independent[:, None], (c, count)))
+        series = series * (self.slow / np.sqrt([_variance(one) for one in self.phi]))[:, None] * sizes
+        at = np.arange(n) / block
+        low = at.astype(int)
+        share = (at - low)[:, None, None]
+        found = series[low] * (1.0 - share) + series[low + 1] * share
+        found = found + self.fast[:, None] * rng.standard_normal(found.shape)
+        return np.moveaxis(found, 2, 0) * (1.0 + self.growth * separated[:, None])
+
+
+def _block(dt: float) -> int:
+    return max(1, round(BLOCK_SECONDS / dt))
+
+
+def _means(error: Float[np.ndarray, "n c"], dt: float) -> tuple[Float[np.ndarray, "t c"], Float[np.ndarray, "n c"]]:
+    """Means over blocks, and what single samples depart from the line between them."""
+    block = _block(dt)
+    blocks = max(1, len(error) // block)
+    means = np.stack([part.mean(axis=0) for part in np.array_split(error[: blocks * block], blocks)])
+    centre = block * np.arange(blocks) + 0.5 * (block - 1)
+    at = np.arange(len(error))
+    line = np.stack([np.interp(at, centre, column) for column in means.T], axis=1)
+    return means, error - line
+
+
+def _companion(phi: Float[np.ndarray, " p"]) -> Float[np.ndarray, "p p"]:
+    return np.vstack([phi, np.eye(ORDER - 1, ORDER)])
+
+
+def _variance(phi: Float[np.ndarray, " p"]) -> float:
+    """Of the stationary series of unit innovations."""
+    return float(solve_discrete_lyapunov(_companion(phi), np.diag([1.0] + [0.0] * (ORDER - 1)))[0, 0])
+
+
+def _repeats(phi: Float[np.ndarray, " p"]) -> float:
+    """How many samples amount to one independent value of the square: 1 + 2 sum of squared autocorrelations."""
+    A, P = _companion(phi), solve_discrete_lyapunov(_companion(phi), np.diag([1.0] + [0.0] * (ORDER - 1)))
+    total, ahead = 1.0, P
+    for _ in range(MEMORY):
+        ahead = A @ ahead
+        total += 2.0 * (ahead[0, 0] / P[0, 0]) ** 2
+    return float(total)
