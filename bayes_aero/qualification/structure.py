@@ -1,18 +1,20 @@
 """Errors of a simulation that parameters do not explain, as random histories: an autoregression and white noise.
 
-They have the size and the autocorrelation of the errors that flights showed, and grow as the flow separates as those
-did. Few flights show few independent errors, so the size itself is uncertain: it is drawn, too.
+A simulation begins in the measured state, so slow errors begin at zero and grow over their memory. Their mean square
+over a flight and their autocorrelation are those that flights showed, and they grow as the flow separates as those did.
+Few flights show few independent errors, so the size itself is uncertain: it is drawn, too.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.linalg import solve_discrete_lyapunov
 
-from bayes_aero.inference.variance.autoregression import ORDER, autoregression, stationary_series
+from bayes_aero.inference.variance.autoregression import ORDER, autoregression, filtered_noise
 from bayes_aero.inference.variance.noise_growth import SeparatedFlow
 
 BLOCK_SECONDS = 0.2  # s of a mean: the autoregression holds for some 5 samples a second
@@ -26,14 +28,14 @@ class Structure:
 
     Attributes:
         phi: autoregression of means over `BLOCK_SECONDS`, (c, p).
-        slow: standard deviation of these means in attached flow, (c,).
-        fast: standard deviation of the white rest, (c,).
+        innovation: standard deviation of its innovations in attached flow, (c,), SI.
+        fast: standard deviation of the white rest, (c,), SI.
         growth: how many times the errors grow in fully separated flow, less one, (c,).
         independent: how many independent values the slow errors amount to, (c,).
     """
 
     phi: Float[np.ndarray, "c p"]
-    slow: Float[np.ndarray, " c"]
+    innovation: Float[np.ndarray, " c"]
     fast: Float[np.ndarray, " c"]
     growth: Float[np.ndarray, " c"]
     independent: Float[np.ndarray, " c"]
@@ -70,22 +72,22 @@ class Structure:
         phi = autoregression(long)[0] if long else np.zeros((len(slow), ORDER))
         count = sum(f.shape[1] for f in folds)
         independent = np.array([max(1.0, count / _repeats(one)) for one in phi])
-        total = np.mean(errors[inside] ** 2, axis=0)
-        left = np.maximum(1.0 - explained / np.maximum(total, 1e-300), 0.0)
-        return cls(phi, np.sqrt(slow * left), fast, growth, independent)
+        white = np.mean((fast * (1.0 + growth * separated[inside][:, None])) ** 2, axis=0)
+        total = np.maximum(np.mean(errors[inside] ** 2, axis=0) - white, 1e-300)
+        left = np.maximum(1.0 - explained / total, 0.0)
+        gained = np.array([_growing(one, [f.shape[1] for f in folds]) for one in phi])
+        return cls(phi, np.sqrt(slow * left / gained), fast, growth, independent)
 
     def draws(
         self, count: int, separated: Float[np.ndarray, " n"], dt: float, rng: np.random.Generator
     ) -> Float[np.ndarray, "m n c"]:
         """`count` histories of the errors of one manoeuvre, SI."""
-        n, c = len(separated), len(self.slow)
+        n, c = len(separated), len(self.innovation)
         block = _block(dt)
         points = -(-n // block) + 1
-        shape = (ORDER, c, count)
-        white = rng.standard_normal((points, c, count))
-        series = stationary_series(np.broadcast_to(self.phi.T[:, :, None], shape), white)
         sizes = np.sqrt(self.independent[:, None] / rng.chisquare(self.independent[:, None], (c, count)))
-        series = series * (self.slow / np.sqrt([_variance(one) for one in self.phi]))[:, None] * sizes
+        white = self.innovation[:, None] * sizes * rng.standard_normal((points, c, count))
+        series = filtered_noise(np.broadcast_to(self.phi.T[:, :, None], (ORDER, c, count)), white)
         at = np.arange(n) / block
         low = at.astype(int)
         share = (at - low)[:, None, None]
@@ -113,9 +115,15 @@ def _companion(phi: Float[np.ndarray, " p"]) -> Float[np.ndarray, "p p"]:
     return np.vstack([phi, np.eye(ORDER - 1, ORDER)])
 
 
-def _variance(phi: Float[np.ndarray, " p"]) -> float:
-    """Of the stationary series of unit innovations."""
-    return float(solve_discrete_lyapunov(_companion(phi), np.diag([1.0] + [0.0] * (ORDER - 1)))[0, 0])
+def _growing(phi: Float[np.ndarray, " p"], lengths: Sequence[int]) -> float:
+    """Mean square of series of these lengths that begin at zero, of unit innovations."""
+    A, P, found = _companion(phi), np.zeros((ORDER, ORDER)), []
+    for _ in range(max(lengths)):
+        P = A @ P @ A.T
+        P[0, 0] += 1.0
+        found.append(P[0, 0])
+    total = np.cumsum(found)
+    return float(sum(total[length - 1] for length in lengths) / sum(lengths))
 
 
 def _repeats(phi: Float[np.ndarray, " p"]) -> float:

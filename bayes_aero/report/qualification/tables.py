@@ -126,8 +126,8 @@ def outside_table(found: Qualification) -> Table:
             column(excess, "", "from the nearest flown point", words=True),
         ],
         "Extrapolation: samples outside the flown region",
-        f"The flown region is the convex hull of all fitted samples in {several(found.channels)}. Counted are samples farther than 0.1 from it, and distances are "
-        "in units of half the flown range of each channel.",
+        f"The flown region is the convex hull of all fitted samples in {several(found.channels)}. Samples count from a "
+        "distance of 0.1. Distances are in units of half the flown range of each channel.",
     )
 
 

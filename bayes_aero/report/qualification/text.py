@@ -7,8 +7,8 @@ from bayes_aero.report.qualification.tables import band, chance_text, excess, we
 from bayes_aero.report.text.phrases import several
 
 WHOLE = {
-    Verdict.PASSES: "The model passes every tolerance.",
-    Verdict.UNDECIDED: "Undecided: not every tolerance is passed, and none is failed for certain.",
+    Verdict.PASSES: "The model qualifies: it passes every tolerance.",
+    Verdict.UNDECIDED: "It is not decided whether the model qualifies.",
     Verdict.FAILS: "The model does not qualify.",
 }
 DEFINITION = (
@@ -41,10 +41,11 @@ UNREAD = (
 def verdict_sentence(found: Qualification) -> str:
     """The model's verdict, and the tolerances that decide it."""
     by = {v: [n for n in found.tolerances if found.verdict(n) is v] for v in Verdict}
+    marks = {Verdict.PASSES: "Passes", Verdict.UNDECIDED: "Undecided", Verdict.FAILS: "Fails"}
     listed = [
-        f"{v.value}: {several(band(n, found.tolerances[n][0]) for n in names)}" for v, names in by.items() if names
+        f"{marks[v]}: {several(band(n, found.tolerances[n][0]) for n in names)}" for v, names in by.items() if names
     ]
-    return f"{WHOLE[found.whole]} {'; '.join(listed)}."
+    return f"{WHOLE[found.whole]} {'. '.join(listed)}."
 
 
 def sentences(found: Qualification) -> tuple[str, ...]:
