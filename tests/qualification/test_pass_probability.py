@@ -106,6 +106,14 @@ def test_the_next_flight_has_its_own_parameters(flown):
     assert chance(tests, Kind.NEXT).recorded is None
 
 
+def test_the_same_seed_draws_the_same_flights(flown):
+    given = unknown(flown, np.random.default_rng(4), hold_out=HoldOut(np.ones((2, N, 1)), np.zeros(1)))
+    few = Uncertain(given.estimate, given.draws[:100], given.draws[:100], given.hold_out)
+    one, two, other = (qualify(flown, None, few, {"az": 1.0}, seed=seed)[0] for seed in (1, 1, 2))
+    assert one == two
+    assert one != other
+
+
 def test_monte_carlo_errors_are_those_of_a_binomial():
     found = Chance.of(300, 400)
     assert found.value == 0.75

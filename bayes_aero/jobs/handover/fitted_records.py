@@ -31,10 +31,7 @@ def fitted_records(told: Mapping[str, Any], result: Path, card: Card, given: Seq
     words = shlex.split(told["provenance"].get("command", ""))
     names = {one["source"] for one in told["provenance"]["inputs"]}
     paths = list(given) or [p for word in words for p in _there(word, names, result)]
-    options: dict[str, Any] = {"split": "--split" in words, "segments": card.segments}
-    if "--resample" in words[:-1]:
-        options["resample"] = float(words[words.index("--resample") + 1])
-    read = read_records(paths, card.channels, **options) if paths else []
+    read = read_records(paths, card.channels, **read_options(told, card)) if paths else []
     found = {(r.name, r.sha256): r for r in read}
     missing = [name for name, sha256 in wanted if (name, sha256) not in found]
     if missing:
@@ -43,6 +40,15 @@ def fitted_records(told: Mapping[str, Any], result: Path, card: Card, given: Seq
             "records of that run with --fitted, as that run had them"
         )
     return [found[one] for one in wanted]
+
+
+def read_options(told: Mapping[str, Any], card: Card) -> dict[str, Any]:
+    """How the command of a result read its records."""
+    words = shlex.split(told["provenance"].get("command", ""))
+    options: dict[str, Any] = {"split": "--split" in words, "segments": card.segments}
+    if "--resample" in words[:-1]:
+        options["resample"] = float(words[words.index("--resample") + 1])
+    return options
 
 
 def _there(word: str, names: set[str], result: Path) -> list[Path]:

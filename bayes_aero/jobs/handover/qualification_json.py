@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -13,7 +14,9 @@ SCHEMA = "bayes_aero/qualification/1"
 RESULTS = "qualification.json"
 
 
-def qualification_results(found: Qualification, card: Card, source: dict[str, Any]) -> dict[str, Any]:
+def qualification_results(
+    found: Qualification, card: Card, source: dict[str, Any], failures: Sequence[str] = ()
+) -> dict[str, Any]:
     """Plain numbers and text, SI and radians (schemas/qualification.schema.json)."""
     return {
         "schema": SCHEMA,
@@ -35,6 +38,7 @@ def qualification_results(found: Qualification, card: Card, source: dict[str, An
         "outside": [asdict(one) for one in found.outside],
         "origins": dict(found.origins),
         "notes": list(found.notes),
+        "failures": list(failures),
         "provenance": source,
     }
 

@@ -16,7 +16,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.reading.read_record import read_records
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.handover.fitted_records import fitted_records
+from bayes_aero.jobs.handover.fitted_records import fitted_records, read_options
 from bayes_aero.jobs.handover.identified_card import card_of
 from bayes_aero.jobs.handover.identified_result import read_identified
 from bayes_aero.jobs.handover.posterior_draws import MOST_DRAWS
@@ -92,7 +92,7 @@ def qualify_result(
     assert folder is not None
     card = card_of(told["provenance"], file, options.card)
     records = fitted_records(told, file, card, options.fitted)
-    new = read_records(tests, card.channels, segments=card.segments) if tests else []
+    new = read_records(tests, card.channels, **read_options(told, card)) if tests else []
     known = {(r.name, r.sha256) for r in records}
     for record in new:
         if (record.name, record.sha256) in known:
@@ -118,8 +118,7 @@ def qualify_result(
     )
     if out is None:
         return qualification, ()
-    settings = {"draws": options.draws, "gusts": options.gusts}
-    settings["result"] = file.name
+    settings: dict[str, object] = {"result": file.name, "draws": options.draws, "gusts": options.gusts}
     return qualification, _put(qualification, card, [*records, *new], options.seed, settings, out)
 
 
@@ -198,4 +197,7 @@ def _put(
     write_csv(test_table(found), out / "qualification.csv")
     write_json(qualification_results(found, card, source), out / RESULTS)
     context = QualificationContext(card, source)
-    return put_page(lambda: qualification_page(found, context), out, "qualification.html")
+    failures = put_page(lambda: qualification_page(found, context), out, "qualification.html")
+    if failures:
+        write_json(qualification_results(found, card, source, failures), out / RESULTS)
+    return failures
