@@ -34,7 +34,8 @@ class Uncertain:
     Attributes:
         estimate: its parameters, (k,), SI.
         draws: of their posterior, (m, k).
-        following: of the next flight's, (m, k); None where their scatter between manoeuvres is not known.
+        following: of the next flight's, (m, k); None where their scatter between manoeuvres is not known. They are used
+            where they do not make flights differ by more than flights left out did.
         hold_out: errors of manoeuvres that were not fitted; None: those of the fitted ones stand for them.
         fitted: whether the parameters were fitted to these trajectories, whose errors then do not hold their own.
         gusts: intensities and lengths by parameter name; empty in calm air.
@@ -48,6 +49,15 @@ class Uncertain:
     fitted: bool = True
     gusts: Mapping[str, float] = field(default_factory=dict)
     met: bool = True
+
+
+@dataclass(frozen=True)
+class Found:
+    """Tests and strips; whether the next flight has the scatter of the parameters, None without a next flight."""
+
+    tests: tuple[Test, ...]
+    strips: tuple[Strip, ...]
+    scattered: bool | None
 
 
 @dataclass(frozen=True)
@@ -69,7 +79,7 @@ def qualify(
     *,
     seed: int = 0,
     progress: Progress | None = None,
-) -> tuple[tuple[Test, ...], tuple[Strip, ...]]:
+) -> Found:
     """Every test of every manoeuvre, and its time histories.
 
     Args:
@@ -92,7 +102,8 @@ def qualify(
         result, strip = _judged(case, unknown, bands, np.random.default_rng([seed, 3, number]))
         found += result
         strips.append(strip)
-    return tuple(found), tuple(strips)
+    ahead = [case for case in cases if case.kind is Kind.NEXT]
+    return Found(tuple(found), tuple(strips), ahead[0].draws is unknown.following if ahead else None)
 
 
 def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknown: Uncertain, seed: int) -> list[_Case]:
@@ -122,12 +133,18 @@ def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknow
         return Structure.of(error, separated, flown.inside, np.asarray(flown.dt), explained + by_gusts)
 
     cases = [_Case(Kind.AGAIN, flown, k, unknown.draws, structure(fitted, own)) for k in range(len(flown.index))]
+    left_out = structure(held.errors, held.explained)
     if tests is not None:
-        new = structure(held.errors, held.explained)
-        cases += [_Case(Kind.TEST, tests, k, unknown.draws, new) for k in range(len(tests.index))]
+        cases += [_Case(Kind.TEST, tests, k, unknown.draws, left_out) for k in range(len(tests.index))]
+    if unknown.following is None and unknown.hold_out is None:
+        return cases
+    draws, ahead = unknown.draws, left_out
     if unknown.following is not None:
-        following = structure(held.errors, explained(unknown.following))
-        cases += [_Case(Kind.NEXT, flown, k, unknown.following, following) for k in range(len(flown.index))]
+        scatter = explained(unknown.following)
+        shown = np.mean(held.errors[flown.inside] ** 2, axis=0)
+        if np.median(scatter / np.maximum(shown, 1e-300)) <= 1.0 or unknown.hold_out is None:
+            draws, ahead = unknown.following, structure(held.errors, scatter)
+    cases += [_Case(Kind.NEXT, flown, k, draws, ahead) for k in range(len(flown.index))]
     return cases
 
 
@@ -147,7 +164,8 @@ def _judged(
     chances, limits = {}, np.array([bands[n] for n in outputs])
     for counted in ("parameters", "structure", *(("gusts",) if unknown.gusts else ())):
         if counted == "structure":
-            flights = flights + case.structure.draws(len(flights), separated, dt, rng)
+            own = error if case.kind is Kind.AGAIN else None
+            flights = flights + case.structure.draws(len(flights), separated, dt, rng, own)
         if counted == "gusts":
             flights = flights + gust_spread(alone, case.draws, unknown.gusts, rng)
         inside = np.abs(np.nan_to_num(flights[:, keep], nan=np.inf)) <= limits

@@ -2,7 +2,10 @@
 
 A simulation begins in the measured state, so slow errors begin at zero and grow over their memory. Their mean square
 over a flight and their autocorrelation are those that flights showed, and they grow as the flow separates as those did.
-Few flights show few independent errors, so the size itself is uncertain: it is drawn, too.
+The size differs from flight to flight, and few flights show few sizes: it is drawn, too.
+
+What of an error repeats when a manoeuvre is flown again (a wrong model repeats, turbulence does not) is not known. The
+share of its mean square that repeats is drawn, uniform between none and all.
 """
 
 from __future__ import annotations
@@ -12,14 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.linalg import solve_discrete_lyapunov
 
 from bayes_aero.inference.variance.autoregression import ORDER, autoregression, filtered_noise
 from bayes_aero.inference.variance.noise_growth import SeparatedFlow
 
 BLOCK_SECONDS = 0.2  # s of a mean: the autoregression holds for some 5 samples a second
 SHORTEST = 4 * ORDER  # means in a manoeuvre that an autoregression needs
-MEMORY = 400  # lags of the autocorrelation that count
+SIZES = 3  # independent values of the size in a manoeuvre's errors, which follow from few directions; our choice
 
 
 @dataclass(frozen=True)
@@ -31,14 +33,16 @@ class Structure:
         innovation: standard deviation of its innovations in attached flow, (c,), SI.
         fast: standard deviation of the white rest, (c,), SI.
         growth: how many times the errors grow in fully separated flow, less one, (c,).
-        independent: how many independent values the slow errors amount to, (c,).
+        sizes: how many independent values of their size the errors amount to.
+        left: share of the mean square of slow errors that nothing else explains, (c,).
     """
 
     phi: Float[np.ndarray, "c p"]
     innovation: Float[np.ndarray, " c"]
     fast: Float[np.ndarray, " c"]
     growth: Float[np.ndarray, " c"]
-    independent: Float[np.ndarray, " c"]
+    sizes: int
+    left: Float[np.ndarray, " c"]
 
     @classmethod
     def of(
@@ -70,30 +74,37 @@ class Structure:
         slow = np.mean(np.concatenate([f.T for f in folds]) ** 2, axis=0)
         long = [f for f in folds if f.shape[1] >= SHORTEST]
         phi = autoregression(long)[0] if long else np.zeros((len(slow), ORDER))
-        count = sum(f.shape[1] for f in folds)
-        independent = np.array([max(1.0, count / _repeats(one)) for one in phi])
         white = np.mean((fast * (1.0 + growth * separated[inside][:, None])) ** 2, axis=0)
         total = np.maximum(np.mean(errors[inside] ** 2, axis=0) - white, 1e-300)
         left = np.maximum(1.0 - explained / total, 0.0)
         gained = np.array([_growing(one, [f.shape[1] for f in folds]) for one in phi])
-        return cls(phi, np.sqrt(slow * left / gained), fast, growth, independent)
+        return cls(phi, np.sqrt(slow * left / gained), fast, growth, SIZES * len(errors), left)
 
     def draws(
-        self, count: int, separated: Float[np.ndarray, " n"], dt: float, rng: np.random.Generator
+        self,
+        count: int,
+        separated: Float[np.ndarray, " n"],
+        dt: float,
+        rng: np.random.Generator,
+        own: Float[np.ndarray, "n c"] | None = None,
     ) -> Float[np.ndarray, "m n c"]:
-        """`count` histories of the errors of one manoeuvre, SI."""
+        """`count` histories of the errors of one manoeuvre, SI; of its `own` errors as recorded a part repeats."""
         n, c = len(separated), len(self.innovation)
         block = _block(dt)
-        points = -(-n // block) + 1
-        sizes = np.sqrt(self.independent[:, None] / rng.chisquare(self.independent[:, None], (c, count)))
-        white = self.innovation[:, None] * sizes * rng.standard_normal((points, c, count))
+        size = np.sqrt(self.sizes / rng.chisquare(self.sizes, (c, count)))
+        white = self.innovation[:, None] * size * rng.standard_normal((-(-n // block) + 1, c, count))
         series = filtered_noise(np.broadcast_to(self.phi.T[:, :, None], (ORDER, c, count)), white)
         at = np.arange(n) / block
         low = at.astype(int)
         share = (at - low)[:, None, None]
-        found = series[low] * (1.0 - share) + series[low + 1] * share
-        found = found + self.fast[:, None] * rng.standard_normal(found.shape)
-        return np.moveaxis(found, 2, 0) * (1.0 + self.growth * separated[:, None])
+        slow = series[low] * (1.0 - share) + series[low + 1] * share
+        grown = 1.0 + self.growth * separated[:, None]
+        found = np.moveaxis(slow, 2, 0) * grown
+        if own is not None:
+            again = rng.uniform(size=(count, 1, c))
+            repeated = (own - _means(own, dt)[1]) * np.sqrt(self.left)
+            found = np.sqrt(again) * repeated + np.sqrt(1.0 - again) * found
+        return found + self.fast * rng.standard_normal(found.shape) * grown
 
 
 def _block(dt: float) -> int:
@@ -124,13 +135,3 @@ def _growing(phi: Float[np.ndarray, " p"], lengths: Sequence[int]) -> float:
         found.append(P[0, 0])
     total = np.cumsum(found)
     return float(sum(total[length - 1] for length in lengths) / sum(lengths))
-
-
-def _repeats(phi: Float[np.ndarray, " p"]) -> float:
-    """How many samples amount to one independent value of the square: 1 + 2 sum of squared autocorrelations."""
-    A, P = _companion(phi), solve_discrete_lyapunov(_companion(phi), np.diag([1.0] + [0.0] * (ORDER - 1)))
-    total, ahead = 1.0, P
-    for _ in range(MEMORY):
-        ahead = A @ ahead
-        total += 2.0 * (ahead[0, 0] / P[0, 0]) ** 2
-    return float(total)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from bayes_aero.qualification.structure import BLOCK_SECONDS, Structure
 
 DT, PHI = BLOCK_SECONDS, 0.9
-CERTAIN = np.array([1e9])
+CERTAIN = 10**9
 
 
 def from_zero(rng, count, n, phi=PHI):
@@ -29,7 +31,7 @@ def structure(errors, separated=None, explained=0.0):
 def test_draws_have_the_size_and_the_memory_of_the_errors():
     """The variance from zero is (1 - phi^2t) / (1 - phi^2); 200 series of 300 samples, 3 % of it by their number."""
     errors = from_zero(np.random.default_rng(1), 200, 300)
-    found = structure(errors)
+    found = replace(structure(errors), sizes=CERTAIN)
     drawn = found.draws(4000, np.zeros(300), DT, np.random.default_rng(2))[:, :, 0]
     steady = 1.0 / (1.0 - PHI**2)
     early = sum(PHI ** (2 * k) for k in range(3))  # after three innovations
@@ -54,24 +56,30 @@ def test_errors_grow_with_separation_as_they_did():
     errors = rng.standard_normal((100, 300, 1)) * (1.0 + 2.0 * separated[:, :, None])
     found = structure(errors, separated)
     assert found.growth == pytest.approx(2.0, abs=0.1)
-    drawn = found.draws(2000, separated[0], DT, rng)[:, :, 0]
+    drawn = replace(found, sizes=CERTAIN).draws(2000, separated[0], DT, rng)[:, :, 0]
     assert np.var(drawn[:, 250]) / np.var(drawn[:, 100]) == pytest.approx(9.0, rel=0.3)
 
 
-def test_few_independent_errors_widen_the_tails():
-    """Of nu independent values the size is that of nu over a chi-square: draws are Student's t, variance nu/(nu-2)."""
-    few = Structure(np.zeros((1, 3)), np.ones(1), np.zeros(1), np.zeros(1), np.array([8.0]))
-    many = Structure(np.zeros((1, 3)), np.ones(1), np.zeros(1), np.zeros(1), CERTAIN)
+def one(sizes=CERTAIN, left=1.0, innovation=1.0):
+    """White errors of standard deviation `innovation`."""
+    return Structure(np.zeros((1, 3)), np.array([innovation]), np.zeros(1), np.zeros(1), sizes, np.array([left]))
+
+
+def test_few_sizes_widen_the_tails():
+    """Of nu independent values the size is that of nu over a chi-square: Student's t, of variance nu/(nu-2)."""
     rng = np.random.default_rng(5)
-    wide, narrow = (one.draws(40_000, np.zeros(1), DT, rng)[:, 0, 0] for one in (few, many))
+    wide, narrow = (one(sizes).draws(40_000, np.zeros(1), DT, rng)[:, 0, 0] for sizes in (8, CERTAIN))
     assert np.var(narrow) == pytest.approx(1.0, rel=0.03)
     assert np.var(wide) == pytest.approx(8.0 / 6.0, rel=0.06)
+    assert structure(np.ones((5, 40, 1))).sizes == 3 * 5
 
 
-def test_independent_errors_are_counted():
-    """White errors: every sample is one. Correlation phi between neighbours: (1 - phi^2) / (1 + phi^2) of them."""
-    rng = np.random.default_rng(6)
-    white = structure(rng.standard_normal((20, 500, 1)))
-    assert white.independent == pytest.approx(20 * 500, rel=0.02)
-    slow = structure(from_zero(rng, 20, 500))
-    assert slow.independent == pytest.approx(20 * 500 * (1 - PHI**2) / (1 + PHI**2), rel=0.15)
+def test_a_part_of_an_error_repeats():
+    """Of a constant error b a share w of the square repeats, w uniform: the mean is b E sqrt(w) = 2 b / 3, the mean
+    square b^2 / 2, beside half of that of the random errors."""
+    own = np.full((40, 1), 5.0)
+    drawn = one().draws(40_000, np.zeros(40), DT, np.random.default_rng(6), own)[:, 10, 0]
+    assert np.mean(drawn) == pytest.approx(5.0 * 2.0 / 3.0, rel=0.01)
+    assert np.mean(drawn**2) == pytest.approx(25.0 / 2.0 + 0.5, rel=0.02)
+    none = one(left=0.0, innovation=0.0).draws(10, np.zeros(40), DT, np.random.default_rng(7), own)
+    assert not none.any()

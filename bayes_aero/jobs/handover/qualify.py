@@ -38,6 +38,11 @@ from bayes_aero.report.tables.table import write_csv
 DRAWS = 400
 FEWEST = 100  # draws: with fewer no probability is decided
 MOST_GUSTS = 20.0  # m/s
+UNSCATTERED = (
+    "The errors of every manoeuvre by the fit to the others, which hold the scatter between manoeuvres. The scatter of "
+    "their own fits is not used: it would make flights differ by more than those left out did, so it is mostly its "
+    "prior."
+)
 
 
 @dataclass(frozen=True)
@@ -103,17 +108,17 @@ def qualify_result(
     flown, bands = _segments(source, card, records)
     tested, _ = _segments(source, card, new, tuple(bands)) if new else (None, {})
     unknown, origins = uncertain(source, flown, options.draws, options.seed, options.gusts, progress)
-    results, strips = qualify(flown, tested, unknown, bands, seed=options.seed, progress=progress)
-    outside, region = _outside(flown, tested, strips)
+    results = qualify(flown, tested, unknown, bands, seed=options.seed, progress=progress)
+    outside, region = _outside(flown, tested, results.strips)
     qualification = Qualification(
-        tests=results,
+        tests=results.tests,
         outside=outside,
         channels=region.channels,
         unjudged=tuple(n for n in CHANNELS if n not in region.channels and n != "mach"),
-        strips=strips,
+        strips=results.strips,
         tolerances={name: (x, card.tolerances[name].source) for name, x in bands.items()},
         draws=options.draws,
-        origins=origins,
+        origins=origins if results.scattered in (None, True) else origins | {"next flight": UNSCATTERED},
         notes=(*found.sources, *_reach(region)),
     )
     if out is None:
