@@ -130,7 +130,11 @@ def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknow
     held = unknown.hold_out or HoldOut(fitted, own)
 
     def structure(error: Float[np.ndarray, "w n c"], explained: Float[np.ndarray, " c"]) -> Structure:
-        return Structure.of(error, separated, flown.inside, np.asarray(flown.dt), explained + by_gusts)
+        """What is left of errors: never less than of those of the fitted records."""
+        shown, least = (np.mean(x[flown.inside] ** 2, axis=0) for x in (error, fitted))
+        most = np.maximum(shown - np.maximum(least - own - by_gusts, 0.0), 0.0)
+        taken = np.minimum(explained + by_gusts, most)
+        return Structure.of(error, separated, flown.inside, np.asarray(flown.dt), taken)
 
     cases = [_Case(Kind.AGAIN, flown, k, unknown.draws, structure(fitted, own)) for k in range(len(flown.index))]
     left_out = structure(held.errors, held.explained)
