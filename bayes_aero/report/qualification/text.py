@@ -15,8 +15,8 @@ DEFINITION = (
     "A test is passed if the flight stays inside the tolerance about the simulation from start to end. The simulation "
     "has the estimated parameters, the recorded inputs and the measured initial state. The flight has parameters drawn "
     "from their distribution, errors of the model's structure with the size and autocorrelation that flights showed, "
-    "noise of the sensors, and gusts where they are counted. Errors of the initial state are among the errors that "
-    "flights showed."
+    "noise of the sensors, and gusts where they are counted. When a fitted manoeuvre is flown again, a part of its own "
+    "error repeats. Errors of the initial state are among the errors that flights showed."
 )
 READ = (
     "14 CFR Part 60 (edition of 2019, volume 2, page 182), Attachment 7: “For stall recovery training tasks, "
