@@ -143,6 +143,11 @@ def trajectories_schema() -> str:
     return _schema("trajectories.schema.json")
 
 
+def qualification_schema() -> str:
+    """qualification.json."""
+    return _schema("qualification.schema.json")
+
+
 def _schema(name: str) -> str:
     text = (ROOT / "bayes_aero" / "jobs" / "io" / "schemas" / name).read_text(encoding="utf-8")
     schema = json.loads(text)
@@ -202,7 +207,7 @@ def cli() -> str:
         return get_docs_for_click(obj=command, ctx=context, name="bayes-aero", indent=1)  # type: ignore[arg-type]
 
 
-SCHEMAS = (results_schema, diagnosis_schema, trajectories_schema)
+SCHEMAS = (results_schema, diagnosis_schema, trajectories_schema, qualification_schema)
 GENERATED = {f.__name__: f for f in (effects, channels, units, aircraft, tolerances, envelope, *SCHEMAS, cli)}
 
 

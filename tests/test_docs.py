@@ -90,7 +90,7 @@ def test_reference_explains_every_key_of_a_card(site):
         assert f"<code>[{section}]</code>" in card or f"<code>[{section}.NAME]</code>" in card, section
 
 
-@pytest.mark.parametrize("name", ["results", "diagnosis", "trajectories"])
+@pytest.mark.parametrize("name", ["results", "diagnosis", "trajectories", "qualification"])
 def test_reference_lists_every_key_of_the_schemas(site, name):
     page = text_of(site / "reference" / "schemas.html")
 

@@ -48,7 +48,7 @@ def paths_of(
     under a likelihood that counts each sample for one in `variance_inflation`."""
     draws = None
     if drawn and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
-        draws = _draws(fit, variance_inflation, seed)
+        draws = posterior_draws(fit, variance_inflation, seed)
     return simulated(fit.estimate, flown, model, split, departure, tolerances, draws)
 
 
@@ -107,14 +107,16 @@ def posterior_covariance(fit: OutputErrorResult, inflation: float) -> Float[np.n
     return inflation * fit.covariance
 
 
-def _draws(fit: OutputErrorResult, variance_inflation: float, seed: int) -> Float[np.ndarray, "m k"]:
+def posterior_draws(
+    fit: OutputErrorResult, variance_inflation: float, seed: int, count: int = DRAWS
+) -> Float[np.ndarray, "m k"]:
     """Parameters drawn from the posterior, within their bounds."""
     moving = np.flatnonzero(fit.sd > 0.0)
     covariance = posterior_covariance(fit, variance_inflation)[np.ix_(moving, moving)]
     scale = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    white = np.random.default_rng(seed).standard_normal((DRAWS, len(moving)))
-    thetas = np.tile(fit.estimate, (DRAWS, 1))
+    white = np.random.default_rng(seed).standard_normal((count, len(moving)))
+    thetas = np.tile(fit.estimate, (count, 1))
     thetas[:, moving] += (white * np.sqrt(np.maximum(values, 0.0))) @ vectors.T * scale
     lower, upper = (np.array([p.bounds[i] for p in fit.parameters], float) for i in (0, 1))
     return np.clip(thetas, lower, upper)

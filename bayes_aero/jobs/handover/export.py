@@ -18,7 +18,7 @@ from bayes_aero.export.python_source import python_source
 from bayes_aero.export.tables import write_tables
 from bayes_aero.export.text import about, validity, version, wrapped
 from bayes_aero.jobs.handover.identified_result import read_identified
-from bayes_aero.jobs.handover.posterior_draws import drawn
+from bayes_aero.jobs.handover.posterior_draws import drawn, exported
 from bayes_aero.jobs.io.atomic_write import beside, put_folder
 from bayes_aero.jobs.io.output_folder import safe_name
 from bayes_aero.jobs.provenance.provenance import write_json, write_text
@@ -51,7 +51,7 @@ def export(
     found, folder, told = read_identified(given, card)
     found = replace(found, name=_name(found.name))
     if draws:
-        found = replace(found, draws=drawn(found, folder, told, draws, seed))
+        found = replace(found, draws=drawn(found, folder, told, exported(found), draws, seed))
     target = out or Path(f"{found.name}_{form}")
     if target.exists() or target.is_symlink():
         raise InputError(f"{target} exists; give another folder with --out")

@@ -1,0 +1,208 @@
+"""The job of `bayes-aero qualify`: how probably a finished model passes its tolerances."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.dynamics.segments import SegmentTrajectories, segments
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.reading.read_record import read_records
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.jobs.handover.fitted_records import fitted_records, read_options
+from bayes_aero.jobs.handover.identified_card import card_of
+from bayes_aero.jobs.handover.identified_result import read_identified
+from bayes_aero.jobs.handover.posterior_draws import MOST_DRAWS
+from bayes_aero.jobs.handover.qualification_json import RESULTS, qualification_results
+from bayes_aero.jobs.handover.result_file import result_file
+from bayes_aero.jobs.handover.uncertain_model import Source, uncertain
+from bayes_aero.jobs.io.output_folder import writable
+from bayes_aero.jobs.provenance.provenance import provenance, write_json
+from bayes_aero.model.joined_channels import despiked, join
+from bayes_aero.progress import Progress
+from bayes_aero.qualification.qualify import qualify
+from bayes_aero.qualification.region import CHANNELS, Region
+from bayes_aero.qualification.result import Kind, Outside, Qualification, Strip
+from bayes_aero.report.html.page import put_page
+from bayes_aero.report.qualification.page import QualificationContext, qualification_page
+from bayes_aero.report.qualification.tables import test_table
+from bayes_aero.report.tables.table import write_csv
+
+DRAWS = 400
+FEWEST = 100  # draws: with fewer no probability is decided
+MOST_GUSTS = 20.0  # m/s
+UNSCATTERED = (
+    "The errors of every manoeuvre by the fit to the others, which hold the scatter between manoeuvres. The scatter of "
+    "their own fits is not used: it would make flights differ by more than those left out did, so it is mostly its "
+    "prior."
+)
+
+
+@dataclass(frozen=True)
+class QualifyOptions:
+    """What a qualification may be told.
+
+    `card`: of the result, where it is not found by itself; `fitted`: files of its records, likewise. `draws` of every
+    flight. `gusts`: a stated intensity, m/s.
+    """
+
+    card: str | None = None
+    fitted: tuple[Path, ...] = ()
+    draws: int = DRAWS
+    seed: int = 0
+    gusts: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that decide nothing."""
+        if not FEWEST <= self.draws <= MOST_DRAWS:
+            raise InputError(f"--draws is {self.draws}; give a number from {FEWEST} to {MOST_DRAWS}")
+        if self.gusts is not None and not 0.0 <= self.gusts <= MOST_GUSTS:
+            raise InputError(f"--gusts is {self.gusts:g} m/s; give a number from 0 to {MOST_GUSTS:g}")
+
+
+def qualify_result(
+    given: str,
+    tests: Sequence[Path] = (),
+    options: QualifyOptions = QualifyOptions(),
+    *,
+    out: Path | None = None,
+    progress: Progress | None = None,
+) -> tuple[Qualification, tuple[str, ...]]:
+    """Qualify the model of a finished result of identify, fly or diagnose.
+
+    Args:
+        given: folder or file of the result.
+        tests: records that were not fitted, as further tests.
+        options: the settings.
+        out: folder for qualification.json, qualification.csv and qualification.html.
+        progress: called with a stage and the share of it that is done.
+
+    Returns:
+        The qualification, and a sentence on each part that could not be made.
+
+    Raises:
+        InputError: there is no result, no tolerance, or a record is missing or cannot be flown.
+    """
+    file = result_file(given)
+    if file is None:
+        raise InputError(f"{given} is a card, and a card has no uncertainty; give the folder of a result")
+    found, folder, told = read_identified(str(file), options.card)
+    assert folder is not None
+    card = card_of(told["provenance"], file, options.card)
+    records = fitted_records(told, file, card, options.fitted)
+    new = read_records(tests, card.channels, **read_options(told, card)) if tests else []
+    known = {(r.name, r.sha256) for r in records}
+    for record in new:
+        if (record.name, record.sha256) in known:
+            raise InputError(f"{record.name} was fitted, so it is tested anyway; give records that were not fitted")
+    if out is not None:
+        writable(out)
+    source = Source(found, folder, told)
+    flown, bands = _segments(source, card, records)
+    tested, _ = _segments(source, card, new, tuple(bands)) if new else (None, {})
+    unknown, origins = uncertain(source, flown, options.draws, options.seed, options.gusts, progress)
+    results = qualify(flown, tested, unknown, bands, seed=options.seed, progress=progress)
+    outside, region = _outside(flown, tested, results.strips)
+    qualification = Qualification(
+        tests=results.tests,
+        outside=outside,
+        channels=region.channels,
+        unjudged=tuple(n for n in CHANNELS if n not in region.channels and n != "mach"),
+        strips=results.strips,
+        tolerances={name: (x, card.tolerances[name].source) for name, x in bands.items()},
+        draws=options.draws,
+        origins=origins if results.scattered in (None, True) else origins | {"next flight": UNSCATTERED},
+        notes=(*found.sources, *_reach(region)),
+    )
+    if out is None:
+        return qualification, ()
+    settings: dict[str, object] = {"result": file.name, "draws": options.draws, "gusts": options.gusts}
+    return qualification, _put(qualification, card, [*records, *new], options.seed, settings, out)
+
+
+def _segments(
+    source: Source, card: Card, records: Sequence[FlightRecord], outputs: tuple[str, ...] = ()
+) -> tuple[SegmentTrajectories, dict[str, float]]:
+    """Whole manoeuvres with the outputs that have a tolerance, and half the widths of their bands, SI."""
+    flights, _ = despiked(join(records, card, FLIGHT))
+    dynamics = aircraft_dynamics(source.found.model, flights)
+    theta = np.array([source.found.values[name] for name in dynamics.names])
+    there = [n for n in dynamics.outputs if n in flights.channels]
+    bands = {n: card.tolerances[n].value for n in there if n in card.tolerances}
+    for name in outputs:
+        if name not in bands:
+            raise InputError(
+                f"record {records[0].name} has no channel {name}, which has a tolerance; leave the record out"
+            )
+    if not bands:
+        raise InputError(
+            f"card {card.name} has no tolerance of an output that was recorded and simulated ({', '.join(there)}); "
+            "state one under [tolerances]"
+        )
+    chosen = outputs or tuple(bands)
+    return segments(flights, dynamics, outputs=chosen, substeps=dynamics.substeps(theta, flights)), bands
+
+
+def _outside(
+    flown: SegmentTrajectories, tested: SegmentTrajectories | None, strips: Sequence[Strip]
+) -> tuple[tuple[Outside, ...], Region]:
+    """Where recorded and simulated motions leave the flown region."""
+    every = [flown.flights.channels] + ([] if tested is None else [tested.flights.channels])
+    shared = set.intersection(*(set(one) for one in every))
+    region = Region.of({n: np.asarray(x) for n, x in flown.flights.channels.items() if n in shared})
+    found = []
+    for strip in strips:
+        if strip.kind is Kind.NEXT:
+            continue
+        source = tested if strip.kind is Kind.TEST and tested is not None else flown
+        own = source.flights.manoeuvre == source.flights.names.index(strip.manoeuvre)
+        recorded = {n: np.asarray(x)[own] for n, x in source.flights.channels.items() if n in region.channels}
+        if strip.kind is Kind.TEST:
+            found.append(region.outside(strip.manoeuvre, "recorded", strip.time, recorded))
+        found.append(region.outside(strip.manoeuvre, "simulated", strip.time, recorded | _simulated(strip, recorded)))
+    return tuple(one for one in found if one is not None), region
+
+
+def _simulated(strip: Strip, recorded: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The simulated channels of a region; the Mach number goes with the airspeed."""
+    found = {n: x for n, x in strip.simulated.items() if n in recorded}
+    if "mach" in recorded and "airspeed" in strip.simulated:
+        found["mach"] = recorded["mach"] * strip.simulated["airspeed"] / strip.measured["airspeed"]
+    return found
+
+
+def _reach(region: Region) -> tuple[str, ...]:
+    """The largest flown angle of attack, which the rule on stall training asks for."""
+    alpha = (
+        np.degrees(region.points[:, region.channels.index("alpha")].max()) if "alpha" in region.channels else math.nan
+    )
+    return (
+        f"The largest recorded angle of attack is {alpha:.1f} deg. Attachment 7 asks for a valid model up to 10 deg "
+        "beyond the stall identification angle of attack, which the program does not know.",
+    )
+
+
+def _put(
+    found: Qualification,
+    card: Card,
+    records: Sequence[FlightRecord],
+    seed: int,
+    settings: dict[str, object],
+    out: Path,
+) -> tuple[str, ...]:
+    """Numbers first, then the page; what could not be made."""
+    source = provenance(card, records, seed, settings)
+    write_csv(test_table(found), out / "qualification.csv")
+    write_json(qualification_results(found, card, source), out / RESULTS)
+    context = QualificationContext(card, source)
+    failures = put_page(lambda: qualification_page(found, context), out, "qualification.html")
+    if failures:
+        write_json(qualification_results(found, card, source, failures), out / RESULTS)
+    return failures

@@ -1,0 +1,200 @@
+"""How probably a finished model passes its tolerances.
+
+A flight departs from the simulation with the estimates because its parameters differ from them, because the model has
+errors that no parameter removes, and because of gusts. Each of these is drawn at random; a flight passes a tolerance if
+it stays inside the band about the simulation from start to end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.diagnosis.trajectories.time_histories import label
+from bayes_aero.dynamics.segments import SegmentTrajectories
+from bayes_aero.errors import InputError
+from bayes_aero.progress import Progress
+from bayes_aero.qualification.flights import errors, gust_spread, spread
+from bayes_aero.qualification.refits import HoldOut, mean_square
+from bayes_aero.qualification.result import Chance, Kind, Recorded, Strip, Test
+from bayes_aero.qualification.structure import Structure
+
+CENTRAL = (0.025, 0.975)
+EXPLAINING = 40  # draws for the mean square that parameters or gusts explain
+FAR = 1e30  # of a flight that left the envelope
+
+
+@dataclass(frozen=True)
+class Uncertain:
+    """What is not known of a model.
+
+    Attributes:
+        estimate: its parameters, (k,), SI.
+        draws: of their posterior, (m, k).
+        following: of the next flight's, (m, k); None where their scatter between manoeuvres is not known. They are used
+            where they do not make flights differ by more than flights left out did.
+        hold_out: errors of manoeuvres that were not fitted; None: those of the fitted ones stand for them.
+        fitted: whether the parameters were fitted to these trajectories, whose errors then do not hold their own.
+        gusts: intensities and lengths by parameter name; empty in calm air.
+        met: whether the records met these gusts, so that their errors hold them.
+    """
+
+    estimate: Float[np.ndarray, " k"]
+    draws: Float[np.ndarray, "m k"]
+    following: Float[np.ndarray, "m k"] | None = None
+    hold_out: HoldOut | None = None
+    fitted: bool = True
+    gusts: Mapping[str, float] = field(default_factory=dict)
+    met: bool = True
+
+
+@dataclass(frozen=True)
+class Found:
+    """Tests and strips; whether the next flight has the scatter of the parameters, None without a next flight."""
+
+    tests: tuple[Test, ...]
+    strips: tuple[Strip, ...]
+    scattered: bool | None
+
+
+@dataclass(frozen=True)
+class _Case:
+    """One manoeuvre as it is flown: its row of the segments, parameters, and errors that parameters do not explain."""
+
+    kind: Kind
+    flown: SegmentTrajectories
+    row: int
+    draws: Float[np.ndarray, "m k"]
+    structure: Structure
+
+
+def qualify(
+    flown: SegmentTrajectories,
+    tests: SegmentTrajectories | None,
+    unknown: Uncertain,
+    bands: Mapping[str, float],
+    *,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Found:
+    """Every test of every manoeuvre, and its time histories.
+
+    Args:
+        flown: the fitted manoeuvres, with the outputs that have a band.
+        tests: manoeuvres that were not fitted.
+        unknown: what is not known of the model.
+        bands: half the width of the tolerance by output, SI.
+        seed: of all draws.
+        progress: called with a stage and the share of it that is done.
+
+    Raises:
+        InputError: the simulation with the estimates leaves the envelope in a manoeuvre.
+    """
+    cases = _cases(flown, tests, unknown, seed)
+    found: list[Test] = []
+    strips: list[Strip] = []
+    for number, case in enumerate(cases):
+        if progress:
+            progress("flights", number / len(cases))
+        result, strip = _judged(case, unknown, bands, np.random.default_rng([seed, 3, number]))
+        found += result
+        strips.append(strip)
+    ahead = [case for case in cases if case.kind is Kind.NEXT]
+    return Found(tuple(found), tuple(strips), ahead[0].draws is unknown.following if ahead else None)
+
+
+def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknown: Uncertain, seed: int) -> list[_Case]:
+    """What is flown, with the errors that flights of its kind showed, less what parameters and gusts explain."""
+    fitted, separated, sound = errors(flown, unknown.estimate)
+    for row in np.flatnonzero(~sound):
+        raise InputError(
+            f"the simulation of {label(flown, int(row))} with the estimates leaves the flight envelope, so there is "
+            "nothing to qualify; fit the model to trajectories with fly first"
+        )
+    nothing = np.zeros(len(flown.outputs))
+    rng = np.random.default_rng([seed, 2])
+
+    def explained(draws: Float[np.ndarray, "m k"], *, gusts: bool = False) -> Float[np.ndarray, " c"]:
+        parts = []
+        for row, real in enumerate(flown.inside):
+            alone, few = flown.part([row]), draws[:EXPLAINING]
+            apart = gust_spread(alone, few, unknown.gusts, rng) if gusts else spread(alone, unknown.estimate, few)
+            parts.append(mean_square(apart[:, real]))
+        return np.average(parts, axis=0, weights=flown.inside.sum(axis=1))
+
+    by_gusts = explained(unknown.draws, gusts=True) if unknown.gusts and unknown.met else nothing
+    own = nothing if unknown.fitted else explained(unknown.draws)
+    held = unknown.hold_out or HoldOut(fitted, own)
+
+    def structure(error: Float[np.ndarray, "w n c"], explained: Float[np.ndarray, " c"]) -> Structure:
+        """What is left of errors: never less than of those of the fitted records."""
+        shown, least = (np.mean(x[flown.inside] ** 2, axis=0) for x in (error, fitted))
+        most = np.maximum(shown - np.maximum(least - own - by_gusts, 0.0), 0.0)
+        taken = np.minimum(explained + by_gusts, most)
+        return Structure.of(error, separated, flown.inside, np.asarray(flown.dt), taken)
+
+    cases = [_Case(Kind.AGAIN, flown, k, unknown.draws, structure(fitted, own)) for k in range(len(flown.index))]
+    left_out = structure(held.errors, held.explained)
+    if tests is not None:
+        cases += [_Case(Kind.TEST, tests, k, unknown.draws, left_out) for k in range(len(tests.index))]
+    if unknown.following is None and unknown.hold_out is None:
+        return cases
+    draws, ahead = unknown.draws, left_out
+    if unknown.following is not None:
+        scatter = explained(unknown.following)
+        shown = np.mean(held.errors[flown.inside] ** 2, axis=0)
+        if np.median(scatter / np.maximum(shown, 1e-300)) <= 1.0 or unknown.hold_out is None:
+            draws, ahead = unknown.following, structure(held.errors, scatter)
+    cases += [_Case(Kind.NEXT, flown, k, draws, ahead) for k in range(len(flown.index))]
+    return cases
+
+
+def _judged(
+    case: _Case, unknown: Uncertain, bands: Mapping[str, float], rng: np.random.Generator
+) -> tuple[list[Test], Strip]:
+    """Probabilities with more and more counted, and the band of flights with all of it."""
+    alone = case.flown.part([case.row])
+    (error,), (separated,), sound = errors(alone, unknown.estimate)
+    name, keep, outputs, dt = label(case.flown, case.row), alone.inside[0], alone.outputs, float(alone.dt[0])
+    if not sound[0]:
+        raise InputError(
+            f"the simulation of {name} with the estimates leaves the flight envelope, so there is nothing to compare; "
+            "leave this record out"
+        )
+    flights = spread(alone, unknown.estimate, case.draws)
+    chances, limits = {}, np.array([bands[n] for n in outputs])
+    for counted in ("parameters", "structure", *(("gusts",) if unknown.gusts else ())):
+        if counted == "structure":
+            own = error if case.kind is Kind.AGAIN else None
+            flights = flights + case.structure.draws(len(flights), separated, dt, rng, own)
+        if counted == "gusts":
+            flights = flights + gust_spread(alone, case.draws, unknown.gusts, rng)
+        inside = np.abs(np.nan_to_num(flights[:, keep], nan=np.inf)) <= limits
+        passed = np.all(inside, axis=1).sum(axis=0)
+        chances[counted] = [Chance.of(int(k), len(flights)) for k in passed]
+    size, found = np.abs(error[keep]), []
+    for c, output in enumerate(outputs):
+        beside = Recorded(float(size[:, c].max()), float(np.mean(size[:, c] <= limits[c])))
+        record = None if case.kind is Kind.NEXT else beside
+        by = {counted: each[c] for counted, each in chances.items()}
+        found.append(Test(case.kind, name, output, bands[output], by, float(inside[:, :, c].mean()), record))
+    return found, _strip(case.kind, name, alone, error[keep], flights[:, keep])
+
+
+def _strip(
+    kind: Kind,
+    name: str,
+    alone: SegmentTrajectories,
+    error: Float[np.ndarray, "n c"],
+    apart: Float[np.ndarray, "m n c"],
+) -> Strip:
+    """What was recorded and simulated, and the central part of the flights."""
+    flights, index = alone.flights, alone.index[0][alone.inside[0]]
+    measured = {n: np.asarray(flights.channels[n])[index] for n in alone.outputs}
+    simulated = {n: measured[n] - error[:, c] for c, n in enumerate(alone.outputs)}
+    low, high = np.quantile(np.nan_to_num(apart, posinf=FAR, neginf=-FAR), CENTRAL, axis=0)
+    ends = [{n: simulated[n] + x[:, c] for c, n in enumerate(alone.outputs)} for x in (low, high)]
+    return Strip(kind, name, np.asarray(flights.time)[index], measured, simulated, *ends)

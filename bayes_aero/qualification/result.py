@@ -1,0 +1,176 @@
+"""What a qualification finds, as plain data, SI and radians."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+from jaxtyping import Float
+
+PASSES_FROM, FAILS_TO = 0.95, 0.05
+"""Probabilities from which a tolerance passes, and to which it fails; our choice."""
+
+
+class Verdict(Enum):
+    """Of a tolerance; the value is the word for the user."""
+
+    PASSES = "passes"
+    UNDECIDED = "undecided"
+    FAILS = "fails"
+
+
+class Kind(Enum):
+    """What is flown: a fitted manoeuvre again, a manoeuvre that was not fitted, or a fitted one on the next flight."""
+
+    AGAIN = "again"
+    TEST = "test"
+    NEXT = "next flight"
+
+
+@dataclass(frozen=True)
+class Chance:
+    """A probability by Monte Carlo, with its standard error."""
+
+    value: float
+    error: float
+
+    @classmethod
+    def of(cls, passed: int, count: int) -> Chance:
+        """From `passed` of `count` draws; the standard error is the posterior's under Jeffreys' prior, never zero."""
+        near = (passed + 0.5) / (count + 1.0)
+        return cls(passed / count, float(np.sqrt(near * (1.0 - near) / (count + 2.0))))
+
+    @property
+    def verdict(self) -> Verdict:
+        """Decided where the probability lies beyond a threshold by two Monte Carlo standard errors."""
+        if self.value - 2.0 * self.error >= PASSES_FROM:
+            return Verdict.PASSES
+        return Verdict.FAILS if self.value + 2.0 * self.error <= FAILS_TO else Verdict.UNDECIDED
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """The model with its estimates beside the record: largest error (SI), and the share of time inside the band."""
+
+    largest: float
+    within: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether it is inside all the time."""
+        return self.within == 1.0
+
+
+@dataclass(frozen=True)
+class Test:
+    """One output of one manoeuvre.
+
+    Attributes:
+        kind: what is flown.
+        manoeuvre: whose inputs and initial state.
+        output: the channel.
+        tolerance: half the width of its band, SI.
+        chances: probability of the whole manoeuvre inside the band by what is counted: `parameters` alone, then
+            `structure` with them, then `gusts` with both, where gusts are counted.
+        within: expected share of the time inside, all counted.
+        recorded: the record of a manoeuvre that was flown; None for the next flight.
+    """
+
+    __test__ = False  # not one of pytest's
+
+    kind: Kind
+    manoeuvre: str
+    output: str
+    tolerance: float
+    chances: Mapping[str, Chance]
+    within: float
+    recorded: Recorded | None = None
+
+    @property
+    def chance(self) -> Chance:
+        """With all that is counted."""
+        return [*self.chances.values()][-1]
+
+
+@dataclass(frozen=True)
+class Outside:
+    """How far a manoeuvre leaves the flown region, the convex hull of all fitted samples.
+
+    Attributes:
+        manoeuvre: which.
+        motion: recorded or simulated.
+        channels: of the hull.
+        share: of the samples farther outside than `region.NOTABLE`.
+        distance: of the farthest sample, in units of half the flown range of each channel (`Region.scale`).
+        time: of that sample, s from the start.
+        excess: by channel, from the nearest point of the hull to that sample, SI.
+    """
+
+    manoeuvre: str
+    motion: str
+    channels: tuple[str, ...]
+    share: float
+    distance: float
+    time: float
+    excess: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Strip:
+    """One manoeuvre over time in s (n,): recorded, simulated, and the central 95 % of flights by output, (n,)."""
+
+    kind: Kind
+    manoeuvre: str
+    time: Float[np.ndarray, " n"]
+    measured: Mapping[str, np.ndarray]
+    simulated: Mapping[str, np.ndarray]
+    low: Mapping[str, np.ndarray]
+    high: Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Qualification:
+    """All tests of a model.
+
+    Attributes:
+        tests: manoeuvres and outputs.
+        outside: where manoeuvres leave the flown region.
+        channels: of the flown region.
+        unjudged: channels of the region that were not recorded.
+        strips: time histories of what was flown.
+        tolerances: half width in SI and source, by output.
+        draws: Monte Carlo draws a test.
+        origins: where parameters, structure, gusts and the scatter between manoeuvres come from, a sentence each.
+        notes: remarks.
+    """
+
+    tests: tuple[Test, ...]
+    outside: tuple[Outside, ...]
+    channels: tuple[str, ...]
+    unjudged: tuple[str, ...]
+    strips: tuple[Strip, ...]
+    tolerances: Mapping[str, tuple[float, str]]
+    draws: int
+    origins: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def of(self, output: str) -> tuple[Test, ...]:
+        """The tests of one output."""
+        return tuple(test for test in self.tests if test.output == output)
+
+    def verdict(self, output: str) -> Verdict:
+        """Of a tolerance: it fails where one of its tests does, and passes where all do, those on record, too."""
+        tests = self.of(output)
+        if any(test.chance.verdict is Verdict.FAILS for test in tests):
+            return Verdict.FAILS
+        recorded = all(test.recorded is None or test.recorded.passed for test in tests)
+        sure = all(test.chance.verdict is Verdict.PASSES for test in tests)
+        return Verdict.PASSES if recorded and sure else Verdict.UNDECIDED
+
+    @property
+    def whole(self) -> Verdict:
+        """Of the model: it fails where one tolerance does, and passes where all do."""
+        found = {self.verdict(output) for output in self.tolerances}
+        return next(v for v in (Verdict.FAILS, Verdict.UNDECIDED, Verdict.PASSES) if v in found)

@@ -1,0 +1,1 @@
+"""The page, tables and sentences of a qualification."""
