@@ -18,8 +18,9 @@ from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.errors import InputError
 from bayes_aero.progress import Progress
 from bayes_aero.qualification.flights import errors, gust_spread, spread
+from bayes_aero.qualification.further_flights import OpenTest
 from bayes_aero.qualification.refits import HoldOut, mean_square
-from bayes_aero.qualification.result import Chance, Kind, Recorded, Strip, Test
+from bayes_aero.qualification.result import Chance, Kind, Recorded, Strip, Test, Verdict
 from bayes_aero.qualification.structure import Structure
 
 CENTRAL = (0.025, 0.975)
@@ -53,11 +54,15 @@ class Uncertain:
 
 @dataclass(frozen=True)
 class Found:
-    """Tests and strips; whether the next flight has the scatter of the parameters, None without a next flight."""
+    """Tests and strips; whether the next flight has the scatter of the parameters, None without a next flight.
+
+    `undecided`: tests that the parameters' posterior leaves open.
+    """
 
     tests: tuple[Test, ...]
     strips: tuple[Strip, ...]
     scattered: bool | None
+    undecided: tuple[OpenTest, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -96,14 +101,17 @@ def qualify(
     cases = _cases(flown, tests, unknown, seed)
     found: list[Test] = []
     strips: list[Strip] = []
+    undecided: list[OpenTest] = []
     for number, case in enumerate(cases):
         if progress:
             progress("flights", number / len(cases))
-        result, strip = _judged(case, unknown, bands, np.random.default_rng([seed, 3, number]))
+        result, strip, still = _judged(case, unknown, bands, np.random.default_rng([seed, 3, number]))
         found += result
         strips.append(strip)
+        undecided += still if case.draws is unknown.draws else []
     ahead = [case for case in cases if case.kind is Kind.NEXT]
-    return Found(tuple(found), tuple(strips), ahead[0].draws is unknown.following if ahead else None)
+    scattered = ahead[0].draws is unknown.following if ahead else None
+    return Found(tuple(found), tuple(strips), scattered, tuple(undecided))
 
 
 def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknown: Uncertain, seed: int) -> list[_Case]:
@@ -154,8 +162,8 @@ def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknow
 
 def _judged(
     case: _Case, unknown: Uncertain, bands: Mapping[str, float], rng: np.random.Generator
-) -> tuple[list[Test], Strip]:
-    """Probabilities with more and more counted, and the band of flights with all of it."""
+) -> tuple[list[Test], Strip, list[OpenTest]]:
+    """Probabilities with more and more counted, the band of flights with all of it, and what is undecided."""
     alone = case.flown.part([case.row])
     (error,), (separated,), sound = errors(alone, unknown.estimate)
     name, keep, outputs, dt = label(case.flown, case.row), alone.inside[0], alone.outputs, float(alone.dt[0])
@@ -164,7 +172,7 @@ def _judged(
             f"the simulation of {name} with the estimates leaves the flight envelope, so there is nothing to compare; "
             "leave this record out"
         )
-    flights = spread(alone, unknown.estimate, case.draws)
+    flights = by_parameters = spread(alone, unknown.estimate, case.draws)
     chances, limits = {}, np.array([bands[n] for n in outputs])
     for counted in ("parameters", "structure", *(("gusts",) if unknown.gusts else ())):
         if counted == "structure":
@@ -175,13 +183,17 @@ def _judged(
         inside = np.abs(np.nan_to_num(flights[:, keep], nan=np.inf)) <= limits
         passed = np.all(inside, axis=1).sum(axis=0)
         chances[counted] = [Chance.of(int(k), len(flights)) for k in passed]
-    size, found = np.abs(error[keep]), []
+    size, found, still = np.abs(error[keep]), [], []
+    rest = np.nan_to_num(flights - by_parameters, nan=np.inf)
     for c, output in enumerate(outputs):
         beside = Recorded(float(size[:, c].max()), float(np.mean(size[:, c] <= limits[c])))
         record = None if case.kind is Kind.NEXT else beside
         by = {counted: each[c] for counted, each in chances.items()}
         found.append(Test(case.kind, name, output, bands[output], by, float(inside[:, :, c].mean()), record))
-    return found, _strip(case.kind, name, alone, error[keep], flights[:, keep])
+        if found[-1].chance.verdict is Verdict.UNDECIDED:
+            parts = by_parameters[:, keep, c], rest[:, keep, c]
+            still.append(OpenTest(case.kind, name, output, bands[output], *parts))
+    return found, _strip(case.kind, name, alone, error[keep], flights[:, keep]), still
 
 
 def _strip(

@@ -9,6 +9,8 @@ from enum import Enum
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.diagnosis.design.next_test_points import TestPoint
+
 PASSES_FROM, FAILS_TO = 0.95, 0.05
 """Probabilities from which a tolerance passes, and to which it fails; our choice."""
 
@@ -131,6 +133,35 @@ class Strip:
 
 
 @dataclass(frozen=True)
+class OpenTolerance:
+    """An undecided test: the probability to pass now, and if the parameters were known exactly."""
+
+    kind: Kind
+    manoeuvre: str
+    output: str
+    present: float
+    known: float
+
+    @property
+    def decidable(self) -> bool:
+        """Whether better known parameters can decide it."""
+        return not FAILS_TO < self.known < PASSES_FROM
+
+
+@dataclass(frozen=True)
+class Further:
+    """Test points for undecided tests, in the order of flying: `expected` of a point are probabilities to pass.
+
+    `refused`: manoeuvres that cannot be proposed, with the reason; `why_not`: why there are no points at all.
+    """
+
+    tests: tuple[OpenTolerance, ...]
+    points: tuple[TestPoint, ...] = ()
+    refused: Mapping[str, str] = field(default_factory=dict)
+    why_not: str = ""
+
+
+@dataclass(frozen=True)
 class Qualification:
     """All tests of a model.
 
@@ -144,6 +175,7 @@ class Qualification:
         draws: Monte Carlo draws a test.
         origins: where parameters, structure, gusts and the scatter between manoeuvres come from, a sentence each.
         notes: remarks.
+        further: flights that would decide what is undecided; None where nothing is.
     """
 
     tests: tuple[Test, ...]
@@ -155,6 +187,7 @@ class Qualification:
     draws: int
     origins: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    further: Further | None = None
 
     def of(self, output: str) -> tuple[Test, ...]:
         """The tests of one output."""

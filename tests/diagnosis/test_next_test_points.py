@@ -88,8 +88,8 @@ def test_points_decide_what_the_records_leave_open(chosen):
     assert chosen.points[0].manoeuvre == "sideslip"
     previous = chosen.present
     for point in chosen.points:
-        assert all(b >= a - 1e-9 for a, b in zip(previous, point.deviations, strict=True))
-        previous = point.deviations
+        assert all(b >= a - 1e-9 for a, b in zip(previous, point.expected, strict=True))
+        previous = point.expected
     assert chosen.expected[place] >= ENOUGH
 
 

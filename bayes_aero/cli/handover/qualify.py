@@ -63,6 +63,7 @@ def qualify(
     with loading():
         from bayes_aero.jobs.handover.qualification_json import RESULTS
         from bayes_aero.jobs.handover.qualify import QualifyOptions, qualify_result
+        from bayes_aero.report.qualification.further import further_sentences
         from bayes_aero.report.qualification.tables import verdict_table
         from bayes_aero.report.qualification.text import sentences, verdict_sentence
 
@@ -75,7 +76,11 @@ def qualify(
     print_failures(console, failures)
     console.print(verdict_sentence(found), soft_wrap=True)
     console.print(verdict_table(found).terminal())
-    for sentence in (*sentences(found), *(f"{name}: {text}" for name, text in found.origins.items())):
+    for sentence in (
+        *sentences(found),
+        *further_sentences(found.further),
+        *(f"{name}: {text}" for name, text in found.origins.items()),
+    ):
         console.print(f"• {sentence}", highlight=False)
     console.print(f"Results are in {out}; qualification.html is to be signed or refused", soft_wrap=True)
     exit_if_failed(failures)

@@ -8,17 +8,19 @@ it counts until a question is decided.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.design.information import Information, Signals, noise_of, signals_of
+from bayes_aero.diagnosis.design.information import Information, Noise, Signals, noise_of, signals_of
 from bayes_aero.diagnosis.design.separating import NOT_BY_HAND, candidates_of, worth_of
 from bayes_aero.diagnosis.design.standard import Linearised, Standard, flights_of, on_record, standard
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.settings import ENOUGH
+from bayes_aero.effect import Effect
 from bayes_aero.flight.envelope import Envelope
 
 AMPLITUDES, FASTER = (0.5, 1.0, 1.5), (1.0, 1.15)  # of the standard inputs, and of the records' first airspeed
@@ -60,7 +62,8 @@ class Ambiguity:
 class TestPoint:
     """A manoeuvre to be flown; `excursion`: least and greatest of the envelope's quantities, SI.
 
-    `deviations` by question: expected from the records, the earlier points and this one; `rate`: nats a second.
+    `expected` by question, from the records, the earlier points and this one: standard deviations by which the closest
+    rivals differ, or the probability to pass a tolerance; `rate`: nats a second.
     """
 
     __test__ = False  # no test of pytest's
@@ -71,7 +74,7 @@ class TestPoint:
     altitude: float  # m
     seconds: float
     excursion: Mapping[str, tuple[float, float]]
-    deviations: tuple[float, ...]
+    expected: tuple[float, ...]
     rate: float
 
 
@@ -92,19 +95,20 @@ class TestPoints:
     @property
     def expected(self) -> tuple[float, ...]:
         """Deviations by question when all points are flown."""
-        return self.points[-1].deviations if self.points else self.present
+        return self.points[-1].expected if self.points else self.present
 
 
 @dataclass(frozen=True)
-class _Variant:
-    """One manoeuvre as it could be flown, and what it says."""
+class Variant:
+    """One manoeuvre as it could be flown, and what it says; that of several adds up."""
 
     manoeuvre: str
     flown: Standard
-    told: Information
+    told: Any
 
     @property
     def seconds(self) -> float:
+        """Length of its record."""
         return self.flown.seconds[self.manoeuvre]
 
 
@@ -130,32 +134,101 @@ def next_test_points(
     """
     names = sorted(frozenset().union(*sets))
     chosen = candidates_of(state, names)
-    variants = [
-        standard(
-            state if theta is None else replace(state, theta=theta), names, amplitude=a, faster=f, envelope=envelope
-        )
-        for f in FASTER
-        for a in AMPLITUDES
-    ]
+    flown = state if theta is None else replace(state, theta=theta)
+    variants = variants_of(flown, names, envelope)
     noise = noise_of(state)
     own = dict(zip(state.full.model.names, map(float, state.theta), strict=True))
     records = on_record(state, variants[0].model, flights_of(state), own, chosen, noise)
     questions = tuple(_ambiguity(records, members, sizes, state.active) for members, sizes in sets.items())
-    flown = [
-        _Variant(
-            name, one, on_record(state, one.model, flight, one.theta, chosen, noise).information(one.seconds[name])
-        )
-        for one in variants
-        for name, flight in one.flown.items()
-        if envelope.programmed_inputs or name not in NOT_BY_HAND
-    ]
+    possible = possible_points(state, variants, chosen, noise, envelope)
     present = records.information()
-    refused = {n: why for one in variants for n, why in one.refused.items() if all(n not in v.flown for v in variants)}
+    points = best_points(
+        possible,
+        present,
+        nats=lambda told: sum(q.information(told) for q in questions),
+        expected=lambda told: tuple(q.deviations(told) for q in questions),
+        decided=lambda told: all(q.deviations(told) >= q.enough for q in questions),
+    )
+    return TestPoints(
+        questions, tuple(q.deviations(present) for q in questions), points, refused_points(variants, envelope)
+    )
+
+
+def variants_of(state: SelectionState, effects: Sequence[str], envelope: Envelope) -> list[Standard]:
+    """The standard manoeuvres with every amplitude and airspeed, inside the envelope."""
+    return [
+        standard(state, effects, amplitude=amplitude, faster=faster, envelope=envelope)
+        for faster in FASTER
+        for amplitude in AMPLITUDES
+    ]
+
+
+def possible_points(
+    state: SelectionState,
+    variants: Sequence[Standard],
+    chosen: Sequence[Effect],
+    noise: Noise,
+    envelope: Envelope,
+) -> list[Variant]:
+    """Every manoeuvre that may be proposed, and its information on the model and the `chosen` candidates."""
+    found = []
+    for one in variants:
+        for name, flight in one.flown.items():
+            if envelope.programmed_inputs or name not in NOT_BY_HAND:
+                there = on_record(state, one.model, flight, one.theta, chosen, noise)
+                found.append(Variant(name, one, there.information(one.seconds[name])))
+    return found
+
+
+def refused_points(variants: Sequence[Standard], envelope: Envelope) -> dict[str, str]:
+    """Manoeuvres that no amplitude or airspeed makes possible, with the reason."""
+    flown = {name for one in variants for name in one.flown}
+    refused = {name: why for one in variants for name, why in one.refused.items() if name not in flown}
     if not envelope.programmed_inputs:
         refused |= dict.fromkeys(NOT_BY_HAND, "a computer must give its inputs: [envelope] programmed_inputs")
-    return TestPoints(
-        questions, tuple(q.deviations(present) for q in questions), _chosen(flown, questions, present), refused
-    )
+    return refused
+
+
+def best_points(
+    possible: Sequence[Variant],
+    told: Any,
+    *,
+    nats: Callable[[Any], float],
+    expected: Callable[[Any], tuple[float, ...]],
+    decided: Callable[[Any], bool],
+) -> tuple[TestPoint, ...]:
+    """One after another, the manoeuvre with most information a second, until all is decided or little is to be had.
+
+    Args:
+        possible: what may be flown.
+        told: by the present records; `Variant.told` is added to it.
+        nats: information on all questions.
+        expected: see `TestPoint`.
+        decided: whether nothing is left to decide.
+    """
+    points: list[TestPoint] = []
+    while len(points) < MOST and not decided(told):
+        known = nats(told)
+        gains = [nats(told + one.told) - known for one in possible]
+        worth = [k for k, gain in enumerate(gains) if gain >= LITTLE]
+        if not worth:
+            break
+        best = max(worth, key=lambda k: gains[k] / possible[k].seconds)
+        one, told = possible[best], told + possible[best].told
+        flown = one.flown
+        points.append(
+            TestPoint(
+                one.manoeuvre,
+                flown.amplitude,
+                flown.airspeed,
+                flown.altitude,
+                one.seconds,
+                flown.excursion[one.manoeuvre],
+                expected(told),
+                gains[best] / one.seconds,
+            )
+        )
+    return tuple(points)
 
 
 def _ambiguity(
@@ -164,29 +237,3 @@ def _ambiguity(
     own = [e for e in records.chosen if e.name in members]
     foreign = [p.name for e in records.chosen if e.name not in {*members, *active} for p in e.parameters]
     return Ambiguity(tuple(e.name for e in own), signals_of(records.state, own, worth_of(own, sizes)), tuple(foreign))
-
-
-def _chosen(flown: Sequence[_Variant], questions: Sequence[Ambiguity], told: Information) -> tuple[TestPoint, ...]:
-    """One after another, the one with most information a second, until all is decided or little is to be had."""
-    points: list[TestPoint] = []
-    while len(points) < MOST:
-        known = sum(q.information(told) for q in questions)
-        gains = [sum(q.information(told + v.told) for q in questions) - known for v in flown]
-        worth = [k for k, gain in enumerate(gains) if gain >= LITTLE]
-        if not worth:
-            break
-        best = max(worth, key=lambda k: gains[k] / flown[k].seconds)
-        one, told = flown[best], told + flown[best].told
-        points.append(
-            TestPoint(
-                one.manoeuvre,
-                one.flown.amplitude,
-                one.flown.airspeed,
-                one.flown.altitude,
-                one.seconds,
-                one.flown.excursion[one.manoeuvre],
-                tuple(q.deviations(told) for q in questions),
-                gains[best] / one.seconds,
-            )
-        )
-    return tuple(points)

@@ -8,7 +8,7 @@ from typing import Any
 
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.qualification.result import FAILS_TO, PASSES_FROM, Qualification, Test
+from bayes_aero.qualification.result import FAILS_TO, PASSES_FROM, Further, Qualification, Test
 
 SCHEMA = "bayes_aero/qualification/1"
 RESULTS = "qualification.json"
@@ -36,10 +36,21 @@ def qualification_results(
         "tests": [_test(one) for one in found.tests],
         "flown_region": {"channels": list(found.channels), "not_recorded": list(found.unjudged)},
         "outside": [asdict(one) for one in found.outside],
+        "further": None if found.further is None else _further(found.further),
         "origins": dict(found.origins),
         "notes": list(found.notes),
         "failures": list(failures),
         "provenance": source,
+    }
+
+
+def _further(found: Further) -> dict[str, Any]:
+    points = [asdict(p) for p in found.points]
+    return {
+        "tests": [asdict(t) | {"kind": t.kind.value} for t in found.tests],
+        "points": [{**p, "probabilities": p.pop("expected"), "nats_per_second": p.pop("rate")} for p in points],
+        "refused": dict(found.refused),
+        "why_not": found.why_not,
     }
 
 

@@ -25,11 +25,12 @@ from bayes_aero.jobs.handover.result_file import result_file
 from bayes_aero.jobs.handover.uncertain_model import Source, uncertain
 from bayes_aero.jobs.io.output_folder import writable
 from bayes_aero.jobs.provenance.provenance import provenance, write_json
-from bayes_aero.model.joined_channels import despiked, join
+from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.progress import Progress
-from bayes_aero.qualification.qualify import qualify
+from bayes_aero.qualification.further_flights import OpenTest, further_flights
+from bayes_aero.qualification.qualify import Uncertain, qualify
 from bayes_aero.qualification.region import CHANNELS, Region
-from bayes_aero.qualification.result import Kind, Outside, Qualification, Strip
+from bayes_aero.qualification.result import Further, Kind, Outside, Qualification, Strip
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.qualification.page import QualificationContext, qualification_page
 from bayes_aero.report.qualification.tables import test_table
@@ -109,6 +110,7 @@ def qualify_result(
     tested, _ = _segments(source, card, new, tuple(bands)) if new else (None, {})
     unknown, origins = uncertain(source, flown, options.draws, options.seed, options.gusts, progress)
     results = qualify(flown, tested, unknown, bands, seed=options.seed, progress=progress)
+    further = _further(source, card, flown, results.undecided, unknown)
     outside, region = _outside(flown, tested, results.strips)
     qualification = Qualification(
         tests=results.tests,
@@ -120,11 +122,28 @@ def qualify_result(
         draws=options.draws,
         origins=origins if results.scattered in (None, True) else origins | {"next flight": UNSCATTERED},
         notes=(*found.sources, *_reach(region)),
+        further=further,
     )
     if out is None:
         return qualification, ()
     settings: dict[str, object] = {"result": file.name, "draws": options.draws, "gusts": options.gusts}
     return qualification, _put(qualification, card, [*records, *new], options.seed, settings, out)
+
+
+def _further(
+    source: Source, card: Card, flown: SegmentTrajectories, undecided: Sequence[OpenTest], unknown: Uncertain
+) -> Further | None:
+    """Flights that would decide the undecided tests."""
+    if not undecided:
+        return None
+    flights, names = flown.flights, list(flown.dynamics.names)
+    assert isinstance(flights, Flights)
+    values = {name: float(source.found.values[name]) for name in source.found.model.names}
+    errors = unknown.draws - unknown.estimate
+    try:
+        return further_flights(undecided, names, errors, flights, source.found.model, values, card.envelope)
+    except InputError as error:
+        return Further((), why_not=str(error))
 
 
 def _segments(

@@ -113,7 +113,7 @@ def _told(points: TestPoints, envelope: Envelope) -> dict[str, Any]:
                 "altitude": p.altitude,
                 "seconds": p.seconds,
                 "excursion": {name: list(pair) for name, pair in p.excursion.items()},
-                "standard_errors": list(p.deviations),
+                "standard_errors": list(p.expected),
                 "nats_per_second": p.rate,
             }
             for p in points.points

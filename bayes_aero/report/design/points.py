@@ -14,9 +14,8 @@ UNITS = {"alpha": "deg", "beta": "deg", "phi": "deg", "airspeed": "m/s", "load_f
 HEADS = {"alpha": "alpha", "airspeed": "airspeed", "load_factor": "load factor", "altitude_loss": "altitude loss"}
 
 
-def points_table(told: Mapping[str, Any]) -> Table:
-    """A row for each test point, in the order of flying, from `test_points` of diagnosis.json."""
-    points = told["points"]
+def point_columns(points: Sequence[Mapping[str, Any]]) -> list[Column]:
+    """Test points in the order of flying: what is flown, and the ranges that it needs."""
     columns = [
         Column(list(range(1, len(points) + 1)), "point", "point", "", form="d"),
         Column([str(p["manoeuvre"]).replace("_", " ") for p in points], "manoeuvre", "manoeuvre", "manoeuvre"),
@@ -30,6 +29,13 @@ def points_table(told: Mapping[str, Any]) -> Table:
         columns.append(Column([_of_people(name, x) for x in found], "", f"{head}\n[{UNITS[name]}]", form=str))
         columns.append(Column([None if x is None else x[0] for x in found], f"{name}_least"))
         columns.append(Column([None if x is None else x[1] for x in found], f"{name}_greatest"))
+    return columns
+
+
+def points_table(told: Mapping[str, Any]) -> Table:
+    """A row for each test point, in the order of flying, from `test_points` of diagnosis.json."""
+    points = told["points"]
+    columns = point_columns(points)
     for k, question in enumerate(told["questions"]):
         label = " or ".join(question["effects"])
         values = [p["standard_errors"][k] for p in points]
@@ -59,6 +65,16 @@ def _of_people(name: str, pair: Sequence[float] | None) -> str:
     return f"{low:.{digits}f} to {high:.{digits}f}"
 
 
+def order_sentence(points: Sequence[Mapping[str, Any]]) -> str:
+    """What to fly, in the order of flying."""
+    flown = [
+        f"{str(p['manoeuvre']).replace('_', ' ')} (amplitude {p['amplitude']:g}, {p['airspeed']:.0f} m/s, "
+        f"{p['seconds']:.0f} s)"
+        for p in points
+    ]
+    return f"Next test points, in this order: {several(flown)}."
+
+
 def points_sentences(told: Mapping[str, Any]) -> tuple[str, ...]:
     """What to fly next, for each question what it is expected to say, and the envelope."""
     if not told:
@@ -75,12 +91,7 @@ def points_sentences(told: Mapping[str, Any]) -> tuple[str, ...]:
     ]
     sentences = []
     if points:
-        flown = [
-            f"{str(p['manoeuvre']).replace('_', ' ')} (amplitude {p['amplitude']:g}, {p['airspeed']:.0f} m/s, "
-            f"{p['seconds']:.0f} s)"
-            for p in points
-        ]
-        sentences.append(f"Next test points, in this order: {several(flown)}.")
+        sentences.append(order_sentence(points))
     for label, before, after, enough in questions:
         apart = f"{after:.1f} standard errors apart"
         if after >= enough:

@@ -14,6 +14,7 @@ from bayes_aero.report.html.page import Block, Facts, Fold, Page, Plot, Points, 
 from bayes_aero.report.html.page_table import page_table
 from bayes_aero.report.html.parts import MOST_SHOWN, bullets, histories, provenance_blocks
 from bayes_aero.report.html.plots import LOW, Line, Panel
+from bayes_aero.report.qualification.further import further_sentences, further_table
 from bayes_aero.report.qualification.tables import SHOWN, outside_table, test_table, verdict_table
 from bayes_aero.report.qualification.text import DEFINITION, READ, UNREAD, sentences, verdict_sentence
 from bayes_aero.report.text.phrases import axis_label, for_people
@@ -38,6 +39,7 @@ def qualification_page(found: Qualification, context: QualificationContext) -> P
         verdict=verdict_sentence(found),
         lead=(page_table(verdict_table(found)), *bullets(sentences(found)), _signature()),
         sections=filled(
+            section("further", "What would decide the rest", lambda: _further(found)),
             section("strips", "Strips", lambda: _strips(found)),
             section("tests", "Every test", lambda: (page_table(test_table(found)),)),
             section("region", "Extrapolation", lambda: _region(found)),
@@ -105,6 +107,11 @@ def _strip(strip: Strip, found: Qualification, key: str) -> Plot:
     what = "Simulation with its tolerance, record and central 95 % of flights"
     name = f"{strip.manoeuvre}, {SHOWN[strip.kind]}"
     return histories(name, f"time-{key}", strip.time, panels, legend, what)
+
+
+def _further(found: Qualification) -> tuple[Block, ...]:
+    table = (page_table(further_table(found.further)),) if found.further is not None and found.further.points else ()
+    return (*bullets(further_sentences(found.further)), *table)
 
 
 def _region(found: Qualification) -> tuple[Block, ...]:
