@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel
-from bayes_aero.diagnosis.result import NoiseReport, ParameterChange, UnexplainedStructure
+from bayes_aero.diagnosis.result import ParameterChange, UnexplainedStructure
 from bayes_aero.diagnosis.selection.forward_selection import Extension
+from bayes_aero.diagnosis.selection.noise import NoiseReport
 from bayes_aero.diagnosis.terms.forms import Structure
 from bayes_aero.diagnosis.terms.result import FoundTerm
 from bayes_aero.flight.card.card import Card

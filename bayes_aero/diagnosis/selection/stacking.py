@@ -2,10 +2,12 @@
 
 A rival in place of a cause is another model of the same records. The weights are those of the mixture of all models'
 predictive distributions that predicts left-out data best, so they say what each adds to the prediction, and stay
-sensible where none of them is true.
+sensible where none of them is true. Without a prior the weights of models that predict about alike lie at random in a
+corner; with one they are equal.
 
 Source: Y. Yao, A. Vehtari, D. Simpson and A. Gelman, Using stacking to average Bayesian predictive distributions,
-Bayesian Analysis 13, 2018; resampling of blocks by D. B. Rubin, The Bayesian bootstrap, Annals of Statistics 9, 1981.
+Bayesian Analysis 13, 2018; with a prior: Y. Yao, G. Pirs, A. Vehtari and A. Gelman, Bayesian hierarchical stacking,
+Bayesian Analysis 17, 2022; resampling of blocks by D. B. Rubin, The Bayesian bootstrap, Annals of Statistics 9, 1981.
 """
 
 from __future__ import annotations
@@ -23,6 +25,8 @@ from bayes_aero.diagnosis.selection.cross_validation import LeftOut, holdout_gai
 from bayes_aero.diagnosis.selection.forward_selection import Extension, added, removed
 
 RESAMPLED = 200  # weightings of the blocks
+PRIOR = 2.0  # of the Dirichlet distribution of the weights: each model has predicted one sample alone beforehand
+LEAST = 1e-6  # weight where a prior forbids none
 BAND = (0.05, 0.95)  # quantiles of a weight over them
 
 
@@ -55,6 +59,14 @@ class Stacking:
     stage: str
     models: tuple[StackedModel, ...]
     blocks: int
+
+    def has(self, effect: str) -> bool:
+        """Whether any model has an effect."""
+        return any(effect in m.effects for m in self.models)
+
+    def compares(self, cause: str) -> bool:
+        """Whether a rival stands in place of a cause in any model."""
+        return any(m.instead is not None and m.instead[0] == cause for m in self.models)
 
     def weight(self, effect: str) -> float:
         """Weight of all models that have an effect."""
@@ -89,7 +101,7 @@ def stacked(
     left = [LeftOut.refitted(one) for one in states]
     density = np.stack([one.density() for one in left], axis=1)
     block = blocks_of_time(state)[left[0].inside]
-    weights = resampled_weights(density, block, seed)
+    weights = resampled_weights(density, block, state.variance_inflation, seed)
     low, high = np.quantile(weights, BAND, axis=0)
     models = [
         StackedModel(
@@ -118,35 +130,43 @@ def blocks_of_time(state: SelectionState) -> Int[np.ndarray, " m"]:
 
 
 def resampled_weights(
-    density: Float[np.ndarray, "n k"], block: Int[np.ndarray, " n"], seed: int
+    density: Float[np.ndarray, "n k"], block: Int[np.ndarray, " n"], inflation: float, seed: int
 ) -> Float[np.ndarray, "r k"]:
     """Stacking weights under random weights of whole blocks, whose samples hang together."""
     numbers, own = np.unique(block, return_inverse=True)
     shares = np.random.default_rng(seed).dirichlet(np.ones(len(numbers)), RESAMPLED)
-    return np.array([stacking_weights(density, share[own]) for share in shares])
+    return np.array([stacking_weights(density, inflation, len(numbers) * share[own]) for share in shares])
 
 
 def stacking_weights(
-    density: Float[np.ndarray, "n k"], share: Float[np.ndarray, " n"] | None = None
+    density: Float[np.ndarray, "n k"],
+    inflation: float,
+    share: Float[np.ndarray, " n"] | None = None,
+    prior: float = PRIOR,
 ) -> Float[np.ndarray, " k"]:
-    """Weights of the mixture with the highest log density of left-out samples.
+    """Most probable weights of the mixture, by the log density of left-out samples and a Dirichlet prior.
+
+    Models that predict alike have equal weights. One that gains D nats over one other, to second order in what they
+    differ by, leaves it about (2 D)^-1/2.
 
     Args:
         density: log predictive density of each of n samples by each of k models.
-        share: how much each sample counts; default: all alike.
+        inflation: variance inflation, by which the log density is divided.
+        share: how much each sample counts; default: 1.
+        prior: parameter of the Dirichlet distribution; 1 is stacking without a prior.
     """
     count = density.shape[1]
-    share = np.ones(len(density)) if share is None else share
-    share = share / share.sum()
-    likelihood = np.exp(density - density.max(axis=1, keepdims=True))
+    share = (np.ones(len(density)) if share is None else share) / max(inflation, 1.0)
+    likelihood, scale = np.exp(density - density.max(axis=1, keepdims=True)), 1.0 / share.sum()
 
     def loss(w: np.ndarray) -> tuple[float, np.ndarray]:
-        mixed = np.maximum(likelihood @ w, 1e-300)
-        return -float(share @ np.log(mixed)), -(share / mixed) @ likelihood
+        mixed, w = np.maximum(likelihood @ w, 1e-300), np.maximum(w, LEAST)
+        value = share @ np.log(mixed) + (prior - 1.0) * np.log(w).sum()
+        return -scale * float(value), -scale * ((share / mixed) @ likelihood + (prior - 1.0) / w)
 
     best = minimize(
-        loss, np.full(count, 1.0 / count), jac=True, bounds=[(0.0, 1.0)] * count, method="SLSQP",
-        constraints=LinearConstraint(np.ones((1, count)), 1.0, 1.0), options={"ftol": 1e-10},
+        loss, np.full(count, 1.0 / count), jac=True, bounds=[(0.0 if prior == 1.0 else LEAST, 1.0)] * count,
+        method="SLSQP", constraints=LinearConstraint(np.ones((1, count)), 1.0, 1.0), options={"ftol": 1e-10},
     )  # fmt: skip
     weights = np.clip(best.x, 0.0, 1.0)
     return weights / weights.sum()

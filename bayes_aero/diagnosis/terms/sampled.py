@@ -74,12 +74,12 @@ def regression(state: SelectionState, columns: Sequence[Column], colour: Autocor
     before = np.sum(X**2, axis=0)
     y, X = y - Q @ (Q.T @ y), X - Q @ (Q.T @ X)
     own = np.sum(X**2, axis=0)
-    kept = np.flatnonzero(own > OWN * before)
+    kept = [int(j) for j in np.flatnonzero(own > OWN * before)]
     X = X[:, kept] / np.sqrt(own[kept])
     prior = 0.5 ** np.array([columns[j].term.cost for j in kept], float)
     log_odds = np.log(EXPECTED * prior / prior.sum())
     count = float(len(white))
-    return Columns(X.T @ X, X.T @ y, y @ y, count, log_odds, np.sqrt(count)), kept.tolist()
+    return Columns(X.T @ X, X.T @ y, float(y @ y), count, log_odds, float(np.sqrt(count))), kept
 
 
 def _innovations(

@@ -50,12 +50,12 @@ class Columns(NamedTuple):
         spread: scale of the half-Cauchy prior of tau, in standard errors of a coefficient.
     """
 
-    gram: Float[Array, "p p"]
-    right: Float[Array, " p"]
-    square: Float[Array, ""]
-    count: Float[Array, ""]
-    log_odds: Float[Array, " p"]
-    spread: Float[Array, ""]
+    gram: Float[Array | np.ndarray, "p p"]
+    right: Float[Array | np.ndarray, " p"]
+    square: Float[Array, ""] | float
+    count: Float[Array, ""] | float
+    log_odds: Float[Array | np.ndarray, " p"]
+    spread: Float[Array, ""] | float
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,11 @@ from bayes_aero.diagnosis.result import (
     Cause,
     Diagnosis,
     Gain,
-    NoiseReport,
     ParameterChange,
     Tested,
     UnexplainedStructure,
 )
+from bayes_aero.diagnosis.selection.noise import NoiseReport
 from bayes_aero.diagnosis.terms.result import FoundTerm
 from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
 from bayes_aero.flight.agreement import Consistency
@@ -30,6 +30,7 @@ from bayes_aero.jobs.io.health_json import health_results
 from bayes_aero.jobs.io.trajectories_json import trajectory_results
 from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.physics.filters import differentiate, smooth
+from bayes_aero.report.structure.tables import sampled_table, weights_table
 from bayes_aero.report.tables.diagnosis_tables import screen_table
 from bayes_aero.report.text.diagnosis import sentences
 
@@ -82,6 +83,8 @@ def diagnosis_results(
         "minor": list(d.minor),
         "unexplained": unknown_results(d.unknown),
         "terms": [term_results(one) for one in d.terms],
+        "sampled_terms": sampled_table(d).records(),
+        "stacking": weights_table(d).records(),
         "changes": [change_results(one) for one in d.changes],
         "cancelling": cancelling_results(d),
         "absorbed": absorbed_results(d),
@@ -107,9 +110,8 @@ def diagnosis_results(
 
 def _residuals(view: DiagnosisView) -> dict[str, Any]:
     """Of the coefficients by either model; empty where only trajectories were compared."""
-    if not isinstance(view, View):
-        return {}
-    return {"before": dict(view.card.composition), "after": dict(view.extended.composition)}
+    both = isinstance(view, View)
+    return {"before": dict(view.card.composition), "after": dict(view.extended.composition)} if both else {}
 
 
 def unknown_results(unknown: Sequence[UnexplainedStructure]) -> list[dict[str, Any]]:
