@@ -163,7 +163,9 @@ def compare_states(
 Predicted = tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c"]]
 
 
-def _of_fold(state: SelectionState, fit: FoldFit, measured: Float[np.ndarray, "m c"]) -> Predicted:
+def _of_fold(
+    state: SelectionState, fit: FoldFit, measured: Float[np.ndarray, "m c"]
+) -> tuple[Float[np.ndarray, "f c"], Float[np.ndarray, "f c"]]:
     """Mean and deviation of a fold by the fit to the others."""
     variance = np.mean((fit.residual / state.noise_growth)[fit.train] ** 2, axis=0)
     return measured[fit.fold] - fit.residual[fit.fold], np.sqrt(variance) * state.noise_growth[fit.fold]
