@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,8 +33,9 @@ from bayes_aero.diagnosis.selection.gains import NO_GAIN, NOTHING, gains_of
 from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, implausible, own_share, stand_ins
 from bayes_aero.diagnosis.selection.stacking import Stacking, stacked
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
-from bayes_aero.diagnosis.terms.result import SampledTerms
+from bayes_aero.diagnosis.terms.result import FoundTerm, SampledTerms
 from bayes_aero.diagnosis.terms.sampled import sampled_terms
+from bayes_aero.diagnosis.terms.weighed import weighed
 from bayes_aero.effect import Effect
 from bayes_aero.errors import attempted
 from bayes_aero.flight.card.card import Card
@@ -78,7 +80,8 @@ def diagnose(
     causes, beyond, unnamed = attributed(candidates, settings, hardly)
     unknown = (*found.unknown, *structure_of(found, unnamed))
     minor = (*(found.sensors.minor if found.sensors else ()), *found.model.minor, *(c.name for c in unnamed))
-    sampled, stacking, more = _beside(found, causes, kept_of, seed, progress) if ask else ((), (), ())
+    nothing = Beside(found.terms, (), (), ())
+    beside = _beside(found, causes, kept_of, seed, progress) if ask else nothing
     state, tested = found.model.state, None if found.testable_now else Tested({})
     taken_up = absorbed(found.model)
     verdict = as_white(verdict_of(causes, (*unknown, *found.changes), tested), found.noise)
@@ -95,7 +98,7 @@ def diagnose(
         split=split_name(state),
         base_moves=moves_of(found.model),
         kept=kept,
-        failures=(*found.failures, *failed, *more),
+        failures=(*found.failures, *failed, *beside.failures),
         notes=(*left_out, *found.notes),
         together=together_of(found.stages, causes),
         beyond=beyond,
@@ -103,10 +106,10 @@ def diagnose(
         compared=found.stages[-1][0],
         gusts=gusts,
         changes=found.changes,
-        terms=found.terms,
+        terms=beside.terms,
         absorbed=taken_up,
-        sampled=sampled,
-        stacking=stacking,
+        sampled=beside.sampled,
+        stacking=beside.stacking,
     )
 
 
@@ -136,11 +139,17 @@ def _unasked(found: SearchResult) -> Asked:
     return causes_of(found, {}, None), {stage: one.state.active for stage, one in found.stages}, ()
 
 
-Beside = tuple[tuple[SampledTerms, ...], tuple[Stacking, ...], tuple[str, ...]]
+class Beside(NamedTuple):
+    """Witnesses that name nothing: terms with weights, sampled sets of them, weights of causes and rivals; failures."""
+
+    terms: tuple[FoundTerm, ...]
+    sampled: tuple[SampledTerms, ...]
+    stacking: tuple[Stacking, ...]
+    failures: tuple[str, ...]
 
 
 def _beside(found: SearchResult, causes: Sequence[Cause], kept: Kept, seed: int, progress: Progress | None) -> Beside:
-    """Witnesses that name nothing: sampled sets of terms, weights of causes and their rivals; and failures."""
+    """All witnesses; one that fails is left out."""
     if progress and found.structures:
         progress("sampling terms", 0.0)
     sampled, failed = attempted(
@@ -148,15 +157,21 @@ def _beside(found: SearchResult, causes: Sequence[Cause], kept: Kept, seed: int,
         lambda: tuple(sampled_terms(one, found.terms, seed=seed + 4000) for one in found.structures),
         (),
     )
+    terms, other = attempted(
+        "Terms were not weighed on hold-out data",
+        lambda: weighed(found.terms, found.structures, seed=seed),
+        found.terms,
+    )
     rivals = {stage: {c.name: c.ambiguous_with for c in causes if c.stage == stage} for stage, _ in found.stages}
     if progress and any(c.ambiguous_with for c in causes):
         progress("weights of rivals", 0.0)
-    weighed, failures = attempted(
+    models, failures = attempted(
         "Rivals were not weighed on hold-out data",
         lambda: [stacked(one, stage, rivals[stage], kept[stage], seed=seed) for stage, one in found.stages],
         [],
     )
-    return sampled, tuple(one for one in weighed if one is not None), (*failed, *failures)
+    stacking = tuple(one for one in models if one is not None)
+    return Beside(terms, sampled, stacking, (*failed, *other, *failures))
 
 
 def causes_of(

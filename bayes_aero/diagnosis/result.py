@@ -222,10 +222,14 @@ class Diagnosis:
         own = next((s for s in self.stacking if s.stage == cause.stage and s.compares(cause.name)), None)
         return {} if own is None else {n: own.weight(n) for n in (cause.name, *cause.ambiguous_with) if own.has(n)}
 
+    def preferred(self, cause: Cause) -> str | None:
+        """Which of a cause and its rivals has the stacking weight of a choice; None where none has."""
+        least = self.aerodynamics.state.settings.stacking_chosen
+        return next((name for name, weight in self.weights(cause).items() if weight >= least), None)
+
     def chosen(self, cause: Cause) -> bool:
         """Whether a cause has no rival, or so much of the stacking weight that it is chosen among them."""
-        least = self.aerodynamics.state.settings.stacking_chosen
-        return not cause.ambiguous_with or self.weights(cause).get(cause.name, 0.0) >= least
+        return not cause.ambiguous_with or self.preferred(cause) == cause.name
 
     @property
     def left(self) -> tuple[UnexplainedStructure | ParameterChange, ...]:

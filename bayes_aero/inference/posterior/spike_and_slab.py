@@ -126,11 +126,11 @@ def _given(data: Columns, members: Int[Array, " k"], v: Float[Array, " 2"], *, w
     solved = solve_triangular(factor, both, lower=True)
     slab, size = jnp.exp(-2.0 * v[1]), len(data.right)
     if whole:
-        gram = data.gram + slab * jnp.eye(size) - solved[:, :-1].T @ solved[:, :-1]
+        gram = jnp.asarray(data.gram) + slab * jnp.eye(size) - solved[:, :-1].T @ solved[:, :-1]
     else:
         gram = (1.0 + slab - jnp.sum(solved[:, :-1] ** 2, axis=0))[None, :]
     taken = jnp.zeros(size).at[members].add(jnp.where(inside, 1.0, 0.0)) > 0.0
-    return _Given(data.right - solved[:, -1] @ solved[:, :-1], gram, taken, jnp.sum(~inside))
+    return _Given(jnp.asarray(data.right) - solved[:, -1] @ solved[:, :-1], gram, taken, jnp.sum(~inside))
 
 
 def _gain(left: Array, apart: Array, v: Float[Array, " 2"]) -> Array:

@@ -38,8 +38,7 @@ SCHEMA = "bayes_aero/diagnosis/3"
 SCORES = ("r2", "rmse", "r", "theil")
 FLOWN = (0.001, 0.999)  # quantiles that bound the flown range of a channel
 
-Hidden = Mapping[str, Mapping[str, float]]
-"""True values of what simulated records hide, by effect."""
+Hidden = Mapping[str, Mapping[str, float]]  # true values of what simulated records hide, by effect
 
 
 @dataclass(frozen=True)
@@ -110,8 +109,8 @@ def diagnosis_results(
 
 def _residuals(view: DiagnosisView) -> dict[str, Any]:
     """Of the coefficients by either model; empty where only trajectories were compared."""
-    both = isinstance(view, View)
-    return {"before": dict(view.card.composition), "after": dict(view.extended.composition)} if both else {}
+    models = {"before": view.card, "after": view.extended} if isinstance(view, View) else {}
+    return {when: dict(model.composition) for when, model in models.items()}
 
 
 def unknown_results(unknown: Sequence[UnexplainedStructure]) -> list[dict[str, Any]]:
@@ -140,6 +139,7 @@ def term_results(found: FoundTerm) -> dict[str, Any]:
         "elpd": found.gain,
         "probability": found.weight,
         "ambiguous_with": {term.name: weight for term, weight in found.others},
+        "stacking": dict(found.stacking),
     }
 
 

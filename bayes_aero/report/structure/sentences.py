@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from bayes_aero.diagnosis.result import Cause, Diagnosis
 from bayes_aero.diagnosis.terms.result import SampledSet, SampledTerms
 from bayes_aero.report.text.phrases import several
@@ -11,20 +9,17 @@ from bayes_aero.report.text.phrases import several
 
 def weight_sentence(d: Diagnosis, cause: Cause) -> str:
     """Whether a cause is chosen among its rivals; empty where none were weighed."""
-    weights = d.weights(cause)
+    weights, preferred = d.weights(cause), d.preferred(cause)
     if not weights:
         return ""
     shares = several(f"{name} {weight:.2f}" for name, weight in weights.items())
-    chosen = f"{cause.name} is chosen" if d.chosen(cause) else _other(d, weights)
-    return f"Stacking weights on hold-out data: {shares}; {chosen}."
-
-
-def _other(d: Diagnosis, weights: Mapping[str, float]) -> str:
-    """Which rival has the weight of a choice, if any has."""
-    best = max(weights, key=lambda name: weights[name])
-    if weights[best] >= d.aerodynamics.state.settings.stacking_chosen:
-        return f"hold-out data prefer {best}, which explains the fitted data less well: none is chosen"
-    return "none is chosen"
+    if d.chosen(cause):
+        end = f"{cause.name} is chosen"
+    elif preferred is None:
+        end = "none is chosen"
+    else:
+        end = f"hold-out data prefer {preferred}, which explains the fitted data less well: none is chosen"
+    return f"Stacking weights on hold-out data: {shares}; {end}."
 
 
 def sampled_sentences(d: Diagnosis) -> list[str]:

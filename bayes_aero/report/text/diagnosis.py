@@ -186,7 +186,9 @@ def _term(one: FoundTerm) -> str:
         return text + "No other term of the library is as good."
     others = [f"{term.name} ({weight:.0%})" for term, weight in one.others[:SHOWN]]
     more = f" and {len(one.others) - SHOWN} more" if len(one.others) > SHOWN else ""
-    return text + f"These records do not tell it ({one.weight:.0%}) from {several(others)}{more}."
+    text += f"These records do not tell it ({one.weight:.0%}) from {several(others)}{more}."
+    weights = several(f"{name} {weight:.2f}" for name, weight in one.stacking.items())
+    return f"{text} Stacking weights on hold-out data: {weights}." if weights else text
 
 
 def _noise(d: Diagnosis) -> list[str]:
