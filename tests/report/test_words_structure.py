@@ -80,6 +80,7 @@ def test_rivals_that_were_not_weighed_are_reported_as_before(diagnosed):
             replace(SAMPLED, sets=(replace(SAMPLED.sets[0], known=False),)),
             f"forward selection lacks {BREAKING.name}",
         ),
+        (replace(SAMPLED, found={OTHER.name: (0.1, 0.9)}), f"but {OTHER.name} itself has less than one half"),
         (replace(SAMPLED, reliable=False, status="not converged"), "may not be used: not converged."),
         (replace(SAMPLED, sets=(), found={}), "Forward selection has no form either."),
     ],

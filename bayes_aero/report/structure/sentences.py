@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bayes_aero.diagnosis.result import Cause, Diagnosis
-from bayes_aero.diagnosis.terms.result import SampledSet, SampledTerms
+from bayes_aero.diagnosis.terms.result import LIKELY, SampledSet, SampledTerms
 from bayes_aero.report.text.phrases import several
 
 
@@ -42,7 +42,11 @@ def _leading(one: SampledSet) -> str:
 
 def _agreement(one: SampledTerms) -> str:
     if one.agrees:
-        return "It agrees with forward selection." if one.found else "Forward selection has no form either."
+        other = [name for name, (own, _) in one.found.items() if own < LIKELY]
+        form = (
+            f"; but {several(other)} itself has less than one half, and a term as good takes its place" if other else ""
+        )
+        return f"It agrees with forward selection{form}." if one.found else "Forward selection has no form either."
     told = []
     if one.missing:
         told.append(f"{several(one.missing)} of forward selection has less than one half")
