@@ -52,7 +52,7 @@ def sampled_table(d: Diagnosis) -> Table:
     return Table(
         [
             whole(lambda s: s.coefficient, "coefficient", "coefficient"),
-            column(lambda one: one.terms[0][0].name, "term", "term"),
+            column(lambda one: one.terms[0][0].name, "term", "term", words=True),
             column(lambda one: one.terms[0][1], "probability", "probability", form=".2f"),
             column(lambda one: one.probability, "set_probability", "of the set", form=".2f"),
             column(lambda one: "; ".join(t.name for t, _ in one.terms[1:]), "collinear_with"),
@@ -65,6 +65,6 @@ def sampled_table(d: Diagnosis) -> Table:
         "Sampled sets of terms",
         "Inclusion probability of the leading term and of the set of terms that follow it (correlation of 0.9 or more, "
         "the model's parameters projected out), by a spike-and-slab posterior over all sets of the library under the "
-        "autocorrelation of the residuals. Selected: forward selection has a term of the set, or reports one as as "
-        "good as its own.",
+        "autocorrelation of the residuals. Selected: forward selection has a term of the set, or reports one as equally "
+        "good.",
     )
