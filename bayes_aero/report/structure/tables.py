@@ -65,6 +65,6 @@ def sampled_table(d: Diagnosis) -> Table:
         "Sampled sets of terms",
         "Inclusion probability of the leading term and of the set of terms that follow it (correlation of 0.9 or more, "
         "the model's parameters projected out), by a spike-and-slab posterior over all sets of the library under the "
-        "autocorrelation of the residuals. Selected: forward selection has a term of the set, or reports one as equally "
+        "autocorrelation of the residuals. Selected: forward selection has a term of the set, or one that is as "
         "good.",
     )
