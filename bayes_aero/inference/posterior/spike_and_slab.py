@@ -2,9 +2,9 @@
 
 y = X_S b + e with e normal of deviation sigma and b of deviation sigma tau (the slab); all columns outside the set S
 are zero (the spike). b is integrated out, so that a set costs a small determinant of inner products, whatever the
-number of samples. A regularised horseshoe over the same columns has as many modes as there are collinear columns,
-between which NUTS does not move; here a step draws a member of the set, or two, anew among all columns, and so
-exchanges it for any other.
+number of samples. A step draws a member of the set, or two, anew among all columns, and so exchanges it for any other.
+A regularised horseshoe over the same columns has as many modes as there are collinear columns, between which NUTS
+moves slowly.
 
 Source: E. I. George and R. E. McCulloch, Approaches for Bayesian variable selection, Statistica Sinica 7, 1997 (the
 integrated form); NUTS of NumPyro for sigma and tau.
