@@ -18,6 +18,7 @@ from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.jobs.steps.post_diagnosis import predictors
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES
+from bayes_aero.report.structure.tables import sampled_table, weights_table
 from bayes_aero.report.style import NotDrawn
 from bayes_aero.report.tables.diagnosis_tables import (
     causes_table,
@@ -159,6 +160,24 @@ class Diagnosed:
         """
         return terms_table(self.view.diagnosis).frame()
 
+    def sampled_terms(self) -> pd.DataFrame:
+        """Sampled posterior over sets of terms of each coefficient in which structure is left.
+
+        Returns:
+            A row per set of collinear terms; columns for the inclusion probability of the leading term and of the set,
+            the other terms of the set, whether forward selection has one of them, and the convergence of the chains.
+        """
+        return sampled_table(self.view.diagnosis).frame()
+
+    def weights(self) -> pd.DataFrame:
+        """Stacking weights of causes and their rivals on hold-out data.
+
+        Returns:
+            A row per model; columns for its effects, the rival and the cause that it replaces, weight with its 90 %
+            band, and log density gained on hold-out data.
+        """
+        return weights_table(self.view.diagnosis).frame()
+
     @property
     def _coefficients(self) -> View:
         if not isinstance(self.view, View):
@@ -174,13 +193,14 @@ class Diagnosed:
         return scores_frame(holdout_scores(self._coefficients))
 
     def predictors(self) -> pd.DataFrame:
-        """Hold-out scores of four predictors; takes half a minute.
+        """Hold-out scores of predictors; takes half a minute.
 
         Inputs of the Gaussian processes are the card's `[gp] inputs`.
 
         Returns:
             A row per predictor and coefficient. Predictors: the card's model, a Gaussian process, the extended model,
-            the extended model with a Gaussian process of its residuals.
+            the extended model with a Gaussian process of its residuals; where causes have rivals, the average of the
+            extended model and those with the rivals, by their stacking weights.
         """
         table = predictors(self._coefficients.diagnosis, self.card)
         rows = {(p, c): scores or {} for p, row in table.items() for c, scores in row.items()}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,7 +12,6 @@ from bayes_aero.diagnosis.consistency.consistency import in_gusts
 from bayes_aero.diagnosis.result import (
     Cause,
     Diagnosis,
-    Gain,
     Tested,
     UnexplainedStructure,
     as_absorbed,
@@ -19,7 +19,7 @@ from bayes_aero.diagnosis.result import (
     verdict_of,
 )
 from bayes_aero.diagnosis.screening.screening import CandidateScore, screen
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
+from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.search.search_coefficients import search_coefficients
 from bayes_aero.diagnosis.search.search_innovations import search_innovations
 from bayes_aero.diagnosis.search.search_result import SearchResult, lacking
@@ -27,16 +27,15 @@ from bayes_aero.diagnosis.search.search_trajectories import search_trajectories
 from bayes_aero.diagnosis.selection.absorbed import absorbed
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation, confirmation
 from bayes_aero.diagnosis.selection.collinear import CancellingPair, cancelling
-from bayes_aero.diagnosis.selection.cross_validation import (
-    LeftOut,
-    holdout_gain,
-    measured_blocks,
-    split_name,
-    truncated,
-)
+from bayes_aero.diagnosis.selection.cross_validation import split_name
 from bayes_aero.diagnosis.selection.forward_selection import Extension, mixes_noise
+from bayes_aero.diagnosis.selection.gains import NO_GAIN, NOTHING, gains_of
 from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, implausible, own_share, stand_ins
+from bayes_aero.diagnosis.selection.stacking import Stacking, stacked
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
+from bayes_aero.diagnosis.terms.result import FoundTerm, SampledTerms
+from bayes_aero.diagnosis.terms.sampled import sampled_terms
+from bayes_aero.diagnosis.terms.weighed import weighed
 from bayes_aero.effect import Effect
 from bayes_aero.errors import attempted
 from bayes_aero.flight.card.card import Card
@@ -75,11 +74,14 @@ def diagnose(
     known = (*own_effects(card.effect_files).values(), *extra)
     found = search(records, card, model or Model.from_card(card), known, settings, seed=seed, progress=progress)
     ask = gains_wanted and found.testable_now
-    candidates, kept, failed = _confirmed(found, progress) if ask else _unasked(found)
+    candidates, kept_of, failed = _confirmed(found, progress) if ask else _unasked(found)
+    kept = kept_of[found.stages[-1][0]]
     hardly = stand_ins(candidates, found.by_stage, found.unknown)
     causes, beyond, unnamed = attributed(candidates, settings, hardly)
     unknown = (*found.unknown, *structure_of(found, unnamed))
     minor = (*(found.sensors.minor if found.sensors else ()), *found.model.minor, *(c.name for c in unnamed))
+    nothing = Beside(found.terms, (), (), ())
+    beside = _beside(found, causes, kept_of, seed, progress) if ask else nothing
     state, tested = found.model.state, None if found.testable_now else Tested({})
     taken_up = absorbed(found.model)
     verdict = as_white(verdict_of(causes, (*unknown, *found.changes), tested), found.noise)
@@ -96,7 +98,7 @@ def diagnose(
         split=split_name(state),
         base_moves=moves_of(found.model),
         kept=kept,
-        failures=(*found.failures, *failed),
+        failures=(*found.failures, *failed, *beside.failures),
         notes=(*left_out, *found.notes),
         together=together_of(found.stages, causes),
         beyond=beyond,
@@ -104,34 +106,72 @@ def diagnose(
         compared=found.stages[-1][0],
         gusts=gusts,
         changes=found.changes,
-        terms=found.terms,
+        terms=beside.terms,
         absorbed=taken_up,
+        sampled=beside.sampled,
+        stacking=beside.stacking,
     )
 
 
-Asked = tuple[list[Cause], tuple[str, ...], tuple[str, ...]]
+Kept = Mapping[str, tuple[str, ...]]  # by stage, additions that hold-out data confirm
+Asked = tuple[list[Cause], Kept, tuple[str, ...]]
 
 
 def _confirmed(found: SearchResult, progress: Progress | None) -> Asked:
-    """Causes with what unseen data say of them, the additions to the coefficients that these confirm, and failures.
+    """Causes with what unseen data say of them, the additions of every stage that these confirm, and failures.
 
     Should the hold-out test fail, no cause is confirmed.
     """
 
-    def asked() -> tuple[list[Cause], tuple[str, ...]]:
+    def asked() -> tuple[list[Cause], Kept]:
         confirmations = {stage: confirmation(one.state) for stage, one in found.stages}
-        return causes_of(found, confirmations, progress), confirmations[found.stages[-1][0]].kept
+        return causes_of(found, confirmations, progress), {stage: one.kept for stage, one in confirmations.items()}
 
     causes, failures = attempted("No cause was tested on hold-out data", asked, None)
     if causes is not None:
         return (*causes, failures)
     untested, _, _ = _unasked(found)
-    return [replace(cause, confirmed=False) for cause in untested], (), failures
+    return [replace(cause, confirmed=False) for cause in untested], {stage: () for stage, _ in found.stages}, failures
 
 
 def _unasked(found: SearchResult) -> Asked:
     """The same where unseen data were not asked."""
-    return causes_of(found, {}, None), found.model.state.active, ()
+    return causes_of(found, {}, None), {stage: one.state.active for stage, one in found.stages}, ()
+
+
+class Beside(NamedTuple):
+    """Witnesses that name nothing: terms with weights, sampled sets of them, weights of causes and rivals; failures."""
+
+    terms: tuple[FoundTerm, ...]
+    sampled: tuple[SampledTerms, ...]
+    stacking: tuple[Stacking, ...]
+    failures: tuple[str, ...]
+
+
+def _beside(found: SearchResult, causes: Sequence[Cause], kept: Kept, seed: int, progress: Progress | None) -> Beside:
+    """All witnesses; one that fails is left out."""
+    if progress and found.structures:
+        progress("sampling terms", 0.0)
+    sampled, failed = attempted(
+        "Sets of terms were not sampled",
+        lambda: tuple(sampled_terms(one, found.terms, seed=seed + 4000) for one in found.structures),
+        (),
+    )
+    terms, other = attempted(
+        "Terms were not weighed on hold-out data",
+        lambda: weighed(found.terms, found.structures, seed=seed),
+        found.terms,
+    )
+    rivals = {stage: {c.name: c.ambiguous_with for c in causes if c.stage == stage} for stage, _ in found.stages}
+    if progress and any(c.ambiguous_with for c in causes):
+        progress("weights of rivals", 0.0)
+    models, failures = attempted(
+        "Rivals were not weighed on hold-out data",
+        lambda: [stacked(one, stage, rivals[stage], kept[stage], seed=seed) for stage, one in found.stages],
+        [],
+    )
+    stacking = tuple(one for one in models if one is not None)
+    return Beside(terms, sampled, stacking, (*failed, *other, *failures))
 
 
 def causes_of(
@@ -145,7 +185,7 @@ def causes_of(
         if not extension.causes:
             continue
         sure = confirmations.get(stage)
-        measured = {} if sure is None else _gains_of(extension, searched.model, sure.kept, progress)
+        measured = {} if sure is None else gains_of(extension, searched.model, sure.kept, progress)
         for name in extension.causes:
             effect = next(e for e in full.candidates if e.name == name)
             probability, others = rivals_of(extension, name)
@@ -194,59 +234,6 @@ def _excited(state: SelectionState, name: str) -> bool:
     noise = np.std(state.residual, axis=0)[:, None]
     spread = np.array([np.sqrt(np.sum((S[fold] / noise).var(axis=0))) for fold in state.folds])
     return bool(spread.min() >= state.settings.least_excitation * spread.max())
-
-
-NOTHING = (float("nan"), float("nan"))
-NO_GAIN = Gain(*NOTHING, "not measured", {}, {})
-
-
-def _gains_of(
-    extension: Extension, aerodynamics: Extension, kept: Sequence[str], progress: Progress | None
-) -> dict[str, Gain]:
-    """Gains of an extension's causes on left-out folds, each beside nuisances and the confirmed causes before it."""
-    state, causes = extension.state, extension.causes
-    nuisances = [name for name in extension.minor if name in kept]
-    pairs: dict[str, tuple[LeftOut, LeftOut]] = {}
-    base = before = LeftOut.refitted(truncated(state, nuisances))
-    for number, name in enumerate(causes):
-        if progress:
-            progress("gain on hold-out data", number / len(causes))
-        after = LeftOut.refitted(truncated(state, (*nuisances, *_sure(causes, number, kept), name)))
-        pairs[name] = before, after
-        before = after if name in kept else before
-    by_coefficients = state.outputs == state.responses.model.coefficients
-    if extension is aerodynamics and not by_coefficients:  # no coefficients to score
-        return {n: Gain(*holdout_gain(*pair, state), split_name(state), {}, {}) for n, pair in pairs.items()}
-    if not by_coefficients:
-        return _sensor_gains(extension, aerodynamics, kept, pairs)
-    measured = measured_blocks(state)
-    return {
-        name: Gain(*holdout_gain(*pair, state), split_name(state), base.scores(measured), pair[1].scores(measured))
-        for name, pair in pairs.items()
-    }
-
-
-def _sure(causes: Sequence[str], number: int, kept: Sequence[str]) -> list[str]:
-    """Confirmed causes before the one of that number."""
-    return [name for name in causes[:number] if name in kept]
-
-
-def _sensor_gains(
-    extension: Extension, aerodynamics: Extension, kept: Sequence[str], pairs: Mapping[str, tuple[LeftOut, LeftOut]]
-) -> dict[str, Gain]:
-    """Density gained on the flight path, and what each correction does to the card's fit of the coefficients."""
-    state, card = extension.state, aerodynamics.base
-
-    def corrected(sensors: Sequence[str]) -> LeftOut:
-        theta = state.full.at_neutral(card.theta, [e for e in state.active if e not in sensors])
-        return LeftOut.refitted(moved(card, theta, ()))
-
-    measured, found = measured_blocks(card), {}
-    base = corrected(()).scores(measured)
-    for number, name in enumerate(extension.causes):
-        after = corrected([*_sure(extension.causes, number, kept), name]).scores(measured)
-        found[name] = Gain(*holdout_gain(*pairs[name], state), split_name(state), base, after)
-    return found
 
 
 def rivals_of(extension: Extension, name: str) -> tuple[float, tuple[str, ...]]:

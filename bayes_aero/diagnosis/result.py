@@ -13,8 +13,10 @@ from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.selection.absorbed import Absorbed
 from bayes_aero.diagnosis.selection.collinear import CancellingPair
 from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.terms.result import FoundTerm
-from bayes_aero.inference.scores import COLOURED_INNOVATIONS, Scores
+from bayes_aero.diagnosis.selection.noise import NoiseReport
+from bayes_aero.diagnosis.selection.stacking import Stacking
+from bayes_aero.diagnosis.terms.result import FoundTerm, SampledTerms
+from bayes_aero.inference.scores import Scores
 from bayes_aero.parameter import Parameter
 
 FLIGHT_PATH = "flight path"  # the stage of sensors and winds
@@ -140,41 +142,6 @@ class ParameterChange:
         return self.at == 0.0
 
 
-# Lag-1 correlation of means over five samples, our choice from a dozen simulated flights: white noise leaves up to a
-# third through the filter, and weak colour (0.5 from sample to sample) little more.
-COLOURED = 0.36
-
-
-@dataclass(frozen=True)
-class NoiseReport:
-    """Colour, growth with separation and outliers of the residuals, by coefficient."""
-
-    lag1: Mapping[str, float]  # of means over five samples: at the recorded rate the filter makes 0.9 of white noise
-    deviation: Mapping[str, float]
-    noise_growth: Mapping[str, float]  # noise at full separation over that in attached flow
-    outliers: Mapping[str, int]  # repaired samples by channel
-    of_innovations: bool = False  # `lag1` is then that of neighbouring samples, which white noise leaves at 0
-
-    @property
-    def coloured(self) -> tuple[str, ...]:
-        """Outputs whose residuals are correlated beyond what the filters of the reconstruction make."""
-        if self.of_innovations:
-            return tuple(name for name, r in self.lag1.items() if abs(r) > COLOURED_INNOVATIONS)
-        return tuple(name for name, r in self.lag1.items() if r > COLOURED)
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Which of colored, buffet, outliers are present."""
-        found = []
-        if self.coloured:
-            found.append("colored")
-        if max(self.noise_growth.values()) > 1.5:
-            found.append("buffet")
-        if sum(self.outliers.values()) > 0:
-            found.append("outliers")
-        return tuple(found)
-
-
 NOT_NOISE = 0.5  # share of a mean square error that noise does not make, beyond which it is more than noise
 
 
@@ -242,11 +209,27 @@ class Diagnosis:
     changes: tuple[ParameterChange, ...] = ()  # parameters that take another value during the records
     terms: tuple[FoundTerm, ...] = ()  # forms of the structure that no effect of the catalogue explains
     absorbed: tuple[Absorbed, ...] = ()  # parameters of controls at rest, and effects that they may have taken up
+    sampled: tuple[SampledTerms, ...] = ()  # posteriors over sets of terms, beside the forward selection of `terms`
+    stacking: tuple[Stacking, ...] = ()  # by stage, weights of models with rivals in place of causes
 
     @property
     def by_coefficients(self) -> bool:
         """Whether the model was compared with coefficients; otherwise with trajectories alone or innovations."""
         return self.compared == COEFFICIENTS
+
+    def weights(self, cause: Cause) -> Mapping[str, float]:
+        """Stacking weights of a cause and of its rivals, by name; empty where none were computed."""
+        own = next((s for s in self.stacking if s.stage == cause.stage and s.compares(cause.name)), None)
+        return {} if own is None else {n: own.weight(n) for n in (cause.name, *cause.ambiguous_with) if own.has(n)}
+
+    def preferred(self, cause: Cause) -> str | None:
+        """Which of a cause and its rivals has the stacking weight of a choice; None where none has."""
+        least = self.aerodynamics.state.settings.stacking_chosen
+        return next((name for name, weight in self.weights(cause).items() if weight >= least), None)
+
+    def chosen(self, cause: Cause) -> bool:
+        """Whether a cause has no rival, or so much of the stacking weight that it is chosen among them."""
+        return not cause.ambiguous_with or self.preferred(cause) == cause.name
 
     @property
     def left(self) -> tuple[UnexplainedStructure | ParameterChange, ...]:

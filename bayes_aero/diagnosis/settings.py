@@ -41,6 +41,9 @@ class DiagnosisSettings:
     correlated: float = 0.9  # correlation of two estimates beyond which one follows the other
     near_one: float = 0.15  # within which the factor of a sum or difference of two parameters is reported as one
 
+    # A cause or its rival: stacking of what both predict of hold-out data.
+    stacking_chosen: float = 0.75  # of the weight, three times all rivals together: some 8 nats; our choice
+
     # Hold-out tests.
     hold_out: float = 1.645  # standard errors by which the hold-out log score must fall: one-sided, 5 %
     hold_out_first_order: float = 5.0  # the same to first order, from which nothing is fitted again to see it

@@ -26,7 +26,7 @@ def flown(values):
 def test_a_hidden_term_is_found_written_and_then_named_as_a_cause(tmp_path):
     coefficient, name, values = unlisted_terms.draw(np.random.default_rng([SEED, 31]))
     true, records, card = values["unlisted_product"], flown(values), read_card("attas")
-    found = diagnose(records, card, seed=SEED, gains_wanted=False)
+    found = diagnose(records, card, seed=SEED)
     assert found.failures == ()
     assert found.verdict is Verdict.UNEXPLAINED
     (term,) = found.terms
@@ -34,6 +34,11 @@ def test_a_hidden_term_is_found_written_and_then_named_as_a_cause(tmp_path):
     mean, sd = term.size
     assert abs(mean - true) < 1.96 * sd
     assert sd < 0.1 * abs(true)
+    (sampled,) = found.sampled
+    assert sampled.reliable
+    assert sampled.agrees
+    assert sampled.sets[0].terms[0][0].name == name
+    assert sampled.found[name][0] > 0.5
 
     path = tmp_path / "found.py"
     write_effects(found.terms, [r.name for r in records], path)
@@ -46,9 +51,10 @@ def test_a_hidden_term_is_found_written_and_then_named_as_a_cause(tmp_path):
 
 @pytest.mark.recovery
 def test_the_same_flights_without_it_get_no_term():
-    found = diagnose(flown({}), read_card("attas"), seed=SEED, gains_wanted=False)
+    found = diagnose(flown({}), read_card("attas"), seed=SEED)
     assert found.verdict is Verdict.NO_EFFECT
     assert found.terms == ()
+    assert found.sampled == ()
 
 
 @pytest.mark.recovery

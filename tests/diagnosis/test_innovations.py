@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from gusty_flight import DT, GUST, LENGTH, SECONDS, TRUTH, gusty_flight
 
-from bayes_aero.diagnosis.result import INNOVATIONS, NoiseReport, Verdict, as_white
+from bayes_aero.diagnosis.result import INNOVATIONS, Verdict, as_white
 from bayes_aero.diagnosis.search import search_innovations as searched
+from bayes_aero.diagnosis.selection.noise import NoiseReport
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.model.model import Model

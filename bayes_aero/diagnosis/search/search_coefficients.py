@@ -70,6 +70,7 @@ def search_coefficients(
         (*failures, *failed),
         changes=left.changes,
         terms=found.terms,
+        structures=found.structures,
     )
 
 

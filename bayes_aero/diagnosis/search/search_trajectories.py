@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model, lag_of
-from bayes_aero.diagnosis.result import TRAJECTORIES, NoiseReport
+from bayes_aero.diagnosis.result import TRAJECTORIES
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised, refitted
 from bayes_aero.diagnosis.search.search_result import SearchResult, lacking
 from bayes_aero.diagnosis.selection.forward_selection import (
@@ -23,6 +23,7 @@ from bayes_aero.diagnosis.selection.forward_selection import (
     forward_selection,
     nats_gained,
 )
+from bayes_aero.diagnosis.selection.noise import NoiseReport
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.dynamics.output_channels import FLIGHT

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.result import NoiseReport
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection.forward_selection import Extension
+from bayes_aero.diagnosis.selection.noise import NoiseReport
 
 BINS = 12
 LEAST = 1e-3  # of the residual's size, that a deviation counts as at least: a simulation at rest has none

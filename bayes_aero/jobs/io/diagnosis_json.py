@@ -13,12 +13,12 @@ from bayes_aero.diagnosis.result import (
     Cause,
     Diagnosis,
     Gain,
-    NoiseReport,
     ParameterChange,
     Tested,
     UnexplainedStructure,
 )
 from bayes_aero.diagnosis.selection.in_band_result import CausesInBand
+from bayes_aero.diagnosis.selection.noise import NoiseReport
 from bayes_aero.diagnosis.terms.result import FoundTerm
 from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
 from bayes_aero.flight.agreement import Consistency
@@ -31,6 +31,7 @@ from bayes_aero.jobs.io.health_json import health_results
 from bayes_aero.jobs.io.trajectories_json import trajectory_results
 from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.physics.filters import differentiate, smooth
+from bayes_aero.report.structure.tables import sampled_table, weights_table
 from bayes_aero.report.tables.diagnosis_tables import screen_table
 from bayes_aero.report.text.diagnosis import sentences
 
@@ -38,8 +39,7 @@ SCHEMA = "bayes_aero/diagnosis/3"
 SCORES = ("r2", "rmse", "r", "theil")
 FLOWN = (0.001, 0.999)  # quantiles that bound the flown range of a channel
 
-Hidden = Mapping[str, Mapping[str, float]]
-"""True values of what simulated records hide, by effect."""
+Hidden = Mapping[str, Mapping[str, float]]  # true values of what simulated records hide, by effect
 
 
 @dataclass(frozen=True)
@@ -86,6 +86,8 @@ def diagnosis_results(
         "minor": list(d.minor),
         "unexplained": unknown_results(d.unknown),
         "terms": [term_results(one) for one in d.terms],
+        "sampled_terms": sampled_table(d).records(),
+        "stacking": weights_table(d).records(),
         "changes": [change_results(one) for one in d.changes],
         "cancelling": cancelling_results(d),
         "absorbed": absorbed_results(d),
@@ -113,9 +115,8 @@ def diagnosis_results(
 
 def _residuals(view: DiagnosisView) -> dict[str, Any]:
     """Of the coefficients by either model; empty where only trajectories were compared."""
-    if not isinstance(view, View):
-        return {}
-    return {"before": dict(view.card.composition), "after": dict(view.extended.composition)}
+    models = {"before": view.card, "after": view.extended} if isinstance(view, View) else {}
+    return {when: dict(model.composition) for when, model in models.items()}
 
 
 def unknown_results(unknown: Sequence[UnexplainedStructure]) -> list[dict[str, Any]]:
@@ -144,6 +145,7 @@ def term_results(found: FoundTerm) -> dict[str, Any]:
         "elpd": found.gain,
         "probability": found.weight,
         "ambiguous_with": {term.name: weight for term, weight in found.others},
+        "stacking": dict(found.stacking),
     }
 
 

@@ -12,6 +12,7 @@ from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
+from bayes_aero.report.structure.sentences import sampled_sentences, weight_sentence
 from bayes_aero.report.text.drift import change_sentences
 from bayes_aero.report.text.phrases import not_testable_sentences, several, size_text
 from bayes_aero.report.text.process_noise import gust_sentences
@@ -37,7 +38,7 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
             {name: (after, sd) for name, (_, after, sd) in d.base_moves.items()},
             d.parameters,
         ),
-        *(_cause(cause) for cause in d.causes),
+        *(_cause(d, cause) for cause in d.causes),
         *_taken_over(d),
         *_together(d),
         *_absorbed(d),
@@ -45,6 +46,7 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
         *_minor(d),
         *_unknown(d),
         *_terms(d.terms),
+        *sampled_sentences(d),
         *change_sentences(d.changes),
         *_noise(d),
         *not_testable_sentences(d.not_testable),
@@ -53,10 +55,12 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
     ]
 
 
-def _cause(cause: Cause) -> str:
+def _cause(d: Diagnosis, cause: Cause) -> str:
     text = f"{cause.name}: {cause.claim}"
     if cause.ambiguous_with:
         text += f" On this record {several(cause.ambiguous_with)} would explain the data about as well."
+        weighed = weight_sentence(d, cause)
+        text += f" {weighed}" if weighed else ""
     if cause.bounded:
         text += f" {several(cause.bounded)} is at a parameter bound: suspect another cause."
     for name, largest in cause.implausible.items():
@@ -82,7 +86,7 @@ def _cause(cause: Cause) -> str:
 
 def _taken_over(d: Diagnosis) -> list[str]:
     """How to put the causes that the verdict rests on into the card."""
-    sure = [cause.name for cause in d.causes if cause.sure and not cause.ambiguous_with and cause.name in CATALOGUE]
+    sure = [cause.name for cause in d.causes if cause.sure and d.chosen(cause) and cause.name in CATALOGUE]
     fitted = [name for name in sure if CATALOGUE[name].stage > Stage.AIRCRAFT]
     errors = [name for name in sure if name not in fitted]
     sentences = []
@@ -182,7 +186,9 @@ def _term(one: FoundTerm) -> str:
         return text + "No other term of the library is as good."
     others = [f"{term.name} ({weight:.0%})" for term, weight in one.others[:SHOWN]]
     more = f" and {len(one.others) - SHOWN} more" if len(one.others) > SHOWN else ""
-    return text + f"These records do not tell it ({one.weight:.0%}) from {several(others)}{more}."
+    text += f"These records do not tell it ({one.weight:.0%}) from {several(others)}{more}."
+    weights = several(f"{name} {weight:.2f}" for name, weight in one.stacking.items())
+    return f"{text} Stacking weights on hold-out data: {weights}." if weights else text
 
 
 def _noise(d: Diagnosis) -> list[str]:
