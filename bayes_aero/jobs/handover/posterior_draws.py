@@ -19,8 +19,15 @@ MOST_DRAWS = 10_000
 TRIES = 50  # times as many normal draws are made until enough lie within the bounds
 
 
-def drawn(found: Identified, folder: Path | None, told: Mapping[str, Any], count: int, seed: int) -> Draws:
-    """`count` draws of the exported parameters that were fitted.
+def drawn(
+    found: Identified,
+    folder: Path | None,
+    told: Mapping[str, Any],
+    count: int,
+    seed: int,
+    wanted: Sequence[str] | None = None,
+) -> Draws:
+    """`count` draws of the parameters `wanted` that were fitted; default: of those that are exported.
 
     A posterior that converged comes first; else estimates and covariance, corrected for coloured residuals, give a
     normal distribution, of which draws beyond a parameter's bounds are left out.
@@ -30,7 +37,8 @@ def drawn(found: Identified, folder: Path | None, told: Mapping[str, Any], count
     """
     if not 1 <= count <= MOST_DRAWS:
         raise InputError(f"--draws is {count}; give a number from 1 to {MOST_DRAWS}")
-    wanted = tuple(p.name for p in found.exported.free if p.name in found.program.inputs_of("parameter"))
+    if wanted is None:
+        wanted = tuple(p.name for p in found.exported.free if p.name in found.program.inputs_of("parameter"))
     rng = np.random.default_rng(seed)
     for sampler in SAMPLERS:
         status = told.get("posterior", {}).get("status", {}).get(sampler)
@@ -72,7 +80,7 @@ def _normal(
     known = [name in wanted and bool(np.all(np.isfinite(covariance[i]))) for i, name in enumerate(rows)]
     names = tuple(name for name, one in zip(rows, known, strict=True) if one)
     part = covariance[np.ix_(known, known)]
-    bounds = {p.name: p.bounds for p in found.exported.parameters}
+    bounds = {p.name: p.bounds for p in found.model.parameters}
     low, high = np.array([bounds[name] for name in names]).T
     centre = np.array([found.values[name] for name in names])
     values, vectors = np.linalg.eigh(part)

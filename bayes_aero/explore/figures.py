@@ -1,0 +1,126 @@
+"""Panels over one time axis: the record with its tolerance, the result, what is flown now, and draws as a fan."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from bokeh.layouts import column
+from bokeh.models import (
+    BoxZoomTool,
+    Column,
+    ColumnDataSource,
+    CrosshairTool,
+    HoverTool,
+    Range1d,
+    Span,
+    WheelZoomTool,
+)
+from bokeh.plotting import figure
+from jaxtyping import Bool, Float
+
+from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.html.plots import Line, Panel, drawable, dress, extremes, scale
+
+MOST = 1600  # points a line in the window
+MOST_FAN = 300  # and of each draw
+LEAST, AXIS = 84, 42  # pixels: lowest panel, and the time axis below the last
+WORDS = {"measured": "measured", "before": "result", "after": "now", "prior": "draws"}
+"""What the colours mean."""
+
+Series = Float[np.ndarray, " n"]
+
+
+class View:
+    """One panel. `factor` converts SI to the unit of its label, `band` (SI) is the tolerance about the measurement."""
+
+    def __init__(self, name: str, label: str, factor: float, time: Range1d, cross: Span, band: float | None) -> None:
+        """An empty panel over the shared range `time`."""
+        self.name, self.label, self.factor = name, label, factor
+        self.band = None if band is None else factor * band
+        self.record = ColumnDataSource({"t": [], "y": [], "low": [], "high": []})
+        self.before = ColumnDataSource({"t": [], "y": []})
+        self.now = ColumnDataSource({"t": [], "y": []}, name=f"now-{name}")
+        self.fan = ColumnDataSource({"xs": [], "ys": []})
+        self.range = Range1d(start=0.0, end=1.0)
+        self.figure = self._figure(time, cross)
+
+    def _figure(self, time: Range1d, cross: Span) -> Any:
+        box = BoxZoomTool(dimensions="width")
+        wheel = WheelZoomTool(dimensions="width", modifiers={"ctrl": True})
+        f = figure(
+            x_range=time,
+            y_range=self.range,
+            y_axis_label=self.label,
+            sizing_mode="stretch_both",
+            min_height=LEAST,
+            tools=[box, wheel, CrosshairTool(overlay=cross)],
+            active_drag=box,
+            toolbar_location=None,
+            min_border_left=62,
+            min_border_right=6,
+            min_border_top=3,
+            min_border_bottom=3,
+        )
+        if self.band is not None:
+            f.varea("t", "low", "high", source=self.record, fill_color="#999999", fill_alpha=0.28)
+        f.multi_line("xs", "ys", source=self.fan, line_color=COLOURS["before"], line_alpha=0.16, line_width=1)
+        shown = f.line("t", "y", source=self.record, color=COLOURS["measured"], line_width=1.3)
+        f.line("t", "y", source=self.before, color=COLOURS["before"], line_dash="dashed", line_width=1.3)
+        now = f.line("t", "y", source=self.now, color=COLOURS["after"], line_width=1.8)
+        tips = [("t", "@t{0.00} s"), (self.label, "@y{0.[0000]}")]
+        f.add_tools(HoverTool(renderers=[now, shown], mode="vline", tooltips=tips, line_policy="nearest"))
+        return f
+
+    def draw_record(self, time: Series, y: Series) -> None:
+        """The measurement, with its tolerance."""
+        y = self.factor * y
+        index = extremes([y], MOST)
+        columns = {"t": time[index], "y": drawable(y[index])}
+        half = self.band or 0.0
+        self.record.data = columns | {"low": columns["y"] - half, "high": columns["y"] + half}
+
+    def draw_before(self, time: Series, y: Series) -> None:
+        """The result."""
+        self._draw(self.before, time, y)
+
+    def draw_now(self, time: Series, y: Series) -> None:
+        """What is flown now."""
+        self._draw(self.now, time, y)
+
+    def draw_fan(self, time: Series, draws: Float[np.ndarray, "m n"]) -> None:
+        """Draws; none removes them."""
+        chosen = [(extremes([self.factor * y], MOST_FAN), self.factor * y) for y in draws]
+        ys = [drawable(y[index]) for index, y in chosen]
+        self.fan.data = {"xs": [time[index] for index, _ in chosen], "ys": ys}
+
+    def fit(self, shown: Sequence[Series]) -> None:
+        """A vertical scale for the measurement (first) and the result; what is flown now cannot flatten them."""
+        lines = tuple(Line("", "", self.factor * y) for y in shown)
+        found = scale(Panel(self.label, lines, band=self.band))
+        self.range.update(start=found.start, end=found.end)
+
+    def _draw(self, source: ColumnDataSource, time: Series, y: Series) -> None:
+        y = self.factor * y
+        index = extremes([y], MOST)
+        source.data = {"t": time[index], "y": drawable(y[index])}
+
+
+def stacked(views: Sequence[View], name: str) -> Column:
+    """Panels below each other, the time axis below the last."""
+    for view in views:
+        last = view is views[-1]
+        dress(view.figure, last, LEAST)
+        if last:
+            view.figure.xaxis.axis_label = "time from start of record [s]"
+            view.figure.min_height = LEAST + AXIS
+    return column([view.figure for view in views], sizing_mode="stretch_both", spacing=0, name=name)
+
+
+def window_of(time: Series, window: tuple[float, float] | None) -> Bool[np.ndarray, " n"]:
+    """Samples in a window of time, s; all, where there is none or it has fewer than two."""
+    if window is None:
+        return np.ones(len(time), bool)
+    inside = (time >= window[0]) & (time <= window[1])
+    return inside if inside.sum() > 1 else np.ones(len(time), bool)

@@ -1,0 +1,242 @@
+"""The page of one visitor: what is asked in the browser is flown, drawn and answered."""
+
+from __future__ import annotations
+
+import json
+import time as clock
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from bokeh.core.properties import String
+from bokeh.document import Document
+from bokeh.model import DataModel
+from bokeh.models import CustomJS, Range1d, Span
+
+from bayes_aero import __version__
+from bayes_aero.errors import InputError
+from bayes_aero.explore.asked import Asked, read_asked
+from bayes_aero.explore.choice import Choice, addable
+from bayes_aero.explore.figures import WORDS, View, stacked, window_of
+from bayes_aero.explore.hand_on import export_chosen
+from bayes_aero.explore.scores import gain, scores
+from bayes_aero.explore.simulator import DRAWS, Flown, Simulator
+from bayes_aero.explore.sliders import groups_of
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.channel_units import channel_units
+from bayes_aero.jobs.handover.export import FORMS
+from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.text.phrases import axis_label, bracket, for_people
+
+Parts = Mapping[str, np.ndarray]
+
+
+class Exchange(DataModel):
+    """What the browser asks and what it is told, each as JSON."""
+
+    asked = String("")
+    told = String("")
+
+
+class Page:
+    """A document with its state."""
+
+    def __init__(self, simulator: Simulator, document: Document) -> None:
+        """Fill the document with panels, and draw the first manoeuvre."""
+        self.simulator, self.opened = simulator, simulator.opened
+        self.units = {n: c.unit for n, c in STANDARD_CHANNELS.items()} | channel_units(self.opened.card)
+        self.tolerances = {name: t.value for name, t in self.opened.card.tolerances.items()}
+        self.time = Range1d(start=0.0, end=1.0)
+        self.exchange = Exchange()
+        self.drawn: tuple[Any, ...] = ()  # manoeuvre and window of the record that is drawn
+        self.fan: tuple[int, str, Parts] | None = None
+        first = simulator.fly(0, Choice())
+        cross = Span(dimension="height", line_dash="dotted", line_color="#777777", line_width=1)
+        self.outputs = [self._view(name, cross) for name in simulator.outputs]
+        self.coefficients = [self._view(name, cross) for name in first.coefficients]
+        self.inputs = [self._view(name, cross) for name in simulator.inputs]
+        left = stacked(self.outputs, "trajectories")
+        right = stacked([*self.coefficients, *self.inputs], "coefficients")
+        left.tags = [self.exchange]
+        self.exchange.on_change("asked", self._asked)
+        self._answer(Asked())
+        document.title = self.opened.title
+        document.add_root(left)
+        document.add_root(right)
+        document.template = _part("page.html")
+        document.template_variables.update(self._facts())
+        start = CustomJS(args={"exchange": self.exchange, "time": self.time}, code="explore.start(exchange, time)")
+        document.js_on_event("document_ready", start)
+
+    def _view(self, name: str, cross: Span) -> View:
+        unit = self.units.get(name, "1")
+        return View(name, axis_label(name, unit), for_people(unit)[1], self.time, cross, self.tolerances.get(name))
+
+    def _facts(self) -> dict[str, Any]:
+        """What the template shows."""
+        opened = self.opened
+        have = self.simulator.flights.channels
+        return {
+            "style": _part("page.css"),
+            "script": _part("page.js"),
+            "heading": opened.title,
+            "aircraft": opened.identified.title,
+            "version": __version__,
+            "manoeuvres": self.simulator.manoeuvres,
+            "addable": [(e.name, e.claim) for e in addable(opened.identified.model, tuple(have))],
+            "forms": tuple(FORMS),
+            "legend": [(COLOURS[key], words) for key, words in WORDS.items()],
+            "sources": opened.identified.sources,
+            "start": "as fitted" if opened.departures else "as measured",
+            "draws": DRAWS,
+        }
+
+    def _asked(self, _attribute: str, _old: str, new: str) -> None:
+        """Whatever is asked gets an answer: the browser waits for it before it asks again."""
+        try:
+            asked = read_asked(new)
+        except InputError as reason:
+            self.exchange.told = json.dumps({"id": -1, "error": str(reason)})
+            return
+        try:
+            self._answer(asked)
+        except InputError as reason:
+            self.exchange.told = json.dumps({"id": asked.id, "error": str(reason)})
+
+    def _answer(self, asked: Asked) -> None:
+        begin = clock.perf_counter()
+        choice = self._choice(asked)
+        before = self.simulator.fly(asked.manoeuvre, Choice())
+        now = self.simulator.fly(asked.manoeuvre, choice)
+        time = self.simulator.time(asked.manoeuvre)
+        window = window_of(time, asked.window)
+        self._draw(asked, time, window, before, now)
+        said, failed = [], ""
+        try:
+            said += self._fanned(asked, time, window)
+            if asked.export:
+                folder, files = export_chosen(self.opened, choice, now.values, asked.export)
+                said += [f"Exported to {folder}: {', '.join(files)}."]
+        except InputError as reason:
+            failed = f"{reason}."
+        told = {
+            "id": asked.id,
+            "window": [float(time[0]), float(time[-1])],
+            "groups": self._groups(choice),
+            "scores": self._scores(asked.manoeuvre, window, before, now),
+            "gain": self._gain(asked.manoeuvre, window, before, now),
+            "note": self._note(time, now),
+            "said": " ".join(said),
+            "fan": self.fan is not None,
+            "error": failed,
+            "seconds": clock.perf_counter() - begin,
+        }
+        self.exchange.told = json.dumps(told)
+
+    def _choice(self, asked: Asked) -> Choice:
+        """What is asked, in SI."""
+        if asked.manoeuvre >= len(self.simulator.manoeuvres):
+            raise InputError(f"there is no manoeuvre {asked.manoeuvre + 1}; choose another one")
+        known = {e.name for e in addable(self.opened.identified.model, tuple(self.simulator.flights.channels))}
+        added = tuple(name for name in asked.added if name in known)
+        groups = self._sliders(added)
+        factors = {s.name: s.factor for group in groups for s in group.sliders}
+        values = {name: x / factors[name] for name, x in asked.values.items() if name in factors}
+        return Choice(values, frozenset(asked.off) & {group.name for group in groups}, added)
+
+    def _sliders(self, added: tuple[str, ...]) -> Any:
+        identified = self.opened.identified
+        return groups_of(identified.model, identified.values, self.opened.errors, added)
+
+    def _groups(self, choice: Choice) -> list[dict[str, Any]]:
+        """The sliders, for the browser to build."""
+        return [asdict(group) for group in self._sliders(choice.added)]
+
+    def _draw(self, asked: Asked, time: np.ndarray, window: np.ndarray, before: Flown, now: Flown) -> None:
+        """What is flown now always; record and result where manoeuvre or window have changed."""
+        at, recorded = time[window], self.simulator.recorded(asked.manoeuvre)
+        place = asked.manoeuvre, asked.window
+        if place != self.drawn:
+            for view in (*self.outputs, *self.inputs):
+                view.draw_record(at, recorded[view.name][window])
+            for view in self.inputs:
+                view.fit([recorded[view.name][window]])
+            for view, old, truth in self._pairs(before, recorded):
+                view.draw_before(at, old[window])
+                view.fit([truth[window], old[window]])
+            begin, end = asked.window or (float(time[0]), float(time[-1]))
+            self.time.update(start=begin, end=end)
+        self.drawn = place
+        for view in self.outputs:
+            view.draw_now(at, now.simulated[view.name][window])
+        for view in self.coefficients:
+            view.draw_now(at, now.coefficients[view.name][window])
+            if view.name in now.formed:
+                view.draw_record(at, now.formed[view.name][window])
+
+    def _pairs(self, before: Flown, recorded: Parts) -> list[tuple[View, np.ndarray, np.ndarray]]:
+        """Panels with the result and what it is compared with."""
+        found = [(view, before.simulated[view.name], recorded[view.name]) for view in self.outputs]
+        for view in self.coefficients:
+            modelled = before.coefficients[view.name]
+            found.append((view, modelled, before.formed.get(view.name, modelled)))
+        return found
+
+    def _fanned(self, asked: Asked, time: np.ndarray, window: np.ndarray) -> list[str]:
+        """Draw the fan, or remove it; where its draws come from."""
+        if not asked.fan:
+            if self.fan is not None:
+                for view in (*self.outputs, *self.coefficients):
+                    view.draw_fan(time, np.zeros((0, 0)))
+            self.fan = None
+            return []
+        if self.fan is None or self.fan[0] != asked.manoeuvre:
+            self.fan = (asked.manoeuvre, *self.simulator.fan(asked.manoeuvre))
+        for view in (*self.outputs, *self.coefficients):
+            view.draw_fan(time[window], self.fan[2][view.name][:, window])
+        return [f"{DRAWS} draws: {self.fan[1]}."]
+
+    def _scores(self, manoeuvre: int, window: np.ndarray, before: Flown, now: Flown) -> list[dict[str, Any]]:
+        """RMS errors and shares inside the tolerances, in the units of the panels."""
+        paths = scores(self.simulator.recorded(manoeuvre), before.simulated, now.simulated, window, self.tolerances)
+        formed = {name: now.coefficients[name] for name in now.formed}
+        changed = {name: now.formed[name] - y for name, y in now.coefficients.items() if name in now.formed}
+        first = {name: before.formed[name] - before.coefficients[name] for name in formed}
+        still = {name: np.zeros_like(y) for name, y in formed.items()}
+        found = []
+        for one in (*paths, *scores(still, first, changed, window, {})):
+            unit, factor = for_people(self.units.get(one.name, "1"))
+            label = f"{axis_label(one.name, self.units.get(one.name, '1'))}"
+            row = asdict(one) | {"label": label, "unit": bracket(unit)}
+            found.append(row | {"before": factor * one.before, "now": factor * one.now})
+        return found
+
+    def _gain(self, manoeuvre: int, window: np.ndarray, before: Flown, now: Flown) -> dict[str, Any]:
+        """Change of the log likelihood of the trajectories; residuals as the fit left them, where it was one."""
+        told, recorded = self.opened.told, self.simulator.recorded(manoeuvre)
+        fitted = told.get("residual_sd", {}) if self.opened.departures else {}
+        names = [n for n in (fitted or self.simulator.outputs) if n in before.simulated and n != "altitude"]
+        sd = {n: fitted.get(n) or float(np.std(recorded[n] - before.simulated[n])) for n in names}
+        sd = {n: x for n, x in sd.items() if x > 0.0}
+        inflation = told.get("variance_inflation") or told.get("trajectories", {}).get("variance_inflation") or 1.0
+        return {"nats": gain(recorded, before.simulated, now.simulated, window, sd, inflation), "inflation": inflation}
+
+    def _note(self, time: np.ndarray, now: Flown) -> str:
+        """Where the simulation has left its envelope, and what is not shown."""
+        left = "" if now.inside.all() else f"The simulation leaves the envelope at {time[np.argmin(now.inside)]:.1f} s."
+        return " ".join(filter(None, (left, self.simulator.no_coefficients)))
+
+
+def page_of(simulator: Simulator) -> Callable[[Document], None]:
+    """What fills the document of each visitor."""
+
+    def fill(document: Document) -> None:
+        Page(simulator, document)
+
+    return fill
+
+
+def _part(name: str) -> str:
+    return (resources.files("bayes_aero.explore") / "templates" / name).read_text(encoding="utf-8")
