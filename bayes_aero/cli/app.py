@@ -13,8 +13,9 @@ from bayes_aero.cli.card import card
 from bayes_aero.cli.check import check
 from bayes_aero.cli.diagnose import diagnose
 from bayes_aero.cli.effects import effects
-from bayes_aero.cli.export import export
 from bayes_aero.cli.fly import fly
+from bayes_aero.cli.handover.export import export
+from bayes_aero.cli.handover.open import open as open_page
 from bayes_aero.cli.identify import identify
 from bayes_aero.cli.path import path
 from bayes_aero.cli.run import run
@@ -62,7 +63,7 @@ def _options(
     """Bayesian identification of non-linear aircraft aerodynamics from flight data."""
 
 
-for command in (identify, diagnose, fly, export, path, simulate, run, card, check, effects):
+for command in (identify, diagnose, fly, export, open_page, path, simulate, run, card, check, effects):
     app.command()(command)
 
 

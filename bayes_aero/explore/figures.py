@@ -26,7 +26,7 @@ from bayes_aero.report.html.plots import Line, Panel, drawable, dress, extremes,
 MOST = 1600  # points a line in the window
 MOST_FAN = 300  # and of each draw
 LEAST, AXIS = 84, 42  # pixels: lowest panel, and the time axis below the last
-WORDS = {"measured": "measured", "before": "result", "after": "now", "prior": "draws"}
+WORDS = {"measured": "measured", "before": "result", "after": "now", "crb": "draws"}
 """What the colours mean."""
 
 Series = Float[np.ndarray, " n"]
@@ -65,10 +65,10 @@ class View:
         )
         if self.band is not None:
             f.varea("t", "low", "high", source=self.record, fill_color="#999999", fill_alpha=0.28)
-        f.multi_line("xs", "ys", source=self.fan, line_color=COLOURS["before"], line_alpha=0.16, line_width=1)
+        f.multi_line("xs", "ys", source=self.fan, line_color=COLOURS["crb"], line_alpha=0.3, line_width=1)
         shown = f.line("t", "y", source=self.record, color=COLOURS["measured"], line_width=1.3)
-        f.line("t", "y", source=self.before, color=COLOURS["before"], line_dash="dashed", line_width=1.3)
-        now = f.line("t", "y", source=self.now, color=COLOURS["after"], line_width=1.8)
+        now = f.line("t", "y", source=self.now, color=COLOURS["after"], line_width=2.0)
+        f.line("t", "y", source=self.before, color=COLOURS["before"], line_dash="dashed", line_width=1.4)
         tips = [("t", "@t{0.00} s"), (self.label, "@y{0.[0000]}")]
         f.add_tools(HoverTool(renderers=[now, shown], mode="vline", tooltips=tips, line_policy="nearest"))
         return f
@@ -79,7 +79,7 @@ class View:
         index = extremes([y], MOST)
         columns = {"t": time[index], "y": drawable(y[index])}
         half = self.band or 0.0
-        self.record.data = columns | {"low": columns["y"] - half, "high": columns["y"] + half}
+        self.record.update(data=columns | {"low": columns["y"] - half, "high": columns["y"] + half})
 
     def draw_before(self, time: Series, y: Series) -> None:
         """The result."""
@@ -93,7 +93,7 @@ class View:
         """Draws; none removes them."""
         chosen = [(extremes([self.factor * y], MOST_FAN), self.factor * y) for y in draws]
         ys = [drawable(y[index]) for index, y in chosen]
-        self.fan.data = {"xs": [time[index] for index, _ in chosen], "ys": ys}
+        self.fan.update(data={"xs": [time[index] for index, _ in chosen], "ys": ys})
 
     def fit(self, shown: Sequence[Series]) -> None:
         """A vertical scale for the measurement (first) and the result; what is flown now cannot flatten them."""
@@ -104,7 +104,7 @@ class View:
     def _draw(self, source: ColumnDataSource, time: Series, y: Series) -> None:
         y = self.factor * y
         index = extremes([y], MOST)
-        source.data = {"t": time[index], "y": drawable(y[index])}
+        source.update(data={"t": time[index], "y": drawable(y[index])})
 
 
 def stacked(views: Sequence[View], name: str) -> Column:

@@ -52,7 +52,7 @@ class Page:
         self.exchange = Exchange()
         self.drawn: tuple[Any, ...] = ()  # manoeuvre and window of the record that is drawn
         self.fan: tuple[int, str, Parts] | None = None
-        first = simulator.fly(0, Choice())
+        first = simulator.result(0)
         cross = Span(dimension="height", line_dash="dotted", line_color="#777777", line_width=1)
         self.outputs = [self._view(name, cross) for name in simulator.outputs]
         self.coefficients = [self._view(name, cross) for name in first.coefficients]
@@ -65,7 +65,7 @@ class Page:
         document.title = self.opened.title
         document.add_root(left)
         document.add_root(right)
-        document.template = _part("page.html")
+        document.template = _part("page.html")  # pyright: ignore[reportAttributeAccessIssue] - Bokeh takes a text, too
         document.template_variables.update(self._facts())
         start = CustomJS(args={"exchange": self.exchange, "time": self.time}, code="explore.start(exchange, time)")
         document.js_on_event("document_ready", start)
@@ -87,7 +87,7 @@ class Page:
             "manoeuvres": self.simulator.manoeuvres,
             "addable": [(e.name, e.claim) for e in addable(opened.identified.model, tuple(have))],
             "forms": tuple(FORMS),
-            "legend": [(COLOURS[key], words) for key, words in WORDS.items()],
+            "legend": [(key, COLOURS[key], words) for key, words in WORDS.items()],
             "sources": opened.identified.sources,
             "start": "as fitted" if opened.departures else "as measured",
             "draws": DRAWS,
@@ -98,18 +98,18 @@ class Page:
         try:
             asked = read_asked(new)
         except InputError as reason:
-            self.exchange.told = json.dumps({"id": -1, "error": str(reason)})
+            self.exchange.update(told=json.dumps({"id": -1, "error": str(reason)}))
             return
         try:
             self._answer(asked)
         except InputError as reason:
-            self.exchange.told = json.dumps({"id": asked.id, "error": str(reason)})
+            self.exchange.update(told=json.dumps({"id": asked.id, "error": str(reason)}))
 
     def _answer(self, asked: Asked) -> None:
         begin = clock.perf_counter()
         choice = self._choice(asked)
-        before = self.simulator.fly(asked.manoeuvre, Choice())
-        now = self.simulator.fly(asked.manoeuvre, choice)
+        before = self.simulator.result(asked.manoeuvre)
+        now = before if choice == Choice() else self.simulator.fly(asked.manoeuvre, choice)
         time = self.simulator.time(asked.manoeuvre)
         window = window_of(time, asked.window)
         self._draw(asked, time, window, before, now)
@@ -133,7 +133,7 @@ class Page:
             "error": failed,
             "seconds": clock.perf_counter() - begin,
         }
-        self.exchange.told = json.dumps(told)
+        self.exchange.update(told=json.dumps(told))
 
     def _choice(self, asked: Asked) -> Choice:
         """What is asked, in SI."""

@@ -83,6 +83,7 @@ class Simulator:
         self.fixed = self.card.fly.initial_state if setting.get("initial_state") == FIXED else None
         self.biases = self.card.output_biases if opened.command == "fly" else {}
         self._ready: dict[Any, Ready] = {}
+        self._results: dict[int, Flown] = {}
         self._structures: dict[tuple[tuple[str, ...], frozenset[str]], Structure] = {}
         dynamics = self._structure(Choice()).dynamics
         self.outputs = tuple(n for n in dynamics.outputs if n in self.flights.channels)
@@ -102,6 +103,12 @@ class Simulator:
         """Recorded outputs and inputs."""
         own = self.flights.manoeuvre == manoeuvre
         return {name: np.asarray(self.flights.channels[name])[own] for name in (*self.outputs, *self.inputs)}
+
+    def result(self, manoeuvre: int) -> Flown:
+        """The manoeuvre at the values of the result; flown once."""
+        if manoeuvre not in self._results:
+            self._results[manoeuvre] = self.fly(manoeuvre, Choice())
+        return self._results[manoeuvre]
 
     def fly(self, manoeuvre: int, choice: Choice) -> Flown:
         """The manoeuvre at the chosen values.
@@ -130,6 +137,8 @@ class Simulator:
             InputError: the result has neither a posterior nor a covariance.
         """
         opened, values = self.opened, self._values(Choice())
+        if opened.command == "diagnose":
+            raise InputError("diagnose writes no covariance to draw from; open a result of identify or fly for a fan")
         draws = drawn(opened.identified, opened.folder, opened.told, count, seed, opened.identified.model.names)
         theta = np.tile(list(values.values()), (count, 1))
         for k, name in enumerate(draws.names):
@@ -163,7 +172,8 @@ class Simulator:
         opened, own = self.opened, self._structure(choice)
         found = values_of(own.model, opened.identified.values, choice)
         fitted = {name: p["estimate"] for name, p in opened.told.get("parameters", {}).items()}
-        return {p.name: float(found.get(p.name, fitted.get(p.name, p.start))) for p in own.dynamics.free}
+        every = {p.name: p.start for p in own.dynamics.free} | fitted | found
+        return {name: float(every[name]) for name in own.dynamics.names}
 
     def _prepared(self, manoeuvre: int, choice: Choice, values: Mapping[str, float]) -> Ready:
         """Cut and stepped as by `fly`; finer where a lag is now shorter than where that fit begins."""
@@ -202,7 +212,7 @@ def _one(flown: SegmentTrajectories, residuals: EquationError | None, theta: Any
     if residuals is None:
         return (*paths, None, None, None)
     own = theta[: len(residuals.model.free)]  # biases of outputs are behind
-    _, details = residuals.evaluate(own)
+    _, details = residuals.traced(own)
     return (*paths, details["measured"], details["modelled"], details["X"])
 
 

@@ -5,7 +5,7 @@ const explore = (function () {
   let exchange, time, whole = [0, 1], waiting = false, due = false, sent = 0, built = "", patience = 0;
 
   const number = (x) => x === null || !isFinite(x) ? "–" : String(Number(x.toPrecision(4)));
-  const exact = (x) => String(Number(x.toPrecision(8)));
+  const exact = (x) => String(Number(x.toPrecision(6)));
   const near = (a, b) => Math.abs(a - b) < 1e-6 * Math.max(1, Math.abs(b));
 
   function make(kind, content, more) {

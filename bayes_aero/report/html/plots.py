@@ -136,7 +136,7 @@ def _panel(time: np.ndarray, panel: Panel, shared: Any, cross: Any, over: Over, 
     from bokeh.plotting import figure
 
     box = BoxZoomTool(dimensions="width")
-    label, height = fitting(panel)
+    label, height = _fitting(panel)
     f = figure(
         height=height + (AXIS if last else 0),
         sizing_mode="stretch_width",
@@ -165,7 +165,7 @@ def _panel(time: np.ndarray, panel: Panel, shared: Any, cross: Any, over: Over, 
     return f
 
 
-def fitting(panel: Panel) -> tuple[str, int]:
+def _fitting(panel: Panel) -> tuple[str, int]:
     """Label and height: a long label has its unit below it, and a longer one a higher panel, so that none is cut."""
     if LETTER * len(panel.label) <= panel.height:
         return panel.label, panel.height
@@ -176,7 +176,7 @@ def fitting(panel: Panel) -> tuple[str, int]:
 
 def _on_paper(panels: Sequence[Panel]) -> list[int]:
     """Heights when printed, the axis with the last: lower than on a screen, though never than a label is long."""
-    fitting = [fitting(panel) for panel in panels]
+    fitting = [_fitting(panel) for panel in panels]
     share = max(min((PAPER - AXIS) / sum(height for _, height in fitting), 1.0), LEAST)
     longest = [LETTER * max(map(len, label.split("\n"))) for label, _ in fitting]
     heights = [int(min(max(share * h, long + 6), h)) for (_, h), long in zip(fitting, longest, strict=True)]

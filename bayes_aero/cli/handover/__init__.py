@@ -1,0 +1,1 @@
+"""Commands that take up a finished result."""
