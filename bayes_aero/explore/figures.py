@@ -21,7 +21,7 @@ from bokeh.plotting import figure
 from jaxtyping import Bool, Float
 
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.html.plots import Line, Panel, drawable, dress, extremes, scale
+from bayes_aero.report.html.plots import FARTHEST, Line, Panel, dress, extremes, scale
 
 MOST = 1600  # points a line in the window
 MOST_FAN = 300  # and of each draw
@@ -42,7 +42,7 @@ class View:
         self.record = ColumnDataSource({"t": [], "y": [], "low": [], "high": []})
         self.before = ColumnDataSource({"t": [], "y": []})
         self.now = ColumnDataSource({"t": [], "y": []}, name=f"now-{name}")
-        self.fan = ColumnDataSource({"xs": [], "ys": []})
+        self.fan = ColumnDataSource({"xs": [], "ys": []}, name=f"fan-{name}")
         self.range = Range1d(start=0.0, end=1.0)
         self.figure = self._figure(time, cross)
 
@@ -77,7 +77,7 @@ class View:
         """The measurement, with its tolerance."""
         y = self.factor * y
         index = extremes([y], MOST)
-        columns = {"t": time[index], "y": drawable(y[index])}
+        columns = {"t": time[index], "y": _drawable(y[index])}
         half = self.band or 0.0
         self.record.update(data=columns | {"low": columns["y"] - half, "high": columns["y"] + half})
 
@@ -92,7 +92,7 @@ class View:
     def draw_fan(self, time: Series, draws: Float[np.ndarray, "m n"]) -> None:
         """Draws; none removes them."""
         chosen = [(extremes([self.factor * y], MOST_FAN), self.factor * y) for y in draws]
-        ys = [drawable(y[index]) for index, y in chosen]
+        ys = [_drawable(y[index]) for index, y in chosen]
         self.fan.update(data={"xs": [time[index] for index, _ in chosen], "ys": ys})
 
     def fit(self, shown: Sequence[Series]) -> None:
@@ -104,7 +104,7 @@ class View:
     def _draw(self, source: ColumnDataSource, time: Series, y: Series) -> None:
         y = self.factor * y
         index = extremes([y], MOST)
-        source.update(data={"t": time[index], "y": drawable(y[index])})
+        source.update(data={"t": time[index], "y": _drawable(y[index])})
 
 
 def stacked(views: Sequence[View], name: str) -> Column:
@@ -113,9 +113,14 @@ def stacked(views: Sequence[View], name: str) -> Column:
         last = view is views[-1]
         dress(view.figure, last, LEAST)
         if last:
-            view.figure.xaxis.axis_label = "time from start of record [s]"
+            view.figure.xaxis.axis_label = "time of the record [s]"
             view.figure.min_height = LEAST + AXIS
     return column([view.figure for view in views], sizing_mode="stretch_both", spacing=0, name=name)
+
+
+def _drawable(y: Series) -> Series:
+    """Values that a canvas can take; those of a diverged simulation are gaps."""
+    return np.where(np.abs(y) < FARTHEST, y, np.nan)
 
 
 def window_of(time: Series, window: tuple[float, float] | None) -> Bool[np.ndarray, " n"]:

@@ -16,7 +16,7 @@ from bokeh.model import DataModel
 from bokeh.models import CustomJS, Range1d, Span
 
 from bayes_aero import __version__
-from bayes_aero.errors import InputError
+from bayes_aero.errors import InputError, failure
 from bayes_aero.explore.asked import Asked, read_asked
 from bayes_aero.explore.choice import Choice, addable
 from bayes_aero.explore.figures import WORDS, View, stacked, window_of
@@ -95,15 +95,16 @@ class Page:
 
     def _asked(self, _attribute: str, _old: str, new: str) -> None:
         """Whatever is asked gets an answer: the browser waits for it before it asks again."""
+        number = -1
         try:
             asked = read_asked(new)
-        except InputError as reason:
-            self.exchange.update(told=json.dumps({"id": -1, "error": str(reason)}))
-            return
-        try:
+            number = asked.id
             self._answer(asked)
         except InputError as reason:
-            self.exchange.update(told=json.dumps({"id": asked.id, "error": str(reason)}))
+            self.exchange.update(told=json.dumps({"id": number, "error": f"{reason}."}))
+        except Exception as reason:  # whatever it is, the page goes on with what it was asked before
+            told = failure("What was asked could not be done", reason)
+            self.exchange.update(told=json.dumps({"id": number, "error": told}))
 
     def _answer(self, asked: Asked) -> None:
         begin = clock.perf_counter()
@@ -189,7 +190,7 @@ class Page:
         if not asked.fan:
             if self.fan is not None:
                 for view in (*self.outputs, *self.coefficients):
-                    view.draw_fan(time, np.zeros((0, 0)))
+                    view.draw_fan(time, np.zeros((0, len(time))))
             self.fan = None
             return []
         if self.fan is None or self.fan[0] != asked.manoeuvre:

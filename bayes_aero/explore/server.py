@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import logging
+import socket
 import webbrowser
 from collections.abc import Callable
 
@@ -14,7 +15,6 @@ from bokeh.settings import settings
 from tornado.httpserver import HTTPServer
 from tornado.httputil import HTTPMessageDelegate, HTTPServerRequest
 from tornado.ioloop import IOLoop
-from tornado.netutil import bind_sockets
 from tornado.routing import Router
 from tornado.web import ErrorHandler
 
@@ -59,16 +59,17 @@ class PageServer:
         settings.resources = "server"  # whatever the environment says: no content delivery network,
         settings.allowed_ws_origin = []  # and no other origin
         try:
-            sockets = bind_sockets(port, ADDRESS)
+            listening = socket.create_server((ADDRESS, port))
         except OSError as reason:
             taken = "it is taken" if reason.errno == errno.EADDRINUSE else reason.strerror or reason
             raise InputError(f"port {port} cannot be used ({taken}); give another --port, or none") from None
-        self.port = int(sockets[0].getsockname()[1])
+        listening.setblocking(False)
+        self.port = int(listening.getsockname()[1])
         hosts = frozenset(f"{name}:{self.port}" for name in (ADDRESS, "localhost"))
         self.url = f"http://{ADDRESS}:{self.port}/"
         app = BokehTornado({"/": fill}, extra_websocket_origins=sorted(hosts), absolute_url=self.url)
         http = HTTPServer(LocalOnly(app, hosts))
-        http.add_sockets(sockets)
+        http.add_socket(listening)
         self.loop = IOLoop.current()
         self._server = BaseServer(self.loop, app, http)
 

@@ -188,7 +188,7 @@ def _draw(f: Any, time: np.ndarray, panel: Panel, over: Over) -> None:
 
     index = extremes([line.values for line in panel.lines])
     columns: dict[str, Any] = {"t": np.asarray(time[index], np.float32)}
-    columns |= {f"y{i}": drawable(line.values[index]) for i, line in enumerate(panel.lines)}
+    columns |= {f"y{i}": _drawable(line.values[index]) for i, line in enumerate(panel.lines)}
     if panel.band is not None:
         columns |= {"low": columns["y0"] - np.float32(panel.band), "high": columns["y0"] + np.float32(panel.band)}
     source = ColumnDataSource(columns)
@@ -206,7 +206,7 @@ def _draw(f: Any, time: np.ndarray, panel: Panel, over: Over) -> None:
     f.add_tools(HoverTool(renderers=[shown[0]], mode="vline", tooltips=tips, line_policy="nearest"))
 
 
-def drawable(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+def _drawable(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """Values in single precision; those of a diverged simulation are gaps."""
     return np.where(np.abs(values) < FARTHEST, values, np.nan).astype(np.float32)
 
