@@ -23,8 +23,8 @@ from jaxtyping import Bool, Float
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.html.plots import FARTHEST, Line, Panel, dress, extremes, scale
 
-MOST = 1600  # points a line in the window
-MOST_FAN = 300  # and of each draw
+MOST = 900  # points a line in the window: more than a panel has columns
+MOST_FAN = 200  # and of each draw
 LEAST, AXIS = 84, 42  # pixels: lowest panel, and the time axis below the last
 WORDS = {"measured": "measured", "before": "result", "after": "now", "crb": "draws"}
 """What the colours mean."""

@@ -19,7 +19,7 @@ from bayes_aero import __version__
 from bayes_aero.errors import InputError, failure
 from bayes_aero.explore.asked import Asked, read_asked
 from bayes_aero.explore.choice import Choice, addable
-from bayes_aero.explore.figures import WORDS, View, stacked, window_of
+from bayes_aero.explore.figures import MOST, MOST_FAN, WORDS, View, stacked, window_of
 from bayes_aero.explore.hand_on import export_chosen
 from bayes_aero.explore.scores import gain, scores
 from bayes_aero.explore.simulator import DRAWS, Flown, Simulator
@@ -61,7 +61,7 @@ class Page:
         right = stacked([*self.coefficients, *self.inputs], "coefficients")
         left.tags = [self.exchange]
         self.exchange.on_change("asked", self._asked)
-        self._answer(Asked())
+        self.answer(Asked())
         document.title = self.opened.title
         document.add_root(left)
         document.add_root(right)
@@ -91,6 +91,8 @@ class Page:
             "sources": opened.identified.sources,
             "start": "as fitted" if opened.departures else "as measured",
             "draws": DRAWS,
+            "most": MOST,
+            "most_fan": MOST_FAN,
         }
 
     def _asked(self, _attribute: str, _old: str, new: str) -> None:
@@ -99,14 +101,19 @@ class Page:
         try:
             asked = read_asked(new)
             number = asked.id
-            self._answer(asked)
+            self.answer(asked)
         except InputError as reason:
             self.exchange.update(told=json.dumps({"id": number, "error": f"{reason}."}))
         except Exception as reason:  # whatever it is, the page goes on with what it was asked before
             told = failure("What was asked could not be done", reason)
             self.exchange.update(told=json.dumps({"id": number, "error": told}))
 
-    def _answer(self, asked: Asked) -> None:
+    def answer(self, asked: Asked) -> None:
+        """Fly, draw and tell what is asked.
+
+        Raises:
+            InputError: there is no such manoeuvre, or an added effect cannot be simulated through it.
+        """
         begin = clock.perf_counter()
         choice = self._choice(asked)
         before = self.simulator.result(asked.manoeuvre)

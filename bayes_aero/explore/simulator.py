@@ -120,15 +120,14 @@ class Simulator:
         theta = jnp.asarray(list(values.values()))
         ready = self._prepared(manoeuvre, choice, values)
         simulated, inside, formed, modelled, X = _fly(ready.flown, ready.residuals, theta, jnp.asarray(ready.departure))
-        own = ready.flown.inside[0]
         found: dict[str, Any] = {}
         measured: dict[str, Any] = {}
         if ready.residuals is not None:
             names = ready.residuals.model.coefficients
             found = dict(zip(names, np.asarray(modelled).T, strict=True)) | {"X": np.asarray(X)}
             measured = dict(zip(names, np.asarray(formed).T, strict=True))
-        paths = dict(zip(ready.flown.outputs, np.asarray(simulated)[own].T, strict=True))
-        return Flown(values, paths, found, measured, np.asarray(inside)[own])
+        paths = dict(zip(ready.flown.outputs, np.asarray(simulated).T, strict=True))
+        return Flown(values, paths, found, measured, np.asarray(inside))
 
     def fan(self, manoeuvre: int, count: int = DRAWS, seed: int = 0) -> tuple[str, dict[str, np.ndarray]]:
         """Outputs and coefficients (m, n) of draws of the result's parameters, and where the draws come from.
@@ -148,8 +147,7 @@ class Simulator:
         simulated, _, _, modelled, X = _fly_draws(
             ready.flown, ready.residuals, jnp.asarray(theta), jnp.asarray(ready.departure)
         )
-        own = ready.flown.inside[0]
-        found = dict(zip(ready.flown.outputs, np.moveaxis(np.asarray(simulated)[:, own], 2, 0), strict=True))
+        found = dict(zip(ready.flown.outputs, np.moveaxis(np.asarray(simulated), 2, 0), strict=True))
         if ready.residuals is not None:
             found |= dict(zip(ready.residuals.model.coefficients, np.moveaxis(np.asarray(modelled), 2, 0), strict=True))
             found["X"] = np.asarray(X)
@@ -185,7 +183,8 @@ class Simulator:
             whole = segments(self.flights, own.dynamics, **options)
             away = self.opened.departures.get(self.manoeuvres[manoeuvre], {})
             departure = np.array([[away.get(name, 0.0) for name in own.dynamics.start]])
-            self._ready[key] = Ready(whole.part([manoeuvre]).nameless, self._residuals(manoeuvre, own.model), departure)
+            alone = _unpadded(whole.part([manoeuvre]).nameless)
+            self._ready[key] = Ready(alone, self._residuals(manoeuvre, own.model), departure)
         return self._ready[key]
 
     def _residuals(self, manoeuvre: int, model: Model) -> EquationError | None:
@@ -197,6 +196,13 @@ class Simulator:
             return None
         own = replace(alone.nameless, channels=dict(alone.channels))
         return EquationError(own, model, (), ())
+
+
+def _unpadded(flown: SegmentTrajectories) -> SegmentTrajectories:
+    """One segment without the samples that give all segments one length."""
+    n = int(flown.inside.sum())
+    index, inside, growth = (x[:, :n] for x in (flown.index, flown.inside, flown.noise_growth))
+    return replace(flown, index=index, inside=inside, noise_growth=growth)
 
 
 def _steps(dynamics: Dynamics, values: Mapping[str, float], flights: Flights) -> int:
