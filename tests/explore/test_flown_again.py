@@ -89,16 +89,13 @@ def test_draws_have_the_covariance_of_the_fit(results, simulator):
     told = json.loads((results.flown / "trajectories.json").read_text())
     origin, fan = simulator.fan(0, count=400, seed=1)
     assert origin.startswith("normal distribution of the estimates")
-    still = simulator.fly(0, Choice())
     slopes = []
     for name, p in told["parameters"].items():
         h = 0.1 * p["sd_corrected"]
         up, down = (simulator.fly(0, Choice({name: p["estimate"] + x})).coefficients["CL"] for x in (h, -h))
         slopes.append((up - down) / (2.0 * h))
     expected = np.sqrt(np.einsum("in,ij,jn->n", slopes, np.array(told["covariance"]), slopes))
-    attached = still.coefficients["X"] > 0.99  # in separated flow CL is not linear within these errors
-    assert attached.sum() > 300
-    np.testing.assert_allclose(np.std(fan["CL"], axis=0)[attached], expected[attached], rtol=0.15)
+    np.testing.assert_allclose(np.std(fan["CL"], axis=0), expected, rtol=0.15)
 
 
 def test_records_that_moved_are_named_with_the_way_to_mend_it(results, tmp_path, monkeypatch):
