@@ -2,7 +2,7 @@
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/open_step.py RESULT [--steps 60]
 
-RESULT is the folder of identify, fly or diagnose. For each manoeuvre: median and 95th percentile of the compiled
+RESULT is the folder of identify, fly or diagnose. For each manoeuvre: best, median and 95th percentile of the compiled
 flight, of the whole answer of the server (flight, errors, points of all panels), and, where Chromium and Playwright
 are installed, from the key press until the browser has drawn (headless, 1920 x 1080, no graphics card).
 """
@@ -75,7 +75,6 @@ def drawn(simulator: Simulator, name: str, steps: int) -> list[list[float]]:
         page.goto(server.url)
         page.wait_for_function("document.documentElement.dataset.answered === '0'")
         for manoeuvre in range(len(simulator.manoeuvres)):
-            page.evaluate("explore.state.id")
             page.locator("#manoeuvre").select_option(str(manoeuvre))
             page.wait_for_timeout(3000)
             page.locator(f"#range-{name}").focus()
@@ -91,9 +90,8 @@ def drawn(simulator: Simulator, name: str, steps: int) -> list[list[float]]:
 
 
 def words(seconds: list[float]) -> str:
-    """Median and 95th percentile."""
-    middle, high = 1e3 * np.percentile(seconds, [50.0, 95.0])
-    return f"{middle:6.0f} {high:6.0f}"
+    """Best, median and 95th percentile."""
+    return "/".join(f"{1e3 * x:.0f}" for x in np.percentile(seconds, [0.0, 50.0, 95.0])).rjust(13)
 
 
 def main() -> None:
@@ -105,7 +103,7 @@ def main() -> None:
     simulator = Simulator(open_result(given.result))
     name = simulator.opened.identified.model.names[1]
     seen = drawn(simulator, name, given.steps)
-    print(f"{simulator.opened.title}, {name} moved, ms: median, 95th percentile")
+    print(f"{simulator.opened.title}, {name} moved, ms: best/median/95th percentile")
     print(f"{'manoeuvre':20} {'samples':>7} {'flight':>13} {'answer':>13} {'drawn':>13}")
     for k, manoeuvre in enumerate(simulator.manoeuvres):
         columns = [words(f(simulator, k, name, given.steps)) for f in (flights, answers)]

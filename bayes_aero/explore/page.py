@@ -51,7 +51,8 @@ class Page:
         self.time = Range1d(start=0.0, end=1.0)
         self.exchange = Exchange()
         self.drawn: tuple[Any, ...] = ()  # manoeuvre and window of the record that is drawn
-        self.fan: tuple[int, str, Parts] | None = None
+        self.fanned: tuple[Any, ...] | None = None  # those of the fan
+        self._fans: dict[int, tuple[str, Parts]] = {}
         first = simulator.result(0)
         cross = Span(dimension="height", line_dash="dotted", line_color="#777777", line_width=1)
         self.outputs = [self._view(name, cross) for name in simulator.outputs]
@@ -121,12 +122,12 @@ class Page:
         time = self.simulator.time(asked.manoeuvre)
         window = window_of(time, asked.window)
         self._draw(asked, time, window, before, now)
-        said, failed = [], ""
+        said, exported, failed = "", "", ""
         try:
-            said += self._fanned(asked, time, window)
+            said = self._fanned(asked, time, window)
             if asked.export:
                 folder, files = export_chosen(self.opened, choice, now.values, asked.export)
-                said += [f"Exported to {folder}: {', '.join(files)}."]
+                exported = f"Exported to {folder}: {', '.join(files)}."
         except InputError as reason:
             failed = f"{reason}."
         told = {
@@ -136,8 +137,9 @@ class Page:
             "scores": self._scores(asked.manoeuvre, window, before, now),
             "gain": self._gain(asked.manoeuvre, window, before, now),
             "note": self._note(time, now),
-            "said": " ".join(said),
-            "fan": self.fan is not None,
+            "said": said,
+            "exported": exported,
+            "fan": self.fanned is not None,
             "error": failed,
             "seconds": clock.perf_counter() - begin,
         }
@@ -192,19 +194,21 @@ class Page:
             found.append((view, modelled, before.formed.get(view.name, modelled)))
         return found
 
-    def _fanned(self, asked: Asked, time: np.ndarray, window: np.ndarray) -> list[str]:
-        """Draw the fan, or remove it; where its draws come from."""
-        if not asked.fan:
-            if self.fan is not None:
-                for view in (*self.outputs, *self.coefficients):
-                    view.draw_fan(time, np.zeros((0, len(time))))
-            self.fan = None
-            return []
-        if self.fan is None or self.fan[0] != asked.manoeuvre:
-            self.fan = (asked.manoeuvre, *self.simulator.fan(asked.manoeuvre))
-        for view in (*self.outputs, *self.coefficients):
-            view.draw_fan(time[window], self.fan[2][view.name][:, window])
-        return [f"{DRAWS} draws: {self.fan[1]}."]
+    def _fanned(self, asked: Asked, time: np.ndarray, window: np.ndarray) -> str:
+        """Draw the fan, or remove it, where it has changed; where its draws come from."""
+        views = [*self.outputs, *self.coefficients]
+        place = (asked.manoeuvre, asked.window) if asked.fan else None
+        if place != self.fanned and place is None:
+            for view in views:
+                view.draw_fan(time, np.zeros((0, len(time))))
+        elif place is not None and place != self.fanned:
+            if asked.manoeuvre not in self._fans:
+                self._fans[asked.manoeuvre] = self.simulator.fan(asked.manoeuvre)
+            draws = self._fans[asked.manoeuvre][1]
+            for view in views:
+                view.draw_fan(time[window], draws[view.name][:, window])
+        self.fanned = place
+        return "" if place is None else f"{DRAWS} draws: {self._fans[asked.manoeuvre][0]}."
 
     def _scores(self, manoeuvre: int, window: np.ndarray, before: Flown, now: Flown) -> list[dict[str, Any]]:
         """RMS errors and shares inside the tolerances, in the units of the panels."""

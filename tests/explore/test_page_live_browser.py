@@ -138,7 +138,7 @@ def test_an_export_has_the_values_of_the_page_and_overwrites_nothing(page, serve
     for name in ("attas_python", "attas_python_2"):
         answered(page, lambda: page.locator("#export").click())
         folder = served.folder / "exports" / name
-        assert f"Exported to {folder}: attas.py." in page.locator("#said").inner_text()
+        assert f"Exported to {folder}: attas.py." in page.locator("#exported").inner_text()
         facts = json.loads((folder / "export.json").read_text())
         told = json.loads((served.folder / "trajectories.json").read_text())["parameters"]
         found = {name: p["value"] for name, p in facts["parameters"].items()}

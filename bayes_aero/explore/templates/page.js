@@ -2,7 +2,7 @@ const explore = (function () {
   "use strict";
   const at = (id) => document.getElementById(id);
   const state = {id: 0, manoeuvre: 0, window: null, values: {}, off: [], added: [], fan: false, export: null};
-  let exchange, time, whole = [0, 1], waiting = false, due = false, sent = 0, built = "", patience = 0;
+  let exchange, time, whole = [0, 1], waiting = false, due = false, sent = 0, built = "", patience = 0, fresh = null;
 
   const number = (x) => x === null || !isFinite(x) ? "–" : String(Number(x.toPrecision(4)));
   const exact = (x) => String(Number(x.toPrecision(6)));
@@ -42,14 +42,17 @@ const explore = (function () {
     if (due) ask();
   }
 
-  function undo() {  // the last effect that was added could not be flown
-    if (state.added.length) remove(state.added[state.added.length - 1]);
+  function undo() {  // the effect that was added could not be flown
+    if (fresh) remove(fresh);
+    fresh = null;
   }
 
   function show(told) {
     whole = told.window;
+    fresh = null;
     state.fan = at("fan").checked = told.fan;
     at("said").textContent = told.said;
+    if (told.exported) at("exported").textContent = told.exported;
     at("note").textContent = told.note;
     const nats = told.gain.nats, counted = told.gain.inflation;
     at("gain").textContent = "Δ log likelihood " + (Math.abs(nats) < 0.05 ? "0" : (nats > 0 ? "+" : "−") + number(Math.abs(nats)))
@@ -181,7 +184,7 @@ const explore = (function () {
     at("reset").onclick = () => { Object.assign(state, {values: {}, off: [], added: []}); refresh(); ask(); };
     at("adding").onclick = () => {
       const name = at("add").value;
-      if (name && !state.added.includes(name)) { state.added = [...state.added, name]; ask(); }
+      if (name && !state.added.includes(name)) { fresh = name; state.added = [...state.added, name]; ask(); }
     };
     at("export").onclick = () => { state.export = at("form").value; ask(); };
     show(JSON.parse(exchange.told));
