@@ -51,6 +51,7 @@ class Page:
         self.time = Range1d(start=0.0, end=1.0)
         self.exchange = Exchange()
         self.drawn: tuple[Any, ...] = ()  # manoeuvre and window of the record that is drawn
+        self.formed: Parts = {}
         self.fanned: tuple[Any, ...] | None = None  # those of the fan
         self._fans: dict[int, tuple[str, Parts]] = {}
         first = simulator.result(0)
@@ -178,13 +179,14 @@ class Page:
                 view.fit([truth[window], old[window]])
             begin, end = asked.window or (float(time[0]), float(time[-1]))
             self.time.update(start=begin, end=end)
-        self.drawn = place
         for view in self.outputs:
             view.draw_now(at, now.simulated[view.name][window])
         for view in self.coefficients:
             view.draw_now(at, now.coefficients[view.name][window])
-            if view.name in now.formed:
-                view.draw_record(at, now.formed[view.name][window])
+            formed = now.formed.get(view.name)  # most parameters do not change how coefficients are formed
+            if formed is not None and (place != self.drawn or not np.array_equal(formed, self.formed[view.name])):
+                view.draw_record(at, formed[window])
+        self.drawn, self.formed = place, now.formed
 
     def _pairs(self, before: Flown, recorded: Parts) -> list[tuple[View, np.ndarray, np.ndarray]]:
         """Panels with the result and what it is compared with."""
