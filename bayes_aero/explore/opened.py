@@ -69,9 +69,15 @@ def open_result(given: str, card: str | None = None, folders: Sequence[Path] = (
     identified, folder, told = read_identified(given, card)
     assert folder is not None
     whose = card_of(told["provenance"], file, card)
-    records = records_of(told["provenance"], file, whose, folders)
     command = COMMANDS[told["schema"].split("/")[1]]
-    return Opened(folder, command, identified, whose, records, told, _errors(told, command), _departures(told, command))
+    try:
+        records = records_of(told["provenance"], file, whose, folders)
+        known = _errors(told, command), _departures(told, command)
+    except (KeyError, TypeError, AttributeError, ValueError) as reason:
+        if isinstance(reason, InputError):
+            raise
+        raise InputError(f"{file} is not as bayes-aero wrote it ({reason!r}); run the command again") from None
+    return Opened(folder, command, identified, whose, records, told, *known)
 
 
 def _errors(told: Mapping[str, Any], command: str) -> dict[str, float]:

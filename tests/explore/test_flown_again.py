@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from bayes_aero.diagnosis.trajectories.time_histories import fly_given
+from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.errors import InputError
 from bayes_aero.explore.choice import Choice, addable, shown_effects
 from bayes_aero.explore.opened import open_result
 from bayes_aero.explore.simulator import Simulator
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 
@@ -112,10 +115,17 @@ def test_records_that_moved_are_named_with_the_way_to_mend_it(results, tmp_path,
         open_result(str(moved), None, [elsewhere])
 
 
-def test_identify_flies_from_the_measured_state(results):
+def test_every_manoeuvre_of_identify_flies_from_its_measured_state(results, card, model):
+    """As the package flies all of them together."""
     simulator = Simulator(open_result(str(results.identified)))
     assert simulator.opened.departures == {}
-    now = simulator.fly(0, Choice()).simulated
-    first = {name: simulator.recorded(0)[name][0] for name in ("airspeed", "theta")}
-    assert abs(now["airspeed"][0] - first["airspeed"]) < 1.0
-    assert abs(now["theta"][0] - first["theta"]) < 0.01
+    assert simulator.manoeuvres == ("stall", "second")
+    records = [read_record(results.folder / f"{name}.csv", card.channels) for name in simulator.manoeuvres]
+    flights, _ = despiked(join(records, card, FLIGHT))
+    paths = fly_given(flights, model, simulator.opened.identified.values, {})
+    assert len(paths[0].time) > len(paths[1].time)
+    for k, path in enumerate(paths):
+        now = simulator.fly(k, Choice())
+        agree(now.simulated, path.simulated)
+        np.testing.assert_array_equal(simulator.time(k), path.time)
+        assert {len(y) for y in (*now.coefficients.values(), *now.formed.values())} == {len(path.time)}
