@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -32,30 +32,51 @@ WORDS = {"measured": "measured", "before": "result", "after": "now", "crb": "dra
 Series = Float[np.ndarray, " n"]
 
 
-class View:
-    """One panel. `factor` converts SI to the unit of its label, `band` (SI) is the tolerance about the measurement."""
+class Shared:
+    """What all panels have in common: the range of time, the cross-hair, and the source of what is flown now."""
 
-    def __init__(self, name: str, label: str, factor: float, time: Range1d, cross: Span, band: float | None) -> None:
-        """An empty panel over the shared range `time`."""
+    def __init__(self) -> None:
+        """Empty."""
+        self.time = Range1d(start=0.0, end=1.0)
+        self.cross = Span(dimension="height", line_dash="dotted", line_color="#777777", line_width=1)
+        self.now = ColumnDataSource({}, name="now")
+
+    def draw_now(self, lines: Sequence[Mapping[str, np.ndarray]]) -> None:
+        """The columns of all panels, made equally long by gaps."""
+        every = {name: np.zeros(0) for name in self.now.column_names}
+        for line in lines:
+            every |= line
+        n = max(map(len, every.values()))
+        self.now.update(data={k: np.pad(x, (0, n - len(x)), constant_values=np.nan) for k, x in every.items()})
+
+
+class View:
+    """One panel. `factor` converts SI to the unit of its label, `band` (SI) is the tolerance about the measurement.
+
+    What is flown now has one source for all panels, so that a step is one message to the browser.
+    """
+
+    def __init__(self, name: str, label: str, factor: float, shared: Shared, band: float | None) -> None:
+        """An empty panel."""
         self.name, self.label, self.factor = name, label, factor
         self.band = None if band is None else factor * band
         self.record = ColumnDataSource({"t": [], "y": [], "low": [], "high": []})
         self.before = ColumnDataSource({"t": [], "y": []})
-        self.now = ColumnDataSource({"t": [], "y": []}, name=f"now-{name}")
+        self.columns = f"t {name}", f"y {name}"
         self.fan = ColumnDataSource({"xs": [], "ys": []}, name=f"fan-{name}")
         self.range = Range1d(start=0.0, end=1.0)
-        self.figure = self._figure(time, cross)
+        self.figure = self._figure(shared)
 
-    def _figure(self, time: Range1d, cross: Span) -> Any:
+    def _figure(self, shared: Shared) -> Any:
         box = BoxZoomTool(dimensions="width")
         wheel = WheelZoomTool(dimensions="width", modifiers={"ctrl": True})
         f = figure(
-            x_range=time,
+            x_range=shared.time,
             y_range=self.range,
             y_axis_label=self.label,
             sizing_mode="stretch_both",
             min_height=LEAST,
-            tools=[box, wheel, CrosshairTool(overlay=cross)],
+            tools=[box, wheel, CrosshairTool(overlay=shared.cross)],
             active_drag=box,
             toolbar_location=None,
             min_border_left=62,
@@ -67,10 +88,14 @@ class View:
             f.varea("t", "low", "high", source=self.record, fill_color="#999999", fill_alpha=0.28)
         f.multi_line("xs", "ys", source=self.fan, line_color=COLOURS["crb"], line_alpha=0.3, line_width=1)
         shown = f.line("t", "y", source=self.record, color=COLOURS["measured"], line_width=1.3)
-        now = f.line("t", "y", source=self.now, color=COLOURS["after"], line_width=2.0)
+        t, y = self.columns
+        shared.now.add([], t)
+        shared.now.add([], y)
+        now = f.line(t, y, source=shared.now, color=COLOURS["after"], line_width=2.0)
         f.line("t", "y", source=self.before, color=COLOURS["before"], line_dash="dashed", line_width=1.4)
-        tips = [("t", "@t{0.00} s"), (self.label, "@y{0.[0000]}")]
-        f.add_tools(HoverTool(renderers=[now, shown], mode="vline", tooltips=tips, line_policy="nearest"))
+        for line, (at, value) in ((now, self.columns), (shown, ("t", "y"))):
+            tips = [("t", f"@{{{at}}}{{0.00}} s"), (self.label, f"@{{{value}}}{{0.[0000]}}")]
+            f.add_tools(HoverTool(renderers=[line], mode="vline", tooltips=tips, line_policy="nearest"))
         return f
 
     def draw_record(self, time: Series, y: Series) -> None:
@@ -83,11 +108,15 @@ class View:
 
     def draw_before(self, time: Series, y: Series) -> None:
         """The result."""
-        self._draw(self.before, time, y)
+        y = self.factor * y
+        index = extremes([y], MOST)
+        self.before.update(data={"t": time[index], "y": _drawable(y[index])})
 
-    def draw_now(self, time: Series, y: Series) -> None:
-        """What is flown now."""
-        self._draw(self.now, time, y)
+    def line_now(self, time: Series, y: Series) -> dict[str, np.ndarray]:
+        """The columns of what is flown now."""
+        y = self.factor * y
+        index = extremes([y], MOST)
+        return dict(zip(self.columns, (time[index], _drawable(y[index])), strict=True))
 
     def draw_fan(self, time: Series, draws: Float[np.ndarray, "m n"]) -> None:
         """Draws; none removes them."""
@@ -100,11 +129,6 @@ class View:
         lines = tuple(Line("", "", self.factor * y) for y in shown)
         found = scale(Panel(self.label, lines, band=self.band))
         self.range.update(start=found.start, end=found.end)
-
-    def _draw(self, source: ColumnDataSource, time: Series, y: Series) -> None:
-        y = self.factor * y
-        index = extremes([y], MOST)
-        source.update(data={"t": time[index], "y": _drawable(y[index])})
 
 
 def stacked(views: Sequence[View], name: str) -> Column:

@@ -13,13 +13,13 @@ import numpy as np
 from bokeh.core.properties import String
 from bokeh.document import Document
 from bokeh.model import DataModel
-from bokeh.models import CustomJS, Range1d, Span
+from bokeh.models import CustomJS
 
 from bayes_aero import __version__
 from bayes_aero.errors import InputError, failure
 from bayes_aero.explore.asked import Asked, read_asked
 from bayes_aero.explore.choice import Choice, addable
-from bayes_aero.explore.figures import MOST, MOST_FAN, WORDS, View, stacked, window_of
+from bayes_aero.explore.figures import MOST, MOST_FAN, WORDS, Shared, View, stacked, window_of
 from bayes_aero.explore.hand_on import export_chosen
 from bayes_aero.explore.scores import gain, scores
 from bayes_aero.explore.simulator import DRAWS, Flown, Simulator
@@ -48,17 +48,16 @@ class Page:
         self.simulator, self.opened = simulator, simulator.opened
         self.units = {n: c.unit for n, c in STANDARD_CHANNELS.items()} | channel_units(self.opened.card)
         self.tolerances = {name: t.value for name, t in self.opened.card.tolerances.items()}
-        self.time = Range1d(start=0.0, end=1.0)
+        self.shared = Shared()
         self.exchange = Exchange()
         self.drawn: tuple[Any, ...] = ()  # manoeuvre and window of the record that is drawn
         self.formed: Parts = {}
         self.fanned: tuple[Any, ...] | None = None  # those of the fan
         self._fans: dict[int, tuple[str, Parts]] = {}
         first = simulator.result(0)
-        cross = Span(dimension="height", line_dash="dotted", line_color="#777777", line_width=1)
-        self.outputs = [self._view(name, cross) for name in simulator.outputs]
-        self.coefficients = [self._view(name, cross) for name in first.coefficients]
-        self.inputs = [self._view(name, cross) for name in simulator.inputs]
+        self.outputs = [self._view(name) for name in simulator.outputs]
+        self.coefficients = [self._view(name) for name in first.coefficients]
+        self.inputs = [self._view(name) for name in simulator.inputs]
         left = stacked(self.outputs, "trajectories")
         right = stacked([*self.coefficients, *self.inputs], "coefficients")
         left.tags = [self.exchange]
@@ -69,12 +68,14 @@ class Page:
         document.add_root(right)
         document.template = _part("page.html")  # pyright: ignore[reportAttributeAccessIssue] - Bokeh takes a text, too
         document.template_variables.update(self._facts())
-        start = CustomJS(args={"exchange": self.exchange, "time": self.time}, code="explore.start(exchange, time)")
+        start = CustomJS(
+            args={"exchange": self.exchange, "time": self.shared.time}, code="explore.start(exchange, time)"
+        )
         document.js_on_event("document_ready", start)
 
-    def _view(self, name: str, cross: Span) -> View:
+    def _view(self, name: str) -> View:
         unit = self.units.get(name, "1")
-        return View(name, axis_label(name, unit), for_people(unit)[1], self.time, cross, self.tolerances.get(name))
+        return View(name, axis_label(name, unit), for_people(unit)[1], self.shared, self.tolerances.get(name))
 
     def _facts(self) -> dict[str, Any]:
         """What the template shows."""
@@ -178,11 +179,11 @@ class Page:
                 view.draw_before(at, old[window])
                 view.fit([truth[window], old[window]])
             begin, end = asked.window or (float(time[0]), float(time[-1]))
-            self.time.update(start=begin, end=end)
-        for view in self.outputs:
-            view.draw_now(at, now.simulated[view.name][window])
+            self.shared.time.update(start=begin, end=end)
+        flown = {**now.simulated, **now.coefficients}
+        views = (*self.outputs, *self.coefficients)
+        self.shared.draw_now([view.line_now(at, flown[view.name][window]) for view in views])
         for view in self.coefficients:
-            view.draw_now(at, now.coefficients[view.name][window])
             formed = now.formed.get(view.name)  # most parameters do not change how coefficients are formed
             if formed is not None and (place != self.drawn or not np.array_equal(formed, self.formed[view.name])):
                 view.draw_record(at, formed[window])

@@ -12,8 +12,9 @@ from bayes_aero.jobs.handover.export import FORMS
 from bayes_aero.model.model import Model
 
 pytestmark = needed
-DRAWN = """(name) => { const {t, y} = Bokeh.documents[0].get_model_by_name(`now-${name}`).data;
-  return [Array.from(t), Array.from(y)] }"""
+DRAWN = """(name) => { const data = Bokeh.documents[0].get_model_by_name("now").data;
+  const [t, y] = ["t", "y"].map((kind) => Array.from(data[`${kind} ${name}`]));
+  const n = t.filter((x) => isFinite(x)).length; return [t.slice(0, n), y.slice(0, n)] }"""
 FACTOR = {"airspeed": 1.0, "alpha": 180.0 / np.pi, "q": 180.0 / np.pi, "az": 1.0}
 FOCUS = """() => { const e = document.activeElement, box = e.getBoundingClientRect(), style = getComputedStyle(e);
   const name = e.ariaLabel || (e.labels && e.labels.length ? e.labels[0].innerText : e.innerText);
