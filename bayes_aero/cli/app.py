@@ -15,6 +15,7 @@ from bayes_aero.cli.diagnose import diagnose
 from bayes_aero.cli.effects import effects
 from bayes_aero.cli.fly import fly
 from bayes_aero.cli.handover.export import export
+from bayes_aero.cli.handover.open import open as open_page
 from bayes_aero.cli.handover.qualify import qualify
 from bayes_aero.cli.identify import identify
 from bayes_aero.cli.path import path
@@ -63,7 +64,7 @@ def _options(
     """Bayesian identification of non-linear aircraft aerodynamics from flight data."""
 
 
-for command in (identify, diagnose, fly, export, qualify, path, simulate, run, card, check, effects):
+for command in (identify, diagnose, fly, export, qualify, open_page, path, simulate, run, card, check, effects):
     app.command()(command)
 
 

@@ -59,6 +59,10 @@ class EquationError(Blockwise, eqx.Module):
         """Residuals at the free parameters `theta`, and signals that describe them by name, at the recorded rate."""
         return _evaluate(self._nameless, theta)
 
+    def traced(self, theta: Float[Array, " k"]) -> tuple[Float[Array, "m c"], dict[str, Array]]:
+        """`evaluate` as part of a larger compiled program."""
+        return _residuals(self, theta)
+
     def slopes(
         self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:

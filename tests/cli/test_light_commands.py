@@ -74,6 +74,7 @@ def files(tmp_path_factory):
         (2, ["fly", "climb.csv", "--model", "attas"]),
         (2, ["run", "study.toml"]),
         (2, ["export", "nosuch", "--to", "python"]),
+        (2, ["open", "nosuch"]),
     ],
 )
 def test_nothing_heavy_is_loaded(files, code, arguments):

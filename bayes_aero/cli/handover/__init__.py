@@ -1,1 +1,1 @@
-"""Commands that hand a finished model over."""
+"""Commands that take up a finished result."""

@@ -53,6 +53,16 @@ def export(
     if draws:
         found = replace(found, draws=drawn(found, folder, told, exported(found), draws, seed))
     target = out or Path(f"{found.name}_{form}")
+    return target, write_export(found, form, target)
+
+
+def write_export(found: Identified, form: str, target: Path) -> dict[str, Any]:
+    """Write a model as `form` into the new folder `target`, and say what export.json says.
+
+    Raises:
+        InputError: the model has no counterpart in this form, or the folder exists.
+    """
+    found = replace(found, name=_name(found.name))
     if target.exists() or target.is_symlink():
         raise InputError(f"{target} exists; give another folder with --out")
     part = beside(target.absolute())
@@ -71,7 +81,7 @@ def export(
         ) from None
     finally:
         shutil.rmtree(part, ignore_errors=True)
-    return target, facts
+    return facts
 
 
 def _name(words: str) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -93,13 +92,15 @@ def extremes(columns: Sequence[Float[np.ndarray, " n"]], most: int = MOST) -> In
     if n <= most:
         return np.arange(n)
     edges = np.linspace(0, n, most // 2 + 1).astype(int)
+    stretches = edges[:-1, None] + np.arange(int(np.diff(edges).max()))
+    stretches = np.minimum(stretches, edges[1:, None] - 1)  # a shorter one repeats its last sample
+    row = np.arange(len(stretches))
     keep: Bool[np.ndarray, " n"] = np.zeros(n, bool)
     keep[[0, -1]] = True
     for values in columns:
-        finite = np.isfinite(values)
-        low, high = np.where(finite, values, np.inf), np.where(finite, values, -np.inf)
-        for a, b in pairwise(edges):
-            keep[[a + int(np.argmin(low[a:b])), a + int(np.argmax(high[a:b]))]] = True
+        own, finite = values[stretches], np.isfinite(values)[stretches]
+        keep[stretches[row, np.argmin(np.where(finite, own, np.inf), axis=1)]] = True
+        keep[stretches[row, np.argmax(np.where(finite, own, -np.inf), axis=1)]] = True
     return np.flatnonzero(keep)
 
 
@@ -140,7 +141,7 @@ def _panel(time: np.ndarray, panel: Panel, shared: Any, cross: Any, over: Over, 
         height=height + (AXIS if last else 0),
         sizing_mode="stretch_width",
         x_range=shared,
-        y_range=_scale(panel),
+        y_range=scale(panel),
         y_axis_label=label,
         x_axis_label=over.label if last else None,
         tools=[
@@ -160,7 +161,7 @@ def _panel(time: np.ndarray, panel: Panel, shared: Any, cross: Any, over: Over, 
         border_fill_color="#ffffff",
     )
     _draw(f, time, panel, over)
-    _dress(f, last, height)
+    dress(f, last, height)
     return f
 
 
@@ -210,7 +211,8 @@ def _drawable(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     return np.where(np.abs(values) < FARTHEST, values, np.nan).astype(np.float32)
 
 
-def _dress(f: Any, last: bool, panel_height: int) -> None:
+def dress(f: Any, last: bool, panel_height: int) -> None:
+    """The look of a panel; the time axis is seen below the last one only."""
     f.xaxis.visible = last
     f.grid.grid_line_color = GRID
     f.outline_line_color = "#bbbbbb"
@@ -224,7 +226,7 @@ def _dress(f: Any, last: bool, panel_height: int) -> None:
     f.yaxis.ticker.desired_num_ticks = 4 if panel_height >= PANEL else 3
 
 
-def _scale(panel: Panel) -> Any:
+def scale(panel: Panel) -> Any:
     """The first line's span, widened for its tolerance; a simulation that has lost the flight would flatten all
     else."""
     from bokeh.models import Range1d

@@ -1,0 +1,104 @@
+"""A finished result with its records: what the page shows and what is flown again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bayes_aero.errors import InputError
+from bayes_aero.explore.records import records_of
+from bayes_aero.export.identified import Identified
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.jobs.handover.identified_card import card_of
+from bayes_aero.jobs.handover.identified_result import read_identified, with_process_noise
+from bayes_aero.jobs.handover.result_file import read_result, result_file
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A result of identify, fly or diagnose. SI and radians.
+
+    Attributes:
+        folder: of the result.
+        command: identify, fly or diagnose.
+        identified: the model with its values.
+        card: with which the result was made.
+        records: flights of the result.
+        told: what the result says.
+        errors: standard errors by parameter, where the result has them.
+        departures: by manoeuvre and state, what was fitted to its measured value at the first sample; empty: the
+            initial states are the measured ones.
+    """
+
+    folder: Path
+    command: str
+    identified: Identified
+    card: Card
+    records: Sequence[FlightRecord]
+    told: Mapping[str, Any]
+    errors: Mapping[str, float]
+    departures: Mapping[str, Mapping[str, float]]
+
+    @property
+    def title(self) -> str:
+        """The command and the folder."""
+        return f"{self.command}: {self.folder}"
+
+
+COMMANDS = {"results": "identify", "trajectories": "fly", "diagnosis": "diagnose"}
+
+
+def open_result(given: str, card: str | None = None, folders: Sequence[Path] = ()) -> Opened:
+    """Read a result, its card and its records.
+
+    Args:
+        given: folder or file of the result.
+        card: the card, where it is not found by itself.
+        folders: where the records are, where they are not found by themselves.
+
+    Raises:
+        InputError: there is no result, its fit did not converge, or the card or a record has changed or is not found.
+    """
+    file = result_file(given)
+    if file is None:
+        raise InputError(f"{given} is a card; give the folder of a result of identify, fly or diagnose")
+    told = read_result(file)
+    identified, folder, told = read_identified(given, card)
+    assert folder is not None
+    whose = card_of(told["provenance"], file, card)
+    command = COMMANDS[told["schema"].split("/")[1]]
+    try:
+        records = records_of(told["provenance"], file, whose, folders)
+        known = _errors(told, command), _departures(told, command)
+    except (KeyError, TypeError, AttributeError, ValueError) as reason:
+        if isinstance(reason, InputError):
+            raise
+        raise InputError(f"{file} is not as bayes-aero wrote it ({reason!r}); run the command again") from None
+    return Opened(folder, command, identified, whose, records, told, *known)
+
+
+def _errors(told: Mapping[str, Any], command: str) -> dict[str, float]:
+    """Standard errors, the residuals' autocorrelation counted."""
+    if command == "identify":
+        found = {name: p["crb_corrected"] for name, p in told["mle"]["parameters"].items()}
+    elif command == "fly":
+        found = {name: p["sd_corrected"] for name, p in told["parameters"].items()}
+        if with_process_noise(told):
+            found |= {name: sd for name, (_, sd) in told["process_noise"]["estimates"].items()}
+    else:
+        found = {name: move["sd_after"] for name, move in told["base_parameters"].items()}
+        found |= {name: p["sd"] for cause in told["causes"] for name, p in cause["parameters"].items()}
+    return {name: float(x) for name, x in found.items() if x is not None and x > 0.0}
+
+
+def _departures(told: Mapping[str, Any], command: str) -> dict[str, dict[str, float]]:
+    """Those of output error; the values of a fit with process noise have no fitted initial states."""
+    if command != "fly" or with_process_noise(told):
+        return {}
+    return {
+        manoeuvre: {name: float(state["departure"]) for name, state in states.items()}
+        for manoeuvre, states in told["initial_states"].items()
+    }

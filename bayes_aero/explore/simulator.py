@@ -1,0 +1,230 @@
+"""One manoeuvre of a result, flown again at any values by one compiled function."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from bayes_aero.dynamics.flight import DERIVED, MAX_SUBSTEPS, Dynamics, aircraft_dynamics
+from bayes_aero.dynamics.output_biases import biased_dynamics
+from bayes_aero.dynamics.output_channels import FLIGHT, OF_AXIS
+from bayes_aero.dynamics.segments import SegmentTrajectories, segments, simulate
+from bayes_aero.errors import InputError
+from bayes_aero.explore.choice import Choice, flown_model, values_of
+from bayes_aero.explore.opened import Opened
+from bayes_aero.jobs.handover.posterior_draws import drawn
+from bayes_aero.jobs.options import FIXED, HELD
+from bayes_aero.model.joined_channels import Flights, despiked, join
+from bayes_aero.model.model import Model
+from bayes_aero.model.recorded_axes import on_recorded_axes
+from bayes_aero.residuals.equation_error import EquationError
+
+DRAWS = 40  # of the fan
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A manoeuvre as flown at some values, SI and radians, each quantity (n,).
+
+    Attributes:
+        values: parameters by name.
+        simulated: outputs with the model's sensor errors, as a recorder would have them.
+        coefficients: of the model, along the recorded motion, and X.
+        formed: measured coefficients, formed from the record under the same values.
+        inside: whether the simulation has stayed inside its envelope.
+    """
+
+    values: Mapping[str, float]
+    simulated: Mapping[str, Float[np.ndarray, " n"]]
+    coefficients: Mapping[str, Float[np.ndarray, " n"]]
+    formed: Mapping[str, Float[np.ndarray, " n"]]
+    inside: Bool[np.ndarray, " n"]
+
+
+@dataclass(frozen=True)
+class Ready:
+    """A manoeuvre and a model, prepared for the compiled function."""
+
+    flown: SegmentTrajectories
+    residuals: EquationError | None
+    departure: Float[np.ndarray, "1 b"]
+
+
+@dataclass(frozen=True)
+class Structure:
+    """A model of certain effects, what flies it, and the integration steps a sample."""
+
+    model: Model
+    dynamics: Dynamics
+    substeps: int
+
+
+class Simulator:
+    """The manoeuvres of a result under its model and under models derived from it; what is prepared is kept."""
+
+    def __init__(self, opened: Opened) -> None:
+        """Join the records.
+
+        Raises:
+            InputError: the model cannot be simulated through them.
+        """
+        self.opened = opened
+        self.card, _ = on_recorded_axes(opened.card, opened.records, OF_AXIS, DERIVED)
+        self.flights, _ = despiked(join(opened.records, self.card, FLIGHT))
+        setting = opened.told.get("setting", {})
+        self.held = setting.get("inputs") == HELD
+        self.fixed = self.card.fly.initial_state if setting.get("initial_state") == FIXED else None
+        self.biases = self.card.output_biases if opened.command == "fly" else {}
+        self._ready: dict[Any, Ready] = {}
+        self._results: dict[int, Flown] = {}
+        self._structures: dict[tuple[tuple[str, ...], frozenset[str]], Structure] = {}
+        dynamics = self._structure(Choice()).dynamics
+        self.outputs = tuple(n for n in dynamics.outputs if n in self.flights.channels)
+        self.inputs = tuple(n for n in dynamics.inputs if n in self.flights.channels and n not in self.outputs)
+        self.no_coefficients = ""
+
+    @property
+    def manoeuvres(self) -> tuple[str, ...]:
+        """Names of the manoeuvres."""
+        return self.flights.names
+
+    def time(self, manoeuvre: int) -> Float[np.ndarray, " n"]:
+        """Time from the start of the record, s."""
+        return self.flights.time[self.flights.manoeuvre == manoeuvre]
+
+    def recorded(self, manoeuvre: int) -> dict[str, Float[np.ndarray, " n"]]:
+        """Recorded outputs and inputs."""
+        own = self.flights.manoeuvre == manoeuvre
+        return {name: np.asarray(self.flights.channels[name])[own] for name in (*self.outputs, *self.inputs)}
+
+    def result(self, manoeuvre: int) -> Flown:
+        """The manoeuvre at the values of the result; flown once."""
+        if manoeuvre not in self._results:
+            self._results[manoeuvre] = self.fly(manoeuvre, Choice())
+        return self._results[manoeuvre]
+
+    def fly(self, manoeuvre: int, choice: Choice) -> Flown:
+        """The manoeuvre at the chosen values.
+
+        Raises:
+            InputError: an added effect cannot be simulated through this record.
+        """
+        values = self._values(choice)
+        theta = jnp.asarray(list(values.values()))
+        ready = self._prepared(manoeuvre, choice, values)
+        simulated, inside, formed, modelled, X = _fly(ready.flown, ready.residuals, theta, jnp.asarray(ready.departure))
+        found: dict[str, Any] = {}
+        measured: dict[str, Any] = {}
+        if ready.residuals is not None:
+            names = ready.residuals.model.coefficients
+            found = dict(zip(names, np.asarray(modelled).T, strict=True)) | {"X": np.asarray(X)}
+            measured = dict(zip(names, np.asarray(formed).T, strict=True))
+        paths = dict(zip(ready.flown.outputs, np.asarray(simulated).T, strict=True))
+        return Flown(values, paths, found, measured, np.asarray(inside))
+
+    def fan(self, manoeuvre: int, count: int = DRAWS, seed: int = 0) -> tuple[str, dict[str, np.ndarray]]:
+        """Outputs and coefficients (m, n) of draws of the result's parameters, and where the draws come from.
+
+        Raises:
+            InputError: the result has neither a posterior nor a covariance.
+        """
+        opened, values = self.opened, self._values(Choice())
+        if opened.command == "diagnose":
+            raise InputError("diagnose writes no covariance to draw from; open a result of identify or fly for a fan")
+        draws = drawn(opened.identified, opened.folder, opened.told, opened.identified.model.names, count, seed)
+        theta = np.tile(list(values.values()), (count, 1))
+        for k, name in enumerate(draws.names):
+            if name in values:
+                theta[:, list(values).index(name)] = draws.values[:, k]
+        ready = self._prepared(manoeuvre, Choice(), values)
+        simulated, _, _, modelled, X = _fly_draws(
+            ready.flown, ready.residuals, jnp.asarray(theta), jnp.asarray(ready.departure)
+        )
+        found = dict(zip(ready.flown.outputs, np.moveaxis(np.asarray(simulated), 2, 0), strict=True))
+        if ready.residuals is not None:
+            found |= dict(zip(ready.residuals.model.coefficients, np.moveaxis(np.asarray(modelled), 2, 0), strict=True))
+            found["X"] = np.asarray(X)
+        return draws.origin, found
+
+    def _structure(self, choice: Choice) -> Structure:
+        key = choice.added, choice.off
+        if key not in self._structures:
+            opened = self.opened
+            model = flown_model(opened.identified.model, choice)
+            asked = opened.told.get("fitted_outputs", ()) if opened.command == "fly" else ()
+            plain = aircraft_dynamics(model, self.flights, asked)
+            dynamics = biased_dynamics(plain, self.flights, self.biases)
+            steps = _steps(dynamics, {p.name: p.start for p in dynamics.free}, self.flights)
+            self._structures[key] = Structure(model, dynamics, steps)
+        return self._structures[key]
+
+    def _values(self, choice: Choice) -> dict[str, float]:
+        """Of the model and of the biases of outputs."""
+        opened, own = self.opened, self._structure(choice)
+        found = values_of(own.model, opened.identified.values, choice)
+        fitted = {name: p["estimate"] for name, p in opened.told.get("parameters", {}).items()}
+        every = {p.name: p.start for p in own.dynamics.free} | fitted | found
+        return {name: float(every[name]) for name in own.dynamics.names}
+
+    def _prepared(self, manoeuvre: int, choice: Choice, values: Mapping[str, float]) -> Ready:
+        """Cut and stepped as by `fly`; finer where a lag is now shorter than where that fit begins."""
+        own = self._structure(choice)
+        steps = max(own.substeps, _steps(own.dynamics, values, self.flights))
+        key = manoeuvre, own.dynamics, steps
+        if key not in self._ready:
+            options = {"outputs": self.outputs, "substeps": steps, "fixed": self.fixed, "held": self.held}
+            whole = segments(self.flights, own.dynamics, **options)
+            away = self.opened.departures.get(self.manoeuvres[manoeuvre], {})
+            departure = np.array([[away.get(name, 0.0) for name in own.dynamics.start]])
+            alone = _unpadded(whole.part([manoeuvre]).nameless)
+            self._ready[key] = Ready(alone, self._residuals(manoeuvre, own.model), departure)
+        return self._ready[key]
+
+    def _residuals(self, manoeuvre: int, model: Model) -> EquationError | None:
+        """Coefficients of one manoeuvre; None where the record does not give them."""
+        try:
+            alone, _ = despiked(join([self.opened.records[manoeuvre]], self.card))
+        except InputError as reason:
+            self.no_coefficients = f"Coefficients are not shown: {reason}."
+            return None
+        own = replace(alone.nameless, channels=dict(alone.channels))
+        return EquationError(own, model, (), ())
+
+
+def _unpadded(flown: SegmentTrajectories) -> SegmentTrajectories:
+    """One segment without the samples that give all segments one length."""
+    n = int(flown.inside.sum())
+    index, inside, growth = (x[:, :n] for x in (flown.index, flown.inside, flown.noise_growth))
+    return replace(flown, index=index, inside=inside, noise_growth=growth)
+
+
+def _steps(dynamics: Dynamics, values: Mapping[str, float], flights: Flights) -> int:
+    """As `Dynamics.substeps`, without compiled programs."""
+    step = dynamics.slowest_step(values, flights)
+    return int(np.clip(np.ceil(float(np.max(flights.channels["dt"])) / step), 1, MAX_SUBSTEPS))
+
+
+def _one(flown: SegmentTrajectories, residuals: EquationError | None, theta: Any, departure: Any) -> tuple:
+    """Simulated outputs (n, c), whether inside, measured and modelled coefficients and X."""
+    found = simulate(flown, theta, departure)
+    paths = (found.measured - found.residual)[0], found.trajectory.inside[0]
+    if residuals is None:
+        return (*paths, None, None, None)
+    own = theta[: len(residuals.model.free)]  # biases of outputs are behind
+    _, details = residuals.traced(own)
+    return (*paths, details["measured"], details["modelled"], details["X"])
+
+
+_fly = eqx.filter_jit(_one)
+
+
+@eqx.filter_jit
+def _fly_draws(flown: SegmentTrajectories, residuals: EquationError | None, thetas: Any, departure: Any) -> tuple:
+    return jax.vmap(lambda theta: _one(flown, residuals, theta, departure))(thetas)

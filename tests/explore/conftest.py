@@ -1,0 +1,92 @@
+"""One short simulated stall, and the results of fly and identify on it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import shutil
+import threading
+from queue import Queue
+from types import SimpleNamespace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from calling import called
+
+from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.dynamics.segments import segments, simulate
+from bayes_aero.explore.opened import open_result
+from bayes_aero.explore.page import page_of
+from bayes_aero.explore.server import PageServer
+from bayes_aero.explore.simulator import Simulator
+from bayes_aero.flight.reading.read_record import read_record, write_record
+from bayes_aero.model.joined_channels import despiked, join
+from bayes_aero.simulate.demo import simulate_stall
+
+
+@pytest.fixture(scope="session")
+def results(tmp_path_factory, card):
+    """A folder with two records (seed 5, noise and disturbance as usual), and `flown` and `identified`.
+
+    `fly` is given the first, `stall.csv`, `identify` also the second, which is shorter.
+    """
+    there = tmp_path_factory.mktemp("explore")
+    for number, (name, end) in enumerate({"stall": 62.0, "second": 52.0}.items()):
+        record = simulate_stall(number, card=card, seed=5).window(30.0, end)
+        have = [c for c in card.channels if record.has(c.name) or c.name == "time"]
+        write_record(record, there / f"{name}.csv", have)
+    flown = called(there, "fly", "stall.csv", "--out", "flown", "--no-figures", "--no-process-noise")
+    more = ("--no-sample", "--no-gp", "--no-figures")
+    identified = called(there, "identify", "stall.csv", "second.csv", "--out", "identified", *more)
+    assert {flown.code, identified.code} <= {0, 3}, flown.err + identified.err
+    return SimpleNamespace(folder=there, flown=there / "flown", identified=there / "identified")
+
+
+@pytest.fixture(scope="session")
+def simulator(results):
+    """Of the result of fly."""
+    return Simulator(open_result(str(results.flown)))
+
+
+@pytest.fixture(scope="session")
+def packaged(results, card):
+    """`fly(model, **changed)`: outputs (n,) of a model as the package simulates it from the state that `fly` fitted."""
+
+    def fly(model, **changed):
+        told = json.loads((results.flown / "trajectories.json").read_text())
+        flights, _ = despiked(join([read_record(results.folder / "stall.csv", card.channels)], card, FLIGHT))
+        dynamics = aircraft_dynamics(model, flights)
+        whole = segments(flights, dynamics)
+        fitted = {name: p["estimate"] for name, p in told["parameters"].items()} | changed
+        (state,) = told["initial_states"].values()
+        away = np.array([[state.get(name, {"departure": 0.0})["departure"] for name in dynamics.start]])
+        theta = jnp.array([fitted.get(p.name, p.start) for p in dynamics.free])
+        found = simulate(whole, theta, jnp.array(away))
+        return dict(zip(whole.outputs, np.asarray(found.measured - found.residual)[0].T, strict=True))
+
+    return fly
+
+
+@pytest.fixture(scope="module")
+def served(results, tmp_path_factory):
+    """The page of a copy of the result of fly, served by a thread: `url`, `port` and `folder`."""
+    folder = tmp_path_factory.mktemp("served") / "flown"
+    shutil.copytree(results.flown, folder)
+    fill = page_of(Simulator(open_result(str(folder), None, [results.folder])))
+    ready: Queue[PageServer] = Queue()
+
+    def run():
+        asyncio.set_event_loop(asyncio.new_event_loop())
+        server = PageServer(fill)
+        ready.put(server)
+        server.serve()
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    server = ready.get(timeout=60)
+    yield SimpleNamespace(url=server.url, port=server.port, folder=folder)
+    server.loop.add_callback(server.loop.stop)
+    thread.join(timeout=60)
+    assert not thread.is_alive()
