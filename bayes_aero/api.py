@@ -39,9 +39,9 @@ from bayes_aero.inference.likelihood.mle import fit_each_manoeuvre, fit_mle
 from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
 from bayes_aero.inference.posterior.ensemble import sample_ensemble
 from bayes_aero.inference.posterior.laplace import density_start, other_modes, search_modes
-from bayes_aero.inference.posterior.next_flight import check_manoeuvres
 from bayes_aero.inference.posterior.nuts import sample_nuts
 from bayes_aero.inference.posterior.pit import pit_of
+from bayes_aero.inference.posterior.pooled.next_flight import check_manoeuvres
 from bayes_aero.inference.splits import SplitKind
 from bayes_aero.inference.validation import Training, validate
 from bayes_aero.jobs.steps.pooled_manoeuvres import pooled_manoeuvres

@@ -18,6 +18,7 @@ from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.jobs.steps.post_diagnosis import predictors
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES
+from bayes_aero.report.pooled.next_flight import next_flight_table
 from bayes_aero.report.structure.tables import sampled_table, weights_table
 from bayes_aero.report.style import NotDrawn
 from bayes_aero.report.tables.diagnosis_tables import (
@@ -27,7 +28,6 @@ from bayes_aero.report.tables.diagnosis_tables import (
     screen_table,
     terms_table,
 )
-from bayes_aero.report.tables.next_flight import next_flight_table
 from bayes_aero.report.tables.run_tables import parameter_table, validation_table
 from bayes_aero.report.text.consistency import consistency_sentences
 from bayes_aero.report.text.diagnosis import sentences

@@ -12,10 +12,10 @@ from jaxtyping import Array, Float
 
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.inference.likelihood.mle import fit_mle
-from bayes_aero.inference.posterior.hierarchy import SCATTER, Hierarchy, pool
 from bayes_aero.inference.posterior.laplace import find_mode
-from bayes_aero.inference.posterior.normal_estimates import normal_estimates
 from bayes_aero.inference.posterior.nuts import NutsLength, sample_nuts
+from bayes_aero.inference.posterior.pooled.hierarchy import SCATTER, Hierarchy, pool
+from bayes_aero.inference.posterior.pooled.normal_estimates import normal_estimates
 from bayes_aero.model.density import Density
 from bayes_aero.model.log_density import LogDensity
 from bayes_aero.model.model import Model

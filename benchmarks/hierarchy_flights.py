@@ -10,8 +10,8 @@ import numpy as np
 
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.inference.likelihood.mle import fit_mle
-from bayes_aero.inference.posterior.next_flight import next_flight
-from bayes_aero.inference.posterior.normal_estimates import from_prior_units, to_prior_units
+from bayes_aero.inference.posterior.pooled.next_flight import next_flight
+from bayes_aero.inference.posterior.pooled.normal_estimates import from_prior_units, to_prior_units
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import DEFAULT, Noise

@@ -25,8 +25,8 @@ from hierarchy_density import compare
 from hierarchy_flights import fly_again
 from ranks import band_of, rank
 
-from bayes_aero.inference.posterior.hierarchy import SCATTER, Hierarchy, pool
 from bayes_aero.inference.posterior.nuts import NutsLength
+from bayes_aero.inference.posterior.pooled.hierarchy import SCATTER, Hierarchy, pool
 
 NAMES = ("first", "second", "third")
 WIDTHS = (0.5, 0.9, 0.95)

@@ -27,6 +27,7 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.compiled_programs import give_back_memory
 from bayes_aero.jobs.steps.post_diagnosis import proposed_points
 from bayes_aero.simulate.injection import draw_hidden
 from bayes_aero.simulate.request import Request
@@ -142,4 +143,5 @@ if __name__ == "__main__":
             rows.append(case(seed))
             with path.open("a") as file:
                 file.write(json.dumps(rows[-1]) + "\n")
+            give_back_memory()  # every length of records has programs of its own
     report(rows)

@@ -124,9 +124,9 @@ def fly(
 
 def print_fit(console: Console, found: Flight, out: Path) -> None:
     """Tables, findings and notes of a fit to trajectories."""
+    from bayes_aero.report.motion.tables import mode_table, test_table
     from bayes_aero.report.tables.filtered import drift_table, one_step_table, posterior_table, process_noise_table
     from bayes_aero.report.tables.fly import beside_table, error_table, parameter_table
-    from bayes_aero.report.tables.motion import mode_table, test_table
 
     console.print(parameter_table(found.flown).terminal())
     if found.flown.frequency:

@@ -79,7 +79,7 @@ def identify(
         from bayes_aero.jobs import identify as job
         from bayes_aero.jobs.options import IdentifyOptions
         from bayes_aero.model.noise import Colour
-        from bayes_aero.report.tables.next_flight import next_flight_table
+        from bayes_aero.report.pooled.next_flight import next_flight_table
         from bayes_aero.report.tables.run_tables import parameter_table
         from bayes_aero.report.text.identification import verdict
         from bayes_aero.simulate.demo import TRUTH, demo_records

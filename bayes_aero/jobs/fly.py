@@ -33,22 +33,22 @@ from bayes_aero.jobs.steps.usable_for import usable_for
 from bayes_aero.model.recorded_axes import on_recorded_axes
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import draw_all
-from bayes_aero.report.figures.frequency import FREQUENCY_FIGURES
 from bayes_aero.report.figures.pit import one_step_quantiles
 from bayes_aero.report.figures.posterior import pair_of
 from bayes_aero.report.figures.process_noise import drift as drift_figure
 from bayes_aero.report.figures.process_noise import gusts
 from bayes_aero.report.figures.trajectories import fly_figures
+from bayes_aero.report.frequency.figures import FREQUENCY_FIGURES
+from bayes_aero.report.frequency.tables import frequency_sentences, running_table
 from bayes_aero.report.html.page import put_page
+from bayes_aero.report.motion.text import motion_sentences
 from bayes_aero.report.pages.fly import FlyContext, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.tables.filtered import drift_history_table, gust_table, posterior_table
 from bayes_aero.report.tables.fly import parameter_table
-from bayes_aero.report.tables.frequency import frequency_sentences, running_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.drift import drift_sentences
 from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences
-from bayes_aero.report.text.motion import motion_sentences
 from bayes_aero.report.text.process_noise import gust_sentences, process_noise_sentences, settled_sentences
 
 DISTURBED = {"drift": drift_figure, "gusts": gusts, "one_step": one_step_quantiles}

@@ -24,9 +24,9 @@ from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
 from bayes_aero.inference.posterior.checkpoint import Checkpoint
 from bayes_aero.inference.posterior.ensemble import sample_ensemble
 from bayes_aero.inference.posterior.laplace import density_start, other_modes, search_modes
-from bayes_aero.inference.posterior.next_flight import check_manoeuvres
 from bayes_aero.inference.posterior.nuts import sample_nuts
 from bayes_aero.inference.posterior.pit import pit_of
+from bayes_aero.inference.posterior.pooled.next_flight import check_manoeuvres
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.posterior.prior_sensitivity import prior_sensitivity
 from bayes_aero.inference.stall import stall_of_run
@@ -47,9 +47,9 @@ from bayes_aero.model.observations import Forming, observe
 from bayes_aero.model.recorded_axes import on_recorded_axes
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import write_figures
+from bayes_aero.report.frequency.tables import frequency_sentences
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.identification import identification_page
-from bayes_aero.report.tables.frequency import frequency_sentences
 from bayes_aero.report.text.restraints import leaning_sentences
 from bayes_aero.residuals.frequency_error import Band
 

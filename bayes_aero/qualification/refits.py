@@ -14,8 +14,8 @@ from bayes_aero.diagnosis.trajectories.time_histories import posterior_draws
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.likelihood.output_error import fit_output_error
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
-from bayes_aero.inference.posterior.hierarchy import Hierarchy, pool
-from bayes_aero.inference.posterior.normal_estimates import from_prior_units, prior_unit, to_prior_units
+from bayes_aero.inference.posterior.pooled.hierarchy import Hierarchy, pool
+from bayes_aero.inference.posterior.pooled.normal_estimates import from_prior_units, prior_unit, to_prior_units
 from bayes_aero.progress import Progress
 from bayes_aero.qualification.flights import errors, spread
 

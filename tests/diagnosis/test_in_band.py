@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.selection.in_band import band_of, causes_in_band
+from bayes_aero.diagnosis.in_band.fit import band_of, causes_in_band
 from bayes_aero.report.design.in_band import in_band_sentences
 from bayes_aero.simulate.injection import flyable
 

@@ -11,9 +11,9 @@ from bayes_aero.errors import InputError
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.inference.likelihood.mle_result import MleStatus
 from bayes_aero.inference.likelihood.sensitivity import data_of, evaluate
-from bayes_aero.inference.posterior.hierarchy import SCATTER, Hierarchy, given_scatter, pool
-from bayes_aero.inference.posterior.next_flight import check_manoeuvres, next_flight
-from bayes_aero.inference.posterior.normal_estimates import normal_estimates
+from bayes_aero.inference.posterior.pooled.hierarchy import SCATTER, Hierarchy, given_scatter, pool
+from bayes_aero.inference.posterior.pooled.next_flight import check_manoeuvres, next_flight
+from bayes_aero.inference.posterior.pooled.normal_estimates import normal_estimates
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.simulate.demo import TRUTH
 

@@ -9,13 +9,13 @@ import pytest
 import xarray as xr
 
 import bayes_aero as ba
-from bayes_aero.inference.posterior.next_flight_result import NextFlight
+from bayes_aero.inference.posterior.pooled.next_flight_result import NextFlight
 from bayes_aero.inference.posterior.posterior import Marginal, PosteriorStatus
 from bayes_aero.jobs.io.identification_json import results
 from bayes_aero.report.figures.comparison import next_flight
 from bayes_aero.report.html.page_table import page_table
+from bayes_aero.report.pooled.next_flight import next_flight_sentences, next_flight_table
 from bayes_aero.report.style import NotDrawn
-from bayes_aero.report.tables.next_flight import next_flight_sentences, next_flight_table
 
 
 def marginal(mean, sd):

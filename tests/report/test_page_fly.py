@@ -22,10 +22,10 @@ from bayes_aero.report.html.page import Fold, Picture, Plot, Table, render
 from bayes_aero.report.html.page_table import page_table
 from bayes_aero.report.html.parts import at_a_glance
 from bayes_aero.report.html.plots import AXIS, HIGHEST, LOW, Line, Panel, linked
+from bayes_aero.report.motion.text import motion_sentences
 from bayes_aero.report.pages.fly import FlyContext, fly_page
 from bayes_aero.report.tables.fly import error_table, initial_table, parameter_table, tolerance_table
 from bayes_aero.report.text.fly import errors_of_all
-from bayes_aero.report.text.motion import motion_sentences
 
 DEGREE = np.deg2rad(1.0)
 

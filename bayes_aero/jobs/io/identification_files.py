@@ -13,7 +13,7 @@ from bayes_aero.jobs.io.identification_json import results
 from bayes_aero.jobs.io.output_folder import writable
 from bayes_aero.jobs.provenance.provenance import write_json
 from bayes_aero.report.figures.every_figure import FIGURES
-from bayes_aero.report.tables.next_flight import next_flight_table
+from bayes_aero.report.pooled.next_flight import next_flight_table
 from bayes_aero.report.tables.run_tables import paper_table, parameter_table, validation_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.identification import verdict

@@ -10,7 +10,7 @@ from bayes_aero.diagnosis.trajectories.results import Path
 from bayes_aero.inference.frequency.result import FrequencyFit
 from bayes_aero.inference.identification import GPReport, Identification, Validation
 from bayes_aero.inference.likelihood.mle_result import MleResult
-from bayes_aero.inference.posterior.next_flight_result import NextFlight
+from bayes_aero.inference.posterior.pooled.next_flight_result import NextFlight
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.scores import Scores
 from bayes_aero.inference.variance.inseparable import Inseparable

@@ -8,8 +8,8 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
+from bayes_aero.diagnosis.in_band.result import CausesInBand
 from bayes_aero.diagnosis.result import Diagnosis
-from bayes_aero.diagnosis.selection.in_band_result import CausesInBand
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import View
 from bayes_aero.errors import InputError, attempted

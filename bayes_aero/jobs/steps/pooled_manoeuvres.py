@@ -8,8 +8,8 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.likelihood.mle import MAX_SEPARATE_FITS
 from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
-from bayes_aero.inference.posterior.next_flight import next_flight
-from bayes_aero.inference.posterior.next_flight_result import NextFlight
+from bayes_aero.inference.posterior.pooled.next_flight import next_flight
+from bayes_aero.inference.posterior.pooled.next_flight_result import NextFlight
 from bayes_aero.model.observations import Forming
 from bayes_aero.progress import Progress
 from bayes_aero.report.style import MOST_MANOEUVRES

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from bayes_aero.diagnosis.in_band.fit import causes_in_band
 from bayes_aero.diagnosis.result import Diagnosis
-from bayes_aero.diagnosis.selection.in_band import causes_in_band
 from bayes_aero.diagnosis.view.holdout import with_holdout_scores
 from bayes_aero.diagnosis.view.models import with_stalls
 from bayes_aero.diagnosis.view.results import View

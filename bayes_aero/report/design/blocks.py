@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from bayes_aero.diagnosis.selection.in_band_result import CausesInBand
+from bayes_aero.diagnosis.in_band.result import CausesInBand
 from bayes_aero.diagnosis.settings import ENOUGH
 from bayes_aero.report.design.in_band import in_band_sentences, in_band_table
 from bayes_aero.report.design.points import points_sentences, points_table

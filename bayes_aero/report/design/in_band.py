@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bayes_aero.diagnosis.selection.in_band_result import CausesInBand, SizeInBand
+from bayes_aero.diagnosis.in_band.result import CausesInBand, SizeInBand
 from bayes_aero.report.tables.table import Column, Estimate, Table, in_brackets, parameter_columns
 from bayes_aero.report.text.phrases import number, several
 

@@ -8,8 +8,8 @@ from bayes_aero.diagnosis.view.results import View
 from bayes_aero.inference.identification import Identification, Stall
 from bayes_aero.report.figures.found import telling
 from bayes_aero.report.pages.stall import DEG, interval
+from bayes_aero.report.pooled.next_flight import next_flight_sentences
 from bayes_aero.report.tables.comparison import engine_label, methods
-from bayes_aero.report.tables.next_flight import next_flight_sentences
 from bayes_aero.report.text.phrases import several
 
 OFF = (

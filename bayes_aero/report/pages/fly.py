@@ -18,6 +18,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.trajectories import stem_of
+from bayes_aero.report.frequency.page import frequency_blocks
 from bayes_aero.report.html.glossary import FLOWN, words
 from bayes_aero.report.html.page import Block, Fold, Page, Text, filled, section
 from bayes_aero.report.html.page_table import page_table
@@ -32,11 +33,10 @@ from bayes_aero.report.html.parts import (
 )
 from bayes_aero.report.html.pictures import Gallery
 from bayes_aero.report.html.plots import LOW, Line, Panel
-from bayes_aero.report.pages.frequency import frequency_blocks
+from bayes_aero.report.motion.tables import mode_table, test_table
 from bayes_aero.report.pages.trajectories import Curve, axis_label, over_measured, sources
 from bayes_aero.report.tables import fly as tables
 from bayes_aero.report.tables.filtered import drift_table, one_step_table, posterior_table, process_noise_table
-from bayes_aero.report.tables.motion import mode_table, test_table
 from bayes_aero.report.text.drift import drift_sentences
 from bayes_aero.report.text.fly import errors_of_all
 from bayes_aero.report.text.phrases import SYMBOLS, for_people, several, short

@@ -34,8 +34,8 @@ from bayes_aero.report.html.plots import LOW, Line, Panel
 from bayes_aero.report.pages.captions import identification_alternatives
 from bayes_aero.report.pages.simulated_identification import given_flights
 from bayes_aero.report.pages.stall import DEG, interval, stall_table
+from bayes_aero.report.pooled.next_flight import next_flight_table
 from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label, methods, noise_label, ordered, usable
-from bayes_aero.report.tables.next_flight import next_flight_table
 from bayes_aero.report.tables.run_tables import (
     alone_table,
     coverage_table,

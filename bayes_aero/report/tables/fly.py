@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from bayes_aero.diagnosis.trajectories.results import FITTED, START, Error, TrajectoryFit
 from bayes_aero.parameter import Prior
-from bayes_aero.report.tables.frequency import band_table, frequency_columns
+from bayes_aero.report.frequency.tables import band_table, frequency_columns
 from bayes_aero.report.tables.table import (
     NONE,
     Change,

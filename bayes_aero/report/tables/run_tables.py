@@ -11,6 +11,7 @@ from bayes_aero.inference.identification import Identification, Validation
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.scores import Scores, interval_coverage, score
 from bayes_aero.model.noise import Colour
+from bayes_aero.report.frequency.tables import band_text, frequency_columns
 from bayes_aero.report.tables.comparison import (
     alone,
     bounds,
@@ -22,7 +23,6 @@ from bayes_aero.report.tables.comparison import (
     scatter,
     unit_of,
 )
-from bayes_aero.report.tables.frequency import band_text, frequency_columns
 from bayes_aero.report.tables.table import Column, Estimate, Table, columns_of, in_brackets, parameter_columns
 from bayes_aero.report.text.phrases import from_to, number, plus_minus
 

@@ -7,7 +7,8 @@ import numpy as np
 from bayes_aero.inference.identification import Identification
 from bayes_aero.model.noise import Colour
 from bayes_aero.model.observations import Forming
-from bayes_aero.report.tables.between_manoeuvres import between_manoeuvres, left_out
+from bayes_aero.report.pooled.between_manoeuvres import between_manoeuvres, left_out
+from bayes_aero.report.pooled.next_flight import next_flight_sentences
 from bayes_aero.report.tables.comparison import (
     Method,
     chosen_posteriors,
@@ -18,7 +19,6 @@ from bayes_aero.report.tables.comparison import (
     usable,
     white_posterior,
 )
-from bayes_aero.report.tables.next_flight import next_flight_sentences
 from bayes_aero.report.tables.splits import split_verdict
 from bayes_aero.report.text.phrases import several
 from bayes_aero.report.text.restraints import bound_sentences, conflict_sentences, inseparable_sentences, sign_sentences

@@ -13,9 +13,9 @@ from bayes_aero.errors import InputError
 from bayes_aero.inference.likelihood.mle import MAX_SEPARATE_FITS
 from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.inference.posterior.assembly import diagnose
-from bayes_aero.inference.posterior.hierarchy import SCATTER, Hierarchy, Pooled, pool
-from bayes_aero.inference.posterior.next_flight_result import NextFlight
-from bayes_aero.inference.posterior.normal_estimates import (
+from bayes_aero.inference.posterior.pooled.hierarchy import SCATTER, Hierarchy, Pooled, pool
+from bayes_aero.inference.posterior.pooled.next_flight_result import NextFlight
+from bayes_aero.inference.posterior.pooled.normal_estimates import (
     NormalEstimates,
     from_prior_units,
     normal_estimates,

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.design.standard import flights_of, narrowed
+from bayes_aero.diagnosis.in_band.result import CausesInBand, SizeInBand
 from bayes_aero.diagnosis.result import COEFFICIENTS, Diagnosis
 from bayes_aero.diagnosis.selection.cross_validation import truncated
-from bayes_aero.diagnosis.selection.in_band_result import CausesInBand, SizeInBand
 from bayes_aero.inference.frequency.fit import MIN_SHARE, cramer_rao, fit_in_band, without_noise_bias_in_band
 from bayes_aero.inference.frequency.result import FrequencyFit
 from bayes_aero.model.joined_channels import Flights

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.posterior.next_flight_result import NextFlight
+from bayes_aero.inference.posterior.pooled.next_flight_result import NextFlight
 from bayes_aero.inference.posterior.posterior import Marginal, PosteriorStatus
 from bayes_aero.report.tables.comparison import bounds, ordered, unit_of
 from bayes_aero.report.tables.table import Column, Estimate, Table, in_brackets, parameter_columns

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from bayes_aero.diagnosis.trajectories.results import TrajectoryFit
+from bayes_aero.report.frequency.tables import frequency_sentences
 from bayes_aero.report.html.page import Block
 from bayes_aero.report.html.parts import bullets
 from bayes_aero.report.html.pictures import Gallery
-from bayes_aero.report.tables.frequency import frequency_sentences
 from bayes_aero.report.text.phrases import several
 
 BODE = (

@@ -1,0 +1,1 @@
+"""Causes in a band of frequencies, where bias and drift drop out."""

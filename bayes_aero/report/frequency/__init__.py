@@ -1,0 +1,1 @@
+"""Estimates in the frequency domain: page, tables and figures."""

@@ -1,0 +1,1 @@
+"""Modes of motion: tables and sentences."""

@@ -1,0 +1,1 @@
+"""Manoeuvres beside each other and pooled: tables."""
