@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from bayes_aero.diagnosis.folds import blocks_of
+from bayes_aero.diagnosis.screening.regression import inverse
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, optimum
 from bayes_aero.inference.scores import Scores, log_density, log_score_gain, score
 
@@ -142,3 +143,30 @@ def holdout_deviance_gain(state: SelectionState, wide: np.ndarray, narrow: np.nd
         return float(n * np.sum(np.log(left.gram[0, :, 0, 0] / n)))
 
     return float(np.sum([deviance(fold, narrow) - deviance(fold, wide) for fold in range(len(state.folds))]))
+
+
+def transferred_deviance_gain(state: SelectionState, wide: np.ndarray) -> float:
+    """Deviance that additions `wide` gain over those that are in, if a fold knows of them what the other folds say,
+    and fits the parameters of the card by itself.
+
+    Unlike manoeuvres do not predict each other: a doublet says nothing of the stall, and what the card's parameters
+    then miss of the stall covers what an addition gains. Here a fold is asked for the additions alone. Their estimate
+    from the other folds, with its uncertainty, is the fold's prior, and they are integrated out.
+    """
+    card = state.columns(())
+    used = np.unique(np.concatenate([wide, state.columns(), card]))
+    products, mean, precision = state.products.only(used), state.mean[used], state.precision[used]
+    everything, active, card = (np.searchsorted(used, columns) for columns in (wide, state.columns(), card))
+
+    def deviance(fold: int, columns: np.ndarray) -> float:
+        """Of the fold, the additions among `columns` integrated out; priors count as in every fit of the state."""
+        others = products.without(fold).fit(columns, mean, precision)
+        at = np.flatnonzero(~np.isin(columns, card))
+        told = 1.0 / np.diag(inverse(others.normal))[at]
+        centre, certain = mean.copy(), precision.copy()
+        centre[columns[at]], certain[columns[at]] = others.step[at], told
+        own = products.over([fold]).fit(columns, centre, certain)
+        narrowed = 1.0 / np.diag(inverse(own.normal))[at] / told
+        return own.deviance + state.variance_inflation * float(np.sum(np.log(np.maximum(narrowed, 1.0))))
+
+    return float(np.sum([deviance(fold, active) - deviance(fold, everything) for fold in range(len(state.folds))]))
