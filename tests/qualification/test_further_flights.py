@@ -91,7 +91,7 @@ def test_what_the_structure_leaves_open_no_record_decides(flown, model):
     assert not found.points
     assert not found.tests[0].decidable
     (sentence,) = further_sentences(found)
-    assert sentence.startswith("Undecided even if the parameters were known: θ of stall.")
+    assert sentence.startswith("Undecided even if the parameters were known: θ of stall on the next flight.")
 
 
 def test_without_accelerometers_points_are_refused(flown, model):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from bayes_aero.qualification.result import Further
+from bayes_aero.qualification.result import Further, Kind, OpenTolerance
 from bayes_aero.report.design.points import order_sentence, point_columns
 from bayes_aero.report.tables.table import Column, Table
 from bayes_aero.report.text.phrases import SYMBOLS, several
@@ -15,8 +15,9 @@ MOST = 6  # tests that are named in a sentence
 def further_table(found: Further) -> Table:
     """A row for each test point, in the order of flying."""
     columns = point_columns([asdict(p) for p in found.points])
-    for k, test in enumerate(found.tests):
-        head = f"{test.manoeuvre}\n{SYMBOLS.get(test.output, test.output)}"
+    decidable = [(k, test) for k, test in enumerate(found.tests) if test.decidable]
+    for k, test in decidable:
+        head = _label(test).replace(" of ", "\n", 1)
         columns.append(Column([p.expected[k] for p in found.points], page=head, form=".2f", group="then probability"))
     return Table(
         columns,
@@ -38,7 +39,7 @@ def further_sentences(found: Further | None) -> tuple[str, ...]:
         last = found.points[-1].expected
         said.append(order_sentence([asdict(p) for p in found.points]))
         chances = [
-            f"{SYMBOLS.get(t.output, t.output)} of {t.manoeuvre} {x:.2f} (now {t.present:.2f})"
+            f"{_label(t)} {x:.2f} (now {t.present:.2f})"
             for t, x in zip(found.tests, last, strict=True)
             if t.decidable
         ]
@@ -46,10 +47,16 @@ def further_sentences(found: Further | None) -> tuple[str, ...]:
     elif len(open_) < len(found.tests):
         said.append("No standard manoeuvre inside the envelope narrows the undecided tests enough to be worth flying.")
     if open_:
-        listed = several(f"{SYMBOLS.get(t.output, t.output)} of {t.manoeuvre}" for t in open_[:MOST])
+        listed = several(map(_label, open_[:MOST]))
         more = f" and {len(open_) - MOST} more" if len(open_) > MOST else ""
         said.append(
             f"Undecided even if the parameters were known: {listed}{more}. Errors of the model's structure or gusts "
             "leave them open, not parameters: improve the model (diagnose)."
         )
     return tuple(said)
+
+
+def _label(test: OpenTolerance) -> str:
+    """Output, manoeuvre, and whether it is flown on the next flight."""
+    ahead = " on the next flight" if test.kind is Kind.NEXT else ""
+    return f"{SYMBOLS.get(test.output, test.output)} of {test.manoeuvre}{ahead}"
