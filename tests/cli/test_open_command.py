@@ -39,16 +39,28 @@ def test_help_names_the_options(program):
         assert word in text
 
 
+@pytest.fixture
+def interrupts():
+    """Ctrl-C reaches programs that a test starts: it is ignored where the tests run in the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interrupts")
 def test_it_serves_until_ctrl_c_and_ends_with_zero(folder):
     command = [sys.executable, "-m", "bayes_aero", "open", "results", "--no-browser"]
     with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
-        line = running.stdout.readline()
-        assert line.startswith("identify: results is open at http://127.0.0.1:"), (line, running.stderr.read())
-        url = line.split(" at ")[1].split(" ")[0]
-        with urllib.request.urlopen(url, timeout=120) as page:
-            assert b"attached_lift" not in page.read()[:200]
-        running.send_signal(signal.SIGINT)
-        out, err = running.communicate(timeout=60)
+        try:
+            line = running.stdout.readline()
+            assert line.startswith("identify: results is open at http://127.0.0.1:"), (line, running.stderr.read())
+            url = line.split(" at ")[1].split(" ")[0]
+            with urllib.request.urlopen(url, timeout=120) as page:
+                assert b"attached_lift" not in page.read()[:200]
+            running.send_signal(signal.SIGINT)
+            out, err = running.communicate(timeout=60)
+        finally:
+            running.kill()
     assert (running.returncode, out, err) == (0, "", "")
 
 
