@@ -48,7 +48,8 @@ def pitched_by(card, *effects):
 
 
 def standard(model, card):
-    return fly_standard(model, values(), card.aircraft, airspeed=AIRSPEED, altitude=ALTITUDE, dt=0.04)
+    found = fly_standard(model, values(), card.aircraft, airspeed=AIRSPEED, altitude=ALTITUDE, dt=0.04)
+    return found.channels, found.refused
 
 
 def test_the_command_of_attached_flow_is_the_elevator_of_the_textbook(card):
