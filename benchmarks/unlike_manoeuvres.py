@@ -18,7 +18,7 @@ import numpy as np
 from next_test_points import CARD, flown, open_to_rivals, told
 
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.selection import forward_selection
+from bayes_aero.diagnosis.selection import cross_validation
 from bayes_aero.errors import InputError
 from bayes_aero.inference.compiled_programs import give_back_memory
 from bayes_aero.simulate.injection import draw_hidden
@@ -66,7 +66,7 @@ if __name__ == "__main__":
     parser.add_argument("--out", type=Path, default=Path("unlike"))
     given = parser.parse_args()
     if given.before:
-        forward_selection.transferred_deviance_gain = lambda *_: -1.0
+        cross_validation.transferred_deviance_gain = lambda *_: -1.0
     given.out.mkdir(parents=True, exist_ok=True)
     path = given.out / f"{'silent' if given.silent else 'hidden'}{'_before' if given.before else ''}.jsonl"
     rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []

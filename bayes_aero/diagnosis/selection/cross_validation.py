@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from bayes_aero.diagnosis.folds import blocks_of
-from bayes_aero.diagnosis.screening.regression import inverse
+from bayes_aero.diagnosis.screening.regression import Products, inverse
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, optimum
 from bayes_aero.inference.scores import Scores, log_density, log_score_gain, score
 
@@ -145,6 +145,18 @@ def holdout_deviance_gain(state: SelectionState, wide: np.ndarray, narrow: np.nd
     return float(np.sum([deviance(fold, narrow) - deviance(fold, wide) for fold in range(len(state.folds))]))
 
 
+def addition_gain(state: SelectionState, wide: np.ndarray) -> float:
+    """Deviance that additions `wide` gain over those that are in on folds that were left out: `holdout_deviance_gain`,
+    or, where it is none and unlike manoeuvres may be why, `transferred_deviance_gain`."""
+    gain = holdout_deviance_gain(state, wide)
+    of_card = bool(
+        np.any(state.columns(()) < len(state.theta))
+    )  # sensors along the flight path have no such parameters
+    if gain > 0.0 or not of_card or len(state.responses.flights.lengths) < 2:
+        return gain
+    return transferred_deviance_gain(state, wide)
+
+
 def transferred_deviance_gain(state: SelectionState, wide: np.ndarray) -> float:
     """Deviance that additions `wide` gain over those that are in, if a fold knows of them what the other folds say,
     and fits the parameters of the card by itself.
@@ -157,16 +169,36 @@ def transferred_deviance_gain(state: SelectionState, wide: np.ndarray) -> float:
     used = np.unique(np.concatenate([wide, state.columns(), card]))
     products, mean, precision = state.products.only(used), state.mean[used], state.precision[used]
     everything, active, card = (np.searchsorted(used, columns) for columns in (wide, state.columns(), card))
+    prior = mean, precision
 
     def deviance(fold: int, columns: np.ndarray) -> float:
-        """Of the fold, the additions among `columns` integrated out; priors count as in every fit of the state."""
-        others = products.without(fold).fit(columns, mean, precision)
-        at = np.flatnonzero(~np.isin(columns, card))
-        told = 1.0 / np.diag(inverse(others.normal))[at]
-        centre, certain = mean.copy(), precision.copy()
-        centre[columns[at]], certain[columns[at]] = others.step[at], told
-        own = products.over([fold]).fit(columns, centre, certain)
-        narrowed = 1.0 / np.diag(inverse(own.normal))[at] / told
-        return own.deviance + state.variance_inflation * float(np.sum(np.log(np.maximum(narrowed, 1.0))))
+        return integrated_deviance(products, fold, (columns, card), prior, state.variance_inflation)
 
     return float(np.sum([deviance(fold, active) - deviance(fold, everything) for fold in range(len(state.folds))]))
+
+
+def integrated_deviance(
+    products: Products,
+    fold: int,
+    columns: tuple[np.ndarray, np.ndarray],
+    prior: tuple[np.ndarray, np.ndarray],
+    inflation: float,
+) -> float:
+    """Deviance of a fold whose prior of the additions is their posterior from the other folds; they are integrated out.
+
+    Args:
+        products: of all folds.
+        fold: its number.
+        columns: all columns, and those of the card among them, which are fitted to the fold.
+        prior: mean and precision of every column.
+        inflation: how many times the white likelihood counts a sample; priors are multiplied by it, too.
+    """
+    everything, card = columns
+    others = products.without(fold).fit(everything, *prior)
+    at = np.flatnonzero(~np.isin(everything, card))
+    told = 1.0 / np.diag(inverse(others.normal))[at]
+    mean, precision = (x.copy() for x in prior)
+    mean[everything[at]], precision[everything[at]] = others.step[at], told
+    own = products.over([fold]).fit(everything, mean, precision)
+    narrowed = 1.0 / np.diag(inverse(own.normal))[at] / told
+    return own.deviance + inflation * float(np.sum(np.log(np.maximum(narrowed, 1.0))))

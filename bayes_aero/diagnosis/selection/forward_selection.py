@@ -26,7 +26,7 @@ from bayes_aero.diagnosis.screening.screening import (
     uncertainty,
 )
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, refitted
-from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain, transferred_deviance_gain, truncated
+from bayes_aero.diagnosis.selection.cross_validation import addition_gain, truncated
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.inference.variance.variance_inflation import median_inflation, nats
 from bayes_aero.progress import Progress
@@ -150,8 +150,6 @@ def _election(state: SelectionState, fit: Fit, seed: int, first: bool) -> Step:
     noise = SharedNoise(seed, state.folds, len(state.outputs), settings)
     found = screen(state, fit, seed=seed, nulls=first, noise=noise)
     able: list[tuple[CandidateScore, float]] = []
-    # Whether folds may say nothing of the card's parameters in each other.
-    unlike = len(state.responses.flights.lengths) > 1 and bool(np.any(state.columns(()) < len(state.theta)))
     seen: set[str] = set()
     for standing in found.candidate_scores:
         if standing.effect in seen:
@@ -161,9 +159,7 @@ def _election(state: SelectionState, fit: Fit, seed: int, first: bool) -> Step:
             break
         if explained(state, standing) < settings.least_share or mixes_noise(state, standing):
             continue
-        gain = holdout_deviance_gain(state, columns_of(state, standing))
-        if not gain > 0.0 and unlike:
-            gain = transferred_deviance_gain(state, columns_of(state, standing))
+        gain = addition_gain(state, columns_of(state, standing))
         if not gain > 0.0:
             continue
         able.append((standing, gain))

@@ -39,9 +39,7 @@ def further_sentences(found: Further | None) -> tuple[str, ...]:
         last = found.points[-1].expected
         said.append(order_sentence([asdict(p) for p in found.points]))
         chances = [
-            f"{_label(t)} {x:.2f} (now {t.present:.2f})"
-            for t, x in zip(found.tests, last, strict=True)
-            if t.decidable
+            f"{_label(t)} {x:.2f} (now {t.present:.2f})" for t, x in zip(found.tests, last, strict=True) if t.decidable
         ]
         said.append(f"Expected probabilities to pass with these points: {several(chances[:MOST])}.")
     elif len(open_) < len(found.tests):
