@@ -236,4 +236,8 @@ def _ambiguity(
 ) -> Ambiguity:
     own = [e for e in records.chosen if e.name in members]
     foreign = [p.name for e in records.chosen if e.name not in {*members, *active} for p in e.parameters]
-    return Ambiguity(tuple(e.name for e in own), signals_of(records.state, own, worth_of(own, sizes)), tuple(foreign))
+    question = Ambiguity(
+        tuple(e.name for e in own), signals_of(records.state, own, worth_of(own, sizes)), tuple(foreign)
+    )
+    # The diagnosis has not told them apart by what the records say: as much as decides must come beside that.
+    return replace(question, enough=float(np.hypot(ENOUGH, question.deviations(records.information()))))
